@@ -1,0 +1,1 @@
+"""Implementations of the ports: SQLite, files, vector indexes and the recogniser of `core`."""

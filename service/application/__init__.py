@@ -1,0 +1,38 @@
+"""Use cases, one module per noun, and the ports they need. REST and gRPC call these and nothing else.
+
+Every call takes the tenant first; a resource of another tenant is NotFound. Calls that change something return after
+the commit; a caller that goes away does not undo it. Errors are `core.errors.RevisitError` subclasses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from service.application.identity import DEFAULT_TENANT, SessionKey, SubmapKey, TenantId
+from service.application.loops import Loops
+from service.application.maps import Maps
+from service.application.operations import Operations
+from service.application.robots import Robots
+from service.application.scans import Scans
+from service.application.searches import Searches
+from service.application.sessions import Sessions
+from service.application.submaps import Submaps
+from service.application.system import System
+
+
+@dataclass(frozen=True)
+class UseCases:
+    """Everything a transport can ask for, by noun."""
+
+    maps: Maps
+    robots: Robots
+    sessions: Sessions
+    scans: Scans
+    submaps: Submaps
+    searches: Searches
+    loops: Loops
+    operations: Operations
+    system: System
+
+
+__all__ = ["DEFAULT_TENANT", "SessionKey", "SubmapKey", "TenantId", "UseCases"]

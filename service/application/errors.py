@@ -1,0 +1,81 @@
+"""What the service refuses, beyond what the core refuses: the same codes, the same base class."""
+
+from __future__ import annotations
+
+from core.errors import ErrorCode, RevisitError
+
+
+class NotFound(RevisitError):
+    """There is no such resource (or it belongs to another tenant)."""
+
+    code = ErrorCode.NOT_FOUND
+
+
+class AlreadyExists(RevisitError):
+    """The id is taken by a resource with other content."""
+
+    code = ErrorCode.ALREADY_EXISTS
+
+
+class SessionFinished(RevisitError):
+    """The session is finished and takes no more scans or submaps."""
+
+    code = ErrorCode.SESSION_FINISHED
+
+
+class SequenceGap(RevisitError):
+    """The scan does not follow the last committed one."""
+
+    code = ErrorCode.SEQ_GAP
+
+    def __init__(self, expected: int, got: int) -> None:
+        """`expected` is the sequence number the session can take next."""
+        super().__init__(f"expected seq {expected}, got {got}", field="seq")
+        self.expected = expected
+
+
+class NotReady(RevisitError):
+    """The submap is not described yet: wait for its operation."""
+
+    code = ErrorCode.NOT_READY
+
+
+class DeadlineExceeded(RevisitError):
+    """The answer took longer than the time allowed for it."""
+
+    code = ErrorCode.DEADLINE_EXCEEDED
+
+
+class Unavailable(RevisitError):
+    """The service cannot do this now: try again after `retry_after_s`."""
+
+    code = ErrorCode.WORKERS_BUSY
+
+    def __init__(self, message: str | None = None, *, retry_after_s: float = 1.0) -> None:
+        """`retry_after_s` is a hint for the client, seconds."""
+        super().__init__(message)
+        self.retry_after_s = retry_after_s
+
+
+class WorkersBusy(Unavailable):
+    """Too many jobs are waiting: try again later with the same id."""
+
+    code = ErrorCode.WORKERS_BUSY
+
+
+class Draining(Unavailable):
+    """The service is shutting down: try again with the same id."""
+
+    code = ErrorCode.DRAINING
+
+
+class StorageUncertain(Unavailable):
+    """The store failed while committing: the change may or may not be stored, so repeat it with the same id."""
+
+    code = ErrorCode.STORAGE_UNCERTAIN
+
+
+class StorageFull(RevisitError):
+    """The disk is full: nothing was stored."""
+
+    code = ErrorCode.STORAGE_FULL
