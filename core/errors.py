@@ -1,0 +1,125 @@
+"""What can go wrong in the core: transport-free codes and the exceptions that carry them.
+
+An exception's docstring is its default message; `service/status.py` maps every code to HTTP and gRPC.
+"No loop" and "rejected by verification" are results, never errors.
+"""
+
+from __future__ import annotations
+
+import inspect
+from enum import StrEnum
+
+
+class ErrorCode(StrEnum):
+    """Every reason the product gives for refusing something."""
+
+    MALFORMED_BODY = "MALFORMED_BODY"
+    EMPTY_CLOUD = "EMPTY_CLOUD"
+    NON_FINITE_POINTS = "NON_FINITE_POINTS"
+    DEGENERATE_CLOUD = "DEGENERATE_CLOUD"
+    OUT_OF_RANGE = "OUT_OF_RANGE"
+    BAD_TRANSFORM = "BAD_TRANSFORM"
+    UNKNOWN_FRAME = "UNKNOWN_FRAME"
+    BAD_FIELD = "BAD_FIELD"
+    UNSUPPORTED_ENCODING = "UNSUPPORTED_ENCODING"
+    TOO_LARGE = "TOO_LARGE"
+    NOT_FOUND = "NOT_FOUND"
+    METHOD_NOT_ALLOWED = "METHOD_NOT_ALLOWED"
+    ALREADY_EXISTS = "ALREADY_EXISTS"
+    SESSION_FINISHED = "SESSION_FINISHED"
+    MAP_FROZEN = "MAP_FROZEN"
+    DESCRIPTOR_MODEL_MISMATCH = "DESCRIPTOR_MODEL_MISMATCH"
+    NO_OVERLAP = "NO_OVERLAP"
+    NOT_READY = "NOT_READY"
+    SEQ_GAP = "SEQ_GAP"
+    ETAG_MISMATCH = "ETAG_MISMATCH"
+    QUOTA = "QUOTA"
+    RATE = "RATE"
+    INDEX_REBUILDING = "INDEX_REBUILDING"
+    WORKERS_BUSY = "WORKERS_BUSY"
+    DRAINING = "DRAINING"
+    STORAGE_UNCERTAIN = "STORAGE_UNCERTAIN"
+    STORAGE_FULL = "STORAGE_FULL"
+    DEADLINE_EXCEEDED = "DEADLINE_EXCEEDED"
+    UNAUTHENTICATED = "UNAUTHENTICATED"
+    PERMISSION_DENIED = "PERMISSION_DENIED"
+    DATA_LOSS = "DATA_LOSS"
+    INTERNAL = "INTERNAL"
+
+
+class RevisitError(Exception):
+    """Something went wrong."""
+
+    code: ErrorCode = ErrorCode.INTERNAL
+
+    def __init__(self, message: str | None = None, *, field: str | None = None) -> None:
+        """`field` names the offending input (`points`, `T_odom_sensor`, `k`), where there is one."""
+        self.message = message or inspect.getdoc(type(self)) or type(self).__name__
+        self.field = field
+        super().__init__(self.message)
+
+
+class MalformedBody(RevisitError):
+    """The bytes cannot be parsed as the format they claim to be."""
+
+    code = ErrorCode.MALFORMED_BODY
+
+
+class EmptyCloud(RevisitError):
+    """The cloud holds too few points to describe a place."""
+
+    code = ErrorCode.EMPTY_CLOUD
+
+
+class NonFinitePoints(RevisitError):
+    """Too many points of the cloud are NaN or infinite."""
+
+    code = ErrorCode.NON_FINITE_POINTS
+
+
+class DegenerateCloud(RevisitError):
+    """The points are identical or lie on one line: no place can be described from them."""
+
+    code = ErrorCode.DEGENERATE_CLOUD
+
+
+class OutOfRange(RevisitError):
+    """Coordinates lie beyond 10 km of the frame's origin: re-base the origin of the cloud."""
+
+    code = ErrorCode.OUT_OF_RANGE
+
+
+class BadTransform(RevisitError):
+    """The transform is not a rigid motion."""
+
+    code = ErrorCode.BAD_TRANSFORM
+
+
+class BadField(RevisitError):
+    """A field has an unusable value."""
+
+    code = ErrorCode.BAD_FIELD
+
+
+class UnsupportedEncoding(RevisitError):
+    """The content type or encoding is not supported."""
+
+    code = ErrorCode.UNSUPPORTED_ENCODING
+
+
+class TooLarge(RevisitError):
+    """The body is larger than this service accepts."""
+
+    code = ErrorCode.TOO_LARGE
+
+
+class DescriptorModelMismatch(RevisitError):
+    """The descriptors come from different models and cannot be compared."""
+
+    code = ErrorCode.DESCRIPTOR_MODEL_MISMATCH
+
+
+class DataLoss(RevisitError):
+    """Stored data is damaged."""
+
+    code = ErrorCode.DATA_LOSS

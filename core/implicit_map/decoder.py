@@ -1,0 +1,99 @@
+"""The SDF decoder (paper III-B 2, Eq. 2-5): K neural points around a query -> signed distance in metres.
+
+The blended local coordinate along the normals is the distance to the tangent planes; the shallow MLP adds what the
+planes miss (decision 0001). One decoder is shared by every map, which lets maps of different sessions be merged.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+ENCODING_SIZE = 9
+
+
+@dataclass(frozen=True)
+class DecoderWeights:
+    """MLP of `len(matrices) - 1` hidden layers: matrices[i] (out, in) float32 and biases[i] (out,) float32."""
+
+    matrices: tuple[NDArray[np.float32], ...]
+    biases: tuple[NDArray[np.float32], ...]
+
+    @property
+    def feature_size(self) -> int:
+        """F, the number of latent features of a neural point."""
+        return int(self.matrices[0].shape[1]) - ENCODING_SIZE
+
+    @property
+    def digest(self) -> str:
+        """First 16 hex digits of the SHA-256 of the weights: maps are decoded only by the decoder they were fitted to."""
+        hasher = hashlib.sha256()
+        for array in (*self.matrices, *self.biases):
+            hasher.update(np.ascontiguousarray(array, dtype="<f4").tobytes())
+        return hasher.hexdigest()[:16]
+
+    def to_arrays(self) -> dict[str, NDArray[np.float32]]:
+        """Named arrays for a weights file."""
+        named = {f"decoder_matrix_{i}": m for i, m in enumerate(self.matrices)}
+        return named | {f"decoder_bias_{i}": b for i, b in enumerate(self.biases)}
+
+    @classmethod
+    def from_arrays(cls, arrays: dict[str, NDArray[np.float32]]) -> DecoderWeights:
+        """The weights in a file's named arrays."""
+        layers = sum(name.startswith("decoder_matrix_") for name in arrays)
+        return cls(
+            tuple(arrays[f"decoder_matrix_{i}"] for i in range(layers)),
+            tuple(arrays[f"decoder_bias_{i}"] for i in range(layers)),
+        )
+
+    @classmethod
+    def tangent_planes(cls, feature_size: int = 8, width: int = 8) -> DecoderWeights:
+        """A decoder that adds nothing to the tangent planes: the untrained reference."""
+        size = feature_size + ENCODING_SIZE
+        zeros = np.zeros((1, width), dtype=np.float32)
+        return cls(
+            (np.eye(width, size, dtype=np.float32), zeros),
+            (np.zeros(width, dtype=np.float32), np.zeros(1, dtype=np.float32)),
+        )
+
+    def tensors(self) -> list[Tensor]:
+        """Matrix, bias, matrix, bias, ... as torch tensors (copies)."""
+        pairs = zip(self.matrices, self.biases, strict=True)
+        return [torch.tensor(array) for pair in pairs for array in pair]
+
+    @classmethod
+    def from_tensors(cls, tensors: list[Tensor]) -> DecoderWeights:
+        """The inverse of `tensors`."""
+        arrays = [tensor.detach().numpy().astype(np.float32) for tensor in tensors]
+        return cls(tuple(arrays[0::2]), tuple(arrays[1::2]))
+
+
+def decode(parameters: list[Tensor], features: Tensor, encoding: Tensor, plane_distance: Tensor) -> Tensor:
+    """Eq. 5: blended features (n, F), encoding (n, 9) and plane distance (n,) metres -> SDF (n,) metres."""
+    hidden = torch.cat([features, encoding], dim=1)
+    for layer in range(0, len(parameters) - 2, 2):
+        hidden = torch.relu(torch.nn.functional.linear(hidden, parameters[layer], parameters[layer + 1]))
+    correction = torch.nn.functional.linear(hidden, parameters[-2], parameters[-1])
+    return plane_distance + correction[:, 0]
+
+
+def orientations(normals: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Rotations (n, 3, 3) into the local frames: rows are horizontal tangent, second tangent and the unit normal."""
+    horizontal = np.stack([-normals[:, 1], normals[:, 0], np.zeros(len(normals), np.float32)], axis=1)
+    length = np.linalg.norm(horizontal, axis=1, keepdims=True)
+    tangent = np.where(length > 1e-3, horizontal / np.maximum(length, 1e-3), np.float32([1.0, 0.0, 0.0]))
+    tangent -= np.sum(tangent * normals, axis=1, keepdims=True) * normals
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    return np.stack([tangent, np.cross(normals, tangent), normals], axis=1).astype(np.float32)
+
+
+def encode_positions(local: NDArray[np.float32], resolution: float) -> NDArray[np.float32]:
+    """gamma of Eq. 4: local coordinates (..., 3) metres -> (..., 9), linear and one sine-cosine band."""
+    scaled = local / np.float32(resolution)
+    angle = scaled * np.float32(np.pi / 2)
+    return np.concatenate([scaled, np.sin(angle), np.cos(angle)], axis=-1)

@@ -1,0 +1,1 @@
+"""The narrative: the steps of the method, in order."""

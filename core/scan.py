@@ -1,0 +1,75 @@
+"""Scan: one validated sweep of a LiDAR and the odometry pose it was taken from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core import se3
+from core.errors import BadField, DegenerateCloud, EmptyCloud, NonFinitePoints, OutOfRange
+
+Points = NDArray[np.float32]
+
+MIN_POINTS = 100
+MAX_COORDINATE_M = 10_000.0
+MAX_DROPPED_SHARE = 0.9
+
+
+@dataclass(frozen=True)
+class CloudReport:
+    """What validation noticed about a cloud."""
+
+    dropped_nonfinite: int
+    degenerate_plane: bool
+
+
+@dataclass(frozen=True)
+class Scan:
+    """One sweep. `points` (n, 3) float32 in the sensor frame, metres; `stamp_ns` in the robot's clock."""
+
+    points: Points
+    T_odom_sensor: se3.Matrix4
+    stamp_ns: int
+    report: CloudReport
+
+    @classmethod
+    def validated(cls, points: NDArray[np.floating], T_odom_sensor: NDArray[np.float64], stamp_ns: int) -> Scan:
+        """A scan of finite, non-degenerate points. Raises what `validate_cloud` and `se3.validated` raise."""
+        if stamp_ns < 0 or stamp_ns >= 2**63:
+            raise BadField("the time stamp must be in [0, 2^63) nanoseconds", field="stamp_ns")
+        cloud, report = validate_cloud(points)
+        return cls(cloud, se3.validated(T_odom_sensor), stamp_ns, report)
+
+
+def validate_cloud(points: NDArray[np.floating]) -> tuple[Points, CloudReport]:
+    """The finite points of a cloud as contiguous (n, 3) float32, with what was noticed.
+
+    Raises BadField for another shape, EmptyCloud below 100 points, NonFinitePoints where more than 90 % are NaN or
+    infinite, OutOfRange beyond 10 km, DegenerateCloud where the points are identical or on one line.
+    """
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise BadField(f"points must be (n, 3), got {points.shape}", field="points")
+    if len(points) < MIN_POINTS:
+        raise EmptyCloud(f"a cloud needs at least {MIN_POINTS} points, got {len(points)}", field="points")
+    finite = np.isfinite(points).all(axis=1)
+    dropped = int(len(points) - finite.sum())
+    if dropped > MAX_DROPPED_SHARE * len(points):
+        raise NonFinitePoints(f"{dropped} of {len(points)} points are NaN or infinite", field="points")
+    kept = points[finite]
+    if len(kept) < MIN_POINTS:
+        raise EmptyCloud(f"a cloud needs at least {MIN_POINTS} finite points, got {len(kept)}", field="points")
+    if float(np.abs(kept).max()) > MAX_COORDINATE_M:
+        raise OutOfRange(field="points")
+    cloud = np.ascontiguousarray(kept, dtype=np.float32)
+    return cloud, CloudReport(dropped, _is_plane(cloud))
+
+
+def _is_plane(cloud: Points) -> bool:
+    """Whether the cloud is coplanar; raises DegenerateCloud when it has less than two dimensions."""
+    sample = cloud[:: max(1, len(cloud) // 20_000)].astype(np.float64)
+    spread = np.sqrt(np.clip(np.linalg.eigvalsh(np.cov((sample - sample.mean(axis=0)).T)), 0.0, None))
+    if spread[1] < 1e-3 or spread[1] < 1e-5 * spread[2]:
+        raise DegenerateCloud(field="points")
+    return bool(spread[0] < 0.02 and spread[0] < 0.01 * spread[2])

@@ -1,0 +1,108 @@
+"""Submap: posed scans accumulated over the travelled distance tau_n (paper III-A)."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core import se3
+from core.config import SubmapConfig
+from core.scan import Points, Scan
+
+
+@dataclass(frozen=True)
+class Submap:
+    """Points of several scans in one frame: the sensor frame of the middle scan.
+
+    points (n, 3) float32 metres; scan_index (n,) int32, the scan each point belongs to, ascending; origins (s, 3) float32, where
+    each scan was taken from; stamps_ns (s,) int64; T_odom_submap the pose of the middle scan;
+    position (3,) float64 the mean position of the scans in the odometry frame.
+    """
+
+    points: Points
+    scan_index: NDArray[np.int32]
+    origins: Points
+    stamps_ns: NDArray[np.int64]
+    T_odom_submap: se3.Matrix4
+    position: NDArray[np.float64]
+
+    @property
+    def scan_count(self) -> int:
+        """How many scans the submap holds."""
+        return len(self.origins)
+
+    @classmethod
+    def from_scans(cls, scans: list[Scan], config: SubmapConfig) -> Submap:
+        """Accumulate `scans` (in time order, at least one) in the frame of the middle one."""
+        T_odom_submap = scans[len(scans) // 2].T_odom_sensor
+        T_submap_odom = se3.inverse(T_odom_submap)
+        clouds, indices, origins = [], [], []
+        for index, scan in enumerate(scans):
+            T_submap_scan = T_submap_odom @ scan.T_odom_sensor
+            near = within_range(scan.points, config)
+            clouds.append(se3.apply(T_submap_scan, scan.points[near]).astype(np.float32))
+            indices.append(np.full(int(near.sum()), index, dtype=np.int32))
+            origins.append(T_submap_scan[:3, 3])
+        return cls(
+            points=np.concatenate(clouds),
+            scan_index=np.concatenate(indices),
+            origins=np.asarray(origins, dtype=np.float32),
+            stamps_ns=np.array([scan.stamp_ns for scan in scans], dtype=np.int64),
+            T_odom_submap=T_odom_submap,
+            position=np.mean([scan.T_odom_sensor[:3, 3] for scan in scans], axis=0),
+        )
+
+    @classmethod
+    def from_cloud(cls, scan: Scan) -> Submap:
+        """A submap that was accumulated elsewhere: one cloud, seen from its own origin."""
+        return cls(
+            points=scan.points,
+            scan_index=np.zeros(len(scan.points), dtype=np.int32),
+            origins=np.zeros((1, 3), dtype=np.float32),
+            stamps_ns=np.array([scan.stamp_ns], dtype=np.int64),
+            T_odom_submap=scan.T_odom_sensor,
+            position=scan.T_odom_sensor[:3, 3].copy(),
+        )
+
+
+def within_range(points: Points, config: SubmapConfig) -> NDArray[np.bool_]:
+    """Which (n, 3) sensor-frame points lie between the minimum and maximum range."""
+    squared = np.einsum("ij,ij->i", points, points)
+    return np.asarray((squared >= config.min_range**2) & (squared <= config.max_range**2))
+
+
+class SubmapBuilder:
+    """Cuts a stream of scans into submaps: windows of `tau` metres of travel, one starting every `stride` metres."""
+
+    def __init__(self, config: SubmapConfig) -> None:
+        self._config = config
+        self._window: deque[tuple[float, Scan]] = deque()
+        self._travelled_m = 0.0
+        self._window_start_m = 0.0
+        self._emitted_to_m: float | None = None
+
+    def add(self, scan: Scan) -> list[Scan] | None:
+        """The scans of a finished submap, when `scan` completes its window, else None."""
+        if self._window:
+            step = scan.T_odom_sensor[:3, 3] - self._window[-1][1].T_odom_sensor[:3, 3]
+            self._travelled_m += float(np.linalg.norm(step))
+        self._window.append((self._travelled_m, scan))
+        if self._travelled_m - self._window_start_m < self._config.tau:
+            return None
+        finished = [item for _, item in self._window]
+        self._emitted_to_m = self._travelled_m
+        self._window_start_m += self._config.stride
+        while self._travelled_m - self._window_start_m >= self._config.tau:
+            self._window_start_m += self._config.stride
+        while len(self._window) > 1 and self._window[0][0] < self._window_start_m:
+            self._window.popleft()
+        return finished
+
+    def flush(self) -> list[Scan] | None:
+        """The scans of a last, shorter submap at the end of a session, or None where nothing new was seen."""
+        if not self._window or self._travelled_m == self._emitted_to_m:
+            return None
+        return [item for _, item in self._window]

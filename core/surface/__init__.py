@@ -1,0 +1,103 @@
+"""Surface of a submap out of its implicit map: mesh vertices, normals and occupancy (paper III-C)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from core.config import ImplicitMapConfig, SurfaceConfig
+from core.implicit_map import NeuralMap
+from core.implicit_map.fitting import accumulate
+from core.submap import Submap
+from core.surface.cells import cells_near_planes
+from core.surface.marching_cubes import case_table, edge_table, polygonise
+
+Array = NDArray[np.float32]
+
+__all__ = ["Surface", "extract_surface", "surface_from_points"]
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Mesh and occupancy in the submap frame, metres.
+
+    vertices (v, 3) float32; normals (v, 3) float32 unit, towards free space; faces (f, 3) int32, may be empty;
+    occupied (o, 3) int32 voxel indices, voxel centre = (index + 0.5) * resolution; occupancy (o,) float32 evidence of
+    each voxel; resolution the voxel edge.
+    """
+
+    vertices: Array
+    normals: Array
+    faces: NDArray[np.int32]
+    occupied: NDArray[np.int32]
+    occupancy: Array
+    resolution: float
+
+
+def extract_surface(neural_map: NeuralMap, config: SurfaceConfig) -> Surface:
+    """Marching cubes on the voxel corners around the neural points, where the field was observed (paper III-C).
+
+    Occupied are the voxels whose corners change sign; their evidence is 1. Vertices of small connected parts are
+    dropped. The normal of a vertex is that of the neural points around it.
+    """
+    resolution = neural_map.config.resolution
+    if len(neural_map.points) == 0:
+        return _empty(resolution)
+    home = np.floor(neural_map.points.positions / resolution).astype(np.int64)
+    first = home.min(axis=0) - 1
+    cells, cell_corners, corners = cells_near_planes(
+        neural_map.points.positions, neural_map.points.normals, resolution, first, home.max(axis=0) - first + 2
+    )
+    corner_positions = (corners * resolution).astype(np.float32)
+    values, nearest = neural_map.sdf(corner_positions)
+    values[nearest > config.observed_distance] = np.nan
+    vertices, faces, crossing = polygonise(
+        cell_corners, corner_positions, values, case_table(), edge_table(), resolution
+    )
+    vertices, faces = _without_small_components(vertices, faces, config.min_component)
+    occupied = cells[crossing]
+    return Surface(
+        vertices, neural_map.normals(vertices), faces, occupied, np.ones(len(occupied), np.float32), resolution
+    )
+
+
+def surface_from_points(submap: Submap, map_config: ImplicitMapConfig, config: SurfaceConfig) -> Surface:
+    """The ablation without the implicit map: voxel counts and normals by PCA of each neighbourhood (paper IV-D)."""
+    points = accumulate(submap, map_config)
+    voxels = np.floor(submap.points / np.float32(map_config.resolution)).astype(np.int64)
+    keys = ((voxels[:, 0] + 2**20) << 42) | ((voxels[:, 1] + 2**20) << 21) | (voxels[:, 2] + 2**20)
+    keys, counts = np.unique(keys, return_counts=True)
+    keys, counts = keys[counts >= config.min_returns], counts[counts >= config.min_returns]
+    axes = [(keys >> shift) & (2**21 - 1) for shift in (42, 21, 0)]
+    occupied = (np.stack(axes, axis=1) - 2**20).astype(np.int32)
+    return Surface(
+        points.positions, points.normals, np.zeros((0, 3), np.int32), occupied, counts.astype(np.float32),
+        map_config.resolution,
+    )  # fmt: skip
+
+
+def _without_small_components(
+    vertices: Array, faces: NDArray[np.int32], smallest: int
+) -> tuple[Array, NDArray[np.int32]]:
+    """Drop the connected parts with fewer than `smallest` vertices: isolated outliers (paper III-C)."""
+    if len(vertices) == 0:
+        return vertices, faces
+    links = coo_matrix(
+        (np.ones(2 * len(faces), bool), (np.r_[faces[:, 0], faces[:, 1]], np.r_[faces[:, 1], faces[:, 2]])),
+        shape=(len(vertices), len(vertices)),
+    )
+    _, part = connected_components(links, directed=False)
+    keep = np.bincount(part)[part] >= smallest
+    renumbered = np.cumsum(keep, dtype=np.int32) - 1
+    return vertices[keep], renumbered[faces[keep[faces[:, 0]]]]
+
+
+def _empty(resolution: float) -> Surface:
+    nothing = np.zeros((0, 3), np.float32)
+    return Surface(
+        nothing, nothing, np.zeros((0, 3), np.int32), np.zeros((0, 3), np.int32), np.zeros(0, np.float32), resolution
+    )
