@@ -1,0 +1,1 @@
+"""How well the product recognises places: datasets, a LiDAR simulator, the paper's metrics, baselines and reports."""

@@ -1,0 +1,18 @@
+"""A LiDAR simulator: ray casting through a procedural town with vegetation, changing parked cars and moving traffic.
+
+    streets = grid.streets() or streets_under(path)      paths
+    world = build_city(streets, seed, drive=path)        city
+    trajectory = drive(path, world.ground)               trajectories
+    for scan in simulate(world, trajectory, HDL64, seed) lidar
+"""
+
+from evaluation.simulator.city import TownPlan, World, build_city
+from evaluation.simulator.lidar import SimulatedScan, simulate
+from evaluation.simulator.paths import Path, StreetGrid, streets_under
+from evaluation.simulator.sensors import HDL32, HDL64, OS1_64, SENSORS, VLP16, LidarModel
+from evaluation.simulator.trajectories import Trajectory, drive, grid_drive, kitti_path
+
+__all__ = [
+    "HDL32", "HDL64", "OS1_64", "SENSORS", "VLP16", "LidarModel", "Path", "SimulatedScan", "StreetGrid", "TownPlan",
+    "Trajectory", "World", "build_city", "drive", "grid_drive", "kitti_path", "simulate", "streets_under",
+]  # fmt: skip
