@@ -1,0 +1,190 @@
+from google.protobuf import struct_pb2 as _struct_pb2
+from revisit.v1 import cloud_pb2 as _cloud_pb2
+from revisit.v1 import geometry_pb2 as _geometry_pb2
+from google.protobuf.internal import containers as _containers
+from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
+from google.protobuf import descriptor as _descriptor
+from google.protobuf import message as _message
+from collections.abc import Iterable as _Iterable, Mapping as _Mapping
+from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
+
+DESCRIPTOR: _descriptor.FileDescriptor
+
+class LoopState(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    LOOP_STATE_UNSPECIFIED: _ClassVar[LoopState]
+    LOOP_STATE_ACCEPTED: _ClassVar[LoopState]
+    LOOP_STATE_REJECTED: _ClassVar[LoopState]
+LOOP_STATE_UNSPECIFIED: LoopState
+LOOP_STATE_ACCEPTED: LoopState
+LOOP_STATE_REJECTED: LoopState
+
+class LoopClosure(_message.Message):
+    __slots__ = ("name", "number", "query", "match", "state", "reason", "similarity", "score", "t_match_query", "evidence", "created_at_ns")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    NUMBER_FIELD_NUMBER: _ClassVar[int]
+    QUERY_FIELD_NUMBER: _ClassVar[int]
+    MATCH_FIELD_NUMBER: _ClassVar[int]
+    STATE_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    SIMILARITY_FIELD_NUMBER: _ClassVar[int]
+    SCORE_FIELD_NUMBER: _ClassVar[int]
+    T_MATCH_QUERY_FIELD_NUMBER: _ClassVar[int]
+    EVIDENCE_FIELD_NUMBER: _ClassVar[int]
+    CREATED_AT_NS_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    number: int
+    query: str
+    match: str
+    state: LoopState
+    reason: str
+    similarity: float
+    score: float
+    t_match_query: _geometry_pb2.Transform
+    evidence: _struct_pb2.Struct
+    created_at_ns: int
+    def __init__(self, name: _Optional[str] = ..., number: _Optional[int] = ..., query: _Optional[str] = ..., match: _Optional[str] = ..., state: _Optional[_Union[LoopState, str]] = ..., reason: _Optional[str] = ..., similarity: _Optional[float] = ..., score: _Optional[float] = ..., t_match_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., evidence: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ..., created_at_ns: _Optional[int] = ...) -> None: ...
+
+class Descriptor(_message.Message):
+    __slots__ = ("vector", "model_version")
+    VECTOR_FIELD_NUMBER: _ClassVar[int]
+    MODEL_VERSION_FIELD_NUMBER: _ClassVar[int]
+    vector: _containers.RepeatedScalarFieldContainer[float]
+    model_version: str
+    def __init__(self, vector: _Optional[_Iterable[float]] = ..., model_version: _Optional[str] = ...) -> None: ...
+
+class SearchSubmapsRequest(_message.Message):
+    __slots__ = ("parent", "submap", "descriptor", "cloud", "k", "min_similarity", "exclude_session", "only_session", "min_index_gap", "prior_position_m", "radius_m")
+    PARENT_FIELD_NUMBER: _ClassVar[int]
+    SUBMAP_FIELD_NUMBER: _ClassVar[int]
+    DESCRIPTOR_FIELD_NUMBER: _ClassVar[int]
+    CLOUD_FIELD_NUMBER: _ClassVar[int]
+    K_FIELD_NUMBER: _ClassVar[int]
+    MIN_SIMILARITY_FIELD_NUMBER: _ClassVar[int]
+    EXCLUDE_SESSION_FIELD_NUMBER: _ClassVar[int]
+    ONLY_SESSION_FIELD_NUMBER: _ClassVar[int]
+    MIN_INDEX_GAP_FIELD_NUMBER: _ClassVar[int]
+    PRIOR_POSITION_M_FIELD_NUMBER: _ClassVar[int]
+    RADIUS_M_FIELD_NUMBER: _ClassVar[int]
+    parent: str
+    submap: str
+    descriptor: Descriptor
+    cloud: _cloud_pb2.Cloud
+    k: int
+    min_similarity: float
+    exclude_session: str
+    only_session: str
+    min_index_gap: int
+    prior_position_m: _geometry_pb2.Vector3
+    radius_m: float
+    def __init__(self, parent: _Optional[str] = ..., submap: _Optional[str] = ..., descriptor: _Optional[_Union[Descriptor, _Mapping]] = ..., cloud: _Optional[_Union[_cloud_pb2.Cloud, _Mapping]] = ..., k: _Optional[int] = ..., min_similarity: _Optional[float] = ..., exclude_session: _Optional[str] = ..., only_session: _Optional[str] = ..., min_index_gap: _Optional[int] = ..., prior_position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., radius_m: _Optional[float] = ...) -> None: ...
+
+class SearchHit(_message.Message):
+    __slots__ = ("submap", "similarity", "position_m")
+    SUBMAP_FIELD_NUMBER: _ClassVar[int]
+    SIMILARITY_FIELD_NUMBER: _ClassVar[int]
+    POSITION_M_FIELD_NUMBER: _ClassVar[int]
+    submap: str
+    similarity: float
+    position_m: _geometry_pb2.Vector3
+    def __init__(self, submap: _Optional[str] = ..., similarity: _Optional[float] = ..., position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ...) -> None: ...
+
+class SearchSubmapsResponse(_message.Message):
+    __slots__ = ("hits", "searched")
+    HITS_FIELD_NUMBER: _ClassVar[int]
+    SEARCHED_FIELD_NUMBER: _ClassVar[int]
+    hits: _containers.RepeatedCompositeFieldContainer[SearchHit]
+    searched: int
+    def __init__(self, hits: _Optional[_Iterable[_Union[SearchHit, _Mapping]]] = ..., searched: _Optional[int] = ...) -> None: ...
+
+class LocalizeRequest(_message.Message):
+    __slots__ = ("parent", "cloud", "prior_position_m", "radius_m", "candidates")
+    PARENT_FIELD_NUMBER: _ClassVar[int]
+    CLOUD_FIELD_NUMBER: _ClassVar[int]
+    PRIOR_POSITION_M_FIELD_NUMBER: _ClassVar[int]
+    RADIUS_M_FIELD_NUMBER: _ClassVar[int]
+    CANDIDATES_FIELD_NUMBER: _ClassVar[int]
+    parent: str
+    cloud: _cloud_pb2.Cloud
+    prior_position_m: _geometry_pb2.Vector3
+    radius_m: float
+    candidates: int
+    def __init__(self, parent: _Optional[str] = ..., cloud: _Optional[_Union[_cloud_pb2.Cloud, _Mapping]] = ..., prior_position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., radius_m: _Optional[float] = ..., candidates: _Optional[int] = ...) -> None: ...
+
+class LocalizedCandidate(_message.Message):
+    __slots__ = ("submap", "accepted", "reason", "similarity", "score", "t_match_query", "evidence")
+    SUBMAP_FIELD_NUMBER: _ClassVar[int]
+    ACCEPTED_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    SIMILARITY_FIELD_NUMBER: _ClassVar[int]
+    SCORE_FIELD_NUMBER: _ClassVar[int]
+    T_MATCH_QUERY_FIELD_NUMBER: _ClassVar[int]
+    EVIDENCE_FIELD_NUMBER: _ClassVar[int]
+    submap: str
+    accepted: bool
+    reason: str
+    similarity: float
+    score: float
+    t_match_query: _geometry_pb2.Transform
+    evidence: _struct_pb2.Struct
+    def __init__(self, submap: _Optional[str] = ..., accepted: _Optional[bool] = ..., reason: _Optional[str] = ..., similarity: _Optional[float] = ..., score: _Optional[float] = ..., t_match_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., evidence: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ...) -> None: ...
+
+class LocalizeResponse(_message.Message):
+    __slots__ = ("best", "t_map_query", "candidates")
+    BEST_FIELD_NUMBER: _ClassVar[int]
+    T_MAP_QUERY_FIELD_NUMBER: _ClassVar[int]
+    CANDIDATES_FIELD_NUMBER: _ClassVar[int]
+    best: LocalizedCandidate
+    t_map_query: _geometry_pb2.Transform
+    candidates: _containers.RepeatedCompositeFieldContainer[LocalizedCandidate]
+    def __init__(self, best: _Optional[_Union[LocalizedCandidate, _Mapping]] = ..., t_map_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., candidates: _Optional[_Iterable[_Union[LocalizedCandidate, _Mapping]]] = ...) -> None: ...
+
+class GetLoopClosureRequest(_message.Message):
+    __slots__ = ("name",)
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    def __init__(self, name: _Optional[str] = ...) -> None: ...
+
+class GetLoopClosureResponse(_message.Message):
+    __slots__ = ("loop_closure",)
+    LOOP_CLOSURE_FIELD_NUMBER: _ClassVar[int]
+    loop_closure: LoopClosure
+    def __init__(self, loop_closure: _Optional[_Union[LoopClosure, _Mapping]] = ...) -> None: ...
+
+class ListLoopClosuresRequest(_message.Message):
+    __slots__ = ("parent", "page_size", "page_token", "state", "session")
+    PARENT_FIELD_NUMBER: _ClassVar[int]
+    PAGE_SIZE_FIELD_NUMBER: _ClassVar[int]
+    PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
+    STATE_FIELD_NUMBER: _ClassVar[int]
+    SESSION_FIELD_NUMBER: _ClassVar[int]
+    parent: str
+    page_size: int
+    page_token: str
+    state: LoopState
+    session: str
+    def __init__(self, parent: _Optional[str] = ..., page_size: _Optional[int] = ..., page_token: _Optional[str] = ..., state: _Optional[_Union[LoopState, str]] = ..., session: _Optional[str] = ...) -> None: ...
+
+class ListLoopClosuresResponse(_message.Message):
+    __slots__ = ("loop_closures", "next_page_token")
+    LOOP_CLOSURES_FIELD_NUMBER: _ClassVar[int]
+    NEXT_PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
+    loop_closures: _containers.RepeatedCompositeFieldContainer[LoopClosure]
+    next_page_token: str
+    def __init__(self, loop_closures: _Optional[_Iterable[_Union[LoopClosure, _Mapping]]] = ..., next_page_token: _Optional[str] = ...) -> None: ...
+
+class WatchLoopClosuresRequest(_message.Message):
+    __slots__ = ("parent", "after", "session")
+    PARENT_FIELD_NUMBER: _ClassVar[int]
+    AFTER_FIELD_NUMBER: _ClassVar[int]
+    SESSION_FIELD_NUMBER: _ClassVar[int]
+    parent: str
+    after: int
+    session: str
+    def __init__(self, parent: _Optional[str] = ..., after: _Optional[int] = ..., session: _Optional[str] = ...) -> None: ...
+
+class WatchLoopClosuresResponse(_message.Message):
+    __slots__ = ("loop_closure",)
+    LOOP_CLOSURE_FIELD_NUMBER: _ClassVar[int]
+    loop_closure: LoopClosure
+    def __init__(self, loop_closure: _Optional[_Union[LoopClosure, _Mapping]] = ...) -> None: ...

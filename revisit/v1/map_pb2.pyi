@@ -1,0 +1,87 @@
+from google.protobuf.internal import containers as _containers
+from google.protobuf import descriptor as _descriptor
+from google.protobuf import message as _message
+from collections.abc import Iterable as _Iterable, Mapping as _Mapping
+from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
+
+DESCRIPTOR: _descriptor.FileDescriptor
+
+class Map(_message.Message):
+    __slots__ = ("name", "display_name", "tau_m", "stride_m", "min_index_gap", "session_count", "submap_count", "created_at_ns")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    DISPLAY_NAME_FIELD_NUMBER: _ClassVar[int]
+    TAU_M_FIELD_NUMBER: _ClassVar[int]
+    STRIDE_M_FIELD_NUMBER: _ClassVar[int]
+    MIN_INDEX_GAP_FIELD_NUMBER: _ClassVar[int]
+    SESSION_COUNT_FIELD_NUMBER: _ClassVar[int]
+    SUBMAP_COUNT_FIELD_NUMBER: _ClassVar[int]
+    CREATED_AT_NS_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    display_name: str
+    tau_m: float
+    stride_m: float
+    min_index_gap: int
+    session_count: int
+    submap_count: int
+    created_at_ns: int
+    def __init__(self, name: _Optional[str] = ..., display_name: _Optional[str] = ..., tau_m: _Optional[float] = ..., stride_m: _Optional[float] = ..., min_index_gap: _Optional[int] = ..., session_count: _Optional[int] = ..., submap_count: _Optional[int] = ..., created_at_ns: _Optional[int] = ...) -> None: ...
+
+class CreateMapRequest(_message.Message):
+    __slots__ = ("map_id", "display_name", "tau_m", "stride_m", "min_index_gap")
+    MAP_ID_FIELD_NUMBER: _ClassVar[int]
+    DISPLAY_NAME_FIELD_NUMBER: _ClassVar[int]
+    TAU_M_FIELD_NUMBER: _ClassVar[int]
+    STRIDE_M_FIELD_NUMBER: _ClassVar[int]
+    MIN_INDEX_GAP_FIELD_NUMBER: _ClassVar[int]
+    map_id: str
+    display_name: str
+    tau_m: float
+    stride_m: float
+    min_index_gap: int
+    def __init__(self, map_id: _Optional[str] = ..., display_name: _Optional[str] = ..., tau_m: _Optional[float] = ..., stride_m: _Optional[float] = ..., min_index_gap: _Optional[int] = ...) -> None: ...
+
+class CreateMapResponse(_message.Message):
+    __slots__ = ("map", "replay")
+    MAP_FIELD_NUMBER: _ClassVar[int]
+    REPLAY_FIELD_NUMBER: _ClassVar[int]
+    map: Map
+    replay: bool
+    def __init__(self, map: _Optional[_Union[Map, _Mapping]] = ..., replay: _Optional[bool] = ...) -> None: ...
+
+class GetMapRequest(_message.Message):
+    __slots__ = ("name",)
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    def __init__(self, name: _Optional[str] = ...) -> None: ...
+
+class GetMapResponse(_message.Message):
+    __slots__ = ("map",)
+    MAP_FIELD_NUMBER: _ClassVar[int]
+    map: Map
+    def __init__(self, map: _Optional[_Union[Map, _Mapping]] = ...) -> None: ...
+
+class ListMapsRequest(_message.Message):
+    __slots__ = ("page_size", "page_token")
+    PAGE_SIZE_FIELD_NUMBER: _ClassVar[int]
+    PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
+    page_size: int
+    page_token: str
+    def __init__(self, page_size: _Optional[int] = ..., page_token: _Optional[str] = ...) -> None: ...
+
+class ListMapsResponse(_message.Message):
+    __slots__ = ("maps", "next_page_token")
+    MAPS_FIELD_NUMBER: _ClassVar[int]
+    NEXT_PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
+    maps: _containers.RepeatedCompositeFieldContainer[Map]
+    next_page_token: str
+    def __init__(self, maps: _Optional[_Iterable[_Union[Map, _Mapping]]] = ..., next_page_token: _Optional[str] = ...) -> None: ...
+
+class DeleteMapRequest(_message.Message):
+    __slots__ = ("name",)
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    def __init__(self, name: _Optional[str] = ...) -> None: ...
+
+class DeleteMapResponse(_message.Message):
+    __slots__ = ()
+    def __init__(self) -> None: ...
