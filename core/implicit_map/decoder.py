@@ -31,7 +31,7 @@ class DecoderWeights:
 
     @property
     def digest(self) -> str:
-        """First 16 hex digits of the SHA-256 of the weights: maps are decoded only by the decoder they were fitted to."""
+        """First 16 hex digits of the SHA-256 of the weights: a map is decoded only by the decoder it was fitted to."""
         hasher = hashlib.sha256()
         for array in (*self.matrices, *self.biases):
             hasher.update(np.ascontiguousarray(array, dtype="<f4").tobytes())
@@ -86,7 +86,7 @@ def orientations(normals: NDArray[np.float32]) -> NDArray[np.float32]:
     """Rotations (n, 3, 3) into the local frames: rows are horizontal tangent, second tangent and the unit normal."""
     horizontal = np.stack([-normals[:, 1], normals[:, 0], np.zeros(len(normals), np.float32)], axis=1)
     length = np.linalg.norm(horizontal, axis=1, keepdims=True)
-    tangent = np.where(length > 1e-3, horizontal / np.maximum(length, 1e-3), np.float32([1.0, 0.0, 0.0]))
+    tangent = np.where(length > 1e-3, horizontal / np.maximum(length, 1e-3), np.array([1.0, 0.0, 0.0], np.float32))
     tangent -= np.sum(tangent * normals, axis=1, keepdims=True) * normals
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     return np.stack([tangent, np.cross(normals, tangent), normals], axis=1).astype(np.float32)

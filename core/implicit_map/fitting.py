@@ -11,6 +11,7 @@ from torch import Tensor
 
 from core.config import ImplicitMapConfig
 from core.implicit_map import voxel_hash
+from core.implicit_map.blob import settle
 from core.implicit_map.decoder import DecoderWeights, decode
 from core.implicit_map.neighbourhood import Neighbourhood, find_neighbourhood
 from core.implicit_map.neural_map import NeuralMap
@@ -26,7 +27,7 @@ def fit_implicit_map(
     submap: Submap, decoder: DecoderWeights, config: ImplicitMapConfig, rng: np.random.Generator
 ) -> NeuralMap:
     """The neural map of a submap: accumulate, remove what moved, fit the latent features (paper III-B)."""
-    points = without_dynamic_points(accumulate(submap, config), submap, config)
+    points = settle(without_dynamic_points(accumulate(submap, config), submap, config), config.resolution)
     slots = np.asarray(voxel_hash.build_table(points.positions, config.resolution))
     samples = draw_samples(submap.points, submap.origins[submap.scan_index], points, slots, config, rng)
     near = find_neighbourhood(samples.positions, points.positions, points.normals, slots, config)
@@ -47,14 +48,15 @@ def without_dynamic_points(points: NeuralPoints, submap: Submap, config: Implici
     """Remove the neural points of moving objects (paper III-B 4, Eq. 6).
 
     H(p), the temporal consistency, is the number of scans that saw free space where the point is; S(p) is its distance
-    from the surface of the points that were not seen through. The stability mu of the rest is hits minus H.
+    from the surface of the points that were never seen through. The stability mu of the rest is hits minus H.
     """
     seen_through = count_seen_through(points.positions, submap.points, submap.scan_index, submap.origins)
     stability = points.hits.astype(np.float32) - seen_through
     suspect = (seen_through >= config.dynamic_stability) & (stability <= 0)
     dynamic = suspect.copy()
-    if suspect.any() and not suspect.all():
-        stable = points.subset(~suspect)
+    consistent = seen_through == 0
+    if suspect.any() and consistent.any():
+        stable = points.subset(consistent)
         slots = np.asarray(voxel_hash.build_table(stable.positions, config.resolution))
         near = find_neighbourhood(points.positions[suspect], stable.positions, stable.normals, slots, config)
         # Eq. 6: S(p) > gamma_d and H(p) > gamma_mu; free space without any surface near is far from it

@@ -51,7 +51,7 @@ def find_neighbourhood(
     return Neighbourhood(np.maximum(indices, 0).astype(np.int64), weights, encoding, plane, np.sqrt(squared[:, 0]))
 
 
-@numba.njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]  # numba has no types
+@numba.njit(cache=True, fastmath=True)
 def _blend(
     queries: Array,
     positions: Array,

@@ -67,7 +67,7 @@ class ElasticAccumulator:
         """
         self._reserve(self._size + len(points))
         self._size = _insert(
-            points, origin, np.int16(scan), self._slots, self._moments, self._views, self._scans, self._size,
+            points, origin, scan, self._slots, self._moments, self._views, self._scans, self._size,
             self._resolution, self._eviction_distance,
         )  # fmt: skip
 
@@ -94,7 +94,7 @@ class ElasticAccumulator:
             setattr(self, name, new)
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
+@numba.njit(cache=True)
 def _insert(
     points: Array,
     origin: Array,
@@ -150,7 +150,7 @@ def _insert(
     return size
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True)
 def _pooled_covariances(
     positions: Array, moments: NDArray[np.float64], slots: NDArray[np.int32], resolution: float
 ) -> NDArray[np.float64]:

@@ -59,7 +59,7 @@ def _ray_offsets(rays: int, config: ImplicitMapConfig, rng: np.random.Generator)
     return np.concatenate([on, near, front, behind], axis=1).astype(np.float32)
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
+@numba.njit(cache=True)
 def _choose_returns(
     points: Array,
     order: NDArray[np.int64],

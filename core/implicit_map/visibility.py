@@ -15,7 +15,9 @@ _MARGIN_M = 0.5
 _MARGIN_RATIO = 0.02
 
 
-def count_seen_through(positions: Array, points: Array, scan_index: NDArray[np.int32], origins: Array) -> NDArray[np.int16]:
+def count_seen_through(
+    positions: Array, points: Array, scan_index: NDArray[np.int32], origins: Array
+) -> NDArray[np.int16]:
     """How many scans measured farther returns in the direction of each of `positions` (n, 3), all around it.
 
     `points` (m, 3) with `scan_index` (m,) were taken from `origins` (s, 3); everything in the submap frame.
@@ -27,7 +29,7 @@ def count_seen_through(positions: Array, points: Array, scan_index: NDArray[np.i
     return counts
 
 
-@numba.njit(inline="always")  # type: ignore[untyped-decorator]  # numba has no types
+@numba.njit(inline="always")
 def _pixel(x: float, y: float, z: float) -> tuple[int, int, float]:
     distance = np.sqrt(x * x + y * y + z * z) + 1e-9
     column = int((np.arctan2(y, x) + np.pi) * (_COLUMNS / (2 * np.pi))) % _COLUMNS
@@ -35,7 +37,7 @@ def _pixel(x: float, y: float, z: float) -> tuple[int, int, float]:
     return row, column, distance
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True)
 def _range_image(points: Array, scan_index: NDArray[np.int32], scan: int, origin: Array) -> Array:
     """Smallest range a pixel, (rows, columns) float32, inf where nothing was measured."""
     image = np.full((_ROWS, _COLUMNS), np.inf, dtype=np.float32)
@@ -47,7 +49,7 @@ def _range_image(points: Array, scan_index: NDArray[np.int32], scan: int, origin
     return image
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True)
 def _mark_seen_through(positions: Array, origin: Array, image: Array, counts: NDArray[np.int16]) -> None:
     """Count the scan where all returns in the 3 x 3 pixels around a position are beyond it, and at least two exist."""
     for i in range(len(positions)):

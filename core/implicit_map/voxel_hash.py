@@ -14,7 +14,7 @@ TABLE_BITS = 20
 _MASK = (1 << TABLE_BITS) - 1
 
 
-@numba.njit(inline="always")  # type: ignore[untyped-decorator]  # numba has no types
+@numba.njit(inline="always")
 def slot_of(x: int, y: int, z: int) -> int:
     """The table slot of voxel (x, y, z)."""
     column = (x & 0xFFFFF) * 0x9E3779B1 + (y & 0xFFFFF) * 0x85EBCA77
@@ -23,7 +23,7 @@ def slot_of(x: int, y: int, z: int) -> int:
     return ((column ^ (column >> 15)) + z) & _MASK
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True)
 def build_table(positions: NDArray[np.float32], resolution: float) -> NDArray[np.int32]:
     """The slots (2^20,) int32 that hold the indices of `positions` (n, 3)."""
     slots = np.full(1 << TABLE_BITS, -1, dtype=np.int32)
@@ -35,7 +35,7 @@ def build_table(positions: NDArray[np.float32], resolution: float) -> NDArray[np
     return slots
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True)
 def nearest(
     queries: NDArray[np.float32],
     positions: NDArray[np.float32],

@@ -1,0 +1,124 @@
+"""Dominant 3D clusters of a surface: ground removal and fast Euclidean clustering (paper III-C)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from core.config import ClusterConfig
+from core.surface import Surface
+
+Array = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Clusters:
+    """Dominant clusters C_1..C_M of a surface.
+
+    labels (v,) int32 of each surface vertex: -1 for ground or minor parts, else 0..count-1 by decreasing size;
+    ground (v,) which vertices are ground.
+    """
+
+    labels: NDArray[np.int32]
+    count: int
+    ground: NDArray[np.bool_]
+
+
+def segment_clusters(surface: Surface, config: ClusterConfig) -> Clusters:
+    """Remove the ground, join vertices nearer than the radius, keep the parts that are large enough (paper III-C)."""
+    ground = find_ground(surface, config)
+    rows = np.flatnonzero(~ground)
+    labels = np.full(len(surface.vertices), -1, dtype=np.int32)
+    if len(rows) == 0:
+        return Clusters(labels, 0, ground)
+    parts = euclidean_clusters(surface.vertices[rows], config.radius)
+    sizes = np.bincount(parts)
+    dominant = [part for part in np.argsort(-sizes, kind="stable") if sizes[part] >= config.min_vertices]
+    renumbered = np.full(len(sizes), -1, dtype=np.int32)
+    renumbered[dominant] = np.arange(len(dominant))
+    labels[rows] = renumbered[parts]
+    return Clusters(labels, len(dominant), ground)
+
+
+def find_ground(surface: Surface, config: ClusterConfig) -> NDArray[np.bool_]:
+    """Vertices (v,) that face up or down near the lower envelope of their column."""
+    level = np.abs(surface.normals[:, 2]) > config.ground_cosine
+    if not level.any():
+        return np.asarray(level)
+    columns = np.floor(surface.vertices[:, :2] / config.ground_cell).astype(np.int64)
+    columns -= columns.min(axis=0)
+    envelope = np.full(columns.max(axis=0) + 1, np.inf, dtype=np.float32)
+    np.minimum.at(envelope, tuple(columns.T), surface.vertices[:, 2])
+    return np.asarray(level & (surface.vertices[:, 2] - envelope[tuple(columns.T)] <= config.ground_height))
+
+
+def euclidean_clusters(points: Array, radius: float) -> NDArray[np.int64]:
+    """Connected components (n,) of the graph that joins points (n, 3) nearer than `radius` metres, numbered from 0.
+
+    Exact. Cells of edge radius / sqrt(3) hold points that are joined anyway; only pairs of cells are searched.
+    """
+    edge = radius / np.sqrt(3.0)
+    cells = np.floor(points / edge).astype(np.int64)
+    cells -= cells.min(axis=0)
+    extent = cells.max(axis=0) + 1
+    keys = (cells[:, 0] * extent[1] + cells[:, 1]) * extent[2] + cells[:, 2]
+    order = np.argsort(keys, kind="stable")
+    unique, starts, inverse = np.unique(keys[order], return_index=True, return_inverse=True)
+    roots = _join_cells(points[order], unique, np.append(starts, len(points)), extent, radius)
+    _, parts = np.unique(roots, return_inverse=True)
+    labels = np.empty(len(points), dtype=np.int64)
+    labels[order] = parts[inverse]
+    return labels
+
+
+@numba.njit(cache=True)
+def _join_cells(
+    points: Array, keys: NDArray[np.int64], starts: NDArray[np.int64], extent: NDArray[np.int64], radius: float
+) -> NDArray[np.int64]:
+    """The root cell (c,) of every occupied cell; `keys` (c,) ascending, `starts` (c + 1,) rows of `points`."""
+    parent = np.arange(len(keys))
+    limit = radius * radius
+    for cell in range(len(keys)):
+        z = keys[cell] % extent[2]
+        y = keys[cell] // extent[2] % extent[1]
+        x = keys[cell] // (extent[2] * extent[1])
+        for dx in range(0, 3):
+            for dy in range(-2, 3):
+                for dz in range(-2, 3):
+                    if (dx, dy, dz) <= (0, 0, 0):
+                        continue
+                    if x + dx >= extent[0] or not 0 <= y + dy < extent[1] or not 0 <= z + dz < extent[2]:
+                        continue
+                    key = ((x + dx) * extent[1] + y + dy) * extent[2] + z + dz
+                    other = np.searchsorted(keys, key)
+                    if other == len(keys) or keys[other] != key:
+                        continue
+                    a, b = _root(parent, cell), _root(parent, other)
+                    if a != b and _touch(points, starts, cell, other, limit):
+                        parent[max(a, b)] = min(a, b)
+    for cell in range(len(keys)):
+        parent[cell] = _root(parent, cell)
+    return parent
+
+
+@numba.njit(cache=True)
+def _root(parent: NDArray[np.int64], cell: int) -> int:
+    while parent[cell] != cell:
+        parent[cell] = parent[parent[cell]]
+        cell = parent[cell]
+    return cell
+
+
+@numba.njit(cache=True)
+def _touch(points: Array, starts: NDArray[np.int64], a: int, b: int, limit: float) -> bool:
+    for i in range(starts[a], starts[a + 1]):
+        for j in range(starts[b], starts[b + 1]):
+            gap = 0.0
+            for k in range(3):
+                gap += (points[i, k] - points[j, k]) ** 2
+            if gap < limit:
+                return True
+    return False

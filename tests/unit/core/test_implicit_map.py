@@ -1,0 +1,207 @@
+"""The implicit map against surfaces known in closed form (paper III-B)."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from core.config import ImplicitMapConfig, SurfaceConfig
+from core.errors import DataLoss, DescriptorModelMismatch
+from core.implicit_map import DecoderWeights, NeuralMap, fit_implicit_map, voxel_hash
+from core.implicit_map.blob import from_blob, to_blob
+from core.implicit_map.decoder import orientations
+from core.implicit_map.fitting import sdf_loss
+from core.implicit_map.neural_points import ElasticAccumulator
+from core.implicit_map.samples import draw_samples
+from core.model_bundle import load_packaged_models
+from core.submap import Submap
+from core.surface import extract_surface
+
+CONFIG = ImplicitMapConfig()
+SENSOR_HEIGHT = 1.7
+
+
+def fit(submap: Submap, config: ImplicitMapConfig = CONFIG) -> NeuralMap:
+    return fit_implicit_map(submap, load_packaged_models().decoder, config, np.random.default_rng(0))
+
+
+def near_wall(rng, count=2000):
+    """Points before and behind the wall x = 10 of the box scene, in the frame of the submap, with their distances."""
+    offset = rng.uniform(-0.25, 0.45, count)
+    points = np.stack([10.0 - offset, rng.uniform(-4, 4, count), rng.uniform(0.6, 3.0, count) - SENSOR_HEIGHT], axis=1)
+    return points.astype(np.float32), offset
+
+
+def test_the_distance_to_flat_ground_is_right_within_three_centimetres(make_drive, shapes):
+    field = fit(make_drive(lambda _: [shapes["ground"]()]))
+    rng = np.random.default_rng(1)
+    height = rng.uniform(-0.3, 0.45, 2000)
+    queries = np.stack([rng.uniform(-8, 8, 2000), rng.uniform(-8, 8, 2000), height - SENSOR_HEIGHT], axis=1)
+    distance, nearest = field.sdf(queries.astype(np.float32))
+    assert np.isfinite(nearest).mean() > 0.95
+    seen = np.isfinite(nearest)
+    assert np.median(np.abs(distance - height)[seen]) < 0.03
+    assert np.percentile(np.abs(distance - height)[seen], 95) < 0.08
+
+
+def test_the_sign_separates_free_space_from_solid_at_a_wall(make_drive, shapes):
+    field = fit(make_drive(lambda _: [shapes["ground"](), shapes["box"]((10, -6, 0), (12, 6, 5))]))
+    queries, offset = near_wall(np.random.default_rng(2))
+    distance, _ = field.sdf(queries)
+    clear = np.abs(offset) > 0.1
+    assert np.mean((distance > 0)[clear] == (offset > 0)[clear]) > 0.97
+    assert np.median(np.abs(distance - offset)) < 0.04
+
+
+def test_the_surface_of_a_ball_has_the_right_radius_and_normals(make_drive, shapes):
+    centre = np.array([0.0, 9.0, 2.0])
+    submap = make_drive(lambda _: [shapes["sphere"](tuple(centre), 4.0)])
+    surface = extract_surface(fit(submap), SurfaceConfig())
+    outward = surface.vertices - (centre - [0, 0, SENSOR_HEIGHT])
+    radius = np.linalg.norm(outward, axis=1)
+    angle = np.degrees(np.arccos(np.clip(np.sum(outward / radius[:, None] * surface.normals, axis=1), -1, 1)))
+    assert len(surface.vertices) > 300
+    assert np.median(np.abs(radius - 4.0)) < 0.03
+    assert np.median(angle) < 4.0
+
+
+def test_two_walls_meet_in_a_corner_without_a_phantom_surface(make_drive, shapes):
+    walls = [shapes["ground"](), shapes["box"]((8, -9, 0), (9, 9, 4)), shapes["box"]((-9, 8, 0), (9, 9, 4))]
+    surface = extract_surface(fit(make_drive(lambda _: walls)), SurfaceConfig())
+    world = surface.vertices + [0, 0, SENSOR_HEIGHT]
+    corner = world[(world[:, 0] > 4) & (world[:, 1] > 4) & (world[:, 2] > 0.5) & (world[:, 2] < 3.5)]
+    to_walls = np.minimum(np.abs(corner[:, 0] - 8), np.abs(corner[:, 1] - 8))
+    assert len(corner) > 150
+    assert np.median(to_walls) < 0.03
+    assert np.percentile(to_walls, 99) < 0.35
+
+
+def test_a_moving_car_leaves_no_surface_and_a_parked_one_does(make_drive, shapes):
+    def scene(i):
+        moving = shapes["box"]((-9 + 3.0 * i, 4, 0.1), (-5 + 3.0 * i, 6, 1.6))
+        parked = shapes["box"]((-2, -7, 0.1), (2, -5, 1.6))
+        return [shapes["ground"](), moving, parked, shapes["box"]((-30, 12, 0), (30, 13, 5))]
+
+    surface = extract_surface(fit(make_drive(scene)), SurfaceConfig())
+    world = surface.vertices + [0, 0, SENSOR_HEIGHT]
+    body = (world[:, 2] > 0.6) & (world[:, 2] < 1.8)
+    on_lane = body & (world[:, 1] > 3.6) & (world[:, 1] < 6.4) & (np.abs(world[:, 0]) < 12)
+    on_parked = body & (world[:, 1] > -7.4) & (world[:, 1] < -4.6) & (np.abs(world[:, 0]) < 2.4)
+    assert on_parked.sum() > 60
+    assert on_lane.sum() < 0.05 * on_parked.sum()
+
+
+def test_a_quarter_of_the_returns_gives_nearly_the_same_field(make_drive, shapes):
+    submap = make_drive(lambda _: [shapes["ground"](), shapes["box"]((10, -6, 0), (12, 6, 5))])
+    kept = np.sort(np.random.default_rng(3).permutation(len(submap.points))[: len(submap.points) // 4])
+    thinned = dataclasses.replace(submap, points=submap.points[kept], scan_index=submap.scan_index[kept])
+    queries, _ = near_wall(np.random.default_rng(4))
+    dense, sparse = fit(submap).sdf(queries)[0], fit(thinned).sdf(queries)[0]
+    assert np.median(np.abs(dense - sparse)) < 0.03
+
+
+def test_the_field_turns_with_the_submap(make_drive, shapes):
+    submap = make_drive(lambda _: [shapes["ground"](), shapes["box"]((10, -6, 0), (12, 6, 5))])
+    turn = np.array([[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1]], dtype=np.float32)
+    turned = dataclasses.replace(submap, points=submap.points @ turn.T, origins=submap.origins @ turn.T)
+    queries, _ = near_wall(np.random.default_rng(5))
+    difference = fit(submap).sdf(queries)[0] - fit(turned).sdf((queries @ turn.T).astype(np.float32))[0]
+    assert np.median(np.abs(difference)) < 0.03
+
+
+def test_gradient_steps_lower_the_loss_on_the_training_samples(make_drive, shapes):
+    submap = make_drive(lambda _: [shapes["ground"](), shapes["sphere"]((0.0, 9.0, 2.0), 2.0)])
+    losses = []
+    for steps in (0, 10):
+        field = fit(submap, dataclasses.replace(CONFIG, steps=steps))
+        origins = submap.origins[submap.scan_index]
+        samples = draw_samples(submap.points, origins, field.points, field.slots, CONFIG, np.random.default_rng(9))
+        distance, nearest = field.sdf(samples.positions)
+        known = np.isfinite(nearest)
+        predicted, labels = torch.from_numpy(distance[known]), torch.from_numpy(samples.labels[known])
+        losses.append(float(sdf_loss(predicted, labels, CONFIG)))
+    assert losses[1] < 0.99 * losses[0]
+
+
+def test_the_decoder_adapts_only_when_asked_to(make_drive, shapes):
+    submap = make_drive(lambda _: [shapes["ground"]()])
+    shipped = load_packaged_models().decoder
+    assert fit(submap).decoder.digest == shipped.digest
+    online = dataclasses.replace(CONFIG, update_decoder=True)
+    assert fit(submap, online).decoder.digest != shipped.digest
+
+
+def test_nearest_neural_points_agree_with_brute_force():
+    rng = np.random.default_rng(6)
+    cells = np.unique(rng.integers(-10, 10, (2000, 3)), axis=0)
+    positions = ((cells + rng.uniform(0.05, 0.95, cells.shape)) * 0.4).astype(np.float32)
+    queries = rng.uniform(-3.5, 3.5, (500, 3)).astype(np.float32)
+    slots = voxel_hash.build_table(positions, 0.4)
+    indices, squared = voxel_hash.nearest(queries, positions, slots, 0.4, 6, 2)
+    gaps = ((queries[:, None] - positions) ** 2).sum(axis=2)
+    order = np.argsort(gaps, axis=1)[:, :6]
+    expected = np.take_along_axis(gaps, order, axis=1)
+    within = expected < 0.8**2
+    assert within.sum() > 2000
+    assert np.array_equal(np.where(within, order, -1), indices)
+    assert np.allclose(squared[within], expected[within], atol=1e-5)
+
+
+def test_a_return_far_from_the_stored_point_evicts_it():
+    accumulator = ElasticAccumulator(resolution=0.4, eviction_distance=0.1)
+    origin = np.zeros(3, dtype=np.float32)
+    accumulator.insert(np.array([[1.02, 1.02, 1.02]], dtype=np.float32), origin, 0)
+    accumulator.insert(np.array([[1.15, 1.15, 1.15]], dtype=np.float32), origin, 3)
+    points = accumulator.finish()
+    assert len(points) == 1
+    assert np.allclose(points.positions, 1.15)
+    assert (points.created[0], points.updated[0], points.hits[0]) == (3, 3, 1)
+
+
+def test_a_neural_point_moves_to_the_mean_of_its_returns_and_remembers_when():
+    accumulator = ElasticAccumulator(resolution=0.4, eviction_distance=0.7)
+    origin = np.zeros(3, dtype=np.float32)
+    accumulator.insert(np.array([[1.0, 1.0, 1.0], [1.1, 1.0, 1.0]], dtype=np.float32), origin, 2)
+    accumulator.insert(np.array([[1.1, 1.1, 1.0]], dtype=np.float32), origin, 5)
+    points = accumulator.finish()
+    assert np.allclose(points.positions, [[3.2 / 3, 3.1 / 3, 1.0]], atol=1e-6)
+    assert (points.created[0], points.updated[0], points.hits[0]) == (2, 5, 2)
+
+
+@pytest.mark.parametrize("normal", [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0.6, 0, 0.8), (-0.48, 0.6, 0.64)])
+def test_a_local_frame_is_a_rotation_whose_third_axis_is_the_normal(normal):
+    frame = orientations(np.array([normal], dtype=np.float32))[0]
+    assert np.allclose(frame @ frame.T, np.eye(3), atol=1e-5)
+    assert np.linalg.det(frame) == pytest.approx(1.0, abs=1e-5)
+    assert np.allclose(frame[2], normal, atol=1e-5)
+
+
+def test_a_stored_map_answers_as_the_fitted_one_within_a_centimetre(make_drive, shapes):
+    field = fit(make_drive(lambda _: [shapes["ground"](), shapes["box"]((10, -6, 0), (12, 6, 5))]))
+    stored = from_blob(to_blob(field), field.decoder, CONFIG)
+    queries, _ = near_wall(np.random.default_rng(7))
+    assert len(stored.points) == len(field.points)
+    assert np.percentile(np.abs(stored.sdf(queries)[0] - field.sdf(queries)[0]), 95) < 0.01
+
+
+def test_a_stored_map_of_another_decoder_is_refused(make_drive, shapes):
+    blob = to_blob(fit(make_drive(lambda _: [shapes["ground"]()])))
+    with pytest.raises(DescriptorModelMismatch):
+        from_blob(blob, DecoderWeights.tangent_planes(), CONFIG)
+
+
+def test_every_flipped_or_missing_byte_of_a_stored_map_is_noticed(make_drive, shapes):
+    field = fit(make_drive(lambda _: [shapes["ground"]()]))
+    blob = to_blob(field)
+    rng = np.random.default_rng(8)
+    for position in rng.integers(0, len(blob), 50):
+        damaged = bytearray(blob)
+        damaged[position] ^= 1 << int(rng.integers(8))
+        with pytest.raises(DataLoss):
+            from_blob(bytes(damaged), field.decoder, CONFIG)
+    for size in (0, 4, 31, 40, len(blob) - 1):
+        with pytest.raises(DataLoss):
+            from_blob(blob[:size], field.decoder, CONFIG)
