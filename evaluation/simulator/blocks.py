@@ -23,6 +23,7 @@ class Material(IntEnum):
     LEAF = 5
     METAL = 6
     CLOTH = 7
+    WINDSCREEN = 8
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,8 @@ def block(
 def joined(parts: Sequence[Blocks]) -> Blocks:
     """All blocks of `parts`, in order; none for an empty sequence."""
     if not parts:
-        return Blocks(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 2)), np.zeros(0, np.uint8))
+        none, flat = np.zeros(0), np.zeros((0, 2))
+        return Blocks(np.zeros((0, 3)), flat, none, none, flat, np.zeros(0, np.uint8))
     return Blocks(
         base=np.concatenate([part.base for part in parts]), half=np.concatenate([part.half for part in parts]),
         height=np.concatenate([part.height for part in parts]), yaw=np.concatenate([part.yaw for part in parts]),

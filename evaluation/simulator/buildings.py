@@ -40,7 +40,8 @@ def build_house(style: Facade, width: float, depth: float, rng: np.random.Genera
     """A house in its own frame: x along the street, the street front at y = 0, the house at y > 0, ground at z = 0."""
     floors = int(rng.integers(style.floors[0], style.floors[1] + 1))
     height = floors * style.floor_height
-    core = block((0, depth / 2, -FOUNDATION_M), (width, depth - 2 * style.recess, height + FOUNDATION_M), Material.GLASS)
+    size = (width, depth - 2 * style.recess, height + FOUNDATION_M)
+    core = block((0, depth / 2, -FOUNDATION_M), size, Material.GLASS)
     parts = [core, *_front(style, width, depth, floors, 0.0), *_front(style, width, depth, floors, depth)]
     parts += _flanks(style, width, depth, floors)
     parts += _roof(style, width, depth, height, rng)
@@ -114,5 +115,6 @@ def _annexes(width: float, depth: float, rng: np.random.Generator) -> list[Block
     porch = block((rng.uniform(-0.3, 0.3) * width, -0.6, -FOUNDATION_M), (1.8, 1.2, FOUNDATION_M + 0.45), Material.WALL)
     canopy = block((porch.base[0, 0], -0.5, 2.3), (1.8, 1.0, 0.15), Material.ROOF)
     shed_at = (rng.uniform(-0.4, 0.4) * width, depth + rng.uniform(2.0, 5.0), -FOUNDATION_M)
-    shed = block(shed_at, (rng.uniform(2.5, 5), rng.uniform(2.0, 3.0), FOUNDATION_M + rng.uniform(2.0, 2.8)), Material.WALL)
+    shed_size = (rng.uniform(2.5, 5), rng.uniform(2.0, 3.0), FOUNDATION_M + rng.uniform(2.0, 2.8))
+    shed = block(shed_at, shed_size, Material.WALL)
     return [porch, canopy, shed] if rng.random() < 0.5 else [porch, canopy]

@@ -1,4 +1,4 @@
-"""A procedural town along given streets: ground and kerbs, houses, gardens, trees, street furniture, parking, traffic."""
+"""A procedural town along given streets: ground, kerbs, houses, gardens, trees, street furniture, parking, traffic."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from evaluation.simulator.traffic import ParkingSlots, Traffic, random_traffic
 class TownPlan:
     """What a town is like. Lengths in metres, shares in 0..1, densities per kilometre of street."""
 
-    kerb: float = 5.2
-    pavement: float = 2.2
+    kerb: float = 4.7
+    pavement: float = 2.0
     kerb_height: float = 0.12
     relief: float = 0.8
-    vacant_lots: float = 0.16
+    vacant_lots: float = 0.18
     street_tree_spacing: float = 14.0
-    garden_trees_per_hectare: float = 45.0
-    parked_share: float = 0.45
+    garden_trees_per_hectare: float = 80.0
+    parked_share: float = 0.65
     moving_cars_per_km: float = 5.0
     people_per_km: float = 8.0
     reach: float = 60.0
@@ -34,7 +34,10 @@ class TownPlan:
 
 @dataclass(frozen=True)
 class Ground:
-    """Height of the ground: gentle waves, a kerb beside every street. amplitude (k,) m, wave (k, 2) rad/m, phase (k,)."""
+    """Height of the ground: gentle waves, and a kerb beside every street.
+
+    amplitude (k,) metres, wave (k, 2) radians per metre, phase (k,) radians; kerb its distance from mid-street, metres.
+    """
 
     amplitude: Floats
     wave: Floats
@@ -76,24 +79,29 @@ def build_city(streets: list[Path], seed: int, plan: TownPlan | None = None, dri
     """A town along `streets`; nothing but moving traffic stands in the way of `drive`. The same seed, the same town."""
     plan = plan or TownPlan()
     rng = np.random.default_rng([seed, 1])
-    ground = _lay_ground(streets, plan, rng)
-    plot = _Plot(streets, drive, plan)
-    solids: list[Blocks] = []
-    foliage: list[NDArray[np.float32]] = []
+    site = _Site(plan, _lay_ground(streets, plan, rng), _Plot(streets, drive, plan), rng)
     for street in streets:
-        _line_with_houses(street, ground, plot, plan, rng, solids, foliage)
-        _furnish(street, ground, plot, plan, rng, solids, foliage)
-    _plant_gardens(ground, plot, plan, rng, solids, foliage)
-    blocks, leaves = joined(solids), np.concatenate(foliage) if foliage else np.zeros((0, 3, 3), np.float32)
-    soil, soil_materials = _ground_mesh(ground, plot, plan, rng)
+        _line_with_houses(street, site)
+        _furnish(street, site)
+    _plant_gardens(site)
+    triangles, materials = _fixed_triangles(site)
     return World(
-        triangles=np.concatenate([soil, blocks.triangles(), leaves]),
-        materials=np.concatenate(
-            [soil_materials, blocks.triangle_materials(), np.full(len(leaves), Material.LEAF, np.uint8)]
-        ),
-        ground=ground, streets=tuple(streets), parking=_parking(streets, ground, plot, plan, seed, rng),
+        triangles=triangles, materials=materials, ground=site.ground, streets=tuple(streets),
+        parking=_parking(streets, site, seed),
         traffic=random_traffic(streets, plan.moving_cars_per_km, plan.people_per_km, plan.kerb + 1.2, rng),
     )  # fmt: skip
+
+
+def _fixed_triangles(site: _Site) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Everything that stays, (t, 3, 3), and what it is made of, (t,)."""
+    soil, soil_materials = _ground_mesh(site)
+    blocks = joined(site.solids)
+    leaves = np.concatenate([np.zeros((0, 3, 3), np.float32), *site.foliage])
+    leaf_materials = np.full(len(leaves), Material.LEAF, np.uint8)
+    return (
+        np.concatenate([soil, blocks.triangles(), leaves]),
+        np.concatenate([soil_materials, blocks.triangle_materials(), leaf_materials]),
+    )
 
 
 def _lay_ground(streets: list[Path], plan: TownPlan, rng: np.random.Generator) -> Ground:
@@ -114,8 +122,8 @@ class _Plot:
         self.low = np.floor(points.min(axis=0) - margin)
         self.shape = tuple(np.ceil(points.max(axis=0) + margin - self.low).astype(int))
         rows, columns = np.indices(self.shape)
-        self.centres = np.stack([rows.ravel(), columns.ravel()], axis=1) + self.low + 0.5
-        distance = cKDTree(points).query(self.centres, distance_upper_bound=margin + 40.0)[0]
+        centres = np.stack([rows.ravel(), columns.ravel()], axis=1) + self.low + 0.5
+        distance = cKDTree(points).query(centres, distance_upper_bound=margin + 40.0)[0]
         self.street_distance = distance.reshape(self.shape)
         self.taken = self.street_distance < plan.kerb + plan.pavement * 0.5
         self.driven = cKDTree(drive.sampled(0.5).points) if drive is not None else None
@@ -140,76 +148,93 @@ class _Plot:
         return np.asarray(self.driven.query(xy)[0] > margin)
 
 
-def _line_with_houses(
-    street: Path, ground: Ground, plot: _Plot, plan: TownPlan, rng: np.random.Generator,
-    solids: list[Blocks], foliage: list[NDArray[np.float32]],
-) -> None:  # fmt: skip
+@dataclass(frozen=True)
+class _Site:
+    """A town being built: its plan, its ground, the free plots, and what already stands on them."""
+
+    plan: TownPlan
+    ground: Ground
+    plot: _Plot
+    rng: np.random.Generator
+    solids: list[Blocks] = field(default_factory=list)
+    foliage: list[NDArray[np.float32]] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class _House:
+    """A style with the size it is built in, metres."""
+
+    style: Facade
+    width: float
+    depth: float
+
+
+def _line_with_houses(street: Path, site: _Site) -> None:
     """Rows of houses on both sides; the style holds for a stretch of street, as in a real quarter."""
     for side in (-1.0, 1.0):
         arc, style, until, setback = 4.0, STYLES[0], -1.0, 0.0
         while arc < street.length - 4.0:
             if arc > until:
-                style = STYLES[int(rng.integers(len(STYLES)))]
-                until, setback = arc + rng.uniform(35.0, 90.0), rng.uniform(*style.setback)
-            width, depth = rng.uniform(*style.width), rng.uniform(*style.depth)
-            front = plan.kerb + plan.pavement + setback + rng.uniform(0.0, 0.4)
-            if rng.random() > plan.vacant_lots:
-                _build_lot(street, arc + width / 2, side, front, style, (width, depth), ground, plot, rng, solids, foliage)
-            gap = rng.choice([0.25, rng.uniform(2.0, 6.0)], p=[0.45, 0.55])
-            arc += width + gap
+                style = STYLES[int(site.rng.integers(len(STYLES)))]
+                until, setback = arc + site.rng.uniform(35.0, 90.0), site.rng.uniform(*style.setback)
+            house = _House(style, site.rng.uniform(*style.width), site.rng.uniform(*style.depth))
+            front = site.plan.kerb + site.plan.pavement + setback + site.rng.uniform(0.0, 0.4)
+            if site.rng.random() > site.plan.vacant_lots:
+                _build_lot(street, arc + house.width / 2, side, front, house, site)
+            gap = site.rng.choice([0.25, site.rng.uniform(2.0, 6.0)], p=[0.45, 0.55])
+            arc += house.width + gap
 
 
-def _build_lot(
-    street: Path, arc: float, side: float, front: float, style: Facade, size: tuple[float, float], ground: Ground,
-    plot: _Plot, rng: np.random.Generator, solids: list[Blocks], foliage: list[NDArray[np.float32]],
-) -> None:  # fmt: skip
+def _build_lot(street: Path, arc: float, side: float, front: float, house: _House, site: _Site) -> None:
     """One house, and a hedge, fence or nothing between its garden and the pavement."""
-    width, depth = size
+    width, depth = house.width, house.depth
     heading = float(street.heading(arc, span=width))
     yaw = heading if side > 0 else heading + np.pi
     ahead, inward = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
     corner = street.at(arc) + inward * front
     across, deep = np.meshgrid(np.linspace(-width / 2, width / 2, 14), np.linspace(0.0, depth, 12))
     footprint = corner + across.reshape(-1, 1) * ahead + deep.reshape(-1, 1) * inward
-    if not plot.claim(footprint):
+    if not site.plot.claim(footprint):
         return
-    level = float(ground.height(corner[None])[0])
-    solids.append(build_house(style, width, depth, rng).placed([*corner, level], yaw))
-    kerb_gap = front - (ground.kerb + 2.2)
+    level = float(site.ground.height(corner[None])[0])
+    site.solids.append(build_house(house.style, width, depth, site.rng).placed([*corner, level], yaw))
+    kerb_gap = front - (site.ground.kerb + site.plan.pavement)
     if kerb_gap > 1.5:
-        ends = ground.on(corner - inward * (kerb_gap - 0.6) + np.outer([-width / 2, width * 0.3], ahead))
-        if plot.clear_of_drive(ends[:, :2], 3.0).all():
-            _bound_garden(ends, rng, solids, foliage)
+        ends = site.ground.on(corner - inward * (kerb_gap - 0.6) + np.outer([-width / 2, width * 0.3], ahead))
+        if site.plot.clear_of_drive(ends[:, :2], 3.0).all():
+            _bound_garden(ends, site)
 
 
-def _bound_garden(
-    ends: Floats, rng: np.random.Generator, solids: list[Blocks], foliage: list[NDArray[np.float32]]
-) -> None:
-    choice = rng.random()
-    if choice < 0.45:
-        foliage.append(vegetation.hedge(ends[0], ends[1], rng.uniform(0.9, 1.9), rng))
-    elif choice < 0.8:
-        solids.append(vegetation.fence(ends[0], ends[1], rng.uniform(0.9, 1.5)))
+def _bound_garden(ends: Floats, site: _Site) -> None:
+    choice = site.rng.random()
+    if choice < 0.55:
+        site.foliage.append(vegetation.hedge(ends[0], ends[1], site.rng.uniform(0.9, 1.9), site.rng))
+    elif choice < 0.85:
+        site.solids.append(vegetation.fence(ends[0], ends[1], site.rng.uniform(0.9, 1.5)))
 
 
-def _furnish(
-    street: Path, ground: Ground, plot: _Plot, plan: TownPlan, rng: np.random.Generator,
-    solids: list[Blocks], foliage: list[NDArray[np.float32]],
-) -> None:  # fmt: skip
+def _furnish(street: Path, site: _Site) -> None:
     """Street trees on some stretches, lamps, signs, bollards and bins on the pavement."""
     for side in (-1.0, 1.0):
-        planted = rng.random() < 0.6
-        for arc in np.arange(rng.uniform(2, 10), street.length, plan.street_tree_spacing / 2):
-            spot = street.beside(arc + rng.uniform(-2, 2), side * (plan.kerb + rng.uniform(0.5, 1.0)))
-            if ground.street_distance(spot[None])[0] < plan.kerb + 0.3 or not plot.clear_of_drive(spot[None], 2.5)[0]:
+        trees = 0.42 if site.rng.random() < 0.6 else 0.0
+        for arc in np.arange(site.rng.uniform(2, 10), street.length, site.plan.street_tree_spacing / 2):
+            offset = side * (site.plan.kerb + site.rng.uniform(0.5, 1.0))
+            spot = street.beside(arc + site.rng.uniform(-2, 2), offset)[None]
+            on_street = site.ground.street_distance(spot)[0] < site.plan.kerb + 0.3
+            if on_street or not site.plot.clear_of_drive(spot, 2.5)[0]:
                 continue
-            base, choice = ground.on(spot[None])[0], rng.random()
-            if planted and choice < 0.42:
-                trunk, leaves = vegetation.tree(base, rng)
-                solids.append(trunk)
-                foliage.append(leaves)
+            base, choice = site.ground.on(spot)[0], site.rng.random()
+            if choice < trees:
+                _plant_tree(base, site)
             elif choice < 0.75:
-                solids.append(_furniture(rng).placed(base, float(street.heading(arc)) + (0.0 if side > 0 else np.pi)))
+                yaw = float(street.heading(arc)) + (0.0 if side > 0 else np.pi)
+                site.solids.append(_furniture(site.rng).placed(base, yaw))
+
+
+def _plant_tree(base: Floats, site: _Site) -> None:
+    trunk, leaves = vegetation.tree(base, site.rng)
+    site.solids.append(trunk)
+    site.foliage.append(leaves)
 
 
 def _furniture(rng: np.random.Generator) -> Blocks:
@@ -226,66 +251,54 @@ def _furniture(rng: np.random.Generator) -> Blocks:
     return block((0, 0, -0.1), (0.8, 0.4, 1.6), Material.METAL)
 
 
-def _plant_gardens(
-    ground: Ground, plot: _Plot, plan: TownPlan, rng: np.random.Generator,
-    solids: list[Blocks], foliage: list[NDArray[np.float32]],
-) -> None:  # fmt: skip
+def _plant_gardens(site: _Site) -> None:
     """Trees and shrubs on the ground that nothing else took."""
-    free = np.argwhere(~plot.taken & (plot.street_distance < plan.reach * 0.7))
-    count = int(len(free) / 10_000.0 * plan.garden_trees_per_hectare)
-    chosen = free[rng.choice(len(free), size=min(2 * count, len(free)), replace=False)]
-    spots = chosen + plot.low + rng.uniform(0.2, 0.8, chosen.shape)
-    spots = spots[plot.clear_of_drive(spots, 5.0)]
-    for index, base in enumerate(ground.on(spots)):
+    free = np.argwhere(~site.plot.taken & (site.plot.street_distance < site.plan.reach * 0.7))
+    count = int(len(free) / 10_000.0 * site.plan.garden_trees_per_hectare)
+    chosen = free[site.rng.choice(len(free), size=min(2 * count, len(free)), replace=False)]
+    spots = chosen + site.plot.low + site.rng.uniform(0.2, 0.8, chosen.shape)
+    spots = spots[site.plot.clear_of_drive(spots, 5.0)]
+    for index, base in enumerate(site.ground.on(spots)):
         if index % 2:
-            foliage.append(vegetation.bush(base, rng))
-            continue
-        trunk, leaves = vegetation.tree(base, rng)
-        solids.append(trunk)
-        foliage.append(leaves)
+            site.foliage.append(vegetation.bush(base, site.rng))
+        else:
+            _plant_tree(base, site)
 
 
-def _ground_mesh(
-    ground: Ground, plot: _Plot, plan: TownPlan, rng: np.random.Generator
-) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+def _ground_mesh(site: _Site) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """Fine cells beside the streets, where the kerb is, coarse ones elsewhere."""
-    fine = _lattice(ground, plot.low, 1.0, plot.shape, plot.street_distance, (0.0, 14.0), plan, rng)
-    step = 4
-    coarse_distance = plot.street_distance[::step, ::step]
-    shape = (coarse_distance.shape[0], coarse_distance.shape[1])
-    coarse = _lattice(ground, plot.low, float(step), shape, coarse_distance, (10.0, 1e9), plan, rng)
+    distance, step = site.plot.street_distance, 4
+    fine = _lattice(site, 1.0, distance, (0.0, 14.0))
+    coarse = _lattice(site, float(step), distance[::step, ::step], (10.0, 1e9))
     return np.concatenate([fine[0], coarse[0]]), np.concatenate([fine[1], coarse[1]])
 
 
 def _lattice(
-    ground: Ground, low: Floats, cell: float, shape: tuple[int, ...], distance: Floats, band: tuple[float, float],
-    plan: TownPlan, rng: np.random.Generator,
-) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:  # fmt: skip
-    rows, columns = np.indices((shape[0] + 1, shape[1] + 1))
-    xy = np.stack([rows, columns], axis=-1).reshape(-1, 2) * cell + low
-    street = ground.street_distance(xy)
-    z = ground.height(xy) + np.where(street > plan.kerb + plan.pavement, rng.normal(0.0, 0.035, len(xy)), 0.0)
-    corners = np.column_stack([xy, z]).reshape(shape[0] + 1, shape[1] + 1, 3)
-    cells = np.argwhere((distance >= band[0]) & (distance < band[1]))
-    i, j = cells[:, 0], cells[:, 1]
+    site: _Site, cell: float, distance: Floats, band: tuple[float, float]
+) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Two triangles a cell where the distance (rows, columns) to the street lies within `band`, metres."""
+    rows, columns = np.indices((distance.shape[0] + 1, distance.shape[1] + 1))
+    xy = np.stack([rows, columns], axis=-1).reshape(-1, 2) * cell + site.plot.low
+    garden_from = site.plan.kerb + site.plan.pavement
+    rough = np.where(site.ground.street_distance(xy) > garden_from, site.rng.normal(0.0, 0.06, len(xy)), 0.0)
+    corners = np.column_stack([xy, site.ground.height(xy) + rough]).reshape(*rows.shape, 3)
+    i, j = np.nonzero((distance >= band[0]) & (distance < band[1]))
     a, b, c, d = corners[i, j], corners[i + 1, j], corners[i + 1, j + 1], corners[i, j + 1]
     triangles = np.stack([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)], axis=1).reshape(-1, 3, 3)
-    grass = distance[i, j] > plan.kerb + plan.pavement
-    return triangles.astype(np.float32), np.repeat(np.where(grass, Material.GRASS, Material.GROUND).astype(np.uint8), 2)
+    kind = np.where(distance[i, j] > garden_from, Material.GRASS, Material.GROUND).astype(np.uint8)
+    return triangles.astype(np.float32), np.repeat(kind, 2)
 
 
-def _parking(
-    streets: list[Path], ground: Ground, plot: _Plot, plan: TownPlan, seed: int, rng: np.random.Generator
-) -> ParkingSlots:
+def _parking(streets: list[Path], site: _Site, seed: int) -> ParkingSlots:
     """Slots at both kerbs, away from crossings and from the way of the drive."""
-    spots, yaws = [np.zeros((0, 2))], [np.zeros(0)]
+    kerb, spots, yaws = site.plan.kerb, [np.zeros((0, 2))], [np.zeros(0)]
     for street in streets:
         for side in (-1.0, 1.0):
             arcs = np.arange(8.0, street.length - 8.0, 6.2)
-            spots.append(street.beside(arcs, np.full(len(arcs), side * (plan.kerb - 1.05))))
+            spots.append(street.beside(arcs, np.full(len(arcs), side * (kerb - 1.05))))
             yaws.append(street.heading(arcs) + (0.0 if side < 0 else np.pi))
     xy, yaw = np.concatenate(spots), np.concatenate(yaws)
-    alone = ground.street_distance(xy) > plan.kerb - 1.4
-    free = alone & plot.clear_of_drive(xy, 2.3) & (rng.random(len(xy)) < 0.85)
-    position = np.column_stack([xy, ground.terrain(xy)])[free]
-    return ParkingSlots(position, yaw[free], plan.parked_share, seed)
+    alone = site.ground.street_distance(xy) > kerb - 1.4
+    free = alone & site.plot.clear_of_drive(xy, 2.9) & (site.rng.random(len(xy)) < 0.85)
+    position = np.column_stack([xy, site.ground.terrain(xy)])[free]
+    return ParkingSlots(position, yaw[free], site.plan.parked_share, seed)

@@ -52,17 +52,18 @@ class _Scene:
         self._materials = np.append(materials, np.uint8(0))
         self._empty = len(triangles) == 0
         if not self._empty:
-            corners = o3d.core.Tensor(np.ascontiguousarray(triangles.reshape(-1, 3)))
+            corners = o3d.core.Tensor.from_numpy(np.ascontiguousarray(triangles.reshape(-1, 3)))
             index = np.arange(3 * len(triangles), dtype=np.uint32).reshape(-1, 3)
-            self._scene.add_triangles(corners, o3d.core.Tensor(index))
+            self._scene.add_triangles(corners, o3d.core.Tensor.from_numpy(index))
 
     def cast(self, origin: Floats, directions: NDArray[np.float32]) -> _Hits:
         """First hits of unit rays (n, 3) from `origin` (3,)."""
         if self._empty:
-            return _Hits(np.full(len(directions), np.inf), np.zeros(len(directions)), np.zeros(len(directions), np.uint8))
+            count = len(directions)
+            return _Hits(np.full(count, np.inf), np.zeros(count), np.zeros(count, np.uint8))
         rays = np.empty((len(directions), 6), dtype=np.float32)
         rays[:, :3], rays[:, 3:] = origin, directions
-        answer = self._scene.cast_rays(o3d.core.Tensor(rays), nthreads=1)
+        answer = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays), nthreads=1)
         distance = answer["t_hit"].numpy().astype(np.float64)
         # The id of a missed ray is the largest uint32: it is sent to the extra last material.
         primitive = np.minimum(answer["primitive_ids"].numpy(), len(self._materials) - 1)

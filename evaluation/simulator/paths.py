@@ -59,7 +59,7 @@ class Path:
         """The path with corners smoothed over about `radius` metres, its ends kept."""
         dense = self.sampled(0.5)
         width = max(1, round(radius / 0.5))
-        padded = np.concatenate([np.repeat(dense.points[:1], width, 0), dense.points, np.repeat(dense.points[-1:], width, 0)])
+        padded = np.pad(dense.points, ((width, width), (0, 0)), mode="edge")
         kernel = np.ones(2 * width + 1) / (2 * width + 1)
         smooth = np.stack([np.convolve(padded[:, axis], kernel, mode="valid") for axis in (0, 1)], axis=1)
         smooth[0], smooth[-1] = dense.points[0], dense.points[-1]
@@ -74,10 +74,11 @@ class StreetGrid:
     ys: Floats
 
     @classmethod
-    def random(cls, streets_x: int, streets_y: int, seed: int, block_m: tuple[float, float] = (60.0, 110.0)) -> StreetGrid:
-        """A grid of `streets_x` by `streets_y` streets, blocks of random size."""
+    def random(cls, streets_x: int, streets_y: int, seed: int, block_m: float = 85.0) -> StreetGrid:
+        """A grid of `streets_x` by `streets_y` streets, blocks of random size: `block_m` metres, give or take 30 %."""
         rng = np.random.default_rng([seed, 11])
-        gaps_x, gaps_y = rng.uniform(*block_m, streets_x - 1), rng.uniform(*block_m, streets_y - 1)
+        gaps_x = block_m * rng.uniform(0.7, 1.3, streets_x - 1)
+        gaps_y = block_m * rng.uniform(0.7, 1.3, streets_y - 1)
         return cls(np.concatenate([[0.0], np.cumsum(gaps_x)]), np.concatenate([[0.0], np.cumsum(gaps_y)]))
 
     def streets(self, overhang: float = 40.0) -> list[Path]:

@@ -12,7 +12,7 @@ from evaluation.simulator.blocks import Floats, Material
 # Share of the light that comes back from a surface hit head-on; grazing hits return less (Lambert).
 REFLECTIVITY = {
     Material.GROUND: 0.25, Material.GRASS: 0.4, Material.WALL: 0.6, Material.GLASS: 0.25, Material.ROOF: 0.35,
-    Material.LEAF: 0.55, Material.METAL: 0.5, Material.CLOTH: 0.5,
+    Material.LEAF: 0.55, Material.METAL: 0.5, Material.CLOTH: 0.5, Material.WINDSCREEN: 0.05,
 }  # fmt: skip
 
 

@@ -20,7 +20,7 @@ def _car(length: float, width: float, height: float, bonnet: float) -> Blocks:
         for y in (-1, 1)
     ]
     shell = block((0, 0, 0.22), (length, width, body - 0.22), Material.METAL, (0.97, 0.94))
-    glass = block(((-bonnet) / 2 + 0.1, 0, body), (cabin, width * 0.92, height - body), Material.GLASS, (0.7, 0.8))
+    glass = block(((-bonnet) / 2 + 0.1, 0, body), (cabin, width * 0.92, height - body), Material.WINDSCREEN, (0.7, 0.8))
     return joined([*wheels, shell, glass])
 
 
@@ -118,7 +118,8 @@ def random_traffic(
         for _ in range(rng.poisson(cars_per_km * path.length / 1000.0)):
             forward = 1.0 if rng.random() < 0.5 else -1.0
             speed = forward * rng.uniform(6.0, 14.0)
-            rows.append((index, -forward * LANE_M, speed, rng.uniform(0, path.length), int(rng.integers(len(VEHICLES)))))
+            kind = int(rng.integers(len(VEHICLES)))
+            rows.append((index, -forward * LANE_M, speed, rng.uniform(0, path.length), kind))
         for _ in range(rng.poisson(people_per_km * path.length / 1000.0)):
             side = rng.choice([-1.0, 1.0])
             speed = rng.choice([-1.0, 1.0]) * rng.uniform(0.7, 1.7)
