@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from service.application.context import Context, Policy
 from service.application.identity import DEFAULT_TENANT, SessionKey, SubmapKey, TenantId
 from service.application.loops import Loops
 from service.application.maps import Maps
@@ -34,5 +35,21 @@ class UseCases:
     operations: Operations
     system: System
 
+    @classmethod
+    def over(cls, context: Context, version: str) -> UseCases:
+        """All use cases over the same ports; `version` is the product's."""
+        operations = Operations(context)
+        return cls(
+            maps=Maps(context),
+            robots=Robots(context),
+            sessions=Sessions(context),
+            scans=Scans(context),
+            submaps=Submaps(context),
+            searches=Searches(context, operations),
+            loops=Loops(context),
+            operations=operations,
+            system=System(context, version),
+        )
 
-__all__ = ["DEFAULT_TENANT", "SessionKey", "SubmapKey", "TenantId", "UseCases"]
+
+__all__ = ["DEFAULT_TENANT", "Context", "Policy", "SessionKey", "SubmapKey", "TenantId", "UseCases"]

@@ -2,16 +2,29 @@
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
+import zstandard
 from numpy.typing import NDArray
 
-from core.scan import Points
+from core.errors import BadField, DataLoss, TooLarge
+from core.scan import CloudReport, Points, validate_cloud
 
 if TYPE_CHECKING:
     from core.formats import DecodedCloud
+
+MAX_SCAN_POINTS = 500_000
+MAX_SUBMAP_POINTS = 2_000_000
+
+CLOUD_BLOB = "cloud"
+QUERY_CLOUD_BLOB = "query-cloud"
+QUERY_NONCE_BYTES = 16
+
+_MAGIC = b"RVC1"
+_HEADER = struct.Struct("<4sIB")
 
 
 @dataclass(frozen=True)
@@ -31,3 +44,52 @@ class StoredCloud:
 
     points: Points
     intensity: NDArray[np.float32] | None
+
+
+def accept_cloud(cloud: CloudInput, max_points: int) -> tuple[StoredCloud, CloudReport]:
+    """Decode where needed, validate, and keep the finite points with their intensity.
+
+    Raises what `core.formats.decode_cloud` and `core.scan.validate_cloud` raise, and TooLarge above `max_points`.
+    """
+    decoded = _decoded(cloud)
+    if len(decoded.points) > max_points:
+        raise TooLarge(f"a cloud may hold {max_points} points here, got {len(decoded.points)}", field="points")
+    points, report = validate_cloud(decoded.points)
+    if decoded.intensity is None:
+        return StoredCloud(points, None), report
+    if decoded.intensity.shape != (len(decoded.points),):
+        raise BadField("intensity must have one value per point", field="intensity")
+    kept = decoded.intensity[np.isfinite(decoded.points).all(axis=1)]
+    return StoredCloud(points, np.ascontiguousarray(kept, dtype=np.float32)), report
+
+
+def pack_cloud(cloud: StoredCloud) -> bytes:
+    """The cloud as a compact, lossless blob: a header, then the byte planes of its float32 columns under zstd."""
+    columns = cloud.points if cloud.intensity is None else np.column_stack([cloud.points, cloud.intensity])
+    table = np.ascontiguousarray(columns, dtype="<f4")
+    planes = np.ascontiguousarray(table.T).view(np.uint8).reshape(-1, 4).T
+    header = _HEADER.pack(_MAGIC, len(table), table.shape[1])
+    return header + zstandard.ZstdCompressor(level=1).compress(planes.tobytes())
+
+
+def unpack_cloud(blob: bytes) -> StoredCloud:
+    """The cloud of `pack_cloud`. Raises DataLoss for anything else."""
+    try:
+        magic, count, width = _HEADER.unpack_from(blob)
+        size = count * width * 4
+        if magic != _MAGIC or width not in (3, 4):
+            raise DataLoss("a stored cloud has a damaged header")
+        data = zstandard.ZstdDecompressor().decompress(blob[_HEADER.size :], max_output_size=size)
+    except (struct.error, zstandard.ZstdError) as error:
+        raise DataLoss("a stored cloud is damaged") from error
+    if len(data) != size:
+        raise DataLoss("a stored cloud is incomplete")
+    planes = np.frombuffer(data, dtype=np.uint8).reshape(4, -1)
+    table = np.ascontiguousarray(planes.T).view("<f4").reshape(width, count).T.astype(np.float32)
+    return StoredCloud(np.ascontiguousarray(table[:, :3]), table[:, 3].copy() if width == 4 else None)
+
+
+def _decoded(cloud: CloudInput) -> DecodedCloud:
+    from core.formats import decode_cloud
+
+    return decode_cloud(cloud.data, cloud.content_type) if isinstance(cloud, EncodedCloud) else cloud

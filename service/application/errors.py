@@ -79,3 +79,16 @@ class StorageFull(RevisitError):
     """The disk is full: nothing was stored."""
 
     code = ErrorCode.STORAGE_FULL
+
+
+class StaleLease(RevisitError):
+    """Another worker holds this job by now: the result is refused."""
+
+    code = ErrorCode.INTERNAL
+
+
+def error_of(code: str, message: str) -> RevisitError:
+    """The error that a worker wrote down, to be raised again for the client who waits."""
+    error = RevisitError(message)
+    error.code = ErrorCode(code)
+    return error

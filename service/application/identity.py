@@ -62,6 +62,13 @@ def validated_id(value: str, field: str) -> str:
     return value
 
 
+def validated_label(value: str, field: str) -> str:
+    """`value` if people can read it as a name: at most 256 printable characters. Raises BadField naming `field`."""
+    if len(value) > 256 or not value.isprintable():
+        raise BadField(f"{field} must be at most 256 printable characters", field=field)
+    return value
+
+
 def content_hash(parts: Iterable[bytes | str | int | float | None]) -> str:
     """SHA-256 (hex) of the canonical content of a create: each part with its kind and length, so none run together."""
     digest = hashlib.sha256()

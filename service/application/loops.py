@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+import asyncio
+from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, Protocol
+from typing import Any
 
 from core.se3 import Matrix4
+from service.application.context import Context
+from service.application.errors import NotFound
 from service.application.identity import SubmapKey, TenantId
-from service.application.paging import Page, PageRequest
+from service.application.maps import require_map
+from service.application.paging import Page, PageRequest, page_of
+from service.application.ports import UnitOfWork
+from service.application.poses import pose_matrix
+from service.application.records import LoopRecord
+
+_WATCH_POLL_S = 0.25
+_WATCH_BATCH = 100
 
 
 class LoopState(StrEnum):
@@ -24,8 +34,8 @@ class LoopClosureView:
     """A loop closure as clients see it.
 
     `T_match_query` (4, 4) maps points of the query submap's frame into the match submap's frame, None where the
-    candidate was rejected before an alignment existed; `covariance` (6, 6) row-major of it; `reason` says which gate
-    rejected it; `evidence` holds similarity, inliers, overlap, residual, thresholds and model versions as JSON.
+    candidate was rejected before an alignment existed; `reason` says which gate rejected it; `evidence` holds the
+    measurements (inliers, overlap, residual, covariance), and the model version as JSON.
     `number` grows with every closure of the service: it orders them and resumes a watch.
     """
 
@@ -48,12 +58,23 @@ class LoopClosureView:
         return f"maps/{self.map_id}/loopClosures/{self.loop_id}"
 
 
-class Loops(Protocol):
+class Loops:
     """Get, list and watch loop closures."""
+
+    def __init__(self, context: Context) -> None:
+        """All calls use `context`."""
+        self._context = context
 
     async def get(self, tenant: TenantId, map_id: str, loop_id: str) -> LoopClosureView:
         """Raises NotFound."""
-        ...
+
+        def load(uow: UnitOfWork) -> LoopRecord:
+            record = uow.loops.get(tenant, map_id, loop_id)
+            if record is None:
+                raise NotFound(f"there is no loop closure {loop_id!r} in map {map_id!r}"[:300])
+            return record
+
+        return loop_view(await self._context.read(load))
 
     async def list(
         self,
@@ -67,13 +88,66 @@ class Loops(Protocol):
 
         Raises NotFound for the map.
         """
-        ...
+        records = await self._context.read(
+            lambda uow: _load(uow, tenant, map_id, page.after, page.size + 1, state, session_id)
+        )
+        return page_of(records, page, loop_view)
 
-    def watch(
+    async def watch(
         self, tenant: TenantId, map_id: str, after: int = 0, session_id: str | None = None
     ) -> AsyncIterator[LoopClosureView]:
         """The accepted closures with a number above `after`, those to come too, until the caller stops.
 
-        Raises NotFound for the map; Draining when the service stops.
+        Ends when the service stops. Raises NotFound for the map.
         """
-        ...
+        seen = after
+        while not self._context.stopping.is_set():
+            records = await self._accepted_after(tenant, map_id, seen, session_id)
+            for record in records:
+                seen = record.number
+                yield loop_view(record)
+            if not records:
+                await asyncio.sleep(_WATCH_POLL_S)
+
+    async def _accepted_after(
+        self, tenant: TenantId, map_id: str, after: int, session_id: str | None
+    ) -> Sequence[LoopRecord]:
+        return await self._context.read(
+            lambda uow: _load(uow, tenant, map_id, after, _WATCH_BATCH, LoopState.ACCEPTED, session_id)
+        )
+
+
+def loop_view(record: LoopRecord) -> LoopClosureView:
+    """The client's view of a loop closure."""
+    return LoopClosureView(
+        loop_id=record.loop_id,
+        number=record.number,
+        map_id=record.map_id,
+        query=SubmapKey(record.map_id, record.query_session_id, record.query_submap_id),
+        match=SubmapKey(record.map_id, record.match_session_id, record.match_submap_id),
+        state=LoopState(record.state),
+        reason=record.reason,
+        similarity=record.similarity,
+        score=record.score,
+        T_match_query=None if record.T_match_query is None else pose_matrix(record.T_match_query),
+        evidence=record.evidence,
+        created_at_ns=record.created_at_ns,
+    )
+
+
+def _load(
+    uow: UnitOfWork,
+    tenant: TenantId,
+    map_id: str,
+    after: int,
+    limit: int,
+    state: LoopState | None,
+    session_id: str | None,
+) -> list[LoopRecord]:
+    require_map(uow, tenant, map_id)
+    equals: dict[str, str] = {"map_id": map_id}
+    if state is not None:
+        equals["state"] = state.value
+    if session_id is not None:
+        equals["query_session_id"] = session_id
+    return uow.loops.find(tenant, after=after, limit=limit, **equals)

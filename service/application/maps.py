@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Protocol
 
-from service.application.identity import TenantId
-from service.application.paging import Page, PageRequest
+from core.errors import BadField
+from service.application.blob_references import blobs_of_map, collect_blobs
+from service.application.context import Context
+from service.application.errors import AlreadyExists, NotFound
+from service.application.identity import TenantId, content_hash, validated_id, validated_label
+from service.application.paging import Page, PageRequest, page_of
+from service.application.ports import UnitOfWork
+from service.application.records import MapRecord
 
 
 @dataclass(frozen=True)
@@ -42,21 +48,99 @@ class CreatedMap:
     replay: bool
 
 
-class Maps(Protocol):
+class Maps:
     """Create, get, list and delete maps."""
 
+    def __init__(self, context: Context) -> None:
+        """All calls use `context`."""
+        self._context = context
+
     async def create(self, tenant: TenantId, command: CreateMap) -> CreatedMap:
-        """Create a map. Raises BadField; AlreadyExists where the id is taken by other content."""
-        ...
+        """Create a map. Raises BadField; AlreadyExists where the id is taken by other content; Draining."""
+        self._context.admit()
+        record = self._record(tenant, command)
+
+        def add(uow: UnitOfWork) -> CreatedMap:
+            known = uow.maps.get(tenant, command.map_id)
+            if known is None:
+                return CreatedMap(self._view(uow, uow.maps.add(record)), replay=False)
+            if known.content_hash != record.content_hash:
+                raise AlreadyExists(f"map {command.map_id} exists with other content")
+            return CreatedMap(self._view(uow, known), replay=True)
+
+        return await self._context.write(add)
 
     async def get(self, tenant: TenantId, map_id: str) -> MapView:
         """Raises NotFound."""
-        ...
+        return await self._context.read(lambda uow: self._view(uow, require_map(uow, tenant, map_id)))
 
     async def list(self, tenant: TenantId, page: PageRequest) -> Page[MapView]:
         """The tenant's maps, oldest first."""
-        ...
+
+        def load(uow: UnitOfWork) -> Page[MapView]:
+            records = uow.maps.find(tenant, after=page.after, limit=page.size + 1)
+            return page_of(records, page, lambda record: self._view(uow, record))
+
+        return await self._context.read(load)
 
     async def delete(self, tenant: TenantId, map_id: str) -> None:
-        """Delete a map with everything in it. Raises NotFound."""
-        ...
+        """Delete a map with everything in it. Raises NotFound, Draining."""
+        self._context.admit()
+
+        def remove(uow: UnitOfWork) -> int:
+            record = require_map(uow, tenant, map_id)
+            doomed.update(blobs_of_map(uow, tenant, map_id))
+            for rows in (uow.loops, uow.submaps, uow.scans, uow.sessions, uow.maps):
+                rows.delete(tenant, map_id=map_id)
+            return record.number
+
+        doomed: set[tuple[str, str]] = set()
+        number = await self._context.write(remove)
+        self._context.index.drop(number)
+        await self._context.write(lambda uow: collect_blobs(uow, self._context.blobs, tenant, doomed))
+
+    def _record(self, tenant: TenantId, command: CreateMap) -> MapRecord:
+        validated_id(command.map_id, "map_id")
+        validated_label(command.display_name, "display_name")
+        _validate_window(command)
+        content = (command.display_name, command.tau_m, command.stride_m, command.min_index_gap)
+        return MapRecord(
+            tenant=tenant,
+            map_id=command.map_id,
+            content_hash=content_hash(content),
+            display_name=command.display_name,
+            tau_m=command.tau_m,
+            stride_m=command.stride_m,
+            min_index_gap=command.min_index_gap,
+            model_version=None,
+            created_at_ns=self._context.clock.wall_ns(),
+        )
+
+    def _view(self, uow: UnitOfWork, record: MapRecord) -> MapView:
+        config = self._context.policy.for_map(record)
+        return MapView(
+            map_id=record.map_id,
+            display_name=record.display_name,
+            tau_m=config.submap.tau,
+            stride_m=config.submap.stride,
+            min_index_gap=config.loop.min_index_gap,
+            session_count=uow.sessions.count(record.tenant, map_id=record.map_id),
+            submap_count=uow.submaps.count(record.tenant, map_id=record.map_id),
+            created_at_ns=record.created_at_ns,
+        )
+
+
+def require_map(uow: UnitOfWork, tenant: TenantId, map_id: str) -> MapRecord:
+    """The map. Raises NotFound."""
+    record = uow.maps.get(tenant, map_id)
+    if record is None:
+        raise NotFound(f"there is no map {map_id!r}"[:200])
+    return record
+
+
+def _validate_window(command: CreateMap) -> None:
+    for field, value in (("tau_m", command.tau_m), ("stride_m", command.stride_m)):
+        if value is not None and not (math.isfinite(value) and 0.1 <= value <= 1000.0):
+            raise BadField(f"{field} must be in 0.1..1000 metres", field=field)
+    if command.min_index_gap is not None and not 0 <= command.min_index_gap <= 100_000:
+        raise BadField("min_index_gap must be in 0..100000", field="min_index_gap")

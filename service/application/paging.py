@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import base64
 import binascii
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 from core.errors import BadField
 
 T = TypeVar("T")
+N = TypeVar("N", bound="Numbered")
 
 MAX_PAGE_SIZE = 500
 
@@ -33,9 +36,11 @@ class PageRequest:
             return 0
         try:
             text = base64.urlsafe_b64decode(self.token.encode("ascii")).decode("ascii")
-            return int(text.removeprefix("after:"))
-        except (UnicodeError, binascii.Error, ValueError) as error:
+        except (UnicodeError, binascii.Error) as error:
             raise BadField("page_token was not given out by this service", field="page_token") from error
+        if not re.fullmatch(r"after:[0-9]{1,18}", text, re.ASCII):
+            raise BadField("page_token was not given out by this service", field="page_token")
+        return int(text.removeprefix("after:"))
 
 
 @dataclass(frozen=True)
@@ -46,6 +51,21 @@ class Page(Generic[T]):
     next_token: str
 
 
-def token_after(number: int) -> str:
-    """The opaque token of the page that begins after item `number`."""
+class Numbered(Protocol):
+    """Anything listed by number."""
+
+    @property
+    def number(self) -> int:
+        """Its place in the order of creation."""
+        ...
+
+
+def page_of(records: Sequence[N], page: PageRequest, view: Callable[[N], T]) -> Page[T]:
+    """A page of the views of `records`, of which one more than `page.size` was loaded where there is more."""
+    shown = records[: page.size]
+    more = len(records) > page.size
+    return Page(tuple(view(record) for record in shown), _token_after(shown[-1].number) if more else "")
+
+
+def _token_after(number: int) -> str:
     return base64.urlsafe_b64encode(f"after:{number}".encode()).decode()

@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+import hashlib
+from dataclasses import dataclass, replace
 
-from core.scan import CloudReport
+import numpy as np
+
+from core.errors import BadField
+from core.scan import CloudReport, Scan
 from core.se3 import Matrix4
-from service.application.clouds import CloudInput
+from service.application.clouds import CLOUD_BLOB, MAX_SCAN_POINTS, CloudInput, accept_cloud, pack_cloud
+from service.application.context import Context
+from service.application.errors import SequenceGap
 from service.application.identity import SessionKey, TenantId
+from service.application.maps import require_map
+from service.application.ports import UnitOfWork
+from service.application.poses import pose_matrix, pose_row
+from service.application.records import ScanRecord, SessionRecord
+from service.application.scan_windows import Window, advance
+from service.application.session_lookup import require_active, require_session
 from service.application.submaps import PostedSubmap
+from service.application.window_submaps import add_window_submap, window_of
 
 
 @dataclass(frozen=True)
@@ -44,12 +56,29 @@ class OpenedStream:
     committed_seq: int
 
 
-class Scans(Protocol):
+@dataclass(frozen=True)
+class _Accepted:
+    """A scan that passed validation, and its cloud to store."""
+
+    seq: int
+    scan: Scan
+    packed: bytes
+    report: CloudReport
+
+
+class Scans:
     """Open a session's stream and append scans to it."""
+
+    def __init__(self, context: Context) -> None:
+        """All calls use `context`."""
+        self._context = context
 
     async def open(self, tenant: TenantId, session: SessionKey) -> OpenedStream:
         """Raises NotFound, SessionFinished, Draining."""
-        ...
+        self._context.admit()
+        record = await self._context.read(lambda uow: require_session(uow, tenant, session))
+        require_active(record)
+        return OpenedStream(session, record.committed_seq)
 
     async def append(self, tenant: TenantId, command: AppendScan) -> ScanAck:
         """Store one scan durably; returns after the commit.
@@ -57,4 +86,86 @@ class Scans(Protocol):
         Raises what decoding and validation raise, NotFound, SessionFinished, SequenceGap(expected), WorkersBusy,
         Draining, StorageFull, StorageUncertain.
         """
-        ...
+        self._context.admit()
+        if command.seq < 1 or command.seq >= 2**63:
+            raise BadField("seq counts from 1", field="seq")
+        session = await self._context.read(lambda uow: require_session(uow, tenant, command.session))
+        if _is_replay(session, command.seq):
+            return ScanAck(session.committed_seq, replay=True, report=None, submap=None)
+        accepted = await self._context.compute(_accept, command)
+        await self._context.compute(self._context.blobs.put, tenant, CLOUD_BLOB, accepted.packed)
+        return await self._context.write(lambda uow: self._insert(uow, tenant, command.session, accepted))
+
+    def _insert(self, uow: UnitOfWork, tenant: TenantId, key: SessionKey, accepted: _Accepted) -> ScanAck:
+        session = require_session(uow, tenant, key)
+        if _is_replay(session, accepted.seq):
+            return ScanAck(session.committed_seq, replay=True, report=None, submap=None)
+        sha256 = hashlib.sha256(accepted.packed).hexdigest()
+        # A delete may have collected the same content meanwhile (see blob_references.collect_blobs).
+        if not self._context.blobs.exists(tenant, CLOUD_BLOB, sha256):
+            self._context.blobs.put(tenant, CLOUD_BLOB, accepted.packed)
+        step_m = _step_m(uow, session, accepted.scan)
+        uow.scans.add(_row(session, accepted, session.travelled_m + step_m, sha256))
+        submap = self._advance(uow, session, accepted.seq, step_m)
+        return ScanAck(accepted.seq, replay=False, report=accepted.report, submap=submap)
+
+    def _advance(self, uow: UnitOfWork, session: SessionRecord, seq: int, step_m: float) -> PostedSubmap | None:
+        """Move the session's window on; the submap that is complete now, if one is."""
+        config = self._context.policy.for_map(require_map(uow, session.tenant, session.map_id)).submap
+        stored = (session.tenant, session.map_id, session.session_id)
+        window, finished = advance(
+            window_of(session), seq, step_m, config, lambda start_m: uow.scans.first_seq_from(*stored, start_m)
+        )
+        moved = _with_window(replace(session, committed_seq=seq), window)
+        if finished is None:
+            uow.sessions.replace(moved)
+            return None
+        return add_window_submap(uow, self._context, moved, finished)[0]
+
+
+def _accept(command: AppendScan) -> _Accepted:
+    cloud, report = accept_cloud(command.cloud, MAX_SCAN_POINTS)
+    scan = Scan.validated(cloud.points, command.T_odom_sensor, command.stamp_ns)
+    return _Accepted(command.seq, scan, pack_cloud(cloud), report)
+
+
+def _is_replay(session: SessionRecord, seq: int) -> bool:
+    """Whether the scan is durable already. Raises SequenceGap where it is not the next one; SessionFinished."""
+    if seq <= session.committed_seq:
+        return True
+    require_active(session)
+    if seq != session.committed_seq + 1:
+        raise SequenceGap(session.committed_seq + 1, seq)
+    return False
+
+
+def _step_m(uow: UnitOfWork, session: SessionRecord, scan: Scan) -> float:
+    """How far the sensor moved since the last stored scan, metres."""
+    last = uow.scans.get(session.tenant, session.map_id, session.session_id, session.committed_seq)
+    if last is None:
+        return 0.0
+    return float(np.linalg.norm(scan.T_odom_sensor[:3, 3] - pose_matrix(last.T_odom_sensor)[:3, 3]))
+
+
+def _row(session: SessionRecord, accepted: _Accepted, travelled_m: float, sha256: str) -> ScanRecord:
+    return ScanRecord(
+        tenant=session.tenant,
+        map_id=session.map_id,
+        session_id=session.session_id,
+        seq=accepted.seq,
+        stamp_ns=accepted.scan.stamp_ns,
+        T_odom_sensor=pose_row(accepted.scan.T_odom_sensor),
+        travelled_m=travelled_m,
+        point_count=len(accepted.scan.points),
+        cloud_sha256=sha256,
+    )
+
+
+def _with_window(session: SessionRecord, window: Window) -> SessionRecord:
+    return replace(
+        session,
+        window_first_seq=window.first_seq,
+        window_start_m=window.start_m,
+        travelled_m=window.travelled_m,
+        emitted_to_m=window.emitted_to_m,
+    )

@@ -2,49 +2,42 @@
 
 from __future__ import annotations
 
+import secrets
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from core.se3 import Matrix4
-from service.application.clouds import CloudInput
+from core.errors import DescriptorModelMismatch
+from service.application.clouds import (
+    MAX_SUBMAP_POINTS,
+    QUERY_CLOUD_BLOB,
+    QUERY_NONCE_BYTES,
+    CloudInput,
+    accept_cloud,
+    pack_cloud,
+)
+from service.application.context import Context
+from service.application.errors import DeadlineExceeded, NotReady, error_of
 from service.application.identity import SubmapKey, TenantId
-
-
-@dataclass(frozen=True)
-class SearchCriteria:
-    """What a hit must satisfy. All optional but `k` (1 to 100).
-
-    `min_index_gap` applies to submaps of the query's own session; `prior_position_m` with `radius_m` keeps hits whose
-    position (in their session's odometry frame) is near.
-    """
-
-    k: int = 20
-    min_similarity: float | None = None
-    exclude_session: str | None = None
-    only_session: str | None = None
-    min_index_gap: int | None = None
-    prior_position_m: tuple[float, float, float] | None = None
-    radius_m: float | None = None
-
-
-@dataclass(frozen=True)
-class SearchHit:
-    """A submap and its cosine similarity to the query."""
-
-    submap: SubmapKey
-    similarity: float
-    position_m: tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class SearchResult:
-    """Hits, most similar first (ties: older submap first); `searched` is how many submaps the map's index held."""
-
-    hits: tuple[SearchHit, ...]
-    searched: int
+from service.application.maps import require_map
+from service.application.operations import OperationKind, Operations, new_job
+from service.application.place_memory import PlaceMemory, vector_filter
+from service.application.ports import UnitOfWork, VectorFilter
+from service.application.records import MapRecord, SubmapRecord
+from service.application.search_answers import (
+    Localization,
+    LocalizedCandidate,
+    SearchCriteria,
+    SearchHit,
+    SearchResult,
+    criteria_to_json,
+    localization_from_json,
+    search_result_from_json,
+    validated_criteria,
+)
+from service.application.submaps import require_submap
 
 
 @dataclass(frozen=True)
@@ -58,50 +51,98 @@ class LocalizeQuery:
     candidates: int = 10
 
 
-@dataclass(frozen=True)
-class LocalizedCandidate:
-    """One submap that was compared: accepted with a transform, or rejected for a reason."""
-
-    submap: SubmapKey
-    accepted: bool
-    reason: str | None
-    similarity: float
-    score: float
-    T_match_query: Matrix4 | None
-    evidence: dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Localization:
-    """The best verified candidate, if any, and all that were compared.
-
-    `T_map_query` (4, 4) is the cloud's pose in the odometry frame of the best candidate's session.
-    """
-
-    best: LocalizedCandidate | None
-    T_map_query: Matrix4 | None
-    candidates: tuple[LocalizedCandidate, ...]
-
-
-class Searches(Protocol):
+class Searches:
     """Search by submap, by descriptor or by cloud; localise."""
+
+    def __init__(self, context: Context, operations: Operations) -> None:
+        """`operations` waits for the workers' answers."""
+        self._context = context
+        self._operations = operations
+        self._memory = PlaceMemory(context.transactions, context.index)
 
     async def by_submap(self, tenant: TenantId, key: SubmapKey, criteria: SearchCriteria) -> SearchResult:
         """The submaps most like a described one, which is never its own hit. Raises NotFound, NotReady, BadField."""
-        ...
+        validated_criteria(criteria)
+
+        def load(uow: UnitOfWork) -> tuple[MapRecord, SubmapRecord, VectorFilter]:
+            record = require_submap(uow, tenant, key)
+            if record.descriptor is None:
+                raise NotReady
+            return require_map(uow, tenant, key.map_id), record, vector_filter(uow, tenant, key.map_id, criteria, record)
+
+        map_record, record, where = await self._context.read(load)
+        vector = np.frombuffer(record.descriptor or b"", dtype="<f4")
+        return await self._context.compute(self._memory.search, map_record, vector, criteria, where)
 
     async def by_descriptor(
         self, tenant: TenantId, map_id: str, vector: NDArray[np.float32], model_version: str, criteria: SearchCriteria
     ) -> SearchResult:
         """The submaps nearest to a descriptor (d,). Raises NotFound, BadField, DescriptorModelMismatch."""
-        ...
+        validated_criteria(criteria)
+
+        def load(uow: UnitOfWork) -> tuple[MapRecord, VectorFilter]:
+            return require_map(uow, tenant, map_id), vector_filter(uow, tenant, map_id, criteria, None)
+
+        map_record, where = await self._context.read(load)
+        if map_record.model_version not in (None, model_version):
+            raise DescriptorModelMismatch(f"map {map_id} was described by model {map_record.model_version}")
+        return await self._context.compute(self._memory.search, map_record, vector, criteria, where)
 
     async def by_cloud(
         self, tenant: TenantId, map_id: str, cloud: CloudInput, criteria: SearchCriteria, timeout_s: float = 30.0
     ) -> SearchResult:
         """Describe a cloud in a worker, store no submap, search. Raises DeadlineExceeded, WorkersBusy, NotFound, ..."""
-        ...
+        payload = {"map_id": map_id, "criteria": criteria_to_json(validated_criteria(criteria))}
+        answer = await self._ask(tenant, OperationKind.SEARCH_CLOUD, payload, cloud, timeout_s)
+        return search_result_from_json(answer)
 
     async def localize(self, tenant: TenantId, query: LocalizeQuery, timeout_s: float = 30.0) -> Localization:
         """Describe a cloud in a worker, search, verify. No match is a result. Raises as `by_cloud`."""
-        ...
+        prior, radius = query.prior_position_m, query.radius_m
+        criteria = validated_criteria(SearchCriteria(k=query.candidates, prior_position_m=prior, radius_m=radius))
+        payload = {"map_id": query.map_id, "criteria": criteria_to_json(criteria)}
+        answer = await self._ask(tenant, OperationKind.LOCALIZE, payload, query.cloud, timeout_s)
+        return localization_from_json(answer)
+
+    async def _ask(
+        self, tenant: TenantId, kind: OperationKind, payload: dict[str, Any], cloud: CloudInput, timeout_s: float
+    ) -> dict[str, Any]:
+        """Queue the cloud for a worker and wait for the answer. Raises what the worker met, DeadlineExceeded."""
+        self._context.admit()
+        await self._context.read(lambda uow: require_map(uow, tenant, payload["map_id"]))
+        packed = await self._context.compute(_accept, cloud)
+        blobs = self._context.blobs
+        sha256 = await self._context.compute(blobs.put, tenant, QUERY_CLOUD_BLOB, packed)
+        subject = f"maps/{payload['map_id']}"
+        job = new_job(self._context, tenant, kind, subject, {**payload, "cloud_sha256": sha256})
+
+        def enqueue(uow: UnitOfWork) -> None:
+            self._context.require_queue_space(uow, tenant)
+            uow.queue.enqueue(job)
+
+        await self._context.write(enqueue)
+        try:
+            operation = await self._operations.wait(tenant, job.operation_id, timeout_s)
+        finally:
+            await self._context.compute(blobs.delete, tenant, QUERY_CLOUD_BLOB, sha256)
+        if operation.failure is not None:
+            raise error_of(operation.failure.code, operation.failure.message)
+        if operation.result is None:
+            raise DeadlineExceeded(f"no worker answered within {timeout_s:g} s; see operation {job.operation_id}")
+        return operation.result
+
+
+def _accept(cloud: CloudInput) -> bytes:
+    """The packed cloud behind a nonce: the same cloud asked twice is two blobs, each deleted with its own answer."""
+    return secrets.token_bytes(QUERY_NONCE_BYTES) + pack_cloud(accept_cloud(cloud, MAX_SUBMAP_POINTS)[0])
+
+
+__all__ = [
+    "Localization",
+    "LocalizeQuery",
+    "LocalizedCandidate",
+    "SearchCriteria",
+    "SearchHit",
+    "SearchResult",
+    "Searches",
+]

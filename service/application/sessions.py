@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from enum import StrEnum
-from typing import Protocol
+from dataclasses import dataclass, replace
 
-from service.application.identity import SessionKey, TenantId
-from service.application.paging import Page, PageRequest
-
-
-class SessionState(StrEnum):
-    """Whether a session still takes data."""
-
-    ACTIVE = "ACTIVE"
-    FINISHED = "FINISHED"
+from service.application.context import Context
+from service.application.errors import AlreadyExists
+from service.application.identity import SessionKey, TenantId, content_hash, validated_id
+from service.application.maps import require_map
+from service.application.paging import Page, PageRequest, page_of
+from service.application.ports import UnitOfWork
+from service.application.records import SessionRecord
+from service.application.robots import require_robot
+from service.application.scan_windows import remainder
+from service.application.session_lookup import SessionState, require_session
+from service.application.window_submaps import add_window_submap, window_of
 
 
 @dataclass(frozen=True)
@@ -48,21 +48,96 @@ class CreatedSession:
     replay: bool
 
 
-class Sessions(Protocol):
+class Sessions:
     """Create, get, list and finish sessions."""
 
+    def __init__(self, context: Context) -> None:
+        """All calls use `context`."""
+        self._context = context
+
     async def create(self, tenant: TenantId, command: CreateSession) -> CreatedSession:
-        """Create a session. Raises BadField; NotFound for the map or the robot; AlreadyExists for other content."""
-        ...
+        """Create a session. Raises BadField; NotFound for map or robot; AlreadyExists for other content; Draining."""
+        self._context.admit()
+        record = self._record(tenant, command)
+
+        def add(uow: UnitOfWork) -> CreatedSession:
+            require_map(uow, tenant, command.map_id)
+            known = uow.sessions.get(tenant, command.map_id, command.session_id)
+            if known is None:
+                if command.robot_id is not None:
+                    require_robot(uow, tenant, command.robot_id)
+                return CreatedSession(_view(uow, uow.sessions.add(record)), replay=False)
+            if known.content_hash != record.content_hash:
+                raise AlreadyExists(f"session {command.session_id} exists with other content")
+            return CreatedSession(_view(uow, known), replay=True)
+
+        return await self._context.write(add)
 
     async def get(self, tenant: TenantId, key: SessionKey) -> SessionView:
         """Raises NotFound."""
-        ...
+        return await self._context.read(lambda uow: _view(uow, require_session(uow, tenant, key)))
 
     async def list(self, tenant: TenantId, map_id: str, page: PageRequest) -> Page[SessionView]:
         """The sessions of a map, oldest first. Raises NotFound for the map."""
-        ...
+
+        def load(uow: UnitOfWork) -> Page[SessionView]:
+            require_map(uow, tenant, map_id)
+            records = uow.sessions.find(tenant, after=page.after, limit=page.size + 1, map_id=map_id)
+            return page_of(records, page, lambda record: _view(uow, record))
+
+        return await self._context.read(load)
 
     async def finish(self, tenant: TenantId, key: SessionKey) -> SessionView:
-        """Close the session; the scans of its last, shorter window become a submap. Again: no effect. Raises NotFound."""
-        ...
+        """Close the session; the scans of its last, shorter window become a submap. Again: no effect.
+
+        Raises NotFound, WorkersBusy, Draining.
+        """
+        self._context.admit()
+
+        def close(uow: UnitOfWork) -> SessionView:
+            session = require_session(uow, tenant, key)
+            if session.state == SessionState.FINISHED:
+                return _view(uow, session)
+            rest = remainder(window_of(session), session.committed_seq)
+            if rest is not None:
+                _, session = add_window_submap(uow, self._context, session, rest)
+            finished_at_ns = self._context.clock.wall_ns()
+            finished = replace(session, state=SessionState.FINISHED.value, finished_at_ns=finished_at_ns)
+            uow.sessions.replace(finished)
+            return _view(uow, finished)
+
+        return await self._context.write(close)
+
+    def _record(self, tenant: TenantId, command: CreateSession) -> SessionRecord:
+        return SessionRecord(
+            tenant=tenant,
+            map_id=command.map_id,
+            session_id=validated_id(command.session_id, "session_id"),
+            content_hash=content_hash([command.robot_id]),
+            robot_id=command.robot_id,
+            state=SessionState.ACTIVE.value,
+            committed_seq=0,
+            next_ordinal=0,
+            travelled_m=0.0,
+            window_start_m=0.0,
+            window_first_seq=1,
+            emitted_to_m=None,
+            created_at_ns=self._context.clock.wall_ns(),
+            finished_at_ns=None,
+        )
+
+
+def _view(uow: UnitOfWork, record: SessionRecord) -> SessionView:
+    return SessionView(
+        key=SessionKey(record.map_id, record.session_id),
+        robot_id=record.robot_id,
+        state=SessionState(record.state),
+        committed_seq=record.committed_seq,
+        travelled_m=record.travelled_m,
+        submap_count=uow.submaps.count(record.tenant, map_id=record.map_id, session_id=record.session_id),
+        created_at_ns=record.created_at_ns,
+        finished_at_ns=record.finished_at_ns,
+    )
+
+
+__all__ = ["CreateSession", "CreatedSession", "SessionState", "SessionView", "Sessions"]

@@ -2,16 +2,43 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import hashlib
+from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Protocol
 
-from core.scan import CloudReport
+import numpy as np
+
+from core.errors import BadField
+from core.scan import CloudReport, Scan
 from core.se3 import Matrix4
-from service.application.clouds import CloudInput
-from service.application.identity import SessionKey, SubmapKey, TenantId
-from service.application.operations import OperationFailure, OperationView
-from service.application.paging import Page, PageRequest
+from service.application.blob_references import blobs_of_submap, collect_blobs
+from service.application.clouds import CLOUD_BLOB, MAX_SUBMAP_POINTS, CloudInput, StoredCloud, accept_cloud, pack_cloud
+from service.application.context import Context
+from service.application.downloads import Download, DownloadKind, render_download
+from service.application.errors import AlreadyExists, NotFound
+from service.application.identity import (
+    RESERVED_SUBMAP_PREFIX,
+    SessionKey,
+    SubmapKey,
+    TenantId,
+    content_hash,
+    validated_id,
+)
+from service.application.maps import require_map
+from service.application.operations import (
+    OperationFailure,
+    OperationKind,
+    OperationView,
+    failure_of,
+    new_job,
+    operation_view,
+)
+from service.application.paging import Page, PageRequest, page_of
+from service.application.ports import UnitOfWork
+from service.application.poses import pose_matrix, pose_row, position_row
+from service.application.records import SessionRecord, SubmapRecord
+from service.application.session_lookup import require_active, require_session
+from service.application.submap_source import SubmapSource, submap_source
 
 
 class SubmapState(StrEnum):
@@ -20,15 +47,6 @@ class SubmapState(StrEnum):
     QUEUED = "QUEUED"
     DESCRIBED = "DESCRIBED"
     FAILED = "FAILED"
-
-
-class DownloadKind(StrEnum):
-    """What of a submap can be downloaded."""
-
-    MESH = "mesh"
-    POINTS = "points"
-    NEURAL = "neural"
-    DESCRIPTOR = "descriptor"
 
 
 @dataclass(frozen=True)
@@ -80,16 +98,20 @@ class PostedSubmap:
 
 
 @dataclass(frozen=True)
-class Download:
-    """A file: its bytes, media type and a name to save it under."""
+class _Accepted:
+    """A posted submap that passed validation: its row but for ordinal and operation, and its cloud to store."""
 
-    data: bytes
-    media_type: str
-    filename: str
+    row: SubmapRecord
+    packed: bytes
+    report: CloudReport
 
 
-class Submaps(Protocol):
+class Submaps:
     """Post, get, list, delete and download submaps."""
+
+    def __init__(self, context: Context) -> None:
+        """All calls use `context`."""
+        self._context = context
 
     async def post(self, tenant: TenantId, command: PostSubmap) -> PostedSubmap:
         """Store a submap durably and queue its description; returns after the commit.
@@ -97,19 +119,44 @@ class Submaps(Protocol):
         Raises what decoding and validation raise, BadField, BadTransform, NotFound for the session, SessionFinished,
         AlreadyExists for other content under the same id, WorkersBusy, Draining, StorageFull, StorageUncertain.
         """
-        ...
+        self._context.admit()
+        accepted = await self._context.compute(self._accept, tenant, command)
+        known = await self._context.read(lambda uow: self._known(uow, accepted.row))
+        if known is not None:
+            return known
+        await self._context.compute(self._context.blobs.put, tenant, CLOUD_BLOB, accepted.packed)
+        return await self._context.write(lambda uow: self._insert(uow, accepted))
 
     async def get(self, tenant: TenantId, key: SubmapKey) -> SubmapView:
         """Raises NotFound."""
-        ...
+        return submap_view(await self._context.read(lambda uow: require_submap(uow, tenant, key)))
 
     async def list(self, tenant: TenantId, session: SessionKey, page: PageRequest) -> Page[SubmapView]:
         """The submaps of a session in their order. Raises NotFound for the session."""
-        ...
+
+        def load(uow: UnitOfWork) -> list[SubmapRecord]:
+            require_session(uow, tenant, session)
+            of_session = {"map_id": session.map_id, "session_id": session.session_id}
+            return uow.submaps.find(tenant, after=page.after, limit=page.size + 1, **of_session)
+
+        return page_of(await self._context.read(load), page, submap_view)
 
     async def delete(self, tenant: TenantId, key: SubmapKey) -> None:
-        """Delete a submap, its loop closures and its place in the index. Raises NotFound."""
-        ...
+        """Delete a submap, its loop closures and its place in the index. Raises NotFound, Draining."""
+        self._context.admit()
+
+        def remove(uow: UnitOfWork) -> SubmapRecord:
+            record = require_submap(uow, tenant, key)
+            map_record = require_map(uow, tenant, key.map_id)
+            uow.loops.delete(tenant, query_number=record.number)
+            uow.loops.delete(tenant, match_number=record.number)
+            uow.submaps.delete(tenant, number=record.number)
+            if record.descriptor is not None:
+                uow.changes.record_removed(tenant, map_record.number, record.number)
+            return record
+
+        doomed = blobs_of_submap(await self._context.write(remove))
+        await self._context.write(lambda uow: collect_blobs(uow, self._context.blobs, tenant, doomed))
 
     async def download(
         self, tenant: TenantId, key: SubmapKey, kind: DownloadKind, file_format: str | None = None
@@ -118,4 +165,150 @@ class Submaps(Protocol):
 
         Raises NotFound; NotReady where it is not described yet; UnsupportedEncoding for another format; DataLoss.
         """
-        ...
+
+        def load(uow: UnitOfWork) -> tuple[SubmapRecord, SubmapSource]:
+            record = require_submap(uow, tenant, key)
+            return record, submap_source(uow, self._context, record)
+
+        record, source = await self._context.read(load)
+        return await self._context.compute(render_download, self._context.blobs, record, source, kind, file_format)
+
+    def _accept(self, tenant: TenantId, command: PostSubmap) -> _Accepted:
+        _validate_key(command.key)
+        cloud, report = accept_cloud(command.cloud, MAX_SUBMAP_POINTS)
+        scan = Scan.validated(cloud.points, command.T_odom_submap, command.stamp_ns)
+        packed = pack_cloud(cloud)
+        return _Accepted(self._row(tenant, command.key, scan, cloud, packed, report), packed, report)
+
+    def _row(
+        self, tenant: TenantId, key: SubmapKey, scan: Scan, cloud: StoredCloud, packed: bytes, report: CloudReport
+    ) -> SubmapRecord:
+        pose = np.ascontiguousarray(scan.T_odom_sensor, dtype="<f8")
+        intensity = None if cloud.intensity is None else cloud.intensity.tobytes()
+        content = (pose.tobytes(), scan.stamp_ns, cloud.points.tobytes(), intensity)
+        return SubmapRecord(
+            tenant=tenant,
+            map_id=key.map_id,
+            session_id=key.session_id,
+            submap_id=key.submap_id,
+            content_hash=content_hash(content),
+            state=SubmapState.QUEUED.value,
+            ordinal=0,
+            session_number=0,
+            T_odom_submap=pose_row(scan.T_odom_sensor),
+            position_m=position_row(scan.T_odom_sensor[:3, 3]),
+            stamp_ns=scan.stamp_ns,
+            cloud_sha256=hashlib.sha256(packed).hexdigest(),
+            first_seq=None,
+            last_seq=None,
+            scan_count=1,
+            point_count=len(cloud.points),
+            operation_id="",
+            flags=("degenerate_plane",) if report.degenerate_plane else (),
+            created_at_ns=self._context.clock.wall_ns(),
+        )
+
+    def _known(self, uow: UnitOfWork, row: SubmapRecord) -> PostedSubmap | None:
+        """The first answer, where the same submap was posted before. Raises AlreadyExists, NotFound, SessionFinished."""
+        session = require_session(uow, row.tenant, SessionKey(row.map_id, row.session_id))
+        known = uow.submaps.get(row.tenant, row.map_id, row.session_id, row.submap_id)
+        if known is None:
+            require_active(session)
+            return None
+        if known.content_hash != row.content_hash:
+            raise AlreadyExists(f"submap {row.submap_id} exists with other content")
+        return posted_submap(uow, known, replay=True, report=None)
+
+    def _insert(self, uow: UnitOfWork, accepted: _Accepted) -> PostedSubmap:
+        row = accepted.row
+        known = self._known(uow, row)
+        if known is not None:
+            return known
+        # A delete may have collected the same content meanwhile (see blob_references.collect_blobs).
+        if not self._context.blobs.exists(row.tenant, CLOUD_BLOB, str(row.cloud_sha256)):
+            self._context.blobs.put(row.tenant, CLOUD_BLOB, accepted.packed)
+        session = require_session(uow, row.tenant, SessionKey(row.map_id, row.session_id))
+        added, _ = add_submap(uow, self._context, session, row)
+        return posted_submap(uow, added, replay=False, report=accepted.report)
+
+
+def add_submap(
+    uow: UnitOfWork, context: Context, session: SessionRecord, row: SubmapRecord
+) -> tuple[SubmapRecord, SessionRecord]:
+    """Add a submap's row and the job that describes it, in one transaction; the rows as stored. Raises WorkersBusy."""
+    context.require_queue_space(uow, row.tenant)
+    key = SubmapKey(row.map_id, row.session_id, row.submap_id)
+    payload = {"map_id": key.map_id, "session_id": key.session_id, "submap_id": key.submap_id}
+    job = uow.queue.enqueue(new_job(context, row.tenant, OperationKind.DESCRIBE_SUBMAP, key.name, payload))
+    placed = replace(
+        row, ordinal=session.next_ordinal, session_number=session.number, operation_id=job.operation_id
+    )
+    counted = replace(session, next_ordinal=session.next_ordinal + 1)
+    uow.sessions.replace(counted)
+    return uow.submaps.add(placed), counted
+
+
+def require_submap(uow: UnitOfWork, tenant: TenantId, key: SubmapKey) -> SubmapRecord:
+    """The submap. Raises NotFound."""
+    record = uow.submaps.get(tenant, key.map_id, key.session_id, key.submap_id)
+    if record is None:
+        raise NotFound(f"there is no submap {key.name!r}"[:300])
+    return record
+
+
+def posted_submap(uow: UnitOfWork, record: SubmapRecord, *, replay: bool, report: CloudReport | None) -> PostedSubmap:
+    """The answer to a post. Raises NotFound where the operation's record is gone."""
+    job = uow.jobs.get(record.tenant, record.operation_id)
+    if job is None:
+        raise NotFound(f"there is no operation {record.operation_id}")
+    return PostedSubmap(submap_view(record), operation_view(job), replay, report)
+
+
+def submap_key(record: SubmapRecord) -> SubmapKey:
+    """The key of a submap's row."""
+    return SubmapKey(record.map_id, record.session_id, record.submap_id)
+
+
+def submap_view(record: SubmapRecord) -> SubmapView:
+    """The client's view of a submap."""
+    return SubmapView(
+        key=submap_key(record),
+        state=SubmapState(record.state),
+        ordinal=record.ordinal,
+        T_odom_submap=pose_matrix(record.T_odom_submap),
+        position_m=record.position_m,
+        stamp_ns=record.stamp_ns,
+        first_seq=record.first_seq,
+        last_seq=record.last_seq,
+        scan_count=record.scan_count,
+        point_count=record.point_count,
+        raw_bytes=12 * record.point_count,
+        neural_map_bytes=record.neural_map_bytes,
+        flags=record.flags,
+        model_version=record.model_version,
+        failure=failure_of(record.failure_code, record.failure_message),
+        operation_id=record.operation_id,
+        created_at_ns=record.created_at_ns,
+    )
+
+
+def _validate_key(key: SubmapKey) -> None:
+    validated_id(key.submap_id, "submap_id")
+    if key.submap_id.startswith(RESERVED_SUBMAP_PREFIX):
+        raise BadField(f"submap_id must not begin with {RESERVED_SUBMAP_PREFIX!r}", field="submap_id")
+
+
+__all__ = [
+    "Download",
+    "DownloadKind",
+    "PostSubmap",
+    "PostedSubmap",
+    "SubmapState",
+    "SubmapView",
+    "Submaps",
+    "add_submap",
+    "posted_submap",
+    "require_submap",
+    "submap_key",
+    "submap_view",
+]

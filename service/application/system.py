@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
+from core.errors import RevisitError
+from service.application.context import Context
 from service.application.identity import TenantId
+from service.application.ports import UnitOfWork
+
+WORKER_SEEN_WITHIN_MS = 15_000
 
 
 @dataclass(frozen=True)
@@ -37,22 +41,47 @@ class ServiceStatus:
     workers: tuple[WorkerView, ...]
 
 
-class System(Protocol):
-    """Health, readiness, status, drain."""
+class System:
+    """Readiness, status, drain."""
+
+    def __init__(self, context: Context, version: str) -> None:
+        """`version` is the product's."""
+        self._context = context
+        self._version = version
 
     async def readiness(self) -> Readiness:
         """Ready when the database answers and the service is not draining."""
-        ...
+        if self.draining:
+            return Readiness(False, ("draining",))
+        try:
+            await self._context.read(lambda uow: uow.workers.alive("", 0))
+        except RevisitError as error:
+            return Readiness(False, (f"database: {error.message}",))
+        return Readiness(True, ())
 
     async def status(self, tenant: TenantId) -> ServiceStatus:
         """Queue depth, index size, workers and model version."""
-        ...
+        now = self._context.clock.instant()
+
+        def load(uow: UnitOfWork) -> ServiceStatus:
+            alive = uow.workers.alive(now.epoch, now.ms - WORKER_SEEN_WITHIN_MS)
+            return ServiceStatus(
+                version=self._version,
+                model_version=alive[0].model_version if alive else None,
+                queued_jobs=uow.jobs.count(tenant, state="QUEUED"),
+                running_jobs=uow.jobs.count(tenant, state="RUNNING"),
+                failed_jobs=uow.jobs.count(tenant, state="FAILED"),
+                indexed_submaps=uow.submaps.count(tenant, state="DESCRIBED"),
+                workers=tuple(WorkerView(worker.worker_id, worker.model_version) for worker in alive),
+            )
+
+        return await self._context.read(load)
 
     def drain(self) -> None:
         """From now on refuse new work with Draining; what is under way ends."""
-        ...
+        self._context.stopping.set()
 
     @property
     def draining(self) -> bool:
         """Whether `drain` was called."""
-        ...
+        return self._context.stopping.is_set()

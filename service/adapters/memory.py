@@ -1,0 +1,304 @@
+"""The store in memory: the same contracts without a disk, for tests and for reading what a transaction means."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from typing import Any, Generic, TypeVar
+
+from core.errors import DataLoss
+from service.adapters.leased_jobs import LeasedJobs
+from service.application.errors import AlreadyExists, NotFound
+from service.application.identity import TenantId
+from service.application.ports import IndexChange, Instant, UnitOfWork
+from service.application.records import (
+    JobRecord,
+    LoopRecord,
+    MapRecord,
+    RobotRecord,
+    ScanRecord,
+    SessionRecord,
+    SubmapRecord,
+    WorkerRecord,
+)
+
+R = TypeVar("R")
+T = TypeVar("T")
+
+Scalar = str | int | None
+
+
+@dataclass
+class Rows:
+    """The rows of one table by number, and the last number given out."""
+
+    by_number: dict[int, Any] = field(default_factory=dict)
+    last: int = 0
+
+    def copy(self) -> Rows:
+        """An independent copy; records are immutable."""
+        return Rows(dict(self.by_number), self.last)
+
+
+class MemoryRepository(Generic[R]):
+    """`ports.Repository` over `Rows`."""
+
+    def __init__(self, rows: Rows, key: tuple[str, ...]) -> None:
+        """`key` names the fields that, with the tenant, identify a record."""
+        self._rows = rows
+        self._key = ("tenant", *key)
+
+    def add(self, record: R) -> R:
+        """See `ports.Repository`."""
+        if any(self._key_of(row) == self._key_of(record) for row in self._rows.by_number.values()):
+            raise AlreadyExists
+        self._rows.last += 1
+        added: R = dataclasses.replace(record, number=self._rows.last)  # type: ignore[type-var]  # R is a record
+        self._rows.by_number[self._rows.last] = added
+        return added
+
+    def get(self, tenant: TenantId, *key: str | int) -> R | None:
+        """See `ports.Repository`."""
+        return next((row for row in self._rows.by_number.values() if self._key_of(row) == (tenant, *key)), None)
+
+    def find(self, tenant: TenantId, *, after: int = 0, limit: int | None = None, **equals: Scalar) -> list[R]:
+        """See `ports.Repository`."""
+        return [row for row in self._matching(tenant, equals) if row.number > after][:limit]
+
+    def count(self, tenant: TenantId, **equals: Scalar) -> int:
+        """See `ports.Repository`."""
+        return len(self._matching(tenant, equals))
+
+    def replace(self, record: R) -> None:
+        """See `ports.Repository`."""
+        number = record.number  # type: ignore[attr-defined]  # R is a record
+        if number not in self._rows.by_number:
+            raise NotFound
+        self._rows.by_number[number] = record
+
+    def delete(self, tenant: TenantId, **equals: Scalar) -> int:
+        """See `ports.Repository`."""
+        doomed = [row.number for row in self._matching(tenant, equals)]
+        for number in doomed:
+            del self._rows.by_number[number]
+        return len(doomed)
+
+    def _matching(self, tenant: TenantId, equals: dict[str, Scalar]) -> list[Any]:
+        wanted = {"tenant": tenant, **equals}
+        rows = [row for _, row in sorted(self._rows.by_number.items())]
+        return [row for row in rows if all(getattr(row, name) == value for name, value in wanted.items())]
+
+    def _key_of(self, record: Any) -> tuple[Any, ...]:
+        return tuple(getattr(record, name) for name in self._key)
+
+
+class MemoryScans(MemoryRepository[ScanRecord]):
+    """`ports.ScanRepository`."""
+
+    def first_seq_from(self, tenant: TenantId, map_id: str, session_id: str, travelled_m: float) -> int | None:
+        """See `ports.ScanRepository`."""
+        scans = self.find(tenant, map_id=map_id, session_id=session_id)
+        return min((scan.seq for scan in scans if scan.travelled_m >= travelled_m), default=None)
+
+    def between(self, tenant: TenantId, map_id: str, session_id: str, first: int, last: int) -> list[ScanRecord]:
+        """See `ports.ScanRepository`."""
+        scans = self.find(tenant, map_id=map_id, session_id=session_id)
+        return sorted((scan for scan in scans if first <= scan.seq <= last), key=lambda scan: scan.seq)
+
+
+class MemoryJobs(MemoryRepository[JobRecord]):
+    """`ports.JobRepository`."""
+
+    def next_runnable(self, now: Instant) -> JobRecord | None:
+        """See `ports.JobRepository`."""
+        return next((job for job in self._all() if _due(job, now)), None)
+
+    def exhausted(self, now: Instant) -> list[JobRecord]:
+        """See `ports.JobRepository`."""
+        return [job for job in self._all() if _lost(job, now) and job.attempts >= job.max_attempts]
+
+    def leased_to(self, owner: str) -> list[JobRecord]:
+        """See `ports.JobRepository`."""
+        return [job for job in self._all() if job.state == "RUNNING" and job.lease_owner == owner]
+
+    def _all(self) -> list[JobRecord]:
+        return [job for _, job in sorted(self._rows.by_number.items())]
+
+
+def _lost(job: JobRecord, now: Instant) -> bool:
+    return job.state == "RUNNING" and (job.lease_epoch != now.epoch or job.lease_expires_ms <= now.ms)
+
+
+def _due(job: JobRecord, now: Instant) -> bool:
+    if job.state == "QUEUED":
+        return job.lease_epoch != now.epoch or job.not_before_ms <= now.ms
+    return _lost(job, now) and job.attempts < job.max_attempts
+
+
+@dataclass(frozen=True)
+class _Change:
+    tenant: str
+    map_number: int
+    submap_number: int
+    described: bool
+    number: int = 0
+
+
+class MemoryChangeLog:
+    """`ports.ChangeLog`."""
+
+    def __init__(self, changes: Rows, submaps: Rows) -> None:
+        """`submaps` tells whether a described submap is still there."""
+        self._changes = changes
+        self._submaps = submaps
+
+    def record_described(self, tenant: TenantId, map_number: int, submap_number: int) -> int:
+        """See `ports.ChangeLog`."""
+        return self._append(_Change(tenant, map_number, submap_number, described=True))
+
+    def record_removed(self, tenant: TenantId, map_number: int, submap_number: int) -> int:
+        """See `ports.ChangeLog`."""
+        return self._append(_Change(tenant, map_number, submap_number, described=False))
+
+    def since(self, tenant: TenantId, map_number: int, seq: int) -> list[IndexChange]:
+        """See `ports.ChangeLog`."""
+        changes = [change for _, change in sorted(self._changes.by_number.items())]
+        return [
+            self._seen(change)
+            for change in changes
+            if (change.tenant, change.map_number) == (tenant, map_number) and change.number > seq
+        ]
+
+    def _append(self, change: _Change) -> int:
+        self._changes.last += 1
+        self._changes.by_number[self._changes.last] = dataclasses.replace(change, number=self._changes.last)
+        return self._changes.last
+
+    def _seen(self, change: _Change) -> IndexChange:
+        submap: SubmapRecord | None = self._submaps.by_number.get(change.submap_number)
+        if submap is None:
+            return IndexChange(change.number, change.submap_number, 0, 0, (0.0, 0.0, 0.0), None)
+        vector = submap.descriptor if change.described else None
+        place = (submap.session_number, submap.ordinal, submap.position_m)
+        return IndexChange(change.number, change.submap_number, *place, vector)
+
+
+class MemoryWorkerLog:
+    """`ports.WorkerLog`."""
+
+    def __init__(self, rows: Rows) -> None:
+        """Workers by their place in `rows`."""
+        self._rows = rows
+
+    def beat(self, worker: WorkerRecord) -> None:
+        """See `ports.WorkerLog`."""
+        self.forget(worker.worker_id)
+        self._rows.last += 1
+        self._rows.by_number[self._rows.last] = worker
+
+    def alive(self, epoch: str, since_ms: int) -> list[WorkerRecord]:
+        """See `ports.WorkerLog`."""
+        alive = [w for w in self._rows.by_number.values() if w.epoch == epoch and w.seen_ms >= since_ms]
+        return sorted(alive, key=lambda worker: (-worker.seen_ms, worker.worker_id))
+
+    def forget(self, worker_id: str) -> None:
+        """See `ports.WorkerLog`."""
+        kept = {number: row for number, row in self._rows.by_number.items() if row.worker_id != worker_id}
+        self._rows.by_number.clear()
+        self._rows.by_number.update(kept)
+
+
+_TABLES = ("maps", "robots", "sessions", "scans", "submaps", "loops", "jobs", "changes", "workers")
+
+
+class MemoryUnitOfWork:
+    """`ports.UnitOfWork` over a copy of every table."""
+
+    def __init__(self, tables: dict[str, Rows], lease_ms: int) -> None:
+        """Changes `tables` in place."""
+        self.maps: MemoryRepository[MapRecord] = MemoryRepository(tables["maps"], ("map_id",))
+        self.robots: MemoryRepository[RobotRecord] = MemoryRepository(tables["robots"], ("robot_id",))
+        self.sessions: MemoryRepository[SessionRecord] = MemoryRepository(tables["sessions"], ("map_id", "session_id"))
+        self.scans = MemoryScans(tables["scans"], ("map_id", "session_id", "seq"))
+        self.submaps: MemoryRepository[SubmapRecord] = MemoryRepository(
+            tables["submaps"], ("map_id", "session_id", "submap_id")
+        )
+        self.loops: MemoryRepository[LoopRecord] = MemoryRepository(tables["loops"], ("map_id", "loop_id"))
+        self.jobs = MemoryJobs(tables["jobs"], ("operation_id",))
+        self.queue = LeasedJobs(self.jobs, lease_ms)
+        self.changes = MemoryChangeLog(tables["changes"], tables["submaps"])
+        self.workers = MemoryWorkerLog(tables["workers"])
+
+
+class MemoryTransactions:
+    """`ports.Transactions` without a disk: a transaction works on a copy, which replaces the original at the end."""
+
+    def __init__(self, lease_ms: int = 10_000) -> None:
+        """Begins empty."""
+        self._tables = {name: Rows() for name in _TABLES}
+        self._lease_ms = lease_ms
+        self._lock = threading.Lock()
+
+    def write(self, work: Callable[[UnitOfWork], T]) -> Future[T]:
+        """See `ports.Transactions`."""
+        return _settled(lambda: self._write(work))
+
+    def read(self, work: Callable[[UnitOfWork], T]) -> Future[T]:
+        """See `ports.Transactions`."""
+        with self._lock:
+            snapshot = self._copy()
+        return _settled(lambda: work(MemoryUnitOfWork(snapshot, self._lease_ms)))
+
+    def close(self) -> None:
+        """See `ports.Transactions`."""
+
+    def _write(self, work: Callable[[UnitOfWork], T]) -> T:
+        with self._lock:
+            tables = self._copy()
+            result = work(MemoryUnitOfWork(tables, self._lease_ms))
+            self._tables = tables
+            return result
+
+    def _copy(self) -> dict[str, Rows]:
+        return {name: rows.copy() for name, rows in self._tables.items()}
+
+
+class MemoryBlobStore:
+    """`ports.BlobStore` without a disk."""
+
+    def __init__(self) -> None:
+        """Begins empty."""
+        self._blobs: dict[tuple[str, str, str], bytes] = {}
+
+    def put(self, tenant: TenantId, kind: str, data: bytes) -> str:
+        """See `ports.BlobStore`."""
+        sha256 = hashlib.sha256(data).hexdigest()
+        self._blobs[tenant, kind, sha256] = data
+        return sha256
+
+    def get(self, tenant: TenantId, kind: str, sha256: str) -> bytes:
+        """See `ports.BlobStore`."""
+        if (tenant, kind, sha256) not in self._blobs:
+            raise DataLoss(f"the {kind} {sha256[:12]} is missing")
+        return self._blobs[tenant, kind, sha256]
+
+    def exists(self, tenant: TenantId, kind: str, sha256: str) -> bool:
+        """See `ports.BlobStore`."""
+        return (tenant, kind, sha256) in self._blobs
+
+    def delete(self, tenant: TenantId, kind: str, sha256: str) -> None:
+        """See `ports.BlobStore`."""
+        self._blobs.pop((tenant, kind, sha256), None)
+
+
+def _settled(work: Callable[[], T]) -> Future[T]:
+    future: Future[T] = Future()
+    try:
+        future.set_result(work())
+    except Exception as error:  # noqa: BLE001  # a future carries whatever the work raised
+        future.set_exception(error)
+    return future

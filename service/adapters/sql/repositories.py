@@ -1,0 +1,200 @@
+"""Repositories over one connection: SQL in, records out. The tenant is in every statement that a use case can reach."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, Generic, TypeVar
+
+from sqlalchemy import ColumnElement, Connection, Row, Table, and_, delete, func, insert, or_, select, update
+from sqlalchemy.exc import IntegrityError
+
+from service.adapters.sql import tables
+from service.application.errors import AlreadyExists, NotFound
+from service.application.identity import TenantId
+from service.application.ports import IndexChange, Instant
+from service.application.records import JobRecord, ScanRecord, WorkerRecord
+
+R = TypeVar("R")
+
+Scalar = str | int | None
+
+
+class SqlRepository(Generic[R]):
+    """`ports.Repository` over a table whose columns are the fields of the record."""
+
+    def __init__(self, connection: Connection, table: Table, record: type[R], key: tuple[str, ...]) -> None:
+        """`key` names the columns that, with the tenant, identify a record."""
+        self._connection = connection
+        self._table = table
+        self._record = record
+        self._key = key
+
+    def add(self, record: R) -> R:
+        """See `ports.Repository`."""
+        values = _values(record)
+        values.pop("number")
+        try:
+            number = _insert(self._connection, self._table, values)
+        except IntegrityError as error:
+            if "UNIQUE" in str(error.orig):
+                raise AlreadyExists from error
+            raise NotFound("the parent of this resource does not exist") from error
+        return dataclasses.replace(record, number=number)  # type: ignore[type-var]  # R is always a record dataclass
+
+    def get(self, tenant: TenantId, *key: str | int) -> R | None:
+        """See `ports.Repository`."""
+        equals = dict(zip(self._key, key, strict=True))
+        row = self._connection.execute(select(self._table).where(self._matches(tenant, equals))).one_or_none()
+        return None if row is None else self._of(row)
+
+    def find(self, tenant: TenantId, *, after: int = 0, limit: int | None = None, **equals: Scalar) -> list[R]:
+        """See `ports.Repository`."""
+        number = self._table.c.number
+        query = select(self._table).where(self._matches(tenant, equals), number > after).order_by(number).limit(limit)
+        return [self._of(row) for row in self._connection.execute(query)]
+
+    def count(self, tenant: TenantId, **equals: Scalar) -> int:
+        """See `ports.Repository`."""
+        query = select(func.count()).select_from(self._table).where(self._matches(tenant, equals))
+        return int(self._connection.execute(query).scalar_one())
+
+    def replace(self, record: R) -> None:
+        """See `ports.Repository`."""
+        values = _values(record)
+        where = and_(self._table.c.number == values.pop("number"), self._table.c.tenant == values.pop("tenant"))
+        if self._connection.execute(update(self._table).where(where).values(values)).rowcount != 1:
+            raise NotFound
+
+    def delete(self, tenant: TenantId, **equals: Scalar) -> int:
+        """See `ports.Repository`."""
+        return self._connection.execute(delete(self._table).where(self._matches(tenant, equals))).rowcount
+
+    def _matches(self, tenant: TenantId, equals: dict[str, Any]) -> ColumnElement[bool]:
+        return and_(self._table.c.tenant == tenant, *(self._table.c[name] == value for name, value in equals.items()))
+
+    def _of(self, row: Row[Any]) -> R:
+        return self._record(**row._mapping)
+
+
+class SqlScans(SqlRepository[ScanRecord]):
+    """`ports.ScanRepository`."""
+
+    def first_seq_from(self, tenant: TenantId, map_id: str, session_id: str, travelled_m: float) -> int | None:
+        """See `ports.ScanRepository`."""
+        where = self._matches(tenant, {"map_id": map_id, "session_id": session_id})
+        query = select(func.min(tables.scans.c.seq)).where(where, tables.scans.c.travelled_m >= travelled_m)
+        first: int | None = self._connection.execute(query).scalar_one()
+        return first
+
+    def between(self, tenant: TenantId, map_id: str, session_id: str, first: int, last: int) -> list[ScanRecord]:
+        """See `ports.ScanRepository`."""
+        where = self._matches(tenant, {"map_id": map_id, "session_id": session_id})
+        seq = tables.scans.c.seq
+        rows = self._connection.execute(select(tables.scans).where(where, seq.between(first, last)).order_by(seq))
+        return [self._of(row) for row in rows]
+
+
+class SqlJobs(SqlRepository[JobRecord]):
+    """`ports.JobRepository`."""
+
+    def next_runnable(self, now: Instant) -> JobRecord | None:
+        """See `ports.JobRepository`."""
+        jobs = tables.jobs.c
+        due = and_(jobs.state == "QUEUED", or_(jobs.lease_epoch != now.epoch, jobs.not_before_ms <= now.ms))
+        lost = and_(self._lost(now), jobs.attempts < jobs.max_attempts)
+        row = self._connection.execute(select(tables.jobs).where(or_(due, lost)).order_by(jobs.number).limit(1)).first()
+        return None if row is None else self._of(row)
+
+    def exhausted(self, now: Instant) -> list[JobRecord]:
+        """See `ports.JobRepository`."""
+        jobs = tables.jobs.c
+        query = select(tables.jobs).where(self._lost(now), jobs.attempts >= jobs.max_attempts)
+        return [self._of(row) for row in self._connection.execute(query)]
+
+    def leased_to(self, owner: str) -> list[JobRecord]:
+        """See `ports.JobRepository`."""
+        query = select(tables.jobs).where(tables.jobs.c.state == "RUNNING", tables.jobs.c.lease_owner == owner)
+        return [self._of(row) for row in self._connection.execute(query)]
+
+    def _lost(self, now: Instant) -> ColumnElement[bool]:
+        jobs = tables.jobs.c
+        return and_(jobs.state == "RUNNING", or_(jobs.lease_epoch != now.epoch, jobs.lease_expires_ms <= now.ms))
+
+
+class SqlChangeLog:
+    """`ports.ChangeLog`. SQLite gives out `seq` inside the one write transaction, hence in the order of commits."""
+
+    def __init__(self, connection: Connection) -> None:
+        """All statements go through `connection`."""
+        self._connection = connection
+
+    def record_described(self, tenant: TenantId, map_number: int, submap_number: int) -> int:
+        """See `ports.ChangeLog`."""
+        return self._append(tenant, map_number, submap_number, "DESCRIBED")
+
+    def record_removed(self, tenant: TenantId, map_number: int, submap_number: int) -> int:
+        """See `ports.ChangeLog`."""
+        return self._append(tenant, map_number, submap_number, "REMOVED")
+
+    def since(self, tenant: TenantId, map_number: int, seq: int) -> list[IndexChange]:
+        """See `ports.ChangeLog`."""
+        changes, submaps = tables.index_changes.c, tables.submaps.c
+        query = (
+            select(changes.seq, changes.kind, changes.submap_number, submaps.session_number, submaps.ordinal)
+            .add_columns(submaps.position_m, submaps.descriptor)
+            .outerjoin_from(tables.index_changes, tables.submaps, submaps.number == changes.submap_number)
+            .where(changes.tenant == tenant, changes.map_number == map_number, changes.seq > seq)
+            .order_by(changes.seq)
+        )
+        return [_change(row) for row in self._connection.execute(query)]
+
+    def _append(self, tenant: TenantId, map_number: int, submap_number: int, kind: str) -> int:
+        values = {"tenant": tenant, "map_number": map_number, "submap_number": submap_number, "kind": kind}
+        return _insert(self._connection, tables.index_changes, values)
+
+
+class SqlWorkerLog:
+    """`ports.WorkerLog`."""
+
+    def __init__(self, connection: Connection) -> None:
+        """All statements go through `connection`."""
+        self._connection = connection
+
+    def beat(self, worker: WorkerRecord) -> None:
+        """See `ports.WorkerLog`."""
+        self.forget(worker.worker_id)
+        self._connection.execute(insert(tables.workers).values(_values(worker)))
+
+    def alive(self, epoch: str, since_ms: int) -> list[WorkerRecord]:
+        """See `ports.WorkerLog`."""
+        workers = tables.workers.c
+        query = select(tables.workers).where(workers.epoch == epoch, workers.seen_ms >= since_ms)
+        rows = self._connection.execute(query.order_by(workers.seen_ms.desc(), workers.worker_id))
+        return [WorkerRecord(**row._mapping) for row in rows]
+
+    def forget(self, worker_id: str) -> None:
+        """See `ports.WorkerLog`."""
+        self._connection.execute(delete(tables.workers).where(tables.workers.c.worker_id == worker_id))
+
+
+def _values(record: Any) -> dict[str, Any]:
+    """The fields of a record, shallow: JSON fields stay as they are."""
+    return {field.name: getattr(record, field.name) for field in dataclasses.fields(record)}
+
+
+def _insert(connection: Connection, table: Table, values: dict[str, Any]) -> int:
+    """Insert a row; the number it was given."""
+    statement = insert(table).values(values).returning(*table.primary_key.columns)
+    return int(connection.execute(statement).scalar_one())
+
+
+def _change(row: Row[Any]) -> IndexChange:
+    gone = row.session_number is None
+    return IndexChange(
+        seq=row.seq,
+        submap_number=row.submap_number,
+        session_number=0 if gone else row.session_number,
+        ordinal=0 if gone else row.ordinal,
+        position_m=(0.0, 0.0, 0.0) if gone else row.position_m,
+        vector=None if gone or row.kind == "REMOVED" else row.descriptor,
+    )

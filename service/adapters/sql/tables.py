@@ -1,0 +1,245 @@
+"""Tables: one per record of `service.application.records`, a column per field. migrations/ creates the same schema."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sqlalchemy import (
+    JSON,
+    BigInteger,
+    Column,
+    Dialect,
+    Float,
+    ForeignKeyConstraint,
+    Index,
+    Integer,
+    LargeBinary,
+    MetaData,
+    String,
+    Table,
+    Text,
+    UniqueConstraint,
+)
+from sqlalchemy.types import TypeDecorator
+
+NAMING = {
+    "ix": "ix_%(table_name)s_%(column_0_N_name)s",
+    "uq": "uq_%(table_name)s_%(column_0_N_name)s",
+    "fk": "fk_%(table_name)s_%(referred_table_name)s_%(column_0_N_name)s",
+    "pk": "pk_%(table_name)s",
+}
+metadata = MetaData(naming_convention=NAMING)
+
+
+class JsonTuple(TypeDecorator[tuple[Any, ...]]):
+    """A tuple of numbers or strings as a JSON list; floats keep every bit."""
+
+    impl = JSON(none_as_null=True)
+    cache_ok = True
+
+    def process_result_value(self, value: Any, dialect: Dialect) -> tuple[Any, ...] | None:
+        """The list read as a tuple."""
+        return None if value is None else tuple(value)
+
+
+def _numbered(name: str, key: tuple[str, ...], *columns: Any) -> Table:
+    """A table whose rows have a tenant, a number that is never used twice, and a unique key within the tenant."""
+    return Table(
+        name,
+        metadata,
+        Column("number", Integer, primary_key=True, autoincrement=True),
+        Column("tenant", String(64), nullable=False),
+        *columns,
+        UniqueConstraint("tenant", *key),
+        sqlite_autoincrement=True,
+    )
+
+
+def _text(name: str, *, length: int = 64, nullable: bool = False) -> Column[str]:
+    return Column(name, String(length), nullable=nullable)
+
+
+def _integer(name: str, *, nullable: bool = False) -> Column[int]:
+    return Column(name, BigInteger, nullable=nullable)
+
+
+def _real(name: str, *, nullable: bool = False) -> Column[float]:
+    return Column(name, Float, nullable=nullable)
+
+
+def _json(name: str, *, nullable: bool = False) -> Column[Any]:
+    return Column(name, JSON(none_as_null=True), nullable=nullable)
+
+
+def _tuple(name: str, *, nullable: bool = False) -> Column[tuple[Any, ...]]:
+    return Column(name, JsonTuple(), nullable=nullable)
+
+
+maps = _numbered(
+    "maps",
+    ("map_id",),
+    _text("map_id"),
+    _text("content_hash"),
+    _text("display_name", length=256),
+    _real("tau_m", nullable=True),
+    _real("stride_m", nullable=True),
+    _integer("min_index_gap", nullable=True),
+    _text("model_version", length=128, nullable=True),
+    _integer("created_at_ns"),
+)
+
+robots = _numbered(
+    "robots",
+    ("robot_id",),
+    _text("robot_id"),
+    _text("content_hash"),
+    _text("display_name", length=256),
+    _integer("created_at_ns"),
+)
+
+sessions = _numbered(
+    "sessions",
+    ("map_id", "session_id"),
+    _text("map_id"),
+    _text("session_id"),
+    _text("content_hash"),
+    _text("robot_id", nullable=True),
+    _text("state", length=16),
+    _integer("committed_seq"),
+    _integer("next_ordinal"),
+    _real("travelled_m"),
+    _real("window_start_m"),
+    _integer("window_first_seq"),
+    _real("emitted_to_m", nullable=True),
+    _integer("created_at_ns"),
+    _integer("finished_at_ns", nullable=True),
+    ForeignKeyConstraint(["tenant", "map_id"], ["maps.tenant", "maps.map_id"]),
+    ForeignKeyConstraint(["tenant", "robot_id"], ["robots.tenant", "robots.robot_id"]),
+)
+
+scans = _numbered(
+    "scans",
+    ("map_id", "session_id", "seq"),
+    _text("map_id"),
+    _text("session_id"),
+    _integer("seq"),
+    _integer("stamp_ns"),
+    _tuple("T_odom_sensor"),
+    _real("travelled_m"),
+    _integer("point_count"),
+    _text("cloud_sha256"),
+    ForeignKeyConstraint(
+        ["tenant", "map_id", "session_id"], ["sessions.tenant", "sessions.map_id", "sessions.session_id"]
+    ),
+    Index(None, "tenant", "map_id", "session_id", "travelled_m"),
+    Index(None, "tenant", "cloud_sha256"),
+)
+
+submaps = _numbered(
+    "submaps",
+    ("map_id", "session_id", "submap_id"),
+    _text("map_id"),
+    _text("session_id"),
+    _text("submap_id"),
+    _text("content_hash"),
+    _text("state", length=16),
+    _integer("ordinal"),
+    _integer("session_number"),
+    _tuple("T_odom_submap"),
+    _tuple("position_m"),
+    _integer("stamp_ns"),
+    _text("cloud_sha256", nullable=True),
+    _integer("first_seq", nullable=True),
+    _integer("last_seq", nullable=True),
+    _integer("scan_count"),
+    _integer("point_count"),
+    _text("operation_id"),
+    _tuple("flags"),
+    _integer("created_at_ns"),
+    _text("model_version", length=128, nullable=True),
+    Column("descriptor", LargeBinary, nullable=True),
+    _text("signature_sha256", nullable=True),
+    _text("neural_map_sha256", nullable=True),
+    _integer("neural_map_bytes", nullable=True),
+    _text("mesh_sha256", nullable=True),
+    _text("failure_code", nullable=True),
+    Column("failure_message", Text, nullable=True),
+    ForeignKeyConstraint(
+        ["tenant", "map_id", "session_id"], ["sessions.tenant", "sessions.map_id", "sessions.session_id"]
+    ),
+    Index(None, "tenant", "cloud_sha256"),
+    Index(None, "tenant", "signature_sha256"),
+    Index(None, "tenant", "neural_map_sha256"),
+    Index(None, "tenant", "mesh_sha256"),
+)
+
+loops = _numbered(
+    "loop_closures",
+    ("map_id", "loop_id"),
+    _text("map_id"),
+    _text("loop_id"),
+    Column("query_number", Integer, nullable=False),
+    Column("match_number", Integer, nullable=False),
+    _text("query_session_id"),
+    _text("query_submap_id"),
+    _text("match_session_id"),
+    _text("match_submap_id"),
+    _text("state", length=16),
+    _text("reason", nullable=True),
+    _real("similarity"),
+    _real("score"),
+    _tuple("T_match_query", nullable=True),
+    _json("evidence"),
+    _integer("created_at_ns"),
+    ForeignKeyConstraint(["tenant", "map_id"], ["maps.tenant", "maps.map_id"]),
+    ForeignKeyConstraint(["query_number"], ["submaps.number"]),
+    ForeignKeyConstraint(["match_number"], ["submaps.number"]),
+    Index(None, "tenant", "map_id", "state"),
+    Index(None, "query_number"),
+    Index(None, "match_number"),
+)
+
+jobs = _numbered(
+    "jobs",
+    ("operation_id",),
+    _text("operation_id"),
+    _text("kind", length=32),
+    _text("state", length=16),
+    _text("subject", length=256),
+    _json("payload"),
+    _integer("attempts"),
+    _integer("max_attempts"),
+    _integer("created_at_ns"),
+    _text("lease_owner", nullable=True),
+    _integer("lease_token"),
+    _text("lease_epoch"),
+    _integer("not_before_ms"),
+    _integer("lease_expires_ms"),
+    _json("result", nullable=True),
+    _text("failure_code", nullable=True),
+    Column("failure_message", Text, nullable=True),
+    _integer("finished_at_ns", nullable=True),
+    Index(None, "state"),
+    Index(None, "tenant", "state"),
+)
+
+index_changes = Table(
+    "index_changes",
+    metadata,
+    Column("seq", Integer, primary_key=True, autoincrement=True),
+    Column("tenant", String(64), nullable=False),
+    Column("map_number", Integer, nullable=False),
+    Column("submap_number", Integer, nullable=False),
+    Column("kind", String(16), nullable=False),
+    Index(None, "tenant", "map_number", "seq"),
+    sqlite_autoincrement=True,
+)
+
+workers = Table(
+    "workers",
+    metadata,
+    Column("worker_id", String(64), primary_key=True),
+    Column("model_version", String(128), nullable=False),
+    Column("epoch", String(64), nullable=False),
+    Column("seen_ms", BigInteger, nullable=False),
+)

@@ -1,0 +1,52 @@
+"""Which blobs rows refer to, and forgetting those that no row refers to any more."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from service.application.clouds import CLOUD_BLOB
+from service.application.identity import TenantId
+from service.application.meshes import MESH_BLOB
+from service.application.ports import BlobStore, UnitOfWork
+from service.application.records import SubmapRecord
+
+SIGNATURE_BLOB = "signature"
+NEURAL_MAP_BLOB = "neural-map"
+
+Blob = tuple[str, str]
+"""(kind, sha256)."""
+
+
+def blobs_of_submap(record: SubmapRecord) -> set[Blob]:
+    """The blobs that a submap's row names itself; the clouds of its scans belong to the scans."""
+    named = (
+        (CLOUD_BLOB, record.cloud_sha256),
+        (SIGNATURE_BLOB, record.signature_sha256),
+        (NEURAL_MAP_BLOB, record.neural_map_sha256),
+        (MESH_BLOB, record.mesh_sha256),
+    )
+    return {(kind, sha256) for kind, sha256 in named if sha256 is not None}
+
+
+def blobs_of_map(uow: UnitOfWork, tenant: TenantId, map_id: str) -> set[Blob]:
+    """The blobs of all submaps and scans of a map."""
+    scans = {(CLOUD_BLOB, scan.cloud_sha256) for scan in uow.scans.find(tenant, map_id=map_id)}
+    return scans.union(*(blobs_of_submap(submap) for submap in uow.submaps.find(tenant, map_id=map_id)))
+
+
+def collect_blobs(uow: UnitOfWork, blobs: BlobStore, tenant: TenantId, doomed: Iterable[Blob]) -> None:
+    """Delete those of `doomed` that no row refers to.
+
+    Runs inside a write transaction of its own, after the rows are gone for good: whoever is about to refer to such a
+    blob makes sure of it in a write transaction too, so either that sees it missing or this sees the reference.
+    """
+    for kind, sha256 in doomed:
+        if not _is_referenced(uow, tenant, kind, sha256):
+            blobs.delete(tenant, kind, sha256)
+
+
+def _is_referenced(uow: UnitOfWork, tenant: TenantId, kind: str, sha256: str) -> bool:
+    if kind == CLOUD_BLOB:
+        return bool(uow.submaps.count(tenant, cloud_sha256=sha256) or uow.scans.count(tenant, cloud_sha256=sha256))
+    column = {SIGNATURE_BLOB: "signature_sha256", NEURAL_MAP_BLOB: "neural_map_sha256", MESH_BLOB: "mesh_sha256"}[kind]
+    return uow.submaps.count(tenant, **{column: sha256}) > 0

@@ -1,0 +1,84 @@
+"""What every use case is given: the ports, the policy, and whether new work is still taken."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass, field, replace
+from typing import ParamSpec, TypeVar
+
+from core.config import PipelineConfig
+from service.application.errors import Draining, WorkersBusy
+from service.application.identity import TenantId
+from service.application.ports import BlobStore, Clock, Transactions, UnitOfWork, VectorIndex
+from service.application.records import MapRecord
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Policy:
+    """The rules of this installation: the method's parameters and the bounds of its queue."""
+
+    pipeline: PipelineConfig = field(default_factory=PipelineConfig)
+    max_queued_jobs: int = 1000
+    max_attempts: int = 3
+    lease_ms: int = 10_000
+
+    def for_map(self, record: MapRecord) -> PipelineConfig:
+        """The method's parameters with what the map overrides."""
+        submap, loop = self.pipeline.submap, self.pipeline.loop
+        return replace(
+            self.pipeline,
+            submap=replace(
+                submap,
+                tau=submap.tau if record.tau_m is None else record.tau_m,
+                stride=submap.stride if record.stride_m is None else record.stride_m,
+            ),
+            loop=replace(
+                loop,
+                min_index_gap=loop.min_index_gap if record.min_index_gap is None else record.min_index_gap,
+            ),
+        )
+
+
+@dataclass(frozen=True)
+class Context:
+    """Ports and policy, and the ways from the event loop into threads."""
+
+    transactions: Transactions
+    blobs: BlobStore
+    index: VectorIndex
+    clock: Clock
+    policy: Policy
+    stopping: threading.Event = field(default_factory=threading.Event)
+
+    async def write(self, work: Callable[[UnitOfWork], T]) -> T:
+        """Commit `work`; a caller that is cancelled does not undo it."""
+        return await _outcome(self.transactions.write(work))
+
+    async def read(self, work: Callable[[UnitOfWork], T]) -> T:
+        """Run `work` on a snapshot."""
+        return await _outcome(self.transactions.read(work))
+
+    async def compute(self, work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+        """Run `work`, which may take milliseconds of CPU or disk, beside the event loop."""
+        return await asyncio.to_thread(work, *args, **kwargs)
+
+    def admit(self) -> None:
+        """Raises Draining once the service is stopping."""
+        if self.stopping.is_set():
+            raise Draining
+
+    def require_queue_space(self, uow: UnitOfWork, tenant: TenantId) -> None:
+        """Raises WorkersBusy where the tenant has too many jobs waiting."""
+        waiting = uow.jobs.count(tenant, state="QUEUED")
+        if waiting >= self.policy.max_queued_jobs:
+            raise WorkersBusy(f"{waiting} jobs are waiting; try again later with the same id", retry_after_s=5.0)
+
+
+async def _outcome(future: Future[T]) -> T:
+    return await asyncio.shield(asyncio.wrap_future(future))

@@ -1,0 +1,94 @@
+"""A submap as a file."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from core.errors import UnsupportedEncoding
+from service.application.blob_references import NEURAL_MAP_BLOB
+from service.application.clouds import CLOUD_BLOB, StoredCloud, unpack_cloud
+from service.application.errors import NotFound, NotReady
+from service.application.meshes import MESH_BLOB, mesh_ply, unpack_mesh
+from service.application.ports import BlobStore
+from service.application.records import SubmapRecord
+from service.application.submap_source import SubmapSource, load_submap
+
+
+class DownloadKind(StrEnum):
+    """What of a submap can be downloaded."""
+
+    MESH = "mesh"
+    POINTS = "points"
+    NEURAL = "neural"
+    DESCRIPTOR = "descriptor"
+
+
+FORMATS = {
+    DownloadKind.MESH: ("ply",),
+    DownloadKind.POINTS: ("pcd", "ply"),
+    DownloadKind.NEURAL: ("rvn",),
+    DownloadKind.DESCRIPTOR: ("npy",),
+}
+"""The formats of each kind; the first is the default."""
+
+MEDIA_TYPES = {
+    "ply": "application/ply",
+    "pcd": "application/pcd",
+    "npy": "application/x-npy",
+    "rvn": "application/vnd.revisit.neural-map",
+}
+
+
+@dataclass(frozen=True)
+class Download:
+    """A file: its bytes, media type and a name to save it under."""
+
+    data: bytes
+    media_type: str
+    filename: str
+
+
+def render_download(
+    blobs: BlobStore, record: SubmapRecord, source: SubmapSource, kind: DownloadKind, file_format: str | None
+) -> Download:
+    """The file. Raises UnsupportedEncoding, NotReady, NotFound, DataLoss."""
+    extension = file_format or FORMATS[kind][0]
+    if extension not in FORMATS[kind]:
+        raise UnsupportedEncoding(f"{kind.value} can be had as {' or '.join(FORMATS[kind])}", field="format")
+    data = _rendered(blobs, record, source, kind, extension)
+    return Download(data, MEDIA_TYPES[extension], f"{record.session_id}-{record.submap_id}-{kind.value}.{extension}")
+
+
+def _rendered(
+    blobs: BlobStore, record: SubmapRecord, source: SubmapSource, kind: DownloadKind, extension: str
+) -> bytes:
+    if kind is DownloadKind.POINTS:
+        return _points_file(_points(blobs, record, source), extension)
+    if record.descriptor is None:
+        raise NotReady
+    if kind is DownloadKind.DESCRIPTOR:
+        buffer = io.BytesIO()
+        np.save(buffer, np.frombuffer(record.descriptor, dtype="<f4"), allow_pickle=False)
+        return buffer.getvalue()
+    if kind is DownloadKind.MESH:
+        return mesh_ply(unpack_mesh(blobs.get(record.tenant, MESH_BLOB, str(record.mesh_sha256))))
+    if record.neural_map_sha256 is None:
+        raise NotFound("this submap was described without a neural map")
+    return blobs.get(record.tenant, NEURAL_MAP_BLOB, record.neural_map_sha256)
+
+
+def _points(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) -> StoredCloud:
+    if source.posted:
+        return unpack_cloud(blobs.get(record.tenant, CLOUD_BLOB, source.clouds[0].cloud_sha256))
+    return StoredCloud(load_submap(blobs, record, source).points, None)
+
+
+def _points_file(cloud: StoredCloud, extension: str) -> bytes:
+    from core.formats import encode_pcd, encode_ply
+
+    encode = encode_pcd if extension == "pcd" else encode_ply
+    return encode(cloud.points, cloud.intensity)

@@ -1,0 +1,356 @@
+"""Recognition: what a worker does with a job. Describe a submap and close its loops; search by cloud; localise.
+
+A described submap, its loop closures, its place in the index and the end of its job are one transaction, which also
+checks the fencing token and that no submap entered the index since the search: so a loop between two submaps that two
+workers describe at the same time is found by the one that commits second.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import structlog
+
+from core.config import PipelineConfig
+from core.errors import DataLoss, DescriptorModelMismatch, ErrorCode, RevisitError
+from core.scan import Scan
+from core.submap import Submap
+from service.application.blob_references import NEURAL_MAP_BLOB, SIGNATURE_BLOB
+from service.application.clouds import QUERY_CLOUD_BLOB, QUERY_NONCE_BYTES, unpack_cloud
+from service.application.context import Context
+from service.application.errors import StaleLease, Unavailable
+from service.application.identity import SubmapKey
+from service.application.loops import LoopState
+from service.application.maps import require_map
+from service.application.meshes import MESH_BLOB, pack_mesh
+from service.application.operations import OperationKind
+from service.application.place_memory import PlaceMemory, RecalledPlace, vector_filter
+from service.application.ports import (
+    IndexChange,
+    Lease,
+    LoopVerdict,
+    PlaceRecogniser,
+    SubmapDescription,
+    UnitOfWork,
+    VectorFilter,
+)
+from service.application.poses import pose_matrix, pose_row
+from service.application.records import JobRecord, LoopRecord, MapRecord, SubmapRecord
+from service.application.search_answers import (
+    Localization,
+    LocalizedCandidate,
+    criteria_from_json,
+    localization_to_json,
+    search_result_to_json,
+)
+from service.application.submap_source import SubmapSource, load_submap, submap_source
+from service.application.submaps import SubmapState, submap_key
+
+log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True)
+class _Task:
+    """A submap to describe, as the database holds it."""
+
+    submap: SubmapRecord
+    source: SubmapSource
+    map: MapRecord
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """A recalled place and what geometry says about it."""
+
+    place: RecalledPlace
+    verdict: LoopVerdict
+
+
+@dataclass(frozen=True)
+class _Described:
+    """A description whose blobs are durable, and the row that names them."""
+
+    row: SubmapRecord
+    description: SubmapDescription
+    blobs: tuple[tuple[str, bytes], ...]
+
+
+class Recognition:
+    """Runs leased jobs in a worker process; all calls block."""
+
+    def __init__(self, context: Context, recogniser: PlaceRecogniser) -> None:
+        """`recogniser` is the method; `context.index` is this worker's own cache."""
+        self._context = context
+        self._recogniser = recogniser
+        self._memory = PlaceMemory(context.transactions, context.index)
+
+    def run(self, lease: Lease) -> None:
+        """Run a job and commit its end, good or bad. Raises only what storage raises while the end is committed."""
+        kinds = {
+            OperationKind.DESCRIBE_SUBMAP: self._describe_submap,
+            OperationKind.SEARCH_CLOUD: self._search_cloud,
+            OperationKind.LOCALIZE: self._localize,
+        }
+        try:
+            kinds[OperationKind(lease.job.kind)](lease)
+        except StaleLease:
+            log.warning("result_refused", operation=lease.job.operation_id, token=lease.job.lease_token)
+        except RevisitError as error:
+            self._fail(lease, error.code, error.message, retry=isinstance(error, Unavailable))
+        except Exception as error:  # whatever the method raises must not end the worker
+            log.exception("job_crashed", operation=lease.job.operation_id)
+            self._fail(lease, ErrorCode.INTERNAL, f"{type(error).__name__}: {error}"[:500], retry=True)
+
+    def _fail(self, lease: Lease, code: ErrorCode, message: str, *, retry: bool) -> None:
+        clock = self._context.clock
+
+        def end(uow: UnitOfWork) -> None:
+            if uow.queue.fail(lease, code, message, clock.instant(), clock.wall_ns(), retry=retry):
+                mark_subject_failed(uow, lease.job, code, message)
+
+        log.warning("job_failed", operation=lease.job.operation_id, code=code, reason=message, retry=retry)
+        try:
+            self._context.transactions.write(end).result()
+        except StaleLease:
+            log.warning("failure_refused", operation=lease.job.operation_id, token=lease.job.lease_token)
+
+    def _complete(self, lease: Lease, result: dict[str, Any]) -> None:
+        finished_at_ns = self._context.clock.wall_ns()
+        self._context.transactions.write(lambda uow: uow.queue.complete(lease, result, finished_at_ns)).result()
+
+    # -- describing a submap
+
+    def _describe_submap(self, lease: Lease) -> None:
+        task = self._context.transactions.read(lambda uow: self._task(uow, lease.job)).result()
+        if task is None:
+            self._complete(lease, {"outcome": "the submap was deleted"})
+            return
+        self._require_same_model(task.map)
+        config = self._context.policy.for_map(task.map)
+        submap = load_submap(self._context.blobs, task.submap, task.source)
+        described = self._store(task.submap, self._recogniser.describe(submap, config))
+        self._close_loops(lease, task, described, config)
+
+    def _task(self, uow: UnitOfWork, job: JobRecord) -> _Task | None:
+        key = SubmapKey(**job.payload)
+        submap = uow.submaps.get(job.tenant, key.map_id, key.session_id, key.submap_id)
+        if submap is None or submap.operation_id != job.operation_id:
+            return None
+        return _Task(submap, submap_source(uow, self._context, submap), require_map(uow, job.tenant, key.map_id))
+
+    def _store(self, submap: SubmapRecord, description: SubmapDescription) -> _Described:
+        """Make the blobs of a description durable before any row names them."""
+        blobs = [(SIGNATURE_BLOB, description.signature), (MESH_BLOB, pack_mesh(description.mesh))]
+        if description.neural_map is not None:
+            blobs.append((NEURAL_MAP_BLOB, description.neural_map))
+        sha256 = {kind: self._context.blobs.put(submap.tenant, kind, data) for kind, data in blobs}
+        row = replace(
+            submap,
+            state=SubmapState.DESCRIBED.value,
+            flags=tuple(dict.fromkeys((*submap.flags, *description.flags))),
+            model_version=self._recogniser.model_version,
+            descriptor=np.asarray(description.descriptor, dtype="<f4").tobytes(),
+            signature_sha256=sha256[SIGNATURE_BLOB],
+            mesh_sha256=sha256[MESH_BLOB],
+            neural_map_sha256=sha256.get(NEURAL_MAP_BLOB),
+            neural_map_bytes=None if description.neural_map is None else len(description.neural_map),
+        )
+        return _Described(row, description, tuple(blobs))
+
+    def _close_loops(self, lease: Lease, task: _Task, described: _Described, config: PipelineConfig) -> None:
+        """Search, verify and commit; again where the map has grown meanwhile, verifying only what is new.
+
+        Every repetition means that another worker has committed, so together the workers always get on.
+        """
+        where = _loop_filter(task.submap, config)
+        judged: dict[int, _Judged] = {}
+        while True:
+            recall = self._memory.recall(task.map, described.description.descriptor, config.loop.candidates, where)
+            for place in recall.places:
+                if place.submap.number not in judged:
+                    judged[place.submap.number] = self._judge(described.description.signature, place, config)
+            kept = [judged[place.submap.number] for place in recall.places]
+            work = _Commit(self._context, self._recogniser.model_version, lease, task, described, kept, where, recall.seq)
+            if self._context.transactions.write(work).result():
+                return
+
+    def _judge(self, signature: bytes, place: RecalledPlace, config: PipelineConfig) -> _Judged:
+        submap = place.submap
+        try:
+            blob = self._context.blobs.get(submap.tenant, SIGNATURE_BLOB, str(submap.signature_sha256))
+            verdict = self._recogniser.verify(signature, blob, place.similarity, config)
+        except DataLoss as error:
+            log.error("signature_lost", submap=submap_key(submap).name, reason=error.message)
+            verdict = LoopVerdict(False, "SIGNATURE_LOST", 0.0, None, {"message": error.message})
+        return _Judged(place, verdict)
+
+    def _require_same_model(self, record: MapRecord) -> None:
+        if record.model_version not in (None, self._recogniser.model_version):
+            raise DescriptorModelMismatch(
+                f"map {record.map_id} was described by model {record.model_version}, this worker has "
+                f"{self._recogniser.model_version}"
+            )
+
+    # -- searching by cloud
+
+    def _search_cloud(self, lease: Lease) -> None:
+        map_record, where = self._query(lease)
+        description = self._describe_query(lease, map_record)
+        criteria = criteria_from_json(lease.job.payload["criteria"])
+        result = self._memory.search(map_record, description.descriptor, criteria, where)
+        self._complete(lease, search_result_to_json(result))
+
+    def _localize(self, lease: Lease) -> None:
+        map_record, where = self._query(lease)
+        description = self._describe_query(lease, map_record)
+        config = self._context.policy.for_map(map_record)
+        k = criteria_from_json(lease.job.payload["criteria"]).k
+        recall = self._memory.recall(map_record, description.descriptor, k, where)
+        judged = [self._judge(description.signature, place, config) for place in recall.places]
+        self._complete(lease, localization_to_json(_localization(judged)))
+
+    def _query(self, lease: Lease) -> tuple[MapRecord, VectorFilter]:
+        tenant, map_id = lease.job.tenant, str(lease.job.payload["map_id"])
+        criteria = criteria_from_json(lease.job.payload["criteria"])
+
+        def load(uow: UnitOfWork) -> tuple[MapRecord, VectorFilter]:
+            return require_map(uow, tenant, map_id), vector_filter(uow, tenant, map_id, criteria, None)
+
+        return self._context.transactions.read(load).result()
+
+    def _describe_query(self, lease: Lease, map_record: MapRecord) -> SubmapDescription:
+        self._require_same_model(map_record)
+        sha256 = str(lease.job.payload["cloud_sha256"])
+        blob = self._context.blobs.get(lease.job.tenant, QUERY_CLOUD_BLOB, sha256)
+        cloud = unpack_cloud(blob[QUERY_NONCE_BYTES:])
+        submap = Submap.from_cloud(Scan.validated(cloud.points, np.eye(4), 0))
+        return self._recogniser.describe(submap, self._context.policy.for_map(map_record))
+
+
+@dataclass(frozen=True)
+class _Commit:
+    """The one transaction that ends a description."""
+
+    context: Context
+    model_version: str
+    lease: Lease
+    task: _Task
+    described: _Described
+    judged: list[_Judged]
+    where: VectorFilter
+    seq: int
+
+    def __call__(self, uow: UnitOfWork) -> bool:
+        """Commit, or change nothing and return False where a possible match came in since change `seq`.
+
+        Raises StaleLease where another worker holds the job.
+        """
+        tenant, map_record = self.task.map.tenant, self.task.map
+        newer = uow.changes.since(tenant, map_record.number, self.seq)
+        if any(_may_match(change, self.where) for change in newer):
+            return False
+        if not uow.submaps.count(tenant, number=self.task.submap.number):
+            self._end(uow, {"outcome": "the submap was deleted"})
+            return True
+        self._store_submap(uow)
+        present = [item for item in self.judged if uow.submaps.count(tenant, number=item.place.submap.number)]
+        for item in present:
+            uow.loops.add(self._loop(item))
+        accepted = sum(item.verdict.accepted for item in present)
+        timings = {stage: round(seconds, 4) for stage, seconds in self.described.description.timings_s.items()}
+        result = {"submap": submap_key(self.task.submap).name, "loops_accepted": accepted}
+        self._end(uow, {**result, "loops_rejected": len(present) - accepted, "timings_s": timings})
+        return True
+
+    def _store_submap(self, uow: UnitOfWork) -> None:
+        row, blobs = self.described.row, self.context.blobs
+        for kind, data in self.described.blobs:
+            # A delete may have collected the same content meanwhile (see blob_references.collect_blobs).
+            if not blobs.exists(row.tenant, kind, hashlib.sha256(data).hexdigest()):
+                blobs.put(row.tenant, kind, data)
+        uow.submaps.replace(row)
+        uow.changes.record_described(row.tenant, self.task.map.number, row.number)
+        current = require_map(uow, row.tenant, row.map_id)
+        if current.model_version is None:
+            uow.maps.replace(replace(current, model_version=self.model_version))
+        elif current.model_version != self.model_version:
+            raise DescriptorModelMismatch(f"map {row.map_id} was described by model {current.model_version}")
+
+    def _end(self, uow: UnitOfWork, result: dict[str, Any]) -> None:
+        uow.queue.complete(self.lease, result, self.context.clock.wall_ns())
+
+    def _loop(self, item: _Judged) -> LoopRecord:
+        query, match, verdict = self.task.submap, item.place.submap, item.verdict
+        return LoopRecord(
+            tenant=query.tenant,
+            map_id=query.map_id,
+            loop_id=f"loop-{query.number}-{match.number}",
+            query_number=query.number,
+            match_number=match.number,
+            query_session_id=query.session_id,
+            query_submap_id=query.submap_id,
+            match_session_id=match.session_id,
+            match_submap_id=match.submap_id,
+            state=(LoopState.ACCEPTED if verdict.accepted else LoopState.REJECTED).value,
+            reason=verdict.reason,
+            similarity=item.place.similarity,
+            score=verdict.score,
+            T_match_query=None if verdict.T_match_query is None else pose_row(verdict.T_match_query),
+            evidence={**verdict.evidence, "model_version": self.model_version},
+            created_at_ns=self.context.clock.wall_ns(),
+        )
+
+
+def mark_subject_failed(uow: UnitOfWork, job: JobRecord, code: str, message: str) -> None:
+    """Say on the submap itself that its description has failed for good."""
+    if job.kind != OperationKind.DESCRIBE_SUBMAP:
+        return
+    key = SubmapKey(**job.payload)
+    submap = uow.submaps.get(job.tenant, key.map_id, key.session_id, key.submap_id)
+    if submap is not None and submap.operation_id == job.operation_id:
+        failed = SubmapState.FAILED.value
+        uow.submaps.replace(replace(submap, state=failed, failure_code=code, failure_message=message))
+
+
+def _loop_filter(submap: SubmapRecord, config: PipelineConfig) -> VectorFilter:
+    """Any submap of the map but itself and its neighbours in its own session (paper IV-B)."""
+    return VectorFilter(
+        exclude_submap=submap.number,
+        near_session=submap.session_number,
+        near_ordinal=submap.ordinal,
+        min_gap=config.loop.min_index_gap,
+    )
+
+
+def _may_match(change: IndexChange, where: VectorFilter) -> bool:
+    """Whether a change brought in a submap that the loop filter lets through."""
+    if change.vector is None or change.submap_number == where.exclude_submap:
+        return False
+    near = abs(change.ordinal - where.near_ordinal) < where.min_gap
+    return not (change.session_number == where.near_session and near)
+
+
+def _localization(judged: list[_Judged]) -> Localization:
+    candidates = [
+        LocalizedCandidate(
+            submap=submap_key(item.place.submap),
+            accepted=item.verdict.accepted,
+            reason=item.verdict.reason,
+            similarity=item.place.similarity,
+            score=item.verdict.score,
+            T_match_query=item.verdict.T_match_query,
+            evidence=item.verdict.evidence,
+        )
+        for item in judged
+    ]
+    accepted = [index for index, candidate in enumerate(candidates) if candidate.accepted]
+    if not accepted:
+        return Localization(None, None, tuple(candidates))
+    best = max(accepted, key=lambda index: (candidates[index].score, -index))
+    T_match_query = candidates[best].T_match_query
+    T_map_match = pose_matrix(judged[best].place.submap.T_odom_submap)
+    T_map_query = None if T_match_query is None else T_map_match @ T_match_query
+    return Localization(candidates[best], T_map_query, tuple(candidates))

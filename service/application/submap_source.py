@@ -1,0 +1,68 @@
+"""What a submap is made of: one posted cloud, or the scans of a window; and putting it together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from core.config import SubmapConfig
+from core.scan import CloudReport, Scan
+from core.submap import Submap
+from service.application.clouds import CLOUD_BLOB, unpack_cloud
+from service.application.context import Context
+from service.application.maps import require_map
+from service.application.ports import BlobStore, UnitOfWork
+from service.application.poses import pose_matrix
+from service.application.records import Pose, ScanRecord, SubmapRecord
+
+MAX_SCANS = 400
+"""A window of a robot that stood still can hold any number of scans: at most this many, evenly spread, are used."""
+
+
+@dataclass(frozen=True)
+class PosedCloud:
+    """A stored cloud and where it was taken from."""
+
+    cloud_sha256: str
+    T_odom_sensor: Pose
+    stamp_ns: int
+
+
+@dataclass(frozen=True)
+class SubmapSource:
+    """The clouds of a submap in time order; `posted`: one cloud that was accumulated elsewhere."""
+
+    clouds: tuple[PosedCloud, ...]
+    posted: bool
+    config: SubmapConfig
+
+
+def submap_source(uow: UnitOfWork, context: Context, record: SubmapRecord) -> SubmapSource:
+    """The source of a stored submap."""
+    config = context.policy.for_map(require_map(uow, record.tenant, record.map_id)).submap
+    if record.first_seq is None or record.last_seq is None:
+        posted = PosedCloud(str(record.cloud_sha256), record.T_odom_submap, record.stamp_ns)
+        return SubmapSource((posted,), posted=True, config=config)
+    scans = uow.scans.between(record.tenant, record.map_id, record.session_id, record.first_seq, record.last_seq)
+    clouds = (PosedCloud(scan.cloud_sha256, scan.T_odom_sensor, scan.stamp_ns) for scan in thinned(scans))
+    return SubmapSource(tuple(clouds), posted=False, config=config)
+
+
+def thinned(scans: list[ScanRecord]) -> list[ScanRecord]:
+    """At most MAX_SCANS of `scans`, evenly spread, first and last among them."""
+    if len(scans) <= MAX_SCANS:
+        return scans
+    return [scans[round(index * (len(scans) - 1) / (MAX_SCANS - 1))] for index in range(MAX_SCANS)]
+
+
+def load_submap(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) -> Submap:
+    """The submap with its points. Raises DataLoss."""
+    scans = [
+        Scan(
+            unpack_cloud(blobs.get(record.tenant, CLOUD_BLOB, cloud.cloud_sha256)).points,
+            pose_matrix(cloud.T_odom_sensor),
+            cloud.stamp_ns,
+            CloudReport(0, "degenerate_plane" in record.flags),
+        )
+        for cloud in source.clouds
+    ]
+    return Submap.from_cloud(scans[0]) if source.posted else Submap.from_scans(scans, source.config)

@@ -1,0 +1,56 @@
+"""From a window of stored scans to a submap's row."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from service.application.context import Context
+from service.application.identity import RESERVED_SUBMAP_PREFIX, content_hash
+from service.application.ports import UnitOfWork
+from service.application.poses import pose_matrix, position_row
+from service.application.records import ScanRecord, SessionRecord, SubmapRecord
+from service.application.scan_windows import ScanRange, Window
+from service.application.submap_source import thinned
+from service.application.submaps import PostedSubmap, SubmapState, add_submap, posted_submap
+
+
+def window_of(session: SessionRecord) -> Window:
+    """The window that a session's row holds."""
+    return Window(session.window_first_seq, session.window_start_m, session.travelled_m, session.emitted_to_m)
+
+
+def add_window_submap(
+    uow: UnitOfWork, context: Context, session: SessionRecord, scans: ScanRange
+) -> tuple[PostedSubmap, SessionRecord]:
+    """Add the submap of the stored `scans` and its job, in the caller's transaction. Raises WorkersBusy."""
+    stored = uow.scans.between(session.tenant, session.map_id, session.session_id, scans.first, scans.last)
+    row = _row(context, session, thinned(stored), scans)
+    added, counted = add_submap(uow, context, session, row)
+    return posted_submap(uow, added, replay=False, report=None), counted
+
+
+def _row(context: Context, session: SessionRecord, stored: list[ScanRecord], scans: ScanRange) -> SubmapRecord:
+    """As `core.submap.Submap.from_scans`: the frame of the middle scan, the mean of the positions."""
+    middle = stored[len(stored) // 2]
+    positions = np.array([pose_matrix(scan.T_odom_sensor)[:3, 3] for scan in stored])
+    return SubmapRecord(
+        tenant=session.tenant,
+        map_id=session.map_id,
+        session_id=session.session_id,
+        submap_id=f"{RESERVED_SUBMAP_PREFIX}{scans.first}-{scans.last}",
+        content_hash=content_hash([scans.first, scans.last]),
+        state=SubmapState.QUEUED.value,
+        ordinal=0,
+        session_number=0,
+        T_odom_submap=middle.T_odom_sensor,
+        position_m=position_row(positions.mean(axis=0)),
+        stamp_ns=middle.stamp_ns,
+        cloud_sha256=None,
+        first_seq=scans.first,
+        last_seq=scans.last,
+        scan_count=len(stored),
+        point_count=sum(scan.point_count for scan in stored),
+        operation_id="",
+        flags=(),
+        created_at_ns=context.clock.wall_ns(),
+    )
