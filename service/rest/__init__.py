@@ -1,0 +1,1 @@
+"""HTTP: parse, call a use case, render. `service.rest.app.create_app` is the way in."""

@@ -1,0 +1,57 @@
+"""The HTTP application."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import FastAPI
+
+from service.application import UseCases
+from service.rest.errors import PROBLEM_JSON, install_error_handlers
+from service.rest.limits import HttpLimits
+from service.rest.middleware import BodyLimit, RequestEnvelope
+from service.rest.routes import loops, maps, operations, robots, searches, sessions, submaps, system
+from service.rest.schemas import Problem
+
+API_VERSION = "1"
+
+_PROBLEMS: dict[int | str, dict[str, Any]] = {
+    status: {"description": text, "content": {PROBLEM_JSON: {"schema": {"$ref": "#/components/schemas/Problem"}}}}
+    for status, text in {
+        "4XX": "The request cannot be served as it is; nothing was stored",
+        "5XX": "The service failed; where retryable, repeat the request with the same ids",
+    }.items()
+}
+
+
+def create_app(use_cases: UseCases, limits: HttpLimits = HttpLimits()) -> FastAPI:
+    """The ASGI application over `use_cases`."""
+    app = FastAPI(
+        title="Revisit",
+        version=API_VERSION,
+        summary="Loop closure as a service for robot fleets",
+        docs_url=None,
+        redoc_url=None,
+        responses=_PROBLEMS,
+    )
+    app.state.use_cases = use_cases
+    app.state.limits = limits
+    for module in (maps, robots, searches, submaps, sessions, loops, operations, system):
+        app.include_router(module.router)
+    install_error_handlers(app)
+    app.add_middleware(BodyLimit, limit_bytes=limits.body_bytes)
+    app.add_middleware(RequestEnvelope)
+    _describe_problems(app)
+    return app
+
+
+def _describe_problems(app: FastAPI) -> None:
+    """Add `Problem` to the OpenAPI document and drop FastAPI's own 422, which this service never sends."""
+    document = app.openapi()
+    schemas = document["components"]["schemas"]
+    schemas["Problem"] = Problem.model_json_schema()
+    schemas.pop("HTTPValidationError", None)
+    schemas.pop("ValidationError", None)
+    for path in document["paths"].values():
+        for operation in path.values():
+            operation["responses"].pop("422", None)

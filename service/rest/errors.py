@@ -1,0 +1,104 @@
+"""Errors as RFC 9457 problem+json, all from `service.status.STATUS`."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import structlog
+from fastapi import FastAPI
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import Response
+
+from core.errors import BadField, ErrorCode, RevisitError
+from service.status import STATUS, retry_after_s
+
+PROBLEM_JSON = "application/problem+json"
+MAX_DETAIL_CHARACTERS = 800
+MAX_LISTED_ERRORS = 20
+
+_log = structlog.get_logger(__name__)
+
+
+class UnknownPath(RevisitError):
+    """There is nothing at this path."""
+
+    code = ErrorCode.NOT_FOUND
+
+
+class MethodNotAllowed(RevisitError):
+    """This path does not take this method."""
+
+    code = ErrorCode.METHOD_NOT_ALLOWED
+
+
+def problem(error: RevisitError, request_id: str, headers: dict[str, str] | None = None) -> Response:
+    """The problem+json answer to an error, at most 4 KB."""
+    status = STATUS[error.code]
+    body = {
+        "type": f"urn:revisit:error:{error.code.value.lower()}",
+        "title": error.code.value.replace("_", " ").capitalize(),
+        "status": status.http,
+        "detail": _printable(error.message)[:MAX_DETAIL_CHARACTERS],
+        "code": status.grpc,
+        "reason": error.code.value,
+        "retryable": status.retryable,
+        "request_id": request_id,
+    }
+    if error.field is not None:
+        body["field"] = _printable(error.field)[:100]
+    expected = getattr(error, "expected", None)
+    if isinstance(expected, int):
+        body["expected_seq"] = expected
+    delay_s = retry_after_s(error, status)
+    extra = {} if delay_s is None else {"retry-after": str(max(1, math.ceil(delay_s)))}
+    return Response(json.dumps(body), status.http, {**(headers or {}), **extra}, PROBLEM_JSON)
+
+
+def install_error_handlers(app: FastAPI) -> None:
+    """Answer every error as a problem, without echoing input."""
+    app.add_exception_handler(RevisitError, _on_revisit_error)
+    app.add_exception_handler(RequestValidationError, _on_invalid_parameters)
+    app.add_exception_handler(HTTPException, _on_http_exception)
+
+
+def bad_field(errors: Sequence[Any]) -> BadField:
+    """pydantic's findings as one error that names the first field and quotes no input."""
+    findings = [f"{_location(e['loc'])}: {e['msg']}" for e in errors[:MAX_LISTED_ERRORS]]
+    return BadField("; ".join(findings), field=_location(errors[0]["loc"]) if errors else None)
+
+
+def unexpected(error: Exception, request_id: str) -> Response:
+    """The answer to a defect: logged in full, told in brief."""
+    _log.exception("request failed unexpectedly", request_id=request_id, exc_info=error)
+    return problem(RevisitError("an internal error occurred; the request id leads to its log entry"), request_id)
+
+
+async def _on_revisit_error(request: Request, error: Exception) -> Response:
+    assert isinstance(error, RevisitError)
+    return problem(error, request.state.request_id)
+
+
+async def _on_invalid_parameters(request: Request, error: Exception) -> Response:
+    assert isinstance(error, RequestValidationError)
+    return problem(bad_field(error.errors()), request.state.request_id)
+
+
+async def _on_http_exception(request: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)
+    known: dict[int, RevisitError] = {404: UnknownPath(), 405: MethodNotAllowed()}
+    headers = dict(error.headers or {})
+    return problem(known.get(error.status_code, BadField(str(error.detail))), request.state.request_id, headers)
+
+
+def _location(loc: Sequence[Any]) -> str:
+    return ".".join(str(part) for part in loc if part not in ("query", "header", "path", "body"))
+
+
+def _printable(text: str) -> str:
+    """ASCII without control characters, so that no client's bytes reach a log or a terminal as they are."""
+    return "".join(c if " " <= c <= "~" else "?" for c in text)

@@ -1,0 +1,133 @@
+"""What routes ask for by type: the use cases, the tenant, pages, poses, keys, search criteria."""
+
+from __future__ import annotations
+
+from typing import Annotated, TypeAlias
+
+from fastapi import Depends, Header, Path, Query
+from starlette.requests import Request
+from starlette.responses import Response
+
+from core import se3
+from core.errors import BadField
+from core.se3 import Matrix4
+from service.application import DEFAULT_TENANT, SessionKey, SubmapKey, TenantId, UseCases
+from service.application.clouds import EncodedCloud
+from service.application.paging import PageRequest
+from service.application.searches import SearchCriteria
+from service.rest.bodies import cloud_body, parse_numbers
+from service.rest.schemas import SearchRequest
+
+POSE_HELP = "x,y,z,qx,qy,qz,qw: translation in metres and unit quaternion."
+
+
+def _use_cases(request: Request) -> UseCases:
+    use_cases: UseCases = request.app.state.use_cases
+    return use_cases
+
+
+def _tenant() -> TenantId:
+    # Tenants come from credentials, which a later issue adds; until then there is one.
+    return DEFAULT_TENANT
+
+
+def _page(
+    page_size: Annotated[int, Query(ge=1, le=500)] = 50, page_token: Annotated[str, Query(max_length=200)] = ""
+) -> PageRequest:
+    return PageRequest(page_size, page_token)
+
+
+Id: TypeAlias = Annotated[str, Path(max_length=200)]
+Cases: TypeAlias = Annotated[UseCases, Depends(_use_cases)]
+Tenant: TypeAlias = Annotated[TenantId, Depends(_tenant)]
+Paging: TypeAlias = Annotated[PageRequest, Depends(_page)]
+Cloud: TypeAlias = Annotated[EncodedCloud, Depends(cloud_body)]
+
+
+def _session_key(map_id: Id, session_id: Id) -> SessionKey:
+    return SessionKey(map_id, session_id)
+
+
+def _submap_key(map_id: Id, session_id: Id, submap_id: Id) -> SubmapKey:
+    return SubmapKey(map_id, session_id, submap_id)
+
+
+SessionOf: TypeAlias = Annotated[SessionKey, Depends(_session_key)]
+SubmapOf: TypeAlias = Annotated[SubmapKey, Depends(_submap_key)]
+StampNs: TypeAlias = Annotated[int, Query(ge=0, lt=2**63)]
+
+
+def pose(text: str, field: str) -> Matrix4:
+    """The (4, 4) transform of `x,y,z,qx,qy,qz,qw`. Raises BadField or BadTransform."""
+    numbers = parse_numbers(text, 7, field)
+    return se3.from_quaternion(numbers[3:], numbers[:3])
+
+
+def _pose_of_submap(
+    T_odom_submap: Annotated[str | None, Query(description=POSE_HELP, max_length=400)] = None,
+    header: Annotated[str | None, Header(alias="T-Odom-Submap", description=POSE_HELP)] = None,
+) -> Matrix4:
+    return pose(_given(T_odom_submap, header, "T_odom_submap"), "T_odom_submap")
+
+
+def _pose_of_sensor(
+    T_odom_sensor: Annotated[str | None, Query(description=POSE_HELP, max_length=400)] = None,
+    header: Annotated[str | None, Header(alias="T-Odom-Sensor", description=POSE_HELP)] = None,
+) -> Matrix4:
+    return pose(_given(T_odom_sensor, header, "T_odom_sensor"), "T_odom_sensor")
+
+
+def _given(query: str | None, header: str | None, field: str) -> str:
+    if (query is None) == (header is None):
+        raise BadField(f"give {field} once, as query parameter or as header", field=field)
+    return query or header or ""
+
+
+PoseOfSubmap: TypeAlias = Annotated[Matrix4, Depends(_pose_of_submap)]
+PoseOfSensor: TypeAlias = Annotated[Matrix4, Depends(_pose_of_sensor)]
+
+
+def prior_position(
+    prior_position_m: Annotated[str | None, Query(description="x,y,z in metres", max_length=200)] = None,
+) -> tuple[float, float, float] | None:
+    """The prior of a search by cloud. Raises BadField."""
+    if prior_position_m is None:
+        return None
+    x, y, z = parse_numbers(prior_position_m, 3, "prior_position_m")
+    return (x, y, z)
+
+
+Prior: TypeAlias = Annotated[tuple[float, float, float] | None, Depends(prior_position)]
+RadiusM: TypeAlias = Annotated[float | None, Query(gt=0, le=1e6, allow_inf_nan=False)]
+
+
+def criteria_of_query(
+    prior: Prior,
+    k: Annotated[int, Query(ge=1, le=100)] = 20,
+    min_similarity: Annotated[float | None, Query(ge=-1, le=1, allow_inf_nan=False)] = None,
+    exclude_session: Annotated[str | None, Query(max_length=64)] = None,
+    only_session: Annotated[str | None, Query(max_length=64)] = None,
+    radius_m: RadiusM = None,
+) -> SearchCriteria:
+    """The criteria of a search by cloud, from the query string."""
+    return SearchCriteria(k, min_similarity, exclude_session, only_session, None, prior, radius_m)
+
+
+def criteria_of_body(body: SearchRequest) -> SearchCriteria:
+    """The criteria of a search by submap or descriptor, from the JSON body."""
+    position = body.prior_position_m
+    return SearchCriteria(
+        k=body.k,
+        min_similarity=body.min_similarity,
+        exclude_session=body.exclude_session,
+        only_session=body.only_session,
+        min_index_gap=body.min_index_gap,
+        prior_position_m=None if position is None else (position[0], position[1], position[2]),
+        radius_m=body.radius_m,
+    )
+
+
+def mark_replay(response: Response, replay: bool) -> None:
+    """An identical create answers as the first did, with `Idempotent-Replay: true`."""
+    if replay:
+        response.headers["idempotent-replay"] = "true"

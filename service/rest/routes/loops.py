@@ -1,0 +1,35 @@
+"""`/v1/maps/{map}/loopClosures`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Query
+
+from service.application.loops import LoopState
+from service.rest.parameters import Cases, Id, Paging, Tenant
+from service.rest.schemas import LoopClosure, LoopClosurePage
+
+router = APIRouter(prefix="/v1/maps/{map_id}/loopClosures", tags=["loop closures"])
+
+
+@router.get("")
+async def list_loop_closures(
+    map_id: Id,
+    cases: Cases,
+    tenant: Tenant,
+    paging: Paging,
+    state: LoopState | None = None,
+    session_id: Annotated[str | None, Query(max_length=64)] = None,
+) -> LoopClosurePage:
+    """List the loop closures of a map with their evidence, oldest first."""
+    page = await cases.loops.list(tenant, map_id, paging, state, session_id)
+    return LoopClosurePage(
+        loop_closures=[LoopClosure.of(view) for view in page.items], next_page_token=page.next_token
+    )
+
+
+@router.get("/{loop_id}")
+async def get_loop_closure(map_id: Id, loop_id: Id, cases: Cases, tenant: Tenant) -> LoopClosure:
+    """Get a loop closure with its evidence."""
+    return LoopClosure.of(await cases.loops.get(tenant, map_id, loop_id))

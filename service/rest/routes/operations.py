@@ -1,0 +1,39 @@
+"""`/v1/operations`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Query
+
+from service.application.operations import OperationState
+from service.rest.parameters import Cases, Id, Paging, Tenant
+from service.rest.schemas import Operation, OperationPage
+
+router = APIRouter(prefix="/v1/operations", tags=["operations"])
+
+
+@router.get("")
+async def list_operations(
+    cases: Cases, tenant: Tenant, paging: Paging, state: OperationState | None = None
+) -> OperationPage:
+    """List the operations, oldest first."""
+    page = await cases.operations.list(tenant, paging, state)
+    return OperationPage(operations=[Operation.of(view) for view in page.items], next_page_token=page.next_token)
+
+
+@router.get("/{operation_id}:wait")
+async def wait_operation(
+    operation_id: Id,
+    cases: Cases,
+    tenant: Tenant,
+    timeout_s: Annotated[float, Query(ge=0, le=60, allow_inf_nan=False)] = 30.0,
+) -> Operation:
+    """The operation once it has ended, or as it stands after the timeout."""
+    return Operation.of(await cases.operations.wait(tenant, operation_id, timeout_s))
+
+
+@router.get("/{operation_id}")
+async def get_operation(operation_id: Id, cases: Cases, tenant: Tenant) -> Operation:
+    """Get an operation."""
+    return Operation.of(await cases.operations.get(tenant, operation_id))

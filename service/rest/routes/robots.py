@@ -1,0 +1,39 @@
+"""`/v1/robots`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Response
+
+from service.rest.bodies import describe_json, json_body
+from service.rest.parameters import Cases, Id, Paging, Tenant, mark_replay
+from service.rest.schemas import CreateRobotRequest, Robot, RobotPage
+
+router = APIRouter(prefix="/v1/robots", tags=["robots"])
+
+
+@router.post("", status_code=201, openapi_extra=describe_json(CreateRobotRequest))
+async def create_robot(
+    body: Annotated[CreateRobotRequest, json_body(CreateRobotRequest)],
+    cases: Cases,
+    tenant: Tenant,
+    response: Response,
+) -> Robot:
+    """Create a robot; idempotent like a map."""
+    created = await cases.robots.create(tenant, body.command())
+    mark_replay(response, created.replay)
+    return Robot.of(created.robot)
+
+
+@router.get("")
+async def list_robots(cases: Cases, tenant: Tenant, paging: Paging) -> RobotPage:
+    """List the robots, oldest first."""
+    page = await cases.robots.list(tenant, paging)
+    return RobotPage(robots=[Robot.of(view) for view in page.items], next_page_token=page.next_token)
+
+
+@router.get("/{robot_id}")
+async def get_robot(robot_id: Id, cases: Cases, tenant: Tenant) -> Robot:
+    """Get a robot."""
+    return Robot.of(await cases.robots.get(tenant, robot_id))

@@ -1,0 +1,79 @@
+"""`/v1/maps/{map}/submaps:search` and `/v1/maps/{map}:localize`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from fastapi import APIRouter, Depends, Query
+from starlette.requests import Request
+
+from core.errors import BadField
+from service.application.identity import SubmapKey, TenantId
+from service.application.searches import LocalizeQuery, SearchCriteria, SearchResult
+from service.application import UseCases
+from service.rest.bodies import ANY_BINARY, CLOUD_BODY, cloud_body, json_bytes, limits_of, media_type, parse_json
+from service.rest.parameters import Cases, Cloud, Id, Prior, RadiusM, Tenant, criteria_of_body, criteria_of_query
+from service.rest.schemas import LocalizeAnswer, SearchAnswer, SearchRequest
+
+router = APIRouter(prefix="/v1/maps", tags=["searches"])
+
+_SEARCH_BODY = {
+    "requestBody": {
+        "required": True,
+        "description": "JSON to search by submap or by descriptor, else a point cloud (criteria in the query string).",
+        "content": {
+            "application/json": {"schema": SearchRequest.model_json_schema()},
+            "application/octet-stream": ANY_BINARY,
+        },
+    }
+}
+
+
+@router.post("/{map_id}/submaps:search", openapi_extra=_SEARCH_BODY)
+async def search_submaps(
+    map_id: Id,
+    request: Request,
+    criteria: Annotated[SearchCriteria, Depends(criteria_of_query)],
+    cases: Cases,
+    tenant: Tenant,
+) -> SearchAnswer:
+    """The submaps most like a submap, a descriptor or a cloud."""
+    if media_type(request) == "application/json":
+        body = parse_json(await json_bytes(request), SearchRequest, limits_of(request))
+        return SearchAnswer.of(await _search_by_json(cases, tenant, map_id, body))
+    cloud = await cloud_body(request)
+    return SearchAnswer.of(await cases.searches.by_cloud(tenant, map_id, cloud, criteria))
+
+
+@router.post("/{map_id}:localize", openapi_extra=CLOUD_BODY)
+async def localize(
+    map_id: Id,
+    cloud: Cloud,
+    cases: Cases,
+    tenant: Tenant,
+    prior: Prior,
+    radius_m: RadiusM = None,
+    candidates: Annotated[int, Query(ge=1, le=100)] = 10,
+) -> LocalizeAnswer:
+    """Where in the map was this cloud taken? No match is an answer, not an error."""
+    query = LocalizeQuery(map_id, cloud, prior, radius_m, candidates)
+    return LocalizeAnswer.of(await cases.searches.localize(tenant, query))
+
+
+async def _search_by_json(cases: UseCases, tenant: TenantId, map_id: str, body: SearchRequest) -> SearchResult:
+    if (body.submap is None) == (body.descriptor is None):
+        raise BadField("give either submap or descriptor", field="submap")
+    if body.submap is not None:
+        return await cases.searches.by_submap(tenant, _submap_of(map_id, body.submap), criteria_of_body(body))
+    if body.model_version is None:
+        raise BadField("a descriptor needs its model_version", field="model_version")
+    vector = np.asarray(body.descriptor, dtype=np.float32)
+    return await cases.searches.by_descriptor(tenant, map_id, vector, body.model_version, criteria_of_body(body))
+
+
+def _submap_of(map_id: str, name: str) -> SubmapKey:
+    match name.split("/"):
+        case ["maps", of_map, "sessions", session_id, "submaps", submap_id] if of_map == map_id:
+            return SubmapKey(map_id, session_id, submap_id)
+    raise BadField(f"submap must be maps/{map_id}/sessions/SESSION/submaps/SUBMAP", field="submap")

@@ -1,0 +1,85 @@
+"""`/v1/maps/{map}/sessions/{session}/submaps`."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Response
+
+from service.application.identity import SubmapKey
+from service.application.submaps import DownloadKind, PostSubmap
+from service.rest.bodies import ANY_BINARY, CLOUD_BODY
+from service.rest.parameters import Cases, Cloud, Paging, PoseOfSubmap, SessionOf, StampNs, SubmapOf, Tenant, mark_replay
+from service.rest.schemas import Posted, Submap, SubmapPage
+
+router = APIRouter(prefix="/v1/maps/{map_id}/sessions/{session_id}/submaps", tags=["submaps"])
+
+
+class DownloadFormat(StrEnum):
+    """Points as pcd, ply or npy; the surface as a ply mesh; the neural map; the descriptor."""
+
+    PCD = "pcd"
+    PLY = "ply"
+    NPY = "npy"
+    MESH = "mesh"
+    NEURAL = "neural"
+    DESCRIPTOR = "descriptor"
+
+    def what(self) -> tuple[DownloadKind, str | None]:
+        """What the use case takes: the kind, and the file format where there is a choice."""
+        if self in (DownloadFormat.PCD, DownloadFormat.PLY, DownloadFormat.NPY):
+            return DownloadKind.POINTS, self.value
+        return DownloadKind(self.value), None
+
+
+@router.post("", status_code=202, openapi_extra=CLOUD_BODY)
+async def post_submap(
+    key: SessionOf,
+    submap_id: Annotated[str, Query(max_length=64)],
+    stamp_ns: StampNs,
+    T_odom_submap: PoseOfSubmap,
+    cloud: Cloud,
+    cases: Cases,
+    tenant: Tenant,
+    response: Response,
+) -> Posted:
+    """Store a submap durably and queue its description; wait for the operation of the answer."""
+    command = PostSubmap(SubmapKey(key.map_id, key.session_id, submap_id), T_odom_submap, stamp_ns, cloud)
+    posted = await cases.submaps.post(tenant, command)
+    mark_replay(response, posted.replay)
+    return Posted.of(posted)
+
+
+@router.get("")
+async def list_submaps(key: SessionOf, cases: Cases, tenant: Tenant, paging: Paging) -> SubmapPage:
+    """List the submaps of a session in their order."""
+    page = await cases.submaps.list(tenant, key, paging)
+    return SubmapPage(submaps=[Submap.of(view) for view in page.items], next_page_token=page.next_token)
+
+
+@router.get(
+    "/{submap_id}:download",
+    response_class=Response,
+    responses={200: {"content": {"application/octet-stream": ANY_BINARY}, "description": "The file"}},
+)
+async def download_submap(
+    key: SubmapOf, cases: Cases, tenant: Tenant, file_format: Annotated[DownloadFormat, Query(alias="format")]
+) -> Response:
+    """Download a submap as a file."""
+    kind, points_format = file_format.what()
+    download = await cases.submaps.download(tenant, key, kind, points_format)
+    headers = {"content-disposition": f'attachment; filename="{download.filename}"'}
+    return Response(download.data, media_type=download.media_type, headers=headers)
+
+
+@router.get("/{submap_id}")
+async def get_submap(key: SubmapOf, cases: Cases, tenant: Tenant) -> Submap:
+    """Get a submap."""
+    return Submap.of(await cases.submaps.get(tenant, key))
+
+
+@router.delete("/{submap_id}", status_code=204)
+async def delete_submap(key: SubmapOf, cases: Cases, tenant: Tenant) -> None:
+    """Delete a submap, its loop closures and its place in the index."""
+    await cases.submaps.delete(tenant, key)
