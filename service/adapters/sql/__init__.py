@@ -1,1 +1,1 @@
-"""The database: tables, repositories, transactions. SQLite now; nothing but this package knows it."""
+"""The database: tables, repositories, transactions, migration. SQLite now; nothing but this package knows it."""

@@ -1,0 +1,69 @@
+"""`python -m service serve | worker | migrate`: settings come from REVISIT_* variables."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+
+from pydantic import ValidationError
+
+CONFIGURATION = 78
+"""Exit status for settings that cannot be used (EX_CONFIG)."""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run a command; the exit status."""
+    # Before numpy is imported: one thread per process, the cores are shared out by processes.
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")
+    # Files are for this user only.
+    os.umask(0o077)
+    options = _parser().parse_args(arguments)
+    from service.settings import Settings
+    from service.telemetry import configure_logging
+
+    try:
+        settings = Settings()
+        configure_logging(settings.log_level)
+    except (ValidationError, ValueError) as error:
+        return _refuse(f"the settings cannot be used: {error}")
+    if options.command == "migrate":
+        from service.adapters.sql.migration import migrate
+
+        migrate(settings.database, options.revision)
+        return 0
+    if options.command == "worker":
+        from service.composition import run_worker
+
+        run_worker(settings, options.id, options.parent)
+        return 0
+    if settings.exposed and not settings.insecure_bind:
+        return _refuse(
+            f"refusing to listen on {settings.host}: there are no API keys yet, so anyone who reaches this address "
+            "could read and change every map. Listen on 127.0.0.1, or set REVISIT_INSECURE_BIND=1 if you mean it."
+        )
+    from service.gateway import serve
+
+    return serve(settings)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m service", description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True)
+    commands.add_parser("serve", help="run the gateway (REST and gRPC) and its workers")
+    worker = commands.add_parser("worker", help="run one more worker on this machine")
+    worker.add_argument("--id", help="name of the worker; one is made up by default")
+    worker.add_argument("--parent", type=int, help="end with the process of this id")
+    migrate = commands.add_parser("migrate", help="bring the database to the schema of this version")
+    migrate.add_argument("--revision", default="head", help="a revision to go back to, or base; default head")
+    return parser
+
+
+def _refuse(message: str) -> int:
+    print(message, file=sys.stderr)
+    return CONFIGURATION
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,84 @@
+"""The method of `core` behind the recogniser port. Only worker processes import it: it brings torch and Open3D."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+from core.loop import LoopMeasurement, RejectedLoop, VerifiedLoop
+from core.signature import PlaceSignature
+
+from core.config import PipelineConfig
+from core.model_bundle import ModelBundle, load_packaged_models
+from core.pipeline import describe, verify
+from core.submap import Submap
+from service.application.ports import LoopVerdict, Mesh, SubmapDescription
+
+
+class CoreRecogniser:
+    """`ports.PlaceRecogniser` with the packaged models."""
+
+    def __init__(self, models: ModelBundle) -> None:
+        """`models` are loaded once per process."""
+        self._models = models
+
+    @property
+    def model_version(self) -> str:
+        """See `ports.PlaceRecogniser`."""
+        return self._models.version
+
+    def describe(self, submap: Submap, config: PipelineConfig) -> SubmapDescription:
+        """See `ports.PlaceRecogniser`."""
+        place = describe(submap, self._models, config)
+        return SubmapDescription(
+            descriptor=place.descriptor.vector,
+            signature=place.signature.to_blob(),
+            neural_map=None if place.neural_map is None else place.neural_map.to_blob(),
+            mesh=Mesh(place.surface.vertices, place.surface.faces),
+            flags=place.flags,
+            timings_s=place.timings_s,
+        )
+
+    def verify(self, query: bytes, match: bytes, similarity: float, config: PipelineConfig) -> LoopVerdict:
+        """See `ports.PlaceRecogniser`."""
+        signatures = PlaceSignature.from_blob(query), PlaceSignature.from_blob(match)
+        verdict = verify(*signatures, similarity, config.verification)
+        evidence = _evidence(verdict, config)
+        if isinstance(verdict, VerifiedLoop):
+            measured = verdict.measurement
+            return LoopVerdict(True, None, float(measured.score), measured.T_match_query, evidence)
+        measured_anyway = verdict.measurement
+        if measured_anyway is None:
+            return LoopVerdict(False, verdict.reason.value, 0.0, None, evidence)
+        score = float(measured_anyway.score)
+        return LoopVerdict(False, verdict.reason.value, score, measured_anyway.T_match_query, evidence)
+
+
+def load_recogniser() -> CoreRecogniser:
+    """The recogniser that the workers use."""
+    return CoreRecogniser(load_packaged_models())
+
+
+def _evidence(verdict: VerifiedLoop | RejectedLoop, config: PipelineConfig) -> dict[str, Any]:
+    """What was measured and against which thresholds, as JSON."""
+    measurement: LoopMeasurement | None = verdict.measurement
+    measured = {} if measurement is None else _as_json(measurement)
+    return {"measurement": measured, "thresholds": _as_json(config.verification)}
+
+
+def _as_json(record: Any) -> dict[str, Any]:
+    """The fields of a flat dataclass of numbers, strings and arrays; a non-finite number becomes None."""
+    return {field.name: _json_value(getattr(record, field.name)) for field in dataclasses.fields(record)}
+
+
+def _json_value(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return [_json_value(item) for item in value.tolist()]
+    if isinstance(value, list | tuple):
+        return [_json_value(item) for item in value]
+    if isinstance(value, np.generic):
+        return _json_value(value.item())
+    if isinstance(value, float):
+        return value if np.isfinite(value) else None
+    return value

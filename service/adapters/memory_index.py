@@ -1,0 +1,69 @@
+"""The vector index as its contract reads: every stored vector compared, every filter spelt out. The reference."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.errors import BadField
+from service.application.ports import IndexChange, VectorFilter, VectorMatch
+
+
+class MemoryVectorIndex:
+    """`ports.VectorIndex` in a dictionary per map."""
+
+    def __init__(self) -> None:
+        """Begins empty."""
+        self._seq: dict[int, int] = {}
+        self._places: dict[int, dict[int, tuple[IndexChange, NDArray[np.float32]]]] = {}
+
+    def seq(self, map_number: int) -> int:
+        """See `ports.VectorIndex`."""
+        return self._seq.get(map_number, 0)
+
+    def apply(self, map_number: int, changes: Sequence[IndexChange]) -> None:
+        """See `ports.VectorIndex`."""
+        places = self._places.setdefault(map_number, {})
+        for change in changes:
+            if change.seq <= self.seq(map_number):
+                continue
+            places.pop(change.submap_number, None)
+            if change.vector is not None:
+                places[change.submap_number] = (change, np.frombuffer(change.vector, dtype="<f4"))
+            self._seq[map_number] = change.seq
+
+    def search(self, map_number: int, vector: NDArray[np.float32], k: int, where: VectorFilter) -> list[VectorMatch]:
+        """See `ports.VectorIndex`."""
+        if not np.isfinite(vector).all():
+            raise BadField("the descriptor holds NaN or infinity", field="descriptor")
+        matches = []
+        for number, (change, stored) in self._places.get(map_number, {}).items():
+            if stored.shape != vector.shape:
+                raise BadField(f"a descriptor of this map has {len(stored)} values", field="descriptor")
+            if _passes(change, where):
+                matches.append(VectorMatch(number, float(stored @ vector)))
+        return sorted(matches, key=lambda match: (-match.similarity, match.submap_number))[:k]
+
+    def size(self, map_number: int) -> int:
+        """See `ports.VectorIndex`."""
+        return len(self._places.get(map_number, {}))
+
+    def drop(self, map_number: int) -> None:
+        """See `ports.VectorIndex`."""
+        self._places.pop(map_number, None)
+        self._seq.pop(map_number, None)
+
+
+def _passes(change: IndexChange, where: VectorFilter) -> bool:
+    if change.submap_number == where.exclude_submap or change.session_number == where.exclude_session:
+        return False
+    if where.only_session is not None and change.session_number != where.only_session:
+        return False
+    if change.session_number == where.near_session and abs(change.ordinal - where.near_ordinal) < where.min_gap:
+        return False
+    if where.position_m is None or where.radius_m is None:
+        return True
+    return math.dist(change.position_m, where.position_m) <= where.radius_m

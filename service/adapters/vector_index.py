@@ -1,0 +1,122 @@
+"""Vector indexes per map: the contract's bookkeeping around any nearest-neighbour structure of `core.index`."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.errors import BadField
+from service.application.ports import IndexChange, VectorFilter, VectorMatch
+
+if TYPE_CHECKING:
+    from core.index import PlaceIndex, SearchFilter
+
+MakeIndex = Callable[[int], "PlaceIndex"]
+"""An empty index for descriptors of the given dimension."""
+
+
+@dataclass
+class _MapIndex:
+    """The index of one map, made when its first descriptor shows the dimension."""
+
+    seq: int = 0
+    dimension: int = 0
+    places: PlaceIndex | None = None
+    present: set[int] = field(default_factory=set)
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+
+class PlaceVectorIndex:
+    """`ports.VectorIndex` over `core.index`."""
+
+    def __init__(self, make_index: MakeIndex) -> None:
+        """`make_index` gives an empty index of `core.index`, exact or FAISS."""
+        self._make_index = make_index
+        self._maps: dict[int, _MapIndex] = {}
+        self._lock = threading.Lock()
+
+    def seq(self, map_number: int) -> int:
+        """See `ports.VectorIndex`."""
+        return self._of(map_number).seq
+
+    def apply(self, map_number: int, changes: Sequence[IndexChange]) -> None:
+        """See `ports.VectorIndex`."""
+        index = self._of(map_number)
+        with index.lock:
+            new = [change for change in changes if change.seq > index.seq]
+            if not new:
+                return
+            last = {change.submap_number: change for change in new}
+            self._remove(index, [number for number in last if number in index.present])
+            self._add(index, [change for change in last.values() if change.vector is not None])
+            index.seq = new[-1].seq
+
+    def search(self, map_number: int, vector: NDArray[np.float32], k: int, where: VectorFilter) -> list[VectorMatch]:
+        """See `ports.VectorIndex`."""
+        index = self._of(map_number)
+        with index.lock:
+            if index.places is None or not index.present:
+                return []
+            if vector.shape != (index.dimension,):
+                raise BadField(f"a descriptor of this map has {index.dimension} values", field="descriptor")
+            # The query's own submap may be among the nearest: ask for one more and leave it out.
+            matches = index.places.search(vector, k + 1, _search_filter(where))
+        others = (match for match in matches if match.id != where.exclude_submap)
+        return [VectorMatch(match.id, match.similarity) for match in others][:k]
+
+    def size(self, map_number: int) -> int:
+        """See `ports.VectorIndex`."""
+        return len(self._of(map_number).present)
+
+    def drop(self, map_number: int) -> None:
+        """See `ports.VectorIndex`."""
+        with self._lock:
+            self._maps.pop(map_number, None)
+
+    def _of(self, map_number: int) -> _MapIndex:
+        with self._lock:
+            return self._maps.setdefault(map_number, _MapIndex())
+
+    def _remove(self, index: _MapIndex, numbers: list[int]) -> None:
+        if index.places is not None and numbers:
+            index.places.remove(numbers)
+            index.present.difference_update(numbers)
+
+    def _add(self, index: _MapIndex, changes: list[IndexChange]) -> None:
+        from core.index import IndexEntry
+
+        if not changes:
+            return
+        vectors = np.stack([np.frombuffer(change.vector or b"", dtype="<f4") for change in changes])
+        if index.places is None:
+            index.dimension = vectors.shape[1]
+            index.places = self._make_index(index.dimension)
+        entries = [
+            IndexEntry(
+                id=change.submap_number,
+                session=change.session_number,
+                ordinal=change.ordinal,
+                position=np.asarray(change.position_m, dtype=np.float64),
+            )
+            for change in changes
+        ]
+        index.places.add(entries, vectors)
+        index.present.update(change.submap_number for change in changes)
+
+
+def _search_filter(where: VectorFilter) -> SearchFilter:
+    from core.index import SearchFilter
+
+    near = None if where.near_session is None else (where.near_session, where.near_ordinal, where.min_gap)
+    return SearchFilter(
+        exclude_session=where.exclude_session,
+        only_session=where.only_session,
+        near=near,
+        position=None if where.position_m is None else np.asarray(where.position_m, dtype=np.float64),
+        radius_m=where.radius_m,
+    )

@@ -1,0 +1,149 @@
+"""The gateway process: REST and gRPC on one event loop, the workers beside it, one way to stop."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import structlog
+import uvicorn
+
+from service.adapters.sql.migration import migrate
+from service.application import UseCases
+from service.composition import build_context, build_use_cases
+from service.settings import Settings
+from service.worker.supervisor import WorkerSupervisor
+
+if TYPE_CHECKING:
+    import grpc.aio
+
+STORAGE_FAILED = 74
+"""Exit status after an I/O error of the database (EX_IOERR): what was being committed is unknown until a restart."""
+
+log = structlog.get_logger(__name__)
+
+
+class _Server(uvicorn.Server):
+    """uvicorn without signal handlers of its own: one handler stops both servers and the workers."""
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Leave the signals alone."""
+        yield
+
+
+def serve(settings: Settings) -> int:
+    """Run the gateway and its workers until SIGTERM or SIGINT; the exit status."""
+    migrate(settings.database)
+    return asyncio.run(_Gateway(settings).run(), loop_factory=_loop_factory())
+
+
+class _Gateway:
+    """One run of the gateway."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._status = 0
+
+    async def run(self) -> int:
+        """Serve until told to stop, then drain; the exit status."""
+        stop = self._stop_signal()
+        loop = asyncio.get_running_loop()
+
+        def storage_failed() -> None:
+            self._status = STORAGE_FAILED
+            loop.call_soon_threadsafe(stop.set)
+
+        context = build_context(self._settings, gateway=True, on_uncertain=storage_failed)
+        use_cases = build_use_cases(context)
+        supervisor = WorkerSupervisor(context, self._settings.workers)
+        http, http_port = self._http_server(use_cases)
+        rpc, grpc_port = self._grpc_server(use_cases)
+        await rpc.start()
+        serving = asyncio.create_task(http.serve(), name="http")
+        supervisor.start()
+        log.info("listening", host=self._settings.host, http_port=http_port, grpc_port=grpc_port, pid=os.getpid())
+        await asyncio.wait([asyncio.create_task(stop.wait()), serving], return_when=asyncio.FIRST_COMPLETED)
+        await self._drain(use_cases, http, serving, rpc, supervisor)
+        await asyncio.to_thread(context.transactions.close)
+        log.info("stopped", status=self._status)
+        return self._status
+
+    async def _drain(
+        self,
+        use_cases: UseCases,
+        http: uvicorn.Server,
+        serving: asyncio.Task[Any],
+        rpc: grpc.aio.Server,
+        supervisor: WorkerSupervisor,
+    ) -> None:
+        """Refuse new work, let what is under way end, within `drain_s` altogether."""
+        log.info("draining")
+        use_cases.system.drain()
+        http.should_exit = True
+        await asyncio.gather(
+            rpc.stop(grace=self._settings.drain_s), serving, supervisor.stop(self._settings.drain_s)
+        )
+
+    def _stop_signal(self) -> asyncio.Event:
+        stop = asyncio.Event()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            asyncio.get_running_loop().add_signal_handler(number, stop.set)
+        return stop
+
+    def _http_server(self, use_cases: UseCases) -> tuple[uvicorn.Server, int]:
+        from service.rest.app import create_app
+
+        config = uvicorn.Config(
+            create_app(use_cases, self._settings),
+            host=self._settings.host,
+            port=self._settings.http_port,
+            http="h11",
+            ws="none",
+            lifespan="auto",
+            log_config=None,
+            access_log=False,
+            server_header=False,
+            timeout_graceful_shutdown=int(self._settings.drain_s),
+        )
+        listener = _listen(self._settings.host, self._settings.http_port)
+        return _ListeningServer(config, listener), listener.getsockname()[1]
+
+    def _grpc_server(self, use_cases: UseCases) -> tuple[grpc.aio.Server, int]:
+        from service.grpc.server import create_server
+
+        server = create_server(use_cases, self._settings)
+        host = f"[{self._settings.host}]" if ":" in self._settings.host else self._settings.host
+        return server, server.add_insecure_port(f"{host}:{self._settings.grpc_port}")
+
+
+class _ListeningServer(_Server):
+    """A server on a socket that was bound before, so that a taken port ends the start and port 0 is known."""
+
+    def __init__(self, config: uvicorn.Config, listener: socket.socket) -> None:
+        super().__init__(config)
+        self._listener = listener
+
+    async def serve(self, sockets: list[socket.socket] | None = None) -> None:
+        """Serve on the bound socket."""
+        await super().serve(sockets=[self._listener])
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    """A listening socket. Raises OSError where the port is taken."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    return socket.create_server((host, port), family=family, backlog=2048)
+
+
+def _loop_factory() -> Callable[[], asyncio.AbstractEventLoop] | None:
+    """uvloop where there is one (it doubles the rate of a gRPC stream), else asyncio's own loop."""
+    try:
+        import uvloop
+    except ImportError:
+        return None
+    return uvloop.new_event_loop

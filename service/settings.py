@@ -1,0 +1,80 @@
+"""Settings: environment variables REVISIT_* and nothing else; the method's parameters are part of them."""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+from dataclasses import replace
+from pathlib import Path
+
+from pydantic import Field
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+from core.config import PipelineConfig
+from service.application.context import Policy
+
+
+class Settings(BaseSettings):
+    """How this installation runs. Field `http_port` is the variable REVISIT_HTTP_PORT, and so on."""
+
+    model_config = SettingsConfigDict(env_prefix="REVISIT_", frozen=True)
+
+    home: Path = Field(default=Path("data"), description="directory of the database and the blobs")
+    host: str = Field(default="127.0.0.1", description="address that both servers listen on")
+    http_port: int = Field(default=8080, ge=0, le=65535, description="REST port; 0 takes a free one")
+    grpc_port: int = Field(default=8090, ge=0, le=65535, description="gRPC port; 0 takes a free one")
+    insecure_bind: bool = Field(default=False, description="allow an address that others can reach, without keys")
+    workers: int = Field(
+        default_factory=lambda: max(1, (os.cpu_count() or 2) - 1), ge=0, le=256, description="worker processes"
+    )
+    recogniser: str = Field(
+        default="service.adapters.core_recogniser:load_recogniser", description="module:function that workers load"
+    )
+    lease_s: float = Field(default=10.0, gt=0, description="a job is given to another worker after this silence")
+    max_attempts: int = Field(default=3, ge=1, description="runs of a job before it fails")
+    max_queued_jobs: int = Field(default=1000, ge=1, description="waiting jobs per tenant before posts are refused")
+    jobs_per_worker: int = Field(default=500, ge=1, description="jobs after which a worker is replaced")
+    drain_s: float = Field(default=10.0, gt=0, le=15, description="time for requests and jobs to end on SIGTERM")
+    log_level: str = Field(default="INFO", description="DEBUG, INFO, WARNING or ERROR")
+    tau_m: float = Field(default_factory=lambda: PipelineConfig().submap.tau, gt=0, description="metres per submap")
+    stride_m: float = Field(
+        default_factory=lambda: PipelineConfig().submap.stride, gt=0, description="metres between submap starts"
+    )
+    min_index_gap: int = Field(
+        default_factory=lambda: PipelineConfig().loop.min_index_gap,
+        ge=0,
+        description="submaps of one session nearer than this are no loop",
+    )
+
+    @property
+    def database(self) -> Path:
+        """The SQLite file."""
+        return self.home / "revisit.db"
+
+    @property
+    def blobs(self) -> Path:
+        """The directory of the blobs."""
+        return self.home / "blobs"
+
+    @property
+    def policy(self) -> Policy:
+        """The rules that the use cases follow."""
+        pipeline = PipelineConfig()
+        submap = replace(pipeline.submap, tau=self.tau_m, stride=self.stride_m)
+        loop = replace(pipeline.loop, min_index_gap=self.min_index_gap)
+        return Policy(
+            pipeline=replace(pipeline, submap=submap, loop=loop),
+            max_queued_jobs=self.max_queued_jobs,
+            max_attempts=self.max_attempts,
+            lease_ms=int(self.lease_s * 1000),
+        )
+
+    @property
+    def exposed(self) -> bool:
+        """Whether the address can be reached from other machines."""
+        if self.host == "localhost":
+            return False
+        try:
+            return not ipaddress.ip_address(self.host).is_loopback
+        except ValueError:
+            return True
