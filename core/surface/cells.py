@@ -11,7 +11,7 @@ Array = NDArray[np.float32]
 _NEAR_PLANE = 0.9
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
+@numba.njit(cache=True)
 def cells_near_planes(
     positions: Array, normals: Array, resolution: float, first: NDArray[np.int64], shape: NDArray[np.int64]
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:

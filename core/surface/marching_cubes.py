@@ -73,7 +73,7 @@ def edge_table() -> NDArray[np.int64]:
     return np.array(_EDGES, dtype=np.int64)
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
+@numba.njit(cache=True)
 def polygonise(
     cell_corners: NDArray[np.int32],
     corner_positions: Array,

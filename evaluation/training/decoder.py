@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from core.config import ImplicitMapConfig
 from core.implicit_map import voxel_hash
+from core.implicit_map.blob import settle
 from core.implicit_map.decoder import ENCODING_SIZE, DecoderWeights
 from core.implicit_map.fitting import accumulate, fit_features, predict, sdf_loss, without_dynamic_points
 from core.implicit_map.neighbourhood import Neighbourhood, find_neighbourhood
@@ -33,7 +34,7 @@ class TrainingSet:
 
 def training_set(submap: Submap, config: ImplicitMapConfig, rng: np.random.Generator) -> TrainingSet:
     """The samples that fitting would draw from `submap`."""
-    points = without_dynamic_points(accumulate(submap, config), submap, config)
+    points = settle(without_dynamic_points(accumulate(submap, config), submap, config), config.resolution)
     slots = np.asarray(voxel_hash.build_table(points.positions, config.resolution))
     samples = draw_samples(submap.points, submap.origins[submap.scan_index], points, slots, config, rng)
     near = find_neighbourhood(samples.positions, points.positions, points.normals, slots, config)

@@ -179,12 +179,12 @@ def test_a_local_frame_is_a_rotation_whose_third_axis_is_the_normal(normal):
     assert np.allclose(frame[2], normal, atol=1e-5)
 
 
-def test_a_stored_map_answers_as_the_fitted_one_within_a_centimetre(make_drive, shapes):
+def test_a_stored_map_answers_as_the_fitted_one_within_two_centimetres(make_drive, shapes):
     field = fit(make_drive(lambda _: [shapes["ground"](), shapes["box"]((10, -6, 0), (12, 6, 5))]))
     stored = from_blob(to_blob(field), field.decoder, CONFIG)
     queries, _ = near_wall(np.random.default_rng(7))
     assert len(stored.points) == len(field.points)
-    assert np.percentile(np.abs(stored.sdf(queries)[0] - field.sdf(queries)[0]), 95) < 0.01
+    assert np.percentile(np.abs(stored.sdf(queries)[0] - field.sdf(queries)[0]), 95) < 0.02
 
 
 def test_a_stored_map_of_another_decoder_is_refused(make_drive, shapes):
