@@ -70,13 +70,17 @@ class ParkedCars:
         self._slots = slots
         self._visits = np.zeros(len(slots.yaw), dtype=np.int64)
         self._near = np.zeros(len(slots.yaw), dtype=bool)
+        self._cars: dict[int, Blocks | None] = {}
 
     def around(self, xy: Floats) -> list[Blocks]:
         """The cars within sight of `xy` (2,); call it in the order of the drive."""
         near = np.linalg.norm(self._slots.position[:, :2] - xy, axis=1) < VISIBLE_M + 15.0 * self._near
-        self._visits += near & ~self._near
+        arrived = near & ~self._near
+        self._visits += arrived
         self._near = near
-        cars = [self._slots.occupant(int(slot), int(self._visits[slot])) for slot in np.flatnonzero(near)]
+        for slot in np.flatnonzero(arrived):
+            self._cars[int(slot)] = self._slots.occupant(int(slot), int(self._visits[slot]))
+        cars = [self._cars[int(slot)] for slot in np.flatnonzero(near)]
         return [car for car in cars if car is not None]
 
 

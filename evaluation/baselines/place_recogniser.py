@@ -1,0 +1,26 @@
+"""What every baseline offers: a descriptor of a cloud, and how alike descriptors are."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.scan import Points
+
+Descriptor = NDArray[np.float32]
+
+
+class PlaceRecogniser(Protocol):
+    """A place-recognition method without state: the same cloud gives the same descriptor."""
+
+    @property
+    def name(self) -> str:
+        """What the method is called in reports."""
+
+    def describe(self, points: Points) -> Descriptor:
+        """The descriptor of a cloud (n, 3), metres, z up, seen from its origin."""
+
+    def similarities(self, query: Descriptor, places: NDArray[np.float32]) -> NDArray[np.float64]:
+        """How alike the query is to each of m places (m, ...): (m,), higher is more alike."""

@@ -1,0 +1,125 @@
+"""KITTI odometry layout: velodyne/*.bin, poses.txt in the camera frame, calib.txt with `Tr`, times.txt."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core import se3
+from core.errors import BadField, MalformedBody
+from core.scan import Points, Scan
+
+SCAN_PERIOD_S = 0.1
+_BYTES_PER_POINT = 16
+
+
+class KittiRecording:
+    """A KITTI odometry folder, scans read when asked for.
+
+    poses.txt holds T_world_camera, calib.txt `Tr` = T_camera_lidar; the poses given out are
+    inverse(Tr) @ P @ Tr, the LiDAR's pose in the LiDAR frame of the first scan, so that z is up. Without calib.txt, or
+    with an identity Tr, poses.txt is taken as LiDAR poses. Without times.txt scans are 0.1 s apart.
+    """
+
+    def __init__(self, folder: Path | str) -> None:
+        """Reads poses, calibration and times. Raises FileNotFoundError without scans or poses, MalformedBody for
+        unreadable text, BadField where the numbers of scans, poses and times differ, BadTransform for bad poses."""
+        self._folder = Path(folder)
+        self._files = sorted((self._folder / "velodyne").glob("*.bin"))
+        if not self._files:
+            raise FileNotFoundError(f"no scans in {self._folder / 'velodyne'}")
+        T_camera_lidar = _calibration(self._folder / "calib.txt")
+        cameras = _rows(self._folder / "poses.txt", 12).reshape(-1, 3, 4)
+        self._check_count("poses.txt", len(cameras))
+        T_lidar_camera = se3.inverse(T_camera_lidar)
+        self._poses = [T_lidar_camera @ se3.validated(camera) @ T_camera_lidar for camera in cameras]
+        self._stamps_ns = self._times()
+
+    @property
+    def name(self) -> str:
+        """The folder's name."""
+        return self._folder.name
+
+    def __len__(self) -> int:
+        return len(self._files)
+
+    def pose(self, index: int) -> se3.Matrix4:
+        """T_world_lidar of a scan, z up."""
+        return self._poses[index]
+
+    def scan(self, index: int) -> Scan:
+        """The scan with that index. Raises MalformedBody for a damaged file and what `Scan.validated` raises."""
+        points = read_velodyne(self._files[index])
+        return Scan.validated(points, self._poses[index], int(self._stamps_ns[index]))
+
+    def __iter__(self) -> Iterator[Scan]:
+        return (self.scan(index) for index in range(len(self)))
+
+    def _times(self) -> NDArray[np.int64]:
+        file = self._folder / "times.txt"
+        if not file.exists():
+            return np.round(np.arange(len(self._files)) * SCAN_PERIOD_S * 1e9).astype(np.int64)
+        seconds = _rows(file, 1)[:, 0]
+        self._check_count("times.txt", len(seconds))
+        return np.round(seconds * 1e9).astype(np.int64)
+
+    def _check_count(self, file: str, count: int) -> None:
+        if count != len(self._files):
+            raise BadField(f"{file} has {count} rows for {len(self._files)} scans", field=file)
+
+
+def read_velodyne(file: Path) -> Points:
+    """The points (n, 3) of a .bin file of float32 x, y, z, reflectance. Raises MalformedBody for a torn file."""
+    raw = file.read_bytes()
+    if len(raw) % _BYTES_PER_POINT:
+        raise MalformedBody(f"{file.name} holds {len(raw)} bytes, which is no multiple of {_BYTES_PER_POINT}")
+    return np.frombuffer(raw, dtype="<f4").reshape(-1, 4)[:, :3].astype(np.float32)
+
+
+def write_kitti(folder: Path | str, scans: Iterable[tuple[Points, se3.Matrix4, int]]) -> int:
+    """Write scans (points (n, 3), T_world_sensor, stamp_ns) in KITTI layout with an identity Tr; returns their number.
+
+    Times are stored with nanoseconds and poses with nanometres, so reading gives back what was written.
+    """
+    target = Path(folder)
+    (target / "velodyne").mkdir(parents=True, exist_ok=True)
+    poses, times = [], []
+    for index, (points, T_world_sensor, stamp_ns) in enumerate(scans):
+        rows = np.zeros((len(points), 4), dtype="<f4")
+        rows[:, :3] = points
+        rows.tofile(target / "velodyne" / f"{index:06d}.bin")
+        poses.append(" ".join(f"{value:.9f}" for value in T_world_sensor[:3].ravel()))
+        times.append(f"{stamp_ns // 10**9}.{stamp_ns % 10**9:09d}")
+    (target / "poses.txt").write_text("\n".join(poses) + "\n")
+    (target / "times.txt").write_text("\n".join(times) + "\n")
+    (target / "calib.txt").write_text("Tr: 1 0 0 0 0 1 0 0 0 0 1 0\n")
+    return len(poses)
+
+
+def _rows(file: Path, width: int) -> NDArray[np.float64]:
+    """The numbers (n, width) of a text file."""
+    try:
+        lines = [line.split() for line in file.read_text().splitlines() if line.strip()]
+        rows = np.array([[float(word) for word in words] for words in lines])
+    except ValueError as error:
+        raise MalformedBody(f"{file.name} must hold {width} numbers a line: {error}") from error
+    if rows.ndim != 2 or rows.shape[1] != width:
+        raise MalformedBody(f"{file.name} must hold {width} numbers a line")
+    return rows
+
+
+def _calibration(file: Path) -> se3.Matrix4:
+    """T_camera_lidar of calib.txt (`Tr:` or `Tr_velo_cam:`), the identity without the file."""
+    if not file.exists():
+        return np.eye(4)
+    for line in file.read_text().splitlines():
+        key, _, values = line.partition(":")
+        if key.strip() in {"Tr", "Tr_velo_cam", "Tr_velo_to_cam"}:
+            numbers = [float(word) for word in values.split()]
+            if len(numbers) != 12:
+                raise MalformedBody(f"{file.name}: Tr must hold 12 numbers, got {len(numbers)}")
+            return se3.validated(np.array(numbers).reshape(3, 4))
+    raise MalformedBody(f"{file.name} has no line `Tr:`")

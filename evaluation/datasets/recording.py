@@ -1,0 +1,29 @@
+"""What every recording offers: posed scans, one at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Protocol
+
+from core import se3
+from core.scan import Scan
+
+
+class Recording(Protocol):
+    """Scans in time order. Reading one scan never needs the others in memory."""
+
+    @property
+    def name(self) -> str:
+        """What the recording is called in reports."""
+
+    def __len__(self) -> int:
+        """How many scans it holds."""
+
+    def pose(self, index: int) -> se3.Matrix4:
+        """T_world_sensor of a scan, z up."""
+
+    def scan(self, index: int) -> Scan:
+        """The scan with that index, 0-based; raises IndexError beyond the last."""
+
+    def __iter__(self) -> Iterator[Scan]:
+        """All scans in order."""
