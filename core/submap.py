@@ -17,8 +17,8 @@ from core.scan import Points, Scan
 class Submap:
     """Points of several scans in one frame: the sensor frame of the middle scan.
 
-    points (n, 3) float32 metres; scan_index (n,) int32, the scan each point belongs to, ascending; origins (s, 3) float32, where
-    each scan was taken from; stamps_ns (s,) int64; T_odom_submap the pose of the middle scan;
+    points (n, 3) float32 metres; scan_index (n,) int32, the scan each point belongs to, ascending;
+    origins (s, 3) float32, where each scan was taken from; stamps_ns (s,) int64; T_odom_submap the pose of the middle scan;
     position (3,) float64 the mean position of the scans in the odometry frame.
     """
 

@@ -1,12 +1,12 @@
 """Bytes to points and back: strict parsers of our own, because file readers must never see a client's bytes.
 
-    media type                                aliases                        module         content
-    application/vnd.kitti.bin                 application/x-kitti-bin        kitti          KITTI Velodyne scan
-    application/vnd.pcd                       application/x-pcd, model/pcd   pcd            ascii, binary, binary_compressed
-    model/ply                                 application/vnd.ply, .../x-ply ply            ascii, both byte orders
-    application/vnd.npy                       application/x-npy              npy            float32/64 (n, 3) or (n, 4)
-    application/vnd.revisit.pointcloud2                                      pointcloud2    packed PointCloud2
-    application/vnd.revisit.quantised                                        quantised      1 mm, differences, zstd
+    media type                             aliases                         module, content
+    application/vnd.kitti.bin              application/x-kitti-bin         kitti: Velodyne scan
+    application/vnd.pcd                    application/x-pcd, model/pcd    pcd: ascii, binary, binary_compressed
+    model/ply                              application/vnd.ply, .../x-ply  ply: ascii, both byte orders
+    application/vnd.npy                    application/x-npy               npy: float32/64 (n, 3) or (n, 4)
+    application/vnd.revisit.pointcloud2                                    pointcloud2: packed PointCloud2
+    application/vnd.revisit.quantised                                      quantised: 1 mm, differences, zstd
 
 Parameters of a media type are ignored. `Content-Encoding` gzip or zstd may be put around any of them (`compression`).
 npz is not accepted: it is a zip of arrays, and npy says the same in fewer bytes.

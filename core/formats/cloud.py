@@ -110,7 +110,7 @@ def require_point_count(count: int, limits: CloudLimits) -> None:
 
 
 def checked_for_writing(points: NDArray[np.floating], intensity: NDArray[np.floating] | None) -> DecodedCloud:
-    """`points` (n, 3) and `intensity` (n,) as little-endian float32, for the encoders. Raises BadField for other shapes."""
+    """`points` (n, 3) and `intensity` (n,) as little-endian float32. Raises BadField for other shapes."""
     if points.ndim != 2 or points.shape[1] != 3:
         raise BadField(f"points must be (n, 3), got {points.shape}", field="points")
     if intensity is not None and intensity.shape != (len(points),):

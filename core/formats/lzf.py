@@ -54,4 +54,4 @@ def _decompress(source: NDArray[np.uint8], target: NDArray[np.uint8]) -> int:
             for step in range(length):
                 target[written + step] = target[start + step]
         written += length
-    return written
+    return int(written)

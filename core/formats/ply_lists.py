@@ -39,4 +39,4 @@ def _rows_end(body: NDArray[np.uint8], start: int, rows: int, layout: NDArray[np
             position += length * layout[index, 1]
             if position > len(body):
                 return -1
-    return position
+    return int(position)

@@ -1,7 +1,7 @@
-"""Packed clouds, `application/vnd.revisit.pointcloud2`: sensor_msgs/PointCloud2 without a middleware.
+r"""Packed clouds, `application/vnd.revisit.pointcloud2`: sensor_msgs/PointCloud2 without a middleware.
 
     offset  type   meaning (little-endian)
-    0       8s     magic "\\x89RVPC2\\r\\n"
+    0       8s     magic "\x89RVPC2\r\n"
     8       u32    width
     12      u32    height
     16      u32    point_step: bytes a point, 1 to 65535
