@@ -63,10 +63,10 @@ def validate_cloud(points: NDArray[np.floating]) -> tuple[Points, CloudReport]:
     if float(np.abs(kept).max()) > MAX_COORDINATE_M:
         raise OutOfRange(field="points")
     cloud = np.ascontiguousarray(kept, dtype=np.float32)
-    return cloud, CloudReport(dropped, _is_plane(cloud))
+    return cloud, CloudReport(dropped, is_plane(cloud))
 
 
-def _is_plane(cloud: Points) -> bool:
+def is_plane(cloud: Points) -> bool:
     """Whether the cloud is coplanar; raises DegenerateCloud when it has less than two dimensions."""
     sample = cloud[:: max(1, len(cloud) // 20_000)].astype(np.float64)
     spread = np.sqrt(np.clip(np.linalg.eigvalsh(np.cov((sample - sample.mean(axis=0)).T)), 0.0, None))

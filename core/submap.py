@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,24 @@ class Submap:
     def scan_count(self) -> int:
         """How many scans the submap holds."""
         return len(self.origins)
+
+    def levelled(self) -> Submap:
+        """The same submap in a frame whose z axis is that of the odometry frame, turned as little as possible.
+
+        Place recognition looks at places from above; a tilted sensor must not tilt them.
+        """
+        up = self.T_odom_submap[2, :3]
+        axis = np.cross(up, [0.0, 0.0, 1.0])
+        sine, cosine = float(np.linalg.norm(axis)), float(up[2])
+        if sine < 1e-6:
+            return self
+        T_level_submap = se3.exp(np.concatenate([np.zeros(3), axis * (np.arctan2(sine, cosine) / sine)]))
+        return replace(
+            self,
+            points=se3.apply(T_level_submap, self.points).astype(np.float32),
+            origins=se3.apply(T_level_submap, self.origins).astype(np.float32),
+            T_odom_submap=self.T_odom_submap @ se3.inverse(T_level_submap),
+        )
 
     @classmethod
     def from_scans(cls, scans: list[Scan], config: SubmapConfig) -> Submap:

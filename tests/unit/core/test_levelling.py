@@ -1,0 +1,29 @@
+"""Submaps are described in a frame that stands upright."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from core import se3
+from core.scan import Scan
+from core.submap import Submap
+
+
+def test_a_tilted_submap_is_turned_upright_and_keeps_its_place_in_the_odometry_frame():
+    points = np.random.default_rng(0).normal(size=(500, 3)) * [10, 10, 3]
+    T_odom_sensor = se3.from_yaw(0.7, (5, 6, 7)) @ se3.exp([0, 0, 0, 0.2, -0.3, 0])
+    submap = Submap.from_cloud(Scan.validated(points, T_odom_sensor, 0))
+    level = submap.levelled()
+    assert np.allclose(level.T_odom_submap[2, :3], [0, 0, 1], atol=1e-9)
+    before = se3.apply(submap.T_odom_submap, submap.points)
+    after = se3.apply(level.T_odom_submap, level.points)
+    assert np.abs(before - after).max() < 1e-4
+    turned = se3.rotation_angle(se3.inverse(level.T_odom_submap) @ submap.T_odom_submap)
+    assert turned == pytest.approx(np.arccos(T_odom_sensor[2, 2]), abs=1e-6)
+
+
+def test_an_upright_submap_stays_as_it_is():
+    points = np.random.default_rng(0).normal(size=(500, 3))
+    submap = Submap.from_cloud(Scan.validated(points, se3.from_yaw(2.0, (1, 2, 3)), 0))
+    assert submap.levelled() is submap
