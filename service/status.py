@@ -47,6 +47,8 @@ STATUS: dict[ErrorCode, Status] = {
     ErrorCode.NO_OVERLAP: _CONFLICT,
     ErrorCode.NOT_READY: _CONFLICT,
     ErrorCode.SEQ_GAP: _CONFLICT,
+    ErrorCode.STREAM_NOT_OPEN: _CONFLICT,
+    ErrorCode.STREAM_FENCED: _CONFLICT,
     ErrorCode.ETAG_MISMATCH: Status(412, "ABORTED"),
     ErrorCode.QUOTA: _RATE,
     ErrorCode.RATE: _RATE,

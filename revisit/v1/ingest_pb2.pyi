@@ -17,12 +17,14 @@ class StreamScansRequest(_message.Message):
     def __init__(self, open: _Optional[_Union[Open, _Mapping]] = ..., scan: _Optional[_Union[Scan, _Mapping]] = ...) -> None: ...
 
 class Open(_message.Message):
-    __slots__ = ("session", "watch_loop_closures")
+    __slots__ = ("session", "watch_loop_closures", "loop_closures_after")
     SESSION_FIELD_NUMBER: _ClassVar[int]
     WATCH_LOOP_CLOSURES_FIELD_NUMBER: _ClassVar[int]
+    LOOP_CLOSURES_AFTER_FIELD_NUMBER: _ClassVar[int]
     session: str
     watch_loop_closures: bool
-    def __init__(self, session: _Optional[str] = ..., watch_loop_closures: _Optional[bool] = ...) -> None: ...
+    loop_closures_after: int
+    def __init__(self, session: _Optional[str] = ..., watch_loop_closures: _Optional[bool] = ..., loop_closures_after: _Optional[int] = ...) -> None: ...
 
 class Scan(_message.Message):
     __slots__ = ("seq", "stamp_ns", "t_odom_sensor", "cloud")

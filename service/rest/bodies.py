@@ -12,8 +12,8 @@ from pydantic import BaseModel, ValidationError
 from starlette.requests import ClientDisconnect, Request
 
 from core.errors import BadField, MalformedBody, TooLarge, UnsupportedEncoding
+from core.formats.compression import decode_content
 from service.application.clouds import EncodedCloud
-from service.rest.content_encoding import decompress
 from service.rest.errors import bad_field
 from service.rest.limits import HttpLimits
 
@@ -82,9 +82,9 @@ async def cloud_body(request: Request) -> EncodedCloud:
     content_type = media_type(request)
     if not content_type:
         raise UnsupportedEncoding("a cloud needs a Content-Type")
-    encoding = request.headers.get("content-encoding", "").strip().lower()
     data = await body_bytes(request)
-    return EncodedCloud(await asyncio.to_thread(decompress, data, encoding, limits_of(request)), content_type)
+    decoded = await asyncio.to_thread(decode_content, data, request.headers.get("content-encoding"))
+    return EncodedCloud(decoded, content_type)
 
 
 async def body_bytes(request: Request) -> bytes:

@@ -1,4 +1,4 @@
-"""What the HTTP side accepts at most."""
+"""What the HTTP side accepts at most; `core.formats.CloudLimits` bounds what a body decompresses to."""
 
 from __future__ import annotations
 
@@ -9,11 +9,8 @@ MIB = 2**20
 
 @dataclass(frozen=True)
 class HttpLimits:
-    """Sizes in bytes. A body is measured as sent; `decoded_bytes` and `decoded_ratio` bound what it decompresses to."""
+    """Sizes in bytes, of a body as it is sent."""
 
     body_bytes: int = 32 * MIB
     json_bytes: int = 1 * MIB
     json_depth: int = 16
-    decoded_bytes: int = 64 * MIB
-    decoded_ratio: int = 100
-    zstd_window_bytes: int = 8 * MIB

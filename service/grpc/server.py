@@ -1,0 +1,80 @@
+"""The gRPC server: the services of `revisit.v1`, health and reflection."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import grpc
+from grpc_health.v1 import health_pb2, health_pb2_grpc
+from grpc_reflection.v1alpha import reflection
+
+from revisit.v1 import (
+    ingest_pb2,
+    ingest_pb2_grpc,
+    loop_closure_pb2,
+    loop_closure_pb2_grpc,
+    map_pb2,
+    map_pb2_grpc,
+    operation_pb2,
+    operation_pb2_grpc,
+    robot_pb2,
+    robot_pb2_grpc,
+    session_pb2,
+    session_pb2_grpc,
+    submap_pb2,
+    submap_pb2_grpc,
+    system_pb2,
+    system_pb2_grpc,
+)
+from service.application import UseCases
+from service.grpc.errors import ErrorInterceptor
+from service.grpc.servicers.health import HealthServicer
+from service.grpc.servicers.ingest import IngestServicer
+from service.grpc.servicers.loops import LoopClosureServicer
+from service.grpc.servicers.maps import MapServicer
+from service.grpc.servicers.operations import OperationServicer
+from service.grpc.servicers.robots import RobotServicer
+from service.grpc.servicers.sessions import SessionServicer
+from service.grpc.servicers.submaps import SubmapServicer
+from service.grpc.servicers.system import SystemServicer
+
+MAX_MESSAGE_BYTES = 16 * 2**20
+MAX_METADATA_BYTES = 16 * 2**10
+MAX_CONCURRENT_CALLS = 256
+
+OPTIONS = (
+    ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES),
+    ("grpc.max_send_message_length", MAX_MESSAGE_BYTES),
+    ("grpc.max_metadata_size", MAX_METADATA_BYTES),
+    ("grpc.max_concurrent_streams", MAX_CONCURRENT_CALLS),
+    ("grpc.keepalive_time_ms", 30_000),
+    ("grpc.keepalive_timeout_ms", 10_000),
+    ("grpc.http2.min_ping_interval_without_data_ms", 10_000),
+    ("grpc.so_reuseport", 0),
+)
+
+_SERVICES: tuple[tuple[Any, Callable[[UseCases], object], Callable[..., None]], ...] = (
+    (map_pb2, MapServicer, map_pb2_grpc.add_MapServiceServicer_to_server),
+    (robot_pb2, RobotServicer, robot_pb2_grpc.add_RobotServiceServicer_to_server),
+    (session_pb2, SessionServicer, session_pb2_grpc.add_SessionServiceServicer_to_server),
+    (submap_pb2, SubmapServicer, submap_pb2_grpc.add_SubmapServiceServicer_to_server),
+    (ingest_pb2, IngestServicer, ingest_pb2_grpc.add_IngestServiceServicer_to_server),
+    (loop_closure_pb2, LoopClosureServicer, loop_closure_pb2_grpc.add_LoopClosureServiceServicer_to_server),
+    (operation_pb2, OperationServicer, operation_pb2_grpc.add_OperationServiceServicer_to_server),
+    (system_pb2, SystemServicer, system_pb2_grpc.add_SystemServiceServicer_to_server),
+)
+
+
+def create_server(use_cases: UseCases) -> grpc.aio.Server:
+    """A server over `use_cases` without a port: add one, start it on the running loop, stop it with a grace."""
+    server = grpc.aio.server(
+        interceptors=[ErrorInterceptor()], options=OPTIONS, maximum_concurrent_rpcs=MAX_CONCURRENT_CALLS
+    )
+    names = [health_pb2.DESCRIPTOR.services_by_name["Health"].full_name]
+    for module, servicer, register in _SERVICES:
+        register(servicer(use_cases), server)
+        names += [service.full_name for service in module.DESCRIPTOR.services_by_name.values()]
+    health_pb2_grpc.add_HealthServicer_to_server(HealthServicer(use_cases, frozenset(names)), server)
+    reflection.enable_server_reflection([*names, reflection.SERVICE_NAME], server)
+    return server

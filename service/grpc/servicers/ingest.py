@@ -1,0 +1,187 @@
+"""IngestService: scans as they are taken."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import suppress
+from typing import Any
+
+from core.errors import ErrorCode, RevisitError
+from revisit.v1 import ingest_pb2 as pb
+from revisit.v1 import ingest_pb2_grpc
+from service.application import DEFAULT_TENANT, SessionKey, UseCases
+from service.application.errors import Draining
+from service.application.scans import AppendScan, ScanAck
+from service.grpc import messages, names
+from service.status import STATUS, retry_after_s
+
+CREDITS = 32
+"""Scans a client may have unanswered."""
+
+UNREAD_LIMIT_S = 60.0
+"""A client that reads no answers for so long loses its stream."""
+
+DRAIN_POLL_S = 0.1
+
+
+class StreamNotOpen(RevisitError):
+    """The first message of a stream must be Open, and only the first."""
+
+    code = ErrorCode.STREAM_NOT_OPEN
+
+
+class StreamFenced(RevisitError):
+    """A newer stream of the same session took over."""
+
+    code = ErrorCode.STREAM_FENCED
+
+
+class ClientReadsNothing(RevisitError):
+    """The client reads no answers."""
+
+    code = ErrorCode.RATE
+
+
+class IngestServicer(ingest_pb2_grpc.IngestServiceServicer):
+    """Runs each stream as a `_ScanStream`; the newest stream of a session fences the older one."""
+
+    def __init__(self, use_cases: UseCases) -> None:
+        """Answers from `use_cases`."""
+        self._use_cases = use_cases
+        self._streams: dict[SessionKey, _ScanStream] = {}
+
+    async def StreamScans(
+        self, requests: AsyncIterator[pb.StreamScansRequest], context: Any
+    ) -> AsyncIterator[pb.StreamScansResponse]:
+        """See the proto file for the rules."""
+        opening = await _open_of(requests)
+        stream = _ScanStream(self._use_cases, names.session_key(opening.session, "session"))
+        opened = await self._use_cases.scans.open(DEFAULT_TENANT, stream.session)
+        older = self._streams.get(stream.session)
+        self._streams[stream.session] = stream
+        if older is not None:
+            older.fence()
+        try:
+            yield pb.StreamScansResponse(opened=pb.Opened(committed_seq=opened.committed_seq, credits=CREDITS))
+            async for response in stream.run(requests, opening):
+                yield response
+        finally:
+            if self._streams.get(stream.session) is stream:
+                del self._streams[stream.session]
+
+
+class _ScanStream:
+    """One open stream: a reader answers scans in order, watchers report loops and the drain, all into one queue."""
+
+    def __init__(self, use_cases: UseCases, session: SessionKey) -> None:
+        self.session = session
+        self._use_cases = use_cases
+        self._fenced = asyncio.Event()
+        self._answers: asyncio.Queue[pb.StreamScansResponse | None] = asyncio.Queue(maxsize=2 * CREDITS)
+
+    def fence(self) -> None:
+        """End this stream: a newer one took over."""
+        self._fenced.set()
+
+    async def run(
+        self, requests: AsyncIterator[pb.StreamScansRequest], opening: pb.Open
+    ) -> AsyncIterator[pb.StreamScansResponse]:
+        """The answers, until the client is done, the service drains or another stream takes over."""
+        enders = [asyncio.create_task(work) for work in (self._read(requests), self._drain(), self._watch_fence())]
+        extras = []
+        if opening.watch_loop_closures:
+            extras.append(asyncio.create_task(self._watch_loops(opening.loop_closures_after)))
+        closer = asyncio.create_task(self._close_after(enders))
+        try:
+            while (answer := await self._answers.get()) is not None:
+                yield answer
+            await closer
+        finally:
+            await _stop([*enders, *extras, closer])
+
+    async def _close_after(self, enders: list[asyncio.Task[None]]) -> None:
+        done, _ = await asyncio.wait(enders, return_when=asyncio.FIRST_COMPLETED)
+        await self._answers.put(None)
+        for task in done:
+            task.result()
+
+    async def _read(self, requests: AsyncIterator[pb.StreamScansRequest]) -> None:
+        async for request in requests:
+            if request.WhichOneof("request") != "scan":
+                raise StreamNotOpen("after Open, a stream carries scans only")
+            try:
+                await self._acknowledge(await self._append(request.scan))
+            except Draining:
+                return await self._send(drain=pb.Drain())
+            except RevisitError as error:
+                await self._refuse(request.scan.seq, error)
+
+    async def _append(self, scan: pb.Scan) -> ScanAck:
+        pose = messages.matrix(scan.t_odom_sensor, scan.HasField("t_odom_sensor"), "T_odom_sensor")
+        command = AppendScan(self.session, messages.seq(scan.seq), scan.stamp_ns, pose, messages.cloud(scan.cloud))
+        return await self._use_cases.scans.append(DEFAULT_TENANT, command)
+
+    async def _acknowledge(self, ack: ScanAck) -> None:
+        await self._send(ack=pb.Ack(committed_seq=ack.committed_seq, credits=1))
+        if ack.submap is not None:
+            posted = ack.submap
+            finished = pb.SubmapFinished(
+                name=posted.submap.key.name, operation=f"operations/{posted.operation.operation_id}"
+            )
+            await self._send(submap_finished=finished)
+
+    async def _refuse(self, seq: int, error: RevisitError) -> None:
+        """Answer a scan that was not stored; the stream lives. Raises where the session itself cannot go on."""
+        if error.code in (ErrorCode.NOT_FOUND, ErrorCode.SESSION_FINISHED):
+            raise error
+        status = STATUS[error.code]
+        opened = await self._use_cases.scans.open(DEFAULT_TENANT, self.session)
+        nack = pb.Nack(
+            seq=seq,
+            reason=error.code.value,
+            retryable=status.retryable,
+            message=error.message[:800],
+            expected_seq=opened.committed_seq + 1,
+            credits=1,
+        )
+        await self._send(nack=nack)
+        delay_s = retry_after_s(error, status)
+        if delay_s is not None:
+            await self._send(throttle=pb.Throttle(retry_delay_s=delay_s))
+
+    async def _drain(self) -> None:
+        while not self._use_cases.system.draining:
+            await asyncio.sleep(DRAIN_POLL_S)
+        await self._send(drain=pb.Drain())
+
+    async def _watch_fence(self) -> None:
+        await self._fenced.wait()
+        raise StreamFenced
+
+    async def _watch_loops(self, after: int) -> None:
+        with suppress(Draining):
+            async for view in self._use_cases.loops.watch(
+                DEFAULT_TENANT, self.session.map_id, after, self.session.session_id
+            ):
+                await self._send(loop_closed=pb.LoopClosed(loop_closure=messages.loop_message(view)))
+
+    async def _send(self, **answer: Any) -> None:
+        try:
+            await asyncio.wait_for(self._answers.put(pb.StreamScansResponse(**answer)), UNREAD_LIMIT_S)
+        except TimeoutError as error:
+            raise ClientReadsNothing from error
+
+
+async def _open_of(requests: AsyncIterator[pb.StreamScansRequest]) -> pb.Open:
+    async for request in requests:
+        if request.WhichOneof("request") == "open":
+            return request.open
+        break
+    raise StreamNotOpen
+
+
+async def _stop(tasks: list[asyncio.Task[None]]) -> None:
+    for task in tasks:
+        task.cancel()
+    await asyncio.gather(*tasks, return_exceptions=True)
