@@ -40,7 +40,8 @@ class _Server(uvicorn.Server):
 def serve(settings: Settings) -> int:
     """Run the gateway and its workers until SIGTERM or SIGINT; the exit status."""
     migrate(settings.database)
-    return asyncio.run(_Gateway(settings).run(), loop_factory=_loop_factory())
+    with asyncio.Runner(loop_factory=_loop_factory()) as runner:
+        return runner.run(_Gateway(settings).run())
 
 
 class _Gateway:
@@ -100,7 +101,7 @@ class _Gateway:
         from service.rest.app import create_app
 
         config = uvicorn.Config(
-            create_app(use_cases, self._settings),
+            create_app(use_cases),
             host=self._settings.host,
             port=self._settings.http_port,
             http="h11",
@@ -117,7 +118,7 @@ class _Gateway:
     def _grpc_server(self, use_cases: UseCases) -> tuple[grpc.aio.Server, int]:
         from service.grpc.server import create_server
 
-        server = create_server(use_cases, self._settings)
+        server = create_server(use_cases)
         host = f"[{self._settings.host}]" if ":" in self._settings.host else self._settings.host
         return server, server.add_insecure_port(f"{host}:{self._settings.grpc_port}")
 

@@ -35,7 +35,7 @@ class CoreRecogniser:
             descriptor=place.descriptor.vector,
             signature=place.signature.to_blob(),
             neural_map=None if place.neural_map is None else place.neural_map.to_blob(),
-            mesh=Mesh(place.surface.vertices, place.surface.faces),
+            mesh=Mesh(place.surface.vertices, place.surface.normals, place.surface.faces),
             flags=place.flags,
             timings_s=place.timings_s,
         )

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
 from core.errors import BadField, DataLoss, TooLarge
+from core.formats import DecodedCloud, decode_cloud
 from core.scan import CloudReport, Points, validate_cloud
-
-if TYPE_CHECKING:
-    from core.formats import DecodedCloud
 
 MAX_SCAN_POINTS = 500_000
 MAX_SUBMAP_POINTS = 2_000_000
@@ -35,7 +33,7 @@ class EncodedCloud:
     content_type: str
 
 
-CloudInput: TypeAlias = "EncodedCloud | DecodedCloud"
+CloudInput: TypeAlias = EncodedCloud | DecodedCloud
 
 
 @dataclass(frozen=True)
@@ -90,6 +88,4 @@ def unpack_cloud(blob: bytes) -> StoredCloud:
 
 
 def _decoded(cloud: CloudInput) -> DecodedCloud:
-    from core.formats import decode_cloud
-
     return decode_cloud(cloud.data, cloud.content_type) if isinstance(cloud, EncodedCloud) else cloud

@@ -9,10 +9,11 @@ from enum import StrEnum
 import numpy as np
 
 from core.errors import UnsupportedEncoding
+from core.formats import NPY, PCD, PLY, encode_pcd, encode_ply, encode_ply_mesh
 from service.application.blob_references import NEURAL_MAP_BLOB
 from service.application.clouds import CLOUD_BLOB, StoredCloud, unpack_cloud
 from service.application.errors import NotFound, NotReady
-from service.application.meshes import MESH_BLOB, mesh_ply, unpack_mesh
+from service.application.meshes import MESH_BLOB, unpack_mesh
 from service.application.ports import BlobStore
 from service.application.records import SubmapRecord
 from service.application.submap_source import SubmapSource, load_submap
@@ -36,9 +37,9 @@ FORMATS = {
 """The formats of each kind; the first is the default."""
 
 MEDIA_TYPES = {
-    "ply": "application/ply",
-    "pcd": "application/pcd",
-    "npy": "application/x-npy",
+    "ply": PLY,
+    "pcd": PCD,
+    "npy": NPY,
     "rvn": "application/vnd.revisit.neural-map",
 }
 
@@ -75,7 +76,8 @@ def _rendered(
         np.save(buffer, np.frombuffer(record.descriptor, dtype="<f4"), allow_pickle=False)
         return buffer.getvalue()
     if kind is DownloadKind.MESH:
-        return mesh_ply(unpack_mesh(blobs.get(record.tenant, MESH_BLOB, str(record.mesh_sha256))))
+        mesh = unpack_mesh(blobs.get(record.tenant, MESH_BLOB, str(record.mesh_sha256)))
+        return encode_ply_mesh(mesh.vertices, mesh.normals, mesh.faces)
     if record.neural_map_sha256 is None:
         raise NotFound("this submap was described without a neural map")
     return blobs.get(record.tenant, NEURAL_MAP_BLOB, record.neural_map_sha256)
@@ -88,7 +90,5 @@ def _points(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) -> Sto
 
 
 def _points_file(cloud: StoredCloud, extension: str) -> bytes:
-    from core.formats import encode_pcd, encode_ply
-
     encode = encode_pcd if extension == "pcd" else encode_ply
     return encode(cloud.points, cloud.intensity)

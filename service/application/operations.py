@@ -109,7 +109,9 @@ class Operations:
             pause = min(pause * 1.5, _POLL_S[1])
 
 
-def new_job(context: Context, tenant: TenantId, kind: OperationKind, subject: str, payload: dict[str, Any]) -> JobRecord:
+def new_job(
+    context: Context, tenant: TenantId, kind: OperationKind, subject: str, payload: dict[str, Any]
+) -> JobRecord:
     """A job to queue, with an operation id of its own."""
     return JobRecord(
         tenant=tenant,

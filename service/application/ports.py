@@ -60,7 +60,9 @@ class Repository(Protocol[R]):
         """The record with this key, or None."""
         ...
 
-    def find(self, tenant: TenantId, *, after: int = 0, limit: int | None = None, **equals: str | int | None) -> list[R]:
+    def find(
+        self, tenant: TenantId, *, after: int = 0, limit: int | None = None, **equals: str | int | None
+    ) -> list[R]:
         """Records whose fields equal `equals` and whose number is above `after`, by number, at most `limit`."""
         ...
 
@@ -192,25 +194,54 @@ class UnitOfWork(Protocol):
     """One transaction: all of it is committed, or none."""
 
     @property
-    def maps(self) -> Repository[MapRecord]: ...
+    def maps(self) -> Repository[MapRecord]:
+        """Maps by (map_id)."""
+        ...
+
     @property
-    def robots(self) -> Repository[RobotRecord]: ...
+    def robots(self) -> Repository[RobotRecord]:
+        """Robots by (robot_id)."""
+        ...
+
     @property
-    def sessions(self) -> Repository[SessionRecord]: ...
+    def sessions(self) -> Repository[SessionRecord]:
+        """Sessions by (map_id, session_id)."""
+        ...
+
     @property
-    def scans(self) -> ScanRepository: ...
+    def scans(self) -> ScanRepository:
+        """Scans by (map_id, session_id, seq)."""
+        ...
+
     @property
-    def submaps(self) -> Repository[SubmapRecord]: ...
+    def submaps(self) -> Repository[SubmapRecord]:
+        """Submaps by (map_id, session_id, submap_id)."""
+        ...
+
     @property
-    def loops(self) -> Repository[LoopRecord]: ...
+    def loops(self) -> Repository[LoopRecord]:
+        """Loop closures by (map_id, loop_id)."""
+        ...
+
     @property
-    def jobs(self) -> JobRepository: ...
+    def jobs(self) -> JobRepository:
+        """Jobs by (operation_id)."""
+        ...
+
     @property
-    def queue(self) -> JobQueue: ...
+    def queue(self) -> JobQueue:
+        """The job queue."""
+        ...
+
     @property
-    def changes(self) -> ChangeLog: ...
+    def changes(self) -> ChangeLog:
+        """The change log of the maps' indexes."""
+        ...
+
     @property
-    def workers(self) -> WorkerLog: ...
+    def workers(self) -> WorkerLog:
+        """The living workers."""
+        ...
 
 
 class Transactions(Protocol):
@@ -303,9 +334,10 @@ class VectorIndex(Protocol):
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles: vertices (v, 3) float32 metres in the submap frame, faces (f, 3) int32."""
+    """Triangles: vertices (v, 3) float32 metres in the submap frame, unit normals (v, 3), faces (f, 3) int32."""
 
     vertices: NDArray[np.float32]
+    normals: NDArray[np.float32]
     faces: NDArray[np.int32]
 
 

@@ -173,8 +173,9 @@ class Recognition:
                 if place.submap.number not in judged:
                     judged[place.submap.number] = self._judge(described.description.signature, place, config)
             kept = [judged[place.submap.number] for place in recall.places]
-            work = _Commit(self._context, self._recogniser.model_version, lease, task, described, kept, where, recall.seq)
-            if self._context.transactions.write(work).result():
+            model_version = self._recogniser.model_version
+            commit = _Commit(self._context, model_version, lease, task, described, kept, where, recall.seq)
+            if self._context.transactions.write(commit).result():
                 return
 
     def _judge(self, signature: bytes, place: RecalledPlace, config: PipelineConfig) -> _Judged:

@@ -16,7 +16,7 @@ Pose = tuple[float, ...]
 
 @dataclass(frozen=True)
 class MapRecord:
-    """A map; None stands for "as the service is configured". `model_version`: that of its descriptors, once it has any."""
+    """A map; None stands for "as the service is configured"; `model_version` is that of its descriptors, if any."""
 
     tenant: TenantId
     map_id: str

@@ -1,4 +1,4 @@
-"""Searches: which submaps look like this one, and where in the map was this cloud taken?"""
+"""Searches: which submaps look like this one, and where in the map a cloud was taken."""
 
 from __future__ import annotations
 
@@ -68,7 +68,8 @@ class Searches:
             record = require_submap(uow, tenant, key)
             if record.descriptor is None:
                 raise NotReady
-            return require_map(uow, tenant, key.map_id), record, vector_filter(uow, tenant, key.map_id, criteria, record)
+            where = vector_filter(uow, tenant, key.map_id, criteria, record)
+            return require_map(uow, tenant, key.map_id), record, where
 
         map_record, record, where = await self._context.read(load)
         vector = np.frombuffer(record.descriptor or b"", dtype="<f4")

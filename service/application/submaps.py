@@ -209,7 +209,7 @@ class Submaps:
         )
 
     def _known(self, uow: UnitOfWork, row: SubmapRecord) -> PostedSubmap | None:
-        """The first answer, where the same submap was posted before. Raises AlreadyExists, NotFound, SessionFinished."""
+        """The first answer, where it was posted before. Raises AlreadyExists, NotFound, SessionFinished."""
         session = require_session(uow, row.tenant, SessionKey(row.map_id, row.session_id))
         known = uow.submaps.get(row.tenant, row.map_id, row.session_id, row.submap_id)
         if known is None:

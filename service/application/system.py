@@ -1,4 +1,4 @@
-"""The service itself: is it alive, can it serve, what is it doing, is it stopping?"""
+"""The service itself: whether it can serve, what it is doing, whether it is stopping."""
 
 from __future__ import annotations
 

@@ -1,0 +1,58 @@
+"""A recogniser without a method, for tests of the service: a place looks like the cloud it was made of.
+
+The descriptor is the histogram of the points' heights (clouds of the same seed match, others do not). Clouds of
+special sizes misbehave: see the constants. REVISIT_FAKE_DELAY_S makes each description take that long.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+
+import numpy as np
+
+from core.config import PipelineConfig
+from core.errors import DegenerateCloud
+from core.submap import Submap
+from service.application.ports import LoopVerdict, Mesh, SubmapDescription
+
+KILLS_THE_WORKER = 666
+RAISES = 667
+CANNOT_BE_DESCRIBED = 668
+
+BINS = 64
+ACCEPTED_FROM = 0.98
+
+
+class FakeRecogniser:
+    """`ports.PlaceRecogniser` by height histogram."""
+
+    model_version = "fake-1"
+
+    def describe(self, submap: Submap, config: PipelineConfig) -> SubmapDescription:
+        """A description, or misbehaviour for clouds of the special sizes."""
+        time.sleep(float(os.environ.get("REVISIT_FAKE_DELAY_S", "0")))
+        if len(submap.points) == KILLS_THE_WORKER:
+            os._exit(9)
+        if len(submap.points) == RAISES:
+            raise RuntimeError("the method has a fault")
+        if len(submap.points) == CANNOT_BE_DESCRIBED:
+            raise DegenerateCloud
+        counts, _ = np.histogram(submap.points[:, 2], bins=BINS, range=(-8.0, 8.0))
+        descriptor = (counts / np.linalg.norm(counts)).astype(np.float32)
+        mesh = Mesh(submap.points[:3], np.tile(np.float32([0, 0, 1]), (3, 1)), np.array([[0, 1, 2]], dtype=np.int32))
+        return SubmapDescription(descriptor, descriptor.tobytes(), b"neural " + descriptor.tobytes(), mesh, (), {"all": 0.0})
+
+    def verify(self, query: bytes, match: bytes, similarity: float, config: PipelineConfig) -> LoopVerdict:
+        """Accepted where the descriptors nearly agree; the transform is always 1 m along x."""
+        agreement = float(np.frombuffer(query, dtype=np.float32) @ np.frombuffer(match, dtype=np.float32))
+        T_match_query = np.eye(4)
+        T_match_query[0, 3] = 1.0
+        if agreement < ACCEPTED_FROM:
+            return LoopVerdict(False, "TOO_DIFFERENT", agreement, None, {"agreement": agreement})
+        return LoopVerdict(True, None, agreement, T_match_query, {"agreement": agreement})
+
+
+def load() -> FakeRecogniser:
+    """What REVISIT_RECOGNISER=tests.support.fake_recogniser:load loads."""
+    return FakeRecogniser()

@@ -1,0 +1,136 @@
+"""A service without processes: use cases over chosen stores, and workers that run a job when told to."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.config import PipelineConfig
+from core.formats import DecodedCloud
+from service.adapters.blobs import FileBlobStore
+from service.adapters.memory import MemoryBlobStore, MemoryTransactions
+from service.adapters.memory_index import MemoryVectorIndex
+from service.adapters.sql.migration import migrate
+from service.adapters.sql.unit_of_work import SqlTransactions
+from service.application import DEFAULT_TENANT, Context, Policy, SessionKey, SubmapKey, UseCases
+from service.application.maps import CreateMap
+from service.application.ports import Instant, PlaceRecogniser
+from service.application.recognition import Recognition
+from service.application.scans import AppendScan
+from service.application.sessions import CreateSession
+from service.application.submaps import PostSubmap
+from tests.support.fake_recogniser import FakeRecogniser
+
+TENANT = DEFAULT_TENANT
+SESSION = SessionKey("town", "monday")
+
+
+@dataclass
+class SteppedClock:
+    """`ports.Clock` that moves when told to."""
+
+    epoch: str = "boot-1"
+    ms: int = 1_000_000
+
+    def wall_ns(self) -> int:
+        """See `ports.Clock`."""
+        return 1_700_000_000_000_000_000 + self.ms * 1_000_000
+
+    def instant(self) -> Instant:
+        """See `ports.Clock`."""
+        return Instant(self.epoch, self.ms)
+
+
+@dataclass
+class World:
+    """The service and the hands of a worker."""
+
+    context: Context
+    use_cases: UseCases
+    clock: SteppedClock
+
+    def worker(self, recogniser: PlaceRecogniser | None = None) -> Recognition:
+        """Another worker's recognition, with an index of its own."""
+        own = replace(self.context, index=MemoryVectorIndex())
+        return Recognition(own, recogniser or FakeRecogniser())
+
+    def claim(self, owner: str = "w1"):
+        """The next lease, or None."""
+        now = self.clock.instant()
+        return self.context.transactions.write(lambda uow: uow.queue.claim(owner, now)).result()
+
+    def work_off(self, recogniser: PlaceRecogniser | None = None) -> int:
+        """Run every job that is due; how many."""
+        worker, done = self.worker(recogniser), 0
+        while (lease := self.claim()) is not None:
+            worker.run(lease)
+            done += 1
+        return done
+
+
+def policy(**overrides) -> Policy:
+    """Submaps of 10 m every 5 m; neighbours nearer than 2 are no loop."""
+    pipeline = PipelineConfig()
+    loop = replace(pipeline.loop, min_index_gap=2)
+    return Policy(pipeline=replace(pipeline, loop=loop), **overrides)
+
+
+def memory_world(**overrides) -> World:
+    """The service over the stores in memory."""
+    rules = policy(**overrides)
+    return _world(MemoryTransactions(rules.lease_ms), MemoryBlobStore(), rules)
+
+
+def sqlite_world(home: Path, **overrides) -> World:
+    """The service over SQLite and files in `home`; close its transactions at the end."""
+    rules = policy(**overrides)
+    migrate(home / "revisit.db")
+    transactions = SqlTransactions(home / "revisit.db", checkpoints=True, lease_ms=rules.lease_ms)
+    return _world(transactions, FileBlobStore(home / "blobs"), rules)
+
+
+def _world(transactions, blobs, rules: Policy) -> World:
+    clock = SteppedClock()
+    context = Context(transactions, blobs, MemoryVectorIndex(), clock, rules, threading.Event())
+    return World(context, UseCases.over(context, "test"), clock)
+
+
+async def open_session(world: World, session: SessionKey = SESSION, tenant=TENANT) -> None:
+    """Create the map and the session."""
+    await world.use_cases.maps.create(tenant, CreateMap(session.map_id))
+    await world.use_cases.sessions.create(tenant, CreateSession(session.map_id, session.session_id))
+
+
+def cloud(place: int, points: int = 300) -> DecodedCloud:
+    """A cloud of `place`: clouds of the same place match under the fake recogniser, others do not."""
+    return DecodedCloud(cloud_points(place, points))
+
+
+def cloud_points(place: int, points: int = 300) -> NDArray[np.float32]:
+    """The points (n, 3): heights in a band of their own for every place."""
+    rng = np.random.default_rng(place)
+    xy = rng.uniform(-20.0, 20.0, (points, 2))
+    z = rng.uniform(-7.9, 7.9, 2)[np.arange(points) % 2] + rng.uniform(0.0, 0.05, points)
+    return np.column_stack([xy, z]).astype(np.float32)
+
+
+def pose(x_m: float = 0.0) -> NDArray[np.float64]:
+    """T_odom_sensor at (x_m, 0, 0), unrotated."""
+    T_odom_sensor = np.eye(4)
+    T_odom_sensor[0, 3] = x_m
+    return T_odom_sensor
+
+
+def submap(submap_id: str, place: int, session: SessionKey = SESSION, points: int = 300) -> PostSubmap:
+    """A posted submap of `place`."""
+    key = SubmapKey(session.map_id, session.session_id, submap_id)
+    return PostSubmap(key, pose(float(place)), 1_000 + place, cloud(place, points))
+
+
+def scan(seq: int, x_m: float, session: SessionKey = SESSION) -> AppendScan:
+    """Scan `seq` taken at x_m."""
+    return AppendScan(session, seq, seq * 100, pose(x_m), cloud(seq))
