@@ -12,6 +12,9 @@ from core.errors import BadTransform
 
 Matrix4 = NDArray[np.float64]
 
+# Any place on Earth in any usual frame is nearer; farther is a broken pose, and would overflow what follows.
+MAX_TRANSLATION_M = 1e8
+
 
 def from_rotation_translation(rotation: ArrayLike, translation: ArrayLike) -> Matrix4:
     """The transform with the (3, 3) `rotation` and the (3,) `translation` in metres."""
@@ -70,7 +73,7 @@ def validated(transform: ArrayLike) -> Matrix4:
     """`transform` as a (4, 4) float64 rigid motion, its rotation re-orthonormalised.
 
     Accepts (4, 4) or (3, 4). Raises BadTransform for another shape, non-finite numbers, a rotation that is
-    more than 1e-3 from orthonormal, or a reflection.
+    more than 1e-3 from orthonormal, a reflection, or a translation beyond 100,000 km.
     """
     matrix = np.asarray(transform, dtype=np.float64)
     if matrix.shape == (3, 4):
@@ -81,7 +84,9 @@ def validated(transform: ArrayLike) -> Matrix4:
         raise BadTransform("the transform holds NaN or infinity")
     if np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-9:
         raise BadTransform("the last row of a transform must be 0 0 0 1")
-    u, singular, vt = np.linalg.svd(matrix[:3, :3])
+    if np.abs(matrix[:3, 3]).max() > MAX_TRANSLATION_M:
+        raise BadTransform(f"the translation exceeds {MAX_TRANSLATION_M:.0f} m")
+    u, singular, vt = np.linalg.svd(np.clip(matrix[:3, :3], -2.0, 2.0))
     if np.abs(singular - 1.0).max() > 1e-3:
         raise BadTransform("the rotation is not orthonormal")
     if np.linalg.det(u @ vt) < 0:
@@ -120,7 +125,8 @@ def exp(tangent: ArrayLike) -> Matrix4:
     k = _hat(phi)
     if angle < 1e-8:
         return from_rotation_translation(np.eye(3) + k, rho + 0.5 * k @ rho)
-    a, b, c = np.sin(angle) / angle, (1 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
+    # 2 sin^2(angle / 2) instead of 1 - cos(angle), which loses every digit for small angles.
+    a, b, c = np.sin(angle) / angle, 2 * (np.sin(angle / 2) / angle) ** 2, (angle - np.sin(angle)) / angle**3
     return from_rotation_translation(np.eye(3) + a * k + b * k @ k, (np.eye(3) + b * k + c * k @ k) @ rho)
 
 
@@ -130,13 +136,11 @@ def log(transform: Matrix4) -> NDArray[np.float64]:
     vector = np.array([x, y, z])
     sine = float(np.linalg.norm(vector))
     phi = vector * (2.0 * np.arctan2(sine, w) / sine) if sine > 1e-12 else 2.0 * vector
-    angle = float(np.linalg.norm(phi))
+    half = 0.5 * float(np.linalg.norm(phi))
     k = _hat(phi)
-    if angle < 1e-6:
-        inverse_left = np.eye(3) - 0.5 * k + k @ k / 12.0
-    else:
-        factor = 1.0 / angle**2 - (1.0 + np.cos(angle)) / (2.0 * angle * np.sin(angle)) if np.pi - angle > 1e-6 else 1.0 / angle**2
-        inverse_left = np.eye(3) - 0.5 * k + factor * k @ k
+    # (1 - half cot half) / angle^2: finite at pi, and 1/12 in the limit of no rotation.
+    factor = (1.0 - half * np.cos(half) / np.sin(half)) / (4.0 * half * half) if half > 1e-4 else 1.0 / 12.0
+    inverse_left = np.eye(3) - 0.5 * k + factor * k @ k
     return np.concatenate([inverse_left @ transform[:3, 3], phi])
 
 

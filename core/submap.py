@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass, replace
 
@@ -18,7 +19,8 @@ class Submap:
     """Points of several scans in one frame: the sensor frame of the middle scan.
 
     points (n, 3) float32 metres; scan_index (n,) int32, the scan each point belongs to, ascending;
-    origins (s, 3) float32, where each scan was taken from; stamps_ns (s,) int64; T_odom_submap the pose of the middle scan;
+    origins (s, 3) float32, where each scan was taken from; stamps_ns (s,) int64;
+    T_odom_submap the pose of the middle scan;
     position (3,) float64 the mean position of the scans in the odometry frame.
     """
 
@@ -92,6 +94,15 @@ def within_range(points: Points, config: SubmapConfig) -> NDArray[np.bool_]:
     return np.asarray((squared >= config.min_range**2) & (squared <= config.max_range**2))
 
 
+def next_window_start(start_m: float, travelled_m: float, config: SubmapConfig) -> float:
+    """Where the window after a finished one starts: whole strides on, so many that it is still open at `travelled_m`.
+
+    Distances in metres travelled since the session began; no loop, because a pose may jump by any distance.
+    """
+    strides = math.floor((travelled_m - start_m - config.tau) / config.stride) + 1
+    return start_m + config.stride * max(strides, 1)
+
+
 class SubmapBuilder:
     """Cuts a stream of scans into submaps: windows of `tau` metres of travel, one starting every `stride` metres."""
 
@@ -112,9 +123,7 @@ class SubmapBuilder:
             return None
         finished = [item for _, item in self._window]
         self._emitted_to_m = self._travelled_m
-        self._window_start_m += self._config.stride
-        while self._travelled_m - self._window_start_m >= self._config.tau:
-            self._window_start_m += self._config.stride
+        self._window_start_m = next_window_start(self._window_start_m, self._travelled_m, self._config)
         while len(self._window) > 1 and self._window[0][0] < self._window_start_m:
             self._window.popleft()
         return finished

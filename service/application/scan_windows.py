@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from core.config import SubmapConfig
+from core.submap import next_window_start
 
 
 @dataclass(frozen=True)
@@ -41,9 +42,7 @@ def advance(
     travelled = window.travelled_m + step_m
     if travelled - window.start_m < config.tau:
         return Window(window.first_seq, window.start_m, travelled, window.emitted_to_m), None
-    start = window.start_m + config.stride
-    while travelled - start >= config.tau:
-        start += config.stride
+    start = next_window_start(window.start_m, travelled, config)
     # The newest scan always stays: the next step is measured from it.
     first_kept = first_seq_from(start)
     first = seq if first_kept is None else max(window.first_seq, first_kept)
