@@ -1,0 +1,39 @@
+"""A recording cut into submaps, by its poses alone: points are read when a submap is built."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from core.config import SubmapConfig
+from core.scan import CloudReport, Scan
+from core.submap import Submap, SubmapBuilder
+from evaluation.datasets import Recording
+from evaluation.perturbations import Perturbation
+
+Window = tuple[int, ...]
+
+
+def cut(recording: Recording, config: SubmapConfig, scans: Sequence[int] | None = None) -> list[Window]:
+    """The scan indices of every submap, in order; `scans` restricts and orders the scans that are used."""
+    builder = SubmapBuilder(config)
+    windows: list[list[Scan] | None] = []
+    for index in range(len(recording)) if scans is None else scans:
+        windows.append(builder.add(_stand_in(recording, index)))
+    windows.append(builder.flush())
+    return [tuple(scan.stamp_ns for scan in window) for window in windows if window is not None]
+
+
+def _stand_in(recording: Recording, index: int) -> Scan:
+    """A scan without points whose stamp is its index: the builder looks at poses only."""
+    return Scan(np.zeros((0, 3), dtype=np.float32), recording.pose(index), index, CloudReport(0, False))
+
+
+def load_submap(recording: Recording, window: Window, config: SubmapConfig, perturbation: Perturbation) -> Submap:
+    """The submap of a window, thinned but not turned. Raises what reading or validating a scan raises."""
+    scans = []
+    for index in window:
+        scan = recording.scan(index)
+        scans.append(Scan.validated(perturbation.thin(scan.points, index), scan.T_odom_sensor, scan.stamp_ns))
+    return Submap.from_scans(scans, config)

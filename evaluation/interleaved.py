@@ -1,0 +1,144 @@
+"""Recognition on a real drive without loops: even keyframes are the map, odd ones come again as turned queries.
+
+Both halves see the same streets at the same time, so this tests surfaces, descriptors and alignment on real scans, not
+change over time.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.index import ExactIndex, IndexEntry, Match, SearchFilter
+from evaluation.baselines import PlaceRecogniser, ScanContext
+from evaluation.cutting import Window, cut, load_submap
+from evaluation.datasets import Recording
+from evaluation.matching import QueryMatches, VerificationWork, pose_error, verify_all
+from evaluation.methods import Method, PipelineMethod
+from evaluation.perturbations import turned
+from evaluation.places import DescriptionWork, Place, describe_places, in_processes
+from evaluation.runner import EvaluationOptions
+
+
+@dataclass(frozen=True)
+class InterleavedResult:
+    """Shares 0..1 of the queries whose first match lies within `radius_m`; pose errors of the accepted, right ones."""
+
+    queries: int
+    map_submaps: int
+    radius_m: float
+    descriptor_recall_at_1: float
+    verified_recall_at_1: float
+    accepted: int
+    accepted_wrong: int
+    median_error_m: float | None
+    median_error_deg: float | None
+    baselines: dict[str, float]
+
+    def as_json(self) -> dict[str, Any]:
+        """The figures as plain numbers."""
+        return dataclasses.asdict(self)
+
+
+def evaluate_interleaved(
+    recording: Recording,
+    options: EvaluationOptions,
+    *,
+    radius_m: float = 10.0,
+    method: Method | None = None,
+    baselines: tuple[PlaceRecogniser, ...] = (ScanContext(),),
+) -> InterleavedResult:
+    """recall@1 within `radius_m` of odd-keyframe submaps among even-keyframe submaps, both turned at random.
+
+    Turning uses `options.perturbation.rotate_seed`, or 0 where it is None. Raises what reading the recording raises.
+    """
+    config = options.pipeline()
+    method = method or PipelineMethod(config, options.ablation)
+    seed = options.perturbation.rotate_seed
+    perturbation = dataclasses.replace(options.perturbation, rotate_seed=0 if seed is None else seed)
+    maps = cut(recording, config.submap, range(0, len(recording), 2))
+    windows = maps + cut(recording, config.submap, range(1, len(recording), 2))
+    work = DescriptionWork(recording, config.submap, perturbation, method, options.seed)
+    places = list(describe_places(work, windows, options.jobs))
+    candidates = _candidates(places, len(maps), config.loop.candidates)
+    matches = list(verify_all(VerificationWork(places, method), candidates, options.jobs))[len(maps) :]
+    found = _baseline_matches(baselines, work, windows, len(maps), options.jobs)
+    return _score(places, len(maps), matches, found, radius_m)
+
+
+def _candidates(places: list[Place], map_count: int, k: int) -> list[tuple[Match, ...]]:
+    """Nothing for the map's submaps; the most similar map submaps for each query."""
+    described = [place for place in places[:map_count] if place.description is not None]
+    if not described:
+        return [()] * len(places)
+    vectors = np.stack([place.description.vector for place in described if place.description is not None])
+    index = ExactIndex(vectors.shape[1])
+    index.add([IndexEntry(place.id, 0, place.id, place.position) for place in described], vectors)
+    found: list[tuple[Match, ...]] = [()] * map_count
+    for query in places[map_count:]:
+        description = query.description
+        found.append(tuple(index.search(description.vector, k, SearchFilter())) if description is not None else ())
+    return found
+
+
+def _score(
+    places: list[Place], map_count: int, matches: list[QueryMatches], found: dict[str, list[int]], radius_m: float
+) -> InterleavedResult:
+    """All figures; found[baseline] is the map submap of every query."""
+    queries = places[map_count:]
+    by_cosine = [_within(query, places, m.by_similarity[0].id if m.by_similarity else None, radius_m)
+                 for query, m in zip(queries, matches, strict=True)]  # fmt: skip
+    by_score = [_within(query, places, m.ranked[0].id if m.ranked else None, radius_m)
+                for query, m in zip(queries, matches, strict=True)]  # fmt: skip
+    accepted = [bool(m.ranked) and m.ranked[0].verdict.accepted for m in matches]
+    errors = np.array([
+        pose_error(query, places[m.ranked[0].id], m.ranked[0].T_match_query)
+        for query, m, right, taken in zip(queries, matches, by_score, accepted, strict=True)
+        if right and taken and m.ranked[0].T_match_query is not None
+    ]).reshape(-1, 2)  # fmt: skip
+    baselines = {
+        name: _share([_within(query, places, match, radius_m) for query, match in zip(queries, rows, strict=True)])
+        for name, rows in found.items()
+    }
+    return InterleavedResult(
+        queries=len(queries), map_submaps=map_count, radius_m=radius_m,
+        descriptor_recall_at_1=_share(by_cosine), verified_recall_at_1=_share(by_score), accepted=sum(accepted),
+        accepted_wrong=sum(taken and not right for taken, right in zip(accepted, by_score, strict=True)),
+        median_error_m=float(np.median(errors[:, 0])) if len(errors) else None,
+        median_error_deg=float(np.median(errors[:, 1])) if len(errors) else None, baselines=baselines,
+    )  # fmt: skip
+
+
+def _within(query: Place, places: list[Place], match: int | None, radius_m: float) -> bool:
+    return match is not None and bool(np.linalg.norm(places[match].position - query.position) <= radius_m)
+
+
+def _share(flags: list[bool]) -> float:
+    return float(np.mean(flags)) if flags else 0.0
+
+
+def _baseline_matches(
+    baselines: tuple[PlaceRecogniser, ...], work: DescriptionWork, windows: list[Window], map_count: int, jobs: int
+) -> dict[str, list[int]]:
+    """The map submap that every baseline finds for every query, on the same turned submaps."""
+    described = list(in_processes(_describe_baselines, (work, baselines), list(enumerate(windows)), jobs))
+    found = {}
+    for column, baseline in enumerate(baselines):
+        vectors = np.stack([row[column] for row in described])
+        known = vectors[:map_count]
+        found[baseline.name] = [int(baseline.similarities(query, known).argmax()) for query in vectors[map_count:]]
+    return found
+
+
+def _describe_baselines(
+    context: tuple[DescriptionWork, tuple[PlaceRecogniser, ...]], task: tuple[int, Window]
+) -> list[NDArray[np.float32]]:
+    work, baselines = context
+    index, window = task
+    submap = load_submap(work.recording, window, work.config, work.perturbation)
+    points = turned(submap, work.perturbation.yaw(index)).points
+    return [baseline.describe(points) for baseline in baselines]

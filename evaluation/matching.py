@@ -1,0 +1,90 @@
+"""The online protocol: each submap asks the earlier ones, then joins them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from core import se3
+from core.config import LoopConfig
+from core.index import ExactIndex, IndexEntry, Match, SearchFilter
+from evaluation.methods import Method, Verdict
+from evaluation.places import Place, in_processes
+
+
+@dataclass(frozen=True)
+class RankedCandidate:
+    """A candidate with its cosine and the verdict; T_match_query with the turns of both submaps undone."""
+
+    id: int
+    similarity: float
+    verdict: Verdict
+    T_match_query: se3.Matrix4 | None
+
+
+@dataclass(frozen=True)
+class QueryMatches:
+    """All candidates of a query: by falling cosine, and after verification (accepted first, then by score)."""
+
+    by_similarity: tuple[Match, ...]
+    ranked: tuple[RankedCandidate, ...]
+    seconds: float
+
+
+@dataclass(frozen=True)
+class VerificationWork:
+    """Everything a process needs to verify any query."""
+
+    places: Sequence[Place]
+    method: Method
+
+
+def pose_error(query: Place, match: Place, T_match_query: se3.Matrix4) -> tuple[float, float]:
+    """Metres and degrees of inv(T_estimated) T_true, the true pose from the recording."""
+    error = se3.inverse(T_match_query) @ se3.inverse(match.T_world_submap) @ query.T_world_submap
+    return float(np.linalg.norm(error[:3, 3])), float(np.degrees(se3.rotation_angle(error)))
+
+
+def search_online(places: Sequence[Place], loop: LoopConfig) -> list[tuple[Match, ...]]:
+    """The candidates of every place among the earlier ones that differ by more than the index gap, best first."""
+    described = [place.description for place in places if place.description is not None]
+    index = ExactIndex(len(described[0].vector)) if described else None
+    found: list[tuple[Match, ...]] = []
+    for place in places:
+        if place.description is None or index is None:
+            found.append(())
+            continue
+        # The paper wants indices that differ by more than the gap; the filter lets through what differs by its number.
+        near = SearchFilter(near=(0, place.id, loop.min_index_gap + 1))
+        found.append(tuple(index.search(place.description.vector, loop.candidates, near)))
+        entry = IndexEntry(id=place.id, session=0, ordinal=place.id, position=place.position)
+        index.add([entry], place.description.vector[None])
+    return found
+
+
+def verify_all(work: VerificationWork, candidates: Sequence[tuple[Match, ...]], jobs: int) -> Iterator[QueryMatches]:
+    """The verified candidates of every query, in order."""
+    return in_processes(verify_query, work, list(enumerate(candidates)), jobs)
+
+
+def verify_query(work: VerificationWork, task: tuple[int, tuple[Match, ...]]) -> QueryMatches:
+    """Verify the candidates of one query and rank them."""
+    index, matches = task
+    started = time.perf_counter()
+    ranked = [_verified(work, work.places[index], match) for match in matches]
+    ranked.sort(key=lambda candidate: (not candidate.verdict.accepted, -candidate.verdict.score, -candidate.similarity))
+    return QueryMatches(matches, tuple(ranked), time.perf_counter() - started)
+
+
+def _verified(work: VerificationWork, query: Place, match: Match) -> RankedCandidate:
+    place = work.places[match.id]
+    if query.description is None or place.description is None:
+        raise ValueError(f"submaps {query.id} and {place.id} were matched without descriptions")
+    verdict = work.method.verify(query.description.signature, place.description.signature, match.similarity)
+    T_match_query = verdict.T_match_query
+    if T_match_query is not None:
+        T_match_query = se3.from_yaw(-place.yaw) @ T_match_query @ se3.from_yaw(query.yaw)
+    return RankedCandidate(match.id, match.similarity, verdict, T_match_query)

@@ -1,0 +1,83 @@
+"""A place-recognition method as the runner sees it, and the product's own pipeline in that role."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core import se3
+from core.config import PipelineConfig
+from core.submap import Submap
+
+
+@dataclass(frozen=True)
+class Description:
+    """What a method stores of a submap. vector (d,) float32 of length 1; signature what verification needs;
+    neural_map_bytes 0 where there is none; seconds by stage."""
+
+    vector: NDArray[np.float32]
+    signature: bytes
+    neural_map_bytes: int = 0
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What verification says of a candidate. score in [0, 1]; reason of a rejection, None where accepted;
+    T_match_query where it was estimated."""
+
+    score: float
+    reason: str | None
+    T_match_query: se3.Matrix4 | None
+    evidence: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the candidate passed every gate."""
+        return self.reason is None
+
+
+class Method(Protocol):
+    """Describes submaps and verifies candidates. It must be picklable: it is sent to worker processes."""
+
+    def describe(self, submap: Submap, seed: int) -> Description:
+        """What to store of a submap."""
+
+    def verify(self, query: bytes, match: bytes, similarity: float) -> Verdict:
+        """Whether two signatures show the same place, and how they align."""
+
+
+@dataclass(frozen=True)
+class PipelineMethod:
+    """The product: core.pipeline with the packaged models. ablation: none, no-implicit, bev-only or normals-only."""
+
+    config: PipelineConfig = field(default_factory=PipelineConfig)
+    ablation: str = "none"
+
+    def describe(self, submap: Submap, seed: int) -> Description:
+        """The fused descriptor, the signature and the size of the neural map. Raises core.errors.RevisitError."""
+        from core.model_bundle import load_packaged_models
+        from core.pipeline import Ablation, describe
+
+        place = describe(submap, load_packaged_models(), self.config, seed, Ablation(self.ablation))
+        neural_map_bytes = len(place.neural_map.to_blob()) if place.neural_map is not None else 0
+        return Description(place.descriptor.vector, place.signature.to_blob(), neural_map_bytes, dict(place.timings_s))
+
+    def verify(self, query: bytes, match: bytes, similarity: float) -> Verdict:
+        """The verdict of core.pipeline.verify. Raises DataLoss for damaged signatures."""
+        from core.loop import RejectedLoop
+        from core.pipeline import verify
+        from core.signature import PlaceSignature
+
+        pair = PlaceSignature.from_blob(query), PlaceSignature.from_blob(match)
+        loop = verify(*pair, similarity, self.config.verification)
+        reason = str(loop.reason) if isinstance(loop, RejectedLoop) else None
+        measured = loop.measurement
+        if measured is None:
+            return Verdict(0.0, reason, None)
+        names = ("inliers", "inlier_ratio", "overlap", "rmse_m")
+        evidence = {name: float(getattr(measured, name)) for name in names}
+        return Verdict(float(measured.score), reason, measured.T_match_query, evidence)

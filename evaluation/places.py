@@ -1,0 +1,114 @@
+"""Describing all submaps of a recording, in as many processes as wanted."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core import se3
+from core.config import SubmapConfig
+from core.errors import RevisitError
+from evaluation.cutting import Window, load_submap
+from evaluation.datasets import Recording
+from evaluation.methods import Description, Method
+from evaluation.perturbations import Perturbation, turned
+
+Task = TypeVar("Task")
+Context = TypeVar("Context")
+Result = TypeVar("Result")
+
+_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class Place:
+    """A submap as stored. `position` (3,) is the mean position of its scans in the world; `T_world_submap` the pose of
+    its middle scan; `yaw` the turn it was described under; `failure` why it could not be described, else None."""
+
+    id: int
+    window: Window
+    position: NDArray[np.float64]
+    T_world_submap: se3.Matrix4
+    yaw: float
+    description: Description | None
+    failure: str | None
+    points: int
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class DescriptionWork:
+    """Everything a process needs to describe any submap of a recording."""
+
+    recording: Recording
+    config: SubmapConfig
+    perturbation: Perturbation
+    method: Method
+    seed: int
+
+
+def describe_places(work: DescriptionWork, windows: Sequence[Window], jobs: int) -> Iterator[Place]:
+    """One place a window, in order, as they become ready."""
+    return in_processes(describe_place, work, list(enumerate(windows)), jobs)
+
+
+def describe_place(work: DescriptionWork, task: tuple[int, Window]) -> Place:
+    """Build, turn and describe one submap. A submap the method refuses becomes a place with its failure."""
+    index, window = task
+    poses = [work.recording.pose(scan) for scan in window]
+    yaw, started, points = work.perturbation.yaw(index), time.perf_counter(), 0
+    description, failure = None, None
+    try:
+        submap = turned(load_submap(work.recording, window, work.config, work.perturbation), yaw)
+        points, loaded = len(submap.points), time.perf_counter()
+        description = work.method.describe(submap, work.seed)
+    except RevisitError as error:
+        failure, loaded = f"{error.code}: {error.message}", time.perf_counter()
+    return Place(
+        id=index, window=window, position=np.mean([pose[:3, 3] for pose in poses], axis=0),
+        T_world_submap=poses[len(poses) // 2], yaw=yaw, description=description, failure=failure, points=points,
+        seconds={"load": loaded - started, "describe": time.perf_counter() - loaded},
+    )  # fmt: skip
+
+
+def in_processes(
+    function: Callable[[Context, Task], Result], context: Context, tasks: Sequence[Task], jobs: int
+) -> Iterator[Result]:
+    """`function(context, task)` of every task, in order; `jobs` spawned processes of one thread each, or this one."""
+    if jobs <= 1 or len(tasks) <= 1:
+        yield from (function(context, task) for task in tasks)
+        return
+    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(
+        min(jobs, len(tasks)), mp_context=spawn, initializer=_Installed.install, initargs=(function, context)
+    ) as pool:
+        yield from pool.map(_Installed.run, tasks, chunksize=max(1, min(8, len(tasks) // (4 * jobs))))
+
+
+class _Installed:
+    """The work of this process: it is sent once, when the process starts, and not with every task."""
+
+    function: Callable[[Any, Any], Any]
+    context: Any
+
+    @classmethod
+    def install(cls, function: Callable[[Any, Any], Any], context: Any) -> None:
+        """Keep the work; torch, too, uses one thread from now on."""
+        import torch
+
+        torch.set_num_threads(1)
+        cls.function, cls.context = staticmethod(function), context
+
+    @classmethod
+    def run(cls, task: Any) -> Any:
+        """The work done on one task."""
+        return cls.function(cls.context, task)

@@ -1,0 +1,150 @@
+"""`revisit evaluate`: a recording in, one row a submap and the paper's figures out."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from core.config import LoopConfig, PipelineConfig, SubmapConfig
+from core.index import Match
+from evaluation.cutting import cut
+from evaluation.datasets import Recording
+from evaluation.matching import QueryMatches, RankedCandidate, VerificationWork, search_online, verify_all
+from evaluation.methods import Method, PipelineMethod
+from evaluation.metrics import LoopProtocol
+from evaluation.perturbations import Perturbation
+from evaluation.places import DescriptionWork, Place, describe_places
+from evaluation.summary import summarise
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class EvaluationOptions:
+    """What to evaluate. tau, stride and positive_radius in metres; min_index_gap in submaps; jobs in processes.
+
+    `ablation` is none, no-implicit, bev-only or normals-only (paper Table III).
+    """
+
+    tau: float = SubmapConfig().tau
+    stride: float = SubmapConfig().stride
+    min_index_gap: int = LoopConfig().min_index_gap
+    positive_radius: float = 20.0
+    perturbation: Perturbation = field(default_factory=Perturbation)
+    ablation: str = "none"
+    candidates: int = LoopConfig().candidates
+    seed: int = 0
+    jobs: int = field(default_factory=lambda: os.cpu_count() or 1)
+
+    def pipeline(self) -> PipelineConfig:
+        """The product's parameters under these options."""
+        defaults = PipelineConfig()
+        return dataclasses.replace(
+            defaults,
+            submap=dataclasses.replace(defaults.submap, tau=self.tau, stride=self.stride),
+            loop=dataclasses.replace(
+                defaults.loop, min_index_gap=self.min_index_gap, candidates=self.candidates
+            ),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class EvaluationResult:
+    """Rows (one a submap, JSON-ready) and the summary."""
+
+    queries: list[dict[str, Any]]
+    summary: dict[str, Any]
+
+    def write_json(self, file: Path | str) -> None:
+        """Write {"queries": [...], "summary": {...}}; never NaN or infinity."""
+        text = json.dumps({"queries": self.queries, "summary": self.summary}, indent=1, allow_nan=False)
+        Path(file).write_text(text + "\n")
+
+
+def evaluate(
+    recording: Recording, options: EvaluationOptions, *, method: Method | None = None, progress: Progress | None = None
+) -> EvaluationResult:
+    """Describe every submap, match it against the earlier ones, verify, score. `method` defaults to the product.
+
+    `progress(stage, done, total)` is called after every submap of the stages "describe" and "verify".
+    Raises what reading the recording raises; submaps the method refuses become rows with a `failure`.
+    """
+    report = progress or (lambda stage, done, total: None)
+    config = options.pipeline()
+    method = method or PipelineMethod(config, options.ablation)
+    started = time.perf_counter()
+    windows = cut(recording, config.submap)
+    work = DescriptionWork(recording, config.submap, options.perturbation, method, options.seed)
+    places: list[Place] = []
+    for place in describe_places(work, windows, options.jobs):
+        places.append(place)
+        report("describe", len(places), len(windows))
+    candidates = search_online(places, config.loop)
+    matches: list[QueryMatches] = []
+    for match in verify_all(VerificationWork(places, method), candidates, options.jobs):
+        matches.append(match)
+        report("verify", len(matches), len(places))
+    protocol = LoopProtocol(options.positive_radius, options.min_index_gap)
+    summary = summarise(places, matches, protocol)
+    summary["recording"] = {"name": recording.name, "scans": len(recording)}
+    summary["options"] = dataclasses.asdict(options)
+    summary["wall_seconds"] = time.perf_counter() - started
+    return EvaluationResult([_row(place, match, places) for place, match in zip(places, matches, strict=True)], summary)
+
+
+def _row(place: Place, matches: QueryMatches, places: list[Place]) -> dict[str, Any]:
+    """The JSON row of one query; nulls where there is no candidate."""
+    best = matches.ranked[0] if matches.ranked else None
+    first = matches.by_similarity[0] if matches.by_similarity else None
+    return {
+        "id": place.id,
+        "position": _numbers(place.position),
+        "first_scan": place.window[0],
+        "last_scan": place.window[-1],
+        "failure": place.failure,
+        **_best_fields(best, places),
+        **_descriptor_fields(first, places),
+    }
+
+
+_BEST_FIELDS = (
+    "candidate_id", "candidate_position", "similarity", "verified_score", "T_match_query", "verdict", "reason"
+)  # fmt: skip
+
+
+def _best_fields(best: RankedCandidate | None, places: list[Place]) -> dict[str, Any]:
+    """`similarity` belongs to the candidate after verification."""
+    if best is None:
+        return {**dict.fromkeys(_BEST_FIELDS), "evidence": {}}
+    return {
+        "candidate_id": best.id,
+        "candidate_position": _numbers(places[best.id].position),
+        "similarity": best.similarity,
+        "verified_score": best.verdict.score,
+        "T_match_query": None if best.T_match_query is None else [_numbers(row) for row in best.T_match_query],
+        "verdict": "verified" if best.verdict.accepted else "rejected",
+        "reason": best.verdict.reason,
+        "evidence": {name: value if np.isfinite(value) else None for name, value in best.verdict.evidence.items()},
+    }
+
+
+def _descriptor_fields(first: Match | None, places: list[Place]) -> dict[str, Any]:
+    if first is None:
+        return dict.fromkeys(("descriptor_candidate_id", "descriptor_candidate_position", "descriptor_similarity"))
+    return {
+        "descriptor_candidate_id": first.id,
+        "descriptor_candidate_position": _numbers(places[first.id].position),
+        "descriptor_similarity": first.similarity,
+    }
+
+
+def _numbers(values: np.ndarray[Any, np.dtype[np.float64]]) -> list[float]:
+    return [float(value) for value in values]
