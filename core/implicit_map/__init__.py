@@ -8,7 +8,7 @@
     samples          labelled samples along the rays
     neural_map       the fitted field and its queries
     fitting          all of it, for one submap
-    blob             the compact stored form
+    settled, blob    the compact stored form
 """
 
 from core.implicit_map.decoder import DecoderWeights

@@ -24,7 +24,8 @@ _NEAREST_M = 1e-3
 class Neighbourhood:
     """For m queries: indices (m, K) int64 (0 where missing), weights (m, K) of Eq. 3 (0 where missing),
     encoding (m, 9) g of Eq. 4, plane_distance (m,) metres, and nearest (m,) metres to the nearest neural point
-    (inf where there is none)."""
+    (inf where there is none).
+    """
 
     indices: NDArray[np.int64]
     weights: Array

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from core import se3
 from core.config import ImplicitMapConfig
-from core.implicit_map import voxel_hash
+from core.errors import DescriptorModelMismatch
+from core.implicit_map import blob, voxel_hash
 from core.implicit_map.decoder import DecoderWeights, decode
 from core.implicit_map.neighbourhood import Neighbourhood, find_neighbourhood
 from core.implicit_map.neural_points import NeuralPoints
+from core.implicit_map.settled import geometry, geometry_codes
 
 Array = NDArray[np.float32]
 
+FEATURE_STEP = 0.08
 _CHUNK = 65_536
 
 
@@ -24,8 +28,8 @@ _CHUNK = 65_536
 class NeuralMap:
     """Neural points (n of them), their latent features (n, F) float32 and the decoder they were fitted with.
 
-    Everything in the submap frame, metres. `stamps_ns` (s,) int64 are the times of the scans that `points.created` and
-    `points.updated` count.
+    Everything in the frame of the map, metres; `T_submap_map` (4, 4) maps it into the frame of the submap. `stamps_ns`
+    (s,) int64 are the times of the scans that `points.created` and `points.updated` count.
     """
 
     points: NeuralPoints
@@ -33,6 +37,47 @@ class NeuralMap:
     stamps_ns: NDArray[np.int64]
     decoder: DecoderWeights
     config: ImplicitMapConfig
+    T_submap_map: se3.Matrix4 = field(default_factory=lambda: np.eye(4))
+
+    def to_blob(self) -> bytes:
+        """The compact stored form (docs/decisions/0002): features rounded to multiples of FEATURE_STEP."""
+        voxels, octahedral, offsets = geometry_codes(self.points, self.config.resolution)
+        order = np.lexsort((voxels[:, 2], voxels[:, 1], voxels[:, 0]))
+        features = np.clip(np.rint(self.features[order] / FEATURE_STEP), -127, 127).astype(np.int8)
+        header = {
+            "count": len(self.points), "features": int(features.shape[1]), "resolution": self.config.resolution,
+            "decoder": self.decoder.digest, "stamps_ns": [int(stamp) for stamp in self.stamps_ns],
+            "T_submap_map": self.T_submap_map.ravel().tolist(),
+        }  # fmt: skip
+        sections = [
+            *(blob.to_varint(np.diff(voxels[order, axis], prepend=0)) for axis in range(3)),
+            octahedral[order].T.tobytes(),
+            offsets[order].tobytes(),
+            np.clip(self.points.hits[order], 0, 255).astype(np.uint8).tobytes(),
+            features.T.tobytes(),
+        ]
+        return blob.pack(header, sections)
+
+    @classmethod
+    def from_blob(cls, data: bytes, decoder: DecoderWeights, config: ImplicitMapConfig) -> NeuralMap:
+        """The map in `data`. Raises DataLoss for damage, DescriptorModelMismatch for a map of another decoder."""
+        header, parts = blob.unpack(data)
+        if header["decoder"] != decoder.digest:
+            raise DescriptorModelMismatch("the neural map was fitted with another decoder")
+        count, resolution = int(header["count"]), float(header["resolution"])
+        voxels = np.stack([np.cumsum(blob.from_varint(parts[axis], count)) for axis in range(3)], axis=1)
+        octahedral = np.frombuffer(parts[3], np.uint8).reshape(2, count).T
+        codes = (voxels.astype(np.int32), octahedral, np.frombuffer(parts[4], np.uint8))
+        positions, normals = geometry(codes, resolution)
+        hits = np.frombuffer(parts[5], np.uint8).astype(np.int16)
+        stamps = np.asarray(header["stamps_ns"], dtype=np.int64)
+        created, updated = np.zeros(count, np.int16), np.full(count, len(stamps) - 1, np.int16)
+        points = NeuralPoints(positions, normals, created, updated, hits, hits.astype(np.float32))
+        quantised = np.frombuffer(parts[6], np.int8).reshape(int(header["features"]), count).T
+        return cls(
+            points, np.ascontiguousarray(quantised * np.float32(FEATURE_STEP)), stamps, decoder,
+            replace(config, resolution=resolution), np.reshape(header["T_submap_map"], (4, 4)),
+        )  # fmt: skip
 
     @cached_property
     def slots(self) -> NDArray[np.int32]:

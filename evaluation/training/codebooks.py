@@ -30,13 +30,11 @@ def train_codebooks(
     )
     macro_mean, macro_basis = principal_components(macro_vectors, config.macro_size, config.whitening)
     micro_mean, micro_basis = principal_components(micro_vectors, config.micro_size, config.whitening)
-    return Codebooks(
-        basis, parity, macro_centres, macro_mean, macro_basis, micro_centres, micro_mean, micro_basis
-    )
+    return Codebooks(basis, parity, macro_centres, macro_mean, macro_basis, micro_centres, micro_mean, micro_basis)
 
 
 def train_local_basis(patches: Array, cells: int, size: int) -> tuple[Array, Array]:
-    """Principal directions (l, d) of patches (n, d) about zero, and the parity (l,) of each under a turn by 180 degrees.
+    """Principal directions (l, d) of patches (n, d), and the parity (l,) of each under a turn by 180 degrees.
 
     Even and odd parts are analysed apart, so that turning a patch only changes signs.
     """

@@ -19,15 +19,11 @@ from evaluation.simulator import SENSORS, StreetGrid, TownPlan, build_city, driv
 TRAINING_SEED = 9_000
 
 
-def training_submaps(districts: int, config: SubmapConfig, submaps_each: int) -> Iterator[Submap]:
-    """The first `submaps_each` submaps of a drive through each of `districts` towns, the sensor models in turn."""
+def district_submaps(district: int, config: SubmapConfig, count: int) -> Iterator[Submap]:
+    """The first `count` submaps of a levelled drive through training town `district`, the sensor models in turn."""
+    seed = TRAINING_SEED + district
     names = sorted(SENSORS)
-    for district in range(districts):
-        seed = TRAINING_SEED + district
-        yield from _drive_submaps(seed, names[district % len(names)], config, submaps_each)
-
-
-def _drive_submaps(seed: int, sensor: str, config: SubmapConfig, count: int) -> Iterator[Submap]:
+    sensor = SENSORS[names[district % len(names)]]
     rng = np.random.default_rng([seed, 77])
     plan = TownPlan(
         vacant_lots=rng.uniform(0.05, 0.5), street_tree_spacing=rng.uniform(8, 40),
@@ -37,10 +33,10 @@ def _drive_submaps(seed: int, sensor: str, config: SubmapConfig, count: int) -> 
     world = build_city(grid.streets(), seed, plan)
     trajectory = drive(grid_drive(grid), world.ground, lane_m=1.8, spacing_m=1.5, sway_seed=seed)
     builder, taken = SubmapBuilder(config), 0
-    for scan in simulate(world, trajectory, SENSORS[sensor], seed):
+    for scan in simulate(world, trajectory, sensor, seed):
         finished = builder.add(Scan.validated(scan.points, se3.validated(scan.T_world_sensor), scan.stamp_ns))
         if finished is not None:
-            yield Submap.from_scans(finished, config)
+            yield Submap.from_scans(finished, config).levelled()
             taken += 1
         if taken == count:
             return

@@ -7,6 +7,7 @@ one step on a fresh batch at the adapted features (first-order meta-learning).
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,11 +16,11 @@ from numpy.typing import NDArray
 
 from core.config import ImplicitMapConfig
 from core.implicit_map import voxel_hash
-from core.implicit_map.blob import settle
 from core.implicit_map.decoder import ENCODING_SIZE, DecoderWeights
 from core.implicit_map.fitting import accumulate, fit_features, predict, sdf_loss, without_dynamic_points
 from core.implicit_map.neighbourhood import Neighbourhood, find_neighbourhood
 from core.implicit_map.samples import draw_samples
+from core.implicit_map.settled import settle
 from core.submap import Submap
 
 
@@ -48,7 +49,7 @@ def initial_decoder(config: ImplicitMapConfig, width: int, hidden_layers: int, s
     sizes = [config.feature_size + ENCODING_SIZE, *[width] * hidden_layers]
     matrices = [
         rng.normal(0, np.sqrt(2 / fan_in), (fan_out, fan_in)).astype(np.float32)
-        for fan_in, fan_out in zip(sizes[:-1], sizes[1:], strict=True)
+        for fan_in, fan_out in itertools.pairwise(sizes)
     ]
     biases = [np.zeros(size, dtype=np.float32) for size in sizes[1:]]
     return DecoderWeights(

@@ -11,7 +11,6 @@ import torch
 from core.config import ImplicitMapConfig, SurfaceConfig
 from core.errors import DataLoss, DescriptorModelMismatch
 from core.implicit_map import DecoderWeights, NeuralMap, fit_implicit_map, voxel_hash
-from core.implicit_map.blob import from_blob, to_blob
 from core.implicit_map.decoder import orientations
 from core.implicit_map.fitting import sdf_loss
 from core.implicit_map.neural_points import ElasticAccumulator
@@ -181,27 +180,27 @@ def test_a_local_frame_is_a_rotation_whose_third_axis_is_the_normal(normal):
 
 def test_a_stored_map_answers_as_the_fitted_one_within_two_centimetres(make_drive, shapes):
     field = fit(make_drive(lambda _: [shapes["ground"](), shapes["box"]((10, -6, 0), (12, 6, 5))]))
-    stored = from_blob(to_blob(field), field.decoder, CONFIG)
+    stored = NeuralMap.from_blob(field.to_blob(), field.decoder, CONFIG)
     queries, _ = near_wall(np.random.default_rng(7))
     assert len(stored.points) == len(field.points)
     assert np.percentile(np.abs(stored.sdf(queries)[0] - field.sdf(queries)[0]), 95) < 0.02
 
 
 def test_a_stored_map_of_another_decoder_is_refused(make_drive, shapes):
-    blob = to_blob(fit(make_drive(lambda _: [shapes["ground"]()])))
+    blob = fit(make_drive(lambda _: [shapes["ground"]()])).to_blob()
     with pytest.raises(DescriptorModelMismatch):
-        from_blob(blob, DecoderWeights.tangent_planes(), CONFIG)
+        NeuralMap.from_blob(blob, DecoderWeights.tangent_planes(), CONFIG)
 
 
 def test_every_flipped_or_missing_byte_of_a_stored_map_is_noticed(make_drive, shapes):
     field = fit(make_drive(lambda _: [shapes["ground"]()]))
-    blob = to_blob(field)
+    blob = field.to_blob()
     rng = np.random.default_rng(8)
     for position in rng.integers(0, len(blob), 50):
         damaged = bytearray(blob)
         damaged[position] ^= 1 << int(rng.integers(8))
         with pytest.raises(DataLoss):
-            from_blob(bytes(damaged), field.decoder, CONFIG)
+            NeuralMap.from_blob(bytes(damaged), field.decoder, CONFIG)
     for size in (0, 4, 31, 40, len(blob) - 1):
         with pytest.raises(DataLoss):
-            from_blob(blob[:size], field.decoder, CONFIG)
+            NeuralMap.from_blob(blob[:size], field.decoder, CONFIG)
