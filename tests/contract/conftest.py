@@ -1,0 +1,30 @@
+"""Every store that keeps rows, one after another."""
+
+from __future__ import annotations
+
+import pytest
+
+from service.adapters.memory import MemoryTransactions
+from service.adapters.sql.migration import migrate
+from service.adapters.sql.unit_of_work import SqlTransactions
+
+
+@pytest.fixture(params=["memory", "sqlite"])
+def transactions(request, tmp_path):
+    if request.param == "memory":
+        yield MemoryTransactions(lease_ms=10_000)
+        return
+    migrate(tmp_path / "test.db")
+    store = SqlTransactions(tmp_path / "test.db", checkpoints=True, lease_ms=10_000)
+    yield store
+    store.close()
+
+
+@pytest.fixture
+def write(transactions):
+    return lambda work: transactions.write(work).result()
+
+
+@pytest.fixture
+def read(transactions):
+    return lambda work: transactions.read(work).result()

@@ -1,0 +1,74 @@
+"""The contract of BlobStore."""
+
+from __future__ import annotations
+
+import hashlib
+
+import pytest
+
+from core.errors import DataLoss
+from service.adapters.blobs import FileBlobStore
+from service.adapters.memory import MemoryBlobStore
+from service.application.identity import TenantId
+
+TENANT, OTHER = TenantId("default"), TenantId("other")
+
+
+@pytest.fixture(params=["memory", "files"])
+def blobs(request, tmp_path):
+    return MemoryBlobStore() if request.param == "memory" else FileBlobStore(tmp_path / "blobs")
+
+
+def test_a_blob_is_named_by_its_content_and_read_back(blobs):
+    name = blobs.put(TENANT, "cloud", b"points")
+    assert name == hashlib.sha256(b"points").hexdigest()
+    assert blobs.get(TENANT, "cloud", name) == b"points"
+    assert blobs.put(TENANT, "cloud", b"points") == name
+
+
+def test_an_empty_blob_is_a_blob(blobs):
+    assert blobs.get(TENANT, "cloud", blobs.put(TENANT, "cloud", b"")) == b""
+
+
+def test_tenants_and_kinds_do_not_share_blobs(blobs):
+    name = blobs.put(TENANT, "cloud", b"points")
+    for tenant, kind in ((OTHER, "cloud"), (TENANT, "mesh")):
+        assert not blobs.exists(tenant, kind, name)
+        with pytest.raises(DataLoss, match="missing"):
+            blobs.get(tenant, kind, name)
+
+
+def test_a_deleted_blob_is_gone_and_deleting_it_again_is_nothing(blobs):
+    name = blobs.put(TENANT, "cloud", b"points")
+    blobs.delete(TENANT, "cloud", name)
+    blobs.delete(TENANT, "cloud", name)
+    assert not blobs.exists(TENANT, "cloud", name)
+
+
+@pytest.mark.parametrize("damage", [lambda data: data[:-1], lambda data: b"P" + data[1:], lambda data: b""])
+def test_a_damaged_file_is_refused(tmp_path, damage):
+    blobs = FileBlobStore(tmp_path)
+    name = blobs.put(TENANT, "cloud", b"points")
+    path = tmp_path / TENANT / "cloud" / name[:2] / name
+    path.write_bytes(damage(path.read_bytes()))
+    with pytest.raises(DataLoss, match="damaged"):
+        blobs.get(TENANT, "cloud", name)
+
+
+@pytest.mark.parametrize("address", [("..", "cloud", "ab"), ("default", "../x", "ab"), ("default", "cloud", "../../x")])
+def test_no_address_leaves_the_directory(tmp_path, address):
+    with pytest.raises(DataLoss):
+        FileBlobStore(tmp_path / "blobs").get(*address)
+
+
+def test_a_failed_write_leaves_nothing_behind(tmp_path, monkeypatch):
+    blobs = FileBlobStore(tmp_path)
+
+    def full(descriptor):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("service.adapters.blobs.os.fsync", full)
+    with pytest.raises(Exception) as refused:
+        blobs.put(TENANT, "cloud", b"points")
+    assert refused.value.code == "STORAGE_FULL"
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []

@@ -1,0 +1,145 @@
+"""The contract of JobQueue: at least one run, at most one effect."""
+
+from __future__ import annotations
+
+import pytest
+
+from service.application.errors import StaleLease
+from service.application.ports import Instant
+from tests.support.records import TENANT, a_job
+
+LEASE_MS = 10_000
+
+
+def at(ms: int, epoch: str = "boot") -> Instant:
+    return Instant(epoch, ms)
+
+
+@pytest.fixture
+def queue(write):
+    class Queue:
+        def enqueue(self, *ids):
+            for operation_id in ids:
+                write(lambda uow, operation_id=operation_id: uow.queue.enqueue(a_job(operation_id)))
+
+        def claim(self, ms=0, owner="w1", epoch="boot"):
+            return write(lambda uow: uow.queue.claim(owner, at(ms, epoch)))
+
+        def fail(self, lease, ms=0, retry=True):
+            return write(lambda uow: uow.queue.fail(lease, "INTERNAL", "why", at(ms), 7, retry=retry))
+
+        def complete(self, lease):
+            write(lambda uow: uow.queue.complete(lease, {"ok": True}, 7))
+
+        def extend(self, lease, ms):
+            write(lambda uow: uow.queue.extend(lease, at(ms)))
+
+        def bury(self, ms):
+            return write(lambda uow: uow.queue.bury(at(ms), 7))
+
+    return Queue()
+
+
+def stored(read, operation_id="op-1"):
+    return read(lambda uow: uow.jobs.get(TENANT, operation_id))
+
+
+def test_jobs_are_claimed_oldest_first_and_once(queue):
+    queue.enqueue("op-1", "op-2")
+    assert [queue.claim().job.operation_id for _ in range(2)] == ["op-1", "op-2"]
+    assert queue.claim() is None
+
+
+def test_the_attempt_is_counted_before_the_run(queue, read):
+    queue.enqueue("op-1")
+    queue.claim()
+    assert (stored(read).attempts, stored(read).state) == (1, "RUNNING")
+
+
+def test_a_completed_job_keeps_its_result_and_is_not_claimed_again(queue, read):
+    queue.enqueue("op-1")
+    queue.complete(queue.claim())
+    assert (stored(read).state, stored(read).result, stored(read).finished_at_ns) == ("DONE", {"ok": True}, 7)
+    assert queue.claim(ms=10 * LEASE_MS) is None
+
+
+def test_a_lease_that_runs_out_is_claimed_by_another_and_a_heartbeat_prevents_that(queue):
+    queue.enqueue("op-1")
+    lease = queue.claim(ms=0)
+    assert queue.claim(ms=LEASE_MS - 1, owner="w2") is None
+    queue.extend(lease, ms=LEASE_MS - 1)
+    assert queue.claim(ms=LEASE_MS, owner="w2") is None
+    assert queue.claim(ms=2 * LEASE_MS, owner="w2").job.attempts == 2
+
+
+def test_a_late_result_is_refused_by_its_token(queue, read):
+    queue.enqueue("op-1")
+    late = queue.claim(ms=0)
+    current = queue.claim(ms=LEASE_MS, owner="w2")
+    for act in (
+        lambda: queue.complete(late),
+        lambda: queue.extend(late, ms=LEASE_MS),
+        lambda: queue.fail(late),
+    ):
+        with pytest.raises(StaleLease):
+            act()
+    queue.complete(current)
+    with pytest.raises(StaleLease):
+        queue.complete(current)
+    assert stored(read).lease_owner == "w2"
+
+
+def test_a_refused_result_undoes_what_came_with_it(queue, write, read):
+    queue.enqueue("op-1")
+    late = queue.claim(ms=0)
+    queue.claim(ms=LEASE_MS)
+
+    def result_with_effect(uow):
+        uow.queue.enqueue(a_job("effect"))
+        uow.queue.complete(late, {}, 7)
+
+    with pytest.raises(StaleLease):
+        write(result_with_effect)
+    assert stored(read, "effect") is None
+
+
+def test_leases_of_another_boot_have_run_out(queue):
+    queue.enqueue("op-1")
+    queue.claim(ms=5_000_000, epoch="boot")
+    assert queue.claim(ms=0, epoch="next boot").job.attempts == 2
+
+
+def test_a_failed_run_goes_back_after_a_pause_until_the_attempts_are_used_up(queue, read):
+    queue.enqueue("op-1")
+    assert queue.fail(queue.claim(ms=0), ms=0) is False
+    assert queue.claim(ms=499) is None
+    assert queue.fail(queue.claim(ms=500), ms=500) is False
+    assert queue.claim(ms=1_499) is None
+    assert queue.fail(queue.claim(ms=1_500), ms=1_500) is True
+    assert (stored(read).state, stored(read).attempts, stored(read).failure_message) == ("FAILED", 3, "why")
+    assert queue.claim(ms=10 * LEASE_MS) is None
+
+
+def test_a_failure_that_no_retry_can_mend_is_final_at_once(queue, read):
+    queue.enqueue("op-1")
+    assert queue.fail(queue.claim(), retry=False) is True
+    assert (stored(read).state, stored(read).attempts) == ("FAILED", 1)
+
+
+def test_a_job_whose_workers_keep_dying_is_buried_after_its_last_attempt(queue, read):
+    queue.enqueue("op-1", "op-2")
+    for run in range(3):
+        assert queue.claim(ms=run * LEASE_MS, owner=f"w{run}").job.operation_id == "op-1"
+    assert queue.bury(ms=3 * LEASE_MS - 1) == []
+    assert [job.operation_id for job in queue.bury(ms=3 * LEASE_MS)] == ["op-1"]
+    assert stored(read).state == "FAILED"
+    assert queue.claim(ms=3 * LEASE_MS).job.operation_id == "op-2"
+
+
+def test_the_leases_of_a_dead_worker_can_be_let_go_at_once(queue, write):
+    queue.enqueue("op-1", "op-2")
+    queue.claim(owner="dead")
+    queue.claim(owner="living")
+    assert write(lambda uow: uow.queue.release("dead")) == 1
+    assert queue.claim(owner="living").job.operation_id == "op-1"
+    assert queue.claim(owner="living") is None

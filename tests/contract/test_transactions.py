@@ -1,0 +1,139 @@
+"""The contract of Transactions, UnitOfWork and its repositories."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from service.application.errors import AlreadyExists, NotFound
+from service.application.identity import TenantId
+from service.application.records import WorkerRecord
+from tests.support.records import TENANT, a_loop, a_map, a_robot, a_scan, a_session, a_submap
+
+OTHER = TenantId("other")
+
+
+def fill(uow):
+    uow.maps.add(a_map())
+    uow.robots.add(a_robot())
+    session = uow.sessions.add(a_session(robot_id="rover"))
+    scan = uow.scans.add(a_scan())
+    first = uow.submaps.add(a_submap("a", descriptor=b"\x00\x00\x80?"))
+    second = uow.submaps.add(a_submap("b", ordinal=1))
+    loop = uow.loops.add(a_loop(second.number, first.number))
+    return session, scan, first, second, loop
+
+
+def test_what_is_written_is_read_back_bit_for_bit(write, read):
+    session, scan, first, second, loop = write(fill)
+    assert read(lambda uow: uow.sessions.get(TENANT, "town", "monday")) == session
+    assert read(lambda uow: uow.scans.get(TENANT, "town", "monday", 1)) == scan
+    assert read(lambda uow: uow.submaps.get(TENANT, "town", "monday", "a")) == first
+    assert read(lambda uow: uow.submaps.get(TENANT, "town", "monday", "b")) == second
+    assert read(lambda uow: uow.loops.get(TENANT, "town", loop.loop_id)) == loop
+
+
+def test_an_exception_undoes_the_whole_transaction(write, read):
+    def fails(uow):
+        uow.maps.add(a_map())
+        raise RuntimeError("half way")
+
+    with pytest.raises(RuntimeError, match="half way"):
+        write(fails)
+    assert read(lambda uow: uow.maps.count(TENANT)) == 0
+
+
+def test_a_taken_key_is_refused_and_another_tenant_may_take_it(write):
+    write(lambda uow: uow.maps.add(a_map()))
+    with pytest.raises(AlreadyExists):
+        write(lambda uow: uow.maps.add(a_map()))
+    write(lambda uow: uow.maps.add(a_map(tenant=OTHER)))
+
+
+def test_numbers_grow_and_are_never_used_again(write):
+    first = write(lambda uow: uow.maps.add(a_map("a")))
+    second = write(lambda uow: uow.maps.add(a_map("b")))
+    write(lambda uow: uow.maps.delete(TENANT, map_id="b"))
+    third = write(lambda uow: uow.maps.add(a_map("c")))
+    assert 0 < first.number < second.number < third.number
+
+
+def test_find_filters_pages_and_keeps_the_tenant(write, read):
+    for map_id in "abcde":
+        write(lambda uow, map_id=map_id: uow.maps.add(a_map(map_id)))
+    write(lambda uow: uow.maps.add(a_map("z", tenant=OTHER)))
+    second = read(lambda uow: uow.maps.find(TENANT, limit=2))[-1]
+    rest = read(lambda uow: uow.maps.find(TENANT, after=second.number))
+    assert [record.map_id for record in rest] == ["c", "d", "e"]
+    assert [r.map_id for r in read(lambda uow: uow.maps.find(TENANT, map_id="d"))] == ["d"]
+    assert read(lambda uow: uow.maps.count(TENANT)) == 5
+    assert read(lambda uow: uow.maps.count(OTHER, map_id="a")) == 0
+    assert read(lambda uow: uow.maps.get(OTHER, "a")) is None
+
+
+def test_replace_changes_one_record_and_needs_it_to_exist(write, read):
+    record = write(lambda uow: uow.maps.add(a_map()))
+    write(lambda uow: uow.maps.replace(replace(record, model_version="m-1")))
+    assert read(lambda uow: uow.maps.get(TENANT, "town")).model_version == "m-1"
+    with pytest.raises(NotFound):
+        write(lambda uow: uow.maps.replace(replace(record, number=999)))
+
+
+def test_delete_takes_what_find_would_give_of_this_tenant(write, read):
+    write(lambda uow: uow.maps.add(a_map("a")))
+    write(lambda uow: uow.maps.add(a_map("a", tenant=OTHER)))
+    assert write(lambda uow: uow.maps.delete(TENANT, map_id="a")) == 1
+    assert read(lambda uow: uow.maps.count(OTHER)) == 1
+
+
+def test_scans_are_found_by_distance_and_by_range(write, read):
+    def add(uow):
+        uow.maps.add(a_map())
+        uow.sessions.add(a_session())
+        for seq in range(1, 6):
+            uow.scans.add(a_scan(seq, travelled_m=1.5 * (seq - 1)))
+
+    write(add)
+    assert read(lambda uow: uow.scans.first_seq_from(TENANT, "town", "monday", 3.0)) == 3
+    assert read(lambda uow: uow.scans.first_seq_from(TENANT, "town", "monday", 3.1)) == 4
+    assert read(lambda uow: uow.scans.first_seq_from(TENANT, "town", "monday", 99.0)) is None
+    assert [scan.seq for scan in read(lambda uow: uow.scans.between(TENANT, "town", "monday", 2, 4))] == [2, 3, 4]
+
+
+def test_the_change_log_tells_additions_and_removals_in_order(write, read):
+    *_, first, second, _ = write(fill)
+    one = write(lambda uow: uow.changes.record_described(TENANT, 1, first.number))
+    two = write(lambda uow: uow.changes.record_described(TENANT, 1, second.number))
+    three = write(lambda uow: uow.changes.record_removed(TENANT, 1, second.number))
+    changes = read(lambda uow: uow.changes.since(TENANT, 1, 0))
+    assert [change.seq for change in changes] == [one, two, three] == sorted({one, two, three})
+    assert (changes[0].vector, changes[0].ordinal, changes[0].position_m) == (b"\x00\x00\x80?", 0, (0.1, 0.2, 0.3))
+    assert changes[2].vector is None
+    assert [change.seq for change in read(lambda uow: uow.changes.since(TENANT, 1, two))] == [three]
+    assert read(lambda uow: uow.changes.since(TENANT, 2, 0)) == []
+    assert read(lambda uow: uow.changes.since(OTHER, 1, 0)) == []
+
+
+def test_a_submap_that_has_gone_appears_only_as_removed(write, read):
+    *_, first, _, loop = write(fill)
+    write(lambda uow: uow.changes.record_described(TENANT, 1, first.number))
+
+    def remove(uow):
+        uow.loops.delete(TENANT, number=loop.number)
+        uow.submaps.delete(TENANT, number=first.number)
+        uow.changes.record_removed(TENANT, 1, first.number)
+
+    write(remove)
+    assert [change.vector for change in read(lambda uow: uow.changes.since(TENANT, 1, 0))] == [None, None]
+
+
+def test_workers_are_alive_while_they_beat_in_this_boot(write, read):
+    write(lambda uow: uow.workers.beat(WorkerRecord("w1", "m", "boot", 100)))
+    write(lambda uow: uow.workers.beat(WorkerRecord("w2", "m", "boot", 200)))
+    write(lambda uow: uow.workers.beat(WorkerRecord("w1", "m", "boot", 300)))
+    write(lambda uow: uow.workers.beat(WorkerRecord("w3", "m", "earlier boot", 900)))
+    assert [worker.worker_id for worker in read(lambda uow: uow.workers.alive("boot", 0))] == ["w1", "w2"]
+    assert [worker.worker_id for worker in read(lambda uow: uow.workers.alive("boot", 250))] == ["w1"]
+    write(lambda uow: uow.workers.forget("w1"))
+    assert [worker.worker_id for worker in read(lambda uow: uow.workers.alive("boot", 0))] == ["w2"]

@@ -1,0 +1,108 @@
+"""The contract of VectorIndex: the reference in memory, and the structures of core.index behind the adapter."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from core.errors import BadField
+from core.index import ExactIndex, FaissIndex
+from service.adapters.memory_index import MemoryVectorIndex
+from service.adapters.vector_index import PlaceVectorIndex
+from service.application.ports import IndexChange, VectorFilter
+
+ANY = VectorFilter()
+MAP = 5
+
+
+@pytest.fixture(params=["memory", "exact", "faiss"])
+def index(request):
+    makers = {"exact": ExactIndex, "faiss": FaissIndex}
+    return MemoryVectorIndex() if request.param == "memory" else PlaceVectorIndex(makers[request.param])
+
+
+def unit(*values: float) -> np.ndarray:
+    vector = np.array(values, dtype=np.float32)
+    return vector / np.linalg.norm(vector)
+
+
+def added(seq, number, vector, session=1, ordinal=0, position=(0.0, 0.0, 0.0)) -> IndexChange:
+    return IndexChange(seq, number, session, ordinal, position, vector.astype("<f4").tobytes())
+
+
+def removed(seq, number) -> IndexChange:
+    return IndexChange(seq, number, 0, 0, (0.0, 0.0, 0.0), None)
+
+
+def numbers(index, vector, k=10, where=ANY) -> list[int]:
+    return [match.submap_number for match in index.search(MAP, vector, k, where)]
+
+
+def test_an_unknown_map_is_empty(index):
+    assert (index.seq(MAP), index.size(MAP), index.search(MAP, unit(1, 0), 3, ANY)) == (0, 0, [])
+
+
+def test_the_nearest_come_first_with_their_cosine_and_ties_by_number(index):
+    index.apply(MAP, [added(1, 30, unit(1, 0)), added(2, 20, unit(1, 0)), added(3, 10, unit(1, 1))])
+    matches = index.search(MAP, unit(1, 0), 3, ANY)
+    assert [match.submap_number for match in matches] == [20, 30, 10]
+    assert [match.similarity for match in matches] == pytest.approx([1.0, 1.0, 0.5**0.5], abs=1e-6)
+    assert numbers(index, unit(1, 0), k=1) == [20]
+
+
+def test_changes_are_applied_once_and_in_order(index):
+    changes = [added(1, 10, unit(1, 0)), added(2, 11, unit(0, 1)), removed(3, 10)]
+    index.apply(MAP, changes)
+    index.apply(MAP, changes)
+    index.apply(MAP, [added(2, 99, unit(1, 0))])
+    assert (index.seq(MAP), index.size(MAP), numbers(index, unit(1, 0))) == (3, 1, [11])
+
+
+def test_removing_what_was_never_there_moves_the_sequence_on(index):
+    index.apply(MAP, [removed(1, 10)])
+    assert (index.seq(MAP), index.size(MAP)) == (1, 0)
+    index.apply(MAP, [added(2, 11, unit(0, 1))])
+    assert numbers(index, unit(0, 1)) == [11]
+
+
+def test_maps_do_not_see_each_other_and_can_be_dropped(index):
+    index.apply(MAP, [added(1, 10, unit(1, 0))])
+    index.apply(6, [added(2, 11, unit(1, 0))])
+    assert numbers(index, unit(1, 0)) == [10]
+    index.drop(MAP)
+    assert (index.seq(MAP), index.size(MAP), index.size(6)) == (0, 0, 1)
+
+
+def test_filters_keep_what_they_say(index):
+    index.apply(
+        MAP,
+        [
+            added(1, 10, unit(1, 0), session=1, ordinal=0, position=(0.0, 0.0, 0.0)),
+            added(2, 11, unit(1, 0), session=1, ordinal=3, position=(3.0, 4.0, 0.0)),
+            added(3, 12, unit(1, 0), session=2, ordinal=3, position=(50.0, 0.0, 0.0)),
+        ],
+    )
+    query = unit(1, 0)
+    assert numbers(index, query, where=VectorFilter(exclude_submap=10)) == [11, 12]
+    assert numbers(index, query, where=VectorFilter(exclude_session=1)) == [12]
+    assert numbers(index, query, where=VectorFilter(only_session=1)) == [10, 11]
+    assert numbers(index, query, where=VectorFilter(near_session=1, near_ordinal=4, min_gap=2)) == [10, 12]
+    assert numbers(index, query, where=VectorFilter(near_session=1, near_ordinal=4, min_gap=4)) == [10, 12]
+    assert numbers(index, query, where=VectorFilter(near_session=1, near_ordinal=4, min_gap=5)) == [12]
+    near = VectorFilter(position_m=(0.0, 0.0, 0.0), radius_m=5.0)
+    assert numbers(index, query, where=near) == [10, 11]
+
+
+def test_a_filter_that_keeps_one_in_a_thousand_still_finds_it(index):
+    rng = np.random.default_rng(0)
+    vectors = rng.normal(size=(1000, 16)).astype(np.float32)
+    vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
+    index.apply(MAP, [added(n + 1, n + 1, vectors[n], session=7 if n == 613 else 1) for n in range(1000)])
+    assert numbers(index, vectors[0], k=5, where=VectorFilter(only_session=7)) == [614]
+
+
+@pytest.mark.parametrize("vector", [np.float32([1, 0, 0]), np.float32([np.nan, 0])])
+def test_a_descriptor_that_cannot_be_compared_is_refused(index, vector):
+    index.apply(MAP, [added(1, 10, unit(1, 0))])
+    with pytest.raises(BadField):
+        index.search(MAP, vector, 3, ANY)
