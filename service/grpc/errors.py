@@ -15,7 +15,7 @@ import grpc
 import structlog
 from google.protobuf.duration_pb2 import Duration
 from google.protobuf.message import DecodeError, Message
-from google.rpc import error_details_pb2, status_pb2
+from google.rpc import error_details_pb2, status_pb2  # type: ignore[import-untyped]  # ships no types
 
 from core.errors import MalformedBody, RevisitError
 from service.status import ERROR_DOMAIN, STATUS, retry_after_s
@@ -30,7 +30,7 @@ _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}", re.ASCII)
 _log = structlog.get_logger(__name__)
 
 
-class ErrorInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc,unused-ignore]
+class ErrorInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  # not generic at run time
     """Turns what a handler raises into a status with details, for unary calls and streams."""
 
     async def intercept_service(
@@ -83,7 +83,7 @@ def _guarded(handler: Any) -> Any:
             try:
                 async for response in handler.stream_stream(_parsed(parse, requests), context):
                     yield response
-            except Exception as error:
+            except Exception as error:  # noqa: BLE001  # the last resort of every call
                 await _abort(context, error)
 
         return grpc.stream_stream_rpc_method_handler(stream_stream, None, handler.response_serializer)
@@ -93,7 +93,7 @@ def _guarded(handler: Any) -> Any:
             try:
                 async for response in handler.unary_stream(_parse(parse, request), context):
                     yield response
-            except Exception as error:
+            except Exception as error:  # noqa: BLE001  # the last resort of every call
                 await _abort(context, error)
 
         return grpc.unary_stream_rpc_method_handler(unary_stream, None, handler.response_serializer)
@@ -101,7 +101,7 @@ def _guarded(handler: Any) -> Any:
     async def unary_unary(request: bytes, context: Any) -> Any:
         try:
             return await handler.unary_unary(_parse(parse, request), context)
-        except Exception as error:
+        except Exception as error:  # noqa: BLE001  # the last resort of every call
             await _abort(context, error)
 
     return grpc.unary_unary_rpc_method_handler(unary_unary, None, handler.response_serializer)

@@ -147,7 +147,7 @@ def session_message(view: SessionView) -> session_pb2.Session:
     return session_pb2.Session(
         name=view.key.name,
         robot="" if view.robot_id is None else f"robots/{view.robot_id}",
-        state=session_pb2.SessionState.Value(f"SESSION_STATE_{view.state.value}"),
+        state=f"SESSION_STATE_{view.state.value}",
         committed_seq=view.committed_seq,
         travelled_m=view.travelled_m,
         submap_count=view.submap_count,
@@ -160,8 +160,8 @@ def operation_message(view: OperationView) -> operation_pb2.Operation:
     """An operation."""
     return operation_pb2.Operation(
         name=f"operations/{view.operation_id}",
-        kind=operation_pb2.OperationKind.Value(f"OPERATION_KIND_{view.kind.value}"),
-        state=operation_pb2.OperationState.Value(f"OPERATION_STATE_{view.state.value}"),
+        kind=f"OPERATION_KIND_{view.kind.value}",
+        state=f"OPERATION_STATE_{view.state.value}",
         subject=view.subject,
         attempts=view.attempts,
         result=None if view.result is None else struct_of(view.result),
@@ -175,7 +175,7 @@ def submap_message(view: SubmapView) -> submap_pb2.Submap:
     """A submap."""
     return submap_pb2.Submap(
         name=view.key.name,
-        state=submap_pb2.SubmapState.Value(f"SUBMAP_STATE_{view.state.value}"),
+        state=f"SUBMAP_STATE_{view.state.value}",
         ordinal=view.ordinal,
         t_odom_submap=transform(view.T_odom_submap),
         position_m=vector3(view.position_m),
@@ -211,7 +211,7 @@ def loop_message(view: LoopClosureView) -> loop_closure_pb2.LoopClosure:
         number=view.number,
         query=view.query.name,
         match=view.match.name,
-        state=loop_closure_pb2.LoopState.Value(f"LOOP_STATE_{view.state.value}"),
+        state=f"LOOP_STATE_{view.state.value}",
         reason=view.reason or "",
         similarity=view.similarity,
         score=view.score,

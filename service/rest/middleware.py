@@ -35,7 +35,8 @@ class RequestEnvelope:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle one ASGI connection."""
         if scope["type"] != "http":
-            return await self._app(scope, receive, send)
+            await self._app(scope, receive, send)
+            return
         request_id = _request_id(scope)
         scope.setdefault("state", {})["request_id"] = request_id
         started = False
@@ -65,13 +66,16 @@ class BodyLimit:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle one ASGI connection."""
         if scope["type"] != "http":
-            return await self._app(scope, receive, send)
+            await self._app(scope, receive, send)
+            return
         declared = Headers(scope=scope).get("content-length", "0")
         request_id = scope["state"]["request_id"]
         if not declared.isascii() or not declared.isdigit():
-            return await problem(MalformedBody("Content-Length is not a number"), request_id)(scope, receive, send)
+            await problem(MalformedBody("Content-Length is not a number"), request_id)(scope, receive, send)
+            return
         if int(declared[:20]) > self._limit_bytes:
-            return await problem(self._too_large(), request_id)(scope, receive, send)
+            await problem(self._too_large(), request_id)(scope, receive, send)
+            return
         read_bytes = 0
 
         async def receive_within_limit() -> Message:

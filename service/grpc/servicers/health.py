@@ -15,7 +15,7 @@ from service.application import UseCases
 WATCH_POLL_S = 0.5
 
 
-class HealthServicer(health_pb2_grpc.HealthServicer):
+class HealthServicer(health_pb2_grpc.HealthServicer):  # type: ignore[misc]  # its package ships no types
     """SERVING while ready, NOT_SERVING otherwise, for the server ("") and for each of its services."""
 
     def __init__(self, use_cases: UseCases, services: frozenset[str]) -> None:
@@ -29,7 +29,7 @@ class HealthServicer(health_pb2_grpc.HealthServicer):
             await context.abort(grpc.StatusCode.NOT_FOUND, "unknown service")
         return pb.HealthCheckResponse(status=await self._state(request.service))
 
-    async def Watch(self, request: pb.HealthCheckRequest, context: Any) -> AsyncIterator[pb.HealthCheckResponse]:
+    async def Watch(self, request: pb.HealthCheckRequest, _context: Any) -> AsyncIterator[pb.HealthCheckResponse]:
         """The state now and whenever it changes, until the service drains."""
         last: int | None = None
         while not self._system.draining:

@@ -52,7 +52,7 @@ class IngestServicer(ingest_pb2_grpc.IngestServiceServicer):
         self._streams: dict[SessionKey, _ScanStream] = {}
 
     async def StreamScans(
-        self, requests: AsyncIterator[pb.StreamScansRequest], context: Any
+        self, requests: AsyncIterator[pb.StreamScansRequest], _context: Any
     ) -> AsyncIterator[pb.StreamScansResponse]:
         """See the proto file for the rules."""
         opening = await _open_of(requests)
@@ -113,7 +113,8 @@ class _ScanStream:
             try:
                 await self._acknowledge(await self._append(request.scan))
             except Draining:
-                return await self._send(drain=pb.Drain())
+                await self._send(drain=pb.Drain())
+                return
             except RevisitError as error:
                 await self._refuse(request.scan.seq, error)
 

@@ -23,12 +23,12 @@ class LoopClosureServicer(loop_closure_pb2_grpc.LoopClosureServiceServicer):
         self._loops = use_cases.loops
         self._searches = use_cases.searches
 
-    async def SearchSubmaps(self, request: pb.SearchSubmapsRequest, context: Any) -> pb.SearchSubmapsResponse:
+    async def SearchSubmaps(self, request: pb.SearchSubmapsRequest, _context: Any) -> pb.SearchSubmapsResponse:
         """The submaps most like a submap, a descriptor or a cloud."""
         return messages.search_message(await self._search(request))
 
-    async def Localize(self, request: pb.LocalizeRequest, context: Any) -> pb.LocalizeResponse:
-        """Where in the map was this cloud taken?"""
+    async def Localize(self, request: pb.LocalizeRequest, _context: Any) -> pb.LocalizeResponse:
+        """Where in the map the cloud was taken, if the place is known."""
         query = LocalizeQuery(
             map_id=names.map_id(request.parent, "parent"),
             cloud=messages.cloud(request.cloud),
@@ -38,12 +38,12 @@ class LoopClosureServicer(loop_closure_pb2_grpc.LoopClosureServiceServicer):
         )
         return messages.localize_message(await self._searches.localize(DEFAULT_TENANT, query))
 
-    async def GetLoopClosure(self, request: pb.GetLoopClosureRequest, context: Any) -> pb.GetLoopClosureResponse:
+    async def GetLoopClosure(self, request: pb.GetLoopClosureRequest, _context: Any) -> pb.GetLoopClosureResponse:
         """Get a loop closure."""
         view = await self._loops.get(DEFAULT_TENANT, *names.loop_key(request.name))
         return pb.GetLoopClosureResponse(loop_closure=messages.loop_message(view))
 
-    async def ListLoopClosures(self, request: pb.ListLoopClosuresRequest, context: Any) -> pb.ListLoopClosuresResponse:
+    async def ListLoopClosures(self, request: pb.ListLoopClosuresRequest, _context: Any) -> pb.ListLoopClosuresResponse:
         """List the loop closures of a map."""
         map_id = names.map_id(request.parent, "parent")
         session_id = names.session_id_in(request.parent, request.session, "session")
@@ -53,7 +53,7 @@ class LoopClosureServicer(loop_closure_pb2_grpc.LoopClosureServiceServicer):
         return pb.ListLoopClosuresResponse(loop_closures=items, next_page_token=page.next_token)
 
     async def WatchLoopClosures(
-        self, request: pb.WatchLoopClosuresRequest, context: Any
+        self, request: pb.WatchLoopClosuresRequest, _context: Any
     ) -> AsyncIterator[pb.WatchLoopClosuresResponse]:
         """The accepted loop closures, those to come too."""
         map_id = names.map_id(request.parent, "parent")

@@ -21,19 +21,19 @@ class OperationServicer(operation_pb2_grpc.OperationServiceServicer):
         """Answers from `use_cases`."""
         self._operations = use_cases.operations
 
-    async def GetOperation(self, request: pb.GetOperationRequest, context: Any) -> pb.GetOperationResponse:
+    async def GetOperation(self, request: pb.GetOperationRequest, _context: Any) -> pb.GetOperationResponse:
         """Get an operation."""
         view = await self._operations.get(DEFAULT_TENANT, names.operation_id(request.name))
         return pb.GetOperationResponse(operation=messages.operation_message(view))
 
-    async def ListOperations(self, request: pb.ListOperationsRequest, context: Any) -> pb.ListOperationsResponse:
+    async def ListOperations(self, request: pb.ListOperationsRequest, _context: Any) -> pb.ListOperationsResponse:
         """List the operations."""
         paging, state = messages.page_request(request), messages.operation_state(request.state)
         page = await self._operations.list(DEFAULT_TENANT, paging, state)
         items = [messages.operation_message(view) for view in page.items]
         return pb.ListOperationsResponse(operations=items, next_page_token=page.next_token)
 
-    async def WaitOperation(self, request: pb.WaitOperationRequest, context: Any) -> pb.WaitOperationResponse:
+    async def WaitOperation(self, request: pb.WaitOperationRequest, _context: Any) -> pb.WaitOperationResponse:
         """The operation once it has ended, or as it stands after the timeout."""
         timeout_s = request.timeout_s if request.HasField("timeout_s") else DEFAULT_WAIT_S
         if not 0.0 <= timeout_s <= MAX_WAIT_S:

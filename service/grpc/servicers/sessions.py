@@ -18,7 +18,7 @@ class SessionServicer(session_pb2_grpc.SessionServiceServicer):
         self._sessions = use_cases.sessions
 
     async def CreateSession(
-        self, request: session_pb2.CreateSessionRequest, context: Any
+        self, request: session_pb2.CreateSessionRequest, _context: Any
     ) -> session_pb2.CreateSessionResponse:
         """Create a session."""
         robot_id = names.robot_id(request.robot, "robot") if request.robot else None
@@ -28,13 +28,13 @@ class SessionServicer(session_pb2_grpc.SessionServiceServicer):
             session=messages.session_message(created.session), replay=created.replay
         )
 
-    async def GetSession(self, request: session_pb2.GetSessionRequest, context: Any) -> session_pb2.GetSessionResponse:
+    async def GetSession(self, request: session_pb2.GetSessionRequest, _context: Any) -> session_pb2.GetSessionResponse:
         """Get a session."""
         view = await self._sessions.get(DEFAULT_TENANT, names.session_key(request.name))
         return session_pb2.GetSessionResponse(session=messages.session_message(view))
 
     async def ListSessions(
-        self, request: session_pb2.ListSessionsRequest, context: Any
+        self, request: session_pb2.ListSessionsRequest, _context: Any
     ) -> session_pb2.ListSessionsResponse:
         """List the sessions of a map."""
         map_id = names.map_id(request.parent, "parent")
@@ -43,7 +43,7 @@ class SessionServicer(session_pb2_grpc.SessionServiceServicer):
         return session_pb2.ListSessionsResponse(sessions=items, next_page_token=page.next_token)
 
     async def FinishSession(
-        self, request: session_pb2.FinishSessionRequest, context: Any
+        self, request: session_pb2.FinishSessionRequest, _context: Any
     ) -> session_pb2.FinishSessionResponse:
         """Finish a session."""
         view = await self._sessions.finish(DEFAULT_TENANT, names.session_key(request.name))

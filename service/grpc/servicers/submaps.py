@@ -30,7 +30,7 @@ class SubmapServicer(submap_pb2_grpc.SubmapServiceServicer):
         """Answers from `use_cases`."""
         self._submaps = use_cases.submaps
 
-    async def PostSubmap(self, request: submap_pb2.PostSubmapRequest, context: Any) -> submap_pb2.PostSubmapResponse:
+    async def PostSubmap(self, request: submap_pb2.PostSubmapRequest, _context: Any) -> submap_pb2.PostSubmapResponse:
         """Store a submap and queue its description."""
         session = names.session_key(request.parent, "parent")
         key = SubmapKey(session.map_id, session.session_id, request.submap_id)
@@ -38,12 +38,14 @@ class SubmapServicer(submap_pb2_grpc.SubmapServiceServicer):
         command = PostSubmap(key, pose, request.stamp_ns, messages.cloud(request.cloud))
         return messages.posted_message(await self._submaps.post(DEFAULT_TENANT, command))
 
-    async def GetSubmap(self, request: submap_pb2.GetSubmapRequest, context: Any) -> submap_pb2.GetSubmapResponse:
+    async def GetSubmap(self, request: submap_pb2.GetSubmapRequest, _context: Any) -> submap_pb2.GetSubmapResponse:
         """Get a submap."""
         view = await self._submaps.get(DEFAULT_TENANT, names.submap_key(request.name))
         return submap_pb2.GetSubmapResponse(submap=messages.submap_message(view))
 
-    async def ListSubmaps(self, request: submap_pb2.ListSubmapsRequest, context: Any) -> submap_pb2.ListSubmapsResponse:
+    async def ListSubmaps(
+        self, request: submap_pb2.ListSubmapsRequest, _context: Any
+    ) -> submap_pb2.ListSubmapsResponse:
         """List the submaps of a session."""
         session = names.session_key(request.parent, "parent")
         page = await self._submaps.list(DEFAULT_TENANT, session, messages.page_request(request))
@@ -51,14 +53,14 @@ class SubmapServicer(submap_pb2_grpc.SubmapServiceServicer):
         return submap_pb2.ListSubmapsResponse(submaps=items, next_page_token=page.next_token)
 
     async def DeleteSubmap(
-        self, request: submap_pb2.DeleteSubmapRequest, context: Any
+        self, request: submap_pb2.DeleteSubmapRequest, _context: Any
     ) -> submap_pb2.DeleteSubmapResponse:
         """Delete a submap."""
         await self._submaps.delete(DEFAULT_TENANT, names.submap_key(request.name))
         return submap_pb2.DeleteSubmapResponse()
 
     async def DownloadSubmap(
-        self, request: submap_pb2.DownloadSubmapRequest, context: Any
+        self, request: submap_pb2.DownloadSubmapRequest, _context: Any
     ) -> AsyncIterator[submap_pb2.DownloadSubmapResponse]:
         """A file in chunks; the first one says what it is."""
         if request.format not in _DOWNLOADS:

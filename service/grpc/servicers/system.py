@@ -16,6 +16,6 @@ class SystemServicer(system_pb2_grpc.SystemServiceServicer):
         """Answers from `use_cases`."""
         self._system = use_cases.system
 
-    async def GetStatus(self, request: system_pb2.GetStatusRequest, context: Any) -> system_pb2.GetStatusResponse:
+    async def GetStatus(self, _request: system_pb2.GetStatusRequest, _context: Any) -> system_pb2.GetStatusResponse:
         """Queue depth, index size, workers and versions."""
         return messages.status_message(await self._system.status(DEFAULT_TENANT))

@@ -24,9 +24,7 @@ async def list_loop_closures(
 ) -> LoopClosurePage:
     """List the loop closures of a map with their evidence, oldest first."""
     page = await cases.loops.list(tenant, map_id, paging, state, session_id)
-    return LoopClosurePage(
-        loop_closures=[LoopClosure.of(view) for view in page.items], next_page_token=page.next_token
-    )
+    return LoopClosurePage(loop_closures=[LoopClosure.of(view) for view in page.items], next_page_token=page.next_token)
 
 
 @router.get("/{loop_id}")

@@ -9,9 +9,9 @@ from fastapi import APIRouter, Depends, Query
 from starlette.requests import Request
 
 from core.errors import BadField
+from service.application import UseCases
 from service.application.identity import SubmapKey, TenantId
 from service.application.searches import LocalizeQuery, SearchCriteria, SearchResult
-from service.application import UseCases
 from service.rest.bodies import ANY_BINARY, CLOUD_BODY, cloud_body, json_bytes, limits_of, media_type, parse_json
 from service.rest.parameters import Cases, Cloud, Id, Prior, RadiusM, Tenant, criteria_of_body, criteria_of_query
 from service.rest.schemas import LocalizeAnswer, SearchAnswer, SearchRequest

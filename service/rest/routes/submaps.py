@@ -10,7 +10,17 @@ from fastapi import APIRouter, Query, Response
 from service.application.identity import SubmapKey
 from service.application.submaps import DownloadKind, PostSubmap
 from service.rest.bodies import ANY_BINARY, CLOUD_BODY
-from service.rest.parameters import Cases, Cloud, Paging, PoseOfSubmap, SessionOf, StampNs, SubmapOf, Tenant, mark_replay
+from service.rest.parameters import (
+    Cases,
+    Cloud,
+    Paging,
+    PoseOfSubmap,
+    SessionOf,
+    StampNs,
+    SubmapOf,
+    Tenant,
+    mark_replay,
+)
 from service.rest.schemas import Posted, Submap, SubmapPage
 
 router = APIRouter(prefix="/v1/maps/{map_id}/sessions/{session_id}/submaps", tags=["submaps"])
