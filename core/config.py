@@ -86,16 +86,52 @@ class BevConfig:
     """Cluster-guided BEV image and its features (paper III-D, III-E)."""
 
     half_range: float = parameter(50.0, "m", "method notes", "the image covers +- this distance from the submap centre")
+    cluster_distance: float = parameter(0.6, "m", "paper Eq. 7, delta_c", "voxels this near a dominant cluster are projected")
+    min_support: float = parameter(0.5, "1", "own", "share of the standing voxels below which all of them are projected")
+    normalisation: str = parameter("log", "log, linear or binary", "paper Eq. 9, eta", "evidence to image intensity")
+    saturation_quantile: float = parameter(0.95, "1", "own", "occupied pixels above this quantile are white")
+    scales: int = parameter(4, "1", "BVMatch", "scales of the log-Gabor filters")
+    orientations: int = parameter(6, "1", "method notes", "orientations of the log-Gabor filters and of the histograms")
+    wavelength: float = parameter(3.0, "px", "BVMatch", "wavelength of the finest filter")
+    scale_factor: float = parameter(1.6, "1", "BVMatch", "ratio of the wavelengths of two scales")
+    bandwidth: float = parameter(0.75, "1", "BVMatch", "sigma over centre frequency of the radial part")
+    filter_margin: int = parameter(32, "px", "own", "empty border against wrap-around of the filters")
+    keypoint_source: str = parameter("image", "image or mim", "BVMatch; paper III-D: mim", "where FAST looks for corners")
+    fast_threshold: int = parameter(10, "grey levels", "method notes", "contrast of a FAST corner")
+    max_keypoints: int = parameter(200, "keypoints", "method notes", "the strongest corners are kept")
+    min_keypoints: int = parameter(40, "keypoints", "own", "filled up with amplitude maxima where corners are fewer")
+    context_px: int = parameter(138, "px", "method notes", "diameter of the disc that sets a keypoint's orientation")
+    patch_px: int = parameter(96, "px", "method notes", "edge of the described patch")
+    patch_step: int = parameter(2, "px", "own", "sampling distance inside the patch")
+    cells: int = parameter(6, "1", "BVMatch", "parts of the patch along each edge")
+    amplitude_power: float = parameter(0.5, "1", "own", "weight of a pixel is this power of its filter amplitude")
 
 
 @dataclass(frozen=True)
 class MicroConfig:
     """Cluster normal statistics and saliency (paper III-C, III-E)."""
 
+    evaluation: str = parameter("keypoint", "keypoint or cluster", "paper Fig. 2b; III-C: cluster", "where psi is evaluated")
+    radius: float = parameter(8.0, "m", "own", "column around a keypoint over which psi is evaluated")
+    distance_bins: int = parameter(3, "1", "own; paper III-C: 1", "classes of pairs of regions by horizontal distance")
+    height_bins: int = parameter(1, "1", "own; paper III-C: 1", "classes of pairs of regions by height difference")
+    pairs_per_keypoint: int = parameter(60, "pairs", "paper III-C, n_m", "random pairs for each keypoint of a cluster")
+    epsilon: float = parameter(0.5, "keypoints", "paper Eq. 12", "keeps the weight of clusters without keypoints positive")
+
 
 @dataclass(frozen=True)
 class FusionConfig:
     """VLAD aggregation and fusion (paper III-D, III-E)."""
+
+    local_size: int = parameter(64, "1", "own", "principal components kept of a patch histogram")
+    macro_centres: int = parameter(64, "1", "method notes", "codebook size of the BEV patches")
+    micro_centres: int = parameter(16, "1", "method notes", "codebook size of the cluster histograms")
+    macro_size: int = parameter(256, "1", "method notes", "length of the BEV part")
+    micro_size: int = parameter(128, "1", "own", "length of the cluster part")
+    whitening: float = parameter(0.25, "1", "method notes", "components are divided by their eigenvalue to this power")
+    macro_weight: float = parameter(1.0, "1", "paper Eq. 14, lambda_B", "weight of the BEV part")
+    micro_weight: float = parameter(0.5, "1", "paper Eq. 14, lambda_G", "weight of the cluster part")
+    literal_saliency: bool = parameter(False, "", "paper Eq. 13", "weigh cluster histograms before assignment")
 
 
 @dataclass(frozen=True)
@@ -109,6 +145,31 @@ class LoopConfig:
 @dataclass(frozen=True)
 class VerificationConfig:
     """Geometric verification of a candidate (paper III-E, end)."""
+
+    spacing: float = parameter(0.8, "m", "own", "edge of the cubes of which the signature keeps one surface point each")
+    standing_points: int = parameter(2500, "points", "own", "most surface points off the ground in a signature")
+    ground_points: int = parameter(800, "points", "own", "most ground points in a signature")
+    min_standing: int = parameter(100, "points", "own", "a place with fewer points off the ground is degenerate")
+    min_spread: float = parameter(0.5, "m", "own", "smallest horizontal standard deviation of a place that is no line")
+    keypoint_tolerance: float = parameter(1.2, "m", "own", "correspondences nearer than this agree with a pose")
+    yaw_tolerance: float = parameter(25.0, "deg", "own", "largest error of the yaw that a correspondence implies")
+    sure_inliers: int = parameter(25, "keypoints", "own", "below, poses by phase correlation are tried too")
+    starts: int = parameter(3, "poses", "own", "most planar poses that are refined by ICP")
+    correlation_pixel: float = parameter(0.8, "m", "own", "pixel of the images for phase correlation")
+    correlation_turns: int = parameter(3, "yaws", "own", "yaws tried by phase correlation, each in both directions")
+    coarse_rounds: int = parameter(10, "steps", "own", "ICP steps on a third of the points with 3 m reach")
+    fine_rounds: int = parameter(6, "steps", "own", "ICP steps on all points")
+    fine_distance: float = parameter(1.0, "m", "own", "reach of the fine ICP steps")
+    neighbour_distance: float = parameter(1.0, "m", "own", "a surface point has its counterpart within this distance")
+    surface_distance: float = parameter(0.25, "m", "own", "and lies this near to its tangent plane")
+    min_common: int = parameter(60, "points", "own", "standing points of each place in the region both have seen")
+    max_tilt: float = parameter(15.0, "deg", "own", "largest tilt between two gravity-aligned submaps")
+    min_overlap: float = parameter(0.3, "1", "own", "smallest share of common surface")
+    min_observability: float = parameter(0.002, "1", "own", "smallest eigenvalue share of the ICP information")
+    lever: float = parameter(15.0, "m", "own", "lever arm at which rotations are compared with translations")
+    min_sigma: float = parameter(0.03, "m", "own", "residuals are trusted no better than this")
+    correlated_points: float = parameter(20.0, "points", "own", "points that share one error")
+    min_score: float = parameter(0.5, "1", "own", "smallest score of a verified loop")
 
 
 @dataclass(frozen=True)

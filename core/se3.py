@@ -105,6 +105,13 @@ def apply(transform: Matrix4, points: NDArray[np.floating]) -> NDArray[np.float6
     return np.asarray(points @ transform[:3, :3].T + transform[:3, 3])
 
 
+def adjoint(transform: Matrix4) -> NDArray[np.float64]:
+    """The (6, 6) matrix with T exp(xi) = exp(adjoint @ xi) T, for tangents (x, y, z, rx, ry, rz)."""
+    rotation = transform[:3, :3]
+    zeros = np.zeros((3, 3))
+    return np.block([[rotation, _hat(transform[:3, 3]) @ rotation], [zeros, rotation]])
+
+
 def rotation_angle(transform: Matrix4) -> float:
     """The angle of the rotation in radians, in [0, pi]."""
     rotation = transform[:3, :3]

@@ -1,0 +1,68 @@
+"""Cluster-guided projection of the occupancy evidence onto the horizontal plane (paper III-E, Eq. 7-9)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from core.clusters import Clusters
+from core.config import BevConfig
+from core.surface import Surface
+
+Array = NDArray[np.float32]
+Flags = NDArray[np.bool_]
+
+
+def image_size(resolution: float, config: BevConfig) -> int:
+    """Pixels along each edge of the image; even, so that the submap origin lies between the two middle pixels."""
+    return 2 * round(config.half_range / resolution)
+
+
+def cluster_supported(surface: Surface, clusters: Clusters, config: BevConfig) -> Flags:
+    """Which voxels (o,) lie within delta_c of a dominant cluster (Eq. 7, Eq. 8).
+
+    Where the dominant clusters support less than `min_support` of the voxels off the ground (a sparse sensor, a small
+    yard), every voxel within delta_c of a vertex that is not ground counts; where nothing stands, every voxel.
+    """
+    standing = _voxels_near(surface, ~clusters.ground, config.cluster_distance)
+    if not standing.any():
+        return np.ones(len(surface.occupied), dtype=bool)
+    supported = _voxels_near(surface, clusters.labels >= 0, config.cluster_distance)
+    return supported if supported.sum() >= config.min_support * standing.sum() else standing
+
+
+def project(surface: Surface, voxels: Flags, config: BevConfig) -> Array:
+    """The BEV image (H, W) in 0..1: the occupancy of the chosen voxels (o,) summed per column, normalised (Eq. 9).
+
+    Row = y, column = x, pixel = voxel. eta is logarithmic and saturates at a quantile of the columns that are occupied,
+    so that neither the number of returns nor a single tall structure sets the scale.
+    """
+    size = image_size(surface.resolution, config)
+    pixels = surface.occupied[voxels][:, :2] + size // 2
+    inside = ((pixels >= 0) & (pixels < size)).all(axis=1)
+    sums = np.zeros((size, size), dtype=np.float32)
+    np.add.at(sums, (pixels[inside, 1], pixels[inside, 0]), surface.occupancy[voxels][inside])
+    return normalise(sums, config)
+
+
+def normalise(sums: Array, config: BevConfig) -> Array:
+    """eta of Eq. 9: evidence (H, W) >= 0 to intensities 0..1."""
+    occupied = sums > 0
+    if not occupied.any():
+        return np.zeros_like(sums)
+    if config.normalisation == "binary":
+        return occupied.astype(np.float32)
+    scaled = np.log1p(sums) if config.normalisation == "log" else sums
+    saturation = np.quantile(scaled[occupied], config.saturation_quantile)
+    return np.asarray(np.minimum(scaled / saturation, 1.0), dtype=np.float32)
+
+
+def _voxels_near(surface: Surface, vertices: Flags, distance: float) -> Flags:
+    """Which voxels (o,) have their centre within `distance` metres of one of the chosen vertices (v,)."""
+    if not vertices.any() or len(surface.occupied) == 0:
+        return np.zeros(len(surface.occupied), dtype=bool)
+    centres = (surface.occupied + np.float32(0.5)) * np.float32(surface.resolution)
+    tree = cKDTree(surface.vertices[vertices], balanced_tree=False, compact_nodes=False)
+    gaps, _ = tree.query(centres, distance_upper_bound=distance * (1 + 1e-6))
+    return np.asarray(gaps <= distance)

@@ -1,0 +1,56 @@
+"""The fused place descriptor (paper III-E, Eq. 13-15)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.bev import BevFeatures
+from core.cluster_normals import ClusterStatistics
+from core.config import FusionConfig
+from core.errors import DescriptorModelMismatch
+from core.vlad import Codebooks, aggregate, project_locally, reduce, unit
+
+Array = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class PlaceDescriptor:
+    """One place as a unit vector (d,) float32; only descriptors of the same model are comparable."""
+
+    vector: Array
+    model_version: str
+
+    def similarity(self, other: PlaceDescriptor) -> float:
+        """The cosine of Eq. 15, in [-1, 1]. Raises DescriptorModelMismatch across models."""
+        if self.model_version != other.model_version:
+            raise DescriptorModelMismatch
+        return float(self.vector @ other.vector)
+
+
+def fuse(
+    bev: BevFeatures, micro: ClusterStatistics, codebooks: Codebooks, config: FusionConfig, model_version: str
+) -> PlaceDescriptor:
+    """Norm([lambda_B F^B, lambda_G F^G]) (Eq. 14); a part that saw nothing is zero."""
+    macro_part = config.macro_weight * macro_descriptor(bev, codebooks)
+    micro_part = config.micro_weight * micro_descriptor(micro, codebooks, config)
+    return PlaceDescriptor(unit(np.concatenate([macro_part, micro_part])), model_version)
+
+
+def macro_descriptor(bev: BevFeatures, codebooks: Codebooks) -> Array:
+    """F^B (p,): VLAD of the patches, each in both of its directions, so that a turn by 180 degrees changes nothing."""
+    vlad = aggregate(with_reversed(project_locally(bev.descriptors, codebooks), codebooks), codebooks.macro_centres)
+    return reduce(vlad, codebooks.macro_mean, codebooks.macro_basis)
+
+
+def micro_descriptor(micro: ClusterStatistics, codebooks: Codebooks, config: FusionConfig) -> Array:
+    """F^G (q,): saliency-weighted VLAD of the cluster histograms (Eq. 13)."""
+    vlad = aggregate(micro.histograms, codebooks.micro_centres, micro.weights, config.literal_saliency)
+    return reduce(vlad, codebooks.micro_mean, codebooks.micro_basis)
+
+
+def with_reversed(projected: Array, codebooks: Codebooks) -> Array:
+    """Projected patches (n, l) followed by those of the patches turned by 180 degrees."""
+    return np.concatenate([projected, projected * codebooks.local_parity])

@@ -1,0 +1,102 @@
+"""Codebooks, and aggregation of local features into one vector (VLAD; paper III-D, III-E Eq. 13)."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.errors import DataLoss
+
+Array = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Codebooks:
+    """What was learned from other places, as plain float32 arrays.
+
+    local_basis (l, d): projects patch histograms (d,) to l numbers; local_parity (l,) +-1: the sign each of them takes
+    when the patch is turned by 180 degrees. macro_centres (k, l); macro_mean (k * l,); macro_basis (p, k * l).
+    micro_centres (c, e); micro_mean (c * e,); micro_basis (q, c * e). Bases contain the scaling of their components.
+    """
+
+    local_basis: Array
+    local_parity: Array
+    macro_centres: Array
+    macro_mean: Array
+    macro_basis: Array
+    micro_centres: Array
+    micro_mean: Array
+    micro_basis: Array
+
+    def to_arrays(self) -> dict[str, Array]:
+        """The fields by name."""
+        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[np.floating]]) -> Codebooks:
+        """The inverse of `to_arrays`; other names in `arrays` are ignored. Raises DataLoss where shapes disagree."""
+        names = [field.name for field in dataclasses.fields(cls)]
+        missing = [name for name in names if name not in arrays]
+        if missing:
+            raise DataLoss(f"the codebooks lack {', '.join(missing)}")
+        books = cls(**{name: np.ascontiguousarray(arrays[name], dtype=np.float32) for name in names})
+        books._check()
+        return books
+
+    def _check(self) -> None:
+        macro, micro = self.macro_centres, self.micro_centres
+        agree = (
+            all(np.isfinite(array).all() for array in self.to_arrays().values())
+            and self.local_basis.ndim == macro.ndim == micro.ndim == self.macro_basis.ndim == self.micro_basis.ndim == 2
+            and self.local_parity.shape == (macro.shape[1],) == (len(self.local_basis),)
+            and self.macro_mean.shape == (macro.size,) == self.macro_basis.shape[1:]
+            and self.micro_mean.shape == (micro.size,) == self.micro_basis.shape[1:]
+        )
+        if not agree:
+            raise DataLoss("the shapes of the codebooks do not fit together, or they hold NaN")
+
+
+def project_locally(descriptors: Array, codebooks: Codebooks) -> Array:
+    """Patch histograms (n, d) as (n, l) unit vectors of their principal components."""
+    projected = descriptors @ codebooks.local_basis.T
+    length = np.maximum(np.linalg.norm(projected, axis=1, keepdims=True), 1e-12)
+    return np.asarray(projected / length, dtype=np.float32)
+
+
+def aggregate(
+    features: Array, centres: Array, weights: NDArray[np.float64] | None = None, weigh_features: bool = False
+) -> Array:
+    """VLAD (k * d,): sums of the residuals of features (n, d) to their nearest centre (k, d).
+
+    `weights` (n,) scale the residuals after assignment; with `weigh_features` they scale the features before it, the
+    literal VLAD{alpha_m psi(C_m)} of Eq. 13. Each centre's block is L2-normalised (intra-normalisation), then the
+    signed square root and the L2 norm are taken. No features give zeros.
+    """
+    blocks = np.zeros(centres.shape, dtype=np.float64)
+    if len(features):
+        used = features * weights[:, None] if weigh_features and weights is not None else features
+        scores = used @ centres.T - 0.5 * np.einsum("ij,ij->i", centres, centres)
+        nearest = scores.argmax(axis=1)
+        residuals = used - centres[nearest]
+        if weights is not None and not weigh_features:
+            residuals = residuals * weights[:, None]
+        np.add.at(blocks, nearest, residuals)
+    blocks /= np.maximum(np.linalg.norm(blocks, axis=1, keepdims=True), 1e-12)
+    flat = np.sign(blocks) * np.sqrt(np.abs(blocks))
+    return unit(flat.ravel())
+
+
+def reduce(vector: Array, mean: Array, basis: Array) -> Array:
+    """The principal components (p,) of a VLAD vector, L2-normalised; a zero vector stays zero."""
+    if not vector.any():
+        return np.zeros(len(basis), dtype=np.float32)
+    return unit(basis @ (vector - mean))
+
+
+def unit(vector: NDArray[np.floating]) -> Array:
+    """The vector divided by its L2 norm; zeros stay zeros."""
+    return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-12), dtype=np.float32)
