@@ -1,0 +1,164 @@
+"""What SQLite must do and does not do by default."""
+
+from __future__ import annotations
+
+import sqlite3
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import pytest
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
+from sqlalchemy.exc import OperationalError
+
+from service.adapters.sql import tables
+from service.adapters.sql.migration import current_revision, migrate
+from service.adapters.sql.unit_of_work import SqlTransactions, reader_engine, writer_engine
+from service.application.errors import StorageUncertain
+from tests.contract.test_transactions import fill
+from tests.support.records import TENANT, a_map, a_session
+
+
+@pytest.fixture
+def database(tmp_path):
+    migrate(tmp_path / "test.db")
+    return tmp_path / "test.db"
+
+
+def rows(path) -> dict[str, list[tuple]]:
+    connection = sqlite3.connect(path)
+    names = [name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")]
+    content = {name: connection.execute(f'SELECT * FROM "{name}"').fetchall() for name in names}
+    connection.close()
+    return content
+
+
+def test_the_migration_goes_up_down_and_up_on_a_filled_database(database):
+    store = SqlTransactions(database, checkpoints=True)
+    store.write(fill).result()
+    store.write(lambda uow: uow.changes.record_described(TENANT, 1, 1)).result()
+    store.close()
+    filled = rows(database)
+    assert all(filled[name] for name in ("maps", "robots", "sessions", "scans", "submaps", "loop_closures"))
+    migrate(database)
+    assert rows(database) == filled
+    migrate(database, "base")
+    assert current_revision(database) is None
+    assert set(rows(database)) <= {"alembic_version", "sqlite_sequence"}
+    migrate(database)
+    assert set(rows(database)) == set(filled)
+    store = SqlTransactions(database, checkpoints=True)
+    assert store.write(lambda uow: uow.maps.add(a_map())).result().number == 1
+    store.close()
+
+
+def test_the_migration_makes_the_schema_of_the_tables(database):
+    engine = writer_engine(database, checkpoints=True)
+    with engine.connect() as connection:
+        context = MigrationContext.configure(connection, opts={"compare_type": True})
+        assert compare_metadata(context, tables.metadata) == []
+    engine.dispose()
+
+
+def test_the_writer_is_durable_and_one_process_checkpoints(database):
+    def pragma(engine, name):
+        with engine.connect() as connection:
+            return connection.exec_driver_sql(f"PRAGMA {name}").scalar()
+
+    gateway, worker = writer_engine(database, checkpoints=True), writer_engine(database, checkpoints=False)
+    for engine in (gateway, worker):
+        names = ("journal_mode", "synchronous", "foreign_keys")
+        assert [pragma(engine, name) for name in names] == ["wal", 2, 1]
+    assert (pragma(gateway, "wal_autocheckpoint"), pragma(worker, "wal_autocheckpoint")) == (1000, 0)
+    gateway.dispose()
+    worker.dispose()
+
+
+def test_a_reader_cannot_write(database):
+    engine = reader_engine(database)
+    with engine.begin() as connection, pytest.raises(OperationalError, match="readonly"):
+        connection.exec_driver_sql("DELETE FROM maps")
+    engine.dispose()
+
+
+def test_two_hundred_read_modify_writes_from_four_connections_lose_nothing(database):
+    stores = [SqlTransactions(database, checkpoints=number == 0) for number in range(4)]
+    stores[0].write(lambda uow: (uow.maps.add(a_map()), uow.sessions.add(a_session()))).result()
+
+    def count_up(uow):
+        session = uow.sessions.get(TENANT, "town", "monday")
+        uow.sessions.replace(replace(session, committed_seq=session.committed_seq + 1))
+
+    def fifty(store):
+        for _ in range(50):
+            store.write(count_up).result()
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(fifty, stores))
+    counted = stores[0].read(lambda uow: uow.sessions.get(TENANT, "town", "monday").committed_seq).result()
+    for store in stores:
+        store.close()
+    assert counted == 200
+
+
+def test_a_read_sees_one_snapshot_while_others_write(database):
+    store, other = SqlTransactions(database, checkpoints=True), SqlTransactions(database, checkpoints=False)
+    begun, written = threading.Event(), threading.Event()
+
+    def look_twice(uow):
+        first = uow.maps.count(TENANT)
+        begun.set()
+        assert written.wait(5)
+        return first, uow.maps.count(TENANT)
+
+    looking = store.read(look_twice)
+    assert begun.wait(5)
+    other.write(lambda uow: uow.maps.add(a_map())).result()
+    written.set()
+    assert looking.result() == (0, 0)
+    assert store.read(lambda uow: uow.maps.count(TENANT)).result() == 1
+    store.close()
+    other.close()
+
+
+def test_a_writer_that_does_not_get_its_turn_says_so_and_stores_nothing(database, monkeypatch):
+    monkeypatch.setattr("service.adapters.sql.unit_of_work.LOCK_TIMEOUT_S", 0.1)
+    store, other = SqlTransactions(database, checkpoints=True), SqlTransactions(database, checkpoints=False)
+    entered, leave = threading.Event(), threading.Event()
+
+    def hold(uow):
+        entered.set()
+        assert leave.wait(5)
+
+    holding = store.write(hold)
+    assert entered.wait(5)
+    with pytest.raises(StorageUncertain, match="nothing was stored"):
+        other.write(lambda uow: uow.maps.add(a_map())).result()
+    leave.set()
+    holding.result()
+    assert store.read(lambda uow: uow.maps.count(TENANT)).result() == 0
+    store.close()
+    other.close()
+
+
+def test_a_full_database_refuses_and_takes_writes_again_when_there_is_room(database):
+    from service.application.errors import StorageFull
+
+    store = SqlTransactions(database, checkpoints=True)
+
+    def limit_pages(uow, pages):
+        return uow.connection.exec_driver_sql(f"PRAGMA max_page_count={pages}").scalar()
+
+    def add_many(uow):
+        for number in range(400):
+            uow.maps.add(replace(a_map(f"m{number}"), display_name="x" * 250))
+
+    store.write(lambda uow: limit_pages(uow, 1)).result()
+    with pytest.raises(StorageFull):
+        store.write(add_many).result()
+    assert store.read(lambda uow: uow.maps.count(TENANT)).result() == 0
+    store.write(lambda uow: limit_pages(uow, 100_000)).result()
+    store.write(add_many).result()
+    assert store.read(lambda uow: uow.maps.count(TENANT)).result() == 400
+    store.close()
