@@ -1,0 +1,29 @@
+"""Revisit's Python SDK: `from revisit import Client`.
+
+    client = Client()                                # REST on http://127.0.0.1:8080
+    client = Client.grpc("127.0.0.1:8090")           # the same calls over gRPC
+
+Errors are `revisit.errors.ApiError`; transforms are (4, 4) matrices named T_target_source; lengths are metres.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from revisit.client import Client as Client
+    from revisit.clouds import Cloud as Cloud
+    from revisit.errors import ApiError as ApiError
+
+__all__ = ["ApiError", "Client", "Cloud"]
+
+_HOMES = {"ApiError": "revisit.errors", "Client": "revisit.client", "Cloud": "revisit.clouds"}
+
+
+def __getattr__(name: str) -> Any:
+    # On first use: the service imports `revisit.v1` and needs none of the SDK, and `revisit --help` must be quick.
+    if name not in _HOMES:
+        raise AttributeError(f"module 'revisit' has no attribute {name!r}")
+    import importlib
+
+    return getattr(importlib.import_module(_HOMES[name]), name)

@@ -1,0 +1,280 @@
+"""The client: methods named as the resources, over REST or gRPC alike."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, Self
+
+from core.errors import RevisitError
+from revisit.clouds import PointsLike, encoded
+from revisit.errors import ErrorDetails, InvalidArgument, OperationFailed
+from revisit.resources import (
+    Json,
+    Localization,
+    LoopClosure,
+    Map,
+    Operation,
+    Robot,
+    SearchHit,
+    Session,
+    Status,
+    Submap,
+    pose_json,
+)
+from revisit.retry import RetryPolicy
+from revisit.transport import ScanSink, Transport
+
+DEFAULT_HTTP = "http://127.0.0.1:8080"
+DEFAULT_GRPC = "127.0.0.1:8090"
+MAX_WAIT_S = 60.0
+
+
+class Client:
+    """A connection to the service. Resources are named as in the API: `maps/yard/sessions/monday`.
+
+    Creates are idempotent: the same id with the same content answers again. Retryable errors are retried. Every call
+    raises `revisit.errors.ApiError`.
+    """
+
+    def __init__(
+        self,
+        http: str = DEFAULT_HTTP,
+        *,
+        transport: Transport | None = None,
+        retry: RetryPolicy = RetryPolicy(),
+    ) -> None:
+        """Over REST at the URL `http`, unless another transport is given."""
+        if transport is None:
+            from revisit.rest_transport import RestTransport
+
+            transport = RestTransport(http, retry)
+        self._transport: Transport = transport
+
+    @classmethod
+    def grpc(cls, address: str = DEFAULT_GRPC, *, retry: RetryPolicy = RetryPolicy()) -> Self:
+        """A client over gRPC."""
+        from revisit.grpc_transport import GrpcTransport
+
+        return cls(transport=GrpcTransport(address, retry))
+
+    def create_map(
+        self,
+        map_id: str,
+        *,
+        display_name: str = "",
+        tau_m: float | None = None,
+        stride_m: float | None = None,
+        min_index_gap: int | None = None,
+    ) -> Map:
+        """Create a map; what is None is as the service is configured."""
+        overrides = {"tau_m": tau_m, "stride_m": stride_m, "min_index_gap": min_index_gap}
+        fields = {"display_name": display_name, **_given(overrides)}
+        return Map.parse(self._transport.create("", "maps", map_id, fields))
+
+    def get_map(self, name: str) -> Map:
+        """Get `maps/{map}`."""
+        return Map.parse(self._transport.get(name))
+
+    def list_maps(self) -> list[Map]:
+        """All maps, oldest first."""
+        return [Map.parse(item) for item in self._transport.list("", "maps", {})]
+
+    def delete(self, resource: str | Map | Submap) -> None:
+        """Delete a map or a submap, with everything in it."""
+        self._transport.delete(_name(resource))
+
+    def create_robot(self, robot_id: str, *, display_name: str = "") -> Robot:
+        """Create a robot."""
+        return Robot.parse(self._transport.create("", "robots", robot_id, {"display_name": display_name}))
+
+    def get_robot(self, name: str) -> Robot:
+        """Get `robots/{robot}`."""
+        return Robot.parse(self._transport.get(name))
+
+    def list_robots(self) -> list[Robot]:
+        """All robots, oldest first."""
+        return [Robot.parse(item) for item in self._transport.list("", "robots", {})]
+
+    def create_session(self, map_: str | Map, session_id: str, *, robot: str | Robot | None = None) -> Session:
+        """Create a session in a map."""
+        fields = {} if robot is None else {"robot": _name(robot)}
+        return Session.parse(self._transport.create(_name(map_), "sessions", session_id, fields))
+
+    def get_session(self, name: str) -> Session:
+        """Get `maps/{map}/sessions/{session}`."""
+        return Session.parse(self._transport.get(name))
+
+    def list_sessions(self, map_: str | Map) -> list[Session]:
+        """The sessions of a map, oldest first."""
+        return [Session.parse(item) for item in self._transport.list(_name(map_), "sessions", {})]
+
+    def finish_session(self, session: str | Session) -> Session:
+        """Finish a session; the scans of its last, shorter window become a submap."""
+        return Session.parse(self._transport.finish_session(_name(session)))
+
+    def post_submap(
+        self, session: str | Session, submap_id: str, points: PointsLike, T_odom_submap: Any, stamp_ns: int
+    ) -> Operation:
+        """Store a submap, (n, 3) or (n, 4) points in its own frame; the operation that describes it."""
+        pose = _pose(T_odom_submap, "T_odom_submap")
+        answer = self._transport.post_submap(_name(session), submap_id, pose, stamp_ns, encoded(points))
+        return Operation.parse(answer["operation"])
+
+    def get_submap(self, name: str) -> Submap:
+        """Get `maps/{map}/sessions/{session}/submaps/{submap}`."""
+        return Submap.parse(self._transport.get(name))
+
+    def list_submaps(self, session: str | Session) -> list[Submap]:
+        """The submaps of a session in their order."""
+        return [Submap.parse(item) for item in self._transport.list(_name(session), "submaps", {})]
+
+    def download(self, submap: str | Submap, file_format: str = "ply") -> bytes:
+        """A submap as a file: pcd, ply, npy, mesh, neural or descriptor."""
+        return self._transport.download(_name(submap), file_format)
+
+    @contextmanager
+    def stream(self, session: str | Session) -> Iterator[ScanStream]:
+        """A stream of scans; on leaving, every scan was answered. Resumes by itself after a disconnect."""
+        stream = ScanStream(self._transport.open_stream(_name(session)))
+        try:
+            yield stream
+            stream.flush()
+        finally:
+            stream.close()
+
+    def search(
+        self,
+        map_: str | Map,
+        *,
+        submap: str | Submap | None = None,
+        points: PointsLike | None = None,
+        descriptor: Sequence[float] | None = None,
+        model_version: str = "",
+        k: int = 20,
+        **criteria: Any,
+    ) -> list[SearchHit]:
+        """The submaps most like a submap, a cloud or a descriptor (give one), most similar first.
+
+        `criteria`: min_similarity, exclude_session, only_session, min_index_gap, prior_position_m, radius_m.
+        """
+        query: Any = {"vector": [float(v) for v in descriptor or ()], "model_version": model_version}
+        if submap is not None:
+            query = _name(submap)
+        elif points is not None:
+            query = encoded(points)
+        answer = self._transport.search(_name(map_), query, {"k": k, **_given(criteria)})
+        return [SearchHit.parse(hit) for hit in answer["hits"]]
+
+    def localize(
+        self,
+        map_: str | Map,
+        points: PointsLike,
+        *,
+        prior_position_m: Sequence[float] | None = None,
+        radius_m: float | None = None,
+        candidates: int = 10,
+    ) -> Localization:
+        """Where in the map a cloud was taken; `best` is None where the place is unknown."""
+        options = {"prior_position_m": prior_position_m, "radius_m": radius_m, "candidates": candidates}
+        return Localization.parse(self._transport.localize(_name(map_), encoded(points), _given(options)))
+
+    def loop_closures(
+        self, map_: str | Map, *, state: str | None = None, session: str | Session | None = None
+    ) -> list[LoopClosure]:
+        """The loop closures of a map, oldest first; `state` ACCEPTED or REJECTED, `session` of the query submap."""
+        filters = _given({"state": state, "session": None if session is None else _name(session)})
+        return [LoopClosure.parse(item) for item in self._transport.list(_name(map_), "loopClosures", filters)]
+
+    def get_loop_closure(self, name: str) -> LoopClosure:
+        """Get `maps/{map}/loopClosures/{loop_closure}` with its evidence."""
+        return LoopClosure.parse(self._transport.get(name))
+
+    def get_operation(self, name: str) -> Operation:
+        """Get `operations/{operation}`."""
+        return Operation.parse(self._transport.get(name))
+
+    def list_operations(self, *, state: str | None = None) -> list[Operation]:
+        """The operations, oldest first; `state` QUEUED, RUNNING, DONE or FAILED."""
+        return [Operation.parse(item) for item in self._transport.list("", "operations", _given({"state": state}))]
+
+    def wait(self, operation: str | Operation, timeout_s: float = 300.0) -> Operation:
+        """The operation once it is DONE. Raises OperationFailed; TimeoutError after `timeout_s`."""
+        deadline = time.monotonic() + timeout_s
+        while True:
+            left_s = max(0.0, deadline - time.monotonic())
+            current = Operation.parse(self._transport.wait_operation(_name(operation), min(left_s, MAX_WAIT_S)))
+            if current.state == "FAILED":
+                details = ErrorDetails("UNKNOWN", current.failure_reason or "", current.failure_message or "")
+                raise OperationFailed(details)
+            if current.done:
+                return current
+            if left_s == 0.0:
+                raise TimeoutError(f"{current.name} is {current.state} after {timeout_s:g} s")
+
+    def status(self) -> Status:
+        """What the service is doing."""
+        return Status.parse(self._transport.status())
+
+    def close(self) -> None:
+        """Let go of the connections."""
+        self._transport.close()
+
+    def __enter__(self) -> Self:
+        """The client itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Let go of the connections."""
+        self.close()
+
+
+class ScanStream:
+    """The open stream of a session."""
+
+    def __init__(self, sink: ScanSink) -> None:
+        self._sink = sink
+
+    @property
+    def committed_seq(self) -> int:
+        """The last scan that is stored durably: an ingest that starts again goes on behind it."""
+        return self._sink.committed_seq
+
+    @property
+    def submaps(self) -> list[str]:
+        """Names of the submaps that the scans completed so far."""
+        return self._sink.submaps
+
+    @property
+    def rejected(self) -> list[tuple[int, str]]:
+        """Scans that were refused and left out: number and reason."""
+        return self._sink.rejected
+
+    def send(self, points: PointsLike, T_odom_sensor: Any, stamp_ns: int) -> None:
+        """Send the next scan; waits while the service has enough to do."""
+        self._sink.send(encoded(points), _pose(T_odom_sensor, "T_odom_sensor"), stamp_ns)
+
+    def flush(self) -> None:
+        """Wait until every scan was answered."""
+        self._sink.flush()
+
+    def close(self) -> None:
+        """Let go of the stream."""
+        self._sink.close()
+
+
+def _name(resource: Any) -> str:
+    return resource if isinstance(resource, str) else str(resource.name)
+
+
+def _given(values: Json) -> Json:
+    return {key: value for key, value in values.items() if value is not None}
+
+
+def _pose(transform: Any, field: str) -> Json:
+    try:
+        return pose_json(transform)
+    except RevisitError as error:
+        details = ErrorDetails("INVALID_ARGUMENT", error.code.value, error.message, field=field)
+        raise InvalidArgument(details) from error

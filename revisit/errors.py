@@ -1,0 +1,92 @@
+"""What the service refuses, as exceptions: one class per canonical code, with the reason of the error table."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class ErrorDetails:
+    """What an error answer says."""
+
+    code: str
+    reason: str
+    message: str
+    retryable: bool = False
+    request_id: str = ""
+    field: str | None = None
+    retry_after_s: float | None = None
+    expected_seq: int | None = None
+
+
+class ApiError(Exception):
+    """The service refused a call, or could not be reached (reason UNREACHABLE)."""
+
+    def __init__(self, details: ErrorDetails) -> None:
+        super().__init__(f"{details.reason}: {details.message}")
+        self.code = details.code
+        self.reason = details.reason
+        self.message = details.message
+        self.retryable = details.retryable
+        self.request_id = details.request_id
+        self.field = details.field
+        self.retry_after_s = details.retry_after_s
+        self.expected_seq = details.expected_seq
+
+
+class InvalidArgument(ApiError):
+    """The input cannot be used; nothing was stored."""
+
+
+class NotFound(ApiError):
+    """There is no such resource."""
+
+
+class AlreadyExists(ApiError):
+    """The id is taken by other content."""
+
+
+class FailedPrecondition(ApiError):
+    """The resource is in a state that does not allow this."""
+
+
+class ResourceExhausted(ApiError):
+    """Too large, or over a quota."""
+
+
+class Unavailable(ApiError):
+    """The service cannot answer now; the outcome is unknown until the call is repeated with the same ids."""
+
+
+class DeadlineExceeded(ApiError):
+    """The answer took too long."""
+
+
+class DataLoss(ApiError):
+    """Stored data is damaged."""
+
+
+class OperationFailed(ApiError):
+    """An operation that was waited for ended in failure."""
+
+
+_CLASSES: dict[str, type[ApiError]] = {
+    "INVALID_ARGUMENT": InvalidArgument,
+    "NOT_FOUND": NotFound,
+    "ALREADY_EXISTS": AlreadyExists,
+    "FAILED_PRECONDITION": FailedPrecondition,
+    "RESOURCE_EXHAUSTED": ResourceExhausted,
+    "UNAVAILABLE": Unavailable,
+    "DEADLINE_EXCEEDED": DeadlineExceeded,
+    "DATA_LOSS": DataLoss,
+}
+
+
+def error_of(details: ErrorDetails) -> ApiError:
+    """The exception for an error answer."""
+    return _CLASSES.get(details.code, ApiError)(details)
+
+
+def unreachable(address: str, cause: object) -> Unavailable:
+    """The service did not answer at all."""
+    return Unavailable(ErrorDetails("UNAVAILABLE", "UNREACHABLE", f"no answer from {address}: {cause}", True))
