@@ -56,7 +56,7 @@ def test_returns_that_did_not_come_are_dropped_and_counted():  # G09
 
 def test_a_cloud_of_nan_is_refused():  # G10
     cloud = room(10_000)
-    cloud[: 9_500] = np.nan
+    cloud[:9_500] = np.nan
     with pytest.raises(NonFinitePoints):
         validate_cloud(cloud)
 

@@ -62,7 +62,9 @@ def pcd_bytes(body: bytes, encoding: str, points: int, **changes: str) -> bytes:
 
 def ply_bytes(body: bytes, encoding: str, vertices: int | str, properties: str = "", extra: str = "") -> bytes:
     properties = properties or "".join(f"property float {name}\n" for name in ("x", "y", "z", "intensity"))
-    header = f"ply\nformat {encoding} 1.0\ncomment hand made\nelement vertex {vertices}\n{properties}{extra}end_header\n"
+    header = (
+        f"ply\nformat {encoding} 1.0\ncomment hand made\nelement vertex {vertices}\n{properties}{extra}end_header\n"
+    )
     return header.encode() + body
 
 
@@ -126,6 +128,12 @@ def make():
     from types import SimpleNamespace
 
     return SimpleNamespace(
-        pcd=pcd_bytes, ply=ply_bytes, npy=npy_bytes, records=records, ascii=ascii_body, compressed=compressed_body,
-        valid=valid_files, lzf=lzf_compress,
+        pcd=pcd_bytes,
+        ply=ply_bytes,
+        npy=npy_bytes,
+        records=records,
+        ascii=ascii_body,
+        compressed=compressed_body,
+        valid=valid_files,
+        lzf=lzf_compress,
     )

@@ -227,7 +227,9 @@ def test_npy_types_that_are_no_coordinates_are_a_bad_field(descr, size, make):  
 
 @pytest.mark.parametrize("shape", ["(120,)", "(120, 2)", "(40, 3, 4)", "(1, 480)", "()"])
 def test_npy_shapes_that_are_no_cloud_are_a_bad_field(shape, make):
-    size = 4 if shape == "()" else 4 * int(np.prod([int(part) for part in shape.strip("()").split(",") if part.strip()]))
+    size = (
+        4 if shape == "()" else 4 * int(np.prod([int(part) for part in shape.strip("()").split(",") if part.strip()]))
+    )
     refused(BadField, make.npy(bytes(size), shape=shape), NPY)
 
 
@@ -329,7 +331,9 @@ def test_the_magic_of_one_format_under_the_type_of_another_is_unsupported(make):
                 refused(UnsupportedEncoding, data, media_type)
 
 
-@pytest.mark.parametrize("name", ["", "application/octet-stream", "text/plain", "application/vnd.las", "multipart/form-data"])
+@pytest.mark.parametrize(
+    "name", ["", "application/octet-stream", "text/plain", "application/vnd.las", "multipart/form-data"]
+)
 def test_unknown_media_types_are_unsupported(name):
     refused(UnsupportedEncoding, floats(4), name)
 

@@ -91,8 +91,15 @@ def test_a_quantised_cloud_travels_inside_a_packed_cloud(make):
 
 def test_a_big_endian_packed_cloud_with_padding_is_read(make):
     values = make.records()
-    record = np.zeros(len(values), dtype={"names": list("zyxr"), "formats": [">f8", ">f8", ">f8", ">u2"],
-                                          "offsets": [4, 12, 20, 30], "itemsize": 40})
+    record = np.zeros(
+        len(values),
+        dtype={
+            "names": list("zyxr"),
+            "formats": [">f8", ">f8", ">f8", ">u2"],
+            "offsets": [4, 12, 20, 30],
+            "itemsize": 40,
+        },
+    )
     for index, name in enumerate("xyz"):
         record[name] = values[:, index]
     fields = tuple(formats.PointField(name, record.dtype.fields[name][1], 8) for name in "xyz")
