@@ -9,7 +9,7 @@ from enum import StrEnum
 import numpy as np
 
 from core.errors import UnsupportedEncoding
-from core.formats import NPY, PCD, PLY, encode_pcd, encode_ply, encode_ply_mesh
+from core.formats import NPY, PCD, PLY, encode_npy, encode_pcd, encode_ply, encode_ply_mesh
 from service.application.blob_references import NEURAL_MAP_BLOB
 from service.application.clouds import CLOUD_BLOB, StoredCloud, unpack_cloud
 from service.application.errors import NotFound, NotReady
@@ -30,7 +30,7 @@ class DownloadKind(StrEnum):
 
 FORMATS = {
     DownloadKind.MESH: ("ply",),
-    DownloadKind.POINTS: ("pcd", "ply"),
+    DownloadKind.POINTS: ("pcd", "ply", "npy"),
     DownloadKind.NEURAL: ("rvn",),
     DownloadKind.DESCRIPTOR: ("npy",),
 }
@@ -90,5 +90,5 @@ def _points(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) -> Sto
 
 
 def _points_file(cloud: StoredCloud, extension: str) -> bytes:
-    encode = encode_pcd if extension == "pcd" else encode_ply
+    encode = {"pcd": encode_pcd, "ply": encode_ply, "npy": encode_npy}[extension]
     return encode(cloud.points, cloud.intensity)

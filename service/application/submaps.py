@@ -161,7 +161,7 @@ class Submaps:
     async def download(
         self, tenant: TenantId, key: SubmapKey, kind: DownloadKind, file_format: str | None = None
     ) -> Download:
-        """The submap as a file. Formats: mesh ply; points pcd or ply; neural and descriptor have one of their own.
+        """The submap as a file. Formats: mesh ply; points pcd, ply or npy; neural and descriptor have one of their own.
 
         Raises NotFound; NotReady where it is not described yet; UnsupportedEncoding for another format; DataLoss.
         """
