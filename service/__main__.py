@@ -17,6 +17,8 @@ def main(arguments: list[str] | None = None) -> int:
     # Before numpy is imported: one thread per process, the cores are shared out by processes.
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
+    # Workers are started afresh (fork and exec at once), so gRPC need not prepare for a forked copy of itself.
+    os.environ.setdefault("GRPC_ENABLE_FORK_SUPPORT", "0")
     # Files are for this user only.
     os.umask(0o077)
     options = _parser().parse_args(arguments)

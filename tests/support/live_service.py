@@ -1,0 +1,88 @@
+"""A running service on free ports: both transports over stores in memory, and a worker with the fake recogniser."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import uvicorn
+
+from service.grpc.server import create_server
+from service.rest.app import create_app
+from tests.support.service_world import World, memory_world
+
+
+@dataclass
+class LiveService:
+    """Where it listens, and the world behind it; `working` lets the worker take jobs."""
+
+    http: str
+    grpc: str
+    world: World
+    working: threading.Event
+    loop: asyncio.AbstractEventLoop
+
+    def stored(self) -> tuple[int, ...]:
+        """How many maps, sessions, scans, submaps and jobs are stored: what a refused request may not change."""
+        tables = ("maps", "sessions", "scans", "submaps", "jobs")
+
+        def count(uow):
+            return tuple(getattr(uow, table).count("default") for table in tables)
+
+        return self.world.context.transactions.read(count).result()
+
+
+@contextlib.contextmanager
+def live_service(**policy) -> Iterator[LiveService]:
+    """Run until the block ends."""
+    world = memory_world(**policy)
+    started: list[LiveService] = []
+    ready, stop = threading.Event(), threading.Event()
+    thread = threading.Thread(target=lambda: asyncio.run(_serve(world, started, ready, stop)), daemon=True)
+    thread.start()
+    assert ready.wait(20.0), "the service did not start"
+    worker = threading.Thread(target=_work, args=(started[0], stop), daemon=True)
+    worker.start()
+    try:
+        yield started[0]
+    finally:
+        stop.set()
+        thread.join(10.0)
+        worker.join(10.0)
+
+
+async def _serve(world: World, started: list[LiveService], ready: threading.Event, stop: threading.Event) -> None:
+    rpc = create_server(world.use_cases)
+    grpc_port = rpc.add_insecure_port("127.0.0.1:0")
+    await rpc.start()
+    listener = socket.create_server(("127.0.0.1", 0))
+    config = uvicorn.Config(create_app(world.use_cases), http="h11", ws="none", log_config=None, server_header=False)
+    http = uvicorn.Server(config)
+    http.capture_signals = contextlib.nullcontext
+    serving = asyncio.create_task(http.serve(sockets=[listener]))
+    while not http.started:
+        await asyncio.sleep(0.01)
+    address = f"http://127.0.0.1:{listener.getsockname()[1]}"
+    loop = asyncio.get_running_loop()
+    started.append(LiveService(address, f"127.0.0.1:{grpc_port}", world, threading.Event(), loop))
+    started[0].working.set()
+    ready.set()
+    while not stop.is_set():
+        await asyncio.sleep(0.05)
+    http.should_exit = True
+    await asyncio.gather(serving, rpc.stop(grace=0.2))
+
+
+def _work(service: LiveService, stop: threading.Event) -> None:
+    recognition = service.world.worker()
+    while not stop.is_set():
+        lease = service.world.claim() if service.working.is_set() else None
+        if lease is None:
+            time.sleep(0.01)
+        else:
+            recognition.run(lease)

@@ -1,0 +1,99 @@
+"""The real service in processes of its own, with the fake recogniser, to be killed."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+class ServiceProcess:
+    """`python -m service serve` on free ports over `home`."""
+
+    def __init__(self, home: Path, **settings: Any) -> None:
+        self._environment = {name: value for name, value in os.environ.items() if not name.startswith("REVISIT_")}
+        self._environment |= {
+            "REVISIT_HOME": str(home),
+            "REVISIT_HTTP_PORT": "0",
+            "REVISIT_GRPC_PORT": "0",
+            "REVISIT_WORKERS": "1",
+            "REVISIT_RECOGNISER": "tests.support.fake_recogniser:load",
+            **{f"REVISIT_{name.upper()}": str(value) for name, value in settings.items()},
+        }
+        self.events: list[dict[str, Any]] = []
+        self.start()
+
+    def start(self) -> None:
+        """Start it (again) and wait until it listens."""
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "service", "serve"],
+            cwd=ROOT,
+            env=self._environment,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+        seen = len(self.events)
+        self._reader = threading.Thread(target=self._read, args=(self._process,), daemon=True)
+        self._reader.start()
+        listening = self.wait_for("listening", after=seen)
+        self.url = f"http://127.0.0.1:{listening['http_port']}"
+        self.grpc_target = f"127.0.0.1:{listening['grpc_port']}"
+
+    def wait_for(self, event: str, after: int = 0, timeout_s: float = 30.0) -> dict[str, Any]:
+        """The first log entry of this kind after the first `after` entries."""
+        deadline = time.monotonic() + timeout_s
+        while time.monotonic() < deadline:
+            for entry in self.events[after:]:
+                if entry.get("event") == event:
+                    return entry
+            if self._process.poll() is not None:
+                break
+            time.sleep(0.01)
+        raise AssertionError(f"no {event!r} in {self.events[-20:]}, exit status {self._process.poll()}")
+
+    def kill(self) -> None:
+        """kill -9 the gateway; its workers are left to notice."""
+        self._process.kill()
+        self._process.wait()
+
+    def terminate(self) -> tuple[int, float]:
+        """SIGTERM; the exit status and how long it took, seconds."""
+        started = time.monotonic()
+        self._process.send_signal(signal.SIGTERM)
+        status = self._process.wait(30)
+        self._reader.join(5)
+        return status, time.monotonic() - started
+
+    def worker_pids(self) -> list[int]:
+        """The workers that the gateway has started."""
+        children = Path(f"/proc/{self._process.pid}/task/{self._process.pid}/children")
+        return [int(pid) for pid in children.read_text().split()]
+
+    def close(self) -> None:
+        """End everything that is left of it."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.wait()
+
+    def _read(self, process: subprocess.Popen[str]) -> None:
+        for line in process.stderr:
+            with contextlib.suppress(json.JSONDecodeError):
+                self.events.append(json.loads(line))
+
+
+def is_running(pid: int) -> bool:
+    """Whether a process lives (a zombie does not)."""
+    try:
+        return "\nState:\tZ" not in Path(f"/proc/{pid}/status").read_text()
+    except FileNotFoundError:
+        return False
