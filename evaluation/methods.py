@@ -15,8 +15,11 @@ from core.submap import Submap
 
 @dataclass(frozen=True)
 class Description:
-    """What a method stores of a submap. vector (d,) float32 of length 1; signature what verification needs;
-    neural_map_bytes 0 where there is none; seconds by stage."""
+    """What a method stores of a submap.
+
+    vector (d,) float32 of length 1; signature what verification needs; neural_map_bytes 0 where there is none; seconds
+    by stage.
+    """
 
     vector: NDArray[np.float32]
     signature: bytes
@@ -26,8 +29,10 @@ class Description:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What verification says of a candidate. score in [0, 1]; reason of a rejection, None where accepted;
-    T_match_query where it was estimated."""
+    """What verification says of a candidate.
+
+    score in [0, 1]; reason of a rejection, None where accepted; T_match_query where it was estimated.
+    """
 
     score: float
     reason: str | None

@@ -19,8 +19,11 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Outcomes:
-    """One row a query. score (n,) of its match, -inf where there is none; correct (n,) whether the match is right;
-    has_loop (n,) whether there was anything to find."""
+    """One row a query.
+
+    score (n,) of its match, -inf where there is none; correct (n,) whether the match is right; has_loop (n,) whether
+    there was anything to find.
+    """
 
     score: Floats
     correct: Flags
@@ -42,8 +45,10 @@ class Outcomes:
 
 @dataclass(frozen=True)
 class PrecisionRecall:
-    """Operating points by falling threshold, ties taken together. All (t,); recall as the paper counts it,
-    recall_over_loops = TP over all queries with a loop."""
+    """Operating points by falling threshold, ties taken together.
+
+    All (t,); recall as the paper counts it, recall_over_loops = TP over all queries with a loop.
+    """
 
     threshold: Floats
     precision: Floats

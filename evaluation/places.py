@@ -30,8 +30,11 @@ _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 @dataclass(frozen=True)
 class Place:
-    """A submap as stored. `position` (3,) is the mean position of its scans in the world; `T_world_submap` the pose of
-    its middle scan; `yaw` the turn it was described under; `failure` why it could not be described, else None."""
+    """A submap as stored.
+
+    `position` (3,) is the mean position of its scans in the world; `T_world_submap` the pose of its middle scan; `yaw`
+    the turn it was described under; `failure` why it could not be described, else None.
+    """
 
     id: int
     window: Window

@@ -77,7 +77,7 @@ def evaluate(
     `progress(stage, done, total)` is called after every submap of the stages "describe" and "verify".
     Raises what reading the recording raises; submaps the method refuses become rows with a `failure`.
     """
-    report = progress or (lambda stage, done, total: None)
+    report = progress or _say_nothing
     config = options.pipeline()
     method = method or PipelineMethod(config, options.ablation)
     started = time.perf_counter()
@@ -98,6 +98,10 @@ def evaluate(
     summary["options"] = dataclasses.asdict(options)
     summary["wall_seconds"] = time.perf_counter() - started
     return EvaluationResult([_row(place, match, places) for place, match in zip(places, matches, strict=True)], summary)
+
+
+def _say_nothing(_stage: str, _done: int, _total: int) -> None:
+    """Progress that nobody watches."""
 
 
 def _row(place: Place, matches: QueryMatches, places: list[Place]) -> dict[str, Any]:

@@ -25,8 +25,11 @@ class KittiRecording:
     """
 
     def __init__(self, folder: Path | str) -> None:
-        """Reads poses, calibration and times. Raises FileNotFoundError without scans or poses, MalformedBody for
-        unreadable text, BadField where the numbers of scans, poses and times differ, BadTransform for bad poses."""
+        """Reads poses, calibration and times.
+
+        Raises FileNotFoundError without scans or poses, MalformedBody for unreadable text, BadField where the numbers
+        of scans, poses and times differ, BadTransform for bad poses.
+        """
         self._folder = Path(folder)
         self._files = sorted((self._folder / "velodyne").glob("*.bin"))
         if not self._files:

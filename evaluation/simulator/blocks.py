@@ -28,8 +28,11 @@ class Material(IntEnum):
 
 @dataclass(frozen=True)
 class Blocks:
-    """n upright blocks. base (n, 3) centre of the lower face, half (n, 2) half extents, height (n,), yaw (n,) radians,
-    top (n, 2) the size of the upper face over the lower one: (1, 1) a box, (1, 0) a gabled roof; material (n,)."""
+    """n upright blocks.
+
+    base (n, 3) centre of the lower face, half (n, 2) half extents, height (n,), yaw (n,) radians, top (n, 2) the size
+    of the upper face over the lower one: (1, 1) a box, (1, 0) a gabled roof; material (n,).
+    """
 
     base: Floats
     half: Floats
