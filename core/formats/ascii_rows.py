@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +14,49 @@ from core.errors import MalformedBody
 CHUNK_BYTES = 2**20
 MAX_TOKEN_BYTES = 64
 
-# Stricter than float(): no underscores, no hexadecimal, no digits of other scripts, no NaN payloads.
+# Stricter than strtod and float(): no underscores, no hexadecimal, no digits of other scripts, no NaN payloads.
 _NUMBERS = re.compile(
-    rb"(?:[+-]?(?:(?:[0-9]++\.?[0-9]*+|\.[0-9]++)(?:e[+-]?[0-9]++)?|nan|inf(?:inity)?) )*+", re.IGNORECASE
+    rb"[ \t\r\n]*+(?:[+-]?(?:(?:[0-9]++\.?[0-9]*+|\.[0-9]++)(?:e[+-]?[0-9]++)?|nan|inf(?:inity)?)(?:[ \t\r\n]++|\Z))*+",
+    re.IGNORECASE,
 )
+
+
+@dataclass(frozen=True)
+class NumberLines:
+    """Consecutive lines of numbers: values (t,) float64 of all of them, counts (r,) int64 of numbers per line."""
+
+    values: NDArray[np.float64]
+    counts: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        """How many lines there are."""
+        return len(self.counts)
+
+    def between(self, first: int, last: int) -> NumberLines:
+        """The lines first..last-1."""
+        start = int(self.counts[:first].sum())
+        counts = self.counts[first:last]
+        return NumberLines(self.values[start : start + int(counts.sum())], counts)
+
+    def table(self, columns: int) -> NDArray[np.float64]:
+        """The lines as (r, columns). Raises MalformedBody unless every line has that many numbers."""
+        if (self.counts != columns).any():
+            raise MalformedBody(f"every row must have {columns} numbers")
+        return self.values.reshape(-1, columns)
+
+    def check_lists(self, is_list: list[bool]) -> None:
+        """Refuse lines that do not hold, per property, one number or a length and as many numbers: MalformedBody."""
+        position = np.cumsum(self.counts) - self.counts
+        end = position + self.counts
+        for has_length in is_list:
+            if (position >= end).any():
+                raise MalformedBody("a row has fewer numbers than its element declares")
+            length = self.values[position] if has_length else np.zeros(len(self))
+            if not ((length >= 0) & (length <= len(self.values)) & (length == np.floor(length))).all():
+                raise MalformedBody("the length of a list must be a whole number that the row can hold")
+            position = position + 1 + length.astype(np.int64)
+        if (position != end).any():
+            raise MalformedBody("a row does not have the numbers that its element declares")
 
 
 def count_rows(body: bytes) -> int:
@@ -25,46 +65,42 @@ def count_rows(body: bytes) -> int:
     return body.count(b"\n", 0, stripped_length) + 1 if stripped_length else 0
 
 
-def parse_rows(body: bytes, rows: int, columns: int, wanted: list[int]) -> NDArray[np.float64]:
-    """The `wanted` columns of `body`, which must hold exactly `rows` lines of `columns` numbers: (rows, w) float64.
-
-    Memory stays near the size of the result. Raises MalformedBody for anything else, a number too large included.
-    """
-    if count_rows(body) != rows:
-        raise MalformedBody(f"the header declares {rows} rows, the body holds {count_rows(body)}")
-    values = np.empty((rows, len(wanted)))
-    done = 0
-    for chunk in _whole_lines(body.rstrip()):
-        table = [line.split() for line in chunk.split(b"\n")]
-        if any(len(row) != columns for row in table):
-            raise MalformedBody(f"every row must have {columns} numbers")
-        check_numbers([token for row in table for token in row])
-        for target, column in enumerate(wanted):
-            values[done : done + len(table), target] = [_number(row[column]) for row in table]
-        done += len(table)
-    return values
-
-
-def check_numbers(tokens: list[bytes]) -> None:
-    """Refuse tokens that are not plain decimal numbers, NaN or infinity. Raises MalformedBody."""
-    if max(map(len, tokens), default=0) > MAX_TOKEN_BYTES:
-        raise MalformedBody(f"a number has more than {MAX_TOKEN_BYTES} characters")
-    if not _NUMBERS.fullmatch(b" ".join([*tokens, b""])):
-        raise MalformedBody("the rows hold something that is not a decimal number")
-
-
-def _number(token: bytes) -> float:
-    value = float(token)
-    if value in (np.inf, -np.inf) and b"n" not in token.lower():
-        raise MalformedBody(f"the number {token.decode('ascii')} is too large")
-    return value
-
-
-def _whole_lines(body: bytes) -> Iterator[bytes]:
-    """`body` in pieces of whole lines of about CHUNK_BYTES, without the LF between pieces."""
+def number_lines(body: bytes) -> Iterator[NumberLines]:
+    """All lines of `body`, about a megabyte at a time. Raises MalformedBody for anything but decimal numbers."""
+    body = body.rstrip()
     start = 0
     while start < len(body):
         end = body.find(b"\n", start + CHUNK_BYTES)
-        end = len(body) if end < 0 else end
-        yield body[start:end]
-        start = end + 1
+        end = len(body) if end < 0 else end + 1
+        yield _parse(body[start:end])
+        start = end
+
+
+def parse_rows(body: bytes, rows: int, columns: int, wanted: list[int]) -> NDArray[np.float64]:
+    """The `wanted` columns of `body`, which must hold exactly `rows` lines of `columns` numbers: (rows, w) float64.
+
+    Raises MalformedBody for anything else, a number too large for a float64 included.
+    """
+    if count_rows(body) != rows:
+        raise MalformedBody(f"the header declares {rows} rows, the body holds {count_rows(body)}")
+    tables = [lines.table(columns)[:, wanted] for lines in number_lines(body)]
+    return np.concatenate(tables) if tables else np.empty((0, len(wanted)))
+
+
+def _parse(chunk: bytes) -> NumberLines:
+    """The numbers of whole lines."""
+    if not _NUMBERS.fullmatch(chunk):
+        raise MalformedBody("the rows hold something that is not a decimal number")
+    text = np.frombuffer(chunk, dtype=np.uint8)
+    in_token = np.concatenate([[False], text > ord(" "), [False]])
+    edges = np.flatnonzero(in_token[1:] != in_token[:-1])
+    starts, ends = edges[::2], edges[1::2]
+    if (ends - starts).max(initial=0) > MAX_TOKEN_BYTES:
+        raise MalformedBody(f"a number has more than {MAX_TOKEN_BYTES} characters")
+    values = np.fromstring(chunk.decode("ascii"), sep=" ")
+    if len(values) != len(starts) or int(np.isinf(values).sum()) != chunk.lower().count(b"inf"):
+        raise MalformedBody("a number is too large, or cannot be read")
+    line_ends = np.flatnonzero(text == ord("\n"))
+    if not chunk.endswith(b"\n"):
+        line_ends = np.append(line_ends, len(chunk))
+    return NumberLines(values, np.diff(np.searchsorted(starts, line_ends), prepend=0))

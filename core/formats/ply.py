@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -201,43 +202,28 @@ def _decode_ascii(elements: list[_Element], vertices: _Element, body: bytes, lim
     if declared != ascii_rows.count_rows(body):
         raise MalformedBody(f"the header declares {declared} rows, the body holds {ascii_rows.count_rows(body)}")
     require_point_count(vertices.count, limits)
-    start, content = 0, b""
-    for element in elements:
-        end = _line_end(body, start, element.count)
-        if element is vertices:
-            content = body[start:end]
-        else:
-            _check_ascii_rows(element, body[start:end])
-        start = end
     names = list(_columns(vertices, "<"))
     coordinates, intensity = required_columns(_columns(vertices, "<"))
     wanted = [names.index(column.name) for column in [*coordinates, *([intensity] if intensity else [])]]
-    values = ascii_rows.parse_rows(content, vertices.count, len(names), wanted)
+    tables, row = [np.empty((0, len(wanted)))], 0
+    for lines in ascii_rows.number_lines(body):
+        for element, part in _by_element(elements, lines, row):
+            if element is vertices:
+                tables.append(part.table(len(names))[:, wanted])
+            else:
+                part.check_lists([item.count_code is not None for item in element.properties])
+        row += len(lines)
+    values = np.concatenate(tables)
     return DecodedCloud.from_columns(values[:, 0], values[:, 1], values[:, 2], values[:, 3] if intensity else None)
 
 
-def _line_end(body: bytes, start: int, lines: int) -> int:
-    """The offset after `lines` lines from `start`."""
-    for _ in range(lines):
-        end = body.find(b"\n", start)
-        if end < 0:
-            return len(body)
-        start = end + 1
-    return start
-
-
-def _check_ascii_rows(element: _Element, content: bytes) -> None:
-    """Refuse rows that do not have the numbers their element declares. Raises MalformedBody."""
-    for line in content.split(b"\n")[: element.count]:
-        tokens = line.split()
-        ascii_rows.check_numbers(tokens)
-        position = 0
-        for item in element.properties:
-            length = 1
-            if item.count_code:
-                word = tokens[position].decode("ascii") if position < len(tokens) else ""
-                length = natural(word, "the length of a PLY list")
-                position += 1
-            position += length
-        if position != len(tokens):
-            raise MalformedBody(f"a row of element {element.name} does not have the declared numbers")
+def _by_element(
+    elements: list[_Element], lines: ascii_rows.NumberLines, row: int
+) -> Iterator[tuple[_Element, ascii_rows.NumberLines]]:
+    """The parts of `lines`, the first of which is row `row` of the body, that belong to each element."""
+    begin = 0
+    for element in elements:
+        first, last = max(begin - row, 0), min(begin + element.count - row, len(lines))
+        if first < last:
+            yield element, lines.between(first, last)
+        begin += element.count
