@@ -16,9 +16,7 @@ def run() -> None:
     url = make_url(context.config.get_main_option("sqlalchemy.url") or "")
     engine = writer_engine(Path(url.database or ""), checkpoints=True)
     with engine.connect() as connection:
-        context.configure(
-            connection=connection, target_metadata=metadata, render_as_batch=True, transactional_ddl=True
-        )
+        context.configure(connection=connection, target_metadata=metadata, render_as_batch=True, transactional_ddl=True)
         with context.begin_transaction():
             context.run_migrations()
     engine.dispose()

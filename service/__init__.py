@@ -1,4 +1,4 @@
-"""Revisit as a service: one application layer behind REST and gRPC, worker processes, and a database that is the truth."""
+"""Revisit as a service: one application layer behind REST and gRPC, worker processes, a database that is the truth."""
 
 from importlib import metadata
 

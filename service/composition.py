@@ -28,9 +28,7 @@ if TYPE_CHECKING:
 log = structlog.get_logger(__name__)
 
 
-def build_context(
-    settings: Settings, *, gateway: bool, on_uncertain: Callable[[], None] = lambda: None
-) -> Context:
+def build_context(settings: Settings, *, gateway: bool, on_uncertain: Callable[[], None] = lambda: None) -> Context:
     """The ports of a process. The gateway alone checkpoints the database; see `SqlTransactions` for `on_uncertain`."""
     policy = settings.policy
     transactions = SqlTransactions(

@@ -87,9 +87,7 @@ class _Gateway:
         log.info("draining")
         use_cases.system.drain()
         http.should_exit = True
-        await asyncio.gather(
-            rpc.stop(grace=self._settings.drain_s), serving, supervisor.stop(self._settings.drain_s)
-        )
+        await asyncio.gather(rpc.stop(grace=self._settings.drain_s), serving, supervisor.stop(self._settings.drain_s))
 
     def _stop_signal(self) -> asyncio.Event:
         stop = asyncio.Event()

@@ -6,13 +6,15 @@ import dataclasses
 from typing import Any
 
 import numpy as np
-from core.loop import LoopMeasurement, RejectedLoop, VerifiedLoop
-from core.signature import PlaceSignature
 
+from core import se3
 from core.config import PipelineConfig
+from core.loop import LoopMeasurement, RejectedLoop, VerifiedLoop
 from core.model_bundle import ModelBundle, load_packaged_models
 from core.pipeline import describe, verify
+from core.signature import PlaceSignature
 from core.submap import Submap
+from core.surface import Surface
 from service.application.ports import LoopVerdict, Mesh, SubmapDescription
 
 
@@ -35,7 +37,7 @@ class CoreRecogniser:
             descriptor=place.descriptor.vector,
             signature=place.signature.to_blob(),
             neural_map=None if place.neural_map is None else place.neural_map.to_blob(),
-            mesh=Mesh(place.surface.vertices, place.surface.normals, place.surface.faces),
+            mesh=_mesh(place.surface, submap),
             flags=place.flags,
             timings_s=place.timings_s,
         )
@@ -58,6 +60,14 @@ class CoreRecogniser:
 def load_recogniser() -> CoreRecogniser:
     """The recogniser that the workers use."""
     return CoreRecogniser(load_packaged_models())
+
+
+def _mesh(surface: Surface, submap: Submap) -> Mesh:
+    """The surface, which the method sees in the levelled frame, in the frame of the submap."""
+    T_submap_level = se3.inverse(submap.T_odom_submap) @ submap.levelled().T_odom_submap
+    normals = surface.normals @ T_submap_level[:3, :3].T
+    vertices = se3.apply(T_submap_level, surface.vertices)
+    return Mesh(vertices.astype(np.float32), normals.astype(np.float32), surface.faces)
 
 
 def _evidence(verdict: VerifiedLoop | RejectedLoop, config: PipelineConfig) -> dict[str, Any]:

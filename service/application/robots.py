@@ -71,9 +71,7 @@ class Robots:
 
     async def list(self, tenant: TenantId, page: PageRequest) -> Page[RobotView]:
         """The tenant's robots, oldest first."""
-        records = await self._context.read(
-            lambda uow: uow.robots.find(tenant, after=page.after, limit=page.size + 1)
-        )
+        records = await self._context.read(lambda uow: uow.robots.find(tenant, after=page.after, limit=page.size + 1))
         return page_of(records, page, _view)
 
 

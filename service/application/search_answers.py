@@ -12,6 +12,7 @@ from service.application.identity import SubmapKey
 from service.application.poses import pose_matrix, pose_row
 
 MAX_K = 100
+MAX_RADIUS_M = 1e6
 
 
 @dataclass(frozen=True)
@@ -79,8 +80,8 @@ def validated_criteria(criteria: SearchCriteria) -> SearchCriteria:
         raise BadField(f"k must be in 1..{MAX_K}", field="k")
     if (criteria.prior_position_m is None) != (criteria.radius_m is None):
         raise BadField("a prior position and a radius go together", field="radius_m")
-    if criteria.radius_m is not None and not (math.isfinite(criteria.radius_m) and criteria.radius_m > 0):
-        raise BadField("radius_m must be positive", field="radius_m")
+    if criteria.radius_m is not None and not 0.0 < criteria.radius_m <= MAX_RADIUS_M:
+        raise BadField(f"radius_m must be in 0..{MAX_RADIUS_M:g}, without 0", field="radius_m")
     if criteria.prior_position_m is not None and not all(math.isfinite(value) for value in criteria.prior_position_m):
         raise BadField("the prior position must be finite", field="prior_position_m")
     if criteria.min_similarity is not None and not -1.0 <= criteria.min_similarity <= 1.0:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import secrets
 from dataclasses import dataclass
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.errors import DescriptorModelMismatch
+from core.errors import BadField, DescriptorModelMismatch
 from service.application.clouds import (
     MAX_SUBMAP_POINTS,
     QUERY_CLOUD_BLOB,
@@ -78,8 +79,9 @@ class Searches:
     async def by_descriptor(
         self, tenant: TenantId, map_id: str, vector: NDArray[np.float32], model_version: str, criteria: SearchCriteria
     ) -> SearchResult:
-        """The submaps nearest to a descriptor (d,). Raises NotFound, BadField, DescriptorModelMismatch."""
+        """The submaps nearest to a descriptor (d,), once normalised. Raises as `by_submap`, DescriptorModelMismatch."""
         validated_criteria(criteria)
+        unit = _unit(vector)
 
         def load(uow: UnitOfWork) -> tuple[MapRecord, VectorFilter]:
             return require_map(uow, tenant, map_id), vector_filter(uow, tenant, map_id, criteria, None)
@@ -87,7 +89,7 @@ class Searches:
         map_record, where = await self._context.read(load)
         if map_record.model_version not in (None, model_version):
             raise DescriptorModelMismatch(f"map {map_id} was described by model {map_record.model_version}")
-        return await self._context.compute(self._memory.search, map_record, vector, criteria, where)
+        return await self._context.compute(self._memory.search, map_record, unit, criteria, where)
 
     async def by_cloud(
         self, tenant: TenantId, map_id: str, cloud: CloudInput, criteria: SearchCriteria, timeout_s: float = 30.0
@@ -147,3 +149,11 @@ __all__ = [
     "SearchResult",
     "Searches",
 ]
+
+
+def _unit(vector: NDArray[np.float32]) -> NDArray[np.float32]:
+    """`vector` with norm 1. Raises BadField where it has none."""
+    norm = float(np.linalg.norm(vector.astype(np.float64)))
+    if not (math.isfinite(norm) and norm > 0.0):
+        raise BadField("a descriptor must be finite and not zero", field="descriptor")
+    return (vector / norm).astype(np.float32)

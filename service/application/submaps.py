@@ -240,9 +240,7 @@ def add_submap(
     key = SubmapKey(row.map_id, row.session_id, row.submap_id)
     payload = {"map_id": key.map_id, "session_id": key.session_id, "submap_id": key.submap_id}
     job = uow.queue.enqueue(new_job(context, row.tenant, OperationKind.DESCRIBE_SUBMAP, key.name, payload))
-    placed = replace(
-        row, ordinal=session.next_ordinal, session_number=session.number, operation_id=job.operation_id
-    )
+    placed = replace(row, ordinal=session.next_ordinal, session_number=session.number, operation_id=job.operation_id)
     counted = replace(session, next_ordinal=session.next_ordinal + 1)
     uow.sessions.replace(counted)
     return uow.submaps.add(placed), counted

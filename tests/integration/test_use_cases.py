@@ -11,7 +11,15 @@ import pytest
 from core.errors import BadField, BadTransform, DataLoss, DescriptorModelMismatch, EmptyCloud, RevisitError
 from service.application import SessionKey, SubmapKey, TenantId
 from service.application.clouds import CLOUD_BLOB
-from service.application.errors import AlreadyExists, Draining, NotFound, NotReady, SequenceGap, SessionFinished, WorkersBusy
+from service.application.errors import (
+    AlreadyExists,
+    Draining,
+    NotFound,
+    NotReady,
+    SequenceGap,
+    SessionFinished,
+    WorkersBusy,
+)
 from service.application.loops import LoopState
 from service.application.maps import CreateMap
 from service.application.operations import OperationState

@@ -41,7 +41,8 @@ class FakeRecogniser:
         counts, _ = np.histogram(submap.points[:, 2], bins=BINS, range=(-8.0, 8.0))
         descriptor = (counts / np.linalg.norm(counts)).astype(np.float32)
         mesh = Mesh(submap.points[:3], np.tile(np.float32([0, 0, 1]), (3, 1)), np.array([[0, 1, 2]], dtype=np.int32))
-        return SubmapDescription(descriptor, descriptor.tobytes(), b"neural " + descriptor.tobytes(), mesh, (), {"all": 0.0})
+        neural_map = b"neural " + descriptor.tobytes()
+        return SubmapDescription(descriptor, descriptor.tobytes(), neural_map, mesh, (), {"all": 0.0})
 
     def verify(self, query: bytes, match: bytes, similarity: float, config: PipelineConfig) -> LoopVerdict:
         """Accepted where the descriptors nearly agree; the transform is always 1 m along x."""

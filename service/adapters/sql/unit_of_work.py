@@ -216,7 +216,7 @@ def reader_engine(path: Path) -> Engine:
 
 def _prepare(engine: Engine, pragmas: tuple[str, ...], begin: str) -> None:
     @event.listens_for(engine, "connect")
-    def set_pragmas(connection: Any, record: Any) -> None:
+    def set_pragmas(connection: Any, _record: Any) -> None:
         # The driver must not begin transactions by itself: it would do so only before a write.
         connection.isolation_level = None
         for pragma in pragmas:

@@ -1,0 +1,77 @@
+"""Settings come from REVISIT_* and reach the parts that need them."""
+
+from __future__ import annotations
+
+import pytest
+from pydantic import ValidationError
+
+from service.application import Policy
+from service.application.identity import content_hash, validated_id
+from service.settings import Settings
+from tests.support.records import a_map
+
+
+@pytest.fixture(autouse=True)
+def bare_environment(monkeypatch):
+    import os
+
+    for name in list(os.environ):
+        if name.startswith("REVISIT_"):
+            monkeypatch.delenv(name)
+
+
+def test_the_defaults_listen_on_loopback_only():
+    settings = Settings()
+    assert (settings.host, settings.http_port, settings.grpc_port) == ("127.0.0.1", 8080, 8090)
+    assert not settings.exposed and settings.workers >= 1
+
+
+@pytest.mark.parametrize(
+    ("host", "exposed"),
+    [("127.0.0.1", False), ("127.9.9.9", False), ("::1", False), ("localhost", False)]
+    + [("0.0.0.0", True), ("::", True), ("10.0.0.1", True), ("robots.example", True)],
+)
+def test_an_address_is_exposed_unless_it_is_surely_loopback(host, exposed):
+    assert Settings(host=host).exposed is exposed
+
+
+def test_the_environment_sets_the_window_and_the_queue(monkeypatch, tmp_path):
+    monkeypatch.setenv("REVISIT_HOME", str(tmp_path))
+    monkeypatch.setenv("REVISIT_TAU_M", "20")
+    monkeypatch.setenv("REVISIT_STRIDE_M", "4")
+    monkeypatch.setenv("REVISIT_MIN_INDEX_GAP", "7")
+    monkeypatch.setenv("REVISIT_LEASE_S", "2.5")
+    settings = Settings()
+    pipeline = settings.policy.pipeline
+    assert (pipeline.submap.tau, pipeline.submap.stride, pipeline.loop.min_index_gap) == (20.0, 4.0, 7)
+    assert (settings.policy.lease_ms, settings.database) == (2500, tmp_path / "revisit.db")
+
+
+@pytest.mark.parametrize("name", ["HTTP_PORT", "WORKERS", "TAU_M", "LEASE_S", "MAX_ATTEMPTS"])
+def test_a_value_out_of_bounds_is_refused(monkeypatch, name):
+    monkeypatch.setenv(f"REVISIT_{name}", "-1")
+    with pytest.raises(ValidationError, match=name.lower()):
+        Settings()
+
+
+def test_a_map_overrides_only_what_it_names():
+    policy = Policy()
+    assert policy.for_map(a_map()).submap.stride == 5.0
+    assert policy.for_map(a_map()).submap.tau == policy.pipeline.submap.tau
+    assert policy.for_map(a_map()).loop == policy.pipeline.loop
+
+
+@pytest.mark.parametrize("value", ["a", "A9", "a.b_c-d", "x" * 64])
+def test_good_ids_are_taken(value):
+    assert validated_id(value, "map_id") == value
+
+
+@pytest.mark.parametrize("value", ["", ".", "-a", "_a", "a/b", "a b", "x" * 65, "ä", "a\n", "a\x00", "١"])
+def test_bad_ids_are_refused(value):
+    with pytest.raises(Exception, match="map_id must match"):
+        validated_id(value, "map_id")
+
+
+def test_different_contents_have_different_hashes():
+    contents = [["a", "b"], ["ab", ""], ["a", None, "b"], [b"a", "b"], ["1"], [1], [1.0], [None], [""], []]
+    assert len({content_hash(parts) for parts in contents}) == len(contents)

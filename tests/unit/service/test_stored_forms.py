@@ -1,0 +1,88 @@
+"""Clouds and meshes as they are stored: what comes out is what went in, and damage is noticed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from core.errors import BadField, DataLoss, EmptyCloud, MalformedBody, TooLarge, UnsupportedEncoding
+from core.formats import KITTI, DecodedCloud, encode_kitti
+from service.application.clouds import EncodedCloud, StoredCloud, accept_cloud, pack_cloud, unpack_cloud
+from service.application.meshes import pack_mesh, unpack_mesh
+from service.application.ports import Mesh
+from tests.support.service_world import cloud_points
+
+FLOATS = st.floats(-1e4, 1e4, width=32)
+
+
+@settings(max_examples=50, deadline=None)
+@given(points=arrays(np.float32, st.tuples(st.integers(1, 50), st.just(3)), elements=FLOATS), bright=st.booleans())
+def test_a_cloud_is_stored_without_loss(points, bright):
+    cloud = StoredCloud(points, points[:, 0].copy() if bright else None)
+    back = unpack_cloud(pack_cloud(cloud))
+    np.testing.assert_array_equal(back.points, points)
+    assert back.points.dtype == np.float32 and back.points.flags["C_CONTIGUOUS"]
+    if bright:
+        np.testing.assert_array_equal(back.intensity, points[:, 0])
+    else:
+        assert back.intensity is None
+
+
+@pytest.mark.parametrize("damage", [lambda b: b"", lambda b: b[:8], lambda b: b"XXXX" + b[4:], lambda b: b[:-3]])
+def test_a_damaged_cloud_or_mesh_is_refused(damage):
+    mesh = Mesh(np.ones((3, 3), np.float32), np.ones((3, 3), np.float32), np.array([[0, 1, 2]], np.int32))
+    with pytest.raises(DataLoss):
+        unpack_cloud(damage(pack_cloud(StoredCloud(cloud_points(1), None))))
+    with pytest.raises(DataLoss):
+        unpack_mesh(damage(pack_mesh(mesh)))
+
+
+def test_a_mesh_is_stored_to_half_a_millimetre():
+    rng = np.random.default_rng(0)
+    vertices = rng.uniform(-80.0, 80.0, (500, 3)).astype(np.float32)
+    normals = rng.normal(size=(500, 3)).astype(np.float32)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    faces = rng.integers(0, 500, (900, 3)).astype(np.int32)
+    back = unpack_mesh(pack_mesh(Mesh(vertices, normals, faces)))
+    np.testing.assert_allclose(back.vertices, vertices, atol=0.00051)
+    np.testing.assert_allclose(back.normals, normals, atol=0.5 / 127 + 1e-6)
+    np.testing.assert_array_equal(back.faces, faces)
+
+
+def test_an_empty_mesh_is_a_mesh():
+    nothing = np.zeros((0, 3), np.float32)
+    back = unpack_mesh(pack_mesh(Mesh(nothing, nothing, np.zeros((0, 3), np.int32))))
+    assert (len(back.vertices), len(back.faces)) == (0, 0)
+
+
+def test_points_that_are_dropped_take_their_intensity_with_them():
+    points = cloud_points(1).copy()
+    points[7] = np.nan
+    intensity = np.arange(len(points), dtype=np.float32)
+    cloud, report = accept_cloud(DecodedCloud(points, intensity), max_points=1000)
+    assert report.dropped_nonfinite == 1
+    np.testing.assert_array_equal(cloud.intensity, np.delete(intensity, 7))
+
+
+def test_an_encoded_cloud_is_decoded_before_it_is_validated():
+    cloud, _ = accept_cloud(EncodedCloud(encode_kitti(cloud_points(1)), KITTI), max_points=1000)
+    np.testing.assert_array_equal(cloud.points, cloud_points(1))
+
+
+@pytest.mark.parametrize(
+    ("given_cloud", "error"),
+    [
+        (EncodedCloud(b"", KITTI), MalformedBody),
+        (EncodedCloud(b"x" * 17, KITTI), MalformedBody),
+        (EncodedCloud(b"x", "text/plain"), UnsupportedEncoding),
+        (DecodedCloud(cloud_points(1, points=301)), TooLarge),
+        (DecodedCloud(cloud_points(1, points=99)), EmptyCloud),
+        (DecodedCloud(cloud_points(1), np.zeros(5, np.float32)), BadField),
+    ],
+)
+def test_a_bad_cloud_is_named(given_cloud, error):
+    with pytest.raises(error):
+        accept_cloud(given_cloud, max_points=300)
