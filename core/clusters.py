@@ -85,7 +85,7 @@ def _join_cells(
         z = keys[cell] % extent[2]
         y = keys[cell] // extent[2] % extent[1]
         x = keys[cell] // (extent[2] * extent[1])
-        for dx in range(0, 3):
+        for dx in range(3):
             for dy in range(-2, 3):
                 for dz in range(-2, 3):
                     if (dx, dy, dz) <= (0, 0, 0):

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from core.errors import DataLoss
 from core.implicit_map import DecoderWeights
+from core.vlad import Codebooks
 
 PACKAGED_FILE = "revisit-1.npz"
 
@@ -25,6 +26,7 @@ class ModelBundle:
     """Decoder weights and codebooks; `version` names the file's content."""
 
     decoder: DecoderWeights
+    codebooks: Codebooks
     version: str
 
 
@@ -33,10 +35,10 @@ def load_bundle(data: bytes) -> ModelBundle:
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:
             arrays: dict[str, NDArray[np.float32]] = {name: archive[name] for name in archive.files}
-        decoder = DecoderWeights.from_arrays(arrays)
+        decoder, codebooks = DecoderWeights.from_arrays(arrays), Codebooks.from_arrays(arrays)
     except (OSError, ValueError, KeyError) as error:
         raise DataLoss(f"the model file is damaged: {error}") from error
-    return ModelBundle(decoder, "revisit-" + hashlib.sha256(data).hexdigest()[:12])
+    return ModelBundle(decoder, codebooks, "revisit-" + hashlib.sha256(data).hexdigest()[:12])
 
 
 @lru_cache(maxsize=1)

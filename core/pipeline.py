@@ -1,1 +1,121 @@
-"""The narrative: the steps of the method, in order."""
+"""The narrative: the steps of the method, in order (paper Fig. 2, left to right)."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TypeVar
+
+import numpy as np
+
+from core import loop, se3
+from core.bev import BevFeatures, describe_bev
+from core.cluster_normals import describe_clusters
+from core.clusters import Clusters, segment_clusters
+from core.config import PipelineConfig, VerificationConfig
+from core.descriptor import PlaceDescriptor, fuse
+from core.implicit_map import NeuralMap, fit_implicit_map
+from core.loop import RejectedLoop, VerifiedLoop
+from core.model_bundle import ModelBundle
+from core.saliency import weigh_clusters
+from core.scan import is_plane
+from core.signature import PlaceSignature, sign_place
+from core.submap import Submap
+from core.surface import Surface, extract_surface, surface_from_points
+
+Step = TypeVar("Step")
+
+
+class Ablation(StrEnum):
+    """Parts of the method that can be left out (paper Table III)."""
+
+    NONE = "none"
+    NO_IMPLICIT = "no-implicit"
+    BEV_ONLY = "bev-only"
+    NORMALS_ONLY = "normals-only"
+
+
+@dataclass(frozen=True)
+class DescribedPlace:
+    """What one submap becomes. Surface, clusters, BEV and neural map are in the levelled submap frame.
+
+    `flags` name what was noticed ("degenerate_plane"); `timings_s` the seconds of each step.
+    """
+
+    descriptor: PlaceDescriptor
+    signature: PlaceSignature
+    neural_map: NeuralMap | None
+    surface: Surface
+    clusters: Clusters
+    bev: BevFeatures
+    flags: tuple[str, ...]
+    timings_s: dict[str, float]
+
+
+def describe(
+    submap: Submap, models: ModelBundle, config: PipelineConfig, seed: int = 0, ablation: Ablation = Ablation.NONE
+) -> DescribedPlace:
+    """Describe a finished submap: implicit map, surface, clusters, BEV, micro statistics, fused descriptor."""
+    rng, clock = np.random.default_rng(seed), _StopWatch()
+    level = submap.levelled()
+    T_submap_level = se3.inverse(submap.T_odom_submap) @ level.T_odom_submap
+    fusion = _ablated(config, ablation).fusion
+    field, surface = _surface(level, models, config, rng, ablation, clock)  # III-B, III-C
+    clusters = clock("clusters", lambda: segment_clusters(surface, config.clusters))  # III-C
+    bev = clock("bev", lambda: describe_bev(surface, clusters, config.bev))  # III-D, Eq. 7-9
+    saliency = weigh_clusters(bev.keypoints, surface, clusters, config.micro.epsilon)  # Eq. 10-12
+    micro = clock("micro", lambda: describe_clusters(surface, clusters, bev.keypoints, saliency, config.micro, rng))
+    field = field and dataclasses.replace(field, T_submap_map=T_submap_level)
+    descriptor = clock("fusion", lambda: fuse(bev, micro, models.codebooks, fusion, models.version))  # Eq. 13-14
+    signature = clock("signature", lambda: sign_place(surface, clusters, bev, models.codebooks, config.verification))
+    flags = ("degenerate_plane",) if is_plane(submap.points) else ()
+    return DescribedPlace(descriptor, signature, field, surface, clusters, bev, flags, clock.seconds)
+
+
+def verify(
+    query: PlaceSignature, match: PlaceSignature, similarity: float, config: VerificationConfig
+) -> VerifiedLoop | RejectedLoop:
+    """Whether two places are the same and how they align: SE(2) start, ICP, gates (paper III-E, end).
+
+    `T_match_query` of the answer maps the frame of the query submap into that of the match submap.
+    """
+    return loop.verify(query, match, similarity, config)
+
+
+def _surface(
+    submap: Submap,
+    models: ModelBundle,
+    config: PipelineConfig,
+    rng: np.random.Generator,
+    ablation: Ablation,
+    clock: _StopWatch,
+) -> tuple[NeuralMap | None, Surface]:
+    if ablation is Ablation.NO_IMPLICIT:
+        return None, clock("surface", lambda: surface_from_points(submap, config.implicit_map, config.surface))
+    field = clock("implicit_map", lambda: fit_implicit_map(submap, models.decoder, config.implicit_map, rng))
+    return field, clock("surface", lambda: extract_surface(field, config.surface))
+
+
+def _ablated(config: PipelineConfig, ablation: Ablation) -> PipelineConfig:
+    """The configuration whose fused descriptor leaves a part out."""
+    if ablation is Ablation.BEV_ONLY:
+        return dataclasses.replace(config, fusion=dataclasses.replace(config.fusion, micro_weight=0.0))
+    if ablation is Ablation.NORMALS_ONLY:
+        return dataclasses.replace(config, fusion=dataclasses.replace(config.fusion, macro_weight=0.0))
+    return config
+
+
+class _StopWatch:
+    """Runs steps and notes how long each took."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    def __call__(self, name: str, step: Callable[[], Step]) -> Step:
+        started = time.perf_counter()
+        result = step()
+        self.seconds[name] = time.perf_counter() - started
+        return result

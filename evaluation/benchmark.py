@@ -1,0 +1,146 @@
+"""`revisit bench`: the declared metrics of one machine against the committed baseline.
+
+Quality is compared tightly. Times are divided by the time of a fixed piece of numerical work on the same machine, so
+that a slower computer does not look like a slower program; the seconds are shown beside.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+import torch
+
+from core.config import PipelineConfig, SubmapConfig
+from core.index import FaissIndex, IndexEntry, SearchFilter
+from core.model_bundle import load_packaged_models
+from core.pipeline import DescribedPlace, describe, verify
+from core.scan import Scan
+from core.submap import Submap
+from evaluation.simulator import HDL64, StreetGrid, build_city, drive, grid_drive, simulate
+
+Result = TypeVar("Result")
+
+BASELINE = Path("docs/reference/benchmark-baseline.json")
+STORED_DESCRIPTORS = 10_000
+QUERIES = 500
+TOWN_SEED = 4_711
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One declared figure. `worse` is the direction of a regression, `tolerance` the relative change that is noise."""
+
+    key: str
+    value: float
+    unit: str
+    worse: str
+    tolerance: float
+
+
+def measure() -> list[Metric]:
+    """All metrics, on simulated 10 m submaps of a 64-beam sensor, one thread."""
+    torch.set_num_threads(1)
+    unit_s = _reference_seconds()
+    first, second = _two_visits()
+    models, config = load_packaged_models(), PipelineConfig()
+    describe(first, models, config)
+    place, describe_s = _best_of(3, lambda: describe(first, models, config))
+    other = describe(second, models, config)
+    similarity = place.descriptor.similarity(other.descriptor)
+    _, verify_s = _best_of(3, lambda: verify(other.signature, place.signature, similarity, config.verification))
+    query_p99_s = _query_p99_seconds(len(place.descriptor.vector))
+    return [
+        *_quality(first, place),
+        Metric("describe", describe_s, "CPU s", "up", np.inf),
+        Metric("describe_ratio", describe_s / unit_s, "reference work", "up", 0.35),
+        Metric("verify", verify_s, "CPU s", "up", np.inf),
+        Metric("verify_ratio", verify_s / unit_s, "reference work", "up", 0.5),
+        Metric("query_p99", 1e3 * query_p99_s, "ms over 10,000 descriptors", "up", np.inf),
+        Metric("query_p99_ratio", query_p99_s / unit_s, "reference work", "up", 1.0),
+    ]
+
+
+def compare(metrics: list[Metric], baseline: dict[str, float]) -> list[str]:
+    """The regressions against `baseline`, as sentences; empty where there are none."""
+    found = []
+    for metric in metrics:
+        if metric.key not in baseline:
+            continue
+        known = baseline[metric.key]
+        change = (metric.value - known) / abs(known) if known else 0.0
+        if (change if metric.worse == "up" else -change) > metric.tolerance:
+            found.append(f"{metric.key}: {metric.value:.4g} {metric.unit}, baseline {known:.4g} ({change:+.0%})")
+    return found
+
+
+def run(baseline: Path = BASELINE, update: bool = False) -> tuple[list[Metric], list[str]]:
+    """Measure, compare with the committed baseline, and with `update` write it anew."""
+    metrics = measure()
+    if update:
+        baseline.write_text(json.dumps({m.key: round(m.value, 6) for m in metrics}, indent=2) + "\n")
+    return metrics, compare(metrics, json.loads(baseline.read_text()))
+
+
+def _quality(submap: Submap, place: DescribedPlace) -> list[Metric]:
+    field = place.neural_map
+    if field is None:
+        raise ValueError("the benchmark describes with the implicit map")
+    sample = submap.levelled().points[:: max(1, len(submap.points) // 40_000)]
+    distance = np.abs(field.sdf(sample)[0])
+    raw_bytes = 12 * len(submap.points)
+    return [
+        Metric("surface_error_median", float(np.median(distance)), "m", "up", 0.1),
+        Metric("surface_error_p90", float(np.percentile(distance, 90)), "m", "up", 0.1),
+        Metric("neural_map_share", len(field.to_blob()) / raw_bytes, "of the raw float32 cloud", "up", 0.1),
+        Metric("signature", len(place.signature.to_blob()) / 1e3, "kB", "up", 0.1),
+    ]
+
+
+def _two_visits() -> tuple[Submap, Submap]:
+    """Two 10 m submaps of the same simulated street, in opposite lanes and directions, scans every metre."""
+    grid = StreetGrid.random(3, 3, TOWN_SEED)
+    world = build_city(grid.streets(), TOWN_SEED)
+    path = grid_drive(grid, [(0, 0), (1, 0), (2, 0), (1, 0), (0, 0)])
+    trajectory = drive(path, world.ground, lane_m=1.8, spacing_m=1.0)
+    middle = round(len(trajectory) * 0.25), round(len(trajectory) * 0.75)
+    scans = list(simulate(world, trajectory, HDL64, TOWN_SEED))
+    visits = [
+        [Scan.validated(s.points, s.T_world_sensor, s.stamp_ns) for s in scans[m - 5 : m + 6]] for m in middle
+    ]
+    return Submap.from_scans(visits[0], SubmapConfig()), Submap.from_scans(visits[1], SubmapConfig())
+
+
+def _query_p99_seconds(dimension: int) -> float:
+    rng = np.random.default_rng(0)
+    vectors = rng.normal(size=(STORED_DESCRIPTORS, dimension)).astype(np.float32)
+    index = FaissIndex(dimension)
+    index.add([IndexEntry(i, i // 500, i % 500, np.zeros(3)) for i in range(STORED_DESCRIPTORS)], vectors)
+    seconds = []
+    for query in rng.normal(size=(QUERIES, dimension)).astype(np.float32):
+        started = time.perf_counter()
+        index.search(query, 20, SearchFilter(near=(0, 250, 50)))
+        seconds.append(time.perf_counter() - started)
+    return float(np.percentile(seconds, 99))
+
+
+def _reference_seconds() -> float:
+    """Time of a fixed piece of numerical work of this program's kind: sorting and small eigenproblems."""
+    rng = np.random.default_rng(0)
+    numbers, matrices = rng.normal(size=2_000_000), rng.normal(size=(20_000, 3, 3))
+    return _best_of(5, lambda: (np.sort(numbers), np.linalg.eigh(matrices)))[1]
+
+
+def _best_of(times: int, work: Callable[[], Result]) -> tuple[Result, float]:
+    """The result of `work` and the least of `times` runs in seconds of this process's CPU."""
+    best = np.inf
+    for _ in range(times):
+        started = time.process_time()
+        result = work()
+        best = min(best, time.process_time() - started)
+    return result, float(best)
