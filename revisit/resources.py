@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Self
 
 import numpy as np
@@ -142,7 +142,7 @@ class Submap:
     name: str
     state: str
     ordinal: int
-    T_odom_submap: Matrix4
+    T_odom_submap: Matrix4 = field(compare=False)
     position_m: tuple[float, float, float]
     stamp_ns: int
     first_seq: int | None
@@ -202,7 +202,7 @@ class Candidate:
     reason: str | None
     similarity: float
     score: float
-    T_match_query: Matrix4 | None
+    T_match_query: Matrix4 | None = field(compare=False)
     evidence: Json
 
     @classmethod
@@ -224,7 +224,7 @@ class Localization:
     """The best verified candidate, None where the place is unknown, and all that were compared."""
 
     best: Candidate | None
-    T_map_query: Matrix4 | None
+    T_map_query: Matrix4 | None = field(compare=False)
     candidates: tuple[Candidate, ...]
 
     @classmethod
@@ -250,7 +250,7 @@ class LoopClosure:
     reason: str | None
     similarity: float
     score: float
-    T_match_query: Matrix4 | None
+    T_match_query: Matrix4 | None = field(compare=False)
     evidence: Json
     created_at_ns: int
 

@@ -1,0 +1,41 @@
+"""One service for all API tests; each test has a map and a session of its own."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+
+from revisit import Client
+from revisit.retry import RetryPolicy
+from tests.support.live_service import live_service
+
+_numbers = itertools.count(1)
+
+
+@pytest.fixture(scope="session")
+def service():
+    with live_service() as running:
+        yield running
+
+
+@pytest.fixture(params=["rest", "grpc"])
+def client(request, service):
+    """The same client over each transport; no retries, so that the first answer is what a test sees."""
+    once = RetryPolicy(attempts=1, base_s=0.01)
+    made = Client(service.http, retry=once) if request.param == "rest" else Client.grpc(service.grpc, retry=once)
+    with made:
+        yield made
+
+
+@pytest.fixture
+def session(client):
+    """A new session in a new map."""
+    new_map = client.create_map(f"town-{next(_numbers)}")
+    return client.create_session(new_map, "monday")
+
+
+@pytest.fixture
+def town(session):
+    """The name of the map that `session` is in."""
+    return session.name.partition("/sessions/")[0]

@@ -1,0 +1,233 @@
+"""Wrong input gets the documented error on both transports and stores nothing (reliability: G, T, I, Q rows)."""
+
+from __future__ import annotations
+
+import io
+import struct
+
+import numpy as np
+import pytest
+
+from core.formats import KITTI, NPY, PCD, PLY, POINTCLOUD2, QUANTISED, encode_kitti, encode_npy, encode_quantised
+from revisit import ApiError, Cloud
+from tests.support.service_world import cloud_points, pose
+
+GOOD = cloud_points(1)
+QUANTISED_GOOD = encode_quantised(GOOD)
+
+
+def header_of_100_million_points() -> bytes:
+    return (
+        b"# .PCD v0.7\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 100000000\nHEIGHT 1\n"
+        + (b"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 100000000\nDATA binary\n" + bytes(48))
+    )
+
+
+def npy_of(array: np.ndarray) -> bytes:
+    buffer = io.BytesIO()
+    np.save(buffer, array)
+    return buffer.getvalue()
+
+
+BAD_CLOUDS = {
+    "an empty body": (Cloud(b"", KITTI), "EMPTY_CLOUD|MALFORMED_BODY"),
+    "no points": (Cloud(encode_npy(GOOD[:0]), NPY), "EMPTY_CLOUD"),
+    "99 points": (Cloud(encode_npy(GOOD[:99]), NPY), "EMPTY_CLOUD"),
+    "truncated kitti": (Cloud(encode_kitti(GOOD)[:-3], KITTI), "MALFORMED_BODY"),
+    "truncated quantised": (Cloud(QUANTISED_GOOD[:-9], QUANTISED), "MALFORMED_BODY"),
+    "truncated npy": (Cloud(encode_npy(GOOD)[:-1], NPY), "MALFORMED_BODY"),
+    "nothing but NaN": (Cloud(encode_npy(np.full((300, 3), np.nan, np.float32)), NPY), "NON_FINITE_POINTS"),
+    "integers": (Cloud(npy_of(np.ones((300, 3), np.int32)), NPY), "BAD_FIELD|UNSUPPORTED_ENCODING"),
+    "pickled objects": (Cloud(npy_of(np.array([{}] * 3, dtype=object)), NPY), "UNSUPPORTED_ENCODING"),
+    "a header of 100 million points": (Cloud(header_of_100_million_points(), PCD), "MALFORMED_BODY|TOO_LARGE"),
+    "a quantised header of 4 billion points": (
+        Cloud(struct.pack("<4sIff", b"RVQ1", 2**32 - 1, 0.001, 0.0) + QUANTISED_GOOD[16:], QUANTISED),
+        "TOO_LARGE",
+    ),
+    "a packed cloud of nothing": (Cloud(b"\x89RVPC2\r\n", POINTCLOUD2), "MALFORMED_BODY"),
+    "a ply that crashes readers": (Cloud(b"ply\n\n", PLY), "MALFORMED_BODY"),
+    "an unknown content type": (Cloud(GOOD.tobytes(), "application/x-unheard-of"), "UNSUPPORTED_ENCODING"),
+    "an image": (Cloud(b"\x89PNG\r\n\x1a\n" + bytes(99), "image/png"), "UNSUPPORTED_ENCODING"),
+    "identical points": (Cloud(encode_npy(np.ones((300, 3), np.float32)), NPY), "DEGENERATE_CLOUD"),
+    "points beyond 10 km": (Cloud(encode_npy(GOOD + np.float32(1e5)), NPY), "OUT_OF_RANGE"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_CLOUDS)
+def test_a_bad_cloud_is_refused_for_its_reason_and_nothing_is_stored(case, client, session, service):
+    cloud, reasons = BAD_CLOUDS[case]
+    before = service.stored()
+    with pytest.raises(ApiError) as refused:
+        client.post_submap(session, "bad", cloud, pose(), 1)
+    assert refused.value.reason in reasons.split("|")
+    assert refused.value.code in ("INVALID_ARGUMENT", "RESOURCE_EXHAUSTED")
+    assert not refused.value.retryable
+    assert refused.value.request_id
+    assert service.stored() == before
+
+
+def test_a_cloud_with_a_few_missing_returns_is_accepted_without_them(client, session):
+    points = GOOD.copy()
+    points[:15] = np.nan
+    operation = client.post_submap(session, "holes", points, pose(), 1)
+    assert client.get_submap(operation.subject).point_count == 285
+
+
+def test_the_same_submap_again_answers_again_and_another_cloud_is_a_conflict(client, session, service):
+    first = client.post_submap(session, "twice", GOOD, pose(), 1)
+    before = service.stored()
+    assert client.post_submap(session, "twice", GOOD, pose(), 1).name == first.name
+    with pytest.raises(ApiError) as refused:
+        client.post_submap(session, "twice", cloud_points(2), pose(), 1)
+    assert (refused.value.code, refused.value.reason) == ("ALREADY_EXISTS", "ALREADY_EXISTS")
+    with pytest.raises(ApiError, match="ALREADY_EXISTS"):
+        client.post_submap(session, "twice", GOOD, pose(0.001), 1)
+    assert service.stored() == before
+
+
+BAD_POSES = {
+    "a quaternion of norm 0": ([0, 0, 0], [0, 0, 0, 0]),
+    "a quaternion of norm 1.01": ([0, 0, 0], [0, 0, 0, 1.01]),
+}
+
+
+@pytest.mark.parametrize("case", BAD_POSES)
+def test_a_bad_pose_is_refused_and_nothing_is_stored(case, client, session, service):
+    translation, rotation = BAD_POSES[case]
+    bad = {
+        "translation": dict(zip("xyz", translation, strict=True)),
+        "rotation": dict(zip("xyzw", rotation, strict=True)),
+    }
+    before = service.stored()
+    with pytest.raises(ApiError) as refused:
+        client._transport.post_submap(session.name, "bad", bad, 1, Cloud(QUANTISED_GOOD, QUANTISED))
+    assert (refused.value.code, refused.value.reason) == ("INVALID_ARGUMENT", "BAD_TRANSFORM")
+    assert service.stored() == before
+
+
+def test_the_sdk_refuses_a_reflection_before_it_is_sent(client, session):
+    with pytest.raises(ApiError, match="BAD_TRANSFORM"):
+        client.post_submap(session, "mirror", GOOD, np.diag([1.0, 1.0, -1.0, 1.0]), 1)
+
+
+@pytest.mark.parametrize("k", [0, -1, 101, 2_000_000_000])
+def test_k_out_of_1_to_100_is_refused(k, client, town):
+    with pytest.raises(ApiError) as refused:
+        client.search(town, points=GOOD, k=k)
+    assert (refused.value.code, refused.value.reason) == ("INVALID_ARGUMENT", "BAD_FIELD")
+    with pytest.raises(ApiError, match="BAD_FIELD"):
+        client.search(town, descriptor=[1.0], model_version="fake-1", k=k)
+
+
+@pytest.mark.parametrize(
+    ("vector", "version"),
+    [([1.0, 2.0], "fake-1"), ([0.0] * 64, "fake-1"), ([1.0] * 64, "another-model"), ([], "fake-1")],
+)
+def test_a_descriptor_that_cannot_be_compared_is_refused(vector, version, client, session, town):
+    client.wait(client.post_submap(session, "a", GOOD, pose(), 1), timeout_s=20)
+    with pytest.raises(ApiError) as refused:
+        client.search(town, descriptor=vector, model_version=version)
+    assert refused.value.reason in ("BAD_FIELD", "DESCRIPTOR_MODEL_MISMATCH")
+
+
+@pytest.mark.parametrize("radius_m", [-1.0, 0.0, 1e30])
+def test_a_radius_that_makes_no_sense_is_refused(radius_m, client, town):
+    with pytest.raises(ApiError, match="BAD_FIELD"):
+        client.localize(town, GOOD, prior_position_m=(0, 0, 0), radius_m=radius_m)
+
+
+BAD_IDS = ["..", ".", "-rf", "", "a" * 65, "a b", "a/b", "'; DROP TABLE submaps;--", "\u0430bc", "a\x00b", "{{7*7}}!"]
+
+
+@pytest.mark.parametrize("bad_id", BAD_IDS)
+def test_an_id_outside_the_alphabet_is_refused_and_nothing_is_stored(bad_id, client, session, town, service):
+    before = service.stored()
+    for create in (
+        lambda: client.create_map(bad_id),
+        lambda: client.create_session(town, bad_id),
+        lambda: client.post_submap(session, bad_id, GOOD, pose(), 1),
+    ):
+        with pytest.raises(ApiError) as refused:
+            create()
+        assert (refused.value.code, refused.value.reason) == ("INVALID_ARGUMENT", "BAD_FIELD")
+    assert service.stored() == before
+
+
+UNKNOWN = [
+    "maps/nowhere",
+    "maps/nowhere/sessions/s",
+    "maps/nowhere/sessions/s/submaps/a",
+    "maps/nowhere/loopClosures/l",
+    "operations/op-nothing",
+    "robots/nobody",
+]
+
+
+@pytest.mark.parametrize("name", UNKNOWN)
+def test_what_does_not_exist_is_not_found(name, client):
+    with pytest.raises(ApiError) as refused:
+        client._transport.get(name)
+    assert (refused.value.code, refused.value.reason, refused.value.retryable) == ("NOT_FOUND", "NOT_FOUND", False)
+
+
+def test_writing_into_what_does_not_exist_is_not_found_and_nothing_is_stored(client, town, service):
+    before = service.stored()
+    for call in (
+        lambda: client.create_session("maps/nowhere", "s"),
+        lambda: client.create_session(town, "s", robot="robots/nobody"),
+        lambda: client.post_submap("maps/nowhere/sessions/s", "a", GOOD, pose(), 1),
+        lambda: client.search("maps/nowhere", points=GOOD),
+        lambda: client.localize("maps/nowhere", GOOD),
+        lambda: client.delete("maps/nowhere"),
+        lambda: client.loop_closures("maps/nowhere"),
+        lambda: client.finish_session("maps/nowhere/sessions/s"),
+        lambda: client.list_submaps("maps/nowhere/sessions/s"),
+    ):
+        with pytest.raises(ApiError, match="NOT_FOUND"):
+            call()
+    assert service.stored() == before
+
+
+def test_a_finished_session_takes_nothing_more(client, session, service):
+    client.finish_session(session)
+    before = service.stored()
+    with pytest.raises(ApiError) as refused:
+        client.post_submap(session, "late", GOOD, pose(), 1)
+    assert (refused.value.code, refused.value.reason) == ("FAILED_PRECONDITION", "SESSION_FINISHED")
+    assert service.stored() == before
+
+
+def test_a_submap_that_is_not_described_yet_has_no_mesh(client, session, service):
+    service.working.clear()
+    try:
+        client.post_submap(session, "waiting", GOOD, pose(), 1)
+        with pytest.raises(ApiError) as refused:
+            client.download(f"{session.name}/submaps/waiting", "mesh")
+    finally:
+        service.working.set()
+    assert (refused.value.code, refused.value.reason) == ("FAILED_PRECONDITION", "NOT_READY")
+
+
+def test_a_foreign_page_token_is_refused(client):
+    with pytest.raises(ApiError, match="BAD_FIELD"):
+        _page_of_maps(client, "forged")
+
+
+def _page_of_maps(client, token):
+    from revisit.rest_transport import RestTransport
+
+    transport = client._transport
+    if isinstance(transport, RestTransport):
+        return transport._json("GET", "/v1/maps", params={"page_token": token})
+    from revisit.v1 import map_pb2, map_pb2_grpc
+
+    return transport._answer(map_pb2_grpc.MapServiceStub, "ListMaps", map_pb2.ListMapsRequest(page_token=token))
+
+
+def test_a_failed_operation_says_why(client, session):
+    # 668 points are what the fake recogniser cannot describe.
+    operation = client.post_submap(session, "dull", cloud_points(1, 668), pose(), 1)
+    with pytest.raises(ApiError) as failed:
+        client.wait(operation, timeout_s=20)
+    assert failed.value.reason == "DEGENERATE_CLOUD"
+    assert client.get_submap(operation.subject).state == "FAILED"

@@ -1,0 +1,136 @@
+"""What the API answers when all is well, the same over REST and gRPC."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+
+from core import se3
+from revisit.errors import AlreadyExists, NotFound
+from tests.support.service_world import cloud_points, pose
+
+EXACT = {"rtol": 0, "atol": 1e-12}
+
+
+def post(client, session, submap_id="a", place=1):
+    return client.post_submap(session, submap_id, cloud_points(place), pose(float(place)), 1_000)
+
+
+def test_a_map_is_read_back_as_it_was_created(client):
+    made = client.create_map(f"read-back-{id(client)}", display_name="The yard", tau_m=12.5, min_index_gap=7)
+    assert client.get_map(made.name) == made
+    assert (made.display_name, made.tau_m, made.min_index_gap) == ("The yard", 12.5, 7)
+    assert made in client.list_maps()
+
+
+def test_the_same_create_again_answers_again_and_other_content_is_a_conflict(client, session, town):
+    assert client.create_session(town, "monday") == session
+    map_id = town.removeprefix("maps/")
+    with pytest.raises(AlreadyExists) as refused:
+        client.create_map(map_id, display_name="another name")
+    assert (refused.value.reason, refused.value.retryable) == ("ALREADY_EXISTS", False)
+
+
+def test_a_session_names_its_robot(client, town):
+    robot = client.create_robot(f"rover-{town.removeprefix('maps/')}", display_name="Rover")
+    session = client.create_session(town, "with-robot", robot=robot)
+    assert session.robot == robot.name
+    assert client.get_robot(robot.name) == robot
+    assert robot in client.list_robots()
+
+
+def test_a_posted_submap_is_described_searchable_and_downloadable(client, session, town):
+    operation = client.wait(post(client, session), timeout_s=20)
+    assert (operation.state, operation.subject) == ("DONE", f"{session.name}/submaps/a")
+    submap = client.get_submap(operation.subject)
+    assert (submap.state, submap.point_count, submap.model_version) == ("DESCRIBED", 300, "fake-1")
+    np.testing.assert_allclose(submap.T_odom_submap, pose(1.0), **EXACT)
+    assert submap.position_m == (1.0, 0.0, 0.0)
+    points = np.load(io.BytesIO(client.download(submap, "npy")))
+    # Half a millimetre is what the quantised encoding may lose.
+    np.testing.assert_allclose(points[:, :3], cloud_points(1), rtol=0, atol=0.00051)
+    assert client.download(submap, "pcd").startswith(b"# .PCD")
+    for file_format in ("ply", "mesh"):
+        assert client.download(submap, file_format).startswith(b"ply\n")
+    assert client.download(submap, "neural").startswith(b"neural ")
+
+
+def test_a_pose_survives_the_way_there_and_back(client, session):
+    T_odom_submap = se3.exp([1.5, -2.0, 0.25, 0.3, -0.2, 2.5])
+    operation = client.post_submap(session, "posed", cloud_points(3), T_odom_submap, 2**62)
+    submap = client.get_submap(operation.subject)
+    np.testing.assert_allclose(submap.T_odom_submap, T_odom_submap, rtol=0, atol=1e-9)
+    assert submap.stamp_ns == 2**62
+
+
+def test_a_submap_finds_its_like_in_another_session(client, session, town):
+    client.wait(post(client, session, "a", place=1), timeout_s=20)
+    client.wait(post(client, session, "b", place=2), timeout_s=20)
+    tuesday = client.create_session(town, "tuesday")
+    again = client.wait(post(client, tuesday, "again", place=1), timeout_s=20)
+
+    best = client.search(town, submap=again.subject, k=1)[0]
+    assert best.submap == f"{session.name}/submaps/a"
+    assert best.similarity == pytest.approx(1.0, abs=1e-6)
+    only = client.search(town, submap=again.subject, only_session=tuesday.name)
+    assert only == []
+    by_cloud = client.search(town, points=cloud_points(2), k=3, exclude_session=tuesday.name)
+    assert by_cloud[0].submap == f"{session.name}/submaps/b"
+
+    (loop,) = client.loop_closures(town, state="ACCEPTED")
+    assert (loop.query, loop.match) == (again.subject, f"{session.name}/submaps/a")
+    np.testing.assert_allclose(loop.T_match_query, pose(1.0), **EXACT)
+    assert client.get_loop_closure(loop.name) == loop
+    assert client.loop_closures(town, session=tuesday, state="ACCEPTED") == [loop]
+    assert client.loop_closures(town, session=session, state="ACCEPTED") == []
+
+
+def test_a_descriptor_of_the_models_in_use_can_be_searched_for(client, session, town):
+    client.wait(post(client, session), timeout_s=20)
+    # The fake recogniser's neural map is its descriptor behind a word.
+    vector = np.frombuffer(client.download(f"{session.name}/submaps/a", "neural")[len(b"neural ") :], dtype=np.float32)
+    (hit,) = client.search(town, descriptor=vector.tolist(), model_version="fake-1")
+    assert hit.similarity == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_cloud_is_localised_in_the_map_it_was_taken_in(client, session, town):
+    client.wait(post(client, session, place=1), timeout_s=20)
+    found = client.localize(town, cloud_points(1))
+    assert found.best is not None
+    assert found.best.submap == f"{session.name}/submaps/a"
+    # The fake recogniser aligns with 1 m along x; the submap stands at 1 m.
+    np.testing.assert_allclose(found.T_map_query, pose(2.0), **EXACT)
+
+
+def test_an_unknown_place_is_an_answer_and_no_error(client, session, town):
+    client.wait(post(client, session, place=1), timeout_s=20)
+    lost = client.localize(town, cloud_points(2))
+    assert lost.best is None
+    assert {candidate.reason for candidate in lost.candidates} == {"TOO_DIFFERENT"}
+    assert client.localize(client.create_map(f"{town[5:]}-empty"), cloud_points(2)).candidates == ()
+    assert client.search(f"{town}-empty", points=cloud_points(2)) == []
+
+
+def test_submaps_and_operations_are_listed_over_pages(client, session):
+    names = [post(client, session, f"s{number:03}", place=number).subject for number in range(60)]
+    assert [submap.name for submap in client.list_submaps(session)] == names
+    assert set(names) <= {operation.subject for operation in client.list_operations()}
+
+
+def test_a_deleted_submap_and_a_deleted_map_are_gone(client, session, town):
+    client.wait(post(client, session), timeout_s=20)
+    client.delete(f"{session.name}/submaps/a")
+    with pytest.raises(NotFound):
+        client.get_submap(f"{session.name}/submaps/a")
+    assert client.search(town, points=cloud_points(1)) == []
+    client.delete(town)
+    with pytest.raises(NotFound):
+        client.get_session(session.name)
+
+
+def test_the_status_tells_version_and_queue(client, session):
+    status = client.status()
+    assert status.version == "test"
+    assert min(status.queued_jobs, status.running_jobs, status.failed_jobs) >= 0

@@ -1,0 +1,288 @@
+"""Streams of scans: acknowledged after the commit, replayed without effect, refused one by one, resumed."""
+
+from __future__ import annotations
+
+import queue
+import threading
+
+import grpc
+import numpy as np
+import pytest
+
+from core.formats import NPY, QUANTISED, encode_npy, encode_quantised
+from revisit import ApiError, Client, Cloud
+from revisit.retry import RetryPolicy
+from revisit.v1 import cloud_pb2, geometry_pb2, ingest_pb2, ingest_pb2_grpc
+from tests.support.service_world import cloud_points, pose
+
+BAD_CLOUD = Cloud(encode_npy(np.full((300, 3), np.nan, np.float32)), NPY)
+
+
+def drive(stream, scans, start=1):
+    for number in range(start, start + scans):
+        stream.send(cloud_points(number), pose(float(number)), number)
+
+
+def test_streamed_scans_are_committed_and_become_submaps(client, session):
+    with client.stream(session) as stream:
+        assert stream.committed_seq == 0
+        drive(stream, 13)
+    assert stream.committed_seq == 13
+    # 12 m of travel: one window of 10 m is complete (scans at 1 m to 11 m).
+    assert len(stream.submaps) == 1
+    submap = client.get_submap(stream.submaps[0])
+    assert (submap.first_seq, submap.last_seq, submap.scan_count) == (1, 11, 11)
+    assert client.get_session(session.name).committed_seq == 13
+
+
+def test_a_stream_goes_on_where_the_last_one_ended(client, session):
+    with client.stream(session) as stream:
+        drive(stream, 3)
+    with client.stream(session) as stream:
+        assert stream.committed_seq == 3
+        drive(stream, 2, start=4)
+    assert client.get_session(session.name).committed_seq == 5
+
+
+def test_finishing_makes_a_submap_of_the_last_shorter_window(client, session):
+    with client.stream(session) as stream:
+        drive(stream, 4)
+    assert client.finish_session(session).state == "FINISHED"
+    (submap,) = client.list_submaps(session)
+    assert (submap.first_seq, submap.last_seq) == (1, 4)
+
+
+def test_a_stream_into_nowhere_and_into_a_finished_session_is_refused(client, session):
+    with pytest.raises(ApiError, match="NOT_FOUND"), client.stream("maps/nowhere/sessions/s"):
+        pass
+    client.finish_session(session)
+    with pytest.raises(ApiError, match="SESSION_FINISHED"), client.stream(session) as stream:
+        drive(stream, 1)
+
+
+def test_rest_refuses_a_gap_and_names_the_expected_scan(service, session):
+    with Client(service.http) as client:
+        cloud = Cloud(encode_quantised(cloud_points(1)), QUANTISED)
+        unrotated = {"translation": dict.fromkeys("xyz", 0.0), "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+        before = service.stored()
+        with pytest.raises(ApiError) as refused:
+            client._transport.append_scan(session.name, 5, unrotated, 1, cloud)
+        assert (refused.value.reason, refused.value.expected_seq) == ("SEQ_GAP", 1)
+        for seq in (0, -1, 2**64 - 1):
+            with pytest.raises(ApiError, match="BAD_FIELD"):
+                client._transport.append_scan(session.name, seq, unrotated, 1, cloud)
+        assert service.stored() == before
+
+
+@pytest.fixture
+def raw(service):
+    """A bare stub: what a client of another language would see."""
+    with grpc.insecure_channel(service.grpc) as channel:
+        yield ingest_pb2_grpc.IngestServiceStub(channel)
+
+
+class Conversation:
+    """A stream driven message by message."""
+
+    def __init__(self, stub):
+        self._requests = queue.SimpleQueue()
+        self._answers = stub.StreamScans(iter(self._requests.get, None), timeout=20)
+
+    def say(self, **request):
+        self._requests.put(ingest_pb2.StreamScansRequest(**request))
+        return self
+
+    def hear(self):
+        return next(self._answers)
+
+    def end(self):
+        self._requests.put(None)
+        return list(self._answers)
+
+
+def scan_message(seq, x_m=None, data=None, content_type=QUANTISED):
+    rotation = geometry_pb2.Quaternion(w=1.0)
+    where = geometry_pb2.Transform(
+        translation=geometry_pb2.Vector3(x=float(seq if x_m is None else x_m)), rotation=rotation
+    )
+    encoded = cloud_pb2.EncodedCloud(content_type=content_type, data=data or encode_quantised(cloud_points(1)))
+    return ingest_pb2.Scan(seq=seq, stamp_ns=1, t_odom_sensor=where, cloud=cloud_pb2.Cloud(encoded=encoded))
+
+
+def code_of(call):
+    with pytest.raises(grpc.RpcError) as ended:
+        call()
+    return ended.value.code()
+
+
+def opened(raw, session):
+    talk = Conversation(raw).say(open=ingest_pb2.Open(session=session.name))
+    assert talk.hear().opened.credits == 32
+    return talk
+
+
+def test_a_replayed_scan_is_acknowledged_and_ignored(raw, session, service):
+    talk = opened(raw, session)
+    assert talk.say(scan=scan_message(1)).hear().ack.committed_seq == 1
+    before = service.stored()
+    assert talk.say(scan=scan_message(1, x_m=99.0)).hear().ack.committed_seq == 1
+    assert talk.end() == []
+    assert service.stored() == before
+
+
+def test_a_gap_is_refused_with_the_expected_number_and_the_stream_lives(raw, session):
+    talk = opened(raw, session)
+    nack = talk.say(scan=scan_message(5)).hear().nack
+    assert (nack.seq, nack.reason, nack.expected_seq, nack.retryable) == (5, "SEQ_GAP", 1, False)
+    assert talk.say(scan=scan_message(1)).hear().ack.committed_seq == 1
+    assert talk.end() == []
+
+
+def test_a_bad_scan_gets_a_nack_and_the_stream_lives(raw, session, service):
+    talk = opened(raw, session)
+    before = service.stored()
+    bad = {
+        "MALFORMED_BODY": scan_message(1, data=b"not a cloud"),
+        "NON_FINITE_POINTS": scan_message(1, data=BAD_CLOUD.data, content_type=NPY),
+        "UNSUPPORTED_ENCODING": scan_message(1, content_type="text/plain"),
+        "EMPTY_CLOUD": ingest_pb2.Scan(seq=1, t_odom_sensor=scan_message(1).t_odom_sensor),
+        "BAD_TRANSFORM": ingest_pb2.Scan(seq=1, cloud=scan_message(1).cloud),
+        "BAD_FIELD": scan_message(0),
+    }
+    for reason, message in bad.items():
+        nack = talk.say(scan=message).hear().nack
+        assert (nack.reason, nack.expected_seq) == (reason, 1)
+    assert service.stored() == before
+    assert talk.say(scan=scan_message(1)).hear().ack.committed_seq == 1
+
+
+def test_a_packed_cloud_is_taken_as_it_is(raw, session):
+    points = cloud_points(1)
+    fields = [cloud_pb2.PackedField(name=n, offset=4 * i, datatype=7, count=1) for i, n in enumerate("xyz")]
+    packed = cloud_pb2.PackedCloud(
+        fields=fields, point_stride=12, width=len(points), height=1, data=points.astype("<f4").tobytes()
+    )
+    scan = ingest_pb2.Scan(seq=1, t_odom_sensor=scan_message(1).t_odom_sensor, cloud=cloud_pb2.Cloud(packed=packed))
+    talk = opened(raw, session)
+    assert talk.say(scan=scan).hear().ack.committed_seq == 1
+    packed.width = 2**31
+    refused = ingest_pb2.Scan(seq=2, t_odom_sensor=scan.t_odom_sensor, cloud=cloud_pb2.Cloud(packed=packed))
+    assert talk.say(scan=refused).hear().nack.reason in ("MALFORMED_BODY", "TOO_LARGE")
+
+
+def test_data_before_open_and_a_second_open_end_the_stream(raw, session):
+    early = Conversation(raw).say(scan=scan_message(1))
+    assert code_of(early.hear) is grpc.StatusCode.FAILED_PRECONDITION
+    twice = opened(raw, session).say(open=ingest_pb2.Open(session=session.name))
+    assert code_of(twice.hear) is grpc.StatusCode.FAILED_PRECONDITION
+    assert code_of(Conversation(raw).say(open=ingest_pb2.Open(session="nonsense")).hear) is (
+        grpc.StatusCode.INVALID_ARGUMENT
+    )
+
+
+def test_a_newer_stream_of_the_session_fences_the_older(raw, session):
+    older = opened(raw, session)
+    newer = opened(raw, session)
+    assert code_of(older.hear) is grpc.StatusCode.FAILED_PRECONDITION
+    assert newer.say(scan=scan_message(1)).hear().ack.committed_seq == 1
+
+
+def test_every_scan_is_answered_after_the_client_closes_its_side(raw, session):
+    talk = opened(raw, session)
+    for seq in range(1, 21):
+        talk.say(scan=scan_message(seq))
+    answers = [answer.ack.committed_seq for answer in talk.end() if answer.HasField("ack")]
+    assert answers == list(range(1, 21))
+
+
+def test_a_watching_stream_is_told_of_loops(client, service, session, town, raw):
+    first = client.create_session(town, "before")
+    client.wait(client.post_submap(first, "a", cloud_points(1), pose(), 1), timeout_s=20)
+    talk = Conversation(raw).say(open=ingest_pb2.Open(session=session.name, watch_loop_closures=True))
+    assert talk.hear().HasField("opened")
+    again = client.wait(client.post_submap(session, "again", cloud_points(1), pose(), 1), timeout_s=20)
+    loop = talk.hear().loop_closed.loop_closure
+    assert (loop.query, loop.match) == (again.subject, f"{first.name}/submaps/a")
+
+
+def test_the_sdk_leaves_out_a_bad_scan_and_goes_on(service, session):
+    with Client.grpc(service.grpc) as client, client.stream(session) as stream:
+        drive(stream, 3)
+        stream.send(BAD_CLOUD, pose(4.0), 4)
+        drive(stream, 4, start=5)
+        stream.flush()
+        assert stream.rejected == [(4, "NON_FINITE_POINTS")]
+        assert stream.committed_seq == 7
+
+
+class CuttingProxy:
+    """A gRPC stream whose connection is lost after every few answers."""
+
+    def __init__(self, call, answers_per_connection):
+        self._call, self._limit, self.connections = call, answers_per_connection, 0
+
+    def __call__(self, requests):
+        self.connections += 1
+        call = self._call(requests)
+
+        def answers():
+            for number, answer in enumerate(call):
+                if number == self._limit:
+                    call.cancel()
+                    raise ConnectionLost
+                yield answer
+
+        return _Cut(answers(), call)
+
+
+class _Cut:
+    def __init__(self, answers, call):
+        self._answers, self.cancel = answers, call.cancel
+
+    def __iter__(self):
+        return self._answers
+
+
+class ConnectionLost(grpc.RpcError):
+    def code(self):
+        return grpc.StatusCode.UNAVAILABLE
+
+    def details(self):
+        return "connection lost"
+
+    def trailing_metadata(self):
+        return ()
+
+
+def test_the_sdk_resumes_after_lost_connections_without_losing_or_repeating_a_scan(service, session):
+    from revisit.grpc_transport import _api_error
+    from revisit.scan_stream import GrpcScanSink
+
+    with grpc.insecure_channel(service.grpc) as channel:
+        proxy = CuttingProxy(ingest_pb2_grpc.IngestServiceStub(channel).StreamScans, answers_per_connection=7)
+        sink = GrpcScanSink(
+            proxy, session.name, RetryPolicy(base_s=0.001, cap_s=0.01), lambda error: _api_error(error, "test")
+        )
+        unrotated = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+        for number in range(1, 41):
+            where = {"translation": {"x": number * 0.1, "y": 0.0, "z": 0.0}, "rotation": unrotated}
+            sink.send(Cloud(encode_quantised(cloud_points(number)), QUANTISED), where, number)
+        sink.flush()
+        sink.close()
+    assert proxy.connections >= 3
+    with Client(service.http) as client:
+        stored = client.get_session(session.name)
+    # 40 scans, 0.1 m apart: 3.9 m, had one been stored twice or out of order it would be another distance.
+    assert (stored.committed_seq, stored.travelled_m) == (40, pytest.approx(3.9))
+
+
+def test_a_service_nobody_answers_for_is_reported_as_unreachable():
+    with Client.grpc("127.0.0.1:1", retry=RetryPolicy(attempts=2, base_s=0.001)) as client:
+        with pytest.raises(ApiError, match="UNREACHABLE"):
+            client.list_maps()
+        with pytest.raises(ApiError, match="UNREACHABLE"), client.stream("maps/m/sessions/s"):
+            pass
+    with Client("http://127.0.0.1:1", retry=RetryPolicy(attempts=1)) as client:
+        with pytest.raises(ApiError, match="UNREACHABLE"):
+            client.list_maps()
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("scans maps/m/")]
