@@ -71,6 +71,7 @@ def describe(
     field = field and dataclasses.replace(field, T_submap_map=T_submap_level)
     descriptor = clock("fusion", lambda: fuse(bev, micro, models.codebooks, fusion, models.version))  # Eq. 13-14
     signature = clock("signature", lambda: sign_place(surface, clusters, bev, models.codebooks, config.verification))
+    signature = dataclasses.replace(signature, T_level_submap=se3.inverse(T_submap_level))
     flags = ("degenerate_plane",) if is_plane(submap.points) else ()
     return DescribedPlace(descriptor, signature, field, surface, clusters, bev, flags, clock.seconds)
 

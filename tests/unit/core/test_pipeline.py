@@ -1,0 +1,110 @@
+"""The whole narrative on small analytic scenes: a place is found again, another one is not."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import pytest
+
+from core import se3
+from core.config import PipelineConfig
+from core.loop import RejectedLoop, VerifiedLoop
+from core.model_bundle import load_packaged_models
+from core.pipeline import Ablation, DescribedPlace, describe, verify
+from core.submap import Submap
+
+CONFIG = PipelineConfig()
+
+
+def town(shapes, seed: int):
+    """Boxes of random size along both sides of a street."""
+    rng = np.random.default_rng(seed)
+    blocks = [shapes["ground"]()]
+    for side in (-1, 1):
+        x = -45.0
+        while x < 45:
+            width, gap, depth = rng.uniform(4, 12), rng.uniform(1, 6), rng.uniform(3, 9)
+            near = side * rng.uniform(5, 12)
+            low, high = sorted((near, near + side * depth))
+            blocks.append(shapes["box"]((x, low, 0), (x + width, high, rng.uniform(2.5, 8))))
+            x += width + gap
+    return blocks
+
+
+@pytest.fixture
+def seen_from(make_drive, shapes):
+    """Describes town `seed` after the submap was turned by T_turned_submap: (place, turned submap)."""
+
+    @cache
+    def submap_of(seed: int) -> Submap:
+        return make_drive(lambda _: town(shapes, seed), scans=5)
+
+    def describe_turned(seed: int, T_turned_submap=None, **options) -> tuple[DescribedPlace, Submap]:
+        submap, turn = submap_of(seed), np.eye(4) if T_turned_submap is None else T_turned_submap
+        turned = dataclasses.replace(
+            submap,
+            points=se3.apply(turn, submap.points).astype(np.float32),
+            origins=se3.apply(turn, submap.origins).astype(np.float32),
+            T_odom_submap=submap.T_odom_submap @ se3.inverse(turn),
+        )
+        return describe(turned, load_packaged_models(), CONFIG, **options), turned
+
+    return describe_turned
+
+
+def test_a_turned_and_tilted_place_is_recognised_and_aligned(seen_from):
+    map_place, map_submap = seen_from(1)
+    turn = se3.from_yaw(2.4) @ se3.exp([0, 0, 0, 0.1, -0.15, 0])
+    query_place, query_submap = seen_from(1, turn)
+    similarity = query_place.descriptor.similarity(map_place.descriptor)
+    verdict = verify(query_place.signature, map_place.signature, similarity, CONFIG.verification)
+    assert isinstance(verdict, VerifiedLoop)
+    T_true = se3.inverse(map_submap.T_odom_submap) @ query_submap.T_odom_submap
+    error = se3.inverse(verdict.measurement.T_match_query) @ T_true
+    assert np.linalg.norm(error[:3, 3]) < 0.1
+    assert np.degrees(se3.rotation_angle(error)) < 0.5
+
+
+def test_another_street_is_less_similar_and_rejected(seen_from):
+    one, other, again = seen_from(1)[0], seen_from(2)[0], seen_from(1, se3.from_yaw(1.0))[0]
+    assert one.descriptor.similarity(other.descriptor) < one.descriptor.similarity(again.descriptor)
+    similarity = one.descriptor.similarity(other.descriptor)
+    assert isinstance(verify(one.signature, other.signature, similarity, CONFIG.verification), RejectedLoop)
+
+
+def test_the_same_submap_gives_the_same_bits(seen_from):
+    first, second = seen_from(3)[0], seen_from(3)[0]
+    assert first.descriptor.vector.tobytes() == second.descriptor.vector.tobytes()
+    assert first.signature.to_blob() == second.signature.to_blob()
+    assert first.neural_map.to_blob() == second.neural_map.to_blob()
+
+
+@pytest.mark.parametrize("ablation", list(Ablation))
+def test_every_ablation_still_gives_a_unit_descriptor(seen_from, ablation):
+    place, _ = seen_from(1, ablation=ablation)
+    assert np.linalg.norm(place.descriptor.vector) == pytest.approx(1.0, abs=1e-5)
+    assert (place.neural_map is None) == (ablation is Ablation.NO_IMPLICIT)
+
+
+def test_leaving_a_part_out_zeroes_its_share_of_the_descriptor(seen_from):
+    books = load_packaged_models().codebooks
+    size = len(books.macro_basis)
+    assert not seen_from(1, ablation=Ablation.BEV_ONLY)[0].descriptor.vector[size:].any()
+    assert not seen_from(1, ablation=Ablation.NORMALS_ONLY)[0].descriptor.vector[:size].any()
+    assert seen_from(1)[0].descriptor.vector[:size].any() and seen_from(1)[0].descriptor.vector[size:].any()
+
+
+def test_a_floor_without_walls_is_flagged_and_never_a_loop(make_drive, shapes):
+    floor = make_drive(lambda _: [shapes["ground"]()], scans=3)
+    place = describe(floor, load_packaged_models(), CONFIG)
+    assert place.flags == ("degenerate_plane",)
+    assert isinstance(verify(place.signature, place.signature, 1.0, CONFIG.verification), RejectedLoop)
+
+
+def test_the_neural_map_knows_the_frame_of_its_submap(seen_from):
+    turn = se3.exp([0, 0, 0, 0.2, 0, 0])
+    place, submap = seen_from(1, turn)
+    in_map = se3.apply(se3.inverse(place.neural_map.T_submap_map), submap.points[::50])
+    assert np.median(np.abs(place.neural_map.sdf(in_map.astype(np.float32))[0])) < 0.03
