@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
@@ -66,13 +65,17 @@ def run_demo(picture: Path = Path("out/demo.png"), *, seed: int = 1, console: Co
         f"across, among moving cars and people. Its odometry is {patrol.drift_m:.1f} m off at the end. An hour later, "
         f"other cars parked, a visitor drives {visitor.length_m:.0f} m against it."
     )
-    with tempfile.TemporaryDirectory(prefix="revisit-demo-") as home, running_service(Path(home), console) as addresses:
-        with Client.grpc(addresses.grpc) as robot, Client(addresses.http) as visiting:
-            robot.create_map(MAP, tau_m=STREAMED.tau, stride_m=STREAMED.stride, min_index_gap=targets.gap)
-            truth = stream_drive(robot, patrol, console)
-            truth |= post_drive(visiting, visitor, len(truth), console)
-            wait_for_descriptions(visiting, console)
-            found = accepted_loops(visiting)
+    with (
+        tempfile.TemporaryDirectory(prefix="revisit-demo-") as home,
+        running_service(Path(home), console) as addresses,
+        Client.grpc(addresses.grpc) as streaming,
+        Client(addresses.http) as posting,
+    ):
+        streaming.create_map(MAP, tau_m=STREAMED.tau, stride_m=STREAMED.stride, min_index_gap=targets.gap)
+        truth = stream_drive(streaming, patrol, console)
+        truth |= post_drive(posting, visitor, len(truth), console)
+        wait_for_descriptions(posting, console)
+        found = accepted_loops(posting)
     report = compare(truth, found, targets)
     show(report, console)
     draw(_figure(patrol, visitor, truth, report), picture)
@@ -139,18 +142,18 @@ def stream_drive(client: Client, drive: DemoDrive, console: Console) -> dict[str
 def post_drive(client: Client, drive: DemoDrive, first_order: int, console: Console) -> dict[str, TrueSubmap]:
     """Accumulate submaps on the robot and post them over REST; what is true of them, by name."""
     session = client.create_session(f"maps/{MAP}", drive.robot)
-    builder, windows, first = SubmapBuilder(STREAMED), {}, 0
+    builder = SubmapBuilder(STREAMED)
+    windows: dict[str, range] = {}
     with _progress(console) as progress:
         task = progress.add_task(f"{drive.robot} posts submaps (REST)", total=len(drive))
         for index, scan in enumerate(_odometry_scans(drive)):
             progress.advance(task)
             if (window := builder.add(scan)) is None:
                 continue
-            first = index + 1 - len(window)
             submap, submap_id = Submap.from_scans(window, STREAMED), f"v-{len(windows):03d}"
             stamp_ns = window[len(window) // 2].stamp_ns
             client.post_submap(session, submap_id, submap.points, submap.T_odom_submap, stamp_ns)
-            windows[f"{session.name}/submaps/{submap_id}"] = range(first, index + 1)
+            windows[f"{session.name}/submaps/{submap_id}"] = range(index + 1 - len(window), index + 1)
     return _truth(drive, windows, first_order)
 
 
@@ -191,18 +194,16 @@ def wait_for_descriptions(client: Client, console: Console) -> None:
 def accepted_loops(client: Client) -> list[FoundLoop]:
     """The loop closures of the demo's map that passed verification."""
     loops = client.loop_closures(f"maps/{MAP}", state="ACCEPTED")
-    return [
-        FoundLoop(loop.query, loop.match, loop.T_match_query) for loop in loops if loop.T_match_query is not None
-    ]
+    return [FoundLoop(loop.query, loop.match, loop.T_match_query) for loop in loops if loop.T_match_query is not None]
 
 
 def show(report: LoopReport, console: Console) -> None:
     """Print some loops with their errors, then the figures against their targets."""
-    table = Table(title=f"{len(report.loops)} accepted loop closures, {SHOWN_LOOPS} of them")
+    table = Table(title=f"{len(report.loops)} accepted loop closures, some of them")
     for heading in ("query", "match", "truly apart", "position error", "rotation error"):
         table.add_column(heading, justify="left" if heading in ("query", "match") else "right")
-    chosen = np.unique(np.linspace(0, len(report.loops) - 1, SHOWN_LOOPS).astype(int)) if report.loops else []
-    for judged in (report.loops[index] for index in chosen):
+    step = max(1, len(report.loops) // SHOWN_LOOPS)
+    for judged in report.loops[::step][:SHOWN_LOOPS]:
         table.add_row(
             _short(judged.loop.query), _short(judged.loop.match), f"{judged.distance_m:.1f} m",
             f"{judged.error_m:.2f} m", f"{judged.error_deg:.2f} deg",
