@@ -47,7 +47,10 @@ def main(arguments: list[str] | None = None) -> int:
         )
     from service.gateway import serve
 
-    return serve(settings)
+    try:
+        return serve(settings)
+    except OSError as error:
+        return _refuse(f"cannot serve on {settings.host}: {error}")
 
 
 def _parser() -> argparse.ArgumentParser:

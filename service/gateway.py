@@ -22,6 +22,9 @@ from service.worker.supervisor import WorkerSupervisor
 if TYPE_CHECKING:
     import grpc.aio
 
+SERVER_FAILED = 70
+"""Exit status where a server ended without being told to (EX_SOFTWARE)."""
+
 STORAGE_FAILED = 74
 """Exit status after an I/O error of the database (EX_IOERR): what was being committed is unknown until a restart."""
 
@@ -69,7 +72,11 @@ class _Gateway:
         serving = asyncio.create_task(http.serve(), name="http")
         supervisor.start()
         log.info("listening", host=self._settings.host, http_port=http_port, grpc_port=grpc_port, pid=os.getpid())
-        await asyncio.wait([asyncio.create_task(stop.wait()), serving], return_when=asyncio.FIRST_COMPLETED)
+        stopped = asyncio.create_task(stop.wait(), name="stop")
+        await asyncio.wait([stopped, serving], return_when=asyncio.FIRST_COMPLETED)
+        if not stopped.done():
+            log.error("http_server_ended")
+            self._status = SERVER_FAILED
         await self._drain(use_cases, http, serving, rpc, supervisor)
         await asyncio.to_thread(context.transactions.close)
         log.info("stopped", status=self._status)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
@@ -68,6 +68,10 @@ class MemoryRepository(Generic[R]):
     def find(self, tenant: TenantId, *, after: int = 0, limit: int | None = None, **equals: Scalar) -> list[R]:
         """See `ports.Repository`."""
         return [row for row in self._matching(tenant, equals) if row.number > after][:limit]
+
+    def numbered(self, tenant: TenantId, numbers: Sequence[int]) -> dict[int, R]:
+        """See `ports.Repository`."""
+        return {row.number: row for row in self._matching(tenant, {}) if row.number in set(numbers)}
 
     def count(self, tenant: TenantId, **equals: Scalar) -> int:
         """See `ports.Repository`."""

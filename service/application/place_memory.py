@@ -90,5 +90,6 @@ def _session_number(uow: UnitOfWork, tenant: TenantId, map_id: str, session_id: 
 
 def _places(uow: UnitOfWork, tenant: TenantId, matches: list[VectorMatch]) -> tuple[RecalledPlace, ...]:
     """The submaps behind the matches; one that was deleted a moment ago is left out."""
-    found = ((uow.submaps.find(tenant, number=match.submap_number), match.similarity) for match in matches)
-    return tuple(RecalledPlace(records[0], similarity) for records, similarity in found if records)
+    submaps = uow.submaps.numbered(tenant, [match.submap_number for match in matches])
+    present = (match for match in matches if match.submap_number in submaps)
+    return tuple(RecalledPlace(submaps[match.submap_number], match.similarity) for match in present)

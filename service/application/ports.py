@@ -66,6 +66,10 @@ class Repository(Protocol[R]):
         """Records whose fields equal `equals` and whose number is above `after`, by number, at most `limit`."""
         ...
 
+    def numbered(self, tenant: TenantId, numbers: Sequence[int]) -> dict[int, R]:
+        """The records of this tenant with these numbers (at most 1000), by number; missing ones are left out."""
+        ...
+
     def count(self, tenant: TenantId, **equals: str | int | None) -> int:
         """How many records `find` would give."""
         ...

@@ -131,6 +131,7 @@ class Searches:
         if operation.failure is not None:
             raise error_of(operation.failure.code, operation.failure.message)
         if operation.result is None:
+            self._context.admit()
             raise DeadlineExceeded(f"no worker answered within {timeout_s:g} s; see operation {job.operation_id}")
         return operation.result
 

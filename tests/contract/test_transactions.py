@@ -72,6 +72,13 @@ def test_find_filters_pages_and_keeps_the_tenant(write, read):
     assert read(lambda uow: uow.maps.get(OTHER, "a")) is None
 
 
+def test_records_are_found_by_their_numbers_within_the_tenant(write, read):
+    ours = write(lambda uow: uow.maps.add(a_map()))
+    theirs = write(lambda uow: uow.maps.add(a_map(tenant=OTHER)))
+    assert read(lambda uow: uow.maps.numbered(TENANT, [theirs.number, 999, ours.number])) == {ours.number: ours}
+    assert read(lambda uow: uow.maps.numbered(TENANT, [])) == {}
+
+
 def test_replace_changes_one_record_and_needs_it_to_exist(write, read):
     record = write(lambda uow: uow.maps.add(a_map()))
     write(lambda uow: uow.maps.replace(replace(record, model_version="m-1")))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any, Generic, TypeVar
 
 from sqlalchemy import ColumnElement, Connection, Row, Table, and_, delete, func, insert, or_, select, update
@@ -53,6 +54,12 @@ class SqlRepository(Generic[R]):
         query = select(self._table).where(self._matches(tenant, equals), number > after).order_by(number).limit(limit)
         return [self._of(row) for row in self._connection.execute(query)]
 
+    def numbered(self, tenant: TenantId, numbers: Sequence[int]) -> dict[int, R]:
+        """See `ports.Repository`."""
+        where = and_(self._table.c.number.in_(numbers), self._table.c.tenant == tenant)
+        rows = self._connection.execute(select(self._table).where(where))
+        return {row.number: self._of(row) for row in rows}
+
     def count(self, tenant: TenantId, **equals: Scalar) -> int:
         """See `ports.Repository`."""
         query = select(func.count()).select_from(self._table).where(self._matches(tenant, equals))
@@ -102,8 +109,9 @@ class SqlJobs(SqlRepository[JobRecord]):
         jobs = tables.jobs.c
         due = and_(jobs.state == "QUEUED", or_(jobs.lease_epoch != now.epoch, jobs.not_before_ms <= now.ms))
         lost = and_(self._lost(now), jobs.attempts < jobs.max_attempts)
-        row = self._connection.execute(select(tables.jobs).where(or_(due, lost)).order_by(jobs.number).limit(1)).first()
-        return None if row is None else self._of(row)
+        # One query per state: each walks the index of its state, whatever number of jobs have ended.
+        oldest = [job for job in (self._oldest(due), self._oldest(lost)) if job is not None]
+        return min(oldest, key=lambda job: job.number, default=None)
 
     def exhausted(self, now: Instant) -> list[JobRecord]:
         """See `ports.JobRepository`."""
@@ -115,6 +123,10 @@ class SqlJobs(SqlRepository[JobRecord]):
         """See `ports.JobRepository`."""
         query = select(tables.jobs).where(tables.jobs.c.state == "RUNNING", tables.jobs.c.lease_owner == owner)
         return [self._of(row) for row in self._connection.execute(query)]
+
+    def _oldest(self, where: ColumnElement[bool]) -> JobRecord | None:
+        row = self._connection.execute(select(tables.jobs).where(where).order_by(tables.jobs.c.number).limit(1)).first()
+        return None if row is None else self._of(row)
 
     def _lost(self, now: Instant) -> ColumnElement[bool]:
         jobs = tables.jobs.c
