@@ -1,0 +1,7 @@
+"""`python -m revisit.cli`."""
+
+from __future__ import annotations
+
+from revisit.cli import main
+
+main()

@@ -1,0 +1,190 @@
+"""Commands and their options; the work is in the modules beside this one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(
+    name="revisit",
+    help="Loop closure as a service for robot fleets.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+Http = Annotated[str, typer.Option(envvar="REVISIT_URL", help="URL of the service.")]
+Grpc = Annotated[str, typer.Option(envvar="REVISIT_GRPC", help="host:port of the service's gRPC side.")]
+Json = Annotated[bool, typer.Option("--json", help="Answer as JSON.")]
+MapName = Annotated[str, typer.Option("--map", help="Id of the map.")]
+
+HTTP = "http://127.0.0.1:8080"
+GRPC = "127.0.0.1:8090"
+
+
+def run() -> None:
+    """Run a command; what the service refuses is told in one line, with exit status 1."""
+    from core.errors import RevisitError
+    from revisit.errors import ApiError
+
+    try:
+        app()
+    except (ApiError, RevisitError, OSError, TimeoutError) as error:
+        typer.echo(f"revisit: {error}", err=True)
+        raise SystemExit(1) from error
+
+
+@app.command()
+def serve(
+    home: Annotated[Path | None, typer.Option(help="Directory of the database and the blobs.")] = None,
+    host: Annotated[str | None, typer.Option(help="Address to listen on.")] = None,
+    http_port: Annotated[int | None, typer.Option(help="REST port; 0 takes a free one.")] = None,
+    grpc_port: Annotated[int | None, typer.Option(help="gRPC port; 0 takes a free one.")] = None,
+    workers: Annotated[int | None, typer.Option(help="Worker processes.")] = None,
+) -> None:
+    """Run the service: REST, gRPC and workers; its log is JSON. Options stand above the REVISIT_* variables."""
+    from revisit.cli import running
+
+    running.run_service("serve", home=home, host=host, http_port=http_port, grpc_port=grpc_port, workers=workers)
+
+
+@app.command()
+def worker(
+    home: Annotated[Path | None, typer.Option(help="Directory of the database and the blobs.")] = None,
+) -> None:
+    """Run one more worker on this machine."""
+    from revisit.cli import running
+
+    running.run_service("worker", home=home)
+
+
+@app.command()
+def migrate(
+    home: Annotated[Path | None, typer.Option(help="Directory of the database and the blobs.")] = None,
+) -> None:
+    """Bring the database to the schema of this version."""
+    from revisit.cli import running
+
+    running.run_service("migrate", home=home)
+
+
+@app.command()
+def ingest(
+    folder: Annotated[Path, typer.Argument(exists=True, file_okay=False, help="A KITTI odometry folder.")],
+    map_id: MapName = "default",
+    session_id: Annotated[str, typer.Option("--session", help="Id of the session; the folder's name by default.")] = "",
+    grpc: Grpc = GRPC,
+    limit: Annotated[int | None, typer.Option(min=1, help="Send at most so many scans.")] = None,
+    wait: Annotated[bool, typer.Option(help="Wait until every submap is described.")] = True,
+    finish: Annotated[bool, typer.Option(help="Finish the session after the last scan.")] = True,
+    json: Json = False,
+) -> None:
+    """Stream a recording; run it again to resume. Reads velodyne/*.bin, poses.txt, calib.txt and times.txt."""
+    from revisit.cli import ingesting
+
+    ingesting.ingest(
+        folder, ingesting.Target(grpc, map_id, session_id or folder.resolve().name), limit, wait, finish, json
+    )
+
+
+@app.command()
+def query(
+    cloud: Annotated[
+        Path | None, typer.Argument(exists=True, dir_okay=False, help="A .bin, .pcd, .ply or .npy.")
+    ] = None,
+    map_id: MapName = "default",
+    submap: Annotated[str, typer.Option(help="Search by SESSION/SUBMAP instead of localising a cloud.")] = "",
+    k: Annotated[int, typer.Option(min=1, max=100, help="How many to compare or to show.")] = 10,
+    http: Http = HTTP,
+    json: Json = False,
+) -> None:
+    """Say where a cloud was taken, or which submaps look like a submap."""
+    from revisit.cli import asking
+
+    asking.query(http, map_id, cloud, submap, k, json)
+
+
+@app.command()
+def loops(
+    map_id: MapName = "default",
+    state: Annotated[str, typer.Option(help="ACCEPTED, REJECTED or ALL.")] = "ACCEPTED",
+    session_id: Annotated[str, typer.Option("--session", help="Only those found by this session.")] = "",
+    http: Http = HTTP,
+    json: Json = False,
+) -> None:
+    """List the loop closures of a map."""
+    from revisit.cli import asking
+
+    asking.loops(http, map_id, state.upper(), session_id, json)
+
+
+@app.command()
+def export(
+    map_id: MapName = "default",
+    file_format: Annotated[str, typer.Option("--format", help="g2o, tum or csv.")] = "g2o",
+    session_id: Annotated[str, typer.Option("--session", help="Only this session; tum needs one.")] = "",
+    out: Annotated[Path | None, typer.Option(help="File to write; stdout by default.")] = None,
+    http: Http = HTTP,
+    json: Json = False,
+) -> None:
+    """Write submap poses and accepted loops as a pose graph (g2o), a trajectory (tum) or a table of loops (csv)."""
+    from revisit.cli import exporting
+
+    exporting.export(http, exporting.Selection(map_id, session_id), file_format, out, json)
+
+
+@app.command()
+def demo(
+    picture: Annotated[Path, typer.Option(help="PNG to write.")] = Path("out/demo.png"),
+    seed: Annotated[int, typer.Option(help="Seed of the simulated town.")] = 1,
+    json: Annotated[bool, typer.Option("--json", help="Print the exit status as JSON at the end.")] = False,
+) -> None:
+    """Start a service, drive two simulated robots through a town, compare the loops with the truth."""
+    from revisit.cli.output import emit_json
+    from revisit.demo import run_demo
+
+    status = run_demo(picture, seed=seed)
+    if json:
+        emit_json({"targets_reached": status == 0, "picture": str(picture)})
+    raise typer.Exit(status)
+
+
+@app.command()
+def evaluate(
+    folder: Annotated[Path, typer.Argument(exists=True, file_okay=False, help="The recording.")],
+    file_format: Annotated[str, typer.Option("--format", help="kitti")] = "kitti",
+    json: Annotated[Path | None, typer.Option("--json", help="Write rows and summary to this file.")] = None,
+    tau: Annotated[float | None, typer.Option(help="Metres per submap.")] = None,
+    stride: Annotated[float | None, typer.Option(help="Metres between submap starts.")] = None,
+    min_index_gap: Annotated[int | None, typer.Option(help="Nearer submaps are no loop.")] = None,
+    positive_radius: Annotated[
+        float | None, typer.Option(help="Submaps nearer than this are the same place, m.")
+    ] = None,
+    rotate_seed: Annotated[int | None, typer.Option(help="Turn every submap by a random yaw of this seed.")] = None,
+    keep_beams: Annotated[int | None, typer.Option(help="Keep so many of 64 beams.")] = None,
+    keep_points: Annotated[float, typer.Option(help="Keep this share of the points.")] = 1.0,
+    ablation: Annotated[str, typer.Option(help="none, no-implicit, bev-only or normals-only.")] = "none",
+    jobs: Annotated[int | None, typer.Option(min=1, help="Processes.")] = None,
+) -> None:
+    """Score place recognition on a recording with poses, as the paper does."""
+    from revisit.cli import evaluating
+
+    options = evaluating.options(
+        tau, stride, min_index_gap, positive_radius, rotate_seed, keep_beams, keep_points, ablation, jobs
+    )
+    evaluating.evaluate_folder(folder, file_format, options, json)
+
+
+@app.command()
+def doctor(
+    home: Annotated[Path | None, typer.Option(help="Directory of the database and the blobs.")] = None,
+    http: Http = HTTP,
+    grpc: Grpc = GRPC,
+    json: Json = False,
+) -> None:
+    """Check versions, the models, the database and whether the service answers."""
+    from revisit.cli import examining
+
+    examining.doctor(home, http, grpc, json)

@@ -1,0 +1,123 @@
+"""export: submap poses and accepted loops in files that other tools read."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from core import se3
+from core.se3 import Matrix4
+from revisit.cli.output import emit_json, refuse, say
+from revisit.client import Client
+from revisit.resources import LoopClosure, Submap
+
+ODOMETRY_INFORMATION = np.diag([100.0, 100.0, 100.0, 1000.0, 1000.0, 1000.0])
+"""Assumed, as odometry comes without covariance: 0.1 m and 1.8 degrees between two submaps."""
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What to export: a map, or one session of it."""
+
+    map_id: str
+    session_id: str
+
+
+@dataclass(frozen=True)
+class Graph:
+    """Submaps by session in their order, and the accepted loops between them."""
+
+    tracks: list[list[Submap]]
+    loops: list[LoopClosure]
+
+
+def export(http: str, selection: Selection, file_format: str, out: Path | None, as_json: bool) -> None:
+    """Write the selection as `file_format`, to stdout or a file."""
+    writers: dict[str, Callable[[Graph], str]] = {"g2o": as_g2o, "tum": as_tum, "csv": as_csv}
+    if file_format not in writers:
+        raise refuse("--format is g2o, tum or csv")
+    if file_format == "tum" and not selection.session_id:
+        raise refuse("a tum file holds one trajectory: give --session")
+    graph = _read(http, selection)
+    text = writers[file_format](graph)
+    if out is None:
+        say(text.rstrip("\n"))
+        return
+    out.write_text(text)
+    summary = {"file": str(out), "submaps": sum(map(len, graph.tracks)), "loops": len(graph.loops)}
+    if as_json:
+        emit_json(summary)
+    else:
+        say(f"{out}: {summary['submaps']} submaps, {summary['loops']} loops")
+
+
+def as_g2o(graph: Graph) -> str:
+    """SE(3) vertices of all submaps, odometry edges within sessions, loop edges. Sessions keep their own frames."""
+    number = {submap.name: index for index, submap in enumerate(s for track in graph.tracks for s in track)}
+    lines = [f"VERTEX_SE3:QUAT {number[s.name]} {_numbers(s.T_odom_submap)}" for track in graph.tracks for s in track]
+    for track in graph.tracks:
+        for first, second in pairwise(track):
+            T_first_second = se3.inverse(first.T_odom_submap) @ second.T_odom_submap
+            lines.append(_edge(number[first.name], number[second.name], T_first_second, ODOMETRY_INFORMATION))
+    for loop in graph.loops:
+        if loop.T_match_query is not None and {loop.match, loop.query} <= number.keys():
+            lines.append(_edge(number[loop.match], number[loop.query], loop.T_match_query, _information(loop)))
+    return "\n".join(lines) + "\n"
+
+
+def as_tum(graph: Graph) -> str:
+    """`stamp x y z qx qy qz qw`, stamp in seconds."""
+    lines = [
+        f"{submap.stamp_ns // 10**9}.{submap.stamp_ns % 10**9:09d} {_numbers(submap.T_odom_submap)}"
+        for track in graph.tracks
+        for submap in track
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def as_csv(graph: Graph) -> str:
+    """One row a loop: query, match, similarity, score and T_match_query."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(["query", "match", "similarity", "score", "x", "y", "z", "qx", "qy", "qz", "qw"])
+    for loop in graph.loops:
+        pose = [] if loop.T_match_query is None else _numbers(loop.T_match_query).split()
+        writer.writerow([loop.query, loop.match, loop.similarity, loop.score, *pose])
+    return buffer.getvalue()
+
+
+def _read(http: str, selection: Selection) -> Graph:
+    map_name = f"maps/{selection.map_id}"
+    with Client(http) as client:
+        if selection.session_id:
+            names = [f"{map_name}/sessions/{selection.session_id}"]
+        else:
+            names = [session.name for session in client.list_sessions(map_name)]
+        tracks = [client.list_submaps(name) for name in names]
+        loops = client.loop_closures(map_name, state="ACCEPTED")
+    chosen = {submap.name for track in tracks for submap in track}
+    return Graph(tracks, [loop for loop in loops if {loop.query, loop.match} <= chosen])
+
+
+def _edge(first: int, second: int, T_first_second: Matrix4, information: np.ndarray) -> str:
+    upper = " ".join(f"{value:.9g}" for value in information[np.triu_indices(6)])
+    return f"EDGE_SE3:QUAT {first} {second} {_numbers(T_first_second)} {upper}"
+
+
+def _information(loop: LoopClosure) -> np.ndarray:
+    """The inverse of the loop's covariance (x, y, z, rx, ry, rz) where it came with one, else as for odometry."""
+    covariance = np.asarray(loop.evidence.get("covariance", []), dtype=np.float64)
+    if covariance.size != 36 or not np.isfinite(covariance).all():
+        return ODOMETRY_INFORMATION
+    return np.linalg.pinv(covariance.reshape(6, 6), hermitian=True)
+
+
+def _numbers(transform: Matrix4) -> str:
+    values = [*transform[:3, 3], *se3.to_quaternion(transform)]
+    return " ".join(f"{value:.9f}" for value in values)

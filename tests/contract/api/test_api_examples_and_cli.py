@@ -1,0 +1,124 @@
+"""The examples of the documentation and the commands a person types, against a running service."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from evaluation.datasets import write_kitti
+from revisit.cli.app import app
+from tests.support.service_world import cloud_points, pose
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def run_example(name, address):
+    command = [sys.executable, ROOT / "docs" / "examples" / name, address]
+    result = subprocess.run(
+        command, capture_output=True, text=True, timeout=60, check=False, env={"PYTHONPATH": str(ROOT)}
+    )
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
+def invoke(*arguments, status=0):
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    assert result.exit_code == status, result.output
+    return result.stdout
+
+
+def test_the_rest_example_finds_the_place_again(service):
+    output = run_example("rest_client.py", service.http)
+    assert "maps/rest-example/sessions/monday/submaps/start DONE" in output
+    assert "maps/rest-example/sessions/monday/submaps/start looks like it: 1.00" in output
+
+
+def test_the_grpc_example_streams_a_drive_into_submaps(service):
+    output = run_example("grpc_client.py", service.grpc)
+    # 24 m of travel in windows of 10 m every 5 m: 0-10, 5-15, 10-20, and the rest when finished.
+    assert output.count("maps/grpc-example/sessions/monday/submaps/") == 4
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    """30 scans 1 m apart: 0 to 14 m, and back at the start for the other half."""
+    folder = tmp_path_factory.mktemp("recordings") / "short"
+    scans = ((cloud_points(number % 15, 500), pose(float(number)), number * 10**8) for number in range(30))
+    assert write_kitti(folder, scans) == 30
+    return folder
+
+
+def test_a_recording_is_ingested_in_two_goes_and_not_a_third_time(recording, service):
+    where = ("--map", "cli", "--grpc", service.grpc, "--json")
+    first = json.loads(invoke("ingest", recording, *where, "--limit", 12, "--no-finish"))
+    assert (first["scans_sent"], first["scans_stored"], first["scans_refused"]) == (12, 12, 0)
+    second = json.loads(invoke("ingest", recording, *where))
+    assert (second["scans_sent"], second["scans_stored"]) == (18, 30)
+    assert second["described"] == second["submaps"] >= 4
+    third = json.loads(invoke("ingest", recording, *where))
+    assert (third["scans_sent"], third["submaps"]) == (0, second["submaps"])
+
+
+def test_loops_query_and_export_answer_for_an_ingested_recording(recording, service, tmp_path):
+    at = ("--http", service.http, "--map", "asked")
+    invoke("ingest", recording, "--map", "asked", "--grpc", service.grpc, "--json")
+    found = json.loads(invoke("loops", *at, "--state", "all", "--json"))
+    assert all(loop["query"].startswith("maps/asked/sessions/short/submaps/") for loop in found)
+    assert "loop closures" in invoke("loops", *at)
+
+    cloud = tmp_path / "cloud.npy"
+    np.save(cloud, cloud_points(3, 500))
+    assert json.loads(invoke("query", cloud, *at, "--json"))["candidates"]
+    submap = json.loads(invoke("query", "--submap", "short/scans-1-11", *at, "--k", 2, "--json"))
+    assert len(submap) == 2
+
+    lines = invoke("export", *at).splitlines()
+    vertices = [line for line in lines if line.startswith("VERTEX_SE3:QUAT ")]
+    edges = [line for line in lines if line.startswith("EDGE_SE3:QUAT ")]
+    assert len(edges) >= len(vertices) - 1 >= 3
+    assert {len(line.split()) for line in vertices} == {9}
+    assert {len(line.split()) for line in edges} == {31}
+    trajectory = invoke("export", *at, "--format", "tum", "--session", "short").splitlines()
+    assert len(trajectory) == len(vertices)
+    assert {len(line.split()) for line in trajectory} == {8}
+    assert invoke("export", *at, "--format", "csv").startswith("query,match,similarity,score,x,y,z,qx,qy,qz,qw\n")
+    invoke("export", *at, "--format", "tum", status=1)
+
+
+def test_the_doctor_reports_each_part(service, tmp_path):
+    arguments = ("doctor", "--home", tmp_path, "--http", service.http, "--grpc", service.grpc, "--json")
+    findings = {finding["check"]: finding for finding in json.loads(invoke(*arguments))}
+    assert findings["REST"]["ok"] is True
+    assert findings["gRPC"]["ok"] is True
+    assert findings["models"]["detail"]
+    assert findings["database"]["ok"] is None
+    (tmp_path / "revisit.db").write_bytes(b"no database at all" * 100)
+    findings = {f["check"]: f for f in json.loads(invoke(*arguments, status=1))}
+    assert findings["database"]["ok"] is False
+
+
+def test_a_command_that_cannot_reach_the_service_says_so_in_one_line():
+    command = [sys.executable, "-m", "revisit.cli", "loops", "--http", "http://127.0.0.1:1"]
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60, check=False)
+    assert result.returncode == 1
+    assert result.stderr.startswith("revisit: UNREACHABLE")
+    assert len(result.stderr.splitlines()) == 1
+
+
+def test_help_does_not_load_the_libraries_of_the_method():
+    script = (
+        "import sys; from typer.testing import CliRunner; from revisit.cli.app import app\n"
+        "assert CliRunner().invoke(app, ['--help']).exit_code == 0\n"
+        "print([m for m in ('torch', 'numpy', 'grpc', 'fastapi', 'faiss', 'cv2') if m in sys.modules])"
+    )
+    started = time.monotonic()
+    result = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "[]"
+    assert time.monotonic() - started < 20.0
