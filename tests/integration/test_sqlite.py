@@ -15,7 +15,7 @@ from sqlalchemy.exc import OperationalError
 from service.adapters.sql import tables
 from service.adapters.sql.migration import current_revision, migrate
 from service.adapters.sql.unit_of_work import SqlTransactions, reader_engine, writer_engine
-from service.application.errors import StorageUncertain
+from service.application.errors import StorageFull, StorageUncertain
 from tests.contract.test_transactions import fill
 from tests.support.records import TENANT, a_map, a_session
 
@@ -143,8 +143,6 @@ def test_a_writer_that_does_not_get_its_turn_says_so_and_stores_nothing(database
 
 
 def test_a_full_database_refuses_and_takes_writes_again_when_there_is_room(database):
-    from service.application.errors import StorageFull
-
     store = SqlTransactions(database, checkpoints=True)
 
     def limit_pages(uow, pages):
@@ -161,4 +159,17 @@ def test_a_full_database_refuses_and_takes_writes_again_when_there_is_room(datab
     store.write(lambda uow: limit_pages(uow, 100_000)).result()
     store.write(add_many).result()
     assert store.read(lambda uow: uow.maps.count(TENANT)).result() == 400
+    store.close()
+
+
+def test_an_input_output_error_is_uncertain_and_calls_for_a_restart(database):
+    called = []
+    store = SqlTransactions(database, checkpoints=True, on_uncertain=lambda: called.append(True))
+
+    def breaks(uow):
+        raise OperationalError("COMMIT", {}, sqlite3.OperationalError("disk I/O error"))
+
+    with pytest.raises(StorageUncertain, match="disk I/O error"):
+        store.write(breaks).result()
+    assert called == [True]
     store.close()

@@ -1,0 +1,91 @@
+"""The contract of PlaceRecogniser: the method of core, and the fake that other tests use in its place."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from core import se3
+from core.config import PipelineConfig
+from core.errors import DataLoss
+from core.scan import Scan
+from core.submap import Submap
+from service.adapters.core_recogniser import load_recogniser
+from tests.support.fake_recogniser import FakeRecogniser
+
+CONFIG = PipelineConfig()
+TILTED = se3.exp([3.0, -2.0, 0.5, 0.08, -0.05, 0.6])
+
+
+def street(seed: int) -> np.ndarray:
+    """Points (n, 3) of flat ground at z = -1.7 m and twelve walls, seen from the origin."""
+    rng = np.random.default_rng(seed)
+    ground = np.column_stack([rng.uniform(-40.0, 40.0, (12_000, 2)), rng.normal(-1.7, 0.02, 12_000)])
+    walls = []
+    for _ in range(12):
+        centre, angle = rng.uniform(-35.0, 35.0, 2), rng.uniform(0.0, np.pi)
+        along, height = rng.uniform(-6.0, 6.0, 1_200), rng.uniform(-1.7, 4.0, 1_200)
+        walls.append(np.column_stack([centre[0] + along * np.cos(angle), centre[1] + along * np.sin(angle), height]))
+    return np.concatenate([ground, *walls])
+
+
+def seen_from(T_world_sensor: np.ndarray, seed: int) -> Submap:
+    points = se3.apply(se3.inverse(T_world_sensor), street(seed)).astype(np.float32)
+    return Submap.from_cloud(Scan.validated(points, T_world_sensor, 0))
+
+
+@pytest.fixture(scope="module", params=["fake", "core"])
+def recogniser(request):
+    return FakeRecogniser() if request.param == "fake" else load_recogniser()
+
+
+@pytest.fixture(scope="module")
+def described(recogniser):
+    return recogniser.describe(seen_from(TILTED, 1), CONFIG)
+
+
+def test_a_description_is_complete(recogniser, described):
+    assert recogniser.model_version
+    assert described.descriptor.dtype == np.float32 and described.descriptor.ndim == 1
+    assert np.linalg.norm(described.descriptor) == pytest.approx(1.0, abs=1e-5)
+    assert described.signature and described.neural_map
+    assert len(described.mesh.normals) == len(described.mesh.vertices) > 0
+    assert 0 <= described.mesh.faces.min() <= described.mesh.faces.max() < len(described.mesh.vertices)
+
+
+def test_the_same_submap_is_described_alike_again(recogniser, described):
+    again = recogniser.describe(seen_from(TILTED, 1), CONFIG)
+    np.testing.assert_array_equal(again.descriptor, described.descriptor)
+    assert again.signature == described.signature
+
+
+def test_a_place_matches_itself_and_the_evidence_is_json(recogniser, described):
+    verdict = recogniser.verify(described.signature, described.signature, 1.0, CONFIG)
+    assert verdict.accepted and verdict.reason is None and 0.9 < verdict.score <= 1.0 + 1e-6
+    assert json.loads(json.dumps(verdict.evidence, allow_nan=False)) == verdict.evidence
+
+
+def test_another_place_is_rejected_with_a_reason(recogniser, described):
+    other = recogniser.describe(seen_from(np.eye(4), 2), CONFIG)
+    verdict = recogniser.verify(described.signature, other.signature, 0.1, CONFIG)
+    assert not verdict.accepted and verdict.reason
+    json.dumps(verdict.evidence, allow_nan=False)
+
+
+def test_the_mesh_of_the_method_lies_in_the_frame_of_the_submap():
+    mesh = load_recogniser().describe(seen_from(TILTED, 1), CONFIG).mesh
+    height = se3.apply(TILTED, mesh.vertices)[:, 2]
+    ground = np.abs(height + 1.7) < 0.3
+    # Most of the street is ground at -1.7 m of the world. In the levelled frame, taken for the submap's, the sensor's
+    # tilt of 5 degrees would leave a tenth of the vertices there.
+    assert ground.mean() > 0.7
+    up = (mesh.normals[ground] @ TILTED[:3, :3].T).mean(axis=0)
+    assert up[2] / np.linalg.norm(up) > 0.99
+
+
+def test_a_damaged_signature_is_data_loss(described):
+    recogniser = load_recogniser()
+    with pytest.raises(DataLoss):
+        recogniser.verify(described.signature[:-5], described.signature, 1.0, CONFIG)
