@@ -46,9 +46,10 @@ class Registration:
     common: int
 
 
-def correspond(query: PlaceSignature, match: PlaceSignature) -> tuple[NDArray[np.int64], Array64]:
+def correspond(query: PlaceSignature, match: PlaceSignature, limit: int) -> tuple[NDArray[np.int64], Array64]:
     """Pairs of keypoints (p, 2) whose patches are most alike, seen from either side, and the yaw (p,) each implies.
 
+    At most `limit`, most alike first.
     A patch may look alike directly or turned by 180 degrees; the better of both decides about the yaw.
     """
     if len(query.keypoints) == 0 or len(match.keypoints) == 0:
@@ -59,6 +60,7 @@ def correspond(query: PlaceSignature, match: PlaceSignature) -> tuple[NDArray[np
     forward = np.stack([np.arange(len(likeness)), likeness.argmax(axis=1)], axis=1)
     backward = np.stack([likeness.argmax(axis=0), np.arange(likeness.shape[1])], axis=1)
     pairs = np.unique(np.concatenate([forward, backward]), axis=0)
+    pairs = pairs[np.argsort(-likeness[pairs[:, 0], pairs[:, 1]], kind="stable")][:limit]
     yaw = match.orientations[pairs[:, 1]].astype(np.float64) - query.orientations[pairs[:, 0]]
     return pairs, yaw + np.pi * (turned > direct)[pairs[:, 0], pairs[:, 1]]
 
@@ -69,7 +71,7 @@ def fit_plane_motion(query: PlaceSignature, match: PlaceSignature, config: Verif
     Every two correspondences of compatible distance and yaw are tried, so nothing is random; the best pose is then
     refined by least squares on its inliers.
     """
-    pairs, yaws = correspond(query, match)
+    pairs, yaws = correspond(query, match, config.correspondences)
     source = query.keypoints[pairs[:, 0]].astype(np.float64)
     target = match.keypoints[pairs[:, 1]].astype(np.float64)
     best = _best_two_point_pose(source, target, yaws, config.keypoint_tolerance, np.radians(config.yaw_tolerance))
@@ -194,8 +196,9 @@ def _best_two_point_pose(
             for k in range(count):
                 dx = c * source[k, 0] - s * source[k, 1] + x - target[k, 0]
                 dy = s * source[k, 0] + c * source[k, 1] + y - target[k, 1]
-                turn = abs((yaws[k] - yaw + np.pi) % (2 * np.pi) - np.pi)
-                if dx * dx + dy * dy < tolerance * tolerance and turn < yaw_tolerance:
+                if dx * dx + dy * dy > tolerance * tolerance:
+                    continue
+                if abs((yaws[k] - yaw + np.pi) % (2 * np.pi) - np.pi) < yaw_tolerance:
                     agree += 1.0
             if agree > best[3]:
                 best[0], best[1], best[2], best[3] = yaw, x, y, agree

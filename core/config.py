@@ -53,7 +53,9 @@ class ImplicitMapConfig:
     batch: int = parameter(16384, "samples", "PIN-SLAM", "samples a gradient step")
     learning_rate: float = parameter(0.01, "1", "PIN-SLAM", "Adam step size")
     update_decoder: bool = parameter(False, "", "paper III-B 5", "also adapt the decoder while fitting")
-    dynamic_distance: float = parameter(0.3, "m", "paper Eq. 6, gamma_d", "a dynamic point lies farther from the surface")
+    dynamic_distance: float = parameter(
+        0.3, "m", "paper Eq. 6, gamma_d", "a dynamic point lies farther from the surface"
+    )
     dynamic_stability: int = parameter(
         2, "scans", "paper Eq. 6, gamma_mu", "scans that must have seen free space where a dynamic point was"
     )
@@ -86,8 +88,12 @@ class BevConfig:
     """Cluster-guided BEV image and its features (paper III-D, III-E)."""
 
     half_range: float = parameter(50.0, "m", "method notes", "the image covers +- this distance from the submap centre")
-    cluster_distance: float = parameter(0.6, "m", "paper Eq. 7, delta_c", "voxels this near a dominant cluster are projected")
-    min_support: float = parameter(0.5, "1", "own", "share of the standing voxels below which all of them are projected")
+    cluster_distance: float = parameter(
+        0.6, "m", "paper Eq. 7, delta_c", "voxels this near a dominant cluster are projected"
+    )
+    min_support: float = parameter(
+        0.5, "1", "own", "share of the standing voxels below which all of them are projected"
+    )
     normalisation: str = parameter("log", "log, linear or binary", "paper Eq. 9, eta", "evidence to image intensity")
     saturation_quantile: float = parameter(0.95, "1", "own", "occupied pixels above this quantile are white")
     scales: int = parameter(4, "1", "BVMatch", "scales of the log-Gabor filters")
@@ -96,7 +102,9 @@ class BevConfig:
     scale_factor: float = parameter(1.6, "1", "BVMatch", "ratio of the wavelengths of two scales")
     bandwidth: float = parameter(0.75, "1", "BVMatch", "sigma over centre frequency of the radial part")
     filter_margin: int = parameter(32, "px", "own", "empty border against wrap-around of the filters")
-    keypoint_source: str = parameter("image", "image or mim", "BVMatch; paper III-D: mim", "where FAST looks for corners")
+    keypoint_source: str = parameter(
+        "image", "image or mim", "BVMatch; paper III-D: mim", "where FAST looks for corners"
+    )
     fast_threshold: int = parameter(10, "grey levels", "method notes", "contrast of a FAST corner")
     max_keypoints: int = parameter(200, "keypoints", "method notes", "the strongest corners are kept")
     min_keypoints: int = parameter(40, "keypoints", "own", "filled up with amplitude maxima where corners are fewer")
@@ -111,12 +119,16 @@ class BevConfig:
 class MicroConfig:
     """Cluster normal statistics and saliency (paper III-C, III-E)."""
 
-    evaluation: str = parameter("keypoint", "keypoint or cluster", "paper Fig. 2b; III-C: cluster", "where psi is evaluated")
+    evaluation: str = parameter(
+        "keypoint", "keypoint or cluster", "paper Fig. 2b; III-C: cluster", "where psi is evaluated"
+    )
     radius: float = parameter(8.0, "m", "own", "column around a keypoint over which psi is evaluated")
     distance_bins: int = parameter(3, "1", "own; paper III-C: 1", "classes of pairs of regions by horizontal distance")
     height_bins: int = parameter(1, "1", "own; paper III-C: 1", "classes of pairs of regions by height difference")
     pairs_per_keypoint: int = parameter(60, "pairs", "paper III-C, n_m", "random pairs for each keypoint of a cluster")
-    epsilon: float = parameter(0.5, "keypoints", "paper Eq. 12", "keeps the weight of clusters without keypoints positive")
+    epsilon: float = parameter(
+        0.5, "keypoints", "paper Eq. 12", "keeps the weight of clusters without keypoints positive"
+    )
 
 
 @dataclass(frozen=True)
@@ -151,6 +163,7 @@ class VerificationConfig:
     ground_points: int = parameter(800, "points", "own", "most ground points in a signature")
     min_standing: int = parameter(100, "points", "own", "a place with fewer points off the ground is degenerate")
     min_spread: float = parameter(0.5, "m", "own", "smallest horizontal standard deviation of a place that is no line")
+    correspondences: int = parameter(160, "pairs", "own", "most similar pairs of keypoints that vote for a pose")
     keypoint_tolerance: float = parameter(1.2, "m", "own", "correspondences nearer than this agree with a pose")
     yaw_tolerance: float = parameter(25.0, "deg", "own", "largest error of the yaw that a correspondence implies")
     sure_inliers: int = parameter(25, "keypoints", "own", "below, poses by phase correlation are tried too")
@@ -163,6 +176,7 @@ class VerificationConfig:
     neighbour_distance: float = parameter(1.0, "m", "own", "a surface point has its counterpart within this distance")
     surface_distance: float = parameter(0.25, "m", "own", "and lies this near to its tangent plane")
     min_common: int = parameter(60, "points", "own", "standing points of each place in the region both have seen")
+    min_common_share: float = parameter(0.35, "1", "own", "of the smaller place must stand in that region")
     max_tilt: float = parameter(15.0, "deg", "own", "largest tilt between two gravity-aligned submaps")
     min_overlap: float = parameter(0.3, "1", "own", "smallest share of common surface")
     min_observability: float = parameter(0.002, "1", "own", "smallest eigenvalue share of the ICP information")

@@ -22,7 +22,6 @@ class RejectionReason(StrEnum):
     """Why a candidate is not a loop."""
 
     DEGENERATE_PLACE = "DEGENERATE_PLACE"
-    TOO_FEW_INLIERS = "TOO_FEW_INLIERS"
     NO_COMMON_REGION = "NO_COMMON_REGION"
     DEGENERATE_ALIGNMENT = "DEGENERATE_ALIGNMENT"
     IMPLAUSIBLE_TILT = "IMPLAUSIBLE_TILT"
@@ -79,12 +78,13 @@ def verify(
         return RejectedLoop(RejectionReason.DEGENERATE_PLACE)
     fit = fit_plane_motion(query, match, config)
     starts = [fit] if fit.inliers >= config.sure_inliers else [fit, *correlate_images(query, match, config)]
+    enough = max(config.min_common, config.min_common_share * min(query.standing, match.standing))
     best = max(
         (register(lift(start, query, match), query, match, config) for start in starts[: config.starts]),
-        key=lambda registration: registration.overlap * min(1.0, registration.common / config.min_common),
+        key=lambda registration: registration.overlap * min(1.0, registration.common / enough),
     )
     measurement = _unlevelled(_measure(fit, best, similarity, config), query, match)
-    reason = _rejection(measurement, best, config)
+    reason = _rejection(measurement, best, enough, config)
     return VerifiedLoop(measurement) if reason is None else RejectedLoop(reason, measurement)
 
 
@@ -97,21 +97,22 @@ def is_degenerate(place: PlaceSignature, config: VerificationConfig) -> bool:
     return bool(spread[0] < config.min_spread)
 
 
-def loop_score(inliers: int, inlier_ratio: float, overlap: float, rmse_m: float, similarity: float) -> float:
+def loop_score(inliers: int, overlap: float, rmse_m: float) -> float:
     """Evidence to 0..1 by logistic regression on real submaps (docs/explanation/recognition-tuning.md)."""
-    features = (1.0, np.log1p(inliers), inlier_ratio, overlap, rmse_m, similarity)
+    features = (1.0, np.log1p(inliers), overlap, max(rmse_m, _SHARPEST_RMSE_M))
     logit = float(np.dot(_SCORE_WEIGHTS, features))
     return float(1.0 / (1.0 + np.exp(-np.clip(logit, -30.0, 30.0))))
 
 
-_SCORE_WEIGHTS = (-9.0, 1.0, 0.0, 12.0, 0.0, 0.0)
+_SCORE_WEIGHTS = (7.8, 0.07, 25.2, -185.0)
+_SHARPEST_RMSE_M = 0.09  # cleaner surfaces, such as simulated ones, are no better evidence
 
 
 def _measure(
     fit: PlanarFit, registration: Registration, similarity: float, config: VerificationConfig
 ) -> LoopMeasurement:
     ratio = fit.inliers / max(fit.correspondences, 1)
-    score = loop_score(fit.inliers, ratio, registration.overlap, registration.rmse_m, similarity)
+    score = loop_score(fit.inliers, registration.overlap, registration.rmse_m)
     # neighbouring residuals are not independent, so the information counts one point in `correlated_points`
     variance = max(registration.rmse_m, config.min_sigma) ** 2 * config.correlated_points
     covariance = variance * np.linalg.inv(registration.information + 1e-6 * np.eye(6))
@@ -133,10 +134,10 @@ def _unlevelled(measurement: LoopMeasurement, query: PlaceSignature, match: Plac
 
 
 def _rejection(
-    measurement: LoopMeasurement, registration: Registration, config: VerificationConfig
+    measurement: LoopMeasurement, registration: Registration, enough: float, config: VerificationConfig
 ) -> RejectionReason | None:
     tilt = float(np.arccos(np.clip(registration.T_match_query[2, 2], -1.0, 1.0)))
-    if registration.common < config.min_common:
+    if registration.common < enough:
         return RejectionReason.NO_COMMON_REGION
     if observability(registration.information, config.lever) < config.min_observability:
         return RejectionReason.DEGENERATE_ALIGNMENT

@@ -1,0 +1,124 @@
+"""What every PlaceIndex promises, checked on each implementation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from core.errors import BadField
+from core.index import ExactIndex, FaissIndex, IndexEntry, PlaceIndex, SearchFilter
+
+DIMENSION = 16
+
+
+@pytest.fixture(params=[ExactIndex, FaissIndex], ids=["exact", "faiss"])
+def index(request: pytest.FixtureRequest) -> PlaceIndex:
+    built: PlaceIndex = request.param(DIMENSION)
+    return built
+
+
+def entry(identifier: int, session: int = 0, ordinal: int = 0, x: float = 0.0) -> IndexEntry:
+    """A place on the x axis."""
+    return IndexEntry(identifier, session, ordinal, np.array([x, 0.0, 0.0]))
+
+
+def random_vectors(count: int, seed: int = 0) -> NDArray[np.float32]:
+    """Directions drawn evenly."""
+    return np.random.default_rng(seed).normal(size=(count, DIMENSION)).astype(np.float32)
+
+
+def brute_force(vectors: NDArray[np.float32], query: NDArray[np.float32], rows: NDArray[np.int64], k: int) -> list[int]:
+    """Ids (= rows) by falling cosine."""
+    unit = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    order = rows[np.argsort(-(unit[rows] @ query), kind="stable")]
+    return [int(row) for row in order[:k]]
+
+
+def test_the_most_similar_places_come_first(index: PlaceIndex) -> None:
+    vectors = random_vectors(300)
+    index.add([entry(i) for i in range(300)], vectors)
+    for query in random_vectors(20, seed=1):
+        assert [match.id for match in index.search(query, 10)] == brute_force(vectors, query, np.arange(300), 10)
+
+
+def test_nothing_is_missed_under_a_filter_that_keeps_one_place_in_a_thousand(index: PlaceIndex) -> None:
+    vectors = random_vectors(2000)
+    index.add([entry(i, session=i % 1000) for i in range(2000)], vectors)
+    rows = np.flatnonzero(np.arange(2000) % 1000 == 7)
+    query = random_vectors(1, seed=2)[0]
+    found = [match.id for match in index.search(query, 5, SearchFilter(only_session=7))]
+    assert found == brute_force(vectors, query, rows, 5)
+
+
+@pytest.mark.parametrize(
+    ("only", "expected"),
+    [
+        (SearchFilter(exclude_session=0), {3}),
+        (SearchFilter(only_session=0), {0, 1, 2}),
+        (SearchFilter(near=(0, 2, 2)), {0, 3}),
+        (SearchFilter(position=np.array([10.0, 0, 0]), radius_m=10.0), {0, 1, 2}),
+        (SearchFilter(allowed=frozenset({1, 3, 99})), {1, 3}),
+        (SearchFilter(only_session=0, allowed=frozenset({3})), set()),
+    ],
+)
+def test_a_filter_keeps_exactly_what_it_says(index: PlaceIndex, only: SearchFilter, expected: set[int]) -> None:
+    entries = [entry(0, 0, 0, 0), entry(1, 0, 1, 10), entry(2, 0, 2, 20), entry(3, 1, 2, 30)]
+    index.add(entries, random_vectors(4))
+    assert {match.id for match in index.search(random_vectors(1)[0], 10, only)} == expected
+
+
+def test_equally_similar_places_come_by_id(index: PlaceIndex) -> None:
+    same = np.tile(random_vectors(1), (40, 1))
+    index.add([entry(i) for i in reversed(range(40))], same)
+    assert [match.id for match in index.search(same[0], 3)] == [0, 1, 2]
+
+
+def test_removed_places_are_not_found_and_may_come_back(index: PlaceIndex) -> None:
+    vectors = random_vectors(3)
+    index.add([entry(i) for i in range(3)], vectors)
+    index.remove([1, 77])
+    assert len(index) == 2
+    assert {match.id for match in index.search(vectors[1], 10)} == {0, 2}
+    index.add([entry(1)], vectors[1:2])
+    assert index.search(vectors[1], 1)[0].id == 1
+
+
+def test_similarity_is_the_cosine(index: PlaceIndex) -> None:
+    vector = random_vectors(1)
+    index.add([entry(0)], 3.0 * vector)
+    assert index.search(-7.0 * vector[0], 1)[0].similarity == pytest.approx(-1.0, abs=1e-6)
+
+
+def test_an_empty_index_finds_nothing(index: PlaceIndex) -> None:
+    assert index.search(random_vectors(1)[0], 5) == []
+    assert len(index) == 0
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 0.0])
+def test_unusable_vectors_are_refused_and_nothing_is_stored(index: PlaceIndex, bad: float) -> None:
+    vectors = random_vectors(2)
+    vectors[1] = bad
+    with pytest.raises(BadField):
+        index.add([entry(0), entry(1)], vectors)
+    assert len(index) == 0
+    with pytest.raises(BadField):
+        index.search(vectors[1], 1)
+
+
+def test_wrong_dimensions_and_k_below_one_are_refused(index: PlaceIndex) -> None:
+    with pytest.raises(BadField):
+        index.add([entry(0)], np.ones((1, DIMENSION + 1), np.float32))
+    with pytest.raises(BadField):
+        index.search(np.ones(DIMENSION - 1, np.float32), 1)
+    with pytest.raises(BadField):
+        index.search(np.ones(DIMENSION, np.float32), 0)
+
+
+def test_an_id_is_stored_once(index: PlaceIndex) -> None:
+    index.add([entry(5)], random_vectors(1))
+    with pytest.raises(BadField):
+        index.add([entry(5)], random_vectors(1))
+    with pytest.raises(BadField):
+        index.add([entry(6), entry(6)], random_vectors(2))
+    assert len(index) == 1

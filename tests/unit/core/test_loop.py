@@ -1,0 +1,128 @@
+"""Verification: true revisits are aligned, everything else is rejected with its reason."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from core import se3
+from core.errors import DescriptorModelMismatch
+from core.loop import RejectedLoop, RejectionReason, VerifiedLoop, loop_score, verify
+from core.signature import PlaceSignature
+from tests.support.yards import CONFIG, moved, recognised, signature_of_points, thinned, yard
+
+VERIFICATION = CONFIG.verification
+
+
+@lru_cache(maxsize=8)
+def place(seed: int) -> PlaceSignature:
+    """The signature of a yard."""
+    return recognised(yard(seed))[1]
+
+
+@pytest.mark.parametrize("yaw_deg", [0.0, 75.0, 180.0, -120.0])
+def test_a_revisit_is_verified_and_aligned_from_every_heading(yaw_deg: float) -> None:
+    T_match_query = se3.from_yaw(np.radians(yaw_deg), (4.0, -3.0, 0.5))
+    query = recognised(thinned(moved(yard(1), se3.inverse(T_match_query)), 0.7, seed=3))[1]
+    verdict = verify(query, place(1), 0.9, VERIFICATION)
+    assert isinstance(verdict, VerifiedLoop)
+    error = se3.inverse(T_match_query) @ verdict.measurement.T_match_query
+    assert np.linalg.norm(error[:3, 3]) < 0.05
+    assert np.degrees(se3.rotation_angle(error)) < 0.3
+
+
+def test_the_answer_is_between_the_submap_frames_not_the_levelled_ones() -> None:
+    T_level_submap = se3.exp([0.0, 0.0, 0.0, 0.05, -0.03, 0.0])
+    plain = verify(place(1), place(1), 1.0, VERIFICATION)
+    tilted = verify(replace(place(1), T_level_submap=T_level_submap), place(1), 1.0, VERIFICATION)
+    assert isinstance(plain, VerifiedLoop)
+    assert isinstance(tilted, VerifiedLoop)
+    expected = plain.measurement.T_match_query @ T_level_submap
+    np.testing.assert_allclose(tilted.measurement.T_match_query, expected, atol=1e-12)
+
+
+def test_no_two_different_places_make_a_loop() -> None:
+    for query in range(1, 7):
+        for match in range(1, 7):
+            if query != match:
+                assert isinstance(verify(place(query), place(match), 0.9, VERIFICATION), RejectedLoop)
+
+
+def test_verification_gives_the_same_answer_twice() -> None:
+    first, second = (verify(place(1), place(2), 0.5, VERIFICATION) for _ in range(2))
+    assert first.measurement is not None
+    assert second.measurement is not None
+    np.testing.assert_array_equal(first.measurement.T_match_query, second.measurement.T_match_query)
+    assert first.measurement.score == second.measurement.score
+
+
+def test_the_covariance_is_symmetric_and_positive() -> None:
+    verdict = verify(place(1), place(1), 1.0, VERIFICATION)
+    assert isinstance(verdict, VerifiedLoop)
+    covariance = verdict.measurement.covariance
+    np.testing.assert_allclose(covariance, covariance.T)
+    assert np.linalg.eigvalsh(covariance)[0] > 0.0
+
+
+def test_signatures_of_different_codebooks_are_never_compared() -> None:
+    with pytest.raises(DescriptorModelMismatch):
+        verify(place(1), replace(place(1), model="another"), 0.9, VERIFICATION)
+
+
+def wall(length_m: float) -> PlaceSignature:
+    """One straight wall facing +y, seen from the origin."""
+    x, z = np.meshgrid(np.arange(-length_m / 2, length_m / 2, 0.5), np.arange(-1.5, 4.0, 0.5))
+    points = np.stack([x.ravel(), np.full(x.size, 5.0), z.ravel()], axis=1)
+    return signature_of_points(points, np.tile([0.0, -1.0, 0.0], (len(points), 1)))
+
+
+def corridor() -> PlaceSignature:
+    """Two parallel walls of 60 m."""
+    one = wall(60.0)
+    other = one.points * np.array([1, -1, 1], np.float32)
+    points = np.concatenate([one.points, other])
+    return signature_of_points(points, np.concatenate([one.normals, -one.normals]))
+
+
+def test_one_wall_is_a_degenerate_place() -> None:
+    verdict = verify(wall(60.0), wall(60.0), 1.0, VERIFICATION)
+    assert isinstance(verdict, RejectedLoop)
+    assert verdict.reason is RejectionReason.DEGENERATE_PLACE
+
+
+def test_a_place_on_which_nothing_stands_is_degenerate() -> None:
+    verdict = verify(replace(place(1), standing=0), place(1), 1.0, VERIFICATION)
+    assert verdict == RejectedLoop(RejectionReason.DEGENERATE_PLACE)
+
+
+def test_a_corridor_never_makes_a_loop_because_its_length_is_not_observed() -> None:
+    verdict = verify(corridor(), corridor(), 1.0, VERIFICATION)
+    assert isinstance(verdict, RejectedLoop)
+    assert verdict.reason is RejectionReason.DEGENERATE_ALIGNMENT
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"min_common": 10**6}, RejectionReason.NO_COMMON_REGION),
+        ({"min_overlap": 1.01}, RejectionReason.LOW_OVERLAP),
+        ({"min_score": 1.01}, RejectionReason.LOW_SCORE),
+        ({"max_tilt": -1.0}, RejectionReason.IMPLAUSIBLE_TILT),
+    ],
+)
+def test_each_gate_rejects_with_its_own_reason_and_keeps_the_evidence(
+    change: dict[str, float], reason: RejectionReason
+) -> None:
+    verdict = verify(place(1), place(1), 1.0, replace(VERIFICATION, **change))
+    assert isinstance(verdict, RejectedLoop)
+    assert verdict.reason is reason
+    assert verdict.measurement is not None
+
+
+def test_more_overlap_and_more_agreeing_keypoints_never_lower_the_score() -> None:
+    assert loop_score(30, 0.6, 0.08) > loop_score(30, 0.4, 0.08)
+    assert loop_score(60, 0.4, 0.08) > loop_score(30, 0.4, 0.08)
+    assert loop_score(30, 0.4, 0.08) > loop_score(30, 0.4, 0.12)
