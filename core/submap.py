@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from core import se3
 from core.config import SubmapConfig
-from core.scan import Points, Scan
+from core.errors import EmptyCloud
+from core.scan import MIN_POINTS, Points, Scan
 
 
 @dataclass(frozen=True)
@@ -56,18 +57,23 @@ class Submap:
 
     @classmethod
     def from_scans(cls, scans: list[Scan], config: SubmapConfig) -> Submap:
-        """Accumulate `scans` (in time order, at least one) in the frame of the middle one."""
+        """Accumulate `scans` (in time order, at least one) in the frame of the middle one.
+
+        Returns out of the sensor's range are left out, and so is what lies beyond range and tau from the middle scan:
+        odometry that jumped. Raises EmptyCloud where fewer than 100 points remain.
+        """
         T_odom_submap = scans[len(scans) // 2].T_odom_sensor
         T_submap_odom = se3.inverse(T_odom_submap)
         clouds, indices, origins = [], [], []
         for index, scan in enumerate(scans):
             T_submap_scan = T_submap_odom @ scan.T_odom_sensor
-            near = within_range(scan.points, config)
-            clouds.append(se3.apply(T_submap_scan, scan.points[near]).astype(np.float32))
-            indices.append(np.full(int(near.sum()), index, dtype=np.int32))
+            cloud = se3.apply(T_submap_scan, scan.points[within_range(scan.points, config)]).astype(np.float32)
+            cloud = cloud[np.einsum("ij,ij->i", cloud, cloud) <= (config.max_range + config.tau) ** 2]
+            clouds.append(cloud)
+            indices.append(np.full(len(cloud), index, dtype=np.int32))
             origins.append(T_submap_scan[:3, 3])
         return cls(
-            points=np.concatenate(clouds),
+            points=_enough(np.concatenate(clouds)),
             scan_index=np.concatenate(indices),
             origins=np.asarray(origins, dtype=np.float32),
             stamps_ns=np.array([scan.stamp_ns for scan in scans], dtype=np.int64),
@@ -76,16 +82,27 @@ class Submap:
         )
 
     @classmethod
-    def from_cloud(cls, scan: Scan) -> Submap:
-        """A submap that was accumulated elsewhere: one cloud, seen from its own origin."""
+    def from_cloud(cls, scan: Scan, config: SubmapConfig = SubmapConfig()) -> Submap:
+        """A submap that was accumulated elsewhere: one cloud, seen from its own origin.
+
+        Points beyond range and tau are left out. Raises EmptyCloud where fewer than 100 points remain.
+        """
+        near = np.einsum("ij,ij->i", scan.points, scan.points) <= (config.max_range + config.tau) ** 2
+        points = _enough(scan.points[near])
         return cls(
-            points=scan.points,
-            scan_index=np.zeros(len(scan.points), dtype=np.int32),
+            points=points,
+            scan_index=np.zeros(len(points), dtype=np.int32),
             origins=np.zeros((1, 3), dtype=np.float32),
             stamps_ns=np.array([scan.stamp_ns], dtype=np.int64),
             T_odom_submap=scan.T_odom_sensor,
             position=scan.T_odom_sensor[:3, 3].copy(),
         )
+
+
+def _enough(points: Points) -> Points:
+    if len(points) < MIN_POINTS:
+        raise EmptyCloud(f"only {len(points)} points of the submap lie within the sensor's range", field="points")
+    return points
 
 
 def within_range(points: Points, config: SubmapConfig) -> NDArray[np.bool_]:

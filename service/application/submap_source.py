@@ -65,4 +65,4 @@ def load_submap(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) ->
         )
         for cloud in source.clouds
     ]
-    return Submap.from_cloud(scans[0]) if source.posted else Submap.from_scans(scans, source.config)
+    return Submap.from_cloud(scans[0], source.config) if source.posted else Submap.from_scans(scans, source.config)

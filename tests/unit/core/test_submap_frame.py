@@ -1,4 +1,4 @@
-"""Submaps are described in a frame that stands upright."""
+"""What a submap is made of: an upright frame, points within reach."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from core import se3
+from core.config import SubmapConfig
+from core.errors import EmptyCloud
 from core.scan import Scan
 from core.submap import Submap
 
@@ -27,3 +29,20 @@ def test_an_upright_submap_stays_as_it_is():
     points = np.random.default_rng(0).normal(size=(500, 3))
     submap = Submap.from_cloud(Scan.validated(points, se3.from_yaw(2.0, (1, 2, 3)), 0))
     assert submap.levelled() is submap
+
+
+def test_a_jump_of_the_odometry_does_not_stretch_a_submap():
+    points = np.random.default_rng(0).normal(size=(500, 3)).astype(np.float32) * 5
+    far = se3.from_yaw(0.0, (1000.0, 0, 0))
+    scans = [Scan.validated(points, pose, stamp) for stamp, pose in enumerate([far, np.eye(4), np.eye(4)])]
+    submap = Submap.from_scans(scans, SubmapConfig())
+    assert np.linalg.norm(submap.points, axis=1).max() < 95
+    assert submap.scan_count == 3
+
+
+def test_a_submap_without_points_in_range_is_refused():
+    points = np.random.default_rng(0).normal(size=(500, 3)).astype(np.float32) + [500, 0, 0]
+    with pytest.raises(EmptyCloud):
+        Submap.from_scans([Scan.validated(points, np.eye(4), 0)], SubmapConfig())
+    with pytest.raises(EmptyCloud):
+        Submap.from_cloud(Scan.validated(points, np.eye(4), 0))
