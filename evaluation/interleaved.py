@@ -26,7 +26,11 @@ from evaluation.runner import EvaluationOptions
 
 @dataclass(frozen=True)
 class InterleavedResult:
-    """Shares 0..1 of the queries whose first match lies within `radius_m`; pose errors of the accepted, right ones."""
+    """Shares 0..1 of the queries whose first match lies within `radius_m`; pose errors of the accepted ones.
+
+    accepted_wrong counts accepted matches farther away than `radius_m`; accepted_false those whose pose is off by more
+    than 2 m or 5 degrees.
+    """
 
     queries: int
     map_submaps: int
@@ -35,6 +39,7 @@ class InterleavedResult:
     verified_recall_at_1: float
     accepted: int
     accepted_wrong: int
+    accepted_false: int
     median_error_m: float | None
     median_error_deg: float | None
     baselines: dict[str, float]
@@ -97,8 +102,8 @@ def _score(
     accepted = [bool(m.ranked) and m.ranked[0].verdict.accepted for m in matches]
     errors = np.array([
         pose_error(query, places[m.ranked[0].id], m.ranked[0].T_match_query)
-        for query, m, right, taken in zip(queries, matches, by_score, accepted, strict=True)
-        if right and taken and m.ranked[0].T_match_query is not None
+        for query, m, taken in zip(queries, matches, accepted, strict=True)
+        if taken and m.ranked[0].T_match_query is not None
     ]).reshape(-1, 2)  # fmt: skip
     baselines = {
         name: _share([_within(query, places, match, radius_m) for query, match in zip(queries, rows, strict=True)])
@@ -108,6 +113,7 @@ def _score(
         queries=len(queries), map_submaps=map_count, radius_m=radius_m,
         descriptor_recall_at_1=_share(by_cosine), verified_recall_at_1=_share(by_score), accepted=sum(accepted),
         accepted_wrong=sum(taken and not right for taken, right in zip(accepted, by_score, strict=True)),
+        accepted_false=int(np.sum((errors[:, 0] > 2.0) | (errors[:, 1] > 5.0))),
         median_error_m=float(np.median(errors[:, 0])) if len(errors) else None,
         median_error_deg=float(np.median(errors[:, 1])) if len(errors) else None, baselines=baselines,
     )  # fmt: skip

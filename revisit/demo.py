@@ -62,8 +62,8 @@ def run_demo(picture: Path = Path("out/demo.png"), *, seed: int = 1, console: Co
     patrol, visitor = demo_drives(seed)
     console.print(
         f"The patrol drives {patrol.length_m:.0f} m and meets its own way again, in the same direction and in reverse, "
-        f"among moving cars and people. Its odometry is {patrol.drift_m:.1f} m off at the end. An hour later, other cars "
-        f"parked, a visitor drives {visitor.length_m:.0f} m against it."
+        f"among moving cars and people. Its odometry is {patrol.drift_m:.1f} m off at the end. An hour later, other "
+        f"cars parked, a visitor drives {visitor.length_m:.0f} m against it."
     )
     with (
         tempfile.TemporaryDirectory(prefix="revisit-demo-") as home,

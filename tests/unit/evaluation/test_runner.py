@@ -129,7 +129,7 @@ def test_interleaved_halves_find_each_other(recording: KittiRecording) -> None:
     result = evaluate_interleaved(recording, options(), method=Compass(), baselines=())
     assert result.queries > 30 and result.map_submaps > 30
     assert result.descriptor_recall_at_1 == result.verified_recall_at_1 == 1.0
-    assert result.accepted == result.queries and result.accepted_wrong == 0
+    assert result.accepted == result.queries and result.accepted_wrong == result.accepted_false == 0
     assert result.median_error_m is not None and result.median_error_m < 1e-5
 
 
