@@ -225,6 +225,7 @@ def _create_jobs() -> None:
         sa.Column("attempts", sa.BigInteger(), nullable=False),
         sa.Column("max_attempts", sa.BigInteger(), nullable=False),
         sa.Column("created_at_ns", sa.BigInteger(), nullable=False),
+        sa.Column("priority", sa.BigInteger(), nullable=False),
         sa.Column("lease_owner", sa.String(length=64), nullable=True),
         sa.Column("lease_token", sa.BigInteger(), nullable=False),
         sa.Column("lease_epoch", sa.String(length=64), nullable=False),
@@ -238,7 +239,7 @@ def _create_jobs() -> None:
         sa.UniqueConstraint("tenant", "operation_id", name="uq_jobs_tenant_operation_id"),
         sqlite_autoincrement=True,
     )
-    op.create_index("ix_jobs_state", "jobs", ["state"])
+    op.create_index("ix_jobs_state_priority", "jobs", ["state", "priority"])
     op.create_index("ix_jobs_tenant_state", "jobs", ["tenant", "state"])
 
 

@@ -119,7 +119,8 @@ class MemoryJobs(MemoryRepository[JobRecord]):
 
     def next_runnable(self, now: Instant) -> JobRecord | None:
         """See `ports.JobRepository`."""
-        return next((job for job in self._all() if _due(job, now)), None)
+        due = [job for job in self._all() if _due(job, now)]
+        return min(due, key=lambda job: (job.priority, job.number), default=None)
 
     def exhausted(self, now: Instant) -> list[JobRecord]:
         """See `ports.JobRepository`."""

@@ -112,7 +112,7 @@ class Operations:
 def new_job(
     context: Context, tenant: TenantId, kind: OperationKind, subject: str, payload: dict[str, Any]
 ) -> JobRecord:
-    """A job to queue, with an operation id of its own."""
+    """A job to queue, with an operation id of its own. Searches, for which a client waits, go before descriptions."""
     return JobRecord(
         tenant=tenant,
         operation_id=f"op-{secrets.token_hex(10)}",
@@ -123,6 +123,7 @@ def new_job(
         attempts=0,
         max_attempts=context.policy.max_attempts,
         created_at_ns=context.clock.wall_ns(),
+        priority=1 if kind is OperationKind.DESCRIBE_SUBMAP else 0,
     )
 
 

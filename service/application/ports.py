@@ -99,7 +99,7 @@ class JobRepository(Repository[JobRecord], Protocol):
     """Jobs, also across tenants for those who run them."""
 
     def next_runnable(self, now: Instant) -> JobRecord | None:
-        """The oldest job that is queued and due, or running on a lease that has run out, with attempts left."""
+        """The most urgent, then oldest job that is queued and due, or whose lease has run out with attempts left."""
         ...
 
     def exhausted(self, now: Instant) -> list[JobRecord]:
@@ -126,7 +126,7 @@ class JobQueue(Protocol):
         ...
 
     def claim(self, owner: str, now: Instant) -> Lease | None:
-        """Lease the oldest runnable job to `owner`; the attempt is counted before the run."""
+        """Lease the next runnable job to `owner`; the attempt is counted before the run."""
         ...
 
     def extend(self, lease: Lease, now: Instant) -> None:

@@ -227,8 +227,9 @@ class Recognition:
         sha256 = str(lease.job.payload["cloud_sha256"])
         blob = self._context.blobs.get(lease.job.tenant, QUERY_CLOUD_BLOB, sha256)
         cloud = unpack_cloud(blob[QUERY_NONCE_BYTES:])
-        submap = Submap.from_cloud(Scan.validated(cloud.points, np.eye(4), 0))
-        return self._recogniser.describe(submap, self._context.policy.for_map(map_record))
+        config = self._context.policy.for_map(map_record)
+        submap = Submap.from_cloud(Scan.validated(cloud.points, np.eye(4), 0), config.submap)
+        return self._recogniser.describe(submap, config)
 
 
 @dataclass(frozen=True)

@@ -140,8 +140,9 @@ class LoopRecord:
 class JobRecord:
     """A leased job, which clients see as an operation.
 
-    `lease_token` grows with every claim: only the holder of the newest may complete the job (fencing). Lease times
-    count on the monotonic clock of one boot of the machine, named by `lease_epoch`.
+    Jobs of `priority` 0, for which a client waits, go before those of 1. `lease_token` grows with every claim: only
+    the holder of the newest may complete the job (fencing). Lease times count on the monotonic clock of one boot of
+    the machine, named by `lease_epoch`.
     """
 
     tenant: TenantId
@@ -153,6 +154,7 @@ class JobRecord:
     attempts: int
     max_attempts: int
     created_at_ns: int
+    priority: int = 1
     lease_owner: str | None = None
     lease_token: int = 0
     lease_epoch: str = ""

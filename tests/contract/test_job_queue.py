@@ -50,6 +50,12 @@ def test_jobs_are_claimed_oldest_first_and_once(queue):
     assert queue.claim() is None
 
 
+def test_a_job_for_which_a_client_waits_goes_before_older_ones(queue, write):
+    queue.enqueue("op-1")
+    write(lambda uow: uow.queue.enqueue(a_job("search", priority=0)))
+    assert [queue.claim().job.operation_id for _ in range(2)] == ["search", "op-1"]
+
+
 def test_the_attempt_is_counted_before_the_run(queue, read):
     queue.enqueue("op-1")
     queue.claim()

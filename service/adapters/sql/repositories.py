@@ -111,7 +111,7 @@ class SqlJobs(SqlRepository[JobRecord]):
         lost = and_(self._lost(now), jobs.attempts < jobs.max_attempts)
         # One query per state: each walks the index of its state, whatever number of jobs have ended.
         oldest = [job for job in (self._oldest(due), self._oldest(lost)) if job is not None]
-        return min(oldest, key=lambda job: job.number, default=None)
+        return min(oldest, key=lambda job: (job.priority, job.number), default=None)
 
     def exhausted(self, now: Instant) -> list[JobRecord]:
         """See `ports.JobRepository`."""
@@ -125,7 +125,8 @@ class SqlJobs(SqlRepository[JobRecord]):
         return [self._of(row) for row in self._connection.execute(query)]
 
     def _oldest(self, where: ColumnElement[bool]) -> JobRecord | None:
-        row = self._connection.execute(select(tables.jobs).where(where).order_by(tables.jobs.c.number).limit(1)).first()
+        query = select(tables.jobs).where(where).order_by(tables.jobs.c.priority, tables.jobs.c.number)
+        row = self._connection.execute(query.limit(1)).first()
         return None if row is None else self._of(row)
 
     def _lost(self, now: Instant) -> ColumnElement[bool]:

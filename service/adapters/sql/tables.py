@@ -210,6 +210,7 @@ jobs = _numbered(
     _integer("attempts"),
     _integer("max_attempts"),
     _integer("created_at_ns"),
+    _integer("priority"),
     _text("lease_owner", nullable=True),
     _integer("lease_token"),
     _text("lease_epoch"),
@@ -219,7 +220,7 @@ jobs = _numbered(
     _text("failure_code", nullable=True),
     Column("failure_message", Text, nullable=True),
     _integer("finished_at_ns", nullable=True),
-    Index(None, "state"),
+    Index(None, "state", "priority"),
     Index(None, "tenant", "state"),
 )
 
