@@ -157,8 +157,12 @@ class Client:
     ) -> list[SearchHit]:
         """The submaps most like a submap, a cloud or a descriptor (give one), most similar first.
 
-        `criteria`: min_similarity, exclude_session, only_session, min_index_gap, prior_position_m, radius_m.
+        `criteria`: min_similarity, exclude_session, only_session (a session, its name or id), min_index_gap,
+        prior_position_m with radius_m.
         """
+        for field in ("exclude_session", "only_session"):
+            if criteria.get(field) is not None:
+                criteria[field] = _session_name(map_, criteria[field])
         query: Any = {"vector": [float(v) for v in descriptor or ()], "model_version": model_version}
         if submap is not None:
             query = _name(submap)
@@ -266,6 +270,11 @@ class ScanStream:
 
 def _name(resource: Any) -> str:
     return resource if isinstance(resource, str) else str(resource.name)
+
+
+def _session_name(map_: Any, session: Any) -> str:
+    name = _name(session)
+    return name if "/" in name else f"{_name(map_)}/sessions/{name}"
 
 
 def _given(values: Json) -> Json:

@@ -9,7 +9,7 @@ from fastapi import FastAPI
 from service.application import UseCases
 from service.rest.errors import PROBLEM_JSON, install_error_handlers
 from service.rest.limits import HttpLimits
-from service.rest.middleware import BodyLimit, RequestEnvelope
+from service.rest.middleware import BodyLimit, OriginGuard, RequestEnvelope
 from service.rest.routes import loops, maps, operations, robots, searches, sessions, submaps, system
 from service.rest.schemas import Problem
 
@@ -33,6 +33,7 @@ def create_app(use_cases: UseCases, limits: HttpLimits = HttpLimits()) -> FastAP
         docs_url=None,
         redoc_url=None,
         responses=_PROBLEMS,
+        generate_unique_id_function=lambda route: route.name,
     )
     app.state.use_cases = use_cases
     app.state.limits = limits
@@ -40,6 +41,7 @@ def create_app(use_cases: UseCases, limits: HttpLimits = HttpLimits()) -> FastAP
         app.include_router(module.router)
     install_error_handlers(app)
     app.add_middleware(BodyLimit, limit_bytes=limits.body_bytes)
+    app.add_middleware(OriginGuard)
     app.add_middleware(RequestEnvelope)
     _describe_problems(app)
     return app

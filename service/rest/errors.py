@@ -36,6 +36,12 @@ class MethodNotAllowed(RevisitError):
     code = ErrorCode.METHOD_NOT_ALLOWED
 
 
+class ForeignOrigin(RevisitError):
+    """A page of another origin may not change anything here."""
+
+    code = ErrorCode.PERMISSION_DENIED
+
+
 def problem(error: RevisitError, request_id: str, headers: dict[str, str] | None = None) -> Response:
     """The problem+json answer to an error, at most 4 KB."""
     status = STATUS[error.code]

@@ -9,7 +9,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from core.errors import MalformedBody, TooLarge
-from service.rest.errors import problem, unexpected
+from service.rest.errors import ForeignOrigin, problem, unexpected
 
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}", re.ASCII)
 
@@ -56,6 +56,20 @@ class RequestEnvelope:
             await unexpected(error, request_id)(scope, receive, send_with_headers)
 
 
+class OriginGuard:
+    """Refuses changes that a browser sends for a page of another origin: there may be no key that protects them."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle one ASGI connection."""
+        if scope["type"] == "http" and scope["method"] not in ("GET", "HEAD") and _is_foreign(Headers(scope=scope)):
+            await problem(ForeignOrigin(), scope["state"]["request_id"])(scope, receive, send)
+            return
+        await self._app(scope, receive, send)
+
+
 class BodyLimit:
     """Refuses a body over the limit: by its declared length before reading, else while it streams in."""
 
@@ -90,6 +104,11 @@ class BodyLimit:
 
     def _too_large(self) -> TooLarge:
         return TooLarge(f"a body may have at most {self._limit_bytes} bytes")
+
+
+def _is_foreign(headers: Headers) -> bool:
+    origin = headers.get("origin")
+    return origin is not None and origin.partition("://")[2] != headers.get("host")
 
 
 def _request_id(scope: Scope) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import grpc
 import pytest
+import structlog
 from google.rpc import error_details_pb2, status_pb2
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 from grpc_reflection.v1alpha import reflection_pb2, reflection_pb2_grpc
@@ -108,7 +109,10 @@ def test_a_defect_is_answered_without_its_details(channel, service, monkeypatch)
         raise ZeroDivisionError("secret detail")
 
     monkeypatch.setattr(service.world.use_cases.maps, "get", broken)
-    error = failure(lambda: map_pb2_grpc.MapServiceStub(channel).GetMap(map_pb2.GetMapRequest(name="maps/x")))
+    with structlog.testing.capture_logs() as logs:
+        error = failure(lambda: map_pb2_grpc.MapServiceStub(channel).GetMap(map_pb2.GetMapRequest(name="maps/x")))
+    (entry,) = logs
+    assert isinstance(entry["exc_info"], ZeroDivisionError)
     assert error.code() is grpc.StatusCode.INTERNAL
     assert "secret" not in error.details()
 

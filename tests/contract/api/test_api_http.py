@@ -8,6 +8,7 @@ import socket
 
 import httpx
 import pytest
+import structlog
 import zstandard
 
 from core.errors import ErrorCode, RevisitError
@@ -241,13 +242,30 @@ def test_the_request_id_of_a_client_is_kept_only_where_it_is_harmless(http):
     assert http.get("/livez", headers={"x-request-id": "<b>"}).headers["x-request-id"] != "<b>"
 
 
+def test_a_page_of_another_origin_can_change_nothing(http, submaps, service):
+    before = service.stored()
+    for origin in ("https://evil.example", "null"):
+        answer = http.post(submaps.replace("/submaps", ":finish"), headers={"origin": origin})
+        assert_problem(answer, 403, "PERMISSION_DENIED")
+    assert (
+        http.get("/v1/maps", headers={"origin": "https://evil.example"}).headers.get("access-control-allow-origin")
+        is None
+    )
+    assert service.stored() == before
+    own = {"origin": service.http}
+    assert http.post(submaps.replace("/submaps", ":finish"), headers=own).json()["state"] == "FINISHED"
+
+
 def test_a_defect_is_answered_without_its_details(http, service, monkeypatch):
     async def broken(*_):
         raise ZeroDivisionError("secret detail")
 
     monkeypatch.setattr(service.world.use_cases.maps, "get", broken)
-    answer = http.get("/v1/maps/any")
-    assert_problem(answer, 500, "INTERNAL")
+    with structlog.testing.capture_logs() as logs:
+        answer = http.get("/v1/maps/any")
+    (entry,) = logs
+    assert isinstance(entry["exc_info"], ZeroDivisionError)
+    assert assert_problem(answer, 500, "INTERNAL")["request_id"] == entry["request_id"]
     assert "secret" not in answer.text
     assert "ZeroDivision" not in answer.text
 

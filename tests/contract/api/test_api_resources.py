@@ -74,8 +74,8 @@ def test_a_submap_finds_its_like_in_another_session(client, session, town):
     best = client.search(town, submap=again.subject, k=1)[0]
     assert best.submap == f"{session.name}/submaps/a"
     assert best.similarity == pytest.approx(1.0, abs=1e-6)
-    only = client.search(town, submap=again.subject, only_session=tuesday.name)
-    assert only == []
+    for same_session in (tuesday, tuesday.name, "tuesday"):
+        assert client.search(town, submap=again.subject, only_session=same_session) == []
     by_cloud = client.search(town, points=cloud_points(2), k=3, exclude_session=tuesday.name)
     assert by_cloud[0].submap == f"{session.name}/submaps/b"
 
