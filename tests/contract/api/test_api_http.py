@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import json
 import socket
@@ -300,3 +301,28 @@ def test_the_dashboard_is_served_with_its_script_and_style_and_nothing_inline(ht
     assert "style=" not in page.text
     assert "onclick" not in page.text
     assert "innerHTML" not in http.get("/dashboard.js").text
+
+
+RAW_REQUESTS = {
+    "a URL of 1 MB": b"GET /" + b"a" * 2**20 + b" HTTP/1.1\r\nHost: x\r\n\r\n",
+    "100,000 headers": b"GET / HTTP/1.1\r\nHost: x\r\n" + b"A: b\r\n" * 100_000 + b"\r\n",
+    "two lengths": b"POST /v1/maps HTTP/1.1\r\nHost: x\r\nContent-Length: 2\r\nContent-Length: 3\r\n\r\n{}",
+    "a negative length": b"POST /v1/maps HTTP/1.1\r\nHost: x\r\nContent-Length: -1\r\n\r\n",
+    "a length in words": b"POST /v1/maps HTTP/1.1\r\nHost: x\r\nContent-Length: two\r\n\r\n",
+    "the preface of HTTP/2": b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n",
+    "a TLS handshake": b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03" + bytes(600),
+}
+
+
+@pytest.mark.parametrize("case", RAW_REQUESTS)
+def test_what_is_not_http_is_refused_and_the_service_goes_on(case, service, http):
+    host, port = service.http.removeprefix("http://").split(":")
+    with socket.create_connection((host, int(port)), timeout=10) as connection:
+        with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+            connection.sendall(RAW_REQUESTS[case])
+        try:
+            answer = connection.recv(65536)
+        except ConnectionResetError:
+            answer = b""
+    assert answer == b"" or answer.startswith(b"HTTP/1.1 4")
+    assert http.get("/livez").status_code == 200
