@@ -5,8 +5,12 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
+
+if TYPE_CHECKING:
+    from service.settings import Settings
 
 CONFIGURATION = 78
 """Exit status for settings that cannot be used (EX_CONFIG)."""
@@ -30,14 +34,27 @@ def main(arguments: list[str] | None = None) -> int:
         configure_logging(settings.log_level)
     except (ValidationError, ValueError) as error:
         return _refuse(f"the settings cannot be used: {error}")
+    from alembic.util import CommandError
+
+    try:
+        return _run(options, settings)
+    except CommandError as error:
+        return _refuse(f"the database {settings.database} does not fit this version: {error}")
+
+
+def _run(options: argparse.Namespace, settings: Settings) -> int:
+    """Run the command that was asked for; the exit status. Raises CommandError for a database of another version."""
     if options.command == "migrate":
         from service.adapters.sql.migration import migrate
 
         migrate(settings.database, options.revision)
         return 0
     if options.command == "worker":
+        from service.adapters.sql.migration import current_revision
         from service.composition import run_worker
 
+        if current_revision(settings.database) is None:
+            return _refuse(f"there is no database at {settings.database} yet: run `python -m service migrate` first")
         run_worker(settings, options.id, options.parent)
         return 0
     if settings.exposed and not settings.insecure_bind:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import sys
 
@@ -25,5 +26,18 @@ def configure_logging(level: str) -> None:
         logger_factory=structlog.WriteLoggerFactory(file=sys.stderr),
         cache_logger_on_first_use=True,
     )
-    # Libraries log through the standard module: only what matters of it, on the same stream.
-    logging.basicConfig(level=max(number, logging.WARNING), format='{"event": "library", "logger": "%(name)s"}')
+    # Libraries log through the standard module: only what matters of it, on the same stream, in the same form.
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(_JsonLine())
+    logging.basicConfig(level=max(number, logging.WARNING), handlers=[handler], force=True)
+
+
+class _JsonLine(logging.Formatter):
+    """A library's record as one JSON object on one line."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """The line, without its end."""
+        entry = {"event": record.getMessage(), "logger": record.name, "level": record.levelname.lower()}
+        if record.exc_info:
+            entry["exception"] = self.formatException(record.exc_info)
+        return json.dumps(entry)
