@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -40,24 +41,24 @@ class Client:
 
     def __init__(
         self,
-        http: str = DEFAULT_HTTP,
+        http: str | None = None,
         *,
         transport: Transport | None = None,
         retry: RetryPolicy = RetryPolicy(),
     ) -> None:
-        """Over REST at the URL `http`, unless another transport is given."""
+        """Over REST at the URL `http`, by default $REVISIT_URL or port 8080 here; unless another transport is given."""
         if transport is None:
             from revisit.rest_transport import RestTransport
 
-            transport = RestTransport(http, retry)
+            transport = RestTransport(http or os.environ.get("REVISIT_URL", DEFAULT_HTTP), retry)
         self._transport: Transport = transport
 
     @classmethod
-    def grpc(cls, address: str = DEFAULT_GRPC, *, retry: RetryPolicy = RetryPolicy()) -> Self:
-        """A client over gRPC."""
+    def grpc(cls, address: str | None = None, *, retry: RetryPolicy = RetryPolicy()) -> Self:
+        """A client over gRPC at host:port, by default $REVISIT_GRPC or port 8090 here."""
         from revisit.grpc_transport import GrpcTransport
 
-        return cls(transport=GrpcTransport(address, retry))
+        return cls(transport=GrpcTransport(address or os.environ.get("REVISIT_GRPC", DEFAULT_GRPC), retry))
 
     def create_map(
         self,

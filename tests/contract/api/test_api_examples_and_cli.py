@@ -19,11 +19,10 @@ from tests.support.service_world import cloud_points, pose
 ROOT = Path(__file__).resolve().parents[3]
 
 
-def run_example(name, address):
-    command = [sys.executable, ROOT / "docs" / "examples" / name, address]
-    result = subprocess.run(
-        command, capture_output=True, text=True, timeout=60, check=False, env={"PYTHONPATH": str(ROOT)}
-    )
+def run_example(name, **environment):
+    command = [sys.executable, ROOT / "docs" / "examples" / name]
+    variables = {"PYTHONPATH": str(ROOT), **environment}
+    result = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, env=variables)
     assert result.returncode == 0, result.stderr
     return result.stdout
 
@@ -34,14 +33,21 @@ def invoke(*arguments, status=0):
     return result.stdout
 
 
+@pytest.mark.parametrize("name", ["rest_client.py", "grpc_client.py"])
+def test_an_example_is_a_client_of_ten_lines(name):
+    docstring, _, code = (ROOT / "docs" / "examples" / name).read_text().partition("\n")
+    assert docstring.endswith('"""')
+    assert len([line for line in code.splitlines() if line]) <= 10
+
+
 def test_the_rest_example_finds_the_place_again(service):
-    output = run_example("rest_client.py", service.http)
-    assert "maps/rest-example/sessions/monday/submaps/start DONE" in output
-    assert "maps/rest-example/sessions/monday/submaps/start looks like it: 1.00" in output
+    output = run_example("rest_client.py", REVISIT_URL=service.http)
+    sessions = "maps/rest-example/sessions"
+    assert f"{sessions}/tuesday/submaps/start looks like {sessions}/monday/submaps/start: 1.00" in output
 
 
 def test_the_grpc_example_streams_a_drive_into_submaps(service):
-    output = run_example("grpc_client.py", service.grpc)
+    output = run_example("grpc_client.py", REVISIT_GRPC=service.grpc)
     # 24 m of travel in windows of 10 m every 5 m: 0-10, 5-15, 10-20, and the rest when finished.
     assert output.count("maps/grpc-example/sessions/monday/submaps/") == 4
 

@@ -1,0 +1,42 @@
+"""How the SDK encodes points."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from core.formats import NPY, QUANTISED, decode_cloud
+from revisit.clouds import Cloud, encoded
+
+POINTS = np.random.default_rng(1).uniform(-50, 50, (500, 3)).astype(np.float32)
+
+
+def test_finite_points_travel_quantised_within_half_a_millimetre():
+    cloud = encoded(POINTS)
+    assert cloud.content_type == QUANTISED
+    back = decode_cloud(cloud.data, cloud.content_type)
+    np.testing.assert_allclose(back.points, POINTS, rtol=0, atol=0.00051)
+
+
+def test_a_fourth_column_is_the_intensity():
+    with_intensity = np.column_stack([POINTS, np.linspace(0, 1, 500, dtype=np.float32)])
+    cloud = encoded(with_intensity)
+    np.testing.assert_allclose(
+        decode_cloud(cloud.data, cloud.content_type).intensity, with_intensity[:, 3], rtol=0, atol=1e-5
+    )
+
+
+@pytest.mark.parametrize("spoilt", [np.nan, np.inf, 20_000.0])
+def test_what_cannot_be_quantised_goes_as_it_is_so_that_the_service_decides(spoilt):
+    points = POINTS.copy()
+    points[3, 1] = spoilt
+    cloud = encoded(points)
+    assert cloud.content_type == NPY
+    np.testing.assert_array_equal(decode_cloud(cloud.data, cloud.content_type).points, points)
+
+
+def test_encoded_clouds_pass_untouched_and_other_shapes_are_refused():
+    cloud = Cloud(b"anything", "application/vnd.pcd")
+    assert encoded(cloud) is cloud
+    with pytest.raises(ValueError, match=r"\(n, 3\) or \(n, 4\)"):
+        encoded(np.zeros((5, 2)))
