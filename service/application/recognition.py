@@ -7,8 +7,7 @@ workers describe at the same time is found by the one that commits second.
 
 from __future__ import annotations
 
-import hashlib
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,15 +20,14 @@ from core.submap import Submap
 from service.application.blob_references import NEURAL_MAP_BLOB, SIGNATURE_BLOB
 from service.application.clouds import QUERY_CLOUD_BLOB, QUERY_NONCE_BYTES, unpack_cloud
 from service.application.context import Context
+from service.application.description_commit import DescriptionCommit, DescriptionTask, JudgedPlace, StoredDescription
 from service.application.errors import StaleLease, Unavailable
 from service.application.identity import SubmapKey
-from service.application.loops import LoopState
 from service.application.maps import require_map
 from service.application.meshes import MESH_BLOB, pack_mesh
 from service.application.operations import OperationKind
 from service.application.place_memory import PlaceMemory, RecalledPlace, vector_filter
 from service.application.ports import (
-    IndexChange,
     Lease,
     LoopVerdict,
     PlaceRecogniser,
@@ -37,8 +35,8 @@ from service.application.ports import (
     UnitOfWork,
     VectorFilter,
 )
-from service.application.poses import pose_matrix, pose_row
-from service.application.records import JobRecord, LoopRecord, MapRecord, SubmapRecord
+from service.application.poses import pose_matrix
+from service.application.records import JobRecord, MapRecord, SubmapRecord
 from service.application.search_answers import (
     Localization,
     LocalizedCandidate,
@@ -46,36 +44,10 @@ from service.application.search_answers import (
     localization_to_json,
     search_result_to_json,
 )
-from service.application.submap_source import SubmapSource, load_submap, submap_source
+from service.application.submap_source import load_submap, submap_source
 from service.application.submaps import SubmapState, submap_key
 
 log = structlog.get_logger(__name__)
-
-
-@dataclass(frozen=True)
-class _Task:
-    """A submap to describe, as the database holds it."""
-
-    submap: SubmapRecord
-    source: SubmapSource
-    map: MapRecord
-
-
-@dataclass(frozen=True)
-class _Judged:
-    """A recalled place and what geometry says about it."""
-
-    place: RecalledPlace
-    verdict: LoopVerdict
-
-
-@dataclass(frozen=True)
-class _Described:
-    """A description whose blobs are durable, and the row that names them."""
-
-    row: SubmapRecord
-    description: SubmapDescription
-    blobs: tuple[tuple[str, bytes], ...]
 
 
 class Recognition:
@@ -134,14 +106,16 @@ class Recognition:
         described = self._store(task.submap, self._recogniser.describe(submap, config))
         self._close_loops(lease, task, described, config)
 
-    def _task(self, uow: UnitOfWork, job: JobRecord) -> _Task | None:
+    def _task(self, uow: UnitOfWork, job: JobRecord) -> DescriptionTask | None:
         key = SubmapKey(**job.payload)
         submap = uow.submaps.get(job.tenant, key.map_id, key.session_id, key.submap_id)
         if submap is None or submap.operation_id != job.operation_id:
             return None
-        return _Task(submap, submap_source(uow, self._context, submap), require_map(uow, job.tenant, key.map_id))
+        return DescriptionTask(
+            submap, submap_source(uow, self._context, submap), require_map(uow, job.tenant, key.map_id)
+        )
 
-    def _store(self, submap: SubmapRecord, description: SubmapDescription) -> _Described:
+    def _store(self, submap: SubmapRecord, description: SubmapDescription) -> StoredDescription:
         """Make the blobs of a description durable before any row names them."""
         blobs = [(SIGNATURE_BLOB, description.signature), (MESH_BLOB, pack_mesh(description.mesh))]
         if description.neural_map is not None:
@@ -158,15 +132,17 @@ class Recognition:
             neural_map_sha256=sha256.get(NEURAL_MAP_BLOB),
             neural_map_bytes=None if description.neural_map is None else len(description.neural_map),
         )
-        return _Described(row, description, tuple(blobs))
+        return StoredDescription(row, description, tuple(blobs))
 
-    def _close_loops(self, lease: Lease, task: _Task, described: _Described, config: PipelineConfig) -> None:
+    def _close_loops(
+        self, lease: Lease, task: DescriptionTask, described: StoredDescription, config: PipelineConfig
+    ) -> None:
         """Search, verify and commit; again where the map has grown meanwhile, verifying only what is new.
 
         Every repetition means that another worker has committed, so together the workers always get on.
         """
         where = _loop_filter(task.submap, config)
-        judged: dict[int, _Judged] = {}
+        judged: dict[int, JudgedPlace] = {}
         while True:
             recall = self._memory.recall(task.map, described.description.descriptor, config.loop.candidates, where)
             for place in recall.places:
@@ -174,11 +150,11 @@ class Recognition:
                     judged[place.submap.number] = self._judge(described.description.signature, place, config)
             kept = [judged[place.submap.number] for place in recall.places]
             model_version = self._recogniser.model_version
-            commit = _Commit(self._context, model_version, lease, task, described, kept, where, recall.seq)
+            commit = DescriptionCommit(self._context, model_version, lease, task, described, kept, where, recall.seq)
             if self._context.transactions.write(commit).result():
                 return
 
-    def _judge(self, signature: bytes, place: RecalledPlace, config: PipelineConfig) -> _Judged:
+    def _judge(self, signature: bytes, place: RecalledPlace, config: PipelineConfig) -> JudgedPlace:
         submap = place.submap
         try:
             blob = self._context.blobs.get(submap.tenant, SIGNATURE_BLOB, str(submap.signature_sha256))
@@ -186,7 +162,7 @@ class Recognition:
         except DataLoss as error:
             log.error("signature_lost", submap=submap_key(submap).name, reason=error.message)
             verdict = LoopVerdict(False, "SIGNATURE_LOST", 0.0, None, {"message": error.message})
-        return _Judged(place, verdict)
+        return JudgedPlace(place, verdict)
 
     def _require_same_model(self, record: MapRecord) -> None:
         if record.model_version not in (None, self._recogniser.model_version):
@@ -232,80 +208,6 @@ class Recognition:
         return self._recogniser.describe(submap, config)
 
 
-@dataclass(frozen=True)
-class _Commit:
-    """The one transaction that ends a description."""
-
-    context: Context
-    model_version: str
-    lease: Lease
-    task: _Task
-    described: _Described
-    judged: list[_Judged]
-    where: VectorFilter
-    seq: int
-
-    def __call__(self, uow: UnitOfWork) -> bool:
-        """Commit, or change nothing and return False where a possible match came in since change `seq`.
-
-        Raises StaleLease where another worker holds the job.
-        """
-        tenant, map_record = self.task.map.tenant, self.task.map
-        newer = uow.changes.since(tenant, map_record.number, self.seq)
-        if any(_may_match(change, self.where) for change in newer):
-            return False
-        if not uow.submaps.count(tenant, number=self.task.submap.number):
-            self._end(uow, {"outcome": "the submap was deleted"})
-            return True
-        self._store_submap(uow)
-        present = [item for item in self.judged if uow.submaps.count(tenant, number=item.place.submap.number)]
-        for item in present:
-            uow.loops.add(self._loop(item))
-        accepted = sum(item.verdict.accepted for item in present)
-        timings = {stage: round(seconds, 4) for stage, seconds in self.described.description.timings_s.items()}
-        result = {"submap": submap_key(self.task.submap).name, "loops_accepted": accepted}
-        self._end(uow, {**result, "loops_rejected": len(present) - accepted, "timings_s": timings})
-        return True
-
-    def _store_submap(self, uow: UnitOfWork) -> None:
-        row, blobs = self.described.row, self.context.blobs
-        for kind, data in self.described.blobs:
-            # A delete may have collected the same content meanwhile (see blob_references.collect_blobs).
-            if not blobs.exists(row.tenant, kind, hashlib.sha256(data).hexdigest()):
-                blobs.put(row.tenant, kind, data)
-        uow.submaps.replace(row)
-        uow.changes.record_described(row.tenant, self.task.map.number, row.number)
-        current = require_map(uow, row.tenant, row.map_id)
-        if current.model_version is None:
-            uow.maps.replace(replace(current, model_version=self.model_version))
-        elif current.model_version != self.model_version:
-            raise DescriptorModelMismatch(f"map {row.map_id} was described by model {current.model_version}")
-
-    def _end(self, uow: UnitOfWork, result: dict[str, Any]) -> None:
-        uow.queue.complete(self.lease, result, self.context.clock.wall_ns())
-
-    def _loop(self, item: _Judged) -> LoopRecord:
-        query, match, verdict = self.task.submap, item.place.submap, item.verdict
-        return LoopRecord(
-            tenant=query.tenant,
-            map_id=query.map_id,
-            loop_id=f"loop-{query.number}-{match.number}",
-            query_number=query.number,
-            match_number=match.number,
-            query_session_id=query.session_id,
-            query_submap_id=query.submap_id,
-            match_session_id=match.session_id,
-            match_submap_id=match.submap_id,
-            state=(LoopState.ACCEPTED if verdict.accepted else LoopState.REJECTED).value,
-            reason=verdict.reason,
-            similarity=item.place.similarity,
-            score=verdict.score,
-            T_match_query=None if verdict.T_match_query is None else pose_row(verdict.T_match_query),
-            evidence={**verdict.evidence, "model_version": self.model_version},
-            created_at_ns=self.context.clock.wall_ns(),
-        )
-
-
 def mark_subject_failed(uow: UnitOfWork, job: JobRecord, code: str, message: str) -> None:
     """Say on the submap itself that its description has failed for good."""
     if job.kind != OperationKind.DESCRIBE_SUBMAP:
@@ -327,15 +229,7 @@ def _loop_filter(submap: SubmapRecord, config: PipelineConfig) -> VectorFilter:
     )
 
 
-def _may_match(change: IndexChange, where: VectorFilter) -> bool:
-    """Whether a change brought in a submap that the loop filter lets through."""
-    if change.vector is None or change.submap_number == where.exclude_submap:
-        return False
-    near = abs(change.ordinal - where.near_ordinal) < where.min_gap
-    return not (change.session_number == where.near_session and near)
-
-
-def _localization(judged: list[_Judged]) -> Localization:
+def _localization(judged: list[JudgedPlace]) -> Localization:
     candidates = [
         LocalizedCandidate(
             submap=submap_key(item.place.submap),
