@@ -10,10 +10,11 @@ from typing import Any
 from core.errors import ErrorCode, RevisitError
 from revisit.v1 import ingest_pb2 as pb
 from revisit.v1 import ingest_pb2_grpc
-from service.application import DEFAULT_TENANT, SessionKey, UseCases
+from service.application import SessionKey, TenantId, UseCases
 from service.application.errors import Draining
 from service.application.scans import AppendScan, ScanAck
 from service.grpc import messages, names
+from service.grpc.tenancy import tenant_of
 from service.status import STATUS, retry_after_s
 
 CREDITS = 32
@@ -49,17 +50,17 @@ class IngestServicer(ingest_pb2_grpc.IngestServiceServicer):
     def __init__(self, use_cases: UseCases) -> None:
         """Answers from `use_cases`."""
         self._use_cases = use_cases
-        self._streams: dict[SessionKey, _ScanStream] = {}
+        self._streams: dict[tuple[TenantId, SessionKey], _ScanStream] = {}
 
     async def StreamScans(
-        self, requests: AsyncIterator[pb.StreamScansRequest], _context: Any
+        self, requests: AsyncIterator[pb.StreamScansRequest], context: Any
     ) -> AsyncIterator[pb.StreamScansResponse]:
         """See the proto file for the rules."""
         opening = await _open_of(requests)
-        stream = _ScanStream(self._use_cases, names.session_key(opening.session, "session"))
-        opened = await self._use_cases.scans.open(DEFAULT_TENANT, stream.session)
-        older = self._streams.get(stream.session)
-        self._streams[stream.session] = stream
+        stream = _ScanStream(self._use_cases, tenant_of(context), names.session_key(opening.session, "session"))
+        opened = await self._use_cases.scans.open(stream.tenant, stream.session)
+        older = self._streams.get(stream.key)
+        self._streams[stream.key] = stream
         if older is not None:
             older.fence()
         try:
@@ -67,18 +68,24 @@ class IngestServicer(ingest_pb2_grpc.IngestServiceServicer):
             async for response in stream.run(requests, opening):
                 yield response
         finally:
-            if self._streams.get(stream.session) is stream:
-                del self._streams[stream.session]
+            if self._streams.get(stream.key) is stream:
+                del self._streams[stream.key]
 
 
 class _ScanStream:
     """One open stream: a reader answers scans in order, watchers report loops and the drain, all into one queue."""
 
-    def __init__(self, use_cases: UseCases, session: SessionKey) -> None:
+    def __init__(self, use_cases: UseCases, tenant: TenantId, session: SessionKey) -> None:
+        self.tenant = tenant
         self.session = session
         self._use_cases = use_cases
         self._fenced = asyncio.Event()
         self._answers: asyncio.Queue[pb.StreamScansResponse | None] = asyncio.Queue(maxsize=2 * CREDITS)
+
+    @property
+    def key(self) -> tuple[TenantId, SessionKey]:
+        """What only one stream may be open for."""
+        return (self.tenant, self.session)
 
     def fence(self) -> None:
         """End this stream: a newer one took over."""
@@ -121,7 +128,7 @@ class _ScanStream:
     async def _append(self, scan: pb.Scan) -> ScanAck:
         pose = messages.matrix(scan.t_odom_sensor, scan.HasField("t_odom_sensor"), "T_odom_sensor")
         command = AppendScan(self.session, messages.seq(scan.seq), scan.stamp_ns, pose, messages.cloud(scan.cloud))
-        return await self._use_cases.scans.append(DEFAULT_TENANT, command)
+        return await self._use_cases.scans.append(self.tenant, command)
 
     async def _acknowledge(self, ack: ScanAck) -> None:
         await self._send(ack=pb.Ack(committed_seq=ack.committed_seq, credits=1))
@@ -137,7 +144,7 @@ class _ScanStream:
         if error.code in (ErrorCode.NOT_FOUND, ErrorCode.SESSION_FINISHED):
             raise error
         status = STATUS[error.code]
-        opened = await self._use_cases.scans.open(DEFAULT_TENANT, self.session)
+        opened = await self._use_cases.scans.open(self.tenant, self.session)
         nack = pb.Nack(
             seq=seq,
             reason=error.code.value,
@@ -163,7 +170,7 @@ class _ScanStream:
     async def _watch_loops(self, after: int) -> None:
         with suppress(Draining):
             async for view in self._use_cases.loops.watch(
-                DEFAULT_TENANT, self.session.map_id, after, self.session.session_id
+                self.tenant, self.session.map_id, after, self.session.session_id
             ):
                 await self._send(loop_closed=pb.LoopClosed(loop_closure=messages.loop_message(view)))
 

@@ -10,9 +10,10 @@ import numpy as np
 from core.errors import BadField
 from revisit.v1 import loop_closure_pb2 as pb
 from revisit.v1 import loop_closure_pb2_grpc
-from service.application import DEFAULT_TENANT, UseCases
+from service.application import TenantId, UseCases
 from service.application.searches import LocalizeQuery, SearchResult
 from service.grpc import messages, names
+from service.grpc.tenancy import tenant_of
 
 
 class LoopClosureServicer(loop_closure_pb2_grpc.LoopClosureServiceServicer):
@@ -23,11 +24,11 @@ class LoopClosureServicer(loop_closure_pb2_grpc.LoopClosureServiceServicer):
         self._loops = use_cases.loops
         self._searches = use_cases.searches
 
-    async def SearchSubmaps(self, request: pb.SearchSubmapsRequest, _context: Any) -> pb.SearchSubmapsResponse:
+    async def SearchSubmaps(self, request: pb.SearchSubmapsRequest, context: Any) -> pb.SearchSubmapsResponse:
         """The submaps most like a submap, a descriptor or a cloud."""
-        return messages.search_message(await self._search(request))
+        return messages.search_message(await self._search(tenant_of(context), request))
 
-    async def Localize(self, request: pb.LocalizeRequest, _context: Any) -> pb.LocalizeResponse:
+    async def Localize(self, request: pb.LocalizeRequest, context: Any) -> pb.LocalizeResponse:
         """Where in the map the cloud was taken, if the place is known."""
         query = LocalizeQuery(
             map_id=names.map_id(request.parent, "parent"),
@@ -36,43 +37,43 @@ class LoopClosureServicer(loop_closure_pb2_grpc.LoopClosureServiceServicer):
             radius_m=messages.optional(request, "radius_m"),
             candidates=request.candidates if request.HasField("candidates") else 10,
         )
-        return messages.localize_message(await self._searches.localize(DEFAULT_TENANT, query))
+        return messages.localize_message(await self._searches.localize(tenant_of(context), query))
 
-    async def GetLoopClosure(self, request: pb.GetLoopClosureRequest, _context: Any) -> pb.GetLoopClosureResponse:
+    async def GetLoopClosure(self, request: pb.GetLoopClosureRequest, context: Any) -> pb.GetLoopClosureResponse:
         """Get a loop closure."""
-        view = await self._loops.get(DEFAULT_TENANT, *names.loop_key(request.name))
+        view = await self._loops.get(tenant_of(context), *names.loop_key(request.name))
         return pb.GetLoopClosureResponse(loop_closure=messages.loop_message(view))
 
-    async def ListLoopClosures(self, request: pb.ListLoopClosuresRequest, _context: Any) -> pb.ListLoopClosuresResponse:
+    async def ListLoopClosures(self, request: pb.ListLoopClosuresRequest, context: Any) -> pb.ListLoopClosuresResponse:
         """List the loop closures of a map."""
         map_id = names.map_id(request.parent, "parent")
         session_id = names.session_id_in(request.parent, request.session, "session")
         paging, state = messages.page_request(request), messages.loop_state(request.state)
-        page = await self._loops.list(DEFAULT_TENANT, map_id, paging, state, session_id)
+        page = await self._loops.list(tenant_of(context), map_id, paging, state, session_id)
         items = [messages.loop_message(view) for view in page.items]
         return pb.ListLoopClosuresResponse(loop_closures=items, next_page_token=page.next_token)
 
     async def WatchLoopClosures(
-        self, request: pb.WatchLoopClosuresRequest, _context: Any
+        self, request: pb.WatchLoopClosuresRequest, context: Any
     ) -> AsyncIterator[pb.WatchLoopClosuresResponse]:
         """The accepted loop closures, those to come too."""
         map_id = names.map_id(request.parent, "parent")
         session_id = names.session_id_in(request.parent, request.session, "session")
-        async for view in self._loops.watch(DEFAULT_TENANT, map_id, request.after, session_id):
+        async for view in self._loops.watch(tenant_of(context), map_id, request.after, session_id):
             yield pb.WatchLoopClosuresResponse(loop_closure=messages.loop_message(view))
 
-    async def _search(self, request: pb.SearchSubmapsRequest) -> SearchResult:
+    async def _search(self, tenant: TenantId, request: pb.SearchSubmapsRequest) -> SearchResult:
         map_id, criteria = names.map_id(request.parent, "parent"), messages.criteria(request)
         match request.WhichOneof("query"):
             case "submap":
                 key = names.submap_key(request.submap, "submap")
                 if key.map_id != map_id:
                     raise BadField(f"submap must be of {request.parent}", field="submap")
-                return await self._searches.by_submap(DEFAULT_TENANT, key, criteria)
+                return await self._searches.by_submap(tenant, key, criteria)
             case "descriptor":
                 vector = np.asarray(request.descriptor.vector, dtype=np.float32)
                 version = request.descriptor.model_version
-                return await self._searches.by_descriptor(DEFAULT_TENANT, map_id, vector, version, criteria)
+                return await self._searches.by_descriptor(tenant, map_id, vector, version, criteria)
             case "cloud":
-                return await self._searches.by_cloud(DEFAULT_TENANT, map_id, messages.cloud(request.cloud), criteria)
+                return await self._searches.by_cloud(tenant, map_id, messages.cloud(request.cloud), criteria)
         raise BadField("give a submap, a descriptor or a cloud", field="query")

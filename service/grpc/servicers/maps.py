@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from revisit.v1 import map_pb2, map_pb2_grpc
-from service.application import DEFAULT_TENANT, UseCases
+from service.application import UseCases
 from service.application.maps import CreateMap
 from service.grpc import messages, names
+from service.grpc.tenancy import tenant_of
 
 
 class MapServicer(map_pb2_grpc.MapServiceServicer):
@@ -17,25 +18,25 @@ class MapServicer(map_pb2_grpc.MapServiceServicer):
         """Answers from `use_cases`."""
         self._maps = use_cases.maps
 
-    async def CreateMap(self, request: map_pb2.CreateMapRequest, _context: Any) -> map_pb2.CreateMapResponse:
+    async def CreateMap(self, request: map_pb2.CreateMapRequest, context: Any) -> map_pb2.CreateMapResponse:
         """Create a map."""
         overrides = [messages.optional(request, field) for field in ("tau_m", "stride_m", "min_index_gap")]
         command = CreateMap(request.map_id, request.display_name, *overrides)
-        created = await self._maps.create(DEFAULT_TENANT, command)
+        created = await self._maps.create(tenant_of(context), command)
         return map_pb2.CreateMapResponse(map=messages.map_message(created.map), replay=created.replay)
 
-    async def GetMap(self, request: map_pb2.GetMapRequest, _context: Any) -> map_pb2.GetMapResponse:
+    async def GetMap(self, request: map_pb2.GetMapRequest, context: Any) -> map_pb2.GetMapResponse:
         """Get a map."""
-        view = await self._maps.get(DEFAULT_TENANT, names.map_id(request.name))
+        view = await self._maps.get(tenant_of(context), names.map_id(request.name))
         return map_pb2.GetMapResponse(map=messages.map_message(view))
 
-    async def ListMaps(self, request: map_pb2.ListMapsRequest, _context: Any) -> map_pb2.ListMapsResponse:
+    async def ListMaps(self, request: map_pb2.ListMapsRequest, context: Any) -> map_pb2.ListMapsResponse:
         """List the maps."""
-        page = await self._maps.list(DEFAULT_TENANT, messages.page_request(request))
+        page = await self._maps.list(tenant_of(context), messages.page_request(request))
         items = [messages.map_message(view) for view in page.items]
         return map_pb2.ListMapsResponse(maps=items, next_page_token=page.next_token)
 
-    async def DeleteMap(self, request: map_pb2.DeleteMapRequest, _context: Any) -> map_pb2.DeleteMapResponse:
+    async def DeleteMap(self, request: map_pb2.DeleteMapRequest, context: Any) -> map_pb2.DeleteMapResponse:
         """Delete a map."""
-        await self._maps.delete(DEFAULT_TENANT, names.map_id(request.name))
+        await self._maps.delete(tenant_of(context), names.map_id(request.name))
         return map_pb2.DeleteMapResponse()

@@ -7,8 +7,9 @@ from typing import Any
 from core.errors import BadField
 from revisit.v1 import operation_pb2 as pb
 from revisit.v1 import operation_pb2_grpc
-from service.application import DEFAULT_TENANT, UseCases
+from service.application import UseCases
 from service.grpc import messages, names
+from service.grpc.tenancy import tenant_of
 
 DEFAULT_WAIT_S = 30.0
 MAX_WAIT_S = 60.0
@@ -21,22 +22,22 @@ class OperationServicer(operation_pb2_grpc.OperationServiceServicer):
         """Answers from `use_cases`."""
         self._operations = use_cases.operations
 
-    async def GetOperation(self, request: pb.GetOperationRequest, _context: Any) -> pb.GetOperationResponse:
+    async def GetOperation(self, request: pb.GetOperationRequest, context: Any) -> pb.GetOperationResponse:
         """Get an operation."""
-        view = await self._operations.get(DEFAULT_TENANT, names.operation_id(request.name))
+        view = await self._operations.get(tenant_of(context), names.operation_id(request.name))
         return pb.GetOperationResponse(operation=messages.operation_message(view))
 
-    async def ListOperations(self, request: pb.ListOperationsRequest, _context: Any) -> pb.ListOperationsResponse:
+    async def ListOperations(self, request: pb.ListOperationsRequest, context: Any) -> pb.ListOperationsResponse:
         """List the operations."""
         paging, state = messages.page_request(request), messages.operation_state(request.state)
-        page = await self._operations.list(DEFAULT_TENANT, paging, state)
+        page = await self._operations.list(tenant_of(context), paging, state)
         items = [messages.operation_message(view) for view in page.items]
         return pb.ListOperationsResponse(operations=items, next_page_token=page.next_token)
 
-    async def WaitOperation(self, request: pb.WaitOperationRequest, _context: Any) -> pb.WaitOperationResponse:
+    async def WaitOperation(self, request: pb.WaitOperationRequest, context: Any) -> pb.WaitOperationResponse:
         """The operation once it has ended, or as it stands after the timeout."""
         timeout_s = request.timeout_s if request.HasField("timeout_s") else DEFAULT_WAIT_S
         if not 0.0 <= timeout_s <= MAX_WAIT_S:
             raise BadField(f"timeout_s must be in 0..{MAX_WAIT_S:g}", field="timeout_s")
-        view = await self._operations.wait(DEFAULT_TENANT, names.operation_id(request.name), timeout_s)
+        view = await self._operations.wait(tenant_of(context), names.operation_id(request.name), timeout_s)
         return pb.WaitOperationResponse(operation=messages.operation_message(view))

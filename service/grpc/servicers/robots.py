@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from revisit.v1 import robot_pb2, robot_pb2_grpc
-from service.application import DEFAULT_TENANT, UseCases
+from service.application import UseCases
 from service.application.robots import CreateRobot
 from service.grpc import messages, names
+from service.grpc.tenancy import tenant_of
 
 
 class RobotServicer(robot_pb2_grpc.RobotServiceServicer):
@@ -17,18 +18,18 @@ class RobotServicer(robot_pb2_grpc.RobotServiceServicer):
         """Answers from `use_cases`."""
         self._robots = use_cases.robots
 
-    async def CreateRobot(self, request: robot_pb2.CreateRobotRequest, _context: Any) -> robot_pb2.CreateRobotResponse:
+    async def CreateRobot(self, request: robot_pb2.CreateRobotRequest, context: Any) -> robot_pb2.CreateRobotResponse:
         """Create a robot."""
-        created = await self._robots.create(DEFAULT_TENANT, CreateRobot(request.robot_id, request.display_name))
+        created = await self._robots.create(tenant_of(context), CreateRobot(request.robot_id, request.display_name))
         return robot_pb2.CreateRobotResponse(robot=messages.robot_message(created.robot), replay=created.replay)
 
-    async def GetRobot(self, request: robot_pb2.GetRobotRequest, _context: Any) -> robot_pb2.GetRobotResponse:
+    async def GetRobot(self, request: robot_pb2.GetRobotRequest, context: Any) -> robot_pb2.GetRobotResponse:
         """Get a robot."""
-        view = await self._robots.get(DEFAULT_TENANT, names.robot_id(request.name))
+        view = await self._robots.get(tenant_of(context), names.robot_id(request.name))
         return robot_pb2.GetRobotResponse(robot=messages.robot_message(view))
 
-    async def ListRobots(self, request: robot_pb2.ListRobotsRequest, _context: Any) -> robot_pb2.ListRobotsResponse:
+    async def ListRobots(self, request: robot_pb2.ListRobotsRequest, context: Any) -> robot_pb2.ListRobotsResponse:
         """List the robots."""
-        page = await self._robots.list(DEFAULT_TENANT, messages.page_request(request))
+        page = await self._robots.list(tenant_of(context), messages.page_request(request))
         items = [messages.robot_message(view) for view in page.items]
         return robot_pb2.ListRobotsResponse(robots=items, next_page_token=page.next_token)

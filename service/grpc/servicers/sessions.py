@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from revisit.v1 import session_pb2, session_pb2_grpc
-from service.application import DEFAULT_TENANT, UseCases
+from service.application import UseCases
 from service.application.sessions import CreateSession
 from service.grpc import messages, names
+from service.grpc.tenancy import tenant_of
 
 
 class SessionServicer(session_pb2_grpc.SessionServiceServicer):
@@ -18,33 +19,33 @@ class SessionServicer(session_pb2_grpc.SessionServiceServicer):
         self._sessions = use_cases.sessions
 
     async def CreateSession(
-        self, request: session_pb2.CreateSessionRequest, _context: Any
+        self, request: session_pb2.CreateSessionRequest, context: Any
     ) -> session_pb2.CreateSessionResponse:
         """Create a session."""
         robot_id = names.robot_id(request.robot, "robot") if request.robot else None
         command = CreateSession(names.map_id(request.parent, "parent"), request.session_id, robot_id)
-        created = await self._sessions.create(DEFAULT_TENANT, command)
+        created = await self._sessions.create(tenant_of(context), command)
         return session_pb2.CreateSessionResponse(
             session=messages.session_message(created.session), replay=created.replay
         )
 
-    async def GetSession(self, request: session_pb2.GetSessionRequest, _context: Any) -> session_pb2.GetSessionResponse:
+    async def GetSession(self, request: session_pb2.GetSessionRequest, context: Any) -> session_pb2.GetSessionResponse:
         """Get a session."""
-        view = await self._sessions.get(DEFAULT_TENANT, names.session_key(request.name))
+        view = await self._sessions.get(tenant_of(context), names.session_key(request.name))
         return session_pb2.GetSessionResponse(session=messages.session_message(view))
 
     async def ListSessions(
-        self, request: session_pb2.ListSessionsRequest, _context: Any
+        self, request: session_pb2.ListSessionsRequest, context: Any
     ) -> session_pb2.ListSessionsResponse:
         """List the sessions of a map."""
         map_id = names.map_id(request.parent, "parent")
-        page = await self._sessions.list(DEFAULT_TENANT, map_id, messages.page_request(request))
+        page = await self._sessions.list(tenant_of(context), map_id, messages.page_request(request))
         items = [messages.session_message(view) for view in page.items]
         return session_pb2.ListSessionsResponse(sessions=items, next_page_token=page.next_token)
 
     async def FinishSession(
-        self, request: session_pb2.FinishSessionRequest, _context: Any
+        self, request: session_pb2.FinishSessionRequest, context: Any
     ) -> session_pb2.FinishSessionResponse:
         """Finish a session."""
-        view = await self._sessions.finish(DEFAULT_TENANT, names.session_key(request.name))
+        view = await self._sessions.finish(tenant_of(context), names.session_key(request.name))
         return session_pb2.FinishSessionResponse(session=messages.session_message(view))

@@ -7,9 +7,10 @@ from typing import Any
 
 from core.errors import BadField
 from revisit.v1 import submap_pb2, submap_pb2_grpc
-from service.application import DEFAULT_TENANT, SubmapKey, UseCases
+from service.application import SubmapKey, UseCases
 from service.application.submaps import DownloadKind, PostSubmap
 from service.grpc import messages, names
+from service.grpc.tenancy import tenant_of
 
 CHUNK_BYTES = 2**20
 
@@ -30,43 +31,41 @@ class SubmapServicer(submap_pb2_grpc.SubmapServiceServicer):
         """Answers from `use_cases`."""
         self._submaps = use_cases.submaps
 
-    async def PostSubmap(self, request: submap_pb2.PostSubmapRequest, _context: Any) -> submap_pb2.PostSubmapResponse:
+    async def PostSubmap(self, request: submap_pb2.PostSubmapRequest, context: Any) -> submap_pb2.PostSubmapResponse:
         """Store a submap and queue its description."""
         session = names.session_key(request.parent, "parent")
         key = SubmapKey(session.map_id, session.session_id, request.submap_id)
         pose = messages.matrix(request.t_odom_submap, request.HasField("t_odom_submap"), "T_odom_submap")
         command = PostSubmap(key, pose, request.stamp_ns, messages.cloud(request.cloud))
-        return messages.posted_message(await self._submaps.post(DEFAULT_TENANT, command))
+        return messages.posted_message(await self._submaps.post(tenant_of(context), command))
 
-    async def GetSubmap(self, request: submap_pb2.GetSubmapRequest, _context: Any) -> submap_pb2.GetSubmapResponse:
+    async def GetSubmap(self, request: submap_pb2.GetSubmapRequest, context: Any) -> submap_pb2.GetSubmapResponse:
         """Get a submap."""
-        view = await self._submaps.get(DEFAULT_TENANT, names.submap_key(request.name))
+        view = await self._submaps.get(tenant_of(context), names.submap_key(request.name))
         return submap_pb2.GetSubmapResponse(submap=messages.submap_message(view))
 
-    async def ListSubmaps(
-        self, request: submap_pb2.ListSubmapsRequest, _context: Any
-    ) -> submap_pb2.ListSubmapsResponse:
+    async def ListSubmaps(self, request: submap_pb2.ListSubmapsRequest, context: Any) -> submap_pb2.ListSubmapsResponse:
         """List the submaps of a session."""
         session = names.session_key(request.parent, "parent")
-        page = await self._submaps.list(DEFAULT_TENANT, session, messages.page_request(request))
+        page = await self._submaps.list(tenant_of(context), session, messages.page_request(request))
         items = [messages.submap_message(view) for view in page.items]
         return submap_pb2.ListSubmapsResponse(submaps=items, next_page_token=page.next_token)
 
     async def DeleteSubmap(
-        self, request: submap_pb2.DeleteSubmapRequest, _context: Any
+        self, request: submap_pb2.DeleteSubmapRequest, context: Any
     ) -> submap_pb2.DeleteSubmapResponse:
         """Delete a submap."""
-        await self._submaps.delete(DEFAULT_TENANT, names.submap_key(request.name))
+        await self._submaps.delete(tenant_of(context), names.submap_key(request.name))
         return submap_pb2.DeleteSubmapResponse()
 
     async def DownloadSubmap(
-        self, request: submap_pb2.DownloadSubmapRequest, _context: Any
+        self, request: submap_pb2.DownloadSubmapRequest, context: Any
     ) -> AsyncIterator[submap_pb2.DownloadSubmapResponse]:
         """A file in chunks; the first one says what it is."""
         if request.format not in _DOWNLOADS:
             raise BadField("unknown download format", field="format")
         key = names.submap_key(request.name)
-        file = await self._submaps.download(DEFAULT_TENANT, key, *_DOWNLOADS[request.format])
+        file = await self._submaps.download(tenant_of(context), key, *_DOWNLOADS[request.format])
         yield submap_pb2.DownloadSubmapResponse(
             media_type=file.media_type, filename=file.filename, data=file.data[:CHUNK_BYTES]
         )

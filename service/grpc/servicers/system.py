@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from revisit.v1 import system_pb2, system_pb2_grpc
-from service.application import DEFAULT_TENANT, UseCases
+from service.application import UseCases
 from service.grpc import messages
+from service.grpc.tenancy import tenant_of
 
 
 class SystemServicer(system_pb2_grpc.SystemServiceServicer):
@@ -16,6 +17,6 @@ class SystemServicer(system_pb2_grpc.SystemServiceServicer):
         """Answers from `use_cases`."""
         self._system = use_cases.system
 
-    async def GetStatus(self, _request: system_pb2.GetStatusRequest, _context: Any) -> system_pb2.GetStatusResponse:
+    async def GetStatus(self, _request: system_pb2.GetStatusRequest, context: Any) -> system_pb2.GetStatusResponse:
         """Queue depth, index size, workers and versions."""
-        return messages.status_message(await self._system.status(DEFAULT_TENANT))
+        return messages.status_message(await self._system.status(tenant_of(context)))
