@@ -1,0 +1,121 @@
+"""`python -m evaluation.training`: train the shipped decoder and codebooks on simulated towns and report on it."""
+
+from __future__ import annotations
+
+import argparse
+import io
+import multiprocessing
+import os
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from core.bev import describe_bev
+from core.cluster_normals import ClusterStatistics, describe_clusters
+from core.clusters import segment_clusters
+from core.config import PipelineConfig, SubmapConfig
+from core.implicit_map import DecoderWeights, fit_implicit_map
+from core.model_bundle import load_bundle, load_packaged_models
+from core.saliency import weigh_clusters
+from core.surface import extract_surface
+from core.vlad import Codebooks
+from evaluation.training.codebooks import train_codebooks
+from evaluation.training.corpus import TRAINING_SEED, district_submaps
+from evaluation.training.decoder import initial_decoder, train_decoder, training_set
+
+DECODER_STRIDE_M = 40.0
+DECODER_SUBMAPS_EACH = 4
+CODEBOOK_STRIDE_M = 12.0
+DECODER_WIDTH = 32
+
+
+@dataclass(frozen=True)
+class Features:
+    """What one training submap contributes to the codebooks."""
+
+    patches: NDArray[np.float32]
+    micro: ClusterStatistics
+
+
+def main() -> None:
+    """Train what is asked for and write the weights and the report."""
+    parser = argparse.ArgumentParser(prog="python -m evaluation.training", description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("core/weights/revisit-1.npz"))
+    parser.add_argument("--report", type=Path, default=Path("docs/reference/training.md"))
+    parser.add_argument("--districts", type=int, default=16, help="simulated towns for the codebooks")
+    parser.add_argument("--submaps", type=int, default=20, help="submaps of each town for the codebooks")
+    parser.add_argument("--episodes", type=int, default=600, help="meta-training episodes of the decoder")
+    parser.add_argument("--keep-decoder", action="store_true", help="train the codebooks only")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    started, config = time.monotonic(), PipelineConfig()
+    report = ["# Training of the shipped models", "", "By `python -m evaluation.training`, on simulated data only.", ""]
+    if options.keep_decoder:
+        decoder = load_packaged_models().decoder
+        report.append("- decoder: kept")
+    else:
+        decoder, losses = _train_decoder(config, options.episodes)
+        report.append(f"- decoder: {options.episodes} episodes, loss {losses[0]:.3f} -> {np.mean(losses[-50:]):.3f}")
+    books, count = _train_codebooks(config, decoder, options.districts, options.submaps, options.jobs)
+    report.append(f"- codebooks: {count} submaps of {options.districts} towns, seeds from {TRAINING_SEED}")
+    content = _pack(decoder, books)
+    options.out.write_bytes(content)
+    report.append(f"- model version: {load_bundle(content).version}, {len(content) / 1e6:.2f} MB")
+    report.append(f"- {time.monotonic() - started:.0f} s on {options.jobs} processes")
+    options.report.write_text("\n".join(report) + "\n")
+
+
+def _train_decoder(config: PipelineConfig, episodes: int) -> tuple[DecoderWeights, list[float]]:
+    rng = np.random.default_rng(0)
+    sets = [
+        training_set(submap, config.implicit_map, rng)
+        for district in range(12)
+        for submap in district_submaps(district, SubmapConfig(stride=DECODER_STRIDE_M), DECODER_SUBMAPS_EACH)
+    ]
+    start = initial_decoder(config.implicit_map, DECODER_WIDTH, hidden_layers=1, seed=0)
+    return train_decoder(sets, start, config.implicit_map, episodes, seed=0)
+
+
+def _train_codebooks(
+    config: PipelineConfig, decoder: DecoderWeights, districts: int, submaps: int, jobs: int
+) -> tuple[Codebooks, int]:
+    work = partial(district_features, config=config, decoder=decoder, count=submaps)
+    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+        features = [one for district in pool.map(work, range(districts)) for one in district]
+    books = train_codebooks(
+        [one.patches for one in features], [one.micro for one in features], config.bev.cells, config.fusion, seed=0
+    )
+    return books, len(features)
+
+
+def district_features(district: int, config: PipelineConfig, decoder: DecoderWeights, count: int) -> list[Features]:
+    """BEV patches and cluster statistics of the first `count` submaps of a training town."""
+    torch.set_num_threads(1)
+    rng = np.random.default_rng([TRAINING_SEED, district])
+    features = []
+    for submap in district_submaps(district, SubmapConfig(stride=CODEBOOK_STRIDE_M), count):
+        field = fit_implicit_map(submap, decoder, config.implicit_map, rng)
+        surface = extract_surface(field, config.surface)
+        clusters = segment_clusters(surface, config.clusters)
+        bev = describe_bev(surface, clusters, config.bev)
+        saliency = weigh_clusters(bev.keypoints, surface, clusters, config.micro.epsilon)
+        micro = describe_clusters(surface, clusters, bev.keypoints, saliency, config.micro, rng)
+        features.append(Features(bev.descriptors, micro))
+    return features
+
+
+def _pack(decoder: DecoderWeights, books: Codebooks) -> bytes:
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, **decoder.to_arrays(), **books.to_arrays())
+    return buffer.getvalue()
+
+
+if __name__ == "__main__":
+    main()
