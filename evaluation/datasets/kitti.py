@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from core import se3
 from core.errors import BadField, MalformedBody
 from core.scan import Points, Scan
+from evaluation.datasets.number_rows import read_rows
 
 SCAN_PERIOD_S = 0.1
 _BYTES_PER_POINT = 16
@@ -35,7 +36,7 @@ class KittiRecording:
         if not self._files:
             raise FileNotFoundError(f"no scans in {self._folder / 'velodyne'}")
         T_camera_lidar = _calibration(self._folder / "calib.txt")
-        cameras = _rows(self._folder / "poses.txt", 12).reshape(-1, 3, 4)
+        cameras = read_rows(self._folder / "poses.txt", 12).reshape(-1, 3, 4)
         self._check_count("poses.txt", len(cameras))
         T_lidar_camera = se3.inverse(T_camera_lidar)
         self._poses = [T_lidar_camera @ se3.validated(camera) @ T_camera_lidar for camera in cameras]
@@ -44,7 +45,7 @@ class KittiRecording:
     @property
     def name(self) -> str:
         """The folder's name."""
-        return self._folder.name
+        return self._folder.resolve().name
 
     def __len__(self) -> int:
         return len(self._files)
@@ -65,7 +66,7 @@ class KittiRecording:
         file = self._folder / "times.txt"
         if not file.exists():
             return np.round(np.arange(len(self._files)) * SCAN_PERIOD_S * 1e9).astype(np.int64)
-        seconds = _rows(file, 1)[:, 0]
+        seconds = read_rows(file, 1)[:, 0]
         self._check_count("times.txt", len(seconds))
         return np.round(seconds * 1e9).astype(np.int64)
 
@@ -100,18 +101,6 @@ def write_kitti(folder: Path | str, scans: Iterable[tuple[Points, se3.Matrix4, i
     (target / "times.txt").write_text("\n".join(times) + "\n")
     (target / "calib.txt").write_text("Tr: 1 0 0 0 0 1 0 0 0 0 1 0\n")
     return len(poses)
-
-
-def _rows(file: Path, width: int) -> NDArray[np.float64]:
-    """The numbers (n, width) of a text file."""
-    try:
-        lines = [line.split() for line in file.read_text().splitlines() if line.strip()]
-        rows = np.array([[float(word) for word in words] for words in lines])
-    except ValueError as error:
-        raise MalformedBody(f"{file.name} must hold {width} numbers a line: {error}") from error
-    if rows.ndim != 2 or rows.shape[1] != width:
-        raise MalformedBody(f"{file.name} must hold {width} numbers a line")
-    return rows
 
 
 def _calibration(file: Path) -> se3.Matrix4:

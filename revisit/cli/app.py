@@ -20,6 +20,8 @@ Grpc = Annotated[str, typer.Option(envvar="REVISIT_GRPC", help="host:port of the
 Json = Annotated[bool, typer.Option("--json", help="Answer as JSON.")]
 MapName = Annotated[str, typer.Option("--map", help="Id of the map.")]
 
+RECORDINGS = "kitti, kitti360, mulran, nclt, clouds (pcd or ply with TUM or KITTI poses) or mcap."
+
 HTTP = "http://127.0.0.1:8080"
 GRPC = "127.0.0.1:8090"
 
@@ -72,21 +74,23 @@ def migrate(
 
 @app.command()
 def ingest(
-    folder: Annotated[Path, typer.Argument(exists=True, file_okay=False, help="A KITTI odometry folder.")],
+    folder: Annotated[Path, typer.Argument(exists=True, help="The recording.")],
     map_id: MapName = "default",
     session_id: Annotated[str, typer.Option("--session", help="Id of the session; the folder's name by default.")] = "",
+    file_format: Annotated[str, typer.Option("--format", help=RECORDINGS)] = "kitti",
     grpc: Grpc = GRPC,
     limit: Annotated[int | None, typer.Option(min=1, help="Send at most so many scans.")] = None,
     wait: Annotated[bool, typer.Option(help="Wait until every submap is described.")] = True,
     finish: Annotated[bool, typer.Option(help="Finish the session after the last scan.")] = True,
     json: Json = False,
 ) -> None:
-    """Stream a recording; run it again to resume. Reads velodyne/*.bin, poses.txt, calib.txt and times.txt."""
+    """Stream a recording; run it again to resume."""
+    from evaluation.datasets import open_recording
     from revisit.cli import ingesting
 
-    ingesting.ingest(
-        folder, ingesting.Target(grpc, map_id, session_id or folder.resolve().name), limit, wait, finish, json
-    )
+    recording = open_recording(folder, file_format)
+    target = ingesting.Target(grpc, map_id, session_id or recording.name)
+    ingesting.ingest(recording, target, limit, wait, finish, json)
 
 
 @app.command()
@@ -153,8 +157,8 @@ def demo(
 
 @app.command()
 def evaluate(
-    folder: Annotated[Path, typer.Argument(exists=True, file_okay=False, help="The recording.")],
-    file_format: Annotated[str, typer.Option("--format", help="kitti")] = "kitti",
+    folder: Annotated[Path, typer.Argument(exists=True, help="The recording.")],
+    file_format: Annotated[str, typer.Option("--format", help=RECORDINGS)] = "kitti",
     json: Annotated[Path | None, typer.Option("--json", help="Write rows and summary to this file.")] = None,
     tau: Annotated[float | None, typer.Option(help="Metres per submap.")] = None,
     stride: Annotated[float | None, typer.Option(help="Metres between submap starts.")] = None,

@@ -8,7 +8,7 @@ from typing import Any
 
 from rich.progress import Progress, TaskID
 
-from evaluation.datasets import KittiRecording
+from evaluation.datasets import FORMATS, open_recording
 from evaluation.perturbations import Perturbation
 from evaluation.runner import EvaluationOptions, evaluate
 from revisit.cli.output import emit_table, progress_bar, refuse, say
@@ -43,12 +43,12 @@ def options(
 
 def evaluate_folder(folder: Path, file_format: str, chosen: EvaluationOptions, out: Path | None) -> None:
     """Evaluate a recording, write the rows, show the summary."""
-    if file_format != "kitti":
-        raise refuse("--format is kitti")
+    if file_format not in FORMATS:
+        raise refuse(f"--format is one of {', '.join(FORMATS)}")
     if chosen.ablation not in ("none", "no-implicit", "bev-only", "normals-only"):
         raise refuse("--ablation is none, no-implicit, bev-only or normals-only")
     with progress_bar(quiet=False) as bar:
-        result = evaluate(KittiRecording(folder), chosen, progress=_reporter(bar))
+        result = evaluate(open_recording(folder, file_format), chosen, progress=_reporter(bar))
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
         result.write_json(out)

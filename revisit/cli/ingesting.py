@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import time
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
 from core.errors import RevisitError
-from evaluation.datasets import KittiRecording
+from evaluation.datasets import Recording
 from revisit.cli.output import emit_json, emit_table, progress_bar
 from revisit.client import Client
 from revisit.errors import NotFound
@@ -40,9 +39,8 @@ class Ingested:
     seconds: float
 
 
-def ingest(folder: Path, target: Target, limit: int | None, wait: bool, finish: bool, as_json: bool) -> None:
+def ingest(recording: Recording, target: Target, limit: int | None, wait: bool, finish: bool, as_json: bool) -> None:
     """Send the scans that the service does not have, finish the session, wait for its submaps, report."""
-    recording = KittiRecording(folder)
     count = min(len(recording), limit or len(recording))
     started = time.monotonic()
     with Client.grpc(target.grpc) as client:
@@ -79,7 +77,7 @@ def open_session(client: Client, target: Target) -> Session:
         return client.create_session(map_name, target.session_id)
 
 
-def _send(client: Client, session: Session, recording: KittiRecording, count: int, quiet: bool) -> tuple[int, int]:
+def _send(client: Client, session: Session, recording: Recording, count: int, quiet: bool) -> tuple[int, int]:
     """Stream the scans behind the last stored one; how many were sent and how many of them refused."""
     unusable = 0
     with progress_bar(quiet) as bar, client.stream(session) as stream:

@@ -1,0 +1,96 @@
+"""Any folder of clouds (.pcd, .ply, .bin, .npy) with a trajectory in TUM or KITTI format."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core import se3
+from core.errors import BadField, MalformedBody
+from core.formats import decode_cloud, media_type_for_suffix
+from core.scan import Points
+from evaluation.datasets.number_rows import read_rows, read_words
+from evaluation.datasets.posed_clouds import PosedClouds, StampedPoses, Stamps, interpolated, rebased
+
+SCAN_PERIOD_NS = 100_000_000
+_SUFFIXES = (".pcd", ".ply", ".bin", ".npy")
+_CLOUD_FOLDERS = ("clouds", "scans", "velodyne", ".")
+_POSE_FILES = ("poses.txt", "poses.tum", "trajectory.txt", "trajectory.tum", "traj.txt", "poses.kitti")
+
+
+def open_cloud_folder(folder: Path) -> PosedClouds:
+    """Clouds in `clouds/`, `scans/`, `velodyne/` or the folder itself, and the LiDAR's poses (z up) beside them.
+
+    Rows of 8 numbers are TUM (seconds, x, y, z, qx, qy, qz, qw), rows of 12 KITTI, without times 0.1 s apart. As many
+    rows as clouds are taken one by one; else the names of the clouds must be their times (seconds with a point, or
+    nanoseconds, microseconds by their length) and TUM poses are interpolated. Raises FileNotFoundError, MalformedBody,
+    BadField, BadTransform.
+    """
+    name, files, poses = folder.resolve().name, _clouds(folder), _pose_file(folder)
+    width = len(read_words(poses)[0]) if read_words(poses) else 0
+    if width not in (8, 12):
+        raise MalformedBody(f"{poses.name} must hold 8 (TUM) or 12 (KITTI) numbers a line, got {width}")
+    rows = read_rows(poses, width)
+    stamps, matrices = _tum(poses, rows) if width == 8 else _kitti(rows)
+    if len(rows) == len(files):
+        return PosedClouds(name, files, rebased(list(matrices)), stamps, read_cloud)
+    if width == 12:
+        raise BadField(f"{poses.name} has {len(rows)} rows for {len(files)} clouds", field=poses.name)
+    named = np.array([_time_in_name(file) for file in files], dtype=np.int64)
+    return interpolated(name, (files, named), StampedPoses(stamps, matrices), np.eye(4), read_cloud)
+
+
+def read_cloud(file: Path) -> Points:
+    """The points (n, 3) of a cloud file, by the product's own parsers. Raises MalformedBody, UnsupportedEncoding."""
+    return decode_cloud(file.read_bytes(), media_type_for_suffix(file.suffix)).points
+
+
+def _clouds(folder: Path) -> list[Path]:
+    for name in _CLOUD_FOLDERS:
+        found = [file for file in (folder / name).glob("*") if file.suffix.lower() in _SUFFIXES]
+        if found:
+            return sorted(found)
+    raise FileNotFoundError(f"no clouds ({', '.join(_SUFFIXES)}) in {folder}")
+
+
+def _pose_file(folder: Path) -> Path:
+    for name in _POSE_FILES:
+        if (folder / name).exists():
+            return folder / name
+    raise FileNotFoundError(f"no trajectory ({', '.join(_POSE_FILES)}) in {folder}")
+
+
+def _tum(file: Path, rows: NDArray[np.float64]) -> tuple[Stamps, NDArray[np.float64]]:
+    """Times, read as text so that no nanosecond is lost, and poses."""
+    stamps = np.array([nanoseconds(words[0]) for words in read_words(file)], dtype=np.int64)
+    return stamps, np.stack([se3.from_quaternion(row[4:], row[1:4]) for row in rows])
+
+
+def _kitti(rows: NDArray[np.float64]) -> tuple[Stamps, NDArray[np.float64]]:
+    stamps = np.arange(len(rows), dtype=np.int64) * SCAN_PERIOD_NS
+    return stamps, np.stack([se3.validated(row.reshape(3, 4)) for row in rows])
+
+
+def nanoseconds(seconds: str) -> int:
+    """The nanoseconds of a decimal number of seconds, exactly. Raises MalformedBody."""
+    whole, _, fraction = seconds.partition(".")
+    if not whole.isdigit() or (fraction and not fraction.isdigit()):
+        try:
+            return round(float(seconds) * 1e9)
+        except ValueError as error:
+            raise MalformedBody(f"{seconds[:40]!r} is no time") from error
+    return int(whole) * 10**9 + int(fraction.ljust(9, "0")[:9] or 0)
+
+
+def _time_in_name(file: Path) -> int:
+    """The time a file is named by, in nanoseconds."""
+    stem = file.stem
+    if stem.replace(".", "", 1).isdigit() and "." in stem:
+        return nanoseconds(stem)
+    if stem.isdigit() and len(stem) >= 18:
+        return int(stem)
+    if stem.isdigit() and len(stem) >= 15:
+        return int(stem) * 1000
+    raise BadField(f"{file.name} is not named by its time, and there are not as many poses as clouds", field="poses")

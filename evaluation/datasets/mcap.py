@@ -1,0 +1,137 @@
+"""MCAP files (https://mcap.dev/spec): where their messages lie, and the messages themselves.
+
+Chunks may be stored plainly or compressed with zstd. LZ4 needs a library this product does not have and is refused.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from core.errors import MalformedBody, UnsupportedEncoding
+from core.formats.compression import decompress_zstd
+
+MAGIC = b"\x89MCAP0\r\n"
+MAX_CHUNK_BYTES = 1 << 30
+_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 3, 4, 5, 6
+_RECORD = struct.Struct("<BQ")
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a message lies: byte `chunk` of the file, None outside of chunks, then `offset` and `size` within."""
+
+    chunk: int | None
+    offset: int
+    size: int
+
+
+@dataclass(frozen=True)
+class Message:
+    """A message with its topic and type."""
+
+    topic: str
+    message_type: str
+    data: bytes
+    place: Place
+
+
+class McapFile:
+    """A file that is read in one pass (`messages`) and then message by message (`data`)."""
+
+    def __init__(self, file: Path) -> None:
+        """Raises MalformedBody where the file is no MCAP."""
+        self._file = file
+        self._last: tuple[int, bytes] | None = None
+        with file.open("rb") as stream:
+            if stream.read(len(MAGIC)) != MAGIC:
+                raise MalformedBody(f"{file.name} is no MCAP file")
+
+    def messages(self) -> Iterator[Message]:
+        """All messages of CDR channels, in the order of the file. Raises MalformedBody, UnsupportedEncoding."""
+        schemas: dict[int, str] = {}
+        channels: dict[int, tuple[str, str]] = {}
+        for record, content, place in self._records():
+            if record == _SCHEMA:
+                schemas[_u16(content, 0)] = _text(content, 2)[0]
+            elif record == _CHANNEL:
+                topic, after = _text(content, 4)
+                encoding = _text(content, after)[0]
+                if encoding == "cdr":
+                    channels[_u16(content, 0)] = topic, schemas.get(_u16(content, 2), "")
+            elif record == _MESSAGE and _u16(content, 0) in channels:
+                topic, kind = channels[_u16(content, 0)]
+                yield Message(topic, kind, content[22:], Place(place.chunk, place.offset + 22, place.size - 22))
+
+    def data(self, place: Place) -> bytes:
+        """The bytes of a message."""
+        if place.chunk is not None:
+            return self._chunk(place.chunk)[place.offset : place.offset + place.size]
+        with self._file.open("rb") as stream:
+            stream.seek(place.offset)
+            return stream.read(place.size)
+
+    def _records(self) -> Iterator[tuple[int, bytes, Place]]:
+        """Records of the file, those of chunks in their stead."""
+        end = self._file.stat().st_size
+        with self._file.open("rb") as stream:
+            at = len(MAGIC)
+            while at + _RECORD.size <= end - len(MAGIC):
+                stream.seek(at)
+                record, size = _RECORD.unpack(stream.read(_RECORD.size))
+                start, at = at + _RECORD.size, at + _RECORD.size + size
+                if at > end:
+                    raise MalformedBody(f"{self._file.name} ends within a record")
+                if record == _CHUNK:
+                    yield from _split(self._chunk(start), start)
+                elif record in (_SCHEMA, _CHANNEL, _MESSAGE):
+                    yield record, stream.read(size), Place(None, start, size)
+
+    def _chunk(self, start: int) -> bytes:
+        """The records in the chunk at a byte of the file; the last chunk is kept."""
+        if self._last is None or self._last[0] != start:
+            self._last = start, self._unpacked(start)
+        return self._last[1]
+
+    def _unpacked(self, start: int) -> bytes:
+        with self._file.open("rb") as stream:
+            stream.seek(start)
+            _, _, size, _, name_size = struct.unpack("<QQQII", stream.read(32))
+            compression = stream.read(min(name_size, 64)).decode("ascii", errors="replace")
+            (stored,) = struct.unpack("<Q", stream.read(8))
+            if max(size, stored) > MAX_CHUNK_BYTES:
+                raise MalformedBody(f"{self._file.name} has a chunk of {max(size, stored)} bytes")
+            content = stream.read(stored)
+        if compression == "zstd":
+            content = decompress_zstd(content, size)
+        elif compression:
+            raise UnsupportedEncoding(f"{self._file.name} is compressed with {compression}: rewrite it with zstd")
+        if len(content) != size:
+            raise MalformedBody(f"{self._file.name} has a damaged chunk")
+        return content
+
+
+def _split(chunk: bytes, start: int) -> Iterator[tuple[int, bytes, Place]]:
+    at = 0
+    while at + _RECORD.size <= len(chunk):
+        record, size = _RECORD.unpack_from(chunk, at)
+        offset, at = at + _RECORD.size, at + _RECORD.size + size
+        if at > len(chunk):
+            raise MalformedBody("a chunk ends within a record")
+        yield record, chunk[offset:at], Place(start, offset, size)
+
+
+def _u16(content: bytes, at: int) -> int:
+    if at + 2 > len(content):
+        raise MalformedBody("a record ends too early")
+    return int.from_bytes(content[at : at + 2], "little")
+
+
+def _text(content: bytes, at: int) -> tuple[str, int]:
+    """A string with its length in front, and where the next value begins."""
+    if at + 4 > len(content):
+        raise MalformedBody("a record ends too early")
+    after = at + 4 + int.from_bytes(content[at : at + 4], "little")
+    return content[at + 4 : after].decode("utf-8", errors="replace"), after

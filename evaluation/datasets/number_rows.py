@@ -1,0 +1,45 @@
+"""Numbers in text files: one row a line, separated by blanks or commas."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.errors import MalformedBody
+
+
+def read_rows(file: Path, width: int) -> NDArray[np.float64]:
+    """The numbers (n, width) of a text file; lines that start with # are left out. Raises MalformedBody."""
+    rows = [_numbers(words, file.name) for words in read_words(file)]
+    if not rows or any(len(row) != width for row in rows):
+        raise MalformedBody(f"{file.name} must hold {width} numbers a line")
+    return np.array(rows, dtype=np.float64)
+
+
+def read_words(file: Path) -> list[list[str]]:
+    """The words of every line that is neither empty nor a comment. Raises MalformedBody for bytes that are no text."""
+    try:
+        lines = file.read_text().replace(",", " ").splitlines()
+    except UnicodeDecodeError as error:
+        raise MalformedBody(f"{file.name} is no text file") from error
+    return [line.split() for line in lines if line.strip() and not line.lstrip().startswith("#")]
+
+
+def keyed_matrix(file: Path, key: str, shape: tuple[int, int]) -> NDArray[np.float64]:
+    """The matrix of a line `key: numbers`. Raises MalformedBody where it is missing or of another size."""
+    for words in read_words(file):
+        if words[0].rstrip(":") == key:
+            numbers = _numbers([word for word in words[1:] if word != ":"], file.name)
+            if len(numbers) != shape[0] * shape[1]:
+                raise MalformedBody(f"{file.name}: {key} must hold {shape[0] * shape[1]} numbers, got {len(numbers)}")
+            return np.array(numbers).reshape(shape)
+    raise MalformedBody(f"{file.name} has no line `{key}:`")
+
+
+def _numbers(words: list[str], name: str) -> list[float]:
+    try:
+        return [float(word) for word in words]
+    except ValueError as error:
+        raise MalformedBody(f"{name} must hold numbers: {error}") from error

@@ -1,0 +1,113 @@
+"""A recording made of one file a scan, the pose and time of each known beforehand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core import se3
+from core.errors import BadField
+from core.scan import Points, Scan
+
+Stamps = NDArray[np.int64]
+CloudReader = Callable[[Path], Points]
+
+
+@dataclass(frozen=True)
+class StampedPoses:
+    """Poses of a body by rising time. stamps_ns (n,) int64; T_world_body (n, 4, 4) float64."""
+
+    stamps_ns: Stamps
+    T_world_body: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        if len(self.stamps_ns) != len(self.T_world_body) or len(self.stamps_ns) == 0:
+            raise BadField("poses and their times must be as many, and at least one", field="poses")
+        if (np.diff(self.stamps_ns) <= 0).any():
+            raise BadField("the times of the poses must rise", field="poses")
+
+    def covered(self, stamps_ns: Stamps) -> NDArray[np.bool_]:
+        """Which times lie within the first and the last pose."""
+        return np.asarray((stamps_ns >= self.stamps_ns[0]) & (stamps_ns <= self.stamps_ns[-1]))
+
+    def at(self, stamp_ns: int) -> se3.Matrix4:
+        """T_world_body at a covered time, between two poses on the screw motion from one to the other."""
+        after = int(np.searchsorted(self.stamps_ns, stamp_ns))
+        if self.stamps_ns[after] == stamp_ns:
+            return np.asarray(self.T_world_body[after])
+        first, second = self.T_world_body[after - 1], self.T_world_body[after]
+        # Differences of integers: nanoseconds since 1970 exceed what a float64 holds exactly.
+        elapsed = int(stamp_ns) - int(self.stamps_ns[after - 1])
+        share = elapsed / (int(self.stamps_ns[after]) - int(self.stamps_ns[after - 1]))
+        return np.asarray(first @ se3.exp(share * se3.log(se3.inverse(first) @ second)))
+
+
+@dataclass(frozen=True)
+class PosedClouds:
+    """Cloud files, read when asked for.
+
+    T_world_sensor (n, 4, 4), z up; stamps_ns (n,) int64; `read` gives the points (n, 3) of a file in the sensor frame.
+    """
+
+    name: str
+    files: Sequence[Path]
+    T_world_sensor: NDArray[np.float64]
+    stamps_ns: Stamps
+    read: CloudReader
+
+    def __post_init__(self) -> None:
+        if not self.files:
+            raise FileNotFoundError(f"{self.name}: no scan has a pose")
+        if not len(self.files) == len(self.T_world_sensor) == len(self.stamps_ns):
+            raise BadField("files, poses and times differ in number", field="poses")
+
+    def __len__(self) -> int:
+        return len(self.files)
+
+    def pose(self, index: int) -> se3.Matrix4:
+        """T_world_sensor of a scan, z up."""
+        return np.asarray(self.T_world_sensor[index])
+
+    def scan(self, index: int) -> Scan:
+        """The scan with that index. Raises MalformedBody for a damaged file and what `Scan.validated` raises."""
+        return Scan.validated(self.read(self.files[index]), self.pose(index), int(self.stamps_ns[index]))
+
+    def __iter__(self) -> Iterator[Scan]:
+        return (self.scan(index) for index in range(len(self)))
+
+
+def rebased(T_world_sensor: Sequence[se3.Matrix4]) -> NDArray[np.float64]:
+    """The poses (n, 4, 4), validated, in a world whose origin is the first of them; its axes stay as they are.
+
+    Published poses are map coordinates of millions of metres. Raises BadTransform.
+    """
+    poses = np.stack([se3.validated(pose) for pose in T_world_sensor])
+    poses[:, :3, 3] -= poses[0, :3, 3].copy()
+    return poses
+
+
+def named_scans(folder: Path, pattern: str, ns_per_unit: int) -> tuple[list[Path], Stamps]:
+    """Files of a folder whose names are times, and these times in nanoseconds. Raises FileNotFoundError, BadField."""
+    files = sorted(folder.glob(pattern), key=lambda file: (len(file.stem), file.stem))
+    if not files:
+        raise FileNotFoundError(f"no scans {pattern} in {folder}")
+    unnamed = [file.name for file in files if not file.stem.isascii() or not file.stem.isdigit()]
+    if unnamed:
+        raise BadField(f"{unnamed[0]} is not named by its time", field="stamp_ns")
+    return files, np.array([int(file.stem) * ns_per_unit for file in files], dtype=np.int64)
+
+
+def interpolated(
+    name: str, scans: tuple[list[Path], Stamps], poses: StampedPoses, T_body_sensor: se3.Matrix4, read: CloudReader
+) -> PosedClouds:
+    """The scans (files, times) for whose time there are poses; the others are left out."""
+    files, stamps_ns = scans
+    kept = np.flatnonzero(poses.covered(stamps_ns))
+    if len(kept) == 0:
+        raise FileNotFoundError(f"{name}: no scan was taken while there were poses")
+    T_world_sensor = rebased([poses.at(int(stamps_ns[index])) @ T_body_sensor for index in kept])
+    return PosedClouds(name, [files[index] for index in kept], T_world_sensor, stamps_ns[kept], read)

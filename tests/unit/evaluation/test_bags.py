@@ -1,0 +1,132 @@
+"""MCAP bags written by the test, byte by byte after the specification."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zstandard
+
+from core import se3
+from core.errors import BadField, MalformedBody, UnsupportedEncoding
+from evaluation.datasets import open_bag
+
+MAGIC = b"\x89MCAP0\r\n"
+COUNT = 120
+
+
+def cloud(seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-20, 20, (COUNT, 3)).astype(np.float32)
+
+
+class Cdr:
+    """Writes values little-endian, each aligned to its size."""
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+
+    def put(self, code: str, *values: float) -> Cdr:
+        for value in values:
+            self.data += b"\0" * (-len(self.data) % struct.calcsize(code))
+            self.data += struct.pack(f"<{code}", value)
+        return self
+
+    def raw(self, content: bytes) -> Cdr:
+        self.put("I", len(content))
+        self.data += content
+        return self
+
+    def header(self, stamp_ns: int) -> Cdr:
+        return self.put("i", stamp_ns // 10**9).put("I", stamp_ns % 10**9).raw(b"lidar\0")
+
+    def message(self) -> bytes:
+        return b"\0\1\0\0" + bytes(self.data)
+
+
+def point_cloud(stamp_ns: int, points: np.ndarray, rows: int = 2) -> bytes:
+    """An organised cloud of two rows, each followed by 8 bytes of padding."""
+    cdr = Cdr().header(stamp_ns).put("I", rows, len(points) // rows, 3)
+    for index, name in enumerate((b"x\0", b"y\0", b"z\0")):
+        cdr.raw(name).put("I", 4 * index).put("B", 7).put("I", 1)
+    step, width = 12, len(points) // rows
+    content = b"".join(points[r * width : (r + 1) * width].astype("<f4").tobytes() + b"\0" * 8 for r in range(rows))
+    return cdr.put("B", 0).put("I", step, step * width + 8).raw(content).put("B", 1).message()
+
+
+def odometry(stamp_ns: int, x: float) -> bytes:
+    return Cdr().header(stamp_ns).raw(b"base\0").put("d", x, 0, 0, 0, 0, 0, 1, *([0.0] * 36)).message()
+
+
+def record(opcode: int, content: bytes) -> bytes:
+    return struct.pack("<BQ", opcode, len(content)) + content
+
+
+def text(value: str) -> bytes:
+    return struct.pack("<I", len(value)) + value.encode()
+
+
+def channel(number: int, topic: str, kind: str) -> bytes:
+    schema = record(3, struct.pack("<H", number) + text(kind) + text("ros2msg") + text(""))
+    return schema + record(4, struct.pack("<HH", number, number) + text(topic) + text("cdr") + struct.pack("<I", 0))
+
+
+def message(number: int, data: bytes) -> bytes:
+    return record(5, struct.pack("<HIQQ", number, 0, 1, 1) + data)
+
+
+def chunk(records: bytes, compression: str) -> bytes:
+    stored = zstandard.compress(records) if compression == "zstd" else records
+    head = struct.pack("<QQQI", 0, 0, len(records), 0) + text(compression)
+    return record(6, head + struct.pack("<Q", len(stored)) + stored)
+
+
+def bag(file: Path, compression: str | None = "zstd", *, with_odometry: bool = True) -> Path:
+    """Odometry drives 1 m a second for 3 s, 0.25 s late; clouds at 0, 1 and 2 s."""
+    start = 1_700_000_000 * 10**9
+    records = channel(1, "/points", "sensor_msgs/msg/PointCloud2") + channel(2, "/odom", "nav_msgs/msg/Odometry")
+    records += channel(3, "/chatter", "std_msgs/msg/String") + message(3, b"\0\1\0\0\2\0\0\0a\0")
+    for second in range(3):
+        records += message(1, point_cloud(start + second * 10**9, cloud(second)))
+        if with_odometry:
+            records += message(2, odometry(start + second * 10**9 + 250_000_000, float(second)))
+    body = records if compression is None else chunk(records, compression)
+    file.write_bytes(MAGIC + record(1, text("ros2") + text("test")) + body + record(2, bytes(20)) + MAGIC)
+    return file
+
+
+@pytest.mark.parametrize("compression", [None, "", "zstd"])
+def test_clouds_get_the_poses_between_which_they_were_taken(tmp_path: Path, compression: str | None) -> None:
+    bag(tmp_path / "drive.mcap", compression)
+    recording = open_bag(tmp_path)
+    # The first cloud was taken before the first pose.
+    assert recording.name == "drive" and len(recording) == 2
+    np.testing.assert_array_equal(recording.scan(1).points, cloud(2))
+    np.testing.assert_array_equal(recording.scan(0).points, cloud(1))
+    np.testing.assert_allclose(recording.pose(1)[:3, 3], [1.0, 0.0, 0.0], atol=1e-9)
+    assert recording.scan(0).stamp_ns == 1_700_000_001 * 10**9
+
+
+def test_the_mounting_of_the_sensor_is_applied(tmp_path: Path) -> None:
+    mounted = se3.from_yaw(np.pi, (1.0, 0.0, 2.0))
+    recording = open_bag(bag(tmp_path / "drive.mcap"), mounted)
+    assert se3.yaw(recording.pose(0)) == pytest.approx(np.pi)
+
+
+def test_a_bag_without_odometry_says_what_it_lacks(tmp_path: Path) -> None:
+    with pytest.raises(BadField, match="Odometry"):
+        open_bag(bag(tmp_path / "drive.mcap", with_odometry=False))
+
+
+def test_lz4_is_refused_with_the_way_out(tmp_path: Path) -> None:
+    with pytest.raises(UnsupportedEncoding, match="zstd"):
+        open_bag(bag(tmp_path / "drive.mcap", "lz4"))
+
+
+@pytest.mark.parametrize("damage", [lambda content: b"PK\3\4" + content, lambda content: content[:2000]])
+def test_damaged_bags_are_refused(tmp_path: Path, damage) -> None:
+    file = bag(tmp_path / "drive.mcap")
+    file.write_bytes(damage(file.read_bytes()))
+    with pytest.raises(MalformedBody):
+        open_bag(file)
