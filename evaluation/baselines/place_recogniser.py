@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from core.scan import Points
 
-Descriptor = NDArray[np.float32]
+Descriptor = NDArray[Any]
 
 
 class PlaceRecogniser(Protocol):
@@ -22,5 +22,5 @@ class PlaceRecogniser(Protocol):
     def describe(self, points: Points) -> Descriptor:
         """The descriptor of a cloud (n, 3), metres, z up, seen from its origin."""
 
-    def similarities(self, query: Descriptor, places: NDArray[np.float32]) -> NDArray[np.float64]:
+    def similarities(self, query: Descriptor, places: Descriptor) -> NDArray[np.float64]:
         """How alike the query is to each of m places (m, ...): (m,), higher is more alike."""

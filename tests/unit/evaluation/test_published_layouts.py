@@ -133,7 +133,7 @@ def nclt(folder: Path) -> Path:
         f"{START_US},5,2,-3,0,0,0.0",
         f"{START_US + 10**6},5,2,-4,0,0,0.2",
     ]
-    (folder / f"groundtruth_{folder.name}.csv").write_text("\n".join(rows) + "\n")
+    (folder / f"groundtruth_{folder.name}.csv").write_text("\n".join(lines) + "\n")
     return folder
 
 
