@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
 
+from service import ONE_THREAD
+
 if TYPE_CHECKING:
     from service.settings import Settings
 
@@ -18,9 +20,9 @@ CONFIGURATION = 78
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; the exit status."""
-    # Before numpy is imported: one thread per process, the cores are shared out by processes.
-    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(variable, "1")
+    # Before any of the libraries is imported.
+    for variable, threads in ONE_THREAD.items():
+        os.environ.setdefault(variable, threads)
     # Workers are started afresh (fork and exec at once), so gRPC need not prepare for a forked copy of itself.
     os.environ.setdefault("GRPC_ENABLE_FORK_SUPPORT", "0")
     # Files are for this user only.
@@ -32,8 +34,10 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         settings = Settings()
         configure_logging(settings.log_level)
-    except (ValidationError, ValueError) as error:
-        return _refuse(f"the settings cannot be used: {error}")
+    except ValidationError as error:
+        return _refuse("\n".join(f"REVISIT_{str(e['loc'][0]).upper()}: {e['msg']}" for e in error.errors()))
+    except ValueError as error:
+        return _refuse(f"REVISIT_LOG_LEVEL: {error}")
     from alembic.util import CommandError
 
     try:

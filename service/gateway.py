@@ -14,8 +14,9 @@ import structlog
 import uvicorn
 
 from service.adapters.sql.migration import migrate
-from service.application import UseCases
+from service.application import Context, UseCases
 from service.composition import build_context, build_use_cases
+from service.metrics import MetricsServer, RequestMetrics, StoreMetrics
 from service.settings import Settings
 from service.worker.supervisor import WorkerSupervisor
 
@@ -53,6 +54,7 @@ class _Gateway:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._status = 0
+        self._requests = RequestMetrics()
 
     async def run(self) -> int:
         """Serve until told to stop, then drain; the exit status."""
@@ -71,6 +73,7 @@ class _Gateway:
         await rpc.start()
         serving = asyncio.create_task(http.serve(), name="http")
         supervisor.start()
+        metrics = self._metrics_server(context)
         log.info("listening", host=self._settings.host, http_port=http_port, grpc_port=grpc_port, pid=os.getpid())
         stopped = asyncio.create_task(stop.wait(), name="stop")
         await asyncio.wait([stopped, serving], return_when=asyncio.FIRST_COMPLETED)
@@ -78,6 +81,8 @@ class _Gateway:
             log.error("http_server_ended")
             self._status = SERVER_FAILED
         await self._drain(use_cases, http, serving, rpc, supervisor)
+        if metrics is not None:
+            await asyncio.to_thread(metrics.close)
         await asyncio.to_thread(context.transactions.close)
         log.info("stopped", status=self._status)
         return self._status
@@ -102,20 +107,25 @@ class _Gateway:
             asyncio.get_running_loop().add_signal_handler(number, stop.set)
         return stop
 
+    def _metrics_server(self, context: Context) -> MetricsServer | None:
+        """`/metrics` on a port of its own, on loopback, where the settings ask for it."""
+        port = self._settings.metrics_port
+        if port is None:
+            return None
+        server = MetricsServer(self._requests, StoreMetrics(context), port)
+        log.info("metrics_listening", port=server.port)
+        return server
+
     def _http_server(self, use_cases: UseCases) -> tuple[uvicorn.Server, int]:
         from service.rest.app import create_app
+        from service.rest.slow_clients import uvicorn_limits
 
         config = uvicorn.Config(
-            create_app(use_cases),
-            host=self._settings.host,
-            port=self._settings.http_port,
-            http="h11",
-            ws="none",
-            lifespan="auto",
+            create_app(use_cases, hosts=self._settings.host_names, requests=self._requests),
             log_config=None,
             access_log=False,
-            server_header=False,
             timeout_graceful_shutdown=int(self._settings.drain_s),
+            **uvicorn_limits(),
         )
         listener = _listen(self._settings.host, self._settings.http_port)
         return _ListeningServer(config, listener), listener.getsockname()[1]
@@ -123,9 +133,12 @@ class _Gateway:
     def _grpc_server(self, use_cases: UseCases) -> tuple[grpc.aio.Server, int]:
         from service.grpc.server import create_server
 
-        server = create_server(use_cases)
-        host = f"[{self._settings.host}]" if ":" in self._settings.host else self._settings.host
-        return server, server.add_insecure_port(f"{host}:{self._settings.grpc_port}")
+        server = create_server(use_cases, requests=self._requests)
+        host, port = self._settings.host, self._settings.grpc_port
+        try:
+            return server, server.add_insecure_port(f"[{host}]:{port}" if ":" in host else f"{host}:{port}")
+        except RuntimeError as error:
+            raise OSError(f"port {port} for gRPC cannot be taken; REVISIT_GRPC_PORT names another") from error
 
 
 class _ListeningServer(_Server):
@@ -143,7 +156,11 @@ class _ListeningServer(_Server):
 def _listen(host: str, port: int) -> socket.socket:
     """A listening socket. Raises OSError where the port is taken."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    return socket.create_server((host, port), family=family, backlog=2048)
+    try:
+        return socket.create_server((host, port), family=family, backlog=2048)
+    except OSError as error:
+        reason = error.strerror.partition(" (")[0].lower() if error.strerror else str(error)
+        raise OSError(f"port {port} for HTTP cannot be taken ({reason}); REVISIT_HTTP_PORT names another") from error
 
 
 def _loop_factory() -> Callable[[], asyncio.AbstractEventLoop] | None:

@@ -23,6 +23,14 @@ class Settings(BaseSettings):
     host: str = Field(default="127.0.0.1", description="address that both servers listen on")
     http_port: int = Field(default=8080, ge=0, le=65535, description="REST port; 0 takes a free one")
     grpc_port: int = Field(default=8090, ge=0, le=65535, description="gRPC port; 0 takes a free one")
+    metrics_port: int | None = Field(
+        default=None, ge=0, le=65535, description="port of /metrics on 127.0.0.1; unset for none, 0 takes a free one"
+    )
+    allowed_hosts: str = Field(
+        default="",
+        description="names, separated by commas, under which HTTP clients may address the service beside localhost, "
+        "IP addresses and `host`; * for any",
+    )
     insecure_bind: bool = Field(default=False, description="allow an address that others can reach, without keys")
     workers: int = Field(
         default_factory=lambda: max(1, (os.cpu_count() or 2) - 1), ge=0, le=256, description="worker processes"
@@ -68,6 +76,12 @@ class Settings(BaseSettings):
             max_attempts=self.max_attempts,
             lease_ms=int(self.lease_s * 1000),
         )
+
+    @property
+    def host_names(self) -> frozenset[str]:
+        """The names that a Host header may carry beside localhost and IP addresses, lower case."""
+        listed = {name.strip().lower() for name in self.allowed_hosts.split(",")}
+        return frozenset((listed | {self.host.lower()}) - {""})
 
     @property
     def exposed(self) -> bool:

@@ -34,7 +34,9 @@ def run() -> None:
     try:
         app()
     except (ApiError, RevisitError, OSError, TimeoutError) as error:
-        typer.echo(f"revisit: {error}", err=True)
+        unreachable = isinstance(error, ApiError) and error.reason == "UNREACHABLE"
+        hint = " - is it running? `revisit serve` starts it" if unreachable else ""
+        typer.echo(f"revisit: {error}{hint}", err=True)
         raise SystemExit(1) from error
 
 

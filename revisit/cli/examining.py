@@ -11,6 +11,7 @@ from pathlib import Path
 
 import typer
 
+from core.errors import RevisitError
 from revisit.cli.output import emit_json, emit_table
 from revisit.client import Client
 from revisit.errors import ApiError
@@ -58,7 +59,7 @@ def _library(name: str) -> Finding:
 def _checked(check: str, examine: Callable[[], str]) -> Finding:
     try:
         return Finding(check, True, examine())
-    except (ApiError, OSError, ImportError, ValueError, RuntimeError) as error:
+    except (ApiError, RevisitError, OSError, ImportError, ValueError, RuntimeError) as error:
         return Finding(check, False, str(error)[:200])
 
 

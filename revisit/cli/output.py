@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -11,6 +12,8 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
+
+PIPE_WIDTH = 400
 
 
 def emit_json(value: Any) -> None:
@@ -22,10 +25,12 @@ def emit_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]
     """A table on stdout; cells are shown as they are, without markup."""
     table = Table(title=title, title_justify="left")
     for column in columns:
-        table.add_column(column)
+        table.add_column(column, overflow="fold")
     for row in rows:
         table.add_row(*(_cell(value) for value in row))
-    Console(markup=False).print(table)
+    # Into a pipe or a file every row is one line, however long its names are.
+    width = None if sys.stdout.isatty() else PIPE_WIDTH
+    Console(markup=False, width=width).print(table)
 
 
 def say(message: str) -> None:

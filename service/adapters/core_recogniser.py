@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
 from core import se3
 from core.config import PipelineConfig
+from core.errors import RevisitError
 from core.loop import LoopMeasurement, RejectedLoop, VerifiedLoop
 from core.model_bundle import ModelBundle, load_packaged_models
 from core.pipeline import describe, verify
+from core.scan import Scan
 from core.signature import PlaceSignature
 from core.submap import Submap
 from core.surface import Surface
@@ -58,8 +61,32 @@ class CoreRecogniser:
 
 
 def load_recogniser() -> CoreRecogniser:
-    """The recogniser that the workers use."""
-    return CoreRecogniser(load_packaged_models())
+    """The recogniser that the workers use, warmed up: what is compiled at first use is compiled by now."""
+    recogniser = CoreRecogniser(load_packaged_models())
+    warm_up(recogniser)
+    return recogniser
+
+
+def warm_up(recogniser: CoreRecogniser) -> None:
+    """Describe a made-up yard and compare it with itself, for the compilers' sake alone."""
+    config = PipelineConfig()
+    # Whether this yard can be described does not matter; a fault that matters will show on a real submap.
+    with suppress(RevisitError):
+        signature = recogniser.describe(_made_up_yard(config), config).signature
+        recogniser.verify(signature, signature, 1.0, config)
+
+
+def _made_up_yard(config: PipelineConfig) -> Submap:
+    """A floor of 40 x 40 m with four walls, 4 points a square metre."""
+    rng = np.random.default_rng(0)
+    floor = np.column_stack([rng.uniform(-20, 20, (6400, 2)), np.full(6400, -1.7)])
+    walls = []
+    for x, y, along_x in ((-8.0, 12.0, True), (10.0, -9.0, True), (15.0, 5.0, False), (-14.0, -6.0, False)):
+        along, up = rng.uniform(-6, 6, 600), rng.uniform(-1.7, 4, 600)
+        across = np.zeros(600)
+        walls.append(np.column_stack([x + (along if along_x else across), y + (across if along_x else along), up]))
+    points = np.vstack([floor, *walls]).astype(np.float32)
+    return Submap.from_cloud(Scan.validated(points, np.eye(4), 0), config.submap)
 
 
 def _mesh(surface: Surface, submap: Submap) -> Mesh:

@@ -100,11 +100,12 @@ class Scans:
         session = require_session(uow, tenant, key)
         if _is_replay(session, accepted.seq):
             return ScanAck(session.committed_seq, replay=True, report=None, submap=None)
+        last = uow.scans.get(session.tenant, session.map_id, session.session_id, session.committed_seq)
+        step_m = _step_m(last, accepted.scan)
         sha256 = hashlib.sha256(accepted.packed).hexdigest()
         # A delete may have collected the same content meanwhile (see blob_references.collect_blobs).
         if not self._context.blobs.exists(tenant, CLOUD_BLOB, sha256):
             self._context.blobs.put(tenant, CLOUD_BLOB, accepted.packed)
-        step_m = _step_m(uow, session, accepted.scan)
         uow.scans.add(_row(session, accepted, session.travelled_m + step_m, sha256))
         submap = self._advance(uow, session, accepted.seq, step_m)
         return ScanAck(accepted.seq, replay=False, report=accepted.report, submap=submap)
@@ -139,11 +140,12 @@ def _is_replay(session: SessionRecord, seq: int) -> bool:
     return False
 
 
-def _step_m(uow: UnitOfWork, session: SessionRecord, scan: Scan) -> float:
-    """How far the sensor moved since the last stored scan, metres."""
-    last = uow.scans.get(session.tenant, session.map_id, session.session_id, session.committed_seq)
+def _step_m(last: ScanRecord | None, scan: Scan) -> float:
+    """How far the sensor moved since the last stored scan, metres. Raises BadField where time went backwards."""
     if last is None:
         return 0.0
+    if scan.stamp_ns < last.stamp_ns:
+        raise BadField(f"stamp_ns lies before that of the last stored scan, {last.stamp_ns}", field="stamp_ns")
     return float(np.linalg.norm(scan.T_odom_sensor[:3, 3] - pose_matrix(last.T_odom_sensor)[:3, 3]))
 
 

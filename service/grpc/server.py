@@ -38,6 +38,8 @@ from service.grpc.servicers.robots import RobotServicer
 from service.grpc.servicers.sessions import SessionServicer
 from service.grpc.servicers.submaps import SubmapServicer
 from service.grpc.servicers.system import SystemServicer
+from service.grpc.timing import CallTimer
+from service.metrics import RequestMetrics
 
 MAX_MESSAGE_BYTES = 16 * 2**20
 MAX_METADATA_BYTES = 16 * 2**10
@@ -66,10 +68,11 @@ _SERVICES: tuple[tuple[Any, Callable[[UseCases], object], Callable[..., None]], 
 )
 
 
-def create_server(use_cases: UseCases) -> grpc.aio.Server:
+def create_server(use_cases: UseCases, *, requests: RequestMetrics | None = None) -> grpc.aio.Server:
     """A server over `use_cases` without a port: add one, start it on the running loop, stop it with a grace."""
+    timers = [] if requests is None else [CallTimer(requests)]
     server = grpc.aio.server(
-        interceptors=[ErrorInterceptor()], options=OPTIONS, maximum_concurrent_rpcs=MAX_CONCURRENT_CALLS
+        interceptors=[*timers, ErrorInterceptor()], options=OPTIONS, maximum_concurrent_rpcs=MAX_CONCURRENT_CALLS
     )
     names = [health_pb2.DESCRIPTOR.services_by_name["Health"].full_name]
     for module, servicer, register in _SERVICES:

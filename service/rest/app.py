@@ -7,9 +7,10 @@ from typing import Any
 from fastapi import FastAPI
 
 from service.application import UseCases
+from service.metrics import RequestMetrics
 from service.rest.errors import PROBLEM_JSON, install_error_handlers
 from service.rest.limits import HttpLimits
-from service.rest.middleware import BodyLimit, OriginGuard, RequestEnvelope
+from service.rest.middleware import BodyLimit, HostGuard, OriginGuard, RequestEnvelope, RequestTimer
 from service.rest.routes import loops, maps, operations, robots, searches, sessions, submaps, system
 from service.rest.schemas import Problem
 
@@ -24,8 +25,14 @@ _PROBLEMS: dict[int | str, dict[str, Any]] = {
 }
 
 
-def create_app(use_cases: UseCases, limits: HttpLimits = HttpLimits()) -> FastAPI:
-    """The ASGI application over `use_cases`."""
+def create_app(
+    use_cases: UseCases,
+    limits: HttpLimits = HttpLimits(),
+    *,
+    hosts: frozenset[str] = frozenset(),
+    requests: RequestMetrics | None = None,
+) -> FastAPI:
+    """The ASGI application over `use_cases`, addressed as localhost, by IP address or by one of `hosts`."""
     app = FastAPI(
         title="Revisit",
         version=API_VERSION,
@@ -40,9 +47,12 @@ def create_app(use_cases: UseCases, limits: HttpLimits = HttpLimits()) -> FastAP
     for module in (maps, robots, searches, submaps, sessions, loops, operations, system):
         app.include_router(module.router)
     install_error_handlers(app)
-    app.add_middleware(BodyLimit, limit_bytes=limits.body_bytes)
+    app.add_middleware(BodyLimit, limits=limits)
     app.add_middleware(OriginGuard)
+    app.add_middleware(HostGuard, hosts=hosts)
     app.add_middleware(RequestEnvelope)
+    if requests is not None:
+        app.add_middleware(RequestTimer, requests=requests)
     _describe_problems(app)
     return app
 

@@ -42,6 +42,12 @@ class ForeignOrigin(RevisitError):
     code = ErrorCode.PERMISSION_DENIED
 
 
+class UnknownHost(RevisitError):
+    """The service is not known under this name: REVISIT_ALLOWED_HOSTS lists the names it answers to."""
+
+    code = ErrorCode.PERMISSION_DENIED
+
+
 def problem(error: RevisitError, request_id: str, headers: dict[str, str] | None = None) -> Response:
     """The problem+json answer to an error, at most 4 KB."""
     status = STATUS[error.code]

@@ -9,8 +9,14 @@ MIB = 2**20
 
 @dataclass(frozen=True)
 class HttpLimits:
-    """Sizes in bytes, of a body as it is sent."""
+    """Sizes in bytes, of a body as it is sent; times in seconds."""
 
     body_bytes: int = 32 * MIB
     json_bytes: int = 1 * MIB
     json_depth: int = 16
+    body_grace_s: float = 15.0
+    """Time that any body may take."""
+    body_bytes_per_s: int = 8 * 1024
+    """The rate above which a body may take longer, on average since it began."""
+    bodies_bytes: int = 512 * MIB
+    """Bodies that are read or held at the same time, of all clients together."""

@@ -1,17 +1,24 @@
-"""Pure ASGI middleware around every request: its id, the security headers, the body limit, the last resort."""
+"""Pure ASGI middleware around every request: its id, safe headers, who may ask, the body's limits, its duration."""
 
 from __future__ import annotations
 
+import asyncio
+import ipaddress
 import re
+import time
 import uuid
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from core.errors import MalformedBody, TooLarge
-from service.rest.errors import ForeignOrigin, problem, unexpected
+from core.errors import MalformedBody, RevisitError, TooLarge
+from service.application.errors import DeadlineExceeded, WorkersBusy
+from service.metrics import RequestMetrics
+from service.rest.errors import ForeignOrigin, UnknownHost, problem, unexpected
+from service.rest.limits import HttpLimits
 
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}", re.ASCII)
+_PORT = re.compile(r":[0-9]*$", re.ASCII)
 
 SECURITY_HEADERS = {
     "x-content-type-options": "nosniff",
@@ -70,40 +77,144 @@ class OriginGuard:
         await self._app(scope, receive, send)
 
 
-class BodyLimit:
-    """Refuses a body over the limit: by its declared length before reading, else while it streams in."""
+class HostGuard:
+    """Answers only to names it knows, so that no page can reach it under a name of its own (DNS rebinding).
 
-    def __init__(self, app: ASGIApp, limit_bytes: int) -> None:
+    An IP address is always taken: a browser that sends one shows no page of another name.
+    """
+
+    def __init__(self, app: ASGIApp, hosts: frozenset[str]) -> None:
         self._app = app
-        self._limit_bytes = limit_bytes
+        self._hosts = hosts | {"localhost"}
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle one ASGI connection."""
+        if scope["type"] == "http" and "*" not in self._hosts and not self._knows(Headers(scope=scope).get("host", "")):
+            await problem(UnknownHost(), scope["state"]["request_id"])(scope, receive, send)
+            return
+        await self._app(scope, receive, send)
+
+    def _knows(self, host: str) -> bool:
+        name = _PORT.sub("", host).lower().removesuffix(".")
+        return name in self._hosts or _is_address(name.removeprefix("[").removesuffix("]"))
+
+
+class BodyLimit:
+    """Refuses a body that is too large or too slow, by its declared length before reading or while it streams in.
+
+    All bodies together are bounded too: each counts until its answer is sent.
+    """
+
+    def __init__(self, app: ASGIApp, limits: HttpLimits) -> None:
+        self._app = app
+        self._limits = limits
+        self._held_bytes = 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle one ASGI connection."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        declared = Headers(scope=scope).get("content-length", "0")
-        request_id = scope["state"]["request_id"]
-        if not declared.isascii() or not declared.isdigit():
-            await problem(MalformedBody("Content-Length is not a number"), request_id)(scope, receive, send)
+        refusal = self._refusal(Headers(scope=scope).get("content-length", "0"))
+        if refusal is not None:
+            await problem(refusal, scope["state"]["request_id"])(scope, receive, send)
             return
-        if int(declared[:20]) > self._limit_bytes:
-            await problem(self._too_large(), request_id)(scope, receive, send)
-            return
-        read_bytes = 0
+        body = _Body(receive, self._limits)
 
-        async def receive_within_limit() -> Message:
-            nonlocal read_bytes
-            message = await receive()
-            read_bytes += len(message.get("body", b""))
-            if read_bytes > self._limit_bytes:
-                raise self._too_large()
+        async def receive_within_limits() -> Message:
+            before = body.read_bytes
+            try:
+                message = await body.receive()
+            finally:
+                self._held_bytes += body.read_bytes - before
+            if self._held_bytes > self._limits.bodies_bytes:
+                raise _too_many()
             return message
 
-        await self._app(scope, receive_within_limit, send)
+        try:
+            await self._app(scope, receive_within_limits, send)
+        finally:
+            self._held_bytes -= body.read_bytes
 
-    def _too_large(self) -> TooLarge:
-        return TooLarge(f"a body may have at most {self._limit_bytes} bytes")
+    def _refusal(self, declared: str) -> RevisitError | None:
+        if not declared.isascii() or not declared.isdigit():
+            return MalformedBody("Content-Length is not a number")
+        if int(declared[:20]) > self._limits.body_bytes:
+            return _too_large(self._limits)
+        if self._held_bytes + int(declared) > self._limits.bodies_bytes:
+            return _too_many()
+        return None
+
+
+class _Body:
+    """One body as it comes in, with its size and its pace."""
+
+    def __init__(self, receive: Receive, limits: HttpLimits) -> None:
+        self.read_bytes = 0
+        self._receive = receive
+        self._limits = limits
+        self._began_s = asyncio.get_running_loop().time()
+        self._complete = False
+
+    async def receive(self) -> Message:
+        """The next part. Raises TooLarge, DeadlineExceeded."""
+        if self._complete:
+            return await self._receive()
+        allowed_s = self._limits.body_grace_s + self.read_bytes / self._limits.body_bytes_per_s
+        try:
+            async with asyncio.timeout_at(self._began_s + allowed_s):
+                message = await self._receive()
+        except TimeoutError as error:
+            raise DeadlineExceeded("the body came too slowly: repeat the request with the same id") from error
+        self.read_bytes += len(message.get("body", b""))
+        self._complete = not message.get("more_body", False)
+        if self.read_bytes > self._limits.body_bytes:
+            raise _too_large(self._limits)
+        return message
+
+
+class RequestTimer:
+    """Measures how long each request took, under its route and status."""
+
+    def __init__(self, app: ASGIApp, requests: RequestMetrics) -> None:
+        self._app = app
+        self._requests = requests
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle one ASGI connection."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        began_s, status = time.perf_counter(), 500
+
+        async def send_noting(message: Message) -> None:
+            nonlocal status
+            if message["type"] == "http.response.start":
+                status = message["status"]
+            await send(message)
+
+        try:
+            await self._app(scope, receive, send_noting)
+        finally:
+            # The route's pattern, never the path that a client chose: the number of series stays bounded.
+            call = f"{scope['method']} {scope['route'].path}" if "route" in scope else "unmatched"
+            self._requests.observe("http", call, str(status), time.perf_counter() - began_s)
+
+
+def _too_large(limits: HttpLimits) -> TooLarge:
+    return TooLarge(f"a body may have at most {limits.body_bytes} bytes")
+
+
+def _too_many() -> WorkersBusy:
+    return WorkersBusy("too many bodies are being read; try again later with the same id")
+
+
+def _is_address(text: str) -> bool:
+    try:
+        ipaddress.ip_address(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _is_foreign(headers: Headers) -> bool:

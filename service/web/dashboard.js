@@ -1,51 +1,55 @@
-// The dashboard: reads /v1 every few seconds and draws it. Text only ever enters the page as textContent.
+// The dashboard: asks /v1 every few seconds and shows it. Text only ever enters the page as textContent.
 "use strict";
 
+import { bestLoops, Drawing, SESSION_COLOURS } from "/drawing.js";
+import { read, readAll, readMap } from "/reading.js";
+
 const REFRESH_MS = 3000;
-const COLOURS = { DESCRIBED: "#1c7ed6", QUEUED: "#adb5bd", FAILED: "#e03131", LOOP: "#f08c00" };
+const MOST_LISTED = 100;
 const byId = (id) => document.getElementById(id);
+const drawing = new Drawing(byId("trajectory"));
+let seen = "";
+let shown = { sessions: [], loops: [], tracks: [] };
 
-async function read(path) {
-  const answer = await fetch(path, { headers: { accept: "application/json" } });
-  if (!answer.ok) throw new Error(`${path}: ${answer.status}`);
-  return answer.json();
-}
-
-async function readAll(path, field) {
-  const items = [];
-  let token = "";
-  do {
-    const separator = path.includes("?") ? "&" : "?";
-    const page = await read(`${path}${separator}page_size=500&page_token=${encodeURIComponent(token)}`);
-    items.push(...page[field]);
-    token = page.next_page_token;
-  } while (token);
-  return items;
-}
-
-function element(tag, text) {
+function element(tag, text, ...classes) {
   const made = document.createElement(tag);
   made.textContent = text;
+  made.classList.add(...classes);
   return made;
 }
 
-function showStatus(status) {
-  const rows = {
-    version: status.version,
-    models: status.model_version ?? "no worker yet",
-    workers: status.workers.length,
-    queued: status.queued_jobs,
-    running: status.running_jobs,
-    failed: status.failed_jobs,
-    "submaps in the index": status.indexed_submaps,
-  };
-  byId("status").replaceChildren(
-    ...Object.entries(rows).map(([term, value]) => {
+const plural = (count, word) => `${count.toLocaleString("en")} ${word}${count === 1 ? "" : "s"}`;
+const shortName = (name) => name.split("/").filter((_, index) => index % 2 === 1).slice(1).join("/");
+
+function showHealth(text, mood) {
+  const badge = byId("health");
+  badge.textContent = text;
+  badge.className = `health ${mood}`;
+}
+
+function judgeHealth(readiness, status) {
+  if (!readiness.ready) showHealth(readiness.reasons.join(", "), "bad");
+  else if (!status.workers.length) showHealth("waiting for a worker", "bad");
+  else if (status.queued_jobs + status.running_jobs) showHealth("working", "busy");
+  else showHealth("ready", "good");
+}
+
+function showFigures(status) {
+  const rows = [
+    ["queued", status.queued_jobs, false],
+    ["running", status.running_jobs, false],
+    ["failed", status.failed_jobs, status.failed_jobs > 0],
+    ["described submaps", status.indexed_submaps, false],
+    ["workers", status.workers.length, status.workers.length === 0],
+  ];
+  byId("figures").replaceChildren(
+    ...rows.map(([term, value, alarm]) => {
       const row = document.createElement("div");
-      row.append(element("dt", term), element("dd", String(value)));
+      row.append(element("dt", term), element("dd", value.toLocaleString("en"), ...(alarm ? ["alarm"] : [])));
       return row;
     }),
   );
+  byId("version").textContent = `${status.version}, models ${status.model_version ?? "not loaded yet"}`;
 }
 
 function showMaps(maps) {
@@ -59,115 +63,134 @@ function showMaps(maps) {
       return option;
     }),
   );
+  select.disabled = !maps.length;
   if (maps.some((map) => map.name === chosen)) select.value = chosen;
   return select.value;
 }
 
-function showList(id, items, empty) {
-  const rows = items.map(([title, detail]) => {
-    const row = element("li", title);
-    row.append(element("small", detail));
-    return row;
-  });
-  byId(id).replaceChildren(...(rows.length ? rows : [element("li", empty)]));
+function showList(id, rows) {
+  byId(id).replaceChildren(...(rows.length ? rows : [element("li", "none", "nothing")]));
 }
 
-const shortName = (name) => name.split("/").filter((_, index) => index % 2 === 1).slice(1).join(" / ");
+function listRow(title, detail, ...classes) {
+  const row = element("li", title, ...classes);
+  row.append(element("small", detail));
+  return row;
+}
 
-function showSessions(sessions) {
+function showLists({ sessions, loops, tracks }) {
   showList(
     "sessions",
-    sessions.map((session) => [
-      shortName(session.name),
-      `${session.state.toLowerCase()}, ${session.travelled_m.toFixed(0)} m, ${session.submap_count} submaps, ` +
-        `scan ${session.committed_seq}`,
-    ]),
-    "none yet",
+    sessions.map((session, index) => {
+      const detail = `${session.state.toLowerCase()}, ${Math.round(session.travelled_m)} m, ` +
+        `${plural(session.submap_count, "submap")}, ${plural(session.committed_seq, "scan")}`;
+      return listRow(shortName(session.name), detail, "session", `colour-${index % SESSION_COLOURS.length}`);
+    }),
   );
-}
-
-function showLoops(loops) {
   showList(
     "loops",
-    loops.slice(-100).reverse().map((loop) => [
-      `${shortName(loop.query)} \u2192 ${shortName(loop.match)}`,
-      `score ${loop.score.toFixed(2)}, similarity ${loop.similarity.toFixed(2)}`,
-    ]),
-    "none yet",
+    loops.slice(-MOST_LISTED).reverse().map((loop) => {
+      const detail = `score ${loop.score.toFixed(2)}, similarity ${loop.similarity.toFixed(2)}`;
+      const row = listRow(`${shortName(loop.query)} \u2192 ${shortName(loop.match)}`, detail);
+      row.addEventListener("mouseenter", () => drawing.highlight(loop));
+      row.addEventListener("mouseleave", () => drawing.highlight(null));
+      return row;
+    }),
+  );
+  const failed = tracks.flat().filter((submap) => submap.state === "FAILED");
+  showList(
+    "failures",
+    failed.slice(-MOST_LISTED).map((submap) =>
+      listRow(shortName(submap.name), submap.failure ? `${submap.failure.reason}: ${submap.failure.message}` : ""),
+    ),
   );
 }
 
-function projection(points, width, height) {
-  const xs = points.map((point) => point.x);
-  const ys = points.map((point) => point.y);
-  const extent = (values) => [values.reduce((a, b) => Math.min(a, b)), values.reduce((a, b) => Math.max(a, b))];
-  const [[x0, x1], [y0, y1]] = [extent(xs), extent(ys)];
-  const margin = 30;
-  const scale = Math.min((width - 2 * margin) / Math.max(x1 - x0, 1), (height - 2 * margin) / Math.max(y1 - y0, 1));
-  return (point) => [
-    width / 2 + (point.x - (x0 + x1) / 2) * scale,
-    height / 2 - (point.y - (y0 + y1) / 2) * scale,
-  ];
+function showEmpty(title, text, command) {
+  byId("empty").hidden = !title;
+  byId("empty-title").textContent = title;
+  byId("empty-text").textContent = text;
+  byId("empty-command").textContent = command;
 }
 
-function line(context, points, colour, width) {
-  context.strokeStyle = colour;
-  context.lineWidth = width;
-  context.beginPath();
-  points.forEach(([x, y], index) => (index ? context.lineTo(x, y) : context.moveTo(x, y)));
-  context.stroke();
+function summary() {
+  const submaps = shown.tracks.flat();
+  const waiting = submaps.filter((submap) => submap.state === "QUEUED").length;
+  return `${plural(submaps.length, "submap")}, ${plural(shown.loops.length, "loop closure")}` +
+    (waiting ? `, ${waiting.toLocaleString("en")} waiting` : "");
 }
 
-function draw(tracks, loops) {
-  const canvas = byId("trajectory");
-  const ratio = window.devicePixelRatio || 1;
-  const [width, height] = [canvas.clientWidth, canvas.clientHeight];
-  canvas.width = width * ratio;
-  canvas.height = height * ratio;
-  const context = canvas.getContext("2d");
-  context.scale(ratio, ratio);
-  const submaps = tracks.flat();
-  byId("message").textContent = submaps.length ? `${submaps.length} submaps, ${loops.length} loop closures` : "No submaps yet.";
-  if (!submaps.length) return;
-  const place = projection(submaps.map((submap) => submap.position_m), width, height);
-  const where = new Map(submaps.map((submap) => [submap.name, place(submap.position_m)]));
-  for (const track of tracks) line(context, track.map((submap) => where.get(submap.name)), "#868e96", 1);
-  for (const loop of loops) {
-    const ends = [where.get(loop.query), where.get(loop.match)];
-    if (ends.every(Boolean)) line(context, ends, COLOURS.LOOP, 2);
-  }
-  for (const submap of submaps) {
-    const [x, y] = where.get(submap.name);
-    context.fillStyle = COLOURS[submap.state] ?? COLOURS.QUEUED;
-    context.beginPath();
-    context.arc(x, y, 3.5, 0, 2 * Math.PI);
-    context.fill();
+function showDrawing() {
+  const loops = byId("every-loop").checked ? shown.loops : bestLoops(shown.loops);
+  const apart = drawing.show({ tracks: shown.tracks, loops });
+  byId("message").textContent = summary();
+  byId("note").textContent = "Metres, x to the right, y up, as the robots' odometry has it: drift is not corrected. " +
+    "Sessions are placed by their best loop closure." +
+    (apart ? ` ${plural(apart, "session")} not drawn: no loop closure leads to the first session yet.` : "");
+}
+
+async function showMap(map) {
+  shown = await readMap(map);
+  showLists(shown);
+  showDrawing();
+  if (shown.tracks.flat().length) showEmpty("", "", "");
+  else {
+    showEmpty(
+      "This map has no submaps yet",
+      "A submap appears once a robot has travelled far enough (10 m by default), or when one is posted.",
+      `revisit ingest DIR --map ${map.slice("maps/".length)}`,
+    );
   }
 }
 
 async function refresh() {
   try {
-    showStatus(await read("/v1/status"));
-    const map = showMaps(await readAll("/v1/maps", "maps"));
+    const [readiness, status] = await Promise.all([read("/readyz"), read("/v1/status")]);
+    judgeHealth(readiness, status);
+    showFigures(status);
+    const maps = await readAll("/v1/maps", "maps");
+    const map = showMaps(maps);
     if (!map) {
-      byId("message").textContent = "No maps yet.";
+      showLists({ sessions: [], loops: [], tracks: [] });
+      showEmpty(
+        "Nothing here yet",
+        "Stream a recording, or let the demonstration drive two simulated robots through a town.",
+        "revisit ingest DIR --map town      a KITTI odometry folder\nrevisit demo                       a simulated drive",
+      );
+      byId("message").textContent = "No maps yet";
       return;
     }
+    // Submaps and loops are read again only where something has happened since.
     const sessions = await readAll(`/v1/${map}/sessions`, "sessions");
-    const loops = await readAll(`/v1/${map}/loopClosures?state=ACCEPTED`, "loop_closures");
-    const tracks = await Promise.all(sessions.map((session) => readAll(`/v1/${session.name}/submaps`, "submaps")));
-    showSessions(sessions);
-    showLoops(loops);
-    draw(tracks, loops);
+    const now = JSON.stringify([map, sessions, status.queued_jobs, status.running_jobs, status.failed_jobs,
+      status.indexed_submaps]);
+    if (now === seen) return;
+    await showMap(map);
+    seen = now;
   } catch (error) {
-    byId("message").textContent = `The service does not answer (${error.message}).`;
+    seen = "";
+    showHealth("the service does not answer", "bad");
+    byId("message").textContent = error.message;
   }
 }
 
 async function run() {
-  await refresh();
+  if (!document.hidden) await refresh();
   window.setTimeout(run, REFRESH_MS);
 }
 
+function tellSubmap(event) {
+  const submap = drawing.nearest(event.offsetX, event.offsetY);
+  if (!submap) {
+    byId("message").textContent = summary();
+    return;
+  }
+  const { x, y } = submap.position_m;
+  byId("message").textContent = `${shortName(submap.name)}: ${submap.state.toLowerCase()}, x ${x.toFixed(1)} m, ` +
+    `y ${y.toFixed(1)} m, ${plural(submap.point_count, "point")}`;
+}
+
 byId("map").addEventListener("change", refresh);
+byId("every-loop").addEventListener("change", showDrawing);
+byId("trajectory").addEventListener("mousemove", tellSubmap);
 run();

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import structlog
 
+from service import ONE_THREAD
 from service.application.context import Context
 from service.application.errors import Unavailable
 from service.application.ports import UnitOfWork
@@ -91,18 +92,13 @@ def _bury(uow: UnitOfWork, worker_id: str) -> int:
     return uow.queue.release(worker_id)
 
 
-ONE_THREAD = {
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-    "NUMEXPR_NUM_THREADS": "1",
-    "MALLOC_ARENA_MAX": "2",
-}
-"""One thread per worker: the cores are shared out by processes."""
-
-
 def _environment() -> dict[str, str]:
     """The gateway's environment, in which `service` can be found from any directory."""
     root = str(Path(__file__).resolve().parents[2])
     path = os.environ.get("PYTHONPATH")
-    return {**os.environ, **ONE_THREAD, "PYTHONPATH": root if path is None else f"{root}{os.pathsep}{path}"}
+    return {
+        **os.environ,
+        **ONE_THREAD,
+        "MALLOC_ARENA_MAX": "2",
+        "PYTHONPATH": root if path is None else f"{root}{os.pathsep}{path}",
+    }

@@ -12,6 +12,7 @@ from service.rest.schemas import Status
 
 WEB = Path(__file__).resolve().parents[2] / "web"
 
+
 router = APIRouter(tags=["system"])
 
 
@@ -42,19 +43,16 @@ async def get_status(cases: Cases, tenant: Tenant) -> Status:
     return Status.of(await cases.system.status(tenant))
 
 
-@router.get("/", include_in_schema=False)
-async def dashboard() -> FileResponse:
-    """The dashboard's page."""
-    return FileResponse(WEB / "index.html")
+def _serve(path: str, file: str, media_type: str) -> None:
+    """Answer `path` with a file of the dashboard."""
+
+    async def answer() -> FileResponse:
+        return FileResponse(WEB / file, media_type=media_type)
+
+    router.add_api_route(path, answer, include_in_schema=False, name=file)
 
 
-@router.get("/dashboard.js", include_in_schema=False)
-async def dashboard_script() -> FileResponse:
-    """The dashboard's script."""
-    return FileResponse(WEB / "dashboard.js", media_type="text/javascript")
-
-
-@router.get("/dashboard.css", include_in_schema=False)
-async def dashboard_style() -> FileResponse:
-    """The dashboard's style."""
-    return FileResponse(WEB / "dashboard.css", media_type="text/css")
+_serve("/", "index.html", "text/html")
+_serve("/dashboard.css", "dashboard.css", "text/css")
+for _script in ("dashboard", "drawing", "placement", "reading"):
+    _serve(f"/{_script}.js", f"{_script}.js", "text/javascript")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import gzip
 import json
+import re
 import socket
 
 import httpx
@@ -15,6 +16,7 @@ import zstandard
 from core.errors import ErrorCode, RevisitError
 from core.formats import QUANTISED, encode_quantised
 from service.rest.errors import problem
+from service.rest.routes.system import WEB
 from service.status import STATUS
 from tests.support.service_world import cloud_points
 
@@ -300,7 +302,12 @@ def test_the_dashboard_is_served_with_its_script_and_style_and_nothing_inline(ht
     assert "<script>" not in page.text
     assert "style=" not in page.text
     assert "onclick" not in page.text
-    assert "innerHTML" not in http.get("/dashboard.js").text
+    for script in WEB.glob("*.js"):
+        served = http.get(f"/{script.name}")
+        assert served.status_code == 200, script.name
+        assert served.headers["content-type"].startswith("text/javascript")
+        assert not re.search(r"innerHTML|outerHTML|insertAdjacentHTML|eval\(", served.text)
+    assert http.get("/settings.js").status_code == 404
 
 
 RAW_REQUESTS = {

@@ -100,13 +100,13 @@ class Conversation:
         return list(self._answers)
 
 
-def scan_message(seq, x_m=None, data=None, content_type=QUANTISED):
+def scan_message(seq, x_m=None, data=None, content_type=QUANTISED, stamp_ns=1):
     rotation = geometry_pb2.Quaternion(w=1.0)
     where = geometry_pb2.Transform(
         translation=geometry_pb2.Vector3(x=float(seq if x_m is None else x_m)), rotation=rotation
     )
     encoded = cloud_pb2.EncodedCloud(content_type=content_type, data=data or encode_quantised(cloud_points(1)))
-    return ingest_pb2.Scan(seq=seq, stamp_ns=1, t_odom_sensor=where, cloud=cloud_pb2.Cloud(encoded=encoded))
+    return ingest_pb2.Scan(seq=seq, stamp_ns=stamp_ns, t_odom_sensor=where, cloud=cloud_pb2.Cloud(encoded=encoded))
 
 
 def code_of(call):
@@ -135,6 +135,16 @@ def test_a_gap_is_refused_with_the_expected_number_and_the_stream_lives(raw, ses
     nack = talk.say(scan=scan_message(5)).hear().nack
     assert (nack.seq, nack.reason, nack.expected_seq, nack.retryable) == (5, "SEQ_GAP", 1, False)
     assert talk.say(scan=scan_message(1)).hear().ack.committed_seq == 1
+    assert talk.end() == []
+
+
+def test_time_that_goes_backwards_gets_a_nack_and_the_stream_lives(raw, session):
+    talk = opened(raw, session)
+    assert talk.say(scan=scan_message(1, stamp_ns=500)).hear().ack.committed_seq == 1
+    nack = talk.say(scan=scan_message(2, stamp_ns=499)).hear().nack
+    assert (nack.seq, nack.reason, nack.expected_seq, nack.retryable) == (2, "BAD_FIELD", 2, False)
+    assert "500" in nack.message
+    assert talk.say(scan=scan_message(2, stamp_ns=500)).hear().ack.committed_seq == 2
     assert talk.end() == []
 
 

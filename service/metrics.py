@@ -1,0 +1,94 @@
+"""Metrics in Prometheus format: requests as they are answered, the store as it stands when asked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from enum import StrEnum
+from typing import Any
+
+from prometheus_client import CollectorRegistry, Histogram, start_http_server
+from prometheus_client.core import GaugeMetricFamily, Metric
+from prometheus_client.registry import Collector
+
+from core.errors import RevisitError
+from service.application import DEFAULT_TENANT, Context
+from service.application.loops import LoopState
+from service.application.operations import OperationState
+from service.application.ports import Repository, UnitOfWork
+from service.application.submaps import SubmapState
+from service.application.system import WORKER_SEEN_WITHIN_MS
+
+LATENCY_BUCKETS_S = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0)
+LOOPBACK = "127.0.0.1"
+
+
+class RequestMetrics:
+    """How long requests took, by transport, call and status."""
+
+    def __init__(self) -> None:
+        self.registry = CollectorRegistry(auto_describe=True)
+        self._durations = Histogram(
+            "revisit_request_duration_seconds",
+            "Time from a request to the end of its answer.",
+            ("transport", "call", "status"),
+            registry=self.registry,
+            buckets=LATENCY_BUCKETS_S,
+        )
+
+    def observe(self, transport: str, call: str, status: str, duration_s: float) -> None:
+        """Count one answered request; `call` is a route or an RPC, never what a client chose freely."""
+        self._durations.labels(transport, call, status).observe(duration_s)
+
+
+class StoreMetrics(Collector):
+    """Jobs, submaps and loop closures by state, and workers alive, read from the database for each answer."""
+
+    def __init__(self, context: Context) -> None:
+        """Reads through `context`, from the thread that answers."""
+        self._context = context
+
+    def collect(self) -> Iterator[Metric]:
+        """The families; none where the database does not answer."""
+        try:
+            counts = self._context.transactions.read(self._count).result()
+        except RevisitError:
+            return
+        for name, (help_text, label, values) in counts.items():
+            family = GaugeMetricFamily(name, help_text, labels=[label] if label else [])
+            for value, count in values.items():
+                family.add_metric([value] if label else [], count)
+            yield family
+
+    def _count(self, uow: UnitOfWork) -> dict[str, tuple[str, str, dict[str, int]]]:
+        now = self._context.clock.instant()
+        tables: dict[str, tuple[str, Repository[Any], type[StrEnum]]] = {
+            "revisit_jobs": ("Jobs by state.", uow.jobs, OperationState),
+            "revisit_submaps": ("Submaps by state.", uow.submaps, SubmapState),
+            "revisit_loop_closures": ("Judged pairs of submaps by verdict.", uow.loops, LoopState),
+        }
+        counts = {
+            name: (text, "state", {state.value: table.count(DEFAULT_TENANT, state=state.value) for state in states})
+            for name, (text, table, states) in tables.items()
+        }
+        alive = uow.workers.alive(now.epoch, now.ms - WORKER_SEEN_WITHIN_MS)
+        return {**counts, "revisit_workers": ("Workers that have shown themselves lately.", "", {"": len(alive)})}
+
+
+class MetricsServer:
+    """`/metrics` on a loopback port of its own, in a thread of its own."""
+
+    def __init__(self, requests: RequestMetrics, store: StoreMetrics, port: int) -> None:
+        """Listens at once; `port` 0 takes a free one. Raises OSError where the port is taken."""
+        requests.registry.register(store)
+        self._server, self._thread = start_http_server(port, addr=LOOPBACK, registry=requests.registry)
+
+    @property
+    def port(self) -> int:
+        """The port it listens on."""
+        return int(self._server.server_port)
+
+    def close(self) -> None:
+        """Stop answering."""
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()

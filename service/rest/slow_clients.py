@@ -1,0 +1,76 @@
+"""Slow clients: a connection that does not bring its request head in time is closed (bodies: see `BodyLimit`)."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import h11
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+HEAD_S = 15.0
+"""Time for a request line with its headers, counted from the connection or from the first byte of the next request."""
+
+HEAD_BYTES = 32 * 2**10
+"""Bytes of a request line with its headers."""
+
+CONNECTIONS = 512
+"""Open connections and requests; one more is answered 503 at once."""
+
+KEEP_ALIVE_S = 15
+"""How long a connection without a request stays open."""
+
+
+class DeadlineProtocol(H11Protocol):
+    """uvicorn's HTTP/1.1 with a deadline where uvicorn would wait for ever: see `_idle`."""
+
+    head_s = HEAD_S
+    _deadline: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn has it
+        """Start the clock of the first request."""
+        super().connection_made(transport)
+        self._watch()
+
+    def data_received(self, data: bytes) -> None:
+        """Feed the parser; stop the clock once the head is there."""
+        super().data_received(data)
+        self._watch()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Stop the clock."""
+        self._stop()
+        super().connection_lost(exc)
+
+    def _watch(self) -> None:
+        if not self._idle():
+            self._stop()
+        elif self._deadline is None and self.timeout_keep_alive_task is None:
+            self._deadline = asyncio.get_running_loop().call_later(self.head_s, self._expire)
+
+    def _idle(self) -> bool:
+        """Whether nothing but a request head, or the rest of a body that was answered already, is awaited."""
+        state = self.conn.their_state
+        return state is h11.IDLE or (state is h11.SEND_BODY and self.cycle.response_complete)
+
+    def _expire(self) -> None:
+        self._deadline = None
+        if self._idle():
+            self.transport.close()
+
+    def _stop(self) -> None:
+        if self._deadline is not None:
+            self._deadline.cancel()
+            self._deadline = None
+
+
+def uvicorn_limits() -> dict[str, Any]:
+    """The arguments of `uvicorn.Config` that bound what clients can hold open."""
+    return {
+        "http": DeadlineProtocol,
+        "ws": "none",
+        "h11_max_incomplete_event_size": HEAD_BYTES,
+        "limit_concurrency": CONNECTIONS,
+        "timeout_keep_alive": KEEP_ALIVE_S,
+        "server_header": False,
+    }

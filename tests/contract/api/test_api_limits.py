@@ -1,0 +1,196 @@
+"""What clients may hold open, how slowly they may send, and under which names they may ask (rows H07, H10)."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import threading
+import time
+
+import httpx
+import pytest
+import uvicorn
+
+from core.formats import QUANTISED, encode_quantised
+from service.rest.app import create_app
+from service.rest.limits import HttpLimits
+from service.rest.slow_clients import HEAD_BYTES, DeadlineProtocol, uvicorn_limits
+from tests.support.service_world import cloud_points, memory_world
+
+SHORT_S = 0.4
+
+
+class ShortDeadline(DeadlineProtocol):
+    head_s = SHORT_S
+
+
+@contextlib.contextmanager
+def http_server(limits=HttpLimits(), hosts=frozenset(), **settings):
+    """The HTTP side on a free port; yields its address."""
+    world = memory_world()
+    listener = socket.create_server(("127.0.0.1", 0))
+    config = uvicorn.Config(
+        create_app(world.use_cases, limits, hosts=hosts), log_config=None, **{**uvicorn_limits(), **settings}
+    )
+    server = uvicorn.Server(config)
+    server.capture_signals = contextlib.nullcontext
+    thread = threading.Thread(target=lambda: asyncio.run(server.serve(sockets=[listener])), daemon=True)
+    thread.start()
+    while not server.started:
+        time.sleep(0.01)
+    try:
+        yield listener.getsockname()
+    finally:
+        server.should_exit = True
+        thread.join(10)
+
+
+@pytest.fixture(scope="module")
+def impatient():
+    """A server whose deadlines are short."""
+    limits = HttpLimits(body_grace_s=SHORT_S, bodies_bytes=100_000)
+    with http_server(limits, frozenset({"robots.example"}), http=ShortDeadline, timeout_keep_alive=1) as address:
+        yield address
+
+
+def url(address):
+    return f"http://{address[0]}:{address[1]}"
+
+
+def closed_after_s(connection):
+    """How long until the server closes the connection, seconds; what it said meanwhile."""
+    started, said = time.monotonic(), b""
+    connection.settimeout(10)
+    while data := connection.recv(65536):
+        said += data
+    return time.monotonic() - started, said
+
+
+@pytest.mark.parametrize("begin", [b"", b"GET /livez HTTP/1.1\r\nHost: localhost\r\nX-Slow: "], ids=["nothing", "half"])
+def test_a_request_head_that_does_not_come_ends_the_connection(impatient, begin):
+    with socket.create_connection(impatient) as connection:
+        connection.sendall(begin)
+        waited_s, said = closed_after_s(connection)
+    assert SHORT_S / 2 < waited_s < 5
+    assert said == b""
+
+
+def test_drops_of_a_head_do_not_move_its_deadline(impatient):
+    with socket.create_connection(impatient) as connection:
+        started = time.monotonic()
+        with contextlib.suppress(OSError):
+            connection.sendall(b"GET /livez HTTP/1.1\r\nX-Slow: ")
+            while time.monotonic() - started < 5:
+                connection.sendall(b"a")
+                time.sleep(0.05)
+        assert SHORT_S / 2 < time.monotonic() - started < 3
+
+
+def test_a_connection_serves_one_request_after_another_beyond_the_deadline(impatient):
+    with httpx.Client(base_url=url(impatient), trust_env=False) as client:
+        for _ in range(4):
+            assert client.get("/livez").status_code == 200
+            time.sleep(SHORT_S / 2)
+
+
+def test_a_body_that_trickles_is_refused_as_too_slow_and_may_be_repeated(impatient):
+    head = (
+        b"POST /v1/maps HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 1000\r\n\r\n{"
+    )
+    with socket.create_connection(impatient) as connection:
+        connection.sendall(head)
+        waited_s, said = closed_after_s(connection)
+    assert SHORT_S / 2 < waited_s < 5
+    assert said.startswith(b"HTTP/1.1 504")
+    assert b"DEADLINE_EXCEEDED" in said and b"too slowly" in said
+
+
+def test_the_rest_of_a_body_that_was_refused_may_not_trickle_in_for_ever(impatient):
+    head = b"POST /v1/nowhere HTTP/1.1\r\nHost: localhost\r\nContent-Length: 90000\r\n\r\n"
+    with socket.create_connection(impatient) as connection:
+        started = time.monotonic()
+        with contextlib.suppress(OSError):
+            connection.sendall(head)
+            while time.monotonic() - started < 6:
+                connection.sendall(b"a")
+                time.sleep(0.05)
+        assert time.monotonic() - started < 5
+
+
+def test_bodies_beyond_what_all_together_may_take_are_refused_until_later(impatient):
+    with httpx.Client(base_url=url(impatient), trust_env=False) as client:
+        refused = client.post("/v1/maps", content=b" " * 200_000, headers={"content-type": "application/json"})
+        assert (refused.status_code, refused.json()["reason"]) == (503, "WORKERS_BUSY")
+        assert refused.headers["retry-after"]
+        for number in range(5):  # answered bodies are given back
+            assert client.post("/v1/maps", json={"map_id": f"m{number}", "display_name": "x" * 190}).status_code == 201
+
+
+def test_a_head_may_have_so_many_bytes(impatient):
+    with httpx.Client(base_url=url(impatient), trust_env=False) as client:
+        assert client.get("/livez", headers={"x-long": "a" * (HEAD_BYTES - 2000)}).status_code == 200
+        with contextlib.suppress(httpx.RemoteProtocolError, httpx.WriteError, httpx.ReadError):
+            assert client.get("/livez", headers={"x-long": "a" * (4 * HEAD_BYTES)}).status_code == 400
+        assert client.get("/livez").status_code == 200
+
+
+def test_one_connection_too_many_is_told_to_come_back():
+    with http_server(limit_concurrency=3) as address, contextlib.ExitStack() as held:
+        for _ in range(3):
+            held.enter_context(socket.create_connection(address))
+        time.sleep(0.1)
+        assert httpx.get(f"{url(address)}/livez", trust_env=False).status_code == 503
+
+
+@pytest.mark.parametrize(
+    ("host", "status"),
+    [("localhost", 200), ("LOCALHOST:8080", 200), ("127.0.0.1", 200), ("[::1]:80", 200), ("10.1.2.3", 200)]
+    + [("robots.example", 200), ("Robots.Example.:8080", 200)]
+    + [("evil.example", 403), ("localhost.evil.example", 403), ("127.0.0.1.evil.example", 403), ("", 403)],
+)
+def test_the_service_answers_only_to_names_it_knows(impatient, host, status):
+    answer = httpx.get(f"{url(impatient)}/livez", headers={"host": host}, trust_env=False)
+    assert answer.status_code == status
+    if status == 403:
+        assert answer.json()["reason"] == "PERMISSION_DENIED"
+        assert "REVISIT_ALLOWED_HOSTS" in answer.json()["detail"]
+
+
+def test_a_star_answers_to_every_name():
+    with http_server(hosts=frozenset({"*"})) as address:
+        assert httpx.get(f"{url(address)}/livez", headers={"host": "a.example"}, trust_env=False).status_code == 200
+
+
+ASCII_HEADS = {
+    "model/x-pcd": b"# .PCD v0.7\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 9\nHEIGHT 1\n"
+    b"POINTS 9\nDATA ascii\n",
+    "model/ply": b"ply\nformat ascii 1.0\nelement vertex 9\nproperty float x\nproperty float y\nproperty float z\n"
+    b"end_header\n",
+}
+
+
+def test_a_cloud_in_words_is_bounded_more_tightly_than_one_in_binary(http_session):
+    client, path = http_session
+    for content_type, head in ASCII_HEADS.items():
+        body = head + b"1.25 2.5 3.75\n" * 700_000
+        answer = client.post(
+            f"{path}&submap_id=words", content=body, headers={"content-type": content_type}, timeout=30
+        )
+        assert (answer.status_code, answer.json()["reason"]) == (413, "TOO_LARGE")
+        assert "binary" in answer.json()["detail"]
+
+
+@pytest.fixture
+def http_session(service):
+    with httpx.Client(base_url=service.http, trust_env=False) as client:
+        client.post("/v1/maps", json={"map_id": "limits"})
+        client.post("/v1/maps/limits/sessions", json={"session_id": "s"})
+        yield client, "/v1/maps/limits/sessions/s/submaps?stamp_ns=1&T_odom_submap=0,0,0,0,0,0,1"
+
+
+def test_a_binary_cloud_that_happens_to_hold_such_words_is_taken(http_session):
+    client, path = http_session
+    body = encode_quantised(cloud_points(3))
+    answer = client.post(f"{path}&submap_id=binary", content=body, headers={"content-type": QUANTISED})
+    assert answer.status_code == 202

@@ -1,0 +1,64 @@
+"""Metrics: what Prometheus reads."""
+
+from __future__ import annotations
+
+import httpx
+import pytest
+
+from core.errors import ErrorCode
+from service.application.errors import Unavailable
+from service.metrics import MetricsServer, RequestMetrics, StoreMetrics
+from tests.support.service_world import TENANT, memory_world, open_session, submap
+
+
+def lines_of(server):
+    answer = httpx.get(f"http://127.0.0.1:{server.port}/metrics", trust_env=False)
+    assert answer.headers["content-type"].startswith("text/plain")
+    return answer.text.splitlines()
+
+
+@pytest.fixture
+def metrics():
+    """A world, its request metrics and the server over both."""
+    world, requests = memory_world(), RequestMetrics()
+    server = MetricsServer(requests, StoreMetrics(world.context), 0)
+    yield world, requests, server
+    server.close()
+
+
+async def test_jobs_submaps_and_loops_are_counted_by_state(metrics):
+    world, _, server = metrics
+    await open_session(world)
+    for number in range(4):
+        await world.use_cases.submaps.post(TENANT, submap(f"a{number}", place=7 + number % 2))
+    assert 'revisit_jobs{state="QUEUED"} 4.0' in lines_of(server)
+    world.work_off()
+    found = lines_of(server)
+    assert 'revisit_jobs{state="QUEUED"} 0.0' in found
+    assert 'revisit_jobs{state="DONE"} 4.0' in found
+    assert 'revisit_submaps{state="DESCRIBED"} 4.0' in found
+    # a0 and a2 are one place, a1 and a3 another; the pairs between them are looked at and rejected.
+    assert 'revisit_loop_closures{state="ACCEPTED"} 2.0' in found
+
+
+def test_requests_are_timed_under_their_call_and_status(metrics):
+    _, requests, server = metrics
+    requests.observe("http", "GET /v1/maps", "200", 0.02)
+    requests.observe("http", "GET /v1/maps", "200", 3.0)
+    labels = 'call="GET /v1/maps",status="200",transport="http"'
+    found = lines_of(server)
+    assert f"revisit_request_duration_seconds_count{{{labels}}} 2.0" in found
+    assert f'revisit_request_duration_seconds_bucket{{call="GET /v1/maps",le="0.025",{labels[20:]}}} 1.0' in found
+
+
+def test_a_store_that_does_not_answer_leaves_the_other_metrics(metrics, monkeypatch):
+    world, requests, server = metrics
+
+    def refuse(work):
+        raise Unavailable
+
+    monkeypatch.setattr(world.context.transactions, "read", refuse)
+    requests.observe("grpc", "/revisit.v1.MapService/GetMap", ErrorCode.NOT_FOUND.value, 0.001)
+    found = lines_of(server)
+    assert any(line.startswith("revisit_request_duration_seconds_count") for line in found)
+    assert not any(line.startswith("revisit_jobs") for line in found)
