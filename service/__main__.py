@@ -1,4 +1,4 @@
-"""`python -m service serve | worker | migrate`: settings come from REVISIT_* variables."""
+"""`python -m service serve | worker | seen | migrate`: settings come from REVISIT_* variables."""
 
 from __future__ import annotations
 
@@ -48,19 +48,25 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _run(options: argparse.Namespace, settings: Settings) -> int:
     """Run the command that was asked for; the exit status. Raises CommandError for a database of another version."""
-    if options.command == "migrate":
-        from service.adapters.sql.migration import migrate
+    from service.adapters.sql.migration import current_revision, migrate
 
+    if options.command == "migrate":
         migrate(settings.database, options.revision)
         return 0
-    if options.command == "worker":
-        from service.adapters.sql.migration import current_revision
-        from service.composition import run_worker
+    if options.command == "serve":
+        return _serve(settings)
+    if current_revision(settings.database) is None:
+        return _refuse(f"there is no database at {settings.database} yet: run `python -m service migrate` first")
+    from service.composition import run_worker, worker_seen
 
-        if current_revision(settings.database) is None:
-            return _refuse(f"there is no database at {settings.database} yet: run `python -m service migrate` first")
-        run_worker(settings, options.id, options.parent)
-        return 0
+    if options.command == "seen":
+        return 0 if worker_seen(settings, options.id) else _refuse(f"worker {options.id} has not shown itself lately")
+    run_worker(settings, options.id, options.parent)
+    return 0
+
+
+def _serve(settings: Settings) -> int:
+    """Run the gateway, where its address is safe to listen on; the exit status."""
     if settings.exposed and not settings.insecure_bind:
         return _refuse(
             f"refusing to listen on {settings.host}: there are no API keys yet, so anyone who reaches this address "
@@ -81,6 +87,8 @@ def _parser() -> argparse.ArgumentParser:
     worker = commands.add_parser("worker", help="run one more worker on this machine")
     worker.add_argument("--id", help="name of the worker; one is made up by default")
     worker.add_argument("--parent", type=int, help="end with the process of this id")
+    seen = commands.add_parser("seen", help="exit with 0 if a worker has shown itself lately, for health checks")
+    seen.add_argument("--id", required=True, help="name of the worker")
     migrate = commands.add_parser("migrate", help="bring the database to the schema of this version")
     migrate.add_argument("--revision", default="head", help="a revision to go back to, or base; default head")
     return parser

@@ -19,6 +19,7 @@ from service.adapters.vector_index import PlaceVectorIndex
 from service.application import Context, UseCases
 from service.application.ports import PlaceRecogniser
 from service.application.recognition import Recognition
+from service.application.system import WORKER_SEEN_WITHIN_MS
 from service.settings import Settings
 from service.worker.loop import Worker, WorkerIdentity
 
@@ -61,6 +62,17 @@ def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None
     worker = Worker(context, Recognition(context, recogniser), identity, stopping, settings.jobs_per_worker)
     try:
         worker.run()
+    finally:
+        context.transactions.close()
+
+
+def worker_seen(settings: Settings, worker_id: str) -> bool:
+    """Whether the worker has shown itself in the database lately."""
+    context = build_context(settings, gateway=False)
+    now = context.clock.instant()
+    try:
+        alive = context.transactions.read(lambda uow: uow.workers.alive(now.epoch, now.ms - WORKER_SEEN_WITHIN_MS))
+        return any(worker.worker_id == worker_id for worker in alive.result())
     finally:
         context.transactions.close()
 

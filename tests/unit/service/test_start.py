@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import socket
 import sqlite3
 
 import pytest
@@ -11,6 +12,9 @@ import structlog
 
 from service.__main__ import main
 from service.adapters.sql.migration import current_revision
+from service.application.records import WorkerRecord
+from service.composition import build_context
+from service.settings import Settings
 from service.telemetry import configure_logging
 
 
@@ -42,6 +46,38 @@ def test_a_database_of_a_newer_version_is_refused_and_left_alone(home, capsys):
 def test_a_worker_without_a_database_is_refused(capsys):
     assert main(["worker"]) == 78
     assert "migrate" in capsys.readouterr().err
+
+
+def test_a_worker_that_never_showed_itself_is_not_seen(capsys):
+    assert main(["seen", "--id", "w"]) == 78
+    main(["migrate"])
+    assert main(["seen", "--id", "w"]) == 78
+    assert "not shown itself" in capsys.readouterr().err
+
+
+def test_a_worker_that_beats_is_seen(home):
+    main(["migrate"])
+    context = build_context(Settings(), gateway=False)
+    now = context.clock.instant()
+    context.transactions.write(lambda uow: uow.workers.beat(WorkerRecord("w", "fake-1", now.epoch, now.ms))).result()
+    context.transactions.close()
+    assert main(["seen", "--id", "w"]) == 0
+    assert main(["seen", "--id", "other"]) == 78
+
+
+def test_a_setting_that_cannot_be_used_is_named_as_its_variable(monkeypatch, capsys):
+    monkeypatch.setenv("REVISIT_HTTP_PORT", "99999")
+    assert main(["serve"]) == 78
+    assert capsys.readouterr().err.startswith("REVISIT_HTTP_PORT: ")
+
+
+def test_a_port_in_use_is_named_with_the_setting_that_changes_it(monkeypatch, capsys):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        monkeypatch.setenv("REVISIT_HTTP_PORT", str(port))
+        assert main(["serve"]) == 78
+    said = capsys.readouterr().err
+    assert f"port {port} for HTTP" in said and "REVISIT_HTTP_PORT" in said
 
 
 def test_an_unknown_log_level_is_refused(monkeypatch, capsys):

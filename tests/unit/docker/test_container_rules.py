@@ -1,0 +1,109 @@
+"""The container files follow the rules of the house, read as text: no daemon is needed."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[3]
+DOCKERFILE = (ROOT / "docker/Dockerfile").read_text()
+COMPOSE = (ROOT / "docker/compose.yaml").read_text()
+TARGETS = ("gateway", "worker")
+
+
+def instructions(text):
+    """(instruction, arguments) pairs, continued lines joined, comments left out."""
+    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    joined = re.sub(r"\\\n\s*", " ", "\n".join(lines))
+    return [tuple(line.split(None, 1)) for line in joined.splitlines()]
+
+
+def stages(text):
+    """name -> (image it starts from, its instructions)."""
+    found = {}
+    for word, rest in instructions(text):
+        if word == "FROM":
+            image, _, name = rest.partition(" AS ")
+            found[name] = (image, current := [])
+        elif found:
+            current.append((word, rest))
+    return found
+
+
+STAGES = stages(DOCKERFILE)
+
+
+def own_and_inherited(name):
+    image, steps = STAGES[name]
+    return [*(own_and_inherited(image) if image in STAGES else []), *steps]
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_a_target_runs_as_a_user_that_is_not_root(target):
+    users = [rest for word, rest in own_and_inherited(target) if word == "USER"]
+    assert users[-1] == "10001:10001"
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_a_target_has_a_health_check_and_a_command_that_gets_its_signals(target):
+    _, steps = STAGES[target]
+    assert [word for word, _ in steps].count("HEALTHCHECK") == 1
+    command = json.loads(dict(steps)["CMD"])
+    assert command[0] == "python" or (command[:2] == ["sh", "-c"] and command[2].startswith("exec "))
+
+
+def test_every_base_image_has_a_full_version():
+    bases = [image for image, _ in STAGES.values() if image not in STAGES]
+    assert bases
+    assert all(re.fullmatch(r"python:3\.\d+\.\d+-slim-bookworm", image) for image in bases)
+
+
+def test_nothing_is_added_from_elsewhere():
+    assert "ADD" not in [word for word, _ in instructions(DOCKERFILE)]
+    assert not re.search(
+        r"curl|wget|https?://(?!127\.0\.0\.1)", "\n".join(rest for _, rest in instructions(DOCKERFILE))
+    )
+
+
+def test_all_that_is_copied_exists_and_is_let_through():
+    ignored = (ROOT / ".dockerignore").read_text().splitlines()
+    copied = [rest for word, rest in instructions(DOCKERFILE) if word == "COPY" and not rest.startswith("--from")]
+    for source in " ".join(rest.rpartition(" ")[0] for rest in copied).split():
+        assert (ROOT / source).exists(), source
+        assert f"!{Path(source)}" in ignored
+
+
+def compose_service(name):
+    """The text of a service, with what it merges in; no YAML parser is among the project's dependencies."""
+    own = re.search(rf"^  {name}:\n((?:    .*\n|\n)+)", COMPOSE, re.MULTILINE)[1]
+    shared = re.search(r"^x-service: &service\n((?:  .*\n)+)", COMPOSE, re.MULTILINE)[1]
+    return own + (shared if "<<: *service" in own else "")
+
+
+@pytest.mark.parametrize("name", TARGETS)
+@pytest.mark.parametrize(
+    "line", ["read_only: true", "cap_drop: [ALL]", "volumes: [data:/data]", 'security_opt: ["no-new-privileges:true"]']
+)
+def test_the_services_are_locked_down_and_share_one_volume(name, line):
+    assert line in compose_service(name)
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_a_service_builds_its_target_under_the_version_of_the_project(name):
+    version = re.search(r'^version = "(.+)"', (ROOT / "pyproject.toml").read_text(), re.MULTILINE)[1]
+    service = compose_service(name)
+    assert f"target: {name}}}" in service
+    assert re.search(r"image: (\S+)", service)[1].endswith(f":{version}")
+
+
+def test_the_ports_are_published_on_this_machine_only():
+    ports = re.findall(r'"([\d.:]+:\d+)"', re.search(r"ports: (.*)", COMPOSE)[1])
+    assert len(ports) == 2
+    assert all(port.startswith("127.0.0.1:") for port in ports)
+
+
+def test_a_container_that_stops_leaves_jobs_their_time():
+    assert int(re.search(r"stop_grace_period: (\d+)s", COMPOSE)[1]) >= 15
