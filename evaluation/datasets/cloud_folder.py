@@ -12,7 +12,7 @@ from core.errors import BadField, MalformedBody
 from core.formats import decode_cloud, media_type_for_suffix
 from core.scan import Points
 from evaluation.datasets.number_rows import read_rows, read_words
-from evaluation.datasets.posed_clouds import PosedClouds, StampedPoses, Stamps, interpolated, rebased
+from evaluation.datasets.posed_clouds import PosedClouds, StampedPoses, Stamps, interpolated, posed
 
 SCAN_PERIOD_NS = 100_000_000
 _SUFFIXES = (".pcd", ".ply", ".bin", ".npy")
@@ -35,7 +35,7 @@ def open_cloud_folder(folder: Path) -> PosedClouds:
     rows = read_rows(poses, width)
     stamps, matrices = _tum(poses, rows) if width == 8 else _kitti(rows)
     if len(rows) == len(files):
-        return PosedClouds(name, files, rebased(list(matrices)), stamps, read_cloud)
+        return posed(name, files, list(matrices), stamps, read_cloud)
     if width == 12:
         raise BadField(f"{poses.name} has {len(rows)} rows for {len(files)} clouds", field=poses.name)
     named = np.array([_time_in_name(file) for file in files], dtype=np.int64)

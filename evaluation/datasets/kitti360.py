@@ -17,7 +17,7 @@ from core import se3
 from core.errors import BadField, MalformedBody
 from evaluation.datasets.kitti import read_velodyne
 from evaluation.datasets.number_rows import keyed_matrix, read_rows
-from evaluation.datasets.posed_clouds import PosedClouds, Stamps, rebased
+from evaluation.datasets.posed_clouds import PosedClouds, Stamps, posed
 
 SCAN_PERIOD_NS = 100_000_000
 
@@ -36,8 +36,8 @@ def open_kitti360(folder: Path) -> PosedClouds:
     if not present:
         raise FileNotFoundError(f"none of the scans with poses is in {data}")
     stamps = _stamps(folder / "velodyne_points" / "timestamps.txt", frames)
-    poses = rebased([T_world_velo[index] for index in present])
-    return PosedClouds(drive, [files[index] for index in present], poses, stamps[present], read_velodyne)
+    poses = [T_world_velo[index] for index in present]
+    return posed(drive, [files[index] for index in present], poses, stamps[present], read_velodyne)
 
 
 def _poses(poses: Path, calibration: Path) -> tuple[NDArray[np.int64], list[se3.Matrix4]]:

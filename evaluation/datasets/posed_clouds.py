@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,7 +51,8 @@ class StampedPoses:
 class PosedClouds:
     """Cloud files, read when asked for.
 
-    T_world_sensor (n, 4, 4), z up; stamps_ns (n,) int64; `read` gives the points (n, 3) of a file in the sensor frame.
+    T_world_sensor (n, 4, 4), z up; stamps_ns (n,) int64; `read` gives the points (n, 3) of a file in the sensor frame;
+    `origin` (3,) is where the world's origin lies in the published map frame, metres.
     """
 
     name: str
@@ -58,6 +60,7 @@ class PosedClouds:
     T_world_sensor: NDArray[np.float64]
     stamps_ns: Stamps
     read: CloudReader
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         if not self.files:
@@ -79,15 +82,26 @@ class PosedClouds:
     def __iter__(self) -> Iterator[Scan]:
         return (self.scan(index) for index in range(len(self)))
 
+    def beside(self, other: PosedClouds) -> PosedClouds:
+        """The same recording in the world of `other`, a session of the same map."""
+        moved = self.T_world_sensor.copy()
+        moved[:, :3, 3] += np.subtract(self.origin, other.origin)
+        return dataclasses.replace(self, T_world_sensor=moved, origin=other.origin)
 
-def rebased(T_world_sensor: Sequence[se3.Matrix4]) -> NDArray[np.float64]:
-    """The poses (n, 4, 4), validated, in a world whose origin is the first of them; its axes stay as they are.
+
+def posed(
+    name: str, files: Sequence[Path], T_map_sensor: Sequence[se3.Matrix4], stamps_ns: Stamps, read: CloudReader
+) -> PosedClouds:
+    """A recording in a world whose origin is its first pose; the axes stay those of the map.
 
     Published poses are map coordinates of millions of metres. Raises BadTransform.
     """
-    poses = np.stack([se3.validated(pose) for pose in T_world_sensor])
-    poses[:, :3, 3] -= poses[0, :3, 3].copy()
-    return poses
+    if not files:
+        raise FileNotFoundError(f"{name}: no scan has a pose")
+    poses = np.stack([se3.validated(pose) for pose in T_map_sensor])
+    x, y, z = (float(value) for value in poses[0, :3, 3])
+    poses[:, :3, 3] -= (x, y, z)
+    return PosedClouds(name, files, poses, stamps_ns, read, (x, y, z))
 
 
 def named_scans(folder: Path, pattern: str, ns_per_unit: int) -> tuple[list[Path], Stamps]:
@@ -109,5 +123,5 @@ def interpolated(
     kept = np.flatnonzero(poses.covered(stamps_ns))
     if len(kept) == 0:
         raise FileNotFoundError(f"{name}: no scan was taken while there were poses")
-    T_world_sensor = rebased([poses.at(int(stamps_ns[index])) @ T_body_sensor for index in kept])
-    return PosedClouds(name, [files[index] for index in kept], T_world_sensor, stamps_ns[kept], read)
+    T_map_sensor = [poses.at(int(stamps_ns[index])) @ T_body_sensor for index in kept]
+    return posed(name, [files[index] for index in kept], T_map_sensor, stamps_ns[kept], read)

@@ -12,7 +12,7 @@ from core import se3
 from core.errors import BadField
 from core.scan import Scan
 from evaluation.datasets.mcap import McapFile, Message, Place
-from evaluation.datasets.posed_clouds import StampedPoses, Stamps, rebased
+from evaluation.datasets.posed_clouds import StampedPoses, Stamps
 from evaluation.datasets.ros_messages import CLOUD_TYPES, POSE_TYPES, read_points, read_pose, read_stamp
 
 
@@ -69,7 +69,7 @@ def open_bag(folder: Path, T_body_sensor: se3.Matrix4 | None = None) -> BagRecor
     if len(kept) == 0:
         raise BadField(f"{file.name}: no cloud was taken while there were poses", field="poses")
     mounted = np.eye(4) if T_body_sensor is None else se3.validated(T_body_sensor)
-    T_world_sensor = rebased([poses.at(int(cloud_stamps[index])) @ mounted for index in kept])
+    T_world_sensor = np.stack([poses.at(int(cloud_stamps[index])) @ mounted for index in kept])
     return BagRecording(file.stem, bag, [clouds.places[order[i]] for i in kept], T_world_sensor, cloud_stamps[kept])
 
 

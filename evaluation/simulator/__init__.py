@@ -2,10 +2,12 @@
 
     streets = grid.streets() or streets_under(path)      paths
     world = build_city(streets, seed, drive=path)        city
+    later = changed(world, seed)                         changes
     trajectory = drive(path, world.ground)               trajectories
     for scan in simulate(world, trajectory, HDL64, seed) lidar
 """
 
+from evaluation.simulator.changes import Changes, changed
 from evaluation.simulator.city import TownPlan, World, build_city
 from evaluation.simulator.lidar import SimulatedScan, simulate
 from evaluation.simulator.paths import Path, StreetGrid, streets_under
@@ -13,6 +15,24 @@ from evaluation.simulator.sensors import HDL32, HDL64, OS1_64, SENSORS, VLP16, L
 from evaluation.simulator.trajectories import Trajectory, drive, grid_drive, kitti_path
 
 __all__ = [
-    "HDL32", "HDL64", "OS1_64", "SENSORS", "VLP16", "LidarModel", "Path", "SimulatedScan", "StreetGrid", "TownPlan",
-    "Trajectory", "World", "build_city", "drive", "grid_drive", "kitti_path", "simulate", "streets_under",
+    "HDL32",
+    "HDL64",
+    "OS1_64",
+    "SENSORS",
+    "VLP16",
+    "Changes",
+    "LidarModel",
+    "Path",
+    "SimulatedScan",
+    "StreetGrid",
+    "TownPlan",
+    "Trajectory",
+    "World",
+    "build_city",
+    "changed",
+    "drive",
+    "grid_drive",
+    "kitti_path",
+    "simulate",
+    "streets_under",
 ]  # fmt: skip

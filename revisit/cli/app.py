@@ -183,6 +183,60 @@ def evaluate(
     evaluating.evaluate_folder(folder, file_format, options, json)
 
 
+bench = typer.Typer(help="Measure the product.", invoke_without_command=True)
+app.add_typer(bench, name="bench")
+
+
+@bench.callback()
+def bench_metrics(
+    context: typer.Context,
+    update: Annotated[bool, typer.Option(help="Write the measured figures as the new baseline.")] = False,
+    json: Json = False,
+) -> None:
+    """Compare the declared metrics with the committed baseline; exit status 1 where one became worse."""
+    if context.invoked_subcommand is None:
+        from revisit.cli import benchmarking
+
+        benchmarking.metrics(update, json)
+
+
+@bench.command("run")
+def bench_run(
+    update: Annotated[bool, typer.Option(help="Write the measured figures as the new baseline.")] = False,
+    json: Json = False,
+) -> None:
+    """The same as `revisit bench` alone."""
+    from revisit.cli import benchmarking
+
+    benchmarking.metrics(update, json)
+
+
+@bench.command("recognition")
+def bench_recognition(
+    out: Annotated[Path, typer.Option(help="Folder for the report, its pictures and the outcomes.")] = Path(
+        "out/recognition"
+    ),
+    recordings: Annotated[
+        Path | None, typer.Option(help="Folder that keeps the simulated drives; OUT/recordings by default.")
+    ] = None,
+    drives: Annotated[str, typer.Option(help="Simulated drives by name, with commas; all by default.")] = "",
+    protocols: Annotated[str, typer.Option(help="Protocols by name, with commas; all by default.")] = "",
+    recording: Annotated[
+        list[Path] | None, typer.Option(exists=True, help="A recording of your own instead; may be repeated.")
+    ] = None,
+    sessions: Annotated[
+        tuple[Path, Path] | None, typer.Option(exists=True, help="MAP QUERY: two recordings in one world frame.")
+    ] = None,
+    file_format: Annotated[str, typer.Option("--format", help=RECORDINGS)] = "kitti",
+    jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+) -> None:
+    """Recognition of the product and of every baseline, as one report; a second run goes on where the first ended."""
+    from revisit.cli import benchmarking
+
+    own = benchmarking.OwnRecordings(tuple(recording or ()), sessions, file_format)
+    benchmarking.recognition(out, recordings or out / "recordings", (drives, protocols), own, jobs)
+
+
 @app.command()
 def doctor(
     home: Annotated[Path | None, typer.Option(help="Directory of the database and the blobs.")] = None,

@@ -104,7 +104,8 @@ def test_clouds_get_the_poses_between_which_they_were_taken(tmp_path: Path, comp
     assert recording.name == "drive" and len(recording) == 2
     np.testing.assert_array_equal(recording.scan(1).points, cloud(2))
     np.testing.assert_array_equal(recording.scan(0).points, cloud(1))
-    np.testing.assert_allclose(recording.pose(1)[:3, 3], [1.0, 0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(recording.pose(0)[:3, 3], [0.75, 0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(recording.pose(1)[:3, 3], [1.75, 0.0, 0.0], atol=1e-9)
     assert recording.scan(0).stamp_ns == 1_700_000_001 * 10**9
 
 

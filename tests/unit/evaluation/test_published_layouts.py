@@ -111,6 +111,15 @@ def test_mulran_poses_are_interpolated_at_the_scans_and_carried_to_the_ouster(tm
     np.testing.assert_allclose(recording.pose(0)[:3, 2], [0.0, 0.0, 1.0], atol=1e-5)
 
 
+def test_two_sessions_of_one_map_are_put_into_one_world(tmp_path: Path) -> None:
+    first, second = (mulran(tmp_path / name) for name in ("DCC01", "DCC02"))
+    shifted = (second / "global_pose.csv").read_text().replace("4026000.0", "4026007.0")
+    (second / "global_pose.csv").write_text(shifted)
+    known, asking = open_mulran(first), open_mulran(second)
+    np.testing.assert_allclose(asking.pose(0)[:3, 3], 0.0, atol=1e-12)
+    np.testing.assert_allclose(asking.beside(known).pose(0)[:3, 3], [0.0, 7.0, 0.0], atol=1e-6)
+
+
 def test_a_mulran_scan_that_is_not_named_by_its_time_is_refused(tmp_path: Path) -> None:
     folder = mulran(tmp_path)
     write_velodyne(folder / "Ouster" / "scan.bin", cloud(0))

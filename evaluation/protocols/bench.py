@@ -1,0 +1,56 @@
+"""`revisit bench recognition`: the whole programme, and its report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.config import PipelineConfig
+from core.errors import RevisitError
+from core.model_bundle import load_packaged_models
+from evaluation.datasets import Recording
+from evaluation.methods import Method
+from evaluation.protocols.contest import Progress
+from evaluation.protocols.programme import Programme, run_programme
+from evaluation.protocols.trial import Trial
+from evaluation.report.failures import Failure, bev_image
+from evaluation.report.recognition import write_report
+
+
+def run_recognition_bench(
+    programme: Programme, report: Progress, method: Method | None = None
+) -> tuple[list[Trial], tuple[Path, Path]]:
+    """Run what is not on file yet and write the report into the programme's folder: the trials, and its two files."""
+    trials = list(run_programme(programme, report, method))
+    pictures = _BevPictures(_recordings(programme), PipelineConfig(submap=programme.submap))
+    version = load_packaged_models().version if method is None else type(method).__name__
+    return trials, write_report(trials, programme.folder, version, pictures)
+
+
+def _recordings(programme: Programme) -> Sequence[Recording]:
+    """Every recording of the programme; simulated ones are there by now."""
+    drives = [*programme.drives, *(one for pair in programme.sessions for one in pair)]
+    wanted = drives if "sessions" in programme.protocols else programme.drives
+    return [drive.recorded(programme.recordings) for drive in wanted]
+
+
+class _BevPictures:
+    """Bird's-eye images of failed pairs, made by the product from the recordings."""
+
+    def __init__(self, recordings: Sequence[Recording], config: PipelineConfig) -> None:
+        self._recordings = {recording.name: recording for recording in recordings}
+        self._config = config
+
+    def __call__(self, trial: Trial, failure: Failure) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:
+        """Query and map submap, as they lie in the recording; None where one of them cannot be described."""
+        try:
+            query = self._image(trial.query_recording, trial.query_windows[failure.query])
+            return query, self._image(trial.map_recording, trial.map_windows[failure.match])
+        except RevisitError:
+            return None
+
+    def _image(self, recording: str, window: tuple[int, ...]) -> NDArray[np.float32]:
+        return bev_image(self._recordings[recording], window, self._config)

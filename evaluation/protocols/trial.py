@@ -1,0 +1,135 @@
+"""The outcome of one protocol on one sequence, for all methods: plain numbers that a file can hold."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evaluation.metrics import (
+    LoopProtocol,
+    Outcomes,
+    RecognitionScores,
+    loop_segments,
+    recall_at,
+    score_recognition,
+)
+from evaluation.protocols.question import Question
+
+
+@dataclass(frozen=True)
+class PoseErrors:
+    """Metres and degrees (k,) of the accepted loops of a method."""
+
+    metres: tuple[float, ...]
+    degrees: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class MethodOutcome:
+    """What a method answered.
+
+    candidates[q]: the map submaps it ranks first, best first; score[q] of the first, None where there is none; times in
+    seconds a submap; `accepted` queries whose loop was let through, and the errors of their poses, where it verifies.
+    """
+
+    method: str
+    candidates: tuple[tuple[int, ...], ...]
+    score: tuple[float | None, ...]
+    describe_s: float
+    search_s: float
+    bytes_per_submap: float
+    accepted: tuple[int, ...] = ()
+    poses: PoseErrors = PoseErrors((), ())
+
+
+@dataclass(frozen=True)
+class Trial:
+    """All methods on one question. Positions in metres; windows are the scan indices of every submap.
+
+    `query_recording` and `map_recording` are names, the same where a drive is its own map; `costs` holds bytes and
+    seconds of the product by part.
+    """
+
+    sequence: str
+    protocol: str
+    query_recording: str
+    map_recording: str
+    loops: LoopProtocol
+    query_positions: tuple[tuple[float, ...], ...]
+    map_positions: tuple[tuple[float, ...], ...]
+    query_windows: tuple[tuple[int, ...], ...]
+    map_windows: tuple[tuple[int, ...], ...]
+    within_session: bool
+    outcomes: tuple[MethodOutcome, ...]
+    costs: dict[str, float]
+
+    def question(self) -> Question:
+        """What was asked."""
+        queries = np.array(self.query_positions).reshape(-1, 3)
+        if self.within_session:
+            return Question.within_session(queries, self.loops)
+        known = np.array(self.map_positions).reshape(-1, 3)
+        return Question.between_sessions(queries, known, self.loops.positive_radius_m)
+
+    def outcome(self, method: str) -> MethodOutcome:
+        """What `method` answered. Raises KeyError for a method that did not take part."""
+        for outcome in self.outcomes:
+            if outcome.method == method:
+                return outcome
+        raise KeyError(method)
+
+    def write(self, file: Path) -> None:
+        """Write as JSON; its folder is made where missing."""
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(json.dumps(dataclasses.asdict(self), allow_nan=False))
+
+    @classmethod
+    def read(cls, file: Path) -> Trial:
+        """The trial in a file that `write` wrote."""
+        fields: dict[str, Any] = json.loads(file.read_text())
+        outcomes = tuple(_outcome(values) for values in fields.pop("outcomes"))
+        loops = LoopProtocol(**fields.pop("loops"))
+        return cls(**{name: _frozen(value) for name, value in fields.items()}, loops=loops, outcomes=outcomes)
+
+
+@dataclass(frozen=True)
+class Scores:
+    """A method's figures in one trial."""
+
+    recognition: RecognitionScores
+    recall_at_1: float
+    recall_at_5: float
+
+
+def judged(outcome: MethodOutcome, question: Question) -> Outcomes:
+    """One row a query: its score, whether the first candidate is right, whether there was a loop."""
+    correct = [bool(ids) and bool(question.positives[query, ids[0]]) for query, ids in enumerate(outcome.candidates)]
+    has_loop = np.asarray(question.positives.any(axis=1))
+    score = [-np.inf if value is None else value for value in outcome.score]
+    return Outcomes(np.array(score, dtype=np.float64), np.array(correct, dtype=bool), has_loop)
+
+
+def scores(outcome: MethodOutcome, question: Question) -> Scores:
+    """The figures of `outcome`, with bootstrap intervals over loop segments."""
+    rows = judged(outcome, question)
+    ranked = [list(ids) for ids in outcome.candidates]
+    return Scores(
+        score_recognition(rows, loop_segments(rows.has_loop)),
+        recall_at(ranked, question.positives, 1),
+        recall_at(ranked, question.positives, 5),
+    )
+
+
+def _outcome(values: dict[str, Any]) -> MethodOutcome:
+    poses = PoseErrors(**{name: tuple(errors) for name, errors in values.pop("poses").items()})
+    return MethodOutcome(**{name: _frozen(value) for name, value in values.items()}, poses=poses)
+
+
+def _frozen(value: Any) -> Any:
+    """Lists as tuples, at any depth."""
+    return tuple(_frozen(item) for item in value) if isinstance(value, list) else value

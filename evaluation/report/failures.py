@@ -1,0 +1,64 @@
+"""The worst failures of the product: the surest wrong matches, and the loops it was least sure of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.config import PipelineConfig
+from core.model_bundle import load_packaged_models
+from core.pipeline import describe
+from core.submap import Submap
+from evaluation.cutting import Window, load_submap
+from evaluation.datasets import Recording
+from evaluation.perturbations import Perturbation
+from evaluation.protocols.trial import MethodOutcome, Trial, judged
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A query with the map submap it was wrongly matched with, or the nearest one that it should have been."""
+
+    query: int
+    match: int
+    wrong: bool
+    score: float
+    distance_m: float
+
+    @property
+    def title(self) -> str:
+        """What went wrong, in one line."""
+        kind = "wrongly matched with" if self.wrong else "not matched with its loop"
+        return f"submap {self.query} {kind} {self.match} at {self.distance_m:.0f} m, score {self.score:.2f}"
+
+
+def worst_failures(trial: Trial, outcome: MethodOutcome, count: int) -> list[Failure]:
+    """At most `count` wrong matches by falling score, and as many loops whose first match is wrong by rising score."""
+    question = trial.question()
+    rows = judged(outcome, question)
+    distance = _distances(trial)
+    wrong = np.flatnonzero(~rows.correct & ~rows.has_loop & np.isfinite(rows.score))
+    missed = np.flatnonzero(~rows.correct & rows.has_loop)
+    found = []
+    for query in wrong[np.argsort(-rows.score[wrong], kind="stable")][:count]:
+        match = outcome.candidates[query][0]
+        found.append(Failure(int(query), match, True, float(rows.score[query]), float(distance[query, match])))
+    for query in missed[np.argsort(rows.score[missed], kind="stable")][:count]:
+        match = int(np.where(question.positives[query], distance[query], np.inf).argmin())
+        score = max(float(rows.score[query]), 0.0)
+        found.append(Failure(int(query), match, False, score, float(distance[query, match])))
+    return found
+
+
+def bev_image(recording: Recording, window: Window, config: PipelineConfig) -> NDArray[np.float32]:
+    """The bird's-eye image (H, W) that the product makes of a submap. Raises RevisitError for unusable submaps."""
+    submap: Submap = load_submap(recording, window, config.submap, Perturbation())
+    return describe(submap, load_packaged_models(), config).bev.image
+
+
+def _distances(trial: Trial) -> NDArray[np.float64]:
+    """Metres (q, m) between query and map submaps."""
+    queries, known = (np.array(rows).reshape(-1, 3) for rows in (trial.query_positions, trial.map_positions))
+    return np.asarray(np.linalg.norm(queries[:, None] - known[None], axis=2))

@@ -1,0 +1,87 @@
+"""The pictures of a recognition report: precision over recall, where matches were right and wrong, failed pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")  # no display is needed
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from evaluation.metrics import Outcomes, best_f1, precision_recall
+from evaluation.protocols.contest import PRODUCT, VERIFIED
+from evaluation.protocols.trial import Trial, judged
+
+_COLOURS = {"right": "tab:green", "wrong": "tab:red", "missed": "tab:orange", "no loop": "lightgrey"}
+
+
+def draw_curves(trial: Trial, file: Path) -> None:
+    """Precision over recall of every method (paper Fig. 4); the product is drawn with thick lines."""
+    figure, axes = plt.subplots(figsize=(7, 5.5), layout="constrained")
+    question = trial.question()
+    for outcome in trial.outcomes:
+        curve = precision_recall(judged(outcome, question))
+        if len(curve.recall):
+            own = outcome.method in (PRODUCT, VERIFIED)
+            recall, precision = np.append(0.0, curve.recall), np.append(curve.precision[0], curve.precision)
+            axes.plot(recall, precision, linewidth=2.4 if own else 1.1, label=outcome.method)
+    axes.set(xlim=(0, 1.02), ylim=(0, 1.02), xlabel="recall", ylabel="precision")
+    axes.set_title(f"{trial.sequence}, {trial.protocol}")
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=8, loc="lower left")
+    _save(figure, file)
+
+
+def draw_map(trial: Trial, file: Path, columns: int = 4) -> None:
+    """Every method's matches at the threshold of its best F1, on the map (paper Figs. 5 and 6)."""
+    rows = -(-len(trial.outcomes) // columns)
+    figure, grid = plt.subplots(rows, columns, figsize=(4 * columns, 4 * rows), layout="constrained", squeeze=False)
+    question, positions = trial.question(), np.array(trial.query_positions).reshape(-1, 3)
+    for axes in grid.flat[len(trial.outcomes) :]:
+        axes.axis("off")
+    for axes, outcome in zip(grid.flat, trial.outcomes, strict=False):
+        kinds = classified(judged(outcome, question))
+        _draw_kinds(axes, positions, kinds)
+        counts = ", ".join(f"{int((kinds == kind).sum())} {kind}" for kind in ("right", "wrong", "missed"))
+        axes.set_title(f"{outcome.method}\n{counts}", fontsize=9)
+    _save(figure, file)
+
+
+def classified(outcomes: Outcomes) -> NDArray[np.str_]:
+    """right (TP), wrong (FP), missed (FN) or no loop (TN) of every query (n,), at the threshold of the best F1."""
+    threshold = best_f1(precision_recall(outcomes))[1]
+    accepted = outcomes.score >= (np.inf if threshold is None else threshold)
+    kinds = np.where(outcomes.has_loop, "missed", "no loop")
+    return np.where(accepted, np.where(outcomes.correct, "right", "wrong"), kinds)
+
+
+def draw_pairs(pairs: Sequence[tuple[str, NDArray[np.float32], NDArray[np.float32]]], file: Path) -> None:
+    """Two bird's-eye images beside one another a row: the query, and what it was or should have been matched with."""
+    figure, grid = plt.subplots(len(pairs), 2, figsize=(8, 4 * len(pairs)), layout="constrained", squeeze=False)
+    for row, (title, query, match) in zip(grid, pairs, strict=True):
+        for axes, image, name in zip(row, (query, match), ("query", "map"), strict=True):
+            axes.imshow(image, origin="lower", cmap="magma")
+            axes.set_title(f"{title}: {name}", fontsize=9)
+            axes.axis("off")
+    _save(figure, file)
+
+
+def _draw_kinds(axes: Axes, positions: NDArray[np.float64], kinds: NDArray[np.str_]) -> None:
+    for kind in ("no loop", "right", "missed", "wrong"):
+        chosen = positions[kinds == kind]
+        axes.scatter(chosen[:, 0], chosen[:, 1], s=5 if kind == "no loop" else 12, color=_COLOURS[kind], label=kind)
+    axes.set_aspect("equal")
+    axes.tick_params(labelsize=7)
+
+
+def _save(figure: Figure, file: Path) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(file, dpi=100)
+    plt.close(figure)

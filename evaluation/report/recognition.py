@@ -1,0 +1,199 @@
+"""The recognition report: every trial's tables and pictures, all methods side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evaluation.metrics import Interval
+from evaluation.protocols.contest import PRODUCT, VERIFIED
+from evaluation.protocols.programme import ABLATIONS
+from evaluation.protocols.trial import MethodOutcome, Scores, Trial, scores
+from evaluation.report.document import Document
+from evaluation.report.failures import Failure, worst_failures
+from evaluation.report.pictures import draw_curves, draw_map, draw_pairs
+
+NAME = "recognition"
+FAILURES_SHOWN = 3
+
+FailurePictures = Callable[[Trial, Failure], tuple[NDArray[np.float32], NDArray[np.float32]] | None]
+"""The two bird's-eye images of a failure, None where they cannot be made."""
+
+_TITLES = {
+    "online": "Each submap asks its past",
+    "rotation": "Every submap turned by a random yaw",
+    "beams": "Queries cut to 16 of 64 beams, map untouched",
+    "density": "Queries cut to 10 % of the points, map untouched",
+    "no-implicit": "Without the implicit map (Table III)",
+    "bev-only": "BEV part alone (Table III)",
+    "normals-only": "Normal part alone (Table III)",
+    "sessions": "One session asks another",
+}
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """A trial with the figures of its methods."""
+
+    trial: Trial
+    scores: dict[str, Scores]
+
+
+def write_report(
+    trials: Sequence[Trial], folder: Path, model_version: str, failure_pictures: FailurePictures | None = None
+) -> tuple[Path, Path]:
+    """Write recognition.md, recognition.html and their pictures into `folder`; the paths of the two documents."""
+    judged = [_Judged(trial, _all_scores(trial)) for trial in trials]
+    document = Document("Recognition bench")
+    document.paragraph(
+        f"Model {model_version}. Sequences are simulated unless their name says otherwise. Intervals are 95 %, by "
+        "bootstrap over loop segments. AUC and F1 as in the paper (IV-B); R@P100 is the recall over all loops at "
+        "100 % precision, EP the extended precision."
+    )
+    _means(document, judged)
+    for protocol in dict.fromkeys(trial.protocol for trial in trials):
+        document.heading(_TITLES.get(protocol, protocol))
+        for one in judged:
+            if one.trial.protocol == protocol:
+                _sequence(document, one, folder, failure_pictures)
+    _poses(document, trials)
+    _times(document, trials)
+    _memory(document, trials)
+    return document.write(folder, NAME)
+
+
+def _all_scores(trial: Trial) -> dict[str, Scores]:
+    question = trial.question()
+    return {outcome.method: scores(outcome, question) for outcome in trial.outcomes}
+
+
+def _means(document: Document, judged: Sequence[_Judged]) -> None:
+    """Mean AUC of every method (rows) under every protocol (columns)."""
+    protocols = list(dict.fromkeys(one.trial.protocol for one in judged))
+    methods = list(dict.fromkeys(method for one in judged for method in one.scores))
+    document.heading("Mean AUC over the sequences")
+    rows = []
+    for method in methods:
+        cells = []
+        for protocol in protocols:
+            values = [one.scores[method].recognition.auc.value for one in judged
+                      if one.trial.protocol == protocol and method in one.scores]  # fmt: skip
+            cells.append(f"{np.mean(values):.3f} ({len(values)})" if values else "-")
+        rows.append([method, *cells])
+    document.table(["method (sequences)", *protocols], rows)
+
+
+def _sequence(document: Document, one: _Judged, folder: Path, failure_pictures: FailurePictures | None) -> None:
+    trial = one.trial
+    any_method = next(iter(one.scores.values())).recognition
+    document.heading(trial.sequence, level=3)
+    document.paragraph(f"{any_method.queries} queries, {any_method.loops} with a loop.")
+    columns = ["method", "AUC", "max F1", "AP", "recall@1", "recall@5", "R@P100", "EP", "recall"]
+    document.table(columns, [[name, *_figures(figures)] for name, figures in one.scores.items()])
+    if trial.protocol in ABLATIONS:
+        return
+    stem = f"{trial.sequence}-{trial.protocol}"
+    curves, places = (folder / "pictures" / f"{stem}-{kind}.png" for kind in ("curves", "map"))
+    draw_curves(trial, curves)
+    document.picture(curves, folder, f"Precision and recall on {trial.sequence}")
+    draw_map(trial, places)
+    document.picture(places, folder, f"Right, wrong and missed matches on {trial.sequence} at the best F1")
+    if failure_pictures is not None:
+        _failures(document, trial, folder, failure_pictures)
+
+
+def _figures(figures: Scores) -> list[str]:
+    known = figures.recognition
+    single = (
+        known.average_precision, figures.recall_at_1, figures.recall_at_5, known.recall_at_full_precision,
+        known.extended_precision, known.recall_over_loops,
+    )  # fmt: skip
+    return [_interval(known.auc), _interval(known.max_f1), *(f"{value:.3f}" for value in single)]
+
+
+def _interval(figure: Interval) -> str:
+    return f"{figure.value:.3f} [{figure.low:.3f}, {figure.high:.3f}]"
+
+
+def _failures(document: Document, trial: Trial, folder: Path, pictures: FailurePictures) -> None:
+    method = VERIFIED if any(outcome.method == VERIFIED for outcome in trial.outcomes) else PRODUCT
+    found = worst_failures(trial, trial.outcome(method), FAILURES_SHOWN)
+    pairs = [(failure.title, images) for failure in found if (images := pictures(trial, failure)) is not None]
+    if not pairs:
+        return
+    file = folder / "pictures" / f"{trial.sequence}-{trial.protocol}-failures.png"
+    draw_pairs([(title, *images) for title, images in pairs], file)
+    document.picture(file, folder, f"Worst failures of '{method}' on {trial.sequence}")
+
+
+def _poses(document: Document, trials: Sequence[Trial]) -> None:
+    """Errors of the poses of accepted loops, and how many loops were wrongly accepted."""
+    rows = []
+    for trial in trials:
+        for outcome in trial.outcomes:
+            if outcome.poses.metres:
+                rows.append([f"{trial.sequence}, {trial.protocol}", *_pose_figures(outcome)])
+    if rows:
+        document.heading("Poses of accepted loops")
+        columns = ["sequence", "loops", "median m", "95 % m", "median deg", "95 % deg", "within 2 m, 5 deg",
+                   "within 0.5 m, 1 deg", "false"]  # fmt: skip
+        document.table(columns, rows)
+
+
+def _pose_figures(outcome: MethodOutcome) -> list[str]:
+    metres, degrees = np.array(outcome.poses.metres), np.array(outcome.poses.degrees)
+    good = (metres <= 2.0) & (degrees <= 5.0)
+    fine = (metres <= 0.5) & (degrees <= 1.0)
+    return [
+        str(len(metres)), f"{np.median(metres):.3f}", f"{np.percentile(metres, 95):.3f}", f"{np.median(degrees):.3f}",
+        f"{np.percentile(degrees, 95):.3f}", f"{good.mean():.4f}", f"{fine.mean():.4f}", str(int((~good).sum())),
+    ]  # fmt: skip
+
+
+def _times(document: Document, trials: Sequence[Trial]) -> None:
+    """Milliseconds a submap to describe it and to search for it (paper Table IV), on the machine of this run."""
+    chosen = [trial for trial in trials if trial.protocol == "online"]
+    if not chosen:
+        return
+    document.heading("Time a submap in ms (Table IV)")
+    document.paragraph(
+        "Describing plus searching, wall time of one process on this machine; parts in the last rows."
+    )
+    methods = list(dict.fromkeys(outcome.method for trial in chosen for outcome in trial.outcomes))
+    rows = [[method, *(_milliseconds(trial, method) for trial in chosen)] for method in methods]
+    stages = list(dict.fromkeys(stage for trial in chosen for stage in trial.costs if stage.endswith("_s")))
+    rows += [
+        [f"{PRODUCT}: {stage[:-2]}", *(f"{1e3 * trial.costs.get(stage, 0.0):.1f}" for trial in chosen)]
+        for stage in stages
+    ]
+    document.table(["method", *(trial.sequence for trial in chosen)], rows)
+
+
+def _milliseconds(trial: Trial, method: str) -> str:
+    for outcome in trial.outcomes:
+        if outcome.method == method:
+            return f"{1e3 * outcome.describe_s:.1f} + {1e3 * outcome.search_s:.1f}"
+    return "-"
+
+
+def _memory(document: Document, trials: Sequence[Trial]) -> None:
+    """Megabytes of a whole sequence: raw submaps and what is kept of them (paper Table V)."""
+    chosen = [trial for trial in trials if trial.protocol == "online"]
+    if not chosen:
+        return
+    document.heading("Memory in MB (Table V)")
+    rows = []
+    for trial in chosen:
+        count = len(trial.query_positions) / 1e6
+        raw, neural = (count * trial.costs[name] for name in ("raw_bytes", "neural_map_bytes"))
+        kept = [count * outcome.bytes_per_submap for outcome in trial.outcomes if outcome.method in (PRODUCT, VERIFIED)]
+        share = f"{neural:.1f} ({neural / raw:.1%})" if raw else "-"
+        rows.append([trial.sequence, f"{raw:.1f}", share, *(f"{size:.1f}" for size in kept)])
+    document.table(["sequence", "raw float32 submaps", "neural maps", "descriptors", "signatures"], rows)
+    document.paragraph("Bytes a submap of the other methods' descriptors:")
+    methods = {outcome.method: outcome.bytes_per_submap for trial in chosen for outcome in trial.outcomes}
+    document.table(["method", "kB"], [[method, f"{size / 1e3:.1f}"] for method, size in methods.items()])

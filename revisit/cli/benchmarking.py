@@ -1,0 +1,87 @@
+"""bench: the declared metrics against the baseline, and the recognition report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import typer
+from rich.progress import Progress, TaskID
+
+from evaluation import benchmark
+from evaluation.datasets import FORMATS
+from evaluation.protocols.bench import run_recognition_bench
+from evaluation.protocols.programme import PROTOCOLS, Programme, RecordedDrive
+from evaluation.protocols.towns import DRIVES
+from revisit.cli.output import emit_json, emit_table, progress_bar, refuse, say
+
+
+@dataclass(frozen=True)
+class OwnRecordings:
+    """Recordings of the user's own: single ones, a pair (map, query), and their layout."""
+
+    single: tuple[Path, ...]
+    pair: tuple[Path, Path] | None
+    file_format: str
+
+
+def metrics(update: bool, as_json: bool) -> None:
+    """Measure, show, and exit with status 1 where a metric became worse than the baseline allows."""
+    measured, regressions = benchmark.run(update=update)
+    if as_json:
+        emit_json({"metrics": [_finite(asdict(metric)) for metric in measured], "regressions": regressions})
+    else:
+        emit_table("Bench", ("metric", "value", "unit"), [(m.key, m.value, m.unit) for m in measured])
+        for regression in regressions:
+            say(f"worse: {regression}")
+    if regressions:
+        raise typer.Exit(1)
+
+
+def recognition(out: Path, recordings: Path, chosen: tuple[str, str], own: OwnRecordings, jobs: int) -> None:
+    """Run the recognition bench on the simulated drives, or on the user's own recordings, and name its report."""
+    if own.file_format not in FORMATS:
+        raise refuse(f"--format is one of {', '.join(FORMATS)}")
+    protocols = _named("--protocols", chosen[1], PROTOCOLS)
+    programme = Programme(out, recordings, protocols=protocols, jobs=jobs, **_sources(chosen[0], own))
+    with progress_bar(quiet=False) as bar:
+        trials, (markdown, page) = run_recognition_bench(programme, _reporter(bar))
+    say(f"{len(trials)} trials in {markdown} and {page}")
+
+
+def _sources(drives: str, own: OwnRecordings) -> dict[str, Any]:
+    """What the programme runs on: own recordings where there are some."""
+    if own.single or own.pair:
+        opened = [RecordedDrive(folder, own.file_format) for folder in own.single]
+        pairs = [own.pair] if own.pair else []
+        sessions = [tuple(RecordedDrive(folder, own.file_format) for folder in pair) for pair in pairs]
+        return {"drives": opened, "sessions": sessions}
+    names = _named("--drives", drives, [drive.name for drive in DRIVES])
+    return {"drives": [drive for drive in DRIVES if drive.name in names]}
+
+
+def _named(option: str, text: str, known: Sequence[str]) -> tuple[str, ...]:
+    """The names in a list with commas; all that are known for an empty one."""
+    names = tuple(name.strip() for name in text.split(",") if name.strip()) or tuple(known)
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise refuse(f"{option}: {', '.join(unknown)} is none of {', '.join(known)}")
+    return names
+
+
+def _reporter(bar: Progress) -> Callable[[str, int, int], None]:
+    tasks: dict[str, TaskID] = {}
+
+    def report(stage: str, done: int, total: int) -> None:
+        if stage not in tasks:
+            tasks[stage] = bar.add_task(stage, total=total)
+        bar.update(tasks[stage], completed=done, total=total)
+
+    return report
+
+
+def _finite(fields: dict[str, Any]) -> dict[str, Any]:
+    """Infinite tolerances (figures that are shown only) as nothing: JSON has no infinity."""
+    return {key: None if value == float("inf") else value for key, value in fields.items()}
