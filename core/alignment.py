@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numba
@@ -121,22 +122,54 @@ def lift(fit: PlanarFit, query: PlaceSignature, match: PlaceSignature) -> se3.Ma
 
 
 def register(
-    T_start: se3.Matrix4, query: PlaceSignature, match: PlaceSignature, config: VerificationConfig
+    starts: Sequence[se3.Matrix4], query: PlaceSignature, match: PlaceSignature, config: VerificationConfig
 ) -> Registration:
-    """Point-to-plane ICP from coarse to fine, and what the result is worth."""
+    """Point-to-plane ICP from coarse to fine, and what the result is worth.
+
+    All starts are approached with few points; only the one on which most of them agree is refined, and not even that
+    one where less than `min_agreement` of them do: most candidates are no loops, and this is where they cost time.
+    """
     tree = cKDTree(match.points)
-    T_match_query = T_start
-    for distance, rounds, share in ((3.0, config.coarse_rounds, 3), (config.fine_distance, config.fine_rounds, 1)):
-        source = query.points[::share].astype(np.float64)
-        normals = query.normals[::share].astype(np.float64)
-        for _ in range(rounds):
-            step = _icp_step(T_match_query, source, normals, match, tree, distance)
-            if step is None:
-                break
-            T_match_query = se3.exp(step) @ T_match_query
-            if np.linalg.norm(step[:3]) < 2e-3 and np.linalg.norm(step[3:]) < 1e-4:
-                break
+    approached = [_approach(start, query, match, tree, config) for start in starts]
+    T_match_query, agreement = max(approached, key=lambda pose: pose[1])
+    if agreement >= config.min_agreement:
+        T_match_query = _iterate(T_match_query, query, match, tree, 1, config.fine_distance, config.fine_rounds)
     return _assess(T_match_query, query, match, tree, config)
+
+
+def _approach(
+    T_start: se3.Matrix4, query: PlaceSignature, match: PlaceSignature, tree: cKDTree, config: VerificationConfig
+) -> tuple[se3.Matrix4, float]:
+    """A coarsely refined start and the share of the points used that then lie on the other surface, facing alike."""
+    share, reach = config.coarse_share, config.coarse_distance
+    T_match_query = _iterate(T_start, query, match, tree, share, reach, config.coarse_rounds)
+    moved = se3.apply(T_match_query, query.points[::share])
+    normals = query.normals[::share] @ T_match_query[:3, :3].T
+    other, other_normals = match.points.astype(np.float64), match.normals.astype(np.float64)
+    hits, _, _ = _on_surface(moved, normals, other, other_normals, tree, config)
+    return T_match_query, float(hits.mean())
+
+
+def _iterate(
+    T_match_query: se3.Matrix4,
+    query: PlaceSignature,
+    match: PlaceSignature,
+    tree: cKDTree,
+    share: int,
+    reach: float,
+    rounds: int,
+) -> se3.Matrix4:
+    """Up to `rounds` Gauss-Newton steps on every `share`-th point, with counterparts within `reach` metres."""
+    source = query.points[::share].astype(np.float64)
+    normals = query.normals[::share].astype(np.float64)
+    for _ in range(rounds):
+        step = _icp_step(T_match_query, source, normals, match, tree, reach)
+        if step is None:
+            break
+        T_match_query = se3.exp(step) @ T_match_query
+        if np.linalg.norm(step[:3]) < 2e-3 and np.linalg.norm(step[3:]) < 1e-4:
+            break
+    return T_match_query
 
 
 def observability(information: Array64, lever_m: float) -> float:

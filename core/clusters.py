@@ -44,15 +44,36 @@ def segment_clusters(surface: Surface, config: ClusterConfig) -> Clusters:
 
 
 def find_ground(surface: Surface, config: ClusterConfig) -> NDArray[np.bool_]:
-    """Vertices (v,) that face up or down near the lower envelope of their column."""
-    level = np.abs(surface.normals[:, 2]) > config.ground_cosine
-    if not level.any():
-        return np.asarray(level)
-    columns = np.floor(surface.vertices[:, :2] / config.ground_cell).astype(np.int64)
+    """Vertices (v,) of the ground: level and near the lower envelope of their column, or in a low and flat column.
+
+    The second rule is for the far rings of a spinning sensor: one beam draws a line on the ground, whose normal says
+    nothing, but nothing stands in its column either. Low is meant from the plane of the ground by the first rule.
+    """
+    vertices = surface.vertices
+    if len(vertices) == 0:
+        return np.zeros(0, dtype=bool)
+    columns = np.floor(vertices[:, :2] / config.ground_cell).astype(np.int64)
     columns -= columns.min(axis=0)
-    envelope = np.full(columns.max(axis=0) + 1, np.inf, dtype=np.float32)
-    np.minimum.at(envelope, tuple(columns.T), surface.vertices[:, 2])
-    return np.asarray(level & (surface.vertices[:, 2] - envelope[tuple(columns.T)] <= config.ground_height))
+    shape = columns.max(axis=0) + 1
+    cell = columns[:, 0] * shape[1] + columns[:, 1]
+    lowest, highest = np.full(shape.prod(), np.inf), np.full(shape.prod(), -np.inf)
+    np.minimum.at(lowest, cell, vertices[:, 2])
+    np.maximum.at(highest, cell, vertices[:, 2])
+    level = np.abs(surface.normals[:, 2]) > config.ground_cosine
+    ground = level & (vertices[:, 2] - lowest[cell] <= config.ground_height)
+    above = vertices[:, 2] - _plane_height(vertices, ground)
+    reach = np.hypot(vertices[:, 0], vertices[:, 1])
+    flat = (highest - lowest)[cell] < config.standing_height
+    return np.asarray(ground | (flat & (above < config.standing_height + config.ground_slope * reach)))
+
+
+def _plane_height(vertices: Array, ground: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Height (v,) below or above each vertex of the least-squares plane of the ground, or of the low vertices."""
+    if ground.sum() < 10:
+        return np.full(len(vertices), np.percentile(vertices[:, 2], 5.0))
+    design = np.column_stack([vertices[:, :2], np.ones(len(vertices))]).astype(np.float64)
+    plane, *_ = np.linalg.lstsq(design[ground], vertices[ground, 2].astype(np.float64))
+    return np.asarray(design @ plane)
 
 
 def euclidean_clusters(points: Array, radius: float) -> NDArray[np.int64]:

@@ -79,6 +79,8 @@ class ClusterConfig:
     ground_cosine: float = parameter(0.85, "1", "method notes", "|n_z| of ground vertices")
     ground_height: float = parameter(0.5, "m", "method notes", "ground lies this near the lower envelope")
     ground_cell: float = parameter(2.0, "m", "own", "edge of a column of the lower envelope")
+    standing_height: float = parameter(0.7, "m", "own, decision 0008", "a low column of less extent is ground")
+    ground_slope: float = parameter(0.03, "1", "own, decision 0008", "rise of the ground over its plane with distance")
     radius: float = parameter(0.8, "m", "method notes", "vertices nearer than this belong together")
     min_vertices: int = parameter(60, "vertices", "method notes", "smaller clusters are not dominant")
 
@@ -113,6 +115,12 @@ class BevConfig:
     patch_step: int = parameter(2, "px", "own", "sampling distance inside the patch")
     cells: int = parameter(6, "1", "BVMatch", "parts of the patch along each edge")
     amplitude_power: float = parameter(0.5, "1", "own", "weight of a pixel is this power of its filter amplitude")
+    layout_power: float = parameter(2.0, "1", "own, decision 0006", "intensities are raised to this power")
+    layout_blur: float = parameter(1.0, "px", "own, decision 0006", "standard deviation of the blur")
+    layout_radii: int = parameter(24, "1", "own, decision 0006", "frequencies of the layout spectrum")
+    layout_angles: int = parameter(60, "1", "own, decision 0006", "angles of the layout spectrum over half a turn")
+    layout_frequency: float = parameter(0.2, "cycles/px", "own, decision 0006", "highest frequency")
+    layout_harmonics: int = parameter(6, "1", "own, decision 0006", "harmonics over the angle, beside their mean")
 
 
 @dataclass(frozen=True)
@@ -136,13 +144,14 @@ class FusionConfig:
     """VLAD aggregation and fusion (paper III-D, III-E)."""
 
     local_size: int = parameter(64, "1", "own", "principal components kept of a patch histogram")
-    macro_centres: int = parameter(64, "1", "method notes", "codebook size of the BEV patches")
+    macro_centres: int = parameter(128, "1", "own", "codebook size of the BEV patches")
     micro_centres: int = parameter(16, "1", "method notes", "codebook size of the cluster histograms")
-    macro_size: int = parameter(256, "1", "method notes", "length of the BEV part")
-    micro_size: int = parameter(128, "1", "own", "length of the cluster part")
-    whitening: float = parameter(0.25, "1", "method notes", "components are divided by their eigenvalue to this power")
+    macro_size: int = parameter(800, "1", "own, decision 0007", "length of the BEV part")
+    micro_size: int = parameter(128, "1", "own, decision 0007", "length of the cluster part")
+    layout_size: int = parameter(96, "1", "own, decision 0006", "length of the layout part")
     macro_weight: float = parameter(1.0, "1", "paper Eq. 14, lambda_B", "weight of the BEV part")
-    micro_weight: float = parameter(0.5, "1", "paper Eq. 14, lambda_G", "weight of the cluster part")
+    micro_weight: float = parameter(0.3, "1", "paper Eq. 14, lambda_G", "weight of the cluster part")
+    layout_weight: float = parameter(0.7, "1", "own, decision 0006", "weight of the layout part")
     literal_saliency: bool = parameter(False, "", "paper Eq. 13", "weigh cluster histograms before assignment")
 
 
@@ -170,7 +179,10 @@ class VerificationConfig:
     starts: int = parameter(3, "poses", "own", "most planar poses that are refined by ICP")
     correlation_pixel: float = parameter(0.8, "m", "own", "pixel of the images for phase correlation")
     correlation_turns: int = parameter(3, "yaws", "own", "yaws tried by phase correlation, each in both directions")
-    coarse_rounds: int = parameter(10, "steps", "own", "ICP steps on a third of the points with 3 m reach")
+    coarse_rounds: int = parameter(10, "steps", "own", "coarse ICP steps")
+    coarse_share: int = parameter(5, "points", "own", "coarse steps use every so many-th point")
+    coarse_distance: float = parameter(3.0, "m", "own", "reach of the coarse ICP steps")
+    min_agreement: float = parameter(0.2, "1", "own", "share of points on the other surface below which ICP ends early")
     fine_rounds: int = parameter(6, "steps", "own", "ICP steps on all points")
     fine_distance: float = parameter(1.0, "m", "own", "reach of the fine ICP steps")
     neighbour_distance: float = parameter(1.0, "m", "own", "a surface point has its counterpart within this distance")
@@ -188,8 +200,13 @@ class VerificationConfig:
 
 @dataclass(frozen=True)
 class PipelineConfig:
-    """All parameters of the method."""
+    """All parameters of the method.
 
+    The method was built for streets. `scene_scale` is how large a scene is compared with one: lengths are divided by it
+    after the submap is built, so that 0.25 makes rooms of 5 m look like streets of 20 m.
+    """
+
+    scene_scale: float = parameter(1.0, "1", "own, decision 0009", "size of the scene compared with a street")
     submap: SubmapConfig = dataclasses.field(default_factory=SubmapConfig)
     implicit_map: ImplicitMapConfig = dataclasses.field(default_factory=ImplicitMapConfig)
     surface: SurfaceConfig = dataclasses.field(default_factory=SurfaceConfig)

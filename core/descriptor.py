@@ -11,7 +11,7 @@ from core.bev import BevFeatures
 from core.cluster_normals import ClusterStatistics
 from core.config import FusionConfig
 from core.errors import DescriptorModelMismatch
-from core.vlad import Codebooks, aggregate, project_locally, reduce, unit
+from core.vlad import Codebooks, aggregate, fold, project_locally, unit
 
 Array = NDArray[np.float32]
 
@@ -33,22 +33,30 @@ class PlaceDescriptor:
 def fuse(
     bev: BevFeatures, micro: ClusterStatistics, codebooks: Codebooks, config: FusionConfig, model_version: str
 ) -> PlaceDescriptor:
-    """Norm([lambda_B F^B, lambda_G F^G]) (Eq. 14); a part that saw nothing is zero."""
+    """Norm([lambda_B F^B, lambda_G F^G, lambda_L F^L]) (Eq. 14, layout added); a part that saw nothing is zero."""
     macro_part = config.macro_weight * macro_descriptor(bev, codebooks)
     micro_part = config.micro_weight * micro_descriptor(micro, codebooks, config)
-    return PlaceDescriptor(unit(np.concatenate([macro_part, micro_part])), model_version)
+    layout_part = config.layout_weight * layout_descriptor(bev, codebooks)
+    return PlaceDescriptor(unit(np.concatenate([macro_part, micro_part, layout_part])), model_version)
 
 
 def macro_descriptor(bev: BevFeatures, codebooks: Codebooks) -> Array:
     """F^B (p,): VLAD of the patches, each in both of its directions, so that a turn by 180 degrees changes nothing."""
     vlad = aggregate(with_reversed(project_locally(bev.descriptors, codebooks), codebooks), codebooks.macro_centres)
-    return reduce(vlad, codebooks.macro_mean, codebooks.macro_basis)
+    return fold(vlad, codebooks.macro_mean, codebooks.macro_folds)
 
 
 def micro_descriptor(micro: ClusterStatistics, codebooks: Codebooks, config: FusionConfig) -> Array:
     """F^G (q,): saliency-weighted VLAD of the cluster histograms (Eq. 13)."""
     vlad = aggregate(micro.histograms, codebooks.micro_centres, micro.weights, config.literal_saliency)
-    return reduce(vlad, codebooks.micro_mean, codebooks.micro_basis)
+    return fold(vlad, codebooks.micro_mean, codebooks.micro_folds)
+
+
+def layout_descriptor(bev: BevFeatures, codebooks: Codebooks) -> Array:
+    """F^L (r,): the layout spectrum in directions that differ between places and not between visits (decision 0006)."""
+    if not bev.layout.any():
+        return np.zeros(len(codebooks.layout_basis), dtype=np.float32)
+    return unit(codebooks.layout_basis @ (np.sqrt(bev.layout) - codebooks.layout_mean))
 
 
 def with_reversed(projected: Array, codebooks: Codebooks) -> Array:

@@ -70,19 +70,16 @@ def verify(
     """Whether two submaps show the same place, and how they lie to each other.
 
     Nothing in it is random.
-    Raises DescriptorModelMismatch where the signatures come from different codebooks.
+    Raises DescriptorModelMismatch where the signatures come from different codebooks or scene scales.
     """
-    if query.model != match.model:
+    if query.model != match.model or abs(query.scene_scale - match.scene_scale) > 1e-6:
         raise DescriptorModelMismatch
     if is_degenerate(query, config) or is_degenerate(match, config):
         return RejectedLoop(RejectionReason.DEGENERATE_PLACE)
     fit = fit_plane_motion(query, match, config)
     starts = [fit] if fit.inliers >= config.sure_inliers else [fit, *correlate_images(query, match, config)]
     enough = max(config.min_common, config.min_common_share * min(query.standing, match.standing))
-    best = max(
-        (register(lift(start, query, match), query, match, config) for start in starts[: config.starts]),
-        key=lambda registration: registration.overlap * min(1.0, registration.common / enough),
-    )
+    best = register([lift(start, query, match) for start in starts[: config.starts]], query, match, config)
     measurement = _unlevelled(_measure(fit, best, similarity, config), query, match)
     reason = _rejection(measurement, best, enough, config)
     return VerifiedLoop(measurement) if reason is None else RejectedLoop(reason, measurement)
@@ -123,12 +120,14 @@ def _measure(
 
 
 def _unlevelled(measurement: LoopMeasurement, query: PlaceSignature, match: PlaceSignature) -> LoopMeasurement:
-    """The measurement between the submap frames instead of the levelled ones."""
-    T_submap_level = se3.inverse(match.T_level_submap)
-    adjoint = se3.adjoint(T_submap_level)
+    """The measurement between the submap frames instead of the levelled, scaled ones."""
+    T_submap_level, scale = np.linalg.inv(match.T_level_submap), match.scene_scale
+    turn = se3.from_rotation_translation(T_submap_level[:3, :3] / scale, T_submap_level[:3, 3])
+    adjoint = se3.adjoint(turn) @ np.diag([*[scale] * 3, *[1.0] * 3])
     return dataclasses.replace(
         measurement,
         T_match_query=T_submap_level @ measurement.T_match_query @ query.T_level_submap,
+        rmse_m=measurement.rmse_m * scale,
         covariance=adjoint @ measurement.covariance @ adjoint.T,
     )
 

@@ -40,8 +40,10 @@ class Ablation(StrEnum):
 
 @dataclass(frozen=True)
 class DescribedPlace:
-    """What one submap becomes. Surface, clusters, BEV and neural map are in the levelled submap frame.
+    """What one submap becomes.
 
+    Surface, clusters, BEV and neural map are in the frame of the map: the submap turned upright and divided by the
+    scene scale; `T_submap_map` (4, 4) maps it back, a similarity where that scale is not 1.
     `flags` name what was noticed ("degenerate_plane"); `timings_s` the seconds of each step.
     """
 
@@ -51,6 +53,7 @@ class DescribedPlace:
     surface: Surface
     clusters: Clusters
     bev: BevFeatures
+    T_submap_map: se3.Matrix4
     flags: tuple[str, ...]
     timings_s: dict[str, float]
 
@@ -61,19 +64,21 @@ def describe(
     """Describe a finished submap: implicit map, surface, clusters, BEV, micro statistics, fused descriptor."""
     rng, clock = np.random.default_rng(seed), _StopWatch()
     level = submap.levelled()
-    T_submap_level = se3.inverse(submap.T_odom_submap) @ level.T_odom_submap
+    T_submap_map = se3.inverse(submap.T_odom_submap) @ level.T_odom_submap @ np.diag([*[config.scene_scale] * 3, 1.0])
+    level = _divided(level, config.scene_scale)
     fusion = _ablated(config, ablation).fusion
     field, surface = _surface(level, models, config, rng, ablation, clock)  # III-B, III-C
     clusters = clock("clusters", lambda: segment_clusters(surface, config.clusters))  # III-C
     bev = clock("bev", lambda: describe_bev(surface, clusters, config.bev))  # III-D, Eq. 7-9
     saliency = weigh_clusters(bev.keypoints, surface, clusters, config.micro.epsilon)  # Eq. 10-12
     micro = clock("micro", lambda: describe_clusters(surface, clusters, bev.keypoints, saliency, config.micro, rng))
-    field = field and dataclasses.replace(field, T_submap_map=T_submap_level)
+    field = field and dataclasses.replace(field, T_submap_map=T_submap_map)
     descriptor = clock("fusion", lambda: fuse(bev, micro, models.codebooks, fusion, models.version))  # Eq. 13-14
     signature = clock("signature", lambda: sign_place(surface, clusters, bev, models.codebooks, config.verification))
-    signature = dataclasses.replace(signature, T_level_submap=se3.inverse(T_submap_level))
+    T_level_submap = np.asarray(np.linalg.inv(T_submap_map), dtype=np.float64)
+    signature = dataclasses.replace(signature, T_level_submap=T_level_submap)
     flags = ("degenerate_plane",) if is_plane(submap.points) else ()
-    return DescribedPlace(descriptor, signature, field, surface, clusters, bev, flags, clock.seconds)
+    return DescribedPlace(descriptor, signature, field, surface, clusters, bev, T_submap_map, flags, clock.seconds)
 
 
 def verify(
@@ -84,6 +89,14 @@ def verify(
     `T_match_query` of the answer maps the frame of the query submap into that of the match submap.
     """
     return loop.verify(query, match, similarity, config)
+
+
+def _divided(submap: Submap, scale: float) -> Submap:
+    """The submap with every length divided by `scale`."""
+    if scale == 1.0:
+        return submap
+    factor = np.float32(1.0 / scale)
+    return dataclasses.replace(submap, points=submap.points * factor, origins=submap.origins * factor)
 
 
 def _surface(
@@ -105,7 +118,8 @@ def _ablated(config: PipelineConfig, ablation: Ablation) -> PipelineConfig:
     if ablation is Ablation.BEV_ONLY:
         return dataclasses.replace(config, fusion=dataclasses.replace(config.fusion, micro_weight=0.0))
     if ablation is Ablation.NORMALS_ONLY:
-        return dataclasses.replace(config, fusion=dataclasses.replace(config.fusion, macro_weight=0.0))
+        fusion = dataclasses.replace(config.fusion, macro_weight=0.0, layout_weight=0.0)
+        return dataclasses.replace(config, fusion=fusion)
     return config
 
 

@@ -35,7 +35,7 @@ class PlaceSignature:
     keypoints (n, 2) float32; orientations (n,) float32 radians in [0, pi); descriptors (n, l) float32 unit vectors;
     parity (l,) float32 +-1, their signs under a turn by 180 degrees; points (m, 3) float32 and normals (m, 3) float32
     unit, the first `standing` of them off the ground; model is the digest of the codebook of the descriptors;
-    T_level_submap (4, 4) maps the submap frame into the levelled one.
+    T_level_submap (4, 4) maps the submap frame into the levelled one, a similarity where the scene scale is not 1.
     All values are the stored, quantised ones, so that parsing a blob gives the same signature.
     """
 
@@ -48,6 +48,11 @@ class PlaceSignature:
     standing: int
     model: str
     T_level_submap: se3.Matrix4 = field(default_factory=lambda: np.eye(4))
+
+    @property
+    def scene_scale(self) -> float:
+        """What the lengths of the submap were divided by."""
+        return float(1.0 / np.cbrt(np.linalg.det(self.T_level_submap[:3, :3])))
 
     def to_blob(self) -> bytes:
         """The signature as bytes: magic, header, zstd body, truncated SHA-256 over all of it."""
@@ -200,10 +205,12 @@ def _open(blob: bytes) -> tuple[dict[str, object], bytes]:
 def _level(header: dict[str, object]) -> se3.Matrix4:
     try:
         matrix = np.vstack([np.asarray(header.get("T_level_submap"), dtype=np.float64), [0.0, 0.0, 0.0, 1.0]])
-        se3.validated(matrix)
+        turn = matrix.copy()
+        turn[:3, :3] /= max(float(np.cbrt(np.linalg.det(matrix[:3, :3]))), 1e-6)
+        se3.validated(turn)
         return matrix
     except (BadTransform, TypeError, ValueError) as error:
-        raise DataLoss("the levelling of the place signature is no rigid motion") from error
+        raise DataLoss("the levelling of the place signature is no similarity") from error
 
 
 def _bounded(header: dict[str, object], name: str) -> int:

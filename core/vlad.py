@@ -19,18 +19,21 @@ class Codebooks:
     """What was learned from other places, as plain float32 arrays.
 
     local_basis (l, d): projects patch histograms (d,) to l numbers; local_parity (l,) +-1: the sign each of them takes
-    when the patch is turned by 180 degrees. macro_centres (k, l); macro_mean (k * l,); macro_basis (p, k * l).
-    micro_centres (c, e); micro_mean (c * e,); micro_basis (q, c * e). Bases contain the scaling of their components.
+    when the patch is turned by 180 degrees. macro_centres (k, l), macro_mean (k * l,) and macro_folds (h, k * l): h
+    signed places 1..p of each entry in the projected vector (`fold`). micro_centres (c, e), micro_mean (c * e,) and
+    micro_folds (h, c * e) likewise. layout_mean (s,) and layout_basis (r, s) of square roots of layout spectra.
     """
 
     local_basis: Array
     local_parity: Array
     macro_centres: Array
     macro_mean: Array
-    macro_basis: Array
+    macro_folds: Array
     micro_centres: Array
     micro_mean: Array
-    micro_basis: Array
+    micro_folds: Array
+    layout_mean: Array
+    layout_basis: Array
 
     def to_arrays(self) -> dict[str, Array]:
         """The fields by name."""
@@ -51,10 +54,12 @@ class Codebooks:
         macro, micro = self.macro_centres, self.micro_centres
         agree = (
             all(np.isfinite(array).all() for array in self.to_arrays().values())
-            and self.local_basis.ndim == macro.ndim == micro.ndim == self.macro_basis.ndim == self.micro_basis.ndim == 2
+            and self.local_basis.ndim == macro.ndim == micro.ndim == self.macro_folds.ndim == self.micro_folds.ndim == 2
             and self.local_parity.shape == (macro.shape[1],) == (len(self.local_basis),)
-            and self.macro_mean.shape == (macro.size,) == self.macro_basis.shape[1:]
-            and self.micro_mean.shape == (micro.size,) == self.micro_basis.shape[1:]
+            and self.macro_mean.shape == (macro.size,) == self.macro_folds.shape[1:]
+            and self.micro_mean.shape == (micro.size,) == self.micro_folds.shape[1:]
+            and self.layout_mean.shape == self.layout_basis.shape[1:]
+            and all((np.abs(folds) >= 1).all() for folds in (self.macro_folds, self.micro_folds))
         )
         if not agree:
             raise DataLoss("the shapes of the codebooks do not fit together, or they hold NaN")
@@ -90,11 +95,24 @@ def aggregate(
     return unit(flat.ravel())
 
 
-def reduce(vector: Array, mean: Array, basis: Array) -> Array:
-    """The principal components (p,) of a VLAD vector, L2-normalised; a zero vector stays zero."""
+def fold(vector: Array, mean: Array, folds: Array) -> Array:
+    """Sparse random projection of a VLAD vector (d,) to (p,), L2-normalised; a zero vector stays zero.
+
+    Every entry is added, with a sign, to h of p places: `folds` (h, d) holds +-(place + 1). Cosines are kept but for
+    noise of about 1 / sqrt(p) (Johnson-Lindenstrauss; docs/decisions/0007).
+    """
+    size = folded_size(folds)
     if not vector.any():
-        return np.zeros(len(basis), dtype=np.float32)
-    return unit(basis @ (vector - mean))
+        return np.zeros(size, dtype=np.float32)
+    signed = np.sign(folds) * (vector - mean)
+    places = np.abs(folds).astype(np.int64) - 1
+    folded: NDArray[np.float64] = np.bincount(places.ravel(), weights=signed.ravel(), minlength=size).astype(float)
+    return unit(folded)
+
+
+def folded_size(folds: Array) -> int:
+    """The length p of what `fold` makes."""
+    return int(np.abs(folds).max())
 
 
 def unit(vector: NDArray[np.floating]) -> Array:

@@ -22,6 +22,7 @@ from evaluation.methods import Method, PipelineMethod
 from evaluation.perturbations import turned
 from evaluation.places import DescriptionWork, Place, describe_places, in_processes
 from evaluation.runner import EvaluationOptions
+from evaluation.scene import estimate_scene_scale
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ def evaluate_interleaved(
 
     Turning uses `options.perturbation.rotate_seed`, or 0 where it is None. Raises what reading the recording raises.
     """
-    config = options.pipeline()
+    config = options.pipeline(estimate_scene_scale(recording))
     method = method or PipelineMethod(config, options.ablation)
     seed = options.perturbation.rotate_seed
     perturbation = dataclasses.replace(options.perturbation, rotate_seed=0 if seed is None else seed)

@@ -22,6 +22,7 @@ from evaluation.methods import Method, PipelineMethod
 from evaluation.metrics import LoopProtocol
 from evaluation.perturbations import Perturbation
 from evaluation.places import DescriptionWork, Place, describe_places
+from evaluation.scene import estimate_scene_scale
 from evaluation.summary import summarise
 
 Progress = Callable[[str, int, int], None]
@@ -31,6 +32,7 @@ Progress = Callable[[str, int, int], None]
 class EvaluationOptions:
     """What to evaluate. tau, stride and positive_radius in metres; min_index_gap in submaps; jobs in processes.
 
+    `scene_scale` compares the scene with a street; None estimates it from the ranges (`evaluation.scene`).
     `ablation` is none, no-implicit, bev-only or normals-only (paper Table III).
     """
 
@@ -40,16 +42,18 @@ class EvaluationOptions:
     positive_radius: float = 20.0
     perturbation: Perturbation = field(default_factory=Perturbation)
     ablation: str = "none"
+    scene_scale: float | None = None
     candidates: int = LoopConfig().candidates
     seed: int = 0
     jobs: int = field(default_factory=lambda: os.cpu_count() or 1)
 
-    def pipeline(self) -> PipelineConfig:
-        """The product's parameters under these options."""
-        defaults = PipelineConfig()
+    def pipeline(self, scene_scale: float = 1.0) -> PipelineConfig:
+        """The product's parameters under these options, for a scene of that scale unless the options name one."""
+        defaults = PipelineConfig(scene_scale=self.scene_scale or scene_scale)
+        nearest = defaults.submap.min_range * defaults.scene_scale
         return dataclasses.replace(
             defaults,
-            submap=dataclasses.replace(defaults.submap, tau=self.tau, stride=self.stride),
+            submap=dataclasses.replace(defaults.submap, tau=self.tau, stride=self.stride, min_range=nearest),
             loop=dataclasses.replace(
                 defaults.loop, min_index_gap=self.min_index_gap, candidates=self.candidates
             ),
@@ -78,7 +82,7 @@ def evaluate(
     Raises what reading the recording raises; submaps the method refuses become rows with a `failure`.
     """
     report = progress or _say_nothing
-    config = options.pipeline()
+    config = options.pipeline(estimate_scene_scale(recording))
     method = method or PipelineMethod(config, options.ablation)
     started = time.perf_counter()
     windows = cut(recording, config.submap)
@@ -95,7 +99,7 @@ def evaluate(
     protocol = LoopProtocol(options.positive_radius, options.min_index_gap)
     summary = summarise(places, matches, protocol)
     summary["recording"] = {"name": recording.name, "scans": len(recording)}
-    summary["options"] = dataclasses.asdict(options)
+    summary["options"] = dataclasses.asdict(options) | {"scene_scale": config.scene_scale}
     summary["wall_seconds"] = time.perf_counter() - started
     return EvaluationResult([_row(place, match, places) for place, match in zip(places, matches, strict=True)], summary)
 

@@ -14,6 +14,7 @@ from core.bev.keypoints import (
     dominant_orientations,
     reversed_patches,
 )
+from core.bev.layout import layout_spectrum
 from core.bev.log_gabor import OrientationMap, maximum_index_map
 from core.bev.projection import cluster_supported, project
 from core.clusters import Clusters
@@ -31,13 +32,14 @@ class BevFeatures:
 
     image (H, W) float32 0..1, row = y, column = x; keypoints (n, 2) float32 metres in the submap frame, strongest
     first; orientations (n,) float32 radians in [0, pi); descriptors (n, d) float32 unit vectors (Hellinger mapped);
-    orientation_map the maximum index map; resolution the pixel edge in metres.
+    layout (s,) float32, the layout spectrum; orientation_map the maximum index map; resolution the pixel edge, metres.
     """
 
     image: Array
     keypoints: Array
     orientations: Array
     descriptors: Array
+    layout: Array
     orientation_map: OrientationMap
     resolution: float
 
@@ -50,4 +52,7 @@ def describe_bev(surface: Surface, clusters: Clusters, config: BevConfig) -> Bev
     angles = dominant_orientations(context_histograms(orientation_map, pixels, config))
     descriptors = describe_patches(orientation_map, pixels, angles, config)
     keypoints = (pixels + np.float32(0.5) - np.float32(image.shape[0] // 2)) * np.float32(surface.resolution)
-    return BevFeatures(image, keypoints.astype(np.float32), angles, descriptors, orientation_map, surface.resolution)
+    layout = layout_spectrum(image, config)
+    return BevFeatures(
+        image, keypoints.astype(np.float32), angles, descriptors, layout, orientation_map, surface.resolution
+    )

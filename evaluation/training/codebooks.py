@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,23 +16,34 @@ from core.vlad import Codebooks, aggregate, project_locally
 Array = NDArray[np.float32]
 
 
-def train_codebooks(
-    patches: list[Array], micro: list[ClusterStatistics], cells: int, config: FusionConfig, seed: int
-) -> Codebooks:
-    """Codebooks from the patch descriptors (n, d) and cluster statistics of each training submap; deterministic."""
+@dataclass(frozen=True)
+class Features:
+    """What one view of a training place contributes: patches (n, d), cluster statistics, layout spectrum (s,)."""
+
+    patches: Array
+    micro: ClusterStatistics
+    layout: Array
+
+
+def train_codebooks(places: list[list[Features]], cells: int, config: FusionConfig, seed: int) -> Codebooks:
+    """Codebooks from several views of each training place; deterministic."""
     rng = np.random.default_rng(seed)
+    views = [view for place in places for view in place]
+    patches = [view.patches for view in views]
     basis, parity = train_local_basis(sample_rows(patches, 60_000, rng), cells, config.local_size)
-    partial = _without_reduction(basis, parity)
+    partial = _without_folds(basis, parity)
     macro_features = [with_reversed(project_locally(one, partial), partial) for one in patches]
     macro_centres = k_means(sample_rows(macro_features, 40_000, rng), config.macro_centres, rng)
-    micro_centres = k_means(sample_rows([one.histograms for one in micro], 40_000, rng), config.micro_centres, rng)
-    macro_vectors = np.stack([aggregate(one, macro_centres) for one in macro_features])
-    micro_vectors = np.stack(
-        [aggregate(one.histograms, micro_centres, one.weights, config.literal_saliency) for one in micro]
+    micro_centres = k_means(sample_rows([v.micro.histograms for v in views], 40_000, rng), config.micro_centres, rng)
+    macro_mean = np.mean([aggregate(one, macro_centres) for one in macro_features], axis=0)
+    micro_mean = np.mean([aggregate(v.micro.histograms, micro_centres, v.micro.weights) for v in views], axis=0)
+    layout_mean, layout_basis = discriminant_directions(
+        np.sqrt([[view.layout for view in place] for place in places]), config.layout_size
     )
-    macro_mean, macro_basis = principal_components(macro_vectors, config.macro_size, config.whitening)
-    micro_mean, micro_basis = principal_components(micro_vectors, config.micro_size, config.whitening)
-    return Codebooks(basis, parity, macro_centres, macro_mean, macro_basis, micro_centres, micro_mean, micro_basis)
+    return Codebooks(
+        basis, parity, macro_centres, macro_mean, random_folds(macro_mean.size, config.macro_size, rng),
+        micro_centres, micro_mean, random_folds(micro_mean.size, config.micro_size, rng), layout_mean, layout_basis,
+    )  # fmt: skip
 
 
 def train_local_basis(patches: Array, cells: int, size: int) -> tuple[Array, Array]:
@@ -69,13 +82,29 @@ def k_means(features: Array, count: int, rng: np.random.Generator, rounds: int =
     return centres
 
 
-def principal_components(vectors: Array, size: int, whitening: float) -> tuple[Array, Array]:
-    """Mean (d,) and basis (p, d), p <= size, of vectors (n, d); component i is divided by eigenvalue_i ** whitening."""
-    mean = vectors.mean(axis=0)
-    _, singular, axes = np.linalg.svd((vectors - mean).astype(np.float64), full_matrices=False)
-    kept = min(size, int((singular > 1e-6 * singular[0]).sum()))
-    eigenvalues = singular[:kept] ** 2 / len(vectors)
-    return mean.astype(np.float32), (axes[:kept] / eigenvalues[:, None] ** whitening).astype(np.float32)
+def random_folds(size: int, folded: int, rng: np.random.Generator, places: int = 4) -> Array:
+    """Signed places (places, size) for `core.vlad.fold`; every one of the `folded` places occurs."""
+    order = np.stack([rng.permutation(np.arange(size) % folded) for _ in range(places)])
+    return np.asarray((order + 1) * rng.choice((-1.0, 1.0), order.shape), dtype=np.float32)
+
+
+def discriminant_directions(vectors: NDArray[np.float64], size: int, shrinkage: float = 0.3) -> tuple[Array, Array]:
+    """Mean (d,) and basis (size, d) that tell places apart and views of a place not, of vectors (places, views, d).
+
+    Linear discriminant analysis: entries are divided by their standard deviation, the scatter within places (shrunk
+    towards a multiple of the identity) is whitened, the principal axes of the places' means are kept.
+    """
+    mean, spread = vectors.mean(axis=(0, 1)), vectors.std(axis=(0, 1)) + 1e-9
+    scaled = (vectors - mean) / spread
+    inner = scaled - scaled.mean(axis=1, keepdims=True)
+    within = np.einsum("gvi,gvj->ij", inner, inner) / (len(vectors) * (vectors.shape[1] - 1))
+    within += shrinkage * np.trace(within) / len(within) * np.eye(len(within))
+    values, axes = np.linalg.eigh(within)
+    whitening = axes / np.sqrt(values) @ axes.T
+    centres = scaled.mean(axis=1) @ whitening
+    _, main = np.linalg.eigh(centres.T @ centres)
+    basis = (whitening @ main[:, ::-1][:, :size]).T / spread
+    return mean.astype(np.float32), basis.astype(np.float32)
 
 
 def sample_rows(arrays: list[Array], limit: int, rng: np.random.Generator) -> Array:
@@ -93,6 +122,7 @@ def _spread_start(features: Array, count: int, rng: np.random.Generator) -> Arra
     return np.stack(chosen).astype(np.float32)
 
 
-def _without_reduction(basis: Array, parity: Array) -> Codebooks:
+def _without_folds(basis: Array, parity: Array) -> Codebooks:
     nothing = np.zeros((0, 0), dtype=np.float32)
-    return Codebooks(basis, parity, nothing, nothing[0:0].ravel(), nothing, nothing, nothing.ravel(), nothing)
+    flat = nothing.ravel()
+    return Codebooks(basis, parity, nothing, flat, nothing, nothing, flat, nothing, flat, nothing)

@@ -6,24 +6,45 @@ recording says nothing about recognising it.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
+from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
-from core import se3
 from core.config import SubmapConfig
 from core.scan import Scan
-from core.submap import Submap, SubmapBuilder
+from core.submap import Submap
+from evaluation.perturbations import keep_beams, turned
 from evaluation.simulator import SENSORS, StreetGrid, TownPlan, build_city, drive, grid_drive, simulate
 
 TRAINING_SEED = 9_000
+WINDOW_SCANS = 7
+SCAN_SPACING_M = 1.5
+PLACE_SPACING_SCANS = 10
+LARGEST_SHIFT_SCANS = 5
 
 
-def district_submaps(district: int, config: SubmapConfig, count: int) -> Iterator[Submap]:
-    """The first `count` submaps of a levelled drive through training town `district`, the sensor models in turn."""
-    seed = TRAINING_SEED + district
-    names = sorted(SENSORS)
-    sensor = SENSORS[names[district % len(names)]]
+def training_places(district: int, config: SubmapConfig, count: int) -> Iterator[list[Submap]]:
+    """The first `count` places of a drive through training town `district`, the sensor models in turn.
+
+    Each place is seen three times, under a yaw of its own: with all returns, with few of them, and from up to 7.5 m
+    farther on.
+    """
+    rng = np.random.default_rng([TRAINING_SEED + district, 78])
+    recent: deque[Scan] = deque(maxlen=WINDOW_SCANS + LARGEST_SHIFT_SCANS)
+    for number, scan in enumerate(islice(_drive(district), (count + 1) * PLACE_SPACING_SCANS)):
+        recent.append(scan)
+        if len(recent) == recent.maxlen and number % PLACE_SPACING_SCANS == 0:
+            scans, shift = list(recent), int(rng.integers(1, LARGEST_SHIFT_SCANS + 1))
+            first = scans[:WINDOW_SCANS]
+            views = [first, [_thinned(scan, rng) for scan in first], scans[shift : shift + WINDOW_SCANS]]
+            yield [_seen(view, config, rng) for view in views]
+
+
+def _drive(district: int) -> Iterator[Scan]:
+    seed, names = TRAINING_SEED + district, sorted(SENSORS)
     rng = np.random.default_rng([seed, 77])
     plan = TownPlan(
         vacant_lots=rng.uniform(0.05, 0.5), street_tree_spacing=rng.uniform(8, 40),
@@ -31,12 +52,16 @@ def district_submaps(district: int, config: SubmapConfig, count: int) -> Iterato
     )  # fmt: skip
     grid = StreetGrid.random(4, 4, seed, block_m=float(rng.uniform(50, 110)))
     world = build_city(grid.streets(), seed, plan)
-    trajectory = drive(grid_drive(grid), world.ground, lane_m=1.8, spacing_m=1.5, sway_seed=seed)
-    builder, taken = SubmapBuilder(config), 0
-    for scan in simulate(world, trajectory, sensor, seed):
-        finished = builder.add(Scan.validated(scan.points, se3.validated(scan.T_world_sensor), scan.stamp_ns))
-        if finished is not None:
-            yield Submap.from_scans(finished, config).levelled()
-            taken += 1
-        if taken == count:
-            return
+    trajectory = drive(grid_drive(grid), world.ground, lane_m=1.8, spacing_m=SCAN_SPACING_M, sway_seed=seed)
+    for scan in simulate(world, trajectory, SENSORS[names[district % len(names)]], seed):
+        yield Scan.validated(scan.points, scan.T_world_sensor, scan.stamp_ns)
+
+
+def _thinned(scan: Scan, rng: np.random.Generator) -> Scan:
+    """What a sensor of few beams, or a recording with few of its points, would hold of `scan`."""
+    points = keep_beams(scan.points, int(rng.choice((12, 16, 24))))
+    return replace(scan, points=points[rng.random(len(points)) < rng.choice((0.3, 0.6, 1.0))])
+
+
+def _seen(scans: list[Scan], config: SubmapConfig, rng: np.random.Generator) -> Submap:
+    return turned(Submap.from_scans(scans, config).levelled(), float(rng.uniform(-np.pi, np.pi)))

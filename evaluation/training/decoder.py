@@ -52,9 +52,7 @@ def initial_decoder(config: ImplicitMapConfig, width: int, hidden_layers: int, s
         for fan_in, fan_out in itertools.pairwise(sizes)
     ]
     biases = [np.zeros(size, dtype=np.float32) for size in sizes[1:]]
-    return DecoderWeights(
-        (*matrices, np.zeros((1, width), dtype=np.float32)), (*biases, np.zeros(1, dtype=np.float32))
-    )
+    return DecoderWeights((*matrices, np.zeros((1, width), dtype=np.float32)), (*biases, np.zeros(1, dtype=np.float32)))
 
 
 def train_decoder(

@@ -172,13 +172,16 @@ def evaluate(
     keep_beams: Annotated[int | None, typer.Option(help="Keep so many of 64 beams.")] = None,
     keep_points: Annotated[float, typer.Option(help="Keep this share of the points.")] = 1.0,
     ablation: Annotated[str, typer.Option(help="none, no-implicit, bev-only or normals-only.")] = "none",
+    scene_scale: Annotated[
+        float | None, typer.Option(min=0.01, max=10.0, help="Size of the scene compared with a street; else estimated.")
+    ] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Processes.")] = None,
 ) -> None:
     """Score place recognition on a recording with poses, as the paper does."""
     from revisit.cli import evaluating
 
     options = evaluating.options(
-        tau, stride, min_index_gap, positive_radius, rotate_seed, keep_beams, keep_points, ablation, jobs
+        tau, stride, min_index_gap, positive_radius, rotate_seed, keep_beams, keep_points, ablation, scene_scale, jobs
     )
     evaluating.evaluate_folder(folder, file_format, options, json)
 

@@ -23,6 +23,7 @@ def options(
     keep_beams: int | None,
     keep_points: float,
     ablation: str,
+    scene_scale: float | None,
     jobs: int | None,
 ) -> EvaluationOptions:
     """The options that were given; the others keep their defaults."""
@@ -38,7 +39,7 @@ def options(
         perturbation = Perturbation(keep_beams, keep_points, rotate_seed)
     except ValueError as error:
         raise refuse(str(error)) from error
-    return EvaluationOptions(perturbation=perturbation, ablation=ablation, **chosen)
+    return EvaluationOptions(perturbation=perturbation, ablation=ablation, scene_scale=scene_scale, **chosen)
 
 
 def evaluate_folder(folder: Path, file_format: str, chosen: EvaluationOptions, out: Path | None) -> None:

@@ -13,11 +13,10 @@ from core.config import PipelineConfig
 from core.errors import RevisitError
 from core.loop import LoopMeasurement, RejectedLoop, VerifiedLoop
 from core.model_bundle import ModelBundle, load_packaged_models
-from core.pipeline import describe, verify
+from core.pipeline import DescribedPlace, describe, verify
 from core.scan import Scan
 from core.signature import PlaceSignature
 from core.submap import Submap
-from core.surface import Surface
 from service.application.ports import LoopVerdict, Mesh, SubmapDescription
 
 
@@ -40,7 +39,7 @@ class CoreRecogniser:
             descriptor=place.descriptor.vector,
             signature=place.signature.to_blob(),
             neural_map=None if place.neural_map is None else place.neural_map.to_blob(),
-            mesh=_mesh(place.surface, submap),
+            mesh=_mesh(place),
             flags=place.flags,
             timings_s=place.timings_s,
         )
@@ -89,12 +88,12 @@ def _made_up_yard(config: PipelineConfig) -> Submap:
     return Submap.from_cloud(Scan.validated(points, np.eye(4), 0), config.submap)
 
 
-def _mesh(surface: Surface, submap: Submap) -> Mesh:
-    """The surface, which the method sees in the levelled frame, in the frame of the submap."""
-    T_submap_level = se3.inverse(submap.T_odom_submap) @ submap.levelled().T_odom_submap
-    normals = surface.normals @ T_submap_level[:3, :3].T
-    vertices = se3.apply(T_submap_level, surface.vertices)
-    return Mesh(vertices.astype(np.float32), normals.astype(np.float32), surface.faces)
+def _mesh(place: DescribedPlace) -> Mesh:
+    """The surface, which the method sees levelled and scaled, in the frame of the submap."""
+    normals = place.surface.normals @ place.T_submap_map[:3, :3].T
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    vertices = se3.apply(place.T_submap_map, place.surface.vertices)
+    return Mesh(vertices.astype(np.float32), normals.astype(np.float32), place.surface.faces)
 
 
 def _evidence(verdict: VerifiedLoop | RejectedLoop, config: PipelineConfig) -> dict[str, Any]:

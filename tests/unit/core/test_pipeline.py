@@ -10,10 +10,12 @@ import pytest
 
 from core import se3
 from core.config import PipelineConfig
+from core.errors import DescriptorModelMismatch
 from core.loop import RejectedLoop, VerifiedLoop
 from core.model_bundle import load_packaged_models
 from core.pipeline import Ablation, DescribedPlace, describe, verify
 from core.submap import Submap
+from core.vlad import folded_size
 
 CONFIG = PipelineConfig()
 
@@ -90,10 +92,14 @@ def test_every_ablation_still_gives_a_unit_descriptor(seen_from, ablation):
 
 def test_leaving_a_part_out_zeroes_its_share_of_the_descriptor(seen_from):
     books = load_packaged_models().codebooks
-    size = len(books.macro_basis)
-    assert not seen_from(1, ablation=Ablation.BEV_ONLY)[0].descriptor.vector[size:].any()
-    assert not seen_from(1, ablation=Ablation.NORMALS_ONLY)[0].descriptor.vector[:size].any()
-    assert seen_from(1)[0].descriptor.vector[:size].any() and seen_from(1)[0].descriptor.vector[size:].any()
+    ends = np.cumsum([folded_size(books.macro_folds), folded_size(books.micro_folds)])
+
+    def parts_of(ablation: Ablation) -> list[bool]:
+        return [bool(part.any()) for part in np.split(seen_from(1, ablation=ablation)[0].descriptor.vector, ends)]
+
+    assert parts_of(Ablation.NONE) == [True, True, True]
+    assert parts_of(Ablation.BEV_ONLY) == [True, False, True]
+    assert parts_of(Ablation.NORMALS_ONLY) == [False, True, False]
 
 
 def test_a_floor_without_walls_is_flagged_and_never_a_loop(make_drive, shapes):
@@ -108,3 +114,25 @@ def test_the_neural_map_knows_the_frame_of_its_submap(seen_from):
     place, submap = seen_from(1, turn)
     in_map = se3.apply(se3.inverse(place.neural_map.T_submap_map), submap.points[::50])
     assert np.median(np.abs(place.neural_map.sdf(in_map.astype(np.float32))[0])) < 0.03
+
+
+def test_a_room_described_at_its_scale_is_aligned_in_metres(seen_from):
+    _, submap = seen_from(1)
+    small = dataclasses.replace(submap, points=submap.points * 0.25, origins=submap.origins * 0.25)
+    turn = se3.from_yaw(1.2, (0.3, -0.2, 0.0)) @ se3.exp([0, 0, 0, 0.35, 0, 0])
+    turned = dataclasses.replace(
+        small,
+        points=se3.apply(turn, small.points).astype(np.float32),
+        origins=se3.apply(turn, small.origins).astype(np.float32),
+        T_odom_submap=small.T_odom_submap @ se3.inverse(turn),
+    )
+    rooms = dataclasses.replace(CONFIG, scene_scale=0.25)
+    match, query = (describe(one, load_packaged_models(), rooms) for one in (small, turned))
+    verdict = verify(query.signature, match.signature, 1.0, CONFIG.verification)
+    assert isinstance(verdict, VerifiedLoop)
+    error = verdict.measurement.T_match_query @ turn
+    assert np.linalg.norm(error[:3, 3]) < 0.04
+    assert np.degrees(se3.rotation_angle(error)) < 0.6
+    assert np.linalg.det(verdict.measurement.T_match_query[:3, :3]) == pytest.approx(1.0, abs=1e-6)
+    with pytest.raises(DescriptorModelMismatch):
+        verify(query.signature, seen_from(1)[0].signature, 1.0, CONFIG.verification)

@@ -6,7 +6,7 @@ from collections import Counter
 
 import numpy as np
 
-from core.clusters import euclidean_clusters, segment_clusters
+from core.clusters import euclidean_clusters, find_ground, segment_clusters
 from core.config import ClusterConfig, ImplicitMapConfig, SurfaceConfig
 from core.surface import Surface, surface_from_points
 from core.surface.marching_cubes import CORNERS, case_table, edge_table, polygonise
@@ -99,6 +99,20 @@ def test_a_flat_roof_is_not_ground():
     vertices = np.concatenate([road, road + [0, 0, 6.0]])
     clusters = segment_clusters(surface_of(vertices, np.tile([0, 0, 1.0], (len(vertices), 1))), ClusterConfig())
     assert clusters.ground[: len(road)].all() and not clusters.ground[len(road) :].any()
+
+
+def test_the_far_ring_of_one_beam_is_ground_whatever_its_normal():
+    road = np.array([[x, y, 0.0] for x in np.arange(-8, 8, 0.4) for y in np.arange(-8, 8, 0.4)])
+    angle = np.linspace(0, 2 * np.pi, 600)
+    ring = np.c_[30 * np.cos(angle), 30 * np.sin(angle), np.random.default_rng(0).uniform(-0.2, 0.3, 600)]
+    wall = np.array([[31.0, y, z] for y in np.arange(0, 6, 0.4) for z in np.arange(0.0, 3.0, 0.4)])
+    vertices = np.concatenate([road, ring, wall])
+    normals = np.concatenate([np.tile([0, 0, 1.0], (len(road), 1)), np.tile([0.6, 0, 0.8], (600 + len(wall), 1))])
+    ground = find_ground(surface_of(vertices, normals), ClusterConfig())
+    away = np.abs(ring[:, 1] - 3) > 6
+    assert ground[: len(road)].all()
+    assert ground[len(road) : len(road) + 600][away].all()
+    assert not ground[-len(wall) :].any()
 
 
 def test_without_the_implicit_map_the_surface_is_voxel_counts_and_pca_normals(make_drive, shapes):

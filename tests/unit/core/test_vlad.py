@@ -8,15 +8,17 @@ import numpy as np
 import pytest
 
 from core.errors import DataLoss
-from core.vlad import Codebooks, aggregate, reduce
+from core.vlad import Codebooks, aggregate, fold
+from evaluation.training.codebooks import discriminant_directions, random_folds
 
 
 def small_books() -> Codebooks:
     """Two principal components, two centres each."""
     identity, centres = np.eye(2, dtype=np.float32), np.array([[0, 0], [10, 0]], np.float32)
     four = np.eye(4, dtype=np.float32)
-    zeros = np.zeros(4, np.float32)
-    return Codebooks(identity, np.array([1, -1], np.float32), centres, zeros, four, centres, zeros, four)
+    zeros, folds = np.zeros(4, np.float32), np.array([[1, -2, 3, -1], [2, 3, -1, 2]], np.float32)
+    parity = np.array([1, -1], np.float32)
+    return Codebooks(identity, parity, centres, zeros, folds, centres, zeros, folds, zeros, four)
 
 
 def test_residuals_are_summed_normalised_by_centre_and_rooted() -> None:
@@ -42,7 +44,7 @@ def test_the_literal_form_moves_weighted_features_to_other_centres() -> None:
 def test_no_features_aggregate_to_zeros_and_stay_zeros() -> None:
     nothing = aggregate(np.zeros((0, 2), np.float32), small_books().macro_centres)
     assert not nothing.any()
-    assert not reduce(nothing, np.ones(4, np.float32), np.eye(4, dtype=np.float32)).any()
+    assert not fold(nothing, np.ones(4, np.float32), small_books().macro_folds).any()
 
 
 def test_codebooks_survive_their_arrays() -> None:
@@ -54,5 +56,34 @@ def test_codebooks_survive_their_arrays() -> None:
 def test_codebooks_whose_shapes_disagree_are_refused() -> None:
     with pytest.raises(DataLoss):
         Codebooks.from_arrays(replace(small_books(), macro_mean=np.zeros(3, np.float32)).to_arrays())
-    with pytest.raises(DataLoss, match="micro_basis"):
-        Codebooks.from_arrays({name: a for name, a in small_books().to_arrays().items() if name != "micro_basis"})
+    with pytest.raises(DataLoss, match="micro_folds"):
+        Codebooks.from_arrays({name: a for name, a in small_books().to_arrays().items() if name != "micro_folds"})
+
+
+def test_folding_adds_every_entry_with_its_signs_to_its_places() -> None:
+    vector, mean = np.array([2, 3, 5, 7], np.float32), np.ones(4, np.float32)
+    # centred (1, 2, 4, 6): place 1 gets 1 - 6 - 4, place 2 gets -2 + 1 + 6, place 3 gets 4 + 2
+    expected = np.array([-9, 5, 6]) / np.sqrt(142)
+    np.testing.assert_allclose(fold(vector, mean, small_books().macro_folds), expected, atol=1e-6)
+
+
+def test_folding_keeps_cosines_within_the_noise_of_its_length() -> None:
+    rng = np.random.default_rng(0)
+    folds = random_folds(4000, 800, rng)
+    one, other = rng.normal(size=(2, 4000)).astype(np.float32)
+    for share in (0.0, 0.5, 0.9):
+        mixed = (share * one + np.sqrt(1 - share**2) * other).astype(np.float32)
+        true = one @ mixed / np.linalg.norm(one) / np.linalg.norm(mixed)
+        zero = np.zeros(4000, np.float32)
+        assert abs(fold(one, zero, folds) @ fold(mixed, zero, folds) - true) < 4 / np.sqrt(800)
+
+
+def test_discriminant_directions_ignore_what_differs_between_visits() -> None:
+    rng = np.random.default_rng(1)
+    places, visits = rng.normal(size=(60, 1, 3)), rng.normal(size=(60, 3, 3))
+    vectors = np.concatenate([np.repeat(places, 3, axis=1) + 0.05 * visits, 5.0 * visits[:, :, :1]], axis=2)
+    mean, basis = discriminant_directions(vectors, 3)
+    projected = (vectors - mean) @ basis.T
+    within = (projected - projected.mean(axis=1, keepdims=True)).var()
+    raw_within = (vectors - vectors.mean(axis=1, keepdims=True)).var() / vectors.var()
+    assert within / projected.var() < 0.1 * raw_within
