@@ -23,11 +23,15 @@ from evaluation.report.recognition import write_report
 def run_recognition_bench(
     programme: Programme, report: Progress, method: Method | None = None
 ) -> tuple[list[Trial], tuple[Path, Path]]:
-    """Run what is not on file yet and write the report into the programme's folder: the trials, and its two files."""
+    """Run what is not on file yet and write the report into the programme's folder: the trials, and its two files.
+
+    `method` takes the product's place; its failures are then listed without the product's bird's-eye images.
+    """
     trials = list(run_programme(programme, report, method))
+    if method is not None:
+        return trials, write_report(trials, programme.folder, type(method).__name__)
     pictures = _BevPictures(_recordings(programme), PipelineConfig(submap=programme.submap))
-    version = load_packaged_models().version if method is None else type(method).__name__
-    return trials, write_report(trials, programme.folder, version, pictures)
+    return trials, write_report(trials, programme.folder, load_packaged_models().version, pictures)
 
 
 def _recordings(programme: Programme) -> Sequence[Recording]:

@@ -31,7 +31,7 @@ from evaluation.simulator import (
 )
 
 TEST_SEEDS = range(8_000, 8_100)
-LANE_WAVE_M = 700.0
+LANE_WAVE_M = 540.0
 CLEAR_LANE_M = 1.9
 """Beyond this distance from the middle of the street parked cars stand in the way and must be left out."""
 

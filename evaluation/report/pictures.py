@@ -35,7 +35,8 @@ def draw_curves(trial: Trial, file: Path) -> None:
     axes.set(xlim=(0, 1.02), ylim=(0, 1.02), xlabel="recall", ylabel="precision")
     axes.set_title(f"{trial.sequence}, {trial.protocol}")
     axes.grid(alpha=0.3)
-    axes.legend(fontsize=8, loc="lower left")
+    if axes.lines:
+        axes.legend(fontsize=8, loc="lower left")
     _save(figure, file)
 
 
