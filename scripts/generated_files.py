@@ -1,8 +1,9 @@
-"""Write or check the committed generated files: `generated_files.py write|check [proto] [parameters] [openapi]`.
+"""Write or check the committed generated files: `generated_files.py write|check [NAME ...]`, all of them by default.
 
 proto        revisit/v1/*_pb2*         out of proto/revisit/v1
 parameters   docs/reference/parameters.md   out of core/config.py
 openapi      docs/reference/openapi.json    out of service.rest
+references   docs/reference/{errors,settings,cli,rest-and-grpc}.md   out of the code they describe
 """
 
 from __future__ import annotations
@@ -31,8 +32,10 @@ def write_parameters(out: Path) -> None:
     from core.config import PipelineConfig
 
     lines = ["# Parameters", "", "Every parameter of the method, generated from `core/config.py` by `make docs`.", ""]
+    lines += _section("pipeline", PipelineConfig())
     for section in dataclasses.fields(PipelineConfig):
-        lines += _section(section.name, getattr(PipelineConfig(), section.name))
+        if dataclasses.is_dataclass(getattr(PipelineConfig(), section.name)):
+            lines += _section(section.name, getattr(PipelineConfig(), section.name))
     _write(out / "docs/reference/parameters.md", "\n".join(lines).rstrip() + "\n")
 
 
@@ -46,10 +49,25 @@ def write_openapi(out: Path) -> None:
     _write(out / "docs/reference/openapi.json", json.dumps(document, indent=2, sort_keys=True) + "\n")
 
 
+def write_references(out: Path) -> None:
+    """Write the reference pages of errors, settings, command line and interfaces under `out`."""
+    from scripts import references
+
+    pages = {
+        "errors": references.errors,
+        "settings": references.settings,
+        "cli": references.command_line,
+        "rest-and-grpc": references.interfaces,
+    }
+    for name, page in pages.items():
+        _write(out / f"docs/reference/{name}.md", page())
+
+
 GENERATORS: dict[str, Callable[[Path], None]] = {
     "proto": write_stubs,
     "parameters": write_parameters,
     "openapi": write_openapi,
+    "references": write_references,
 }
 
 
@@ -88,6 +106,7 @@ def _section(name: str, section: Any) -> list[str]:
         f"| `{item.name}` | {_cell(item.default)} | {_cell(item.metadata['unit'])} | {_cell(item.metadata['meaning'])}"
         f" | {_cell(item.metadata['source'])} |"
         for item in dataclasses.fields(section)
+        if item.metadata
     ]
     table = ["| parameter | default | unit | meaning | source |", "|---|---|---|---|---|", *rows, ""] if rows else []
     return [f"## {name}", "", str(type(section).__doc__).strip(), "", *table]
