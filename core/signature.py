@@ -11,7 +11,7 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from core import se3
+from core import octahedral, se3
 from core.bev import BevFeatures
 from core.clusters import Clusters
 from core.config import VerificationConfig
@@ -24,6 +24,7 @@ Array = NDArray[np.float32]
 MAGIC = b"RVPS\x01"
 CENTIMETRE = 0.01
 _DIGEST_BYTES = 16
+_NORMAL_STEPS = 127
 _MAX_ROWS = 100_000
 _MAX_BODY_BYTES = 4_000_000
 
@@ -146,13 +147,14 @@ def _decode_descriptors(data: bytes, count: int, size: int) -> tuple[Array, Arra
 def _encode_points(signature: PlaceSignature) -> bytes:
     levels = _centimetres(signature.points)
     differences = np.diff(levels, axis=0, prepend=np.zeros((1, 3), levels.dtype))  # wraps, and so does the sum
-    return bytes(differences.T.tobytes() + _octahedral(signature.normals).T.tobytes())
+    return bytes(differences.T.tobytes() + octahedral.encode(signature.normals, _NORMAL_STEPS).T.tobytes())
 
 
 def _decode_points(data: bytes, rows: int) -> tuple[Array, Array]:
     differences = np.frombuffer(data, "<i2", 3 * rows).reshape(3, rows).T
     codes = np.frombuffer(data, np.uint8, 2 * rows, 6 * rows).reshape(2, rows).T
-    return _metres(np.cumsum(differences, axis=0, dtype=np.int16)), _from_octahedral(codes)
+    normals = octahedral.decode(codes, _NORMAL_STEPS).astype(np.float32)
+    return _metres(np.cumsum(differences, axis=0, dtype=np.int16)), normals
 
 
 def _centimetres(positions: Array) -> NDArray[np.int16]:
@@ -161,24 +163,6 @@ def _centimetres(positions: Array) -> NDArray[np.int16]:
 
 def _metres(levels: NDArray[np.int16]) -> Array:
     return np.asarray(levels * np.float32(CENTIMETRE), dtype=np.float32)
-
-
-def _octahedral(normals: Array) -> NDArray[np.uint8]:
-    """Unit vectors (n, 3) as two bytes each: the octahedron unfolded into a square."""
-    folded = normals / np.maximum(np.abs(normals).sum(axis=1, keepdims=True), 1e-12)
-    flat = folded[:, :2]
-    lower = (1.0 - np.abs(flat[:, ::-1])) * np.where(flat >= 0.0, 1.0, -1.0)
-    square = np.where(folded[:, 2:] < 0.0, lower, flat)
-    return np.asarray(np.rint((square + 1.0) * 127.0), dtype=np.uint8)
-
-
-def _from_octahedral(codes: NDArray[np.uint8]) -> Array:
-    flat = codes.astype(np.float32) / 127.0 - 1.0
-    height = 1.0 - np.abs(flat).sum(axis=1)
-    fold = np.maximum(-height, 0.0)[:, None]
-    horizontal = flat - np.where(flat >= 0.0, fold, -fold)
-    vector = np.concatenate([horizontal, height[:, None]], axis=1)
-    return np.asarray(vector / np.maximum(np.linalg.norm(vector, axis=1, keepdims=True), 1e-12), dtype=np.float32)
 
 
 def _open(blob: bytes) -> tuple[dict[str, object], bytes]:
