@@ -26,7 +26,7 @@ FORMATS: dict[str, Callable[[Path], Recording]] = {
     "mulran": open_mulran,
     "nclt": open_nclt,
     "clouds": open_cloud_folder,
-    "mcap": open_bag,
+    "rosbag2": open_bag,
 }
 """How a folder may be laid out: the name given to `--format`, and what opens it."""
 

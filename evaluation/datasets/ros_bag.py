@@ -1,19 +1,31 @@
-"""ROS 2 bags (.mcap) with PointCloud2 and odometry, read without ROS."""
+"""ROS 2 bags (.mcap or .db3) with PointCloud2 and odometry, read without ROS."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
 from core import se3
 from core.errors import BadField
 from core.scan import Scan
+from evaluation.datasets.db3 import Db3File
 from evaluation.datasets.mcap import McapFile, Message, Place
 from evaluation.datasets.posed_clouds import StampedPoses, Stamps
 from evaluation.datasets.ros_messages import CLOUD_TYPES, POSE_TYPES, read_points, read_pose, read_stamp
+
+
+class Bag(Protocol):
+    """A file of messages."""
+
+    def messages(self) -> Iterator[Message]:
+        """All messages, each with its place."""
+
+    def data(self, place: Place) -> bytes:
+        """The bytes of the message at a place."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +33,7 @@ class BagRecording:
     """The clouds of one topic with interpolated poses. A scan's points are read from the bag when asked for."""
 
     name: str
-    bag: McapFile
+    bag: Bag
     places: list[Place]
     T_world_sensor: np.ndarray[tuple[int, ...], np.dtype[np.float64]]
     stamps_ns: Stamps
@@ -52,14 +64,14 @@ class _Found:
 
 
 def open_bag(folder: Path, T_body_sensor: se3.Matrix4 | None = None) -> BagRecording:
-    """A .mcap file, or a folder with one: the topic with most clouds, the topic with most poses.
+    """A .mcap or .db3 file, or a folder with one: the topic with most clouds, the topic with most poses.
 
     The odometry must be the LiDAR's (z up), or `T_body_sensor` must say how the LiDAR sits on what it tracks. Clouds
     without a pose before and after them are left out. Raises FileNotFoundError, BadField, MalformedBody,
     UnsupportedEncoding.
     """
     file = _bag_file(folder)
-    bag = McapFile(file)
+    bag: Bag = McapFile(file) if file.suffix == ".mcap" else Db3File(file, (*CLOUD_TYPES, *POSE_TYPES))
     clouds, odometry = _topics(bag.messages())
     stamps, first = np.unique(np.array(odometry.stamps, dtype=np.int64), return_index=True)
     poses = StampedPoses(stamps, np.stack([odometry.poses[index] for index in first]))
@@ -76,11 +88,11 @@ def open_bag(folder: Path, T_body_sensor: se3.Matrix4 | None = None) -> BagRecor
 def _bag_file(folder: Path) -> Path:
     if folder.is_file():
         return folder
-    files = sorted(folder.glob("*.mcap"))
+    files = sorted(file for file in folder.glob("*") if file.suffix in (".mcap", ".db3"))
     if not files:
-        raise FileNotFoundError(f"no .mcap file in {folder}")
+        raise FileNotFoundError(f"no .mcap or .db3 file in {folder}")
     if len(files) > 1:
-        raise BadField(f"{folder} has {len(files)} .mcap files: merge them or name one", field="folder")
+        raise BadField(f"{folder} has {len(files)} bags: merge them or name one", field="folder")
     return files[0]
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from core.config import PipelineConfig
@@ -27,6 +28,8 @@ def run_recognition_bench(
 
     `method` takes the product's place; its failures are then listed without the product's bird's-eye images.
     """
+    # One thread a process: methods are compared by time, and several processes may run at once.
+    torch.set_num_threads(1)
     trials = list(run_programme(programme, report, method))
     if method is not None:
         return trials, write_report(trials, programme.folder, type(method).__name__)

@@ -20,7 +20,7 @@ Grpc = Annotated[str, typer.Option(envvar="REVISIT_GRPC", help="host:port of the
 Json = Annotated[bool, typer.Option("--json", help="Answer as JSON.")]
 MapName = Annotated[str, typer.Option("--map", help="Id of the map.")]
 
-RECORDINGS = "kitti, kitti360, mulran, nclt, clouds (pcd or ply with TUM or KITTI poses) or mcap."
+RECORDINGS = "kitti, kitti360, mulran, nclt, clouds (pcd or ply with TUM or KITTI poses) or rosbag2 (mcap or db3)."
 
 HTTP = "http://127.0.0.1:8080"
 GRPC = "127.0.0.1:8090"

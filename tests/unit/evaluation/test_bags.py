@@ -1,7 +1,8 @@
-"""MCAP bags written by the test, byte by byte after the specification."""
+"""Bags written by the test: MCAP byte by byte after its specification, and the tables of a .db3."""
 
 from __future__ import annotations
 
+import sqlite3
 import struct
 from pathlib import Path
 
@@ -131,3 +132,25 @@ def test_damaged_bags_are_refused(tmp_path: Path, damage) -> None:
     file.write_bytes(damage(file.read_bytes()))
     with pytest.raises(MalformedBody):
         open_bag(file)
+
+
+def test_a_sqlite_bag_is_read_like_an_mcap_file(tmp_path: Path) -> None:
+    start = 1_700_000_000 * 10**9
+    with sqlite3.connect(tmp_path / "drive.db3") as connection:
+        connection.execute("CREATE TABLE topics(id INTEGER PRIMARY KEY, name, type, serialization_format)")
+        connection.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp, data)")
+        kinds = ("sensor_msgs/msg/PointCloud2", "nav_msgs/msg/Odometry", "std_msgs/msg/String")
+        topics = [(number + 1, f"/topic{number}", kind) for number, kind in enumerate(kinds)]
+        connection.executemany("INSERT INTO topics VALUES (?, ?, ?, 'cdr')", topics)
+        rows = [(1, start, point_cloud(start, cloud(0))), (3, start, b"junk")]
+        rows += [(2, start + s * 10**9, odometry(start + s * 10**9, float(s))) for s in range(2)]
+        connection.executemany("INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)", rows)
+    recording = open_bag(tmp_path)
+    assert len(recording) == 1
+    np.testing.assert_array_equal(recording.scan(0).points, cloud(0))
+
+
+def test_a_file_that_only_claims_to_be_a_sqlite_bag_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "drive.db3").write_bytes(b"SQLite format 3\0" + b"\xff" * 2000)
+    with pytest.raises(MalformedBody, match="no readable bag"):
+        open_bag(tmp_path)

@@ -230,5 +230,5 @@ def test_trajectories_that_do_not_fit_are_refused(tmp_path: Path, poses: str, er
 
 
 def test_an_unknown_format_is_refused_with_those_that_are_known(tmp_path: Path) -> None:
-    with pytest.raises(BadField, match="kitti360, mulran, nclt, clouds, mcap"):
+    with pytest.raises(BadField, match="kitti360, mulran, nclt, clouds, rosbag2"):
         open_recording(tmp_path, "bag")
