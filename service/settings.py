@@ -36,7 +36,8 @@ class Settings(BaseSettings):
         default_factory=lambda: max(1, (os.cpu_count() or 2) - 1), ge=0, le=256, description="worker processes"
     )
     recogniser: str = Field(
-        default="service.adapters.core_recogniser:load_recogniser", description="module:function that workers load"
+        default="service.adapters.core_recogniser:load_recogniser",
+        description="the function that loads the method of a worker, as module:function",
     )
     lease_s: float = Field(default=10.0, gt=0, description="a job is given to another worker after this silence")
     max_attempts: int = Field(default=3, ge=1, description="runs of a job before it fails")

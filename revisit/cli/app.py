@@ -92,7 +92,11 @@ def ingest(
 
     recording = open_recording(folder, file_format)
     target = ingesting.Target(grpc, map_id, session_id or recording.name)
-    ingesting.ingest(recording, target, limit, wait, finish, json)
+    try:
+        ingesting.ingest(recording, target, limit, wait, finish, json)
+    except KeyboardInterrupt as error:
+        typer.echo("revisit: interrupted; the same command goes on where this one ended", err=True)
+        raise typer.Exit(130) from error
 
 
 @app.command()

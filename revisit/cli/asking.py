@@ -35,7 +35,11 @@ def loops(http: str, map_id: str, state: str, session_id: str, as_json: bool) ->
     rows = [
         (_short(loop.query), _short(loop.match), loop.state, loop.reason, loop.similarity, loop.score) for loop in found
     ]
-    emit_table(f"{len(found)} loop closures", ("query", "match", "verdict", "reason", "similarity", "score"), rows)
+    emit_table(
+        f"{len(found)} loop closure{'' if len(found) == 1 else 's'}",
+        ("query", "match", "verdict", "reason", "similarity", "score"),
+        rows,
+    )
 
 
 def _localize(client: Client, map_id: str, cloud: Path, k: int, as_json: bool) -> None:

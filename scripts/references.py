@@ -1,0 +1,221 @@
+"""The reference pages that are written from the code: errors, settings, the command line, REST and gRPC."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, cast
+
+ROOT = Path(__file__).resolve().parent.parent
+
+ADVICE = {
+    "MALFORMED_BODY": "Check that the bytes are what Content-Type says, and complete.",
+    "EMPTY_CLOUD": "Send a cloud with more points; leave scans without returns out.",
+    "NON_FINITE_POINTS": "Filter NaN and infinite points before sending; a few are dropped without complaint.",
+    "DEGENERATE_CLOUD": "Look at the sensor: all its points are one point or one line.",
+    "OUT_OF_RANGE": "Send points in the sensor frame and put the position into the pose.",
+    "BAD_TRANSFORM": "Send a unit quaternion (x, y, z, w) or a rotation matrix without scale.",
+    "UNKNOWN_FRAME": "Reserved; this version never answers it.",
+    "BAD_FIELD": "Read `field` and `detail`: they name the value and its bounds.",
+    "UNSUPPORTED_ENCODING": "Use one of the content types and encodings of the API description.",
+    "TOO_LARGE": "Send fewer points, compress the body, or use a binary format in place of ASCII.",
+    "NOT_FOUND": "Create the resource first; check the id.",
+    "METHOD_NOT_ALLOWED": "Check the method and the path.",
+    "ALREADY_EXISTS": "Use another id: this one stands for other content. The same content again is no error.",
+    "SESSION_FINISHED": "Begin a new session.",
+    "MAP_FROZEN": "Reserved; this version never answers it.",
+    "DESCRIPTOR_MODEL_MISMATCH": "Search with descriptors of the map's own model, or make a new map after an upgrade.",
+    "NO_OVERLAP": "Reserved; this version never answers it.",
+    "NOT_READY": "Wait for the submap's operation.",
+    "SEQ_GAP": "Send the scan of `expected_seq` next; the SDK does so.",
+    "STREAM_NOT_OPEN": "Send Open first, then scans only.",
+    "STREAM_FENCED": "Let only one client stream a session; the newest one keeps it.",
+    "ETAG_MISMATCH": "Reserved; this version never answers it.",
+    "QUOTA": "Reserved; this version never answers it.",
+    "RATE": "Read the answers of your stream.",
+    "INDEX_REBUILDING": "Reserved; this version never answers it.",
+    "WORKERS_BUSY": "Wait for `Retry-After` and send the same again; add workers if this stays.",
+    "DRAINING": "Send the same again to the service that comes back.",
+    "STORAGE_UNCERTAIN": "Send the same again with the same ids: that settles whether it was stored.",
+    "STORAGE_FULL": "Free disk space; then send the same again.",
+    "DEADLINE_EXCEEDED": "Send the same again, or wait longer (`timeout_s`); for bodies, send faster.",
+    "UNAUTHENTICATED": "Reserved; this version has no keys.",
+    "PERMISSION_DENIED": "Address the service by a name it knows (REVISIT_ALLOWED_HOSTS), and from its own pages only.",
+    "DATA_LOSS": "Restore the volume: a stored file is damaged. The log names it.",
+    "INTERNAL": "A defect: report it with the request id and the log entry it leads to.",
+}
+
+
+def errors() -> str:
+    """docs/reference/errors.md."""
+    from core.errors import ErrorCode
+    from service.status import STATUS
+
+    meanings = dict(_meanings())
+    parts = [
+        "# Errors",
+        (
+            "Every refusal carries one of these reasons: over HTTP as `reason` of an `application/problem+json` body "
+            "(RFC 9457), over gRPC as `reason` of a `google.rpc.ErrorInfo`, in the SDK as `error.reason`. After a 4xx "
+            "nothing was stored. Where an error is retryable, send the same request with the same ids again; "
+            "`Retry-After` (`RetryInfo`) says when. *No loop* and *rejected* are answers, not errors: see "
+            "[how to read an answer](../how-to/read-an-answer.md)."
+        ),
+    ]
+    for code in ErrorCode:
+        status = STATUS[code]
+        again = "retryable" if status.retryable else "not retryable"
+        parts += [
+            f"## {code.value}",
+            f"HTTP {status.http}, gRPC {status.grpc}, {again}.",
+            " ".join(meanings.get(code.value, [])),
+            ADVICE[code.value],
+        ]
+    return _page(parts)
+
+
+def settings() -> str:
+    """docs/reference/settings.md."""
+    from service.settings import Settings
+
+    parts = [
+        "# Settings",
+        (
+            "The service reads these environment variables and no file. `revisit serve` has options for the commonest. "
+            "A value that cannot be used ends the start with status 78 and the variable's name."
+        ),
+    ]
+    for name, field in Settings.model_fields.items():
+        default = "depends on the machine or the method" if field.default_factory else f"`{field.default}`"
+        if name == "workers":
+            default = "one less than the cores, at least 1"
+        elif field.default_factory is not None:
+            default = f"`{cast(Any, field.default_factory)()}`, of the [parameters](parameters.md)"
+        elif field.default in (None, ""):
+            default = "not set"
+        bounds = ", ".join(_bound(bound) for bound in field.metadata)
+        parts += [
+            f"## REVISIT_{name.upper()}",
+            f"{_sentence(str(field.description))} Default: {default}." + (f" Bounds: {bounds}." if bounds else ""),
+        ]
+    return _page(parts)
+
+
+def command_line() -> str:
+    """docs/reference/cli.md."""
+    import typer
+
+    from revisit.cli.app import app
+
+    group = cast(Any, typer.main.get_command(app))
+    parts = [
+        "# The `revisit` command",
+        (
+            "Exit status 0: done. 1: refused or not found, with one line on stderr. 2: the command line is wrong. "
+            "78: settings cannot be used. Progress goes to stderr and answers to stdout; `--json` makes the answer one "
+            "JSON document."
+        ),
+    ]
+    for name, command in group.commands.items():
+        rows = [_option_row(parameter) for parameter in command.params if parameter.name != "help"]
+        parts += [f"## revisit {name}", str(command.help)]
+        parts += ["\n".join(["| argument or option | default | meaning |", "|---|---|---|", *rows])] if rows else []
+    return _page(parts)
+
+
+def interfaces() -> str:
+    """docs/reference/rest-and-grpc.md."""
+    parts = [
+        "# REST and gRPC",
+        (
+            "Both call the same use cases and give the same answers; a test drives both through one client. JSON has "
+            "the names and shapes of the proto messages. [openapi.json](openapi.json) and "
+            "[proto/revisit/v1](../../proto/revisit/v1) hold every field."
+        ),
+        "## REST",
+        *_rest_parts(),
+        "## gRPC",
+        "Also served: `grpc.health.v1.Health` for every service, and reflection.",
+        *_grpc_parts(),
+    ]
+    return _page(parts)
+
+
+def _rest_parts() -> Iterator[str]:
+    from service.application import UseCases
+    from service.rest.app import create_app
+
+    document = create_app(cast(UseCases, None)).openapi()
+    for path, methods in document["paths"].items():
+        for method, call in methods.items():
+            yield f"### {method.upper()} {path}"
+            yield str(call.get("description", call["summary"]))
+            named = [
+                f"`{p['name']}` ({p['in']}{', required' if p.get('required') else ''})"
+                for p in call.get("parameters", [])
+                if p["in"] != "path"
+            ]
+            if named:
+                yield f"Parameters: {', '.join(named)}."
+
+
+def _grpc_parts() -> Iterator[str]:
+    for file in sorted((ROOT / "proto/revisit/v1").glob("*.proto")):
+        comment: list[str] = []
+        service = ""
+        for line in map(str.strip, file.read_text(encoding="utf-8").splitlines()):
+            if line.startswith("//"):
+                comment.append(line[2:].strip())
+                continue
+            if found := re.match(r"service (\w+)", line):
+                service = found[1]
+            elif found := re.match(r"rpc (\w+)\((stream )?.*returns \((stream )?", line):
+                streams = {(True, True): " (both sides stream)", (False, True): " (the answers are a stream)"}
+                yield f"### {service}.{found[1]}"
+                yield " ".join(comment) + streams.get((bool(found[2]), bool(found[3])), "")
+            comment = []
+
+
+def _meanings() -> Iterator[tuple[str, list[str]]]:
+    """Each code with what the exceptions that carry it say by default."""
+    import core.errors
+    import service.application.errors
+    import service.grpc.servicers.ingest
+    import service.rest.errors
+
+    found: dict[str, list[str]] = {}
+    modules = (core.errors, service.application.errors, service.rest.errors, service.grpc.servicers.ingest)
+    for module in modules:
+        for kind in vars(module).values():
+            if inspect.isclass(kind) and issubclass(kind, core.errors.RevisitError) and kind.__doc__:
+                texts = found.setdefault(kind.code.value, [])
+                if kind.__module__ == module.__name__ and (text := " ".join(inspect.cleandoc(kind.__doc__).split())):
+                    texts += [text] if kind.__name__ not in {"RevisitError", "Unavailable", "StaleLease"} else []
+    yield from found.items()
+
+
+def _option_row(parameter: Any) -> str:
+    names = "`" + "`, `".join([*parameter.opts, *parameter.secondary_opts]) + "`"
+    if parameter.param_type_name == "argument":
+        names = f"`{parameter.name.upper()}`"
+    default = "" if parameter.default in (None, "", False) else f"`{parameter.default}`"
+    if parameter.required:
+        default = "required"
+    text = parameter.help or ""
+    return f"| {names} | {default} | {text}{f' Or {parameter.envvar}.' if parameter.envvar else ''} |"
+
+
+def _bound(bound: Any) -> str:
+    words = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
+    return " and ".join(f"{words[name]} {value}" for name in words if (value := getattr(bound, name, None)) is not None)
+
+
+def _sentence(text: str) -> str:
+    return (text if text.startswith("gRPC") else text[:1].upper() + text[1:]).rstrip(".") + "."
+
+
+def _page(parts: list[str]) -> str:
+    note = "Written from the code by `make docs`."
+    return "\n\n".join([parts[0], note, *(part for part in parts[1:] if part)]) + "\n"

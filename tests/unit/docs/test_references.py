@@ -1,0 +1,97 @@
+"""The documentation is complete: every name a user can meet has its heading, and every link leads somewhere."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+import typer
+
+from core.errors import ErrorCode
+from core.loop import RejectionReason
+from revisit.cli.app import app
+from revisit.v1 import (
+    ingest_pb2,
+    loop_closure_pb2,
+    map_pb2,
+    operation_pb2,
+    robot_pb2,
+    session_pb2,
+    submap_pb2,
+    system_pb2,
+)
+from service.rest.app import create_app
+from service.settings import Settings
+
+ROOT = Path(__file__).resolve().parents[3]
+DOCS = ROOT / "docs"
+PROTOCOLS = (
+    ingest_pb2, loop_closure_pb2, map_pb2, operation_pb2, robot_pb2, session_pb2, submap_pb2, system_pb2,
+)  # fmt: skip
+
+
+def headings(page: str) -> set[str]:
+    text = (DOCS / page).read_text()
+    return {line.lstrip("#").strip() for line in text.splitlines() if line.startswith("#")}
+
+
+def test_every_error_code_has_its_heading():
+    assert {code.value for code in ErrorCode} <= headings("reference/errors.md")
+
+
+def test_every_setting_has_its_heading():
+    assert {f"REVISIT_{name.upper()}" for name in Settings.model_fields} <= headings("reference/settings.md")
+
+
+def test_every_command_has_its_heading():
+    assert {f"revisit {name}" for name in typer.main.get_command(app).commands} <= headings("reference/cli.md")
+
+
+def test_every_route_of_v1_and_every_probe_has_its_heading():
+    document = create_app(None).openapi()
+    routes = {f"{method.upper()} {path}" for path, methods in document["paths"].items() for method in methods}
+    assert len(routes) > 25
+    assert routes <= headings("reference/rest-and-grpc.md")
+
+
+def test_every_rpc_has_its_heading():
+    services = [service for module in PROTOCOLS for service in module.DESCRIPTOR.services_by_name.values()]
+    calls = {f"{service.name}.{method.name}" for service in services for method in service.methods}
+    assert len(calls) > 20
+    assert calls <= headings("reference/rest-and-grpc.md")
+
+
+def test_every_reason_for_a_rejection_is_explained():
+    assert {reason.value for reason in RejectionReason} <= headings("how-to/read-an-answer.md")
+
+
+def test_every_parameter_that_a_rejection_names_exists():
+    named = set(re.findall(r"`verification\.(\w+)`", (DOCS / "how-to/read-an-answer.md").read_text()))
+    parameters = (DOCS / "reference/parameters.md").read_text()
+    assert named
+    assert {name for name in named if f"| {name} |" not in parameters and f"| `{name}` |" not in parameters} == set()
+
+
+@pytest.mark.parametrize("page", sorted(DOCS.rglob("*.md")), ids=lambda page: page.name)
+def test_every_link_to_a_file_leads_to_one(page):
+    links = re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text())
+    broken = [link for link in links if "://" not in link and not (page.parent / link).exists()]
+    assert broken == []
+
+
+@pytest.mark.parametrize("page", sorted((DOCS / "how-to").glob("*.md")) + sorted((DOCS / "tutorial").glob("*.md")))
+def test_every_option_in_a_guide_is_an_option_of_its_command(page):
+    commands = typer.main.get_command(app).commands
+    for line in re.findall(r"^(?:\$ )?revisit (.+)$", page.read_text(), re.MULTILINE):
+        words = line.split("#")[0].split()
+        known = {
+            option for parameter in commands[words[0]].params for option in [*parameter.opts, *parameter.secondary_opts]
+        }
+        assert {word.split("=")[0] for word in words if word.startswith("--")} <= known, line
+
+
+def test_every_setting_in_a_guide_exists():
+    known = {f"REVISIT_{name.upper()}" for name in Settings.model_fields} | {"REVISIT_URL", "REVISIT_GRPC"}
+    for page in [*(DOCS / "how-to").glob("*.md"), *(DOCS / "tutorial").glob("*.md"), ROOT / "README.md"]:
+        assert set(re.findall(r"REVISIT_[A-Z_]+", page.read_text())) <= known, page.name
