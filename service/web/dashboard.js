@@ -54,7 +54,9 @@ function showFigures(status) {
 
 function showMaps(maps) {
   const select = byId("map");
-  const chosen = select.value;
+  // A link may name the map (`/#maps/town`); else the newest one is shown.
+  const wished = [select.value, decodeURIComponent(location.hash.slice(1)), maps.at(-1)?.name];
+  const chosen = wished.find((name) => maps.some((map) => map.name === name));
   select.replaceChildren(
     ...maps.map((map) => {
       const id = map.name.slice("maps/".length);
@@ -64,7 +66,7 @@ function showMaps(maps) {
     }),
   );
   select.disabled = !maps.length;
-  if (maps.some((map) => map.name === chosen)) select.value = chosen;
+  if (chosen) select.value = chosen;
   return select.value;
 }
 
@@ -190,7 +192,10 @@ function tellSubmap(event) {
     `y ${y.toFixed(1)} m, ${plural(submap.point_count, "point")}`;
 }
 
-byId("map").addEventListener("change", refresh);
+byId("map").addEventListener("change", () => {
+  history.replaceState(null, "", `#${byId("map").value}`);
+  refresh();
+});
 byId("every-loop").addEventListener("change", showDrawing);
 byId("trajectory").addEventListener("mousemove", tellSubmap);
 run();
