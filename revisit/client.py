@@ -123,9 +123,9 @@ class Client:
         answer = self._transport.post_submap(_name(session), submap_id, pose, stamp_ns, encoded(points))
         return Operation.parse(answer["operation"])
 
-    def get_submap(self, name: str) -> Submap:
-        """Get `maps/{map}/sessions/{session}/submaps/{submap}`."""
-        return Submap.parse(self._transport.get(name))
+    def get_submap(self, name: str, *, full: bool = False) -> Submap:
+        """Get `maps/{map}/sessions/{session}/submaps/{submap}`; with its descriptor where `full`."""
+        return Submap.parse(self._transport.get(name, full=full))
 
     def list_submaps(self, session: str | Session) -> list[Submap]:
         """The submaps of a session in their order."""

@@ -72,10 +72,11 @@ class GrpcTransport:
         request = {f"{field}_id": resource_id, **fields, **({"parent": parent} if parent else {})}
         return self._part(field, stub, f"Create{noun}", _message(module, f"Create{noun}Request", request))
 
-    def get(self, name: str) -> Json:
+    def get(self, name: str, *, full: bool = False) -> Json:
         """See Transport."""
         module, stub, noun, field = _COLLECTIONS[_collection_of(name)]
-        return self._part(field, stub, f"Get{noun}", _message(module, f"Get{noun}Request", {"name": name}))
+        asked = {"name": name, "view": "SUBMAP_VIEW_FULL"} if full else {"name": name}
+        return self._part(field, stub, f"Get{noun}", _message(module, f"Get{noun}Request", asked))
 
     def list(self, parent: str, collection: str, filters: Json) -> Iterator[Json]:
         """See Transport."""

@@ -137,7 +137,10 @@ class Operation:
 
 @dataclass(frozen=True)
 class Submap:
-    """A submap; sizes in bytes, the position in the session's odometry frame."""
+    """A submap; sizes in bytes, the position in the session's odometry frame.
+
+    `descriptor` is there where the full view was asked for and the submap is described.
+    """
 
     name: str
     state: str
@@ -154,6 +157,7 @@ class Submap:
     flags: tuple[str, ...]
     model_version: str | None
     operation: str
+    descriptor: tuple[float, ...] = ()
 
     @classmethod
     def parse(cls, value: Json) -> Self:
@@ -176,6 +180,7 @@ class Submap:
             flags=tuple(value["flags"]),
             model_version=value.get("model_version") or None,
             operation=value["operation"],
+            descriptor=tuple(float(number) for number in value.get("descriptor", ())),
         )
 
 

@@ -34,9 +34,9 @@ class RestTransport:
             body["robot_id"] = body.pop("robot").removeprefix("robots/")
         return self._json("POST", _path(parent, collection), json=body)
 
-    def get(self, name: str) -> Json:
+    def get(self, name: str, *, full: bool = False) -> Json:
         """See Transport."""
-        return self._json("GET", _path(name))
+        return self._json("GET", _path(name), params={"view": "FULL"} if full else {})
 
     def list(self, parent: str, collection: str, filters: Json) -> Iterator[Json]:
         """See Transport."""

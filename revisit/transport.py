@@ -40,8 +40,8 @@ class Transport(Protocol):
         """Create a map, robot or session."""
         ...
 
-    def get(self, name: str) -> Json:
-        """Any resource by name."""
+    def get(self, name: str, *, full: bool = False) -> Json:
+        """Any resource by name; `full` is for submaps alone."""
         ...
 
     def list(self, parent: str, collection: str, filters: Json) -> Iterator[Json]:

@@ -118,11 +118,19 @@ def command_line() -> str:
             "JSON document."
         ),
     ]
-    for name, command in group.commands.items():
+    for name, command in commands_of(group, "revisit"):
         rows = [_option_row(parameter) for parameter in command.params if parameter.name != "help"]
-        parts += [f"## revisit {name}", str(command.help)]
+        parts += [f"## {name}", str(command.help)]
         parts += ["\n".join(["| argument or option | default | meaning |", "|---|---|---|", *rows])] if rows else []
     return _page(parts)
+
+
+def commands_of(group: Any, prefix: str) -> Iterator[tuple[str, Any]]:
+    """Every command under a group with its whole name, groups before their commands."""
+    for name, command in group.commands.items():
+        yield f"{prefix} {name}", command
+        if hasattr(command, "commands"):
+            yield from commands_of(command, f"{prefix} {name}")
 
 
 def interfaces() -> str:

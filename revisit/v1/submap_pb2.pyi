@@ -26,6 +26,12 @@ class DownloadFormat(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     DOWNLOAD_FORMAT_MESH: _ClassVar[DownloadFormat]
     DOWNLOAD_FORMAT_NEURAL: _ClassVar[DownloadFormat]
     DOWNLOAD_FORMAT_DESCRIPTOR: _ClassVar[DownloadFormat]
+
+class SubmapView(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    SUBMAP_VIEW_UNSPECIFIED: _ClassVar[SubmapView]
+    SUBMAP_VIEW_BASIC: _ClassVar[SubmapView]
+    SUBMAP_VIEW_FULL: _ClassVar[SubmapView]
 SUBMAP_STATE_UNSPECIFIED: SubmapState
 SUBMAP_STATE_QUEUED: SubmapState
 SUBMAP_STATE_DESCRIBED: SubmapState
@@ -37,9 +43,12 @@ DOWNLOAD_FORMAT_NPY: DownloadFormat
 DOWNLOAD_FORMAT_MESH: DownloadFormat
 DOWNLOAD_FORMAT_NEURAL: DownloadFormat
 DOWNLOAD_FORMAT_DESCRIPTOR: DownloadFormat
+SUBMAP_VIEW_UNSPECIFIED: SubmapView
+SUBMAP_VIEW_BASIC: SubmapView
+SUBMAP_VIEW_FULL: SubmapView
 
 class Submap(_message.Message):
-    __slots__ = ("name", "state", "ordinal", "t_odom_submap", "position_m", "stamp_ns", "first_seq", "last_seq", "scan_count", "point_count", "raw_bytes", "neural_map_bytes", "flags", "model_version", "failure", "operation", "created_at_ns")
+    __slots__ = ("name", "state", "ordinal", "t_odom_submap", "position_m", "stamp_ns", "first_seq", "last_seq", "scan_count", "point_count", "raw_bytes", "neural_map_bytes", "flags", "model_version", "failure", "operation", "created_at_ns", "descriptor")
     NAME_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
     ORDINAL_FIELD_NUMBER: _ClassVar[int]
@@ -57,6 +66,7 @@ class Submap(_message.Message):
     FAILURE_FIELD_NUMBER: _ClassVar[int]
     OPERATION_FIELD_NUMBER: _ClassVar[int]
     CREATED_AT_NS_FIELD_NUMBER: _ClassVar[int]
+    DESCRIPTOR_FIELD_NUMBER: _ClassVar[int]
     name: str
     state: SubmapState
     ordinal: int
@@ -74,7 +84,8 @@ class Submap(_message.Message):
     failure: _operation_pb2.Failure
     operation: str
     created_at_ns: int
-    def __init__(self, name: _Optional[str] = ..., state: _Optional[_Union[SubmapState, str]] = ..., ordinal: _Optional[int] = ..., t_odom_submap: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., stamp_ns: _Optional[int] = ..., first_seq: _Optional[int] = ..., last_seq: _Optional[int] = ..., scan_count: _Optional[int] = ..., point_count: _Optional[int] = ..., raw_bytes: _Optional[int] = ..., neural_map_bytes: _Optional[int] = ..., flags: _Optional[_Iterable[str]] = ..., model_version: _Optional[str] = ..., failure: _Optional[_Union[_operation_pb2.Failure, _Mapping]] = ..., operation: _Optional[str] = ..., created_at_ns: _Optional[int] = ...) -> None: ...
+    descriptor: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, name: _Optional[str] = ..., state: _Optional[_Union[SubmapState, str]] = ..., ordinal: _Optional[int] = ..., t_odom_submap: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., stamp_ns: _Optional[int] = ..., first_seq: _Optional[int] = ..., last_seq: _Optional[int] = ..., scan_count: _Optional[int] = ..., point_count: _Optional[int] = ..., raw_bytes: _Optional[int] = ..., neural_map_bytes: _Optional[int] = ..., flags: _Optional[_Iterable[str]] = ..., model_version: _Optional[str] = ..., failure: _Optional[_Union[_operation_pb2.Failure, _Mapping]] = ..., operation: _Optional[str] = ..., created_at_ns: _Optional[int] = ..., descriptor: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class PostSubmapRequest(_message.Message):
     __slots__ = ("parent", "submap_id", "t_odom_submap", "stamp_ns", "cloud")
@@ -103,10 +114,12 @@ class PostSubmapResponse(_message.Message):
     def __init__(self, submap: _Optional[_Union[Submap, _Mapping]] = ..., operation: _Optional[_Union[_operation_pb2.Operation, _Mapping]] = ..., replay: _Optional[bool] = ..., report: _Optional[_Union[_cloud_pb2.CloudReport, _Mapping]] = ...) -> None: ...
 
 class GetSubmapRequest(_message.Message):
-    __slots__ = ("name",)
+    __slots__ = ("name", "view")
     NAME_FIELD_NUMBER: _ClassVar[int]
+    VIEW_FIELD_NUMBER: _ClassVar[int]
     name: str
-    def __init__(self, name: _Optional[str] = ...) -> None: ...
+    view: SubmapView
+    def __init__(self, name: _Optional[str] = ..., view: _Optional[_Union[SubmapView, str]] = ...) -> None: ...
 
 class GetSubmapResponse(_message.Message):
     __slots__ = ("submap",)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from core.errors import BadField
 from core.scan import CloudReport, Scan
@@ -65,7 +66,8 @@ class SubmapView:
 
     `ordinal` counts the submaps of its session from 0; `position_m` is where it was taken, in the session's odometry
     frame; `first_seq`..`last_seq` are its scans (None for a posted cloud); `raw_bytes` is the float32 xyz cloud's
-    size, `neural_map_bytes` that of its neural map; `failure` says why it could not be described.
+    size, `neural_map_bytes` that of its neural map; `failure` says why it could not be described. `descriptor` (d,) is
+    there where it was asked for and the submap is described.
     """
 
     key: SubmapKey
@@ -85,6 +87,7 @@ class SubmapView:
     failure: OperationFailure | None
     operation_id: str
     created_at_ns: int
+    descriptor: NDArray[np.float32] | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)
@@ -127,9 +130,13 @@ class Submaps:
         await self._context.compute(self._context.blobs.put, tenant, CLOUD_BLOB, accepted.packed)
         return await self._context.write(lambda uow: self._insert(uow, accepted))
 
-    async def get(self, tenant: TenantId, key: SubmapKey) -> SubmapView:
-        """Raises NotFound."""
-        return submap_view(await self._context.read(lambda uow: require_submap(uow, tenant, key)))
+    async def get(self, tenant: TenantId, key: SubmapKey, *, full: bool = False) -> SubmapView:
+        """The submap, with its descriptor where `full`. Raises NotFound."""
+        record = await self._context.read(lambda uow: require_submap(uow, tenant, key))
+        view = submap_view(record)
+        if not full or record.descriptor is None:
+            return view
+        return replace(view, descriptor=np.frombuffer(record.descriptor, dtype="<f4").astype(np.float32))
 
     async def list(self, tenant: TenantId, session: SessionKey, page: PageRequest) -> Page[SubmapView]:
         """The submaps of a session in their order. Raises NotFound for the session."""

@@ -191,6 +191,7 @@ def submap_message(view: SubmapView) -> submap_pb2.Submap:
         failure=_failure(view.failure),
         operation=f"operations/{view.operation_id}",
         created_at_ns=view.created_at_ns,
+        descriptor=() if view.descriptor is None else view.descriptor.tolist(),
     )
 
 

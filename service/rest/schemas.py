@@ -249,7 +249,7 @@ class Report(Answer):
 
 
 class Submap(Answer):
-    """A submap."""
+    """A submap; `descriptor` is empty unless view=FULL was asked for and the submap is described."""
 
     name: str
     state: str
@@ -268,6 +268,7 @@ class Submap(Answer):
     failure: Failure | None
     operation: str
     created_at_ns: int
+    descriptor: list[float]
 
     @classmethod
     def of(cls, view: SubmapView) -> Self:
@@ -290,6 +291,7 @@ class Submap(Answer):
             failure=Failure.maybe(view.failure),
             operation=f"operations/{view.operation_id}",
             created_at_ns=view.created_at_ns,
+            descriptor=[] if view.descriptor is None else view.descriptor.tolist(),
         )
 
 

@@ -41,7 +41,8 @@ class SubmapServicer(submap_pb2_grpc.SubmapServiceServicer):
 
     async def GetSubmap(self, request: submap_pb2.GetSubmapRequest, context: Any) -> submap_pb2.GetSubmapResponse:
         """Get a submap."""
-        view = await self._submaps.get(tenant_of(context), names.submap_key(request.name))
+        full = request.view == submap_pb2.SUBMAP_VIEW_FULL
+        view = await self._submaps.get(tenant_of(context), names.submap_key(request.name), full=full)
         return submap_pb2.GetSubmapResponse(submap=messages.submap_message(view))
 
     async def ListSubmaps(self, request: submap_pb2.ListSubmapsRequest, context: Any) -> submap_pb2.ListSubmapsResponse:

@@ -43,6 +43,13 @@ class DownloadFormat(StrEnum):
         return DownloadKind(self.value), None
 
 
+class View(StrEnum):
+    """How much of a submap is told."""
+
+    BASIC = "BASIC"
+    FULL = "FULL"
+
+
 @router.post("", status_code=202, openapi_extra=CLOUD_BODY)
 async def post_submap(
     key: SessionOf,
@@ -84,9 +91,9 @@ async def download_submap(
 
 
 @router.get("/{submap_id}")
-async def get_submap(key: SubmapOf, cases: Cases, tenant: Tenant) -> Submap:
-    """Get a submap."""
-    return Submap.of(await cases.submaps.get(tenant, key))
+async def get_submap(key: SubmapOf, cases: Cases, tenant: Tenant, view: View = View.BASIC) -> Submap:
+    """Get a submap; FULL adds its descriptor."""
+    return Submap.of(await cases.submaps.get(tenant, key, full=view is View.FULL))
 
 
 @router.delete("/{submap_id}", status_code=204)

@@ -57,6 +57,15 @@ def test_a_posted_submap_is_described_searchable_and_downloadable(client, sessio
     assert client.download(submap, "neural").startswith(b"neural ")
 
 
+def test_the_full_view_of_a_submap_has_the_descriptor_to_search_with(client, session, town):
+    name = client.wait(post(client, session), timeout_s=20).subject
+    assert client.get_submap(name).descriptor == ()
+    submap = client.get_submap(name, full=True)
+    assert np.linalg.norm(submap.descriptor) == pytest.approx(1.0, abs=1e-5)
+    hits = client.search(town, descriptor=submap.descriptor, model_version=submap.model_version)
+    assert [(hit.submap, round(hit.similarity, 5)) for hit in hits] == [(name, 1.0)]
+
+
 def test_a_pose_survives_the_way_there_and_back(client, session):
     T_odom_submap = se3.exp([1.5, -2.0, 0.25, 0.3, -0.2, 2.5])
     operation = client.post_submap(session, "posed", cloud_points(3), T_odom_submap, 2**62)
