@@ -155,26 +155,35 @@ def score_recognition(
     )  # fmt: skip
 
 
-def loop_segments(has_loop: Flags) -> NDArray[np.int64]:
+def loop_segments(has_loop: Flags, longest: int = 20) -> NDArray[np.int64]:
     """Segment numbers (n,) of neighbouring queries: a new one wherever queries begin or cease to have a loop.
 
-    Neighbouring queries see the same place, so they are drawn together in the bootstrap.
+    Neighbouring queries see the same place, so they are drawn together in the bootstrap. A segment ends after `longest`
+    queries (100 m at the default stride): where all queries have a loop, one segment would leave nothing to draw.
     """
-    if len(has_loop) == 0:
-        return np.zeros(0, dtype=np.int64)
-    return np.concatenate([[0], np.cumsum(has_loop[1:] != has_loop[:-1])]).astype(np.int64)
+    numbers, current, start = np.zeros(len(has_loop), dtype=np.int64), 0, 0
+    for query in range(1, len(has_loop)):
+        if has_loop[query] != has_loop[query - 1] or query - start == longest:
+            current, start = current + 1, query
+        numbers[query] = current
+    return numbers
 
 
 def _bootstrap(outcomes: Outcomes, segments: NDArray[np.int64], draws: int, seed: int) -> Floats:
-    """AUC and max F1 (draws, 2) of outcomes whose segments are drawn with replacement."""
+    """AUC and max F1 (at most draws, 2) of outcomes whose segments are drawn with replacement.
+
+    Draws without any loop are left out: nothing could be found in them, so they have no AUC.
+    """
     rng = np.random.default_rng([seed, 51])
     members = [np.flatnonzero(segments == segment) for segment in np.unique(segments)]
-    results = np.zeros((draws, 2))
-    for draw in range(draws if members else 0):
+    results = []
+    for _ in range(draws if members else 0):
         chosen = rng.integers(len(members), size=len(members))
-        curve = precision_recall(outcomes.taken(np.concatenate([members[index] for index in chosen])))
-        results[draw] = area_under_curve(curve.precision, curve.recall), best_f1(curve)[0]
-    return results
+        drawn = outcomes.taken(np.concatenate([members[index] for index in chosen]))
+        if drawn.has_loop.any():
+            curve = precision_recall(drawn)
+            results.append((area_under_curve(curve.precision, curve.recall), best_f1(curve)[0]))
+    return np.array(results).reshape(-1, 2)
 
 
 def _interval(value: float, samples: Floats) -> Interval:

@@ -160,7 +160,9 @@ def _product_outcome(sides: Sides, matches: list[tuple[Match, ...]], search_s: f
         method=PRODUCT,
         candidates=tuple(tuple(match.id for match in found[:KEPT_CANDIDATES]) for found in matches),
         score=tuple(found[0].similarity if found else None for found in matches),
-        describe_s=_mean([one.place.seconds["describe"] for one in sides.queries if one.place.description is not None]),
+        describe_s=_median(
+            [one.place.seconds["describe"] for one in sides.queries if one.place.description is not None]
+        ),
         search_s=search_s,
         bytes_per_submap=_mean([float(description.vector.nbytes) for description in described]),
     )
@@ -190,7 +192,7 @@ def _verified_outcome(
         candidates=tuple(tuple(item.id for item in one.ranked[:KEPT_CANDIDATES]) for one in answers),
         score=tuple(one.ranked[0].verdict.score if one.ranked else None for one in answers),
         describe_s=0.0,
-        search_s=_mean([one.seconds for one in answers if one.ranked]),
+        search_s=_median([one.seconds for one in answers if one.ranked]),
         bytes_per_submap=_mean([float(len(signature)) for signature in signatures]),
         accepted=tuple(taken),
         poses=PoseErrors(tuple(metres for metres, _ in errors), tuple(degrees for _, degrees in errors)),
@@ -216,7 +218,7 @@ def _baseline_outcome(baseline: PlaceRecogniser, column: int, sides: Sides, ques
         score.append(float(similarity[order[0]]))
     return MethodOutcome(
         method=baseline.name, candidates=tuple(candidates), score=tuple(score),
-        describe_s=_mean([one.seconds[column] for one in sides.queries if one.descriptors is not None]),
+        describe_s=_median([one.seconds[column] for one in sides.queries if one.descriptors is not None]),
         search_s=(time.perf_counter() - started) / max(len(candidates), 1),
         bytes_per_submap=float(known[0].nbytes) if len(known) else 0.0,
     )  # fmt: skip
@@ -230,7 +232,7 @@ def _stacked(described: Sequence[Described], column: int) -> Descriptor:
 
 
 def _costs(described: Sequence[Described]) -> dict[str, float]:
-    """Means a submap: bytes of the raw points, the neural map and the signature; seconds of every stage."""
+    """A submap's mean bytes, of the raw points and the neural map, and median seconds of every stage."""
     places = [one.place for one in described if one.place.description is not None]
     costs = {
         "raw_bytes": _mean([float(place.points * _RAW_BYTES_PER_POINT) for place in places]),
@@ -240,11 +242,15 @@ def _costs(described: Sequence[Described]) -> dict[str, float]:
     for place in places:
         for stage, seconds in (place.description.seconds if place.description is not None else {}).items():
             stages.setdefault(stage, []).append(seconds)
-    return {**costs, **{f"{stage}_s": _mean(seconds) for stage, seconds in stages.items()}}
+    return {**costs, **{f"{stage}_s": _median(seconds) for stage, seconds in stages.items()}}
 
 
 def _positions(described: Sequence[Described]) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(float(value) for value in one.place.position) for one in described)
+
+
+def _median(values: Sequence[float]) -> float:
+    return float(np.median(values)) if values else 0.0
 
 
 def _mean(values: Sequence[float]) -> float:

@@ -9,12 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evaluation.metrics import (
     LoopProtocol,
     Outcomes,
     RecognitionScores,
+    best_f1,
     loop_segments,
+    precision_recall,
     recall_at,
     score_recognition,
 )
@@ -112,6 +115,14 @@ def judged(outcome: MethodOutcome, question: Question) -> Outcomes:
     has_loop = np.asarray(question.positives.any(axis=1))
     score = [-np.inf if value is None else value for value in outcome.score]
     return Outcomes(np.array(score, dtype=np.float64), np.array(correct, dtype=bool), has_loop)
+
+
+def classified(outcomes: Outcomes) -> NDArray[np.str_]:
+    """right (TP), wrong (FP), missed (FN) or no loop (TN) of every query (n,), at the threshold of the best F1."""
+    threshold = best_f1(precision_recall(outcomes))[1]
+    accepted = outcomes.score >= (np.inf if threshold is None else threshold)
+    kinds = np.where(outcomes.has_loop, "missed", "no loop")
+    return np.where(accepted, np.where(outcomes.correct, "right", "wrong"), kinds)
 
 
 def scores(outcome: MethodOutcome, question: Question) -> Scores:

@@ -14,7 +14,7 @@ from core.submap import Submap
 from evaluation.cutting import Window, load_submap
 from evaluation.datasets import Recording
 from evaluation.perturbations import Perturbation
-from evaluation.protocols.trial import MethodOutcome, Trial, judged
+from evaluation.protocols.trial import MethodOutcome, Trial, classified, judged
 
 
 @dataclass(frozen=True)
@@ -35,12 +35,12 @@ class Failure:
 
 
 def worst_failures(trial: Trial, outcome: MethodOutcome, count: int) -> list[Failure]:
-    """At most `count` wrong matches by falling score, and as many loops whose first match is wrong by rising score."""
+    """At most `count` wrong matches by falling score, and as many missed loops by rising score, at the best F1."""
     question = trial.question()
     rows = judged(outcome, question)
     distance = _distances(trial)
-    wrong = np.flatnonzero(~rows.correct & ~rows.has_loop & np.isfinite(rows.score))
-    missed = np.flatnonzero(~rows.correct & rows.has_loop)
+    kinds = classified(rows)
+    wrong, missed = np.flatnonzero(kinds == "wrong"), np.flatnonzero(kinds == "missed")
     found = []
     for query in wrong[np.argsort(-rows.score[wrong], kind="stable")][:count]:
         match = outcome.candidates[query][0]

@@ -15,9 +15,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from evaluation.metrics import Outcomes, best_f1, precision_recall
+from evaluation.metrics import precision_recall
 from evaluation.protocols.contest import PRODUCT, VERIFIED
-from evaluation.protocols.trial import Trial, judged
+from evaluation.protocols.trial import Trial, classified, judged
 
 _COLOURS = {"right": "tab:green", "wrong": "tab:red", "missed": "tab:orange", "no loop": "lightgrey"}
 
@@ -55,21 +55,13 @@ def draw_map(trial: Trial, file: Path, columns: int = 4) -> None:
     _save(figure, file)
 
 
-def classified(outcomes: Outcomes) -> NDArray[np.str_]:
-    """right (TP), wrong (FP), missed (FN) or no loop (TN) of every query (n,), at the threshold of the best F1."""
-    threshold = best_f1(precision_recall(outcomes))[1]
-    accepted = outcomes.score >= (np.inf if threshold is None else threshold)
-    kinds = np.where(outcomes.has_loop, "missed", "no loop")
-    return np.where(accepted, np.where(outcomes.correct, "right", "wrong"), kinds)
-
-
 def draw_pairs(pairs: Sequence[tuple[str, NDArray[np.float32], NDArray[np.float32]]], file: Path) -> None:
     """Two bird's-eye images beside one another a row: the query, and what it was or should have been matched with."""
     figure, grid = plt.subplots(len(pairs), 2, figsize=(8, 4 * len(pairs)), layout="constrained", squeeze=False)
     for row, (title, query, match) in zip(grid, pairs, strict=True):
         for axes, image, name in zip(row, (query, match), ("query", "map"), strict=True):
             axes.imshow(image, origin="lower", cmap="magma")
-            axes.set_title(f"{title}: {name}", fontsize=9)
+            axes.set_title(f"{title}\n{name}", fontsize=7)
             axes.axis("off")
     _save(figure, file)
 

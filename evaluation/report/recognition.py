@@ -161,7 +161,7 @@ def _times(document: Document, trials: Sequence[Trial]) -> None:
         return
     document.heading("Time a submap in ms (Table IV)")
     document.paragraph(
-        "Describing plus searching, wall time of one process on this machine; parts in the last rows."
+        "Describing (median) plus searching, wall time of one process on this machine; parts in the last rows."
     )
     methods = list(dict.fromkeys(outcome.method for trial in chosen for outcome in trial.outcomes))
     rows = [[method, *(_milliseconds(trial, method) for trial in chosen)] for method in methods]

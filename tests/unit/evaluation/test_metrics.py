@@ -107,6 +107,18 @@ def test_segments_change_where_loops_begin_and_end() -> None:
     np.testing.assert_array_equal(loop_segments(flags), [0, 0, 1, 1, 2, 3])
 
 
+def test_a_long_segment_ends_by_itself() -> None:
+    np.testing.assert_array_equal(loop_segments(np.ones(5, dtype=bool), longest=2), [0, 0, 1, 1, 2])
+
+
+def test_draws_without_any_loop_do_not_pull_the_interval_to_zero() -> None:
+    # Ten segments, one of which holds the only loops: a third of all draws would miss it.
+    has_loop = np.arange(100) < 10
+    rows = Outcomes(np.where(has_loop, 0.9, 0.1), has_loop, has_loop)
+    scores = score_recognition(rows, np.arange(100) // 10, draws=50)
+    assert scores.auc.low == scores.auc.value == 1.0
+
+
 def test_a_loop_needs_a_near_position_and_a_larger_index_gap() -> None:
     positions = np.array([[0.0, 0, 0], [20.0, 0, 0], [20.1, 0, 0], [0.0, 0, 0]])
     pairs = positive_pairs(positions, LoopProtocol(positive_radius_m=20.0, min_index_gap=1))
