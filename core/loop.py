@@ -101,7 +101,7 @@ def loop_score(inliers: int, overlap: float, rmse_m: float) -> float:
     return float(1.0 / (1.0 + np.exp(-np.clip(logit, -30.0, 30.0))))
 
 
-_SCORE_WEIGHTS = (7.8, 0.07, 25.2, -185.0)
+_SCORE_WEIGHTS = (9.2, 0.07, 25.2, -185.0)
 _SHARPEST_RMSE_M = 0.09  # cleaner surfaces, such as simulated ones, are no better evidence
 
 
