@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Protocol
@@ -78,20 +77,18 @@ class Programme:
 def run_programme(programme: Programme, report: Progress, method: Method | None = None) -> Iterator[Trial]:
     """All trials, one by one; those whose outcome is on file for the same models and parameters are read."""
     for drive in programme.drives:
-        yield from _DriveTrials(programme, drive.recorded(programme.recordings, report), report, method).all()
+        yield from _DriveTrials(programme, drive, report, method).all()
     if "sessions" in programme.protocols:
         for known, asking in programme.sessions:
-            places, queries = (one.recorded(programme.recordings, report) for one in (known, asking))
-            if isinstance(places, PosedClouds) and isinstance(queries, PosedClouds):
-                queries = queries.beside(places)
-            yield _session_trial(programme, places, queries, report, method)
+            yield _on_file(programme, "sessions", (known, asking), method, partial(
+                _between_sessions, programme, known, asking, report, method))  # fmt: skip
 
 
 class _DriveTrials:
     """The trials on one drive. Descriptions that several trials need are made once."""
 
-    def __init__(self, programme: Programme, recording: Recording, report: Progress, method: Method | None) -> None:
-        self._programme, self._recording, self._report, self._method = programme, recording, report, method
+    def __init__(self, programme: Programme, drive: Drive, report: Progress, method: Method | None) -> None:
+        self._programme, self._drive, self._report, self._method = programme, drive, report, method
         self._described: dict[tuple[str, Perturbation], list[Described]] = {}
 
     def all(self) -> Iterator[Trial]:
@@ -99,37 +96,41 @@ class _DriveTrials:
         for protocol in self._programme.protocols:
             if protocol != "sessions":
                 run = partial(self._run, protocol)
-                yield _on_file(self._programme, (self._recording.name, protocol), self._method, run)
+                yield _on_file(self._programme, protocol, (self._drive,), self._method, run)
 
     def _run(self, protocol: str) -> Trial:
+        recording = self._drive.recorded(self._programme.recordings, self._report)
         ablation = protocol if protocol in ABLATIONS else "none"
         contest = self._programme.contest(ablation, self._method)
-        queries = self._side(TURNED if protocol == "rotation" else HARDER.get(protocol, PLAIN), ablation, contest)
-        known = self._side(PLAIN, ablation, contest) if protocol in HARDER else queries
-        name = self._recording.name
-        return hold(protocol, contest, Sides(name, name, queries, known), self._report)
+        asked_under = TURNED if protocol == "rotation" else HARDER.get(protocol, PLAIN)
+        queries = self._side(Side(recording, asked_under), ablation, contest)
+        known = self._side(Side(recording), ablation, contest) if protocol in HARDER else queries
+        return hold(protocol, contest, Sides(recording.name, recording.name, queries, known), self._report)
 
-    def _side(self, perturbation: Perturbation, ablation: str, contest: Contest) -> list[Described]:
-        key = ablation, perturbation
+    def _side(self, side: Side, ablation: str, contest: Contest) -> list[Described]:
+        key = ablation, side.perturbation
         if key not in self._described:
-            self._described[key] = describe_side(Side(self._recording, perturbation), contest, self._report)
+            self._described[key] = describe_side(side, contest, self._report)
         return self._described[key]
 
 
-def _session_trial(
-    programme: Programme, known: Recording, asking: Recording, report: Progress, method: Method | None
+def _between_sessions(
+    programme: Programme, known: Drive, asking: Drive, report: Progress, method: Method | None
 ) -> Trial:
-    def run() -> Trial:
-        contest = programme.contest("none", method)
-        queries, places = (describe_side(Side(recording), contest, report) for recording in (asking, known))
-        return hold("sessions", contest, Sides(asking.name, known.name, queries, places), report)
+    """All submaps of one drive ask those of another."""
+    places, queries = (one.recorded(programme.recordings, report) for one in (known, asking))
+    if isinstance(places, PosedClouds) and isinstance(queries, PosedClouds):
+        queries = queries.beside(places)
+    contest = programme.contest("none", method)
+    asked, described = (describe_side(Side(recording), contest, report) for recording in (queries, places))
+    return hold("sessions", contest, Sides(queries.name, places.name, asked, described), report)
 
-    return _on_file(programme, (f"{asking.name}-in-{known.name}", "sessions"), method, run)
 
-
-def _on_file(programme: Programme, name: tuple[str, str], method: Method | None, run: Callable[[], Trial]) -> Trial:
-    """The trial on file for the same models and parameters, else a new one, which is then on file."""
-    file = programme.folder / "trials" / f"{'-'.join(name)}-{_fingerprint(programme, method)}.json"
+def _on_file(
+    programme: Programme, protocol: str, drives: tuple[Drive, ...], method: Method | None, run: Callable[[], Trial]
+) -> Trial:
+    """The trial on file for the same drives, models and parameters, else a new one, which is then on file."""
+    file = programme.folder / "trials" / f"{protocol}-{_fingerprint(programme, drives, method)}.json"
     if file.exists():
         return Trial.read(file)
     trial = run()
@@ -137,8 +138,8 @@ def _on_file(programme: Programme, name: tuple[str, str], method: Method | None,
     return trial
 
 
-def _fingerprint(programme: Programme, method: Method | None) -> str:
-    """Eight hexadecimal digits of all that decides an outcome but the recording and the protocol."""
+def _fingerprint(programme: Programme, drives: tuple[Drive, ...], method: Method | None) -> str:
+    """Twelve hexadecimal digits of all that decides an outcome besides the protocol."""
     who = repr(method) if method is not None else f"{load_packaged_models().version} {PipelineConfig()}"
-    parts = [who, asdict(programme.submap), asdict(programme.loops), programme.candidates, repr(programme.baselines)]
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:8]
+    settings = programme.submap, programme.loops, programme.candidates, programme.baselines
+    return hashlib.sha256(repr((who, drives, settings)).encode()).hexdigest()[:12]
