@@ -1,0 +1,59 @@
+"""Workers compile what they need before they take work, and take it even where the rehearsal fails."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from core.errors import EmptyCloud
+from service import ONE_THREAD
+from service.adapters import core_recogniser
+from service.worker.supervisor import _environment
+from tests.support.fake_recogniser import FakeRecogniser
+
+
+class Rehearsed(FakeRecogniser):
+    """Notes what it was asked."""
+
+    def __init__(self, error=None):
+        self.asked = []
+        self._error = error
+
+    def describe(self, submap, config):
+        self.asked.append(("describe", submap))
+        if self._error:
+            raise self._error
+        return super().describe(submap, config)
+
+    def verify(self, query, match, similarity, config):
+        self.asked.append(("verify", query == match))
+        return super().verify(query, match, similarity, config)
+
+
+def test_the_rehearsal_describes_a_yard_with_walls_and_compares_it_with_itself():
+    recogniser = Rehearsed()
+    core_recogniser.warm_up(recogniser)
+    (_, submap), verified = recogniser.asked
+    assert verified == ("verify", True)
+    standing = submap.points[submap.points[:, 2] > -1.5]
+    assert len(standing) > 1000
+    assert np.ptp(submap.points[:, :2], axis=0) == pytest.approx((40, 40), abs=0.5)
+
+
+def test_a_yard_that_cannot_be_described_does_not_keep_a_worker_from_its_work():
+    recogniser = Rehearsed(EmptyCloud())
+    core_recogniser.warm_up(recogniser)
+    assert [asked for asked, _ in recogniser.asked] == ["describe"]
+
+
+def test_a_defect_of_the_method_is_not_hidden_by_the_rehearsal():
+    with pytest.raises(RuntimeError):
+        core_recogniser.warm_up(Rehearsed(RuntimeError("a defect")))
+
+
+def test_a_worker_gets_one_thread_for_each_library_and_finds_the_service(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "16")
+    environment = _environment()
+    assert {name: environment[name] for name in ONE_THREAD} == dict.fromkeys(ONE_THREAD, "1")
+    assert "OPENCV_FOR_THREADS_NUM" in ONE_THREAD
+    assert environment["PYTHONPATH"]
