@@ -1,0 +1,92 @@
+"""`revisit bench`: exit statuses, what is shown, and what is passed on."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from evaluation import benchmark
+from evaluation.benchmark import Metric
+from evaluation.protocols.programme import Programme, RecordedDrive
+from revisit.cli import benchmarking
+from revisit.cli.app import app
+
+GOOD = Metric("surface_error_median", 0.05, "m", "up", 0.1)
+SHOWN = Metric("describe", 0.4, "CPU s", "up", np.inf)
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
+    """Replaces the measurement; collects whether the baseline was to be written."""
+    calls: list[bool] = []
+
+    def run(update: bool = False) -> tuple[list[Metric], list[str]]:
+        calls.append(update)
+        return [GOOD, SHOWN], [] if update else ["surface_error_median: worse"]
+
+    monkeypatch.setattr(benchmark, "run", run)
+    return calls
+
+
+@pytest.mark.parametrize("command", [["bench"], ["bench", "run"]])
+def test_a_regression_ends_with_status_1_and_is_named(asked: list[bool], command: list[str]) -> None:
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 1 and asked == [False]
+    assert "surface_error_median" in result.stdout and "worse: surface_error_median" in result.stdout
+
+
+@pytest.mark.parametrize("command", [["bench", "--update"], ["bench", "run", "--update"]])
+def test_updating_writes_the_baseline_and_succeeds(asked: list[bool], command: list[str]) -> None:
+    assert CliRunner().invoke(app, command).exit_code == 0
+    assert asked == [True]
+
+
+def test_json_names_every_metric_and_holds_no_infinity(asked: list[bool]) -> None:
+    document = json.loads(CliRunner().invoke(app, ["bench", "--json"]).stdout)
+    assert [metric["key"] for metric in document["metrics"]] == ["surface_error_median", "describe"]
+    assert document["metrics"][1]["tolerance"] is None and document["regressions"] == ["surface_error_median: worse"]
+
+
+@pytest.fixture
+def programmes(monkeypatch: pytest.MonkeyPatch) -> list[Programme]:
+    """Replaces the run; collects the programmes."""
+    collected: list[Programme] = []
+
+    def run(programme: Programme, report: object) -> tuple[list[object], tuple[Path, Path]]:
+        collected.append(programme)
+        return [], (programme.folder / "recognition.md", programme.folder / "recognition.html")
+
+    monkeypatch.setattr(benchmarking, "run_recognition_bench", run)
+    return collected
+
+
+def recognition(*words: str) -> int:
+    return CliRunner().invoke(app, ["bench", "recognition", *words]).exit_code
+
+
+def test_the_named_drives_and_protocols_are_run(programmes: list[Programme], tmp_path: Path) -> None:
+    assert recognition("--out", str(tmp_path), "--drives", "centre-os1", "--protocols", "online, rotation") == 0
+    (programme,) = programmes
+    assert [drive.name for drive in programme.drives] == ["centre-os1"]  # type: ignore[attr-defined]  # simulated
+    assert programme.protocols == ("online", "rotation")
+    assert programme.folder == tmp_path and programme.recordings == tmp_path / "recordings"
+
+
+def test_ones_own_recordings_take_the_place_of_the_simulated_ones(programmes: list[Programme], tmp_path: Path) -> None:
+    folders = [tmp_path / name for name in ("a", "b")]
+    for folder in folders:
+        folder.mkdir()
+    words = ["--recording", str(folders[0]), "--sessions", str(folders[0]), str(folders[1]), "--format", "nclt"]
+    assert recognition(*words) == 0
+    (programme,) = programmes
+    first, second = (RecordedDrive(folder, "nclt") for folder in folders)
+    assert list(programme.drives) == [first] and list(programme.sessions) == [(first, second)]
+
+
+@pytest.mark.parametrize("words", [["--drives", "mars"], ["--protocols", "online,luck"], ["--format", "tape"]])
+def test_unknown_names_are_refused(programmes: list[Programme], words: list[str]) -> None:
+    assert recognition(*words) == 1 and programmes == []
