@@ -77,7 +77,7 @@ def test_loops_query_and_export_answer_for_an_ingested_recording(recording, serv
     invoke("ingest", recording, "--map", "asked", "--grpc", service.grpc, "--json")
     found = json.loads(invoke("loops", *at, "--state", "all", "--json"))
     assert all(loop["query"].startswith("maps/asked/sessions/short/submaps/") for loop in found)
-    assert "loop closures" in invoke("loops", *at)
+    assert "loop closure" in invoke("loops", *at)
 
     cloud = tmp_path / "cloud.npy"
     np.save(cloud, cloud_points(3, 500))
