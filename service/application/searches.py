@@ -123,8 +123,8 @@ class Searches:
             self._context.require_queue_space(uow, tenant)
             uow.queue.enqueue(job)
 
-        await self._context.write(enqueue)
         try:
+            await self._context.write(enqueue)
             operation = await self._operations.wait(tenant, job.operation_id, timeout_s)
         finally:
             await self._context.compute(blobs.delete, tenant, QUERY_CLOUD_BLOB, sha256)

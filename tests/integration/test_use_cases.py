@@ -10,7 +10,7 @@ import pytest
 
 from core.errors import BadField, BadTransform, DataLoss, DescriptorModelMismatch, EmptyCloud, RevisitError
 from service.application import SessionKey, SubmapKey, TenantId
-from service.application.clouds import CLOUD_BLOB
+from service.application.clouds import CLOUD_BLOB, QUERY_CLOUD_BLOB
 from service.application.errors import (
     AlreadyExists,
     Draining,
@@ -246,6 +246,16 @@ async def test_a_cloud_is_searched_and_localised_without_being_stored(world):
     nowhere = await answered(world.use_cases.searches.localize(TENANT, LocalizeQuery("town", cloud(9))))
     assert nowhere.best is None and nowhere.T_map_query is None
     assert len((await world.use_cases.submaps.list(TENANT, SESSION, PageRequest())).items) == 2
+
+
+async def test_a_search_by_cloud_that_is_refused_leaves_no_cloud_behind(tmp_path):
+    world = sqlite_world(tmp_path, max_queued_jobs=1)
+    await open_session(world)
+    await world.use_cases.submaps.post(TENANT, submap("a", 1))
+    with pytest.raises(WorkersBusy):
+        await world.use_cases.searches.by_cloud(TENANT, "town", cloud(1), SearchCriteria())
+    assert not list((tmp_path / "blobs").glob(f"*/{QUERY_CLOUD_BLOB}/*/*"))
+    world.context.transactions.close()
 
 
 async def test_a_search_by_cloud_that_no_worker_answers_ends_at_its_deadline(world):
