@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
 
 from service.application.clouds import CLOUD_BLOB
+from service.application.context import Context
 from service.application.identity import TenantId
 from service.application.meshes import MESH_BLOB
 from service.application.ports import BlobStore, UnitOfWork
@@ -15,6 +17,9 @@ NEURAL_MAP_BLOB = "neural-map"
 
 Blob = tuple[str, str]
 """(kind, sha256)."""
+
+BLOBS_PER_TURN = 200
+"""A large map has a million blobs: robots and workers, who wait for the one writer, get their turn in between."""
 
 
 def blobs_of_submap(record: SubmapRecord) -> set[Blob]:
@@ -32,6 +37,14 @@ def blobs_of_map(uow: UnitOfWork, tenant: TenantId, map_id: str) -> set[Blob]:
     """The blobs of all submaps and scans of a map."""
     scans = {(CLOUD_BLOB, scan.cloud_sha256) for scan in uow.scans.find(tenant, map_id=map_id)}
     return scans.union(*(blobs_of_submap(submap) for submap in uow.submaps.find(tenant, map_id=map_id)))
+
+
+async def collect_blobs_in_turns(context: Context, tenant: TenantId, doomed: Iterable[Blob]) -> None:
+    """`collect_blobs` of all of `doomed`, in as many short transactions as that takes."""
+    left = sorted(doomed)
+    for start in range(0, len(left), BLOBS_PER_TURN):
+        turn = left[start : start + BLOBS_PER_TURN]
+        await context.write(partial(collect_blobs, blobs=context.blobs, tenant=tenant, doomed=turn))
 
 
 def collect_blobs(uow: UnitOfWork, blobs: BlobStore, tenant: TenantId, doomed: Iterable[Blob]) -> None:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from core.errors import BadField
-from service.application.blob_references import blobs_of_map, collect_blobs
+from service.application.blob_references import blobs_of_map, collect_blobs_in_turns
 from service.application.context import Context
 from service.application.errors import AlreadyExists, NotFound
 from service.application.identity import TenantId, content_hash, validated_id, validated_label
@@ -97,7 +97,7 @@ class Maps:
         doomed: set[tuple[str, str]] = set()
         number = await self._context.write(remove)
         self._context.index.drop(number)
-        await self._context.write(lambda uow: collect_blobs(uow, self._context.blobs, tenant, doomed))
+        await collect_blobs_in_turns(self._context, tenant, doomed)
 
     def _record(self, tenant: TenantId, command: CreateMap) -> MapRecord:
         validated_id(command.map_id, "map_id")

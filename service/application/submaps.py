@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from core.errors import BadField
 from core.scan import CloudReport, Scan
 from core.se3 import Matrix4
-from service.application.blob_references import blobs_of_submap, collect_blobs
+from service.application.blob_references import blobs_of_submap, collect_blobs_in_turns
 from service.application.clouds import CLOUD_BLOB, MAX_SUBMAP_POINTS, CloudInput, StoredCloud, accept_cloud, pack_cloud
 from service.application.context import Context
 from service.application.downloads import Download, DownloadKind, render_download
@@ -163,7 +163,7 @@ class Submaps:
             return record
 
         doomed = blobs_of_submap(await self._context.write(remove))
-        await self._context.write(lambda uow: collect_blobs(uow, self._context.blobs, tenant, doomed))
+        await collect_blobs_in_turns(self._context, tenant, doomed)
 
     async def download(
         self, tenant: TenantId, key: SubmapKey, kind: DownloadKind, file_format: str | None = None

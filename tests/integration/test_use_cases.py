@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from core.errors import BadField, BadTransform, DataLoss, DescriptorModelMismatch, EmptyCloud, RevisitError
-from service.application import SessionKey, SubmapKey, TenantId
+from service.application import SessionKey, SubmapKey, TenantId, blob_references
 from service.application.clouds import CLOUD_BLOB, QUERY_CLOUD_BLOB
 from service.application.errors import (
     AlreadyExists,
@@ -372,6 +372,25 @@ async def test_deleting_a_map_leaves_nothing_and_its_name_can_be_used_again(worl
     world.work_off()
     found = await world.use_cases.searches.by_submap(TENANT, key("a"), SearchCriteria())
     assert (found.hits, found.searched) == ((), 1)
+
+
+async def test_the_blobs_of_a_large_map_are_deleted_in_turns_that_let_others_write(tmp_path, monkeypatch):
+    world = sqlite_world(tmp_path)
+    await open_session(world)
+    for place in range(5):
+        await world.use_cases.submaps.post(TENANT, submap(f"s{place}", place))
+    monkeypatch.setattr(blob_references, "BLOBS_PER_TURN", 2)
+    turns, collect = [], blob_references.collect_blobs
+
+    def noted(uow, blobs, tenant, doomed):
+        turns.append(len(doomed))
+        collect(uow, blobs, tenant, doomed)
+
+    monkeypatch.setattr(blob_references, "collect_blobs", noted)
+    await world.use_cases.maps.delete(TENANT, "town")
+    assert turns == [2, 2, 1]
+    assert not [path for path in (tmp_path / "blobs").rglob("*") if path.is_file()]
+    world.context.transactions.close()
 
 
 async def test_a_job_of_a_submap_that_was_deleted_meanwhile_has_no_effect(world):
