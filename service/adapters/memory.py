@@ -108,10 +108,10 @@ class MemoryScans(MemoryRepository[ScanRecord]):
         scans = self.find(tenant, map_id=map_id, session_id=session_id)
         return min((scan.seq for scan in scans if scan.travelled_m >= travelled_m), default=None)
 
-    def between(self, tenant: TenantId, map_id: str, session_id: str, first: int, last: int) -> list[ScanRecord]:
+    def with_seqs(self, tenant: TenantId, map_id: str, session_id: str, seqs: Sequence[int]) -> list[ScanRecord]:
         """See `ports.ScanRepository`."""
         scans = self.find(tenant, map_id=map_id, session_id=session_id)
-        return sorted((scan for scan in scans if first <= scan.seq <= last), key=lambda scan: scan.seq)
+        return sorted((scan for scan in scans if scan.seq in set(seqs)), key=lambda scan: scan.seq)
 
 
 class MemoryJobs(MemoryRepository[JobRecord]):

@@ -90,8 +90,8 @@ class ScanRepository(Repository[ScanRecord], Protocol):
         """The first scan of a session taken at or beyond `travelled_m`."""
         ...
 
-    def between(self, tenant: TenantId, map_id: str, session_id: str, first: int, last: int) -> list[ScanRecord]:
-        """The scans first..last, in order."""
+    def with_seqs(self, tenant: TenantId, map_id: str, session_id: str, seqs: Sequence[int]) -> list[ScanRecord]:
+        """Those scans of a session that have one of these numbers, in order."""
         ...
 
 

@@ -12,7 +12,7 @@ from service.application.context import Context
 from service.application.maps import require_map
 from service.application.ports import BlobStore, UnitOfWork
 from service.application.poses import pose_matrix
-from service.application.records import Pose, ScanRecord, SubmapRecord
+from service.application.records import Pose, SubmapRecord
 
 MAX_SCANS = 400
 """A window of a robot that stood still can hold any number of scans: at most this many, evenly spread, are used."""
@@ -42,16 +42,20 @@ def submap_source(uow: UnitOfWork, context: Context, record: SubmapRecord) -> Su
     if record.first_seq is None or record.last_seq is None:
         posted = PosedCloud(str(record.cloud_sha256), record.T_odom_submap, record.stamp_ns)
         return SubmapSource((posted,), posted=True, config=config)
-    scans = uow.scans.between(record.tenant, record.map_id, record.session_id, record.first_seq, record.last_seq)
-    clouds = (PosedCloud(scan.cloud_sha256, scan.T_odom_sensor, scan.stamp_ns) for scan in thinned(scans))
+    seqs = chosen_seqs(record.first_seq, record.last_seq)
+    scans = uow.scans.with_seqs(record.tenant, record.map_id, record.session_id, seqs)
+    clouds = (PosedCloud(scan.cloud_sha256, scan.T_odom_sensor, scan.stamp_ns) for scan in scans)
     return SubmapSource(tuple(clouds), posted=False, config=config)
 
 
-def thinned(scans: list[ScanRecord]) -> list[ScanRecord]:
-    """At most MAX_SCANS of `scans`, evenly spread, first and last among them."""
-    if len(scans) <= MAX_SCANS:
-        return scans
-    return [scans[round(index * (len(scans) - 1) / (MAX_SCANS - 1))] for index in range(MAX_SCANS)]
+def chosen_seqs(first: int, last: int) -> list[int]:
+    """The numbers first..last of a window's scans; of more than MAX_SCANS so many, evenly spread, with both ends.
+
+    Stored scans have no gaps, so what is not chosen need not be read.
+    """
+    if last - first < MAX_SCANS:
+        return list(range(first, last + 1))
+    return [first + round(index * (last - first) / (MAX_SCANS - 1)) for index in range(MAX_SCANS)]
 
 
 def load_submap(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) -> Submap:

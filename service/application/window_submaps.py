@@ -10,7 +10,7 @@ from service.application.ports import UnitOfWork
 from service.application.poses import pose_matrix, position_row
 from service.application.records import ScanRecord, SessionRecord, SubmapRecord
 from service.application.scan_windows import ScanRange, Window
-from service.application.submap_source import thinned
+from service.application.submap_source import chosen_seqs
 from service.application.submaps import PostedSubmap, SubmapState, add_submap, posted_submap
 
 
@@ -23,8 +23,9 @@ def add_window_submap(
     uow: UnitOfWork, context: Context, session: SessionRecord, scans: ScanRange
 ) -> tuple[PostedSubmap, SessionRecord]:
     """Add the submap of the stored `scans` and its job, in the caller's transaction. Raises WorkersBusy."""
-    stored = uow.scans.between(session.tenant, session.map_id, session.session_id, scans.first, scans.last)
-    row = _row(context, session, thinned(stored), scans)
+    seqs = chosen_seqs(scans.first, scans.last)
+    stored = uow.scans.with_seqs(session.tenant, session.map_id, session.session_id, seqs)
+    row = _row(context, session, stored, scans)
     added, counted = add_submap(uow, context, session, row)
     return posted_submap(uow, added, replay=False, report=None), counted
 

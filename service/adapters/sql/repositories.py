@@ -93,11 +93,11 @@ class SqlScans(SqlRepository[ScanRecord]):
         first: int | None = self._connection.execute(query).scalar_one()
         return first
 
-    def between(self, tenant: TenantId, map_id: str, session_id: str, first: int, last: int) -> list[ScanRecord]:
+    def with_seqs(self, tenant: TenantId, map_id: str, session_id: str, seqs: Sequence[int]) -> list[ScanRecord]:
         """See `ports.ScanRepository`."""
         where = self._matches(tenant, {"map_id": map_id, "session_id": session_id})
         seq = tables.scans.c.seq
-        rows = self._connection.execute(select(tables.scans).where(where, seq.between(first, last)).order_by(seq))
+        rows = self._connection.execute(select(tables.scans).where(where, seq.in_(seqs)).order_by(seq))
         return [self._of(row) for row in rows]
 
 
