@@ -45,9 +45,11 @@ class Submap:
         up = self.T_odom_submap[2, :3]
         axis = np.cross(up, [0.0, 0.0, 1.0])
         sine, cosine = float(np.linalg.norm(axis)), float(up[2])
-        if sine < 1e-6:
+        if sine < 1e-6 and cosine > 0.0:
             return self
-        T_level_submap = se3.exp(np.concatenate([np.zeros(3), axis * (np.arctan2(sine, cosine) / sine)]))
+        # a sensor that hangs upside down may be turned about any horizontal axis
+        direction = axis / sine if sine >= 1e-6 else np.array([1.0, 0.0, 0.0])
+        T_level_submap = se3.exp(np.concatenate([np.zeros(3), direction * np.arctan2(sine, cosine)]))
         return replace(
             self,
             points=se3.apply(T_level_submap, self.points).astype(np.float32),

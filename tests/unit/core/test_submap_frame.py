@@ -25,6 +25,17 @@ def test_a_tilted_submap_is_turned_upright_and_keeps_its_place_in_the_odometry_f
     assert turned == pytest.approx(np.arccos(T_odom_sensor[2, 2]), abs=1e-6)
 
 
+@pytest.mark.parametrize("roll", [np.pi, np.pi - 1e-9])
+def test_a_sensor_that_hangs_upside_down_is_turned_upright(roll):
+    points = np.random.default_rng(0).normal(size=(500, 3)) * [10, 10, 3]
+    T_odom_sensor = se3.from_yaw(0.7, (5, 6, 7)) @ se3.exp([0, 0, 0, roll, 0, 0])
+    submap = Submap.from_cloud(Scan.validated(points, T_odom_sensor, 0))
+    level = submap.levelled()
+    assert np.allclose(level.T_odom_submap[:3, 2], [0, 0, 1], atol=1e-6)
+    moved = se3.apply(level.T_odom_submap, level.points) - se3.apply(submap.T_odom_submap, submap.points)
+    assert np.abs(moved).max() < 1e-4
+
+
 def test_an_upright_submap_stays_as_it_is():
     points = np.random.default_rng(0).normal(size=(500, 3))
     submap = Submap.from_cloud(Scan.validated(points, se3.from_yaw(2.0, (1, 2, 3)), 0))
