@@ -17,6 +17,7 @@ from core.cluster_normals import describe_clusters
 from core.clusters import Clusters, segment_clusters
 from core.config import PipelineConfig, VerificationConfig
 from core.descriptor import PlaceDescriptor, fuse
+from core.errors import DegenerateCloud
 from core.implicit_map import NeuralMap, fit_implicit_map
 from core.loop import RejectedLoop, VerifiedLoop
 from core.model_bundle import ModelBundle
@@ -61,7 +62,10 @@ class DescribedPlace:
 def describe(
     submap: Submap, models: ModelBundle, config: PipelineConfig, seed: int = 0, ablation: Ablation = Ablation.NONE
 ) -> DescribedPlace:
-    """Describe a finished submap: implicit map, surface, clusters, BEV, micro statistics, fused descriptor."""
+    """Describe a finished submap: implicit map, surface, clusters, BEV, micro statistics, fused descriptor.
+
+    Raises DegenerateCloud where the descriptor would be zero, which is similar to nothing and fits into no index.
+    """
     rng, clock = np.random.default_rng(seed), _StopWatch()
     level = submap.levelled()
     T_submap_map = se3.inverse(submap.T_odom_submap) @ level.T_odom_submap @ np.diag([*[config.scene_scale] * 3, 1.0])
@@ -74,6 +78,8 @@ def describe(
     micro = clock("micro", lambda: describe_clusters(surface, clusters, bev.keypoints, saliency, config.micro, rng))
     field = field and dataclasses.replace(field, T_submap_map=T_submap_map)
     descriptor = clock("fusion", lambda: fuse(bev, micro, models.codebooks, fusion, models.version))  # Eq. 13-14
+    if not descriptor.vector.any():
+        raise DegenerateCloud("nothing in the submap's bird's-eye view tells it from other places", field="points")
     signature = clock("signature", lambda: sign_place(surface, clusters, bev, models.codebooks, config.verification))
     T_level_submap = np.asarray(np.linalg.inv(T_submap_map), dtype=np.float64)
     signature = dataclasses.replace(signature, T_level_submap=T_level_submap)

@@ -10,10 +10,11 @@ import pytest
 
 from core import se3
 from core.config import PipelineConfig
-from core.errors import DescriptorModelMismatch
+from core.errors import DegenerateCloud, DescriptorModelMismatch
 from core.loop import RejectedLoop, VerifiedLoop
 from core.model_bundle import load_packaged_models
 from core.pipeline import Ablation, DescribedPlace, describe, verify
+from core.scan import Scan
 from core.submap import Submap
 from core.vlad import folded_size
 
@@ -107,6 +108,15 @@ def test_a_floor_without_walls_is_flagged_and_never_a_loop(make_drive, shapes):
     place = describe(floor, load_packaged_models(), CONFIG)
     assert place.flags == ("degenerate_plane",)
     assert isinstance(verify(place.signature, place.signature, 1.0, CONFIG.verification), RejectedLoop)
+
+
+def test_walls_beyond_the_birds_eye_view_are_refused_instead_of_described_by_zeros():
+    # Two walls 72 m to either side: the image covers 50 m, so that every part of the descriptor would be zero.
+    side, along, height = np.meshgrid([-72.0, 72.0], np.linspace(-20, 20, 100), np.linspace(-2, 6, 30))
+    walls = np.stack([side.ravel(), along.ravel(), height.ravel()], axis=1)
+    submap = Submap.from_scans([Scan.validated(walls, np.eye(4), 0)], CONFIG.submap)
+    with pytest.raises(DegenerateCloud, match="bird's-eye view"):
+        describe(submap, load_packaged_models(), CONFIG)
 
 
 def test_the_neural_map_knows_the_frame_of_its_submap(seen_from):
