@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
 
 from core.config import SubmapConfig
+from core.errors import EmptyCloud, MalformedBody, RevisitError
 from core.scan import CloudReport, Scan
 from core.submap import Submap, SubmapBuilder
 from evaluation.datasets import Recording
@@ -30,10 +32,25 @@ def _stand_in(recording: Recording, index: int) -> Scan:
     return Scan(np.zeros((0, 3), dtype=np.float32), recording.pose(index), index, CloudReport(0, False))
 
 
-def load_submap(recording: Recording, window: Window, config: SubmapConfig, perturbation: Perturbation) -> Submap:
-    """The submap of a window, thinned but not turned. Raises what reading or validating a scan raises."""
-    scans = []
+def load_submap(
+    recording: Recording, window: Window, config: SubmapConfig, perturbation: Perturbation
+) -> tuple[Submap, Window]:
+    """The submap of a window, thinned but not turned, and the scans in it: a bad scan is left out.
+
+    Raises what reading or validating the last scan raised where all are bad, EmptyCloud where too few points remain.
+    """
+    scans: list[Scan] = []
+    used: list[int] = []
+    problem: RevisitError = EmptyCloud("the window holds no scan")
     for index in window:
-        scan = recording.scan(index)
-        scans.append(Scan.validated(perturbation.thin(scan.points, index), scan.T_odom_sensor, scan.stamp_ns))
-    return Submap.from_scans(scans, config)
+        try:
+            scan = recording.scan(index)
+        except (RevisitError, OSError) as error:
+            problem = error if isinstance(error, RevisitError) else MalformedBody(f"scan {index} cannot be read")
+            continue
+        # a thinned scan may have very few points: only the submap must have enough
+        scans.append(dataclasses.replace(scan, points=perturbation.thin(scan.points, index)))
+        used.append(index)
+    if not scans:
+        raise problem
+    return Submap.from_scans(scans, config), tuple(used)

@@ -71,7 +71,7 @@ def evaluate_interleaved(
     work = DescriptionWork(recording, config.submap, perturbation, method, options.seed)
     places = list(describe_places(work, windows, options.jobs))
     candidates = _candidates(places, len(maps), config.loop.candidates)
-    matches = list(verify_all(VerificationWork(places, method), candidates, options.jobs))[len(maps) :]
+    matches = list(verify_all(VerificationWork(places, method, radius_m), candidates, options.jobs))[len(maps) :]
     found = _baseline_matches(baselines, work, windows, len(maps), options.jobs)
     return _score(places, len(maps), matches, found, radius_m)
 
@@ -146,6 +146,6 @@ def _describe_baselines(
 ) -> list[NDArray[np.float32]]:
     work, baselines = context
     index, window = task
-    submap = load_submap(work.recording, window, work.config, work.perturbation)
+    submap, _ = load_submap(work.recording, window, work.config, work.perturbation)
     points = turned(submap, work.perturbation.yaw(index)).points
     return [baseline.describe(points) for baseline in baselines]

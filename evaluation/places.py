@@ -33,7 +33,8 @@ class Place:
     """A submap as stored.
 
     `position` (3,) is the mean position of its scans in the world; `T_world_submap` the pose of its middle scan; `yaw`
-    the turn it was described under; `failure` why it could not be described, else None.
+    the turn it was described under; `failure` why it could not be described, else None; `bad_scans` those of the window
+    that could not be used. Positions and poses are those of the scans used, or of all where none could be.
     """
 
     id: int
@@ -44,6 +45,7 @@ class Place:
     description: Description | None
     failure: str | None
     points: int
+    bad_scans: tuple[int, ...] = ()
     seconds: dict[str, float] = field(default_factory=dict)
 
 
@@ -66,18 +68,21 @@ def describe_places(work: DescriptionWork, windows: Sequence[Window], jobs: int)
 def describe_place(work: DescriptionWork, task: tuple[int, Window]) -> Place:
     """Build, turn and describe one submap. A submap the method refuses becomes a place with its failure."""
     index, window = task
-    poses = [work.recording.pose(scan) for scan in window]
     yaw, started, points = work.perturbation.yaw(index), time.perf_counter(), 0
     description, failure = None, None
+    used: Window = ()
     try:
-        submap = turned(load_submap(work.recording, window, work.config, work.perturbation), yaw)
+        submap, used = load_submap(work.recording, window, work.config, work.perturbation)
+        submap = turned(submap, yaw)
         points, loaded = len(submap.points), time.perf_counter()
         description = work.method.describe(submap, work.seed)
     except RevisitError as error:
         failure, loaded = f"{error.code}: {error.message}", time.perf_counter()
+    poses = [work.recording.pose(scan) for scan in used or window]
     return Place(
         id=index, window=window, position=np.mean([pose[:3, 3] for pose in poses], axis=0),
         T_world_submap=poses[len(poses) // 2], yaw=yaw, description=description, failure=failure, points=points,
+        bad_scans=tuple(scan for scan in window if scan not in used),
         seconds={"load": loaded - started, "describe": time.perf_counter() - loaded},
     )  # fmt: skip
 

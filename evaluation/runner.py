@@ -79,7 +79,8 @@ def evaluate(
     """Describe every submap, match it against the earlier ones, verify, score. `method` defaults to the product.
 
     `progress(stage, done, total)` is called after every submap of the stages "describe" and "verify".
-    Raises what reading the recording raises; submaps the method refuses become rows with a `failure`.
+    A bad scan is left out and counted in the summary's `bad_scans`; submaps without any usable scan, and those the
+    method refuses, become rows with a `failure`.
     """
     report = progress or _say_nothing
     config = options.pipeline(estimate_scene_scale(recording))
@@ -93,7 +94,7 @@ def evaluate(
         report("describe", len(places), len(windows))
     candidates = search_online(places, config.loop)
     matches: list[QueryMatches] = []
-    for match in verify_all(VerificationWork(places, method), candidates, options.jobs):
+    for match in verify_all(VerificationWork(places, method, options.positive_radius), candidates, options.jobs):
         matches.append(match)
         report("verify", len(matches), len(places))
     protocol = LoopProtocol(options.positive_radius, options.min_index_gap)
@@ -136,7 +137,7 @@ def _best_fields(best: RankedCandidate | None, places: list[Place]) -> dict[str,
         "candidate_id": best.id,
         "candidate_position": _numbers(places[best.id].position),
         "similarity": best.similarity,
-        "verified_score": best.verdict.score,
+        "verified_score": best.score,
         "T_match_query": None if best.T_match_query is None else [_numbers(row) for row in best.T_match_query],
         "verdict": "verified" if best.verdict.accepted else "rejected",
         "reason": best.verdict.reason,

@@ -32,11 +32,12 @@ def summarise(places: Sequence[Place], matches: Sequence[QueryMatches], protocol
     by_similarity = [[match.id for match in query.by_similarity] for query in matches]
     by_score = [[candidate.id for candidate in query.ranked] for query in matches]
     cosine = [query.by_similarity[0].similarity if query.by_similarity else -np.inf for query in matches]
-    score = [query.ranked[0].verdict.score if query.ranked else -np.inf for query in matches]
+    score = [query.ranked[0].score if query.ranked else -np.inf for query in matches]
     return {
         "protocol": dataclasses.asdict(protocol),
         "submaps": len(places),
         "failures": dict(Counter(place.failure.split(":")[0] for place in places if place.failure)),
+        "bad_scans": len({scan for place in places for scan in place.bad_scans}),
         "queries_with_a_loop": int(positives.any(axis=1).sum()),
         "descriptor": _recognition(by_similarity, cosine, positives),
         "verified": {**_recognition(by_score, score, positives), **_accepted(matches, positives)},

@@ -116,10 +116,10 @@ def _describe(context: tuple[DescriptionWork, tuple[PlaceRecogniser, ...]], task
     work, baselines = context
     place = describe_place(work, task)
     try:
-        submap = turned(load_submap(work.recording, task[1], work.config, work.perturbation), place.yaw)
+        submap, _ = load_submap(work.recording, task[1], work.config, work.perturbation)
     except RevisitError:
         return Described(place, None, ())
-    points, descriptors, seconds = submap.levelled().points, [], []
+    points, descriptors, seconds = turned(submap, place.yaw).levelled().points, [], []
     for baseline in baselines:
         started = time.perf_counter()
         descriptors.append(baseline.describe(points))
@@ -190,7 +190,7 @@ def _verified_outcome(
     return MethodOutcome(
         method=VERIFIED,
         candidates=tuple(tuple(item.id for item in one.ranked[:KEPT_CANDIDATES]) for one in answers),
-        score=tuple(one.ranked[0].verdict.score if one.ranked else None for one in answers),
+        score=tuple(one.ranked[0].score if one.ranked else None for one in answers),
         describe_s=0.0,
         search_s=_median([one.seconds for one in answers if one.ranked]),
         bytes_per_submap=_mean([float(len(signature)) for signature in signatures]),

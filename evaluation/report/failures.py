@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from core.config import PipelineConfig
 from core.model_bundle import load_packaged_models
 from core.pipeline import describe
-from core.submap import Submap
 from evaluation.cutting import Window, load_submap
 from evaluation.datasets import Recording
 from evaluation.perturbations import Perturbation
@@ -54,7 +53,7 @@ def worst_failures(trial: Trial, outcome: MethodOutcome, count: int) -> list[Fai
 
 def bev_image(recording: Recording, window: Window, config: PipelineConfig) -> NDArray[np.float32]:
     """The bird's-eye image (H, W) that the product makes of a submap. Raises RevisitError for unusable submaps."""
-    submap: Submap = load_submap(recording, window, config.submap, Perturbation())
+    submap, _ = load_submap(recording, window, config.submap, Perturbation())
     return describe(submap, load_packaged_models(), config).bev.image
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -117,6 +118,32 @@ def test_a_submap_the_method_refuses_is_a_row_with_its_reason(recording: KittiRe
     assert refused and all(row["failure"].startswith("DEGENERATE_CLOUD") for row in refused)
     assert all(row["position"][0] < -25.0 and row["candidate_id"] is None for row in refused)
     assert result.summary["failures"] == {"DEGENERATE_CLOUD": len(refused)}
+
+
+def test_a_bad_scan_is_left_out_and_counted_and_the_others_keep_their_rows(
+    recording: KittiRecording, tmp_path: Path
+) -> None:
+    for part in ("poses.txt", "times.txt", "calib.txt"):
+        shutil.copy(recording._folder / part, tmp_path / part)
+    shutil.copytree(recording._folder / "velodyne", tmp_path / "velodyne")
+    # Scan 0 is sampled for the scene scale too; 100 is torn, 121 is all NaN, 122 has fewer than 100 points.
+    torn, blind, small = (tmp_path / "velodyne" / f"{index:06d}.bin" for index in (100, 121, 122))
+    (tmp_path / "velodyne" / "000000.bin").write_bytes(b"")
+    torn.write_bytes(torn.read_bytes()[:-3])
+    blind.write_bytes(np.full((150, 4), np.nan, dtype="<f4").tobytes())
+    small.write_bytes(small.read_bytes()[: 16 * 99])
+    damaged = evaluate(KittiRecording(tmp_path), options(), method=Compass())
+    assert damaged.summary["bad_scans"] == 4 and damaged.summary["failures"] == {}
+    assert len(damaged.queries) == len(evaluate(recording, options(), method=Compass()).queries)
+    # The middle scan of some windows is bad: poses and frames must still be those of one and the same scan.
+    assert damaged.summary["poses"]["loops"] > 40 and damaged.summary["poses"]["max_m"] < 1e-5
+    assert damaged.queries[0]["position"] != damaged.queries[1]["position"]
+
+
+def test_scans_thinned_below_a_hundred_points_still_make_a_submap(recording: KittiRecording) -> None:
+    # 150 points a scan, five scans a window: 30 % leave about 45 a scan and 225 a submap.
+    result = evaluate(recording, options(perturbation=Perturbation(keep_points=0.3)), method=Compass())
+    assert result.summary["failures"] == {} and result.summary["bad_scans"] == 0
 
 
 def test_two_processes_give_the_same_rows_as_one(recording: KittiRecording) -> None:
