@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 import os
 import secrets
+import signal
 import sys
 from asyncio.subprocess import Process
+from contextlib import suppress
 from pathlib import Path
 
 import structlog
@@ -41,21 +43,29 @@ class WorkerSupervisor:
     async def stop(self, timeout_s: float) -> None:
         """Let the workers finish their jobs for `timeout_s`, then end them; their jobs stay queued."""
         self._stopping = True
-        for process in tuple(self._processes):
-            process.terminate()
+        self._signal_all(signal.SIGTERM)
         if not self._tasks:
             return
         _, late = await asyncio.wait(self._tasks, timeout=timeout_s)
-        for process in tuple(self._processes):
-            process.kill()
+        self._signal_all(signal.SIGKILL)
         for task in late:
             await task
+
+    def _signal_all(self, number: signal.Signals) -> None:
+        for process in tuple(self._processes):
+            # It may have ended by itself a moment ago.
+            with suppress(ProcessLookupError):
+                process.send_signal(number)
 
     async def _keep_running(self) -> None:
         pause_s = RESPAWN_S[0]
         while not self._stopping:
             started = asyncio.get_running_loop().time()
-            await self._run_once()
+            try:
+                await self._run_once()
+            except OSError as error:
+                # No process or file handle is free just now: what else runs here may give some back.
+                log.error("worker_not_started", reason=error.strerror)
             lived_s = asyncio.get_running_loop().time() - started
             pause_s = RESPAWN_S[0] if lived_s > STEADY_S else min(pause_s * 2, RESPAWN_S[1])
             if not self._stopping:
@@ -70,7 +80,7 @@ class WorkerSupervisor:
         )
         self._processes.add(process)
         if self._stopping:
-            process.terminate()
+            self._signal_all(signal.SIGTERM)
         status = await process.wait()
         self._processes.discard(process)
         log.info("worker_ended", worker=worker_id, pid=process.pid, status=status)
