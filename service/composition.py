@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import secrets
 import signal
 import threading
@@ -25,6 +26,8 @@ from service.worker.loop import Worker, WorkerIdentity
 
 if TYPE_CHECKING:
     from core.index import PlaceIndex
+
+STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
 log = structlog.get_logger(__name__)
 
@@ -50,12 +53,16 @@ def build_use_cases(context: Context) -> UseCases:
 
 
 def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None) -> None:
-    """Run one worker process until SIGTERM or SIGINT."""
+    """Run one worker process until SIGTERM or SIGINT: at once while it loads, after its job later on."""
+    for number in STOP_SIGNALS:
+        # A handler of its own, for the kernel spares the first process of a container the default one.
+        signal.signal(number, lambda number, _: os._exit(128 + number))
+    log.info("worker_loading")
+    recogniser = load_recogniser(settings.recogniser)
     stopping = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
+    for number in STOP_SIGNALS:
         signal.signal(number, lambda *_: stopping.set())
     context = build_context(settings, gateway=False)
-    recogniser = load_recogniser(settings.recogniser)
     identity = WorkerIdentity(worker_id or f"worker-{secrets.token_hex(4)}", recogniser.model_version, parent_pid)
     structlog.contextvars.bind_contextvars(worker=identity.worker_id)
     log.info("worker_ready", model_version=identity.model_version)

@@ -166,6 +166,16 @@ def test_sigterm_drains_and_leaves_no_process(service):
     assert {submap["state"] for submap in wait_until_worked_off(service)} == {"DESCRIBED"}
 
 
+def test_a_worker_that_is_still_loading_does_not_delay_the_end(tmp_path):
+    service = ServiceProcess(tmp_path / "home", fake_load_s=30)
+    try:
+        service.wait_for("worker_loading")
+        status, took_s = service.terminate()
+        assert status == 0 and took_s < 5
+    finally:
+        service.close()
+
+
 def test_an_address_that_others_can_reach_ends_the_start_with_78_and_a_message(tmp_path):
     environment = {**os.environ, "REVISIT_HOME": str(tmp_path), "REVISIT_HOST": "0.0.0.0"}
     command = [sys.executable, "-m", "service", "serve"]

@@ -56,4 +56,5 @@ class FakeRecogniser:
 
 def load() -> FakeRecogniser:
     """What REVISIT_RECOGNISER=tests.support.fake_recogniser:load loads."""
+    time.sleep(float(os.environ.get("REVISIT_FAKE_LOAD_S", "0")))
     return FakeRecogniser()
