@@ -17,17 +17,21 @@ from evaluation.places import Place, in_processes
 
 @dataclass(frozen=True)
 class RankedCandidate:
-    """A candidate with its cosine and the verdict; T_match_query with the turns of both submaps undone."""
+    """A candidate with its cosine and the verdict; T_match_query with the turns of both submaps undone.
+
+    `score` is the verdict's, less where the answer itself puts the two submaps far apart (`nearness`).
+    """
 
     id: int
     similarity: float
     verdict: Verdict
     T_match_query: se3.Matrix4 | None
+    score: float
 
 
 @dataclass(frozen=True)
 class QueryMatches:
-    """All candidates of a query: by falling cosine, and after verification (accepted first, then by score)."""
+    """All candidates of a query: by falling cosine, and after verification (accepted first, then by falling score)."""
 
     by_similarity: tuple[Match, ...]
     ranked: tuple[RankedCandidate, ...]
@@ -36,10 +40,11 @@ class QueryMatches:
 
 @dataclass(frozen=True)
 class VerificationWork:
-    """Everything a process needs to verify any query."""
+    """Everything a process needs to verify any query; submaps within `radius_m` are the same place."""
 
     places: Sequence[Place]
     method: Method
+    radius_m: float
 
 
 def pose_error(query: Place, match: Place, T_match_query: se3.Matrix4) -> tuple[float, float]:
@@ -75,7 +80,7 @@ def verify_query(work: VerificationWork, task: tuple[int, tuple[Match, ...]]) ->
     index, matches = task
     started = time.perf_counter()
     ranked = [_verified(work, work.places[index], match) for match in matches]
-    ranked.sort(key=lambda candidate: (not candidate.verdict.accepted, -candidate.verdict.score, -candidate.similarity))
+    ranked.sort(key=lambda candidate: (not candidate.verdict.accepted, -candidate.score, -candidate.similarity))
     return QueryMatches(matches, tuple(ranked), time.perf_counter() - started)
 
 
@@ -87,4 +92,16 @@ def _verified(work: VerificationWork, query: Place, match: Match) -> RankedCandi
     T_match_query = verdict.T_match_query
     if T_match_query is not None:
         T_match_query = se3.from_yaw(-place.yaw) @ T_match_query @ se3.from_yaw(query.yaw)
-    return RankedCandidate(match.id, match.similarity, verdict, T_match_query)
+    score = verdict.score * nearness(T_match_query, work.radius_m)
+    return RankedCandidate(match.id, match.similarity, verdict, T_match_query, score)
+
+
+def nearness(T_match_query: se3.Matrix4 | None, radius_m: float) -> float:
+    """How much two submaps are the same place by the distance d between them: 1 / (1 + (d / radius)^4).
+
+    Two submaps can be aligned rightly and yet lie farther apart than what counts as one place. d is the estimated
+    distance, not the true one; 1 where there is none.
+    """
+    if T_match_query is None:
+        return 1.0
+    return float(1.0 / (1.0 + (np.linalg.norm(T_match_query[:3, 3]) / radius_m) ** 4))

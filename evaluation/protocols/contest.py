@@ -176,7 +176,8 @@ def _verified_outcome(
     places = [one.place for one in [*sides.known, *sides.queries]]
     candidates = [()] * shift + [found[: contest.candidates] for found in matches]
     verified: list[QueryMatches] = []
-    for one in verify_all(VerificationWork(places, contest.method), candidates, contest.jobs):
+    work = VerificationWork(places, contest.method, contest.loops.positive_radius_m)
+    for one in verify_all(work, candidates, contest.jobs):
         verified.append(one)
         report("verify", max(len(verified) - shift, 0), len(matches))
     answers = verified[shift:]

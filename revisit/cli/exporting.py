@@ -111,11 +111,15 @@ def _edge(first: int, second: int, T_first_second: Matrix4, information: np.ndar
 
 
 def _information(loop: LoopClosure) -> np.ndarray:
-    """The inverse of the loop's covariance (x, y, z, rx, ry, rz) where it came with one, else as for odometry."""
-    covariance = np.asarray(loop.evidence.get("covariance", []), dtype=np.float64)
-    if covariance.size != 36 or not np.isfinite(covariance).all():
+    """The inverse of the loop's covariance (x, y, z, rx, ry, rz) where it came with one, else as for odometry.
+
+    The service states it in the match frame; a g2o edge wants it in the frame that the edge leads to, the query's.
+    """
+    measured = np.asarray(loop.evidence.get("measurement", {}).get("covariance", []), dtype=np.float64)
+    if measured.size != 36 or not np.isfinite(measured).all() or loop.T_match_query is None:
         return ODOMETRY_INFORMATION
-    return np.linalg.pinv(covariance.reshape(6, 6), hermitian=True)
+    turn = se3.adjoint(se3.inverse(loop.T_match_query))
+    return np.linalg.pinv(turn @ measured.reshape(6, 6) @ turn.T, hermitian=True)
 
 
 def _numbers(transform: Matrix4) -> str:
