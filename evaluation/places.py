@@ -51,12 +51,12 @@ class Place:
 
 @dataclass(frozen=True)
 class DescriptionWork:
-    """Everything a process needs to describe any submap of a recording."""
+    """Everything a process needs to describe any submap of a recording. Without a method nothing is described."""
 
     recording: Recording
     config: SubmapConfig
     perturbation: Perturbation
-    method: Method
+    method: Method | None
     seed: int
 
 
@@ -75,7 +75,7 @@ def describe_place(work: DescriptionWork, task: tuple[int, Window]) -> Place:
         submap, used = load_submap(work.recording, window, work.config, work.perturbation)
         submap = turned(submap, yaw)
         points, loaded = len(submap.points), time.perf_counter()
-        description = work.method.describe(submap, work.seed)
+        description = work.method.describe(submap, work.seed) if work.method else None
     except RevisitError as error:
         failure, loaded = f"{error.code}: {error.message}", time.perf_counter()
     poses = [work.recording.pose(scan) for scan in used or window]

@@ -40,9 +40,12 @@ class Side:
 
 @dataclass(frozen=True)
 class Contest:
-    """Who takes part. `candidates` of the product's descriptor are verified; 0 leaves verification out."""
+    """Who takes part. `candidates` of the product's descriptor are verified; 0 leaves verification out.
 
-    method: Method
+    Without a `method` the baselines are by themselves.
+    """
+
+    method: Method | None
     submap: SubmapConfig
     loops: LoopProtocol
     baselines: tuple[PlaceRecogniser, ...]
@@ -94,10 +97,7 @@ def describe_side(side: Side, contest: Contest, report: Progress) -> list[Descri
 def hold(protocol: str, contest: Contest, sides: Sides, report: Progress) -> Trial:
     """Ask every query of every method."""
     question = _question(sides, contest.loops)
-    matches, search_s = _search(sides, question, contest)
-    outcomes = [_product_outcome(sides, matches, search_s)]
-    if contest.candidates > 0:
-        outcomes.append(_verified_outcome(sides, matches, contest, report))
+    outcomes = _product_outcomes(contest.method, sides, question, contest, report) if contest.method else []
     for column, baseline in enumerate(contest.baselines):
         outcomes.append(_baseline_outcome(baseline, column, sides, question))
         report("compare", column + 1, len(contest.baselines))
@@ -115,6 +115,8 @@ def _describe(context: tuple[DescriptionWork, tuple[PlaceRecogniser, ...]], task
     """One submap for all methods. The baselines, too, see it levelled."""
     work, baselines = context
     place = describe_place(work, task)
+    if not baselines:
+        return Described(place, (), ())
     try:
         submap, _ = load_submap(work.recording, task[1], work.config, work.perturbation)
     except RevisitError:
@@ -154,7 +156,18 @@ def _search(sides: Sides, question: Question, contest: Contest) -> tuple[list[tu
     return found, (time.perf_counter() - started) / max(len(found), 1)
 
 
-def _product_outcome(sides: Sides, matches: list[tuple[Match, ...]], search_s: float) -> MethodOutcome:
+def _product_outcomes(
+    method: Method, sides: Sides, question: Question, contest: Contest, report: Progress
+) -> list[MethodOutcome]:
+    """The product's descriptor alone and, unless left out, after verification."""
+    matches, search_s = _search(sides, question, contest)
+    outcomes = [_descriptor_outcome(sides, matches, search_s)]
+    if contest.candidates > 0:
+        outcomes.append(_verified_outcome(method, sides, matches, contest, report))
+    return outcomes
+
+
+def _descriptor_outcome(sides: Sides, matches: list[tuple[Match, ...]], search_s: float) -> MethodOutcome:
     described = [one.place.description for one in sides.queries if one.place.description is not None]
     return MethodOutcome(
         method=PRODUCT,
@@ -169,14 +182,14 @@ def _product_outcome(sides: Sides, matches: list[tuple[Match, ...]], search_s: f
 
 
 def _verified_outcome(
-    sides: Sides, matches: list[tuple[Match, ...]], contest: Contest, report: Progress
+    method: Method, sides: Sides, matches: list[tuple[Match, ...]], contest: Contest, report: Progress
 ) -> MethodOutcome:
     """The product's candidates after verification, with the poses of the accepted ones."""
     shift = len(sides.known)
     places = [one.place for one in [*sides.known, *sides.queries]]
     candidates = [()] * shift + [found[: contest.candidates] for found in matches]
     verified: list[QueryMatches] = []
-    work = VerificationWork(places, contest.method, contest.loops.positive_radius_m)
+    work = VerificationWork(places, method, contest.loops.positive_radius_m)
     for one in verify_all(work, candidates, contest.jobs):
         verified.append(one)
         report("verify", max(len(verified) - shift, 0), len(matches))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -66,12 +67,19 @@ class Programme:
     candidates: int = LoopConfig().candidates
     jobs: int = 1
 
-    def contest(self, ablation: str = "none", method: Method | None = None) -> Contest:
-        """The methods of a trial; with an ablation only the product's descriptor."""
+    def contests(self, ablation: str, method: Method | None) -> list[tuple[str, Contest]]:
+        """The product (or `method`) and the baselines apart, each with what decides its outcome besides the question.
+
+        With an ablation only the product's descriptor.
+        """
+        who = repr(method) if method is not None else f"{load_packaged_models().version} {PipelineConfig()}"
         method = method or PipelineMethod(PipelineConfig(submap=self.submap), ablation)
+        candidates = self.candidates if ablation == "none" else 0
+        product = Contest(method, self.submap, self.loops, (), candidates, jobs=self.jobs)
         if ablation != "none":
-            return Contest(method, self.submap, self.loops, (), candidates=0, jobs=self.jobs)
-        return Contest(method, self.submap, self.loops, self.baselines, self.candidates, jobs=self.jobs)
+            return [(who, product)]
+        peers = Contest(None, self.submap, self.loops, self.baselines, candidates=0, jobs=self.jobs)
+        return [(who, product), (repr(self.baselines), peers)]
 
 
 def run_programme(programme: Programme, report: Progress, method: Method | None = None) -> Iterator[Trial]:
@@ -80,8 +88,8 @@ def run_programme(programme: Programme, report: Progress, method: Method | None 
         yield from _DriveTrials(programme, drive, report, method).all()
     if "sessions" in programme.protocols:
         for known, asking in programme.sessions:
-            yield _on_file(programme, "sessions", (known, asking), method, partial(
-                _between_sessions, programme, known, asking, report, method))  # fmt: skip
+            run = partial(_between_sessions, programme, known, asking, report)
+            yield _trial(programme, "sessions", (known, asking), method, run)
 
 
 class _DriveTrials:
@@ -89,57 +97,56 @@ class _DriveTrials:
 
     def __init__(self, programme: Programme, drive: Drive, report: Progress, method: Method | None) -> None:
         self._programme, self._drive, self._report, self._method = programme, drive, report, method
-        self._described: dict[tuple[str, Perturbation], list[Described]] = {}
+        self._described: dict[tuple[str, str, Perturbation], list[Described]] = {}
 
     def all(self) -> Iterator[Trial]:
         """The trials that the programme names, in its order."""
         for protocol in self._programme.protocols:
             if protocol != "sessions":
-                run = partial(self._run, protocol)
-                yield _on_file(self._programme, protocol, (self._drive,), self._method, run)
+                yield _trial(self._programme, protocol, (self._drive,), self._method, partial(self._run, protocol))
 
-    def _run(self, protocol: str) -> Trial:
+    def _run(self, protocol: str, contest: Contest) -> Trial:
         recording = self._drive.recorded(self._programme.recordings, self._report)
-        ablation = protocol if protocol in ABLATIONS else "none"
-        contest = self._programme.contest(ablation, self._method)
         asked_under = TURNED if protocol == "rotation" else HARDER.get(protocol, PLAIN)
-        queries = self._side(Side(recording, asked_under), ablation, contest)
-        known = self._side(Side(recording), ablation, contest) if protocol in HARDER else queries
+        queries = self._side(Side(recording, asked_under), contest)
+        known = self._side(Side(recording), contest) if protocol in HARDER else queries
         return hold(protocol, contest, Sides(recording.name, recording.name, queries, known), self._report)
 
-    def _side(self, side: Side, ablation: str, contest: Contest) -> list[Described]:
-        key = ablation, side.perturbation
+    def _side(self, side: Side, contest: Contest) -> list[Described]:
+        key = repr(contest.method), repr(contest.baselines), side.perturbation
         if key not in self._described:
             self._described[key] = describe_side(side, contest, self._report)
         return self._described[key]
 
 
-def _between_sessions(
-    programme: Programme, known: Drive, asking: Drive, report: Progress, method: Method | None
-) -> Trial:
+def _between_sessions(programme: Programme, known: Drive, asking: Drive, report: Progress, contest: Contest) -> Trial:
     """All submaps of one drive ask those of another."""
     places, queries = (one.recorded(programme.recordings, report) for one in (known, asking))
     if isinstance(places, PosedClouds) and isinstance(queries, PosedClouds):
         queries = queries.beside(places)
-    contest = programme.contest("none", method)
     asked, described = (describe_side(Side(recording), contest, report) for recording in (queries, places))
     return hold("sessions", contest, Sides(queries.name, places.name, asked, described), report)
 
 
-def _on_file(
-    programme: Programme, protocol: str, drives: tuple[Drive, ...], method: Method | None, run: Callable[[], Trial]
+def _trial(
+    programme: Programme,
+    protocol: str,
+    drives: tuple[Drive, ...],
+    method: Method | None,
+    run: Callable[[Contest], Trial],
 ) -> Trial:
-    """The trial on file for the same drives, models and parameters, else a new one, which is then on file."""
-    file = programme.folder / "trials" / f"{protocol}-{_fingerprint(programme, drives, method)}.json"
-    if file.exists():
-        return Trial.read(file)
-    trial = run()
-    trial.write(file)
-    return trial
+    """The trial of all contests; what is on file for the same drives, methods and parameters is not run again."""
+    parts: list[Trial] = []
+    for who, contest in programme.contests(protocol if protocol in ABLATIONS else "none", method):
+        fingerprint = _fingerprint(programme, drives, who)
+        file = programme.folder / "trials" / f"{protocol}-{fingerprint}.json"
+        if not file.exists():
+            run(contest).write(file)
+        parts.append(Trial.read(file))
+    return dataclasses.replace(parts[0], outcomes=tuple(outcome for part in parts for outcome in part.outcomes))
 
 
-def _fingerprint(programme: Programme, drives: tuple[Drive, ...], method: Method | None) -> str:
+def _fingerprint(programme: Programme, drives: tuple[Drive, ...], who: str) -> str:
     """Twelve hexadecimal digits of all that decides an outcome besides the protocol."""
-    who = repr(method) if method is not None else f"{load_packaged_models().version} {PipelineConfig()}"
-    settings = programme.submap, programme.loops, programme.candidates, programme.baselines
+    settings = programme.submap, programme.loops, programme.candidates
     return hashlib.sha256(repr((who, drives, settings)).encode()).hexdigest()[:12]
