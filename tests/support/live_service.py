@@ -1,4 +1,4 @@
-"""A running service on free ports: both transports over stores in memory, and a worker with the fake recogniser."""
+"""A running service on free ports: both transports over chosen stores, and a worker with the fake recogniser."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import uvicorn
 
 from service.grpc.server import create_server
 from service.rest.app import create_app
+from service.rest.slow_clients import uvicorn_limits
 from tests.support.service_world import World, memory_world
 
 
@@ -38,9 +39,9 @@ class LiveService:
 
 
 @contextlib.contextmanager
-def live_service(**policy) -> Iterator[LiveService]:
-    """Run until the block ends."""
-    world = memory_world(**policy)
+def live_service(world: World | None = None, **policy) -> Iterator[LiveService]:
+    """Run until the block ends, over `world` where one is given."""
+    world = world or memory_world(**policy)
     started: list[LiveService] = []
     ready, stop = threading.Event(), threading.Event()
     thread = threading.Thread(target=lambda: asyncio.run(_serve(world, started, ready, stop)), daemon=True)
@@ -61,7 +62,7 @@ async def _serve(world: World, started: list[LiveService], ready: threading.Even
     grpc_port = rpc.add_insecure_port("127.0.0.1:0")
     await rpc.start()
     listener = socket.create_server(("127.0.0.1", 0))
-    config = uvicorn.Config(create_app(world.use_cases), http="h11", ws="none", log_config=None, server_header=False)
+    config = uvicorn.Config(create_app(world.use_cases), log_config=None, **uvicorn_limits())
     http = uvicorn.Server(config)
     http.capture_signals = contextlib.nullcontext
     serving = asyncio.create_task(http.serve(sockets=[listener]))
