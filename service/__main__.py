@@ -28,6 +28,7 @@ def main(arguments: list[str] | None = None) -> int:
     # Files are for this user only.
     os.umask(0o077)
     options = _parser().parse_args(arguments)
+    from service.failpoints import arm
     from service.settings import Settings
     from service.telemetry import configure_logging
 
@@ -38,6 +39,10 @@ def main(arguments: list[str] | None = None) -> int:
         return _refuse("\n".join(f"REVISIT_{str(e['loc'][0]).upper()}: {e['msg']}" for e in error.errors()))
     except ValueError as error:
         return _refuse(f"REVISIT_LOG_LEVEL: {error}")
+    try:
+        arm(settings.fail)
+    except ValueError as error:
+        return _refuse(f"REVISIT_FAIL: {error}")
     from alembic.util import CommandError
 
     try:

@@ -45,6 +45,10 @@ class Settings(BaseSettings):
     jobs_per_worker: int = Field(default=500, ge=1, description="jobs after which a worker is replaced")
     drain_s: float = Field(default=10.0, gt=0, le=15, description="time for requests and jobs to end on SIGTERM")
     log_level: str = Field(default="INFO", description="DEBUG, INFO, WARNING or ERROR")
+    fail: str = Field(
+        default="",
+        description="for tests: what happens at which failpoints of service/failpoints.py, as point=action@n",
+    )
     tau_m: float = Field(default_factory=lambda: PipelineConfig().submap.tau, gt=0, description="metres per submap")
     stride_m: float = Field(
         default_factory=lambda: PipelineConfig().submap.stride, gt=0, description="metres between submap starts"

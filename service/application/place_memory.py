@@ -13,6 +13,7 @@ from service.application.ports import Transactions, UnitOfWork, VectorFilter, Ve
 from service.application.records import MapRecord, SubmapRecord
 from service.application.search_answers import SearchCriteria, SearchHit, SearchResult
 from service.application.submaps import submap_key
+from service.failpoints import failpoint
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,9 @@ class PlaceMemory:
         tenant, number = map_record.tenant, map_record.number
         before = self._index.seq(number)
         changes = self._transactions.read(lambda uow: uow.changes.since(tenant, number, before)).result()
+        failpoint("index.before_apply")
         self._index.apply(number, changes)
+        failpoint("index.after_apply")
         seq = changes[-1].seq if changes else before
         matches = self._index.search(number, vector, k, where) if self._index.size(number) else []
         return Recall(self._transactions.read(lambda uow: _places(uow, tenant, matches)).result(), seq)

@@ -22,6 +22,7 @@ from service.application.scan_windows import Window, advance
 from service.application.session_lookup import require_active, require_session
 from service.application.submaps import PostedSubmap
 from service.application.window_submaps import add_window_submap, window_of
+from service.failpoints import failpoint
 
 
 @dataclass(frozen=True)
@@ -94,7 +95,10 @@ class Scans:
             return ScanAck(session.committed_seq, replay=True, report=None, submap=None)
         accepted = await self._context.compute(_accept, command)
         await self._context.compute(self._context.blobs.put, tenant, CLOUD_BLOB, accepted.packed)
-        return await self._context.write(lambda uow: self._insert(uow, tenant, command.session, accepted))
+        failpoint("ingest.after_blob")
+        ack = await self._context.write(lambda uow: self._insert(uow, tenant, command.session, accepted))
+        failpoint("ingest.after_commit")
+        return ack
 
     def _insert(self, uow: UnitOfWork, tenant: TenantId, key: SessionKey, accepted: _Accepted) -> ScanAck:
         session = require_session(uow, tenant, key)

@@ -15,6 +15,7 @@ from service.application.robots import require_robot
 from service.application.scan_windows import remainder
 from service.application.session_lookup import SessionState, require_session
 from service.application.window_submaps import add_window_submap, window_of
+from service.failpoints import failpoint
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,9 @@ class Sessions:
             uow.sessions.replace(finished)
             return _view(uow, finished)
 
-        return await self._context.write(close)
+        closed = await self._context.write(close)
+        failpoint("session.after_finish")
+        return closed
 
     def _record(self, tenant: TenantId, command: CreateSession) -> SessionRecord:
         return SessionRecord(

@@ -40,6 +40,7 @@ from service.application.poses import pose_matrix, pose_row, position_row
 from service.application.records import SessionRecord, SubmapRecord
 from service.application.session_lookup import require_active, require_session
 from service.application.submap_source import SubmapSource, submap_source
+from service.failpoints import failpoint
 
 
 class SubmapState(StrEnum):
@@ -128,7 +129,10 @@ class Submaps:
         if known is not None:
             return known
         await self._context.compute(self._context.blobs.put, tenant, CLOUD_BLOB, accepted.packed)
-        return await self._context.write(lambda uow: self._insert(uow, accepted))
+        failpoint("ingest.after_blob")
+        posted = await self._context.write(lambda uow: self._insert(uow, accepted))
+        failpoint("ingest.after_commit")
+        return posted
 
     async def get(self, tenant: TenantId, key: SubmapKey, *, full: bool = False) -> SubmapView:
         """The submap, with its descriptor where `full`. Raises NotFound."""
@@ -163,6 +167,7 @@ class Submaps:
             return record
 
         doomed = blobs_of_submap(await self._context.write(remove))
+        failpoint("delete.after_rows")
         await collect_blobs_in_turns(self._context, tenant, doomed)
 
     async def download(
