@@ -112,9 +112,7 @@ def sequence_violations(stream: str, numbers: Iterable[int], committed: int) -> 
     counted = Counter(numbers)
     found = [f"{stream}: {number} is stored {times} times" for number, times in sorted(counted.items()) if times > 1]
     found += [f"{stream}: gap at {number}" for number in range(1, committed + 1) if number not in counted]
-    return found + [
-        f"{stream}: {n} is stored beyond the committed {committed}" for n in sorted(counted) if n > committed
-    ]
+    return found + [f"{stream}: {n} is stored beyond {committed}" for n in sorted(counted) if n > committed]
 
 
 def _of_key(key: str, operations: list[Operation], contents: list[str]) -> list[str]:
