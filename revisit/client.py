@@ -68,9 +68,18 @@ class Client:
         tau_m: float | None = None,
         stride_m: float | None = None,
         min_index_gap: int | None = None,
+        scene_scale: float | None = None,
     ) -> Map:
-        """Create a map; what is None is as the service is configured."""
-        overrides = {"tau_m": tau_m, "stride_m": stride_m, "min_index_gap": min_index_gap}
+        """Create a map; what is None is as the service is configured.
+
+        `scene_scale` is the size of the scene compared with a street, e.g. 0.25 for rooms; it cannot be changed later.
+        """
+        overrides = {
+            "tau_m": tau_m,
+            "stride_m": stride_m,
+            "min_index_gap": min_index_gap,
+            "scene_scale": scene_scale,
+        }
         fields = {"display_name": display_name, **_given(overrides)}
         return Map.parse(self._transport.create("", "maps", map_id, fields))
 

@@ -33,13 +33,14 @@ def matrix_of(value: Json | None) -> Matrix4 | None:
 
 @dataclass(frozen=True)
 class Map:
-    """A map."""
+    """A map; `scene_scale` is the size of its scene compared with a street."""
 
     name: str
     display_name: str
     tau_m: float
     stride_m: float
     min_index_gap: int
+    scene_scale: float
     session_count: int
     submap_count: int
     created_at_ns: int
@@ -53,6 +54,7 @@ class Map:
             tau_m=float(value["tau_m"]),
             stride_m=float(value["stride_m"]),
             min_index_gap=int(value["min_index_gap"]),
+            scene_scale=float(value["scene_scale"]),
             session_count=int(value["session_count"]),
             submap_count=int(value["submap_count"]),
             created_at_ns=int(value["created_at_ns"]),

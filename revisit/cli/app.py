@@ -80,6 +80,9 @@ def ingest(
     map_id: MapName = "default",
     session_id: Annotated[str, typer.Option("--session", help="Id of the session; the folder's name by default.")] = "",
     file_format: Annotated[str, typer.Option("--format", help=RECORDINGS)] = "kitti",
+    scene_scale: Annotated[
+        float | None, typer.Option(min=0.01, max=10.0, help="Size of a new map's scene compared with a street.")
+    ] = None,
     grpc: Grpc = GRPC,
     limit: Annotated[int | None, typer.Option(min=1, help="Send at most so many scans.")] = None,
     wait: Annotated[bool, typer.Option(help="Wait until every submap is described.")] = True,
@@ -91,7 +94,7 @@ def ingest(
     from revisit.cli import ingesting
 
     recording = open_recording(folder, file_format)
-    target = ingesting.Target(grpc, map_id, session_id or recording.name)
+    target = ingesting.Target(grpc, map_id, session_id or recording.name, scene_scale)
     try:
         ingesting.ingest(recording, target, limit, wait, finish, json)
     except KeyboardInterrupt as error:

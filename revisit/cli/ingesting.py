@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 
 from core.errors import RevisitError
 from evaluation.datasets import Recording
-from revisit.cli.output import emit_json, emit_table, progress_bar
+from revisit.cli.output import emit_json, emit_table, progress_bar, refuse
 from revisit.client import Client
 from revisit.errors import NotFound
 from revisit.resources import Session, Submap
@@ -17,11 +17,12 @@ POLL_S = 1.0
 
 @dataclass(frozen=True)
 class Target:
-    """Where scans go."""
+    """Where scans go. A new map gets `scene_scale`, one that exists must have it; None takes any."""
 
     grpc: str
     map_id: str
     session_id: str
+    scene_scale: float | None = None
 
 
 @dataclass(frozen=True)
@@ -65,12 +66,17 @@ def ingest(recording: Recording, target: Target, limit: int | None, wait: bool, 
 
 
 def open_session(client: Client, target: Target) -> Session:
-    """The session, created with its map where they do not exist."""
+    """The session, created with its map where they do not exist.
+
+    Exits where the map has another scale than was asked for.
+    """
     map_name = f"maps/{target.map_id}"
     try:
-        client.get_map(map_name)
+        found = client.get_map(map_name)
     except NotFound:
-        client.create_map(target.map_id)
+        found = client.create_map(target.map_id, scene_scale=target.scene_scale)
+    if target.scene_scale not in (None, found.scene_scale):
+        raise refuse(f"{map_name} has scene scale {found.scene_scale:g}; a map keeps the one it was created with")
     try:
         return client.get_session(f"{map_name}/sessions/{target.session_id}")
     except NotFound:

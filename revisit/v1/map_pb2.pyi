@@ -7,7 +7,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class Map(_message.Message):
-    __slots__ = ("name", "display_name", "tau_m", "stride_m", "min_index_gap", "session_count", "submap_count", "created_at_ns")
+    __slots__ = ("name", "display_name", "tau_m", "stride_m", "min_index_gap", "session_count", "submap_count", "created_at_ns", "scene_scale")
     NAME_FIELD_NUMBER: _ClassVar[int]
     DISPLAY_NAME_FIELD_NUMBER: _ClassVar[int]
     TAU_M_FIELD_NUMBER: _ClassVar[int]
@@ -16,6 +16,7 @@ class Map(_message.Message):
     SESSION_COUNT_FIELD_NUMBER: _ClassVar[int]
     SUBMAP_COUNT_FIELD_NUMBER: _ClassVar[int]
     CREATED_AT_NS_FIELD_NUMBER: _ClassVar[int]
+    SCENE_SCALE_FIELD_NUMBER: _ClassVar[int]
     name: str
     display_name: str
     tau_m: float
@@ -24,21 +25,24 @@ class Map(_message.Message):
     session_count: int
     submap_count: int
     created_at_ns: int
-    def __init__(self, name: _Optional[str] = ..., display_name: _Optional[str] = ..., tau_m: _Optional[float] = ..., stride_m: _Optional[float] = ..., min_index_gap: _Optional[int] = ..., session_count: _Optional[int] = ..., submap_count: _Optional[int] = ..., created_at_ns: _Optional[int] = ...) -> None: ...
+    scene_scale: float
+    def __init__(self, name: _Optional[str] = ..., display_name: _Optional[str] = ..., tau_m: _Optional[float] = ..., stride_m: _Optional[float] = ..., min_index_gap: _Optional[int] = ..., session_count: _Optional[int] = ..., submap_count: _Optional[int] = ..., created_at_ns: _Optional[int] = ..., scene_scale: _Optional[float] = ...) -> None: ...
 
 class CreateMapRequest(_message.Message):
-    __slots__ = ("map_id", "display_name", "tau_m", "stride_m", "min_index_gap")
+    __slots__ = ("map_id", "display_name", "tau_m", "stride_m", "min_index_gap", "scene_scale")
     MAP_ID_FIELD_NUMBER: _ClassVar[int]
     DISPLAY_NAME_FIELD_NUMBER: _ClassVar[int]
     TAU_M_FIELD_NUMBER: _ClassVar[int]
     STRIDE_M_FIELD_NUMBER: _ClassVar[int]
     MIN_INDEX_GAP_FIELD_NUMBER: _ClassVar[int]
+    SCENE_SCALE_FIELD_NUMBER: _ClassVar[int]
     map_id: str
     display_name: str
     tau_m: float
     stride_m: float
     min_index_gap: int
-    def __init__(self, map_id: _Optional[str] = ..., display_name: _Optional[str] = ..., tau_m: _Optional[float] = ..., stride_m: _Optional[float] = ..., min_index_gap: _Optional[int] = ...) -> None: ...
+    scene_scale: float
+    def __init__(self, map_id: _Optional[str] = ..., display_name: _Optional[str] = ..., tau_m: _Optional[float] = ..., stride_m: _Optional[float] = ..., min_index_gap: _Optional[int] = ..., scene_scale: _Optional[float] = ...) -> None: ...
 
 class CreateMapResponse(_message.Message):
     __slots__ = ("map", "replay")

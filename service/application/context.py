@@ -33,8 +33,10 @@ class Policy:
         submap, loop = self.pipeline.submap, self.pipeline.loop
         return replace(
             self.pipeline,
+            scene_scale=record.scene_scale,
             submap=replace(
                 submap,
+                min_range=submap.min_range * record.scene_scale,
                 tau=submap.tau if record.tau_m is None else record.tau_m,
                 stride=submap.stride if record.stride_m is None else record.stride_m,
             ),

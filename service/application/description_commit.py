@@ -16,6 +16,7 @@ from service.application.poses import pose_row
 from service.application.records import LoopRecord, MapRecord, SubmapRecord
 from service.application.submap_source import SubmapSource
 from service.application.submaps import submap_key
+from service.failpoints import failpoint
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,6 @@ class DescriptionCommit:
     """The one transaction that ends a description."""
 
     context: Context
-    model_version: str
     lease: Lease
     task: DescriptionTask
     described: StoredDescription
@@ -70,9 +70,11 @@ class DescriptionCommit:
             self._end(uow, {"outcome": "the submap was deleted"})
             return True
         self._store_submap(uow)
+        failpoint("merge.after_submap")
         present = [item for item in self.judged if uow.submaps.count(tenant, number=item.place.submap.number)]
         for item in present:
             uow.loops.add(self._loop(item))
+        failpoint("merge.after_loops")
         accepted = sum(item.verdict.accepted for item in present)
         timings = {stage: round(seconds, 4) for stage, seconds in self.described.description.timings_s.items()}
         result = {"submap": submap_key(self.task.submap).name, "loops_accepted": accepted}
@@ -89,8 +91,8 @@ class DescriptionCommit:
         uow.changes.record_described(row.tenant, self.task.map.number, row.number)
         current = require_map(uow, row.tenant, row.map_id)
         if current.model_version is None:
-            uow.maps.replace(replace(current, model_version=self.model_version))
-        elif current.model_version != self.model_version:
+            uow.maps.replace(replace(current, model_version=self.described.row.model_version))
+        elif current.model_version != self.described.row.model_version:
             raise DescriptorModelMismatch(f"map {row.map_id} was described by model {current.model_version}")
 
     def _end(self, uow: UnitOfWork, result: dict[str, Any]) -> None:
@@ -113,7 +115,7 @@ class DescriptionCommit:
             similarity=item.place.similarity,
             score=verdict.score,
             T_match_query=None if verdict.T_match_query is None else pose_row(verdict.T_match_query),
-            evidence={**verdict.evidence, "model_version": self.model_version},
+            evidence={**verdict.evidence, "model_version": self.described.row.model_version},
             created_at_ns=self.context.clock.wall_ns(),
         )
 

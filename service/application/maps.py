@@ -13,17 +13,25 @@ from service.application.identity import TenantId, content_hash, validated_id, v
 from service.application.paging import Page, PageRequest, page_of
 from service.application.ports import UnitOfWork
 from service.application.records import MapRecord
+from service.failpoints import failpoint
+
+MIN_SCENE_SCALE = 0.01
+MAX_SCENE_SCALE = 10.0
 
 
 @dataclass(frozen=True)
 class CreateMap:
-    """A new map. `tau_m`, `stride_m` and `min_index_gap` override the service's configuration where given."""
+    """A new map. `tau_m`, `stride_m` and `min_index_gap` override the service's configuration where given.
+
+    `scene_scale` is the size of its scene compared with a street, e.g. 0.25 for rooms; it cannot be changed later.
+    """
 
     map_id: str
     display_name: str = ""
     tau_m: float | None = None
     stride_m: float | None = None
     min_index_gap: int | None = None
+    scene_scale: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -35,6 +43,7 @@ class MapView:
     tau_m: float
     stride_m: float
     min_index_gap: int
+    scene_scale: float
     session_count: int
     submap_count: int
     created_at_ns: int
@@ -96,6 +105,7 @@ class Maps:
 
         doomed: set[tuple[str, str]] = set()
         number = await self._context.write(remove)
+        failpoint("delete.after_rows")
         self._context.index.drop(number)
         await collect_blobs_in_turns(self._context, tenant, doomed)
 
@@ -104,14 +114,17 @@ class Maps:
         validated_label(command.display_name, "display_name")
         _validate_window(command)
         content = (command.display_name, command.tau_m, command.stride_m, command.min_index_gap)
+        # Left out where it is 1, so that creates of before there were scales can be repeated.
+        scale = () if command.scene_scale == 1.0 else (command.scene_scale,)
         return MapRecord(
             tenant=tenant,
             map_id=command.map_id,
-            content_hash=content_hash(content),
+            content_hash=content_hash((*content, *scale)),
             display_name=command.display_name,
             tau_m=command.tau_m,
             stride_m=command.stride_m,
             min_index_gap=command.min_index_gap,
+            scene_scale=command.scene_scale,
             model_version=None,
             created_at_ns=self._context.clock.wall_ns(),
         )
@@ -124,6 +137,7 @@ class Maps:
             tau_m=config.submap.tau,
             stride_m=config.submap.stride,
             min_index_gap=config.loop.min_index_gap,
+            scene_scale=config.scene_scale,
             session_count=uow.sessions.count(record.tenant, map_id=record.map_id),
             submap_count=uow.submaps.count(record.tenant, map_id=record.map_id),
             created_at_ns=record.created_at_ns,
@@ -138,9 +152,20 @@ def require_map(uow: UnitOfWork, tenant: TenantId, map_id: str) -> MapRecord:
     return record
 
 
+def model_for_map(record: MapRecord, model_version: str) -> str:
+    """The version of the descriptors that the model makes for a map.
+
+    Its scale is part of it: descriptors of different scales must not be compared, like those of different models.
+    """
+    scale = record.scene_scale
+    return model_version if scale == 1.0 else f"{model_version}@scale-{scale:g}"
+
+
 def _validate_window(command: CreateMap) -> None:
     for field, value in (("tau_m", command.tau_m), ("stride_m", command.stride_m)):
         if value is not None and not (math.isfinite(value) and 0.1 <= value <= 1000.0):
             raise BadField(f"{field} must be in 0.1..1000 metres", field=field)
     if command.min_index_gap is not None and not 0 <= command.min_index_gap <= 100_000:
         raise BadField("min_index_gap must be in 0..100000", field="min_index_gap")
+    if not MIN_SCENE_SCALE <= command.scene_scale <= MAX_SCENE_SCALE:
+        raise BadField(f"scene_scale must be in {MIN_SCENE_SCALE:g}..{MAX_SCENE_SCALE:g}", field="scene_scale")

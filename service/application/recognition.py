@@ -21,9 +21,9 @@ from service.application.blob_references import NEURAL_MAP_BLOB, SIGNATURE_BLOB
 from service.application.clouds import QUERY_CLOUD_BLOB, QUERY_NONCE_BYTES, unpack_cloud
 from service.application.context import Context
 from service.application.description_commit import DescriptionCommit, DescriptionTask, JudgedPlace, StoredDescription
-from service.application.errors import StaleLease, Unavailable
+from service.application.errors import StaleLease, StorageFull, Unavailable
 from service.application.identity import SubmapKey
-from service.application.maps import require_map
+from service.application.maps import model_for_map, require_map
 from service.application.meshes import MESH_BLOB, pack_mesh
 from service.application.operations import OperationKind
 from service.application.place_memory import PlaceMemory, RecalledPlace, vector_filter
@@ -46,6 +46,7 @@ from service.application.search_answers import (
 )
 from service.application.submap_source import load_submap, submap_source
 from service.application.submaps import SubmapState, submap_key
+from service.failpoints import failpoint
 
 log = structlog.get_logger(__name__)
 
@@ -67,11 +68,13 @@ class Recognition:
             OperationKind.LOCALIZE: self._localize,
         }
         try:
+            failpoint("job.after_claim")
             kinds[OperationKind(lease.job.kind)](lease)
+            failpoint("job.after_commit")
         except StaleLease:
             log.warning("result_refused", operation=lease.job.operation_id, token=lease.job.lease_token)
         except RevisitError as error:
-            self._fail(lease, error.code, error.message, retry=isinstance(error, Unavailable))
+            self._fail(lease, error.code, error.message, retry=isinstance(error, Unavailable | StorageFull))
         except Exception as error:  # whatever the method raises must not end the worker
             log.exception("job_crashed", operation=lease.job.operation_id)
             self._fail(lease, ErrorCode.INTERNAL, f"{type(error).__name__}: {error}"[:500], retry=True)
@@ -83,6 +86,7 @@ class Recognition:
             if uow.queue.fail(lease, code, message, clock.instant(), clock.wall_ns(), retry=retry):
                 mark_subject_failed(uow, lease.job, code, message)
 
+        failpoint("job.before_failure")
         log.warning("job_failed", operation=lease.job.operation_id, code=code, reason=message, retry=retry)
         try:
             self._context.transactions.write(end).result()
@@ -103,7 +107,7 @@ class Recognition:
         self._require_same_model(task.map)
         config = self._context.policy.for_map(task.map)
         submap = load_submap(self._context.blobs, task.submap, task.source)
-        described = self._store(task.submap, self._recogniser.describe(submap, config))
+        described = self._store(task, self._recogniser.describe(submap, config))
         self._close_loops(lease, task, described, config)
 
     def _task(self, uow: UnitOfWork, job: JobRecord) -> DescriptionTask | None:
@@ -115,17 +119,20 @@ class Recognition:
             submap, submap_source(uow, self._context, submap), require_map(uow, job.tenant, key.map_id)
         )
 
-    def _store(self, submap: SubmapRecord, description: SubmapDescription) -> StoredDescription:
+    def _store(self, task: DescriptionTask, description: SubmapDescription) -> StoredDescription:
         """Make the blobs of a description durable before any row names them."""
+        submap = task.submap
         blobs = [(SIGNATURE_BLOB, description.signature), (MESH_BLOB, pack_mesh(description.mesh))]
         if description.neural_map is not None:
             blobs.append((NEURAL_MAP_BLOB, description.neural_map))
+        failpoint("job.after_description")
         sha256 = {kind: self._context.blobs.put(submap.tenant, kind, data) for kind, data in blobs}
+        failpoint("job.after_blobs")
         row = replace(
             submap,
             state=SubmapState.DESCRIBED.value,
             flags=tuple(dict.fromkeys((*submap.flags, *description.flags))),
-            model_version=self._recogniser.model_version,
+            model_version=model_for_map(task.map, self._recogniser.model_version),
             descriptor=np.asarray(description.descriptor, dtype="<f4").tobytes(),
             signature_sha256=sha256[SIGNATURE_BLOB],
             mesh_sha256=sha256[MESH_BLOB],
@@ -149,8 +156,8 @@ class Recognition:
                 if place.submap.number not in judged:
                     judged[place.submap.number] = self._judge(described.description.signature, place, config)
             kept = [judged[place.submap.number] for place in recall.places]
-            model_version = self._recogniser.model_version
-            commit = DescriptionCommit(self._context, model_version, lease, task, described, kept, where, recall.seq)
+            commit = DescriptionCommit(self._context, lease, task, described, kept, where, recall.seq)
+            failpoint("job.before_commit")
             if self._context.transactions.write(commit).result():
                 return
 
@@ -165,10 +172,10 @@ class Recognition:
         return JudgedPlace(place, verdict)
 
     def _require_same_model(self, record: MapRecord) -> None:
-        if record.model_version not in (None, self._recogniser.model_version):
+        own = model_for_map(record, self._recogniser.model_version)
+        if record.model_version not in (None, own):
             raise DescriptorModelMismatch(
-                f"map {record.map_id} was described by model {record.model_version}, this worker has "
-                f"{self._recogniser.model_version}"
+                f"map {record.map_id} was described by model {record.model_version}, this worker has {own}"
             )
 
     # -- searching by cloud

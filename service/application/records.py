@@ -16,7 +16,10 @@ Pose = tuple[float, ...]
 
 @dataclass(frozen=True)
 class MapRecord:
-    """A map; None stands for "as the service is configured"; `model_version` is that of its descriptors, if any."""
+    """A map; None stands for "as the service is configured"; `model_version` is that of its descriptors, if any.
+
+    `scene_scale` is the size of its scene compared with a street (docs/decisions/0009); it never changes.
+    """
 
     tenant: TenantId
     map_id: str
@@ -27,6 +30,7 @@ class MapRecord:
     min_index_gap: int | None
     model_version: str | None
     created_at_ns: int
+    scene_scale: float = 1.0
     number: int = 0
 
 
@@ -142,7 +146,7 @@ class JobRecord:
 
     Jobs of `priority` 0, for which a client waits, go before those of 1. `lease_token` grows with every claim: only
     the holder of the newest may complete the job (fencing). Lease times count on the monotonic clock of one boot of
-    the machine, named by `lease_epoch`.
+    the machine, named by `lease_epoch`. `request_id` and `traceparent` (W3C) name the request that the job came from.
     """
 
     tenant: TenantId
@@ -160,6 +164,8 @@ class JobRecord:
     lease_epoch: str = ""
     not_before_ms: int = 0
     lease_expires_ms: int = 0
+    request_id: str | None = None
+    traceparent: str | None = None
     result: dict[str, Any] | None = None
     failure_code: str | None = None
     failure_message: str | None = None

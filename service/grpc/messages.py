@@ -129,6 +129,7 @@ def map_message(view: MapView) -> map_pb2.Map:
         tau_m=view.tau_m,
         stride_m=view.stride_m,
         min_index_gap=view.min_index_gap,
+        scene_scale=view.scene_scale,
         session_count=view.session_count,
         submap_count=view.submap_count,
         created_at_ns=view.created_at_ns,

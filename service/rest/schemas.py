@@ -11,7 +11,7 @@ from core import se3
 from core.scan import CloudReport
 from core.se3 import Matrix4
 from service.application.loops import LoopClosureView
-from service.application.maps import CreateMap, MapView
+from service.application.maps import MAX_SCENE_SCALE, MIN_SCENE_SCALE, CreateMap, MapView
 from service.application.operations import OperationFailure, OperationView
 from service.application.robots import CreateRobot, RobotView
 from service.application.scans import ScanAck
@@ -39,17 +39,21 @@ class Answer(BaseModel):
 
 
 class CreateMapRequest(Request):
-    """A new map; `tau_m`, `stride_m` and `min_index_gap` override the service's configuration where given."""
+    """A new map; `tau_m`, `stride_m` and `min_index_gap` override the service's configuration where given.
+
+    `scene_scale` is the size of its scene compared with a street, e.g. 0.25 for rooms; it cannot be changed later.
+    """
 
     map_id: Id
     display_name: DisplayName = ""
     tau_m: Annotated[float, Field(gt=0, le=1000)] | None = None
     stride_m: Annotated[float, Field(gt=0, le=1000)] | None = None
     min_index_gap: Annotated[int, Field(ge=0, le=1_000_000)] | None = None
+    scene_scale: Annotated[float, Field(ge=MIN_SCENE_SCALE, le=MAX_SCENE_SCALE)] = 1.0
 
     def command(self) -> CreateMap:
         """What the use case takes."""
-        return CreateMap(self.map_id, self.display_name, self.tau_m, self.stride_m, self.min_index_gap)
+        return CreateMap(**self.model_dump())
 
 
 class CreateRobotRequest(Request):
@@ -134,6 +138,7 @@ class Map(Answer):
     tau_m: float
     stride_m: float
     min_index_gap: int
+    scene_scale: float
     session_count: int
     submap_count: int
     created_at_ns: int
@@ -147,6 +152,7 @@ class Map(Answer):
             tau_m=view.tau_m,
             stride_m=view.stride_m,
             min_index_gap=view.min_index_gap,
+            scene_scale=view.scene_scale,
             session_count=view.session_count,
             submap_count=view.submap_count,
             created_at_ns=view.created_at_ns,

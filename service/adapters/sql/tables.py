@@ -84,6 +84,7 @@ maps = _numbered(
     _real("tau_m", nullable=True),
     _real("stride_m", nullable=True),
     _integer("min_index_gap", nullable=True),
+    Column("scene_scale", Float, nullable=False, server_default="1.0"),
     _text("model_version", length=128, nullable=True),
     _integer("created_at_ns"),
 )
@@ -216,6 +217,8 @@ jobs = _numbered(
     _text("lease_epoch"),
     _integer("not_before_ms"),
     _integer("lease_expires_ms"),
+    _text("request_id", nullable=True),
+    _text("traceparent", nullable=True),
     _json("result", nullable=True),
     _text("failure_code", nullable=True),
     Column("failure_message", Text, nullable=True),

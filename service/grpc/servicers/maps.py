@@ -20,8 +20,9 @@ class MapServicer(map_pb2_grpc.MapServiceServicer):
 
     async def CreateMap(self, request: map_pb2.CreateMapRequest, context: Any) -> map_pb2.CreateMapResponse:
         """Create a map."""
-        overrides = [messages.optional(request, field) for field in ("tau_m", "stride_m", "min_index_gap")]
-        command = CreateMap(request.map_id, request.display_name, *overrides)
+        fields = ("tau_m", "stride_m", "min_index_gap", "scene_scale")
+        given = {field: getattr(request, field) for field in fields if request.HasField(field)}
+        command = CreateMap(request.map_id, request.display_name, **given)
         created = await self._maps.create(tenant_of(context), command)
         return map_pb2.CreateMapResponse(map=messages.map_message(created.map), replay=created.replay)
 

@@ -9,9 +9,10 @@ import sqlite3
 
 import pytest
 import structlog
+from alembic.script import ScriptDirectory
 
 from service.__main__ import main
-from service.adapters.sql.migration import current_revision
+from service.adapters.sql.migration import MIGRATIONS, current_revision
 from service.application.records import WorkerRecord
 from service.composition import build_context
 from service.settings import Settings
@@ -28,7 +29,7 @@ def home(monkeypatch, tmp_path):
 
 def test_migrate_makes_the_database_and_takes_it_away_again(home):
     assert main(["migrate"]) == 0
-    assert current_revision(home / "revisit.db") == "0001"
+    assert current_revision(home / "revisit.db") == ScriptDirectory(str(MIGRATIONS)).get_current_head()
     assert (home / "revisit.db").stat().st_mode & 0o077 == 0
     assert main(["migrate", "--revision", "base"]) == 0
     assert current_revision(home / "revisit.db") is None
