@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Protocol
@@ -53,7 +53,8 @@ class RecordedDrive:
 class Programme:
     """What to run. `drives` and `protocols` name a part of it; lengths in metres, jobs in processes.
 
-    `folder` takes the outcomes, `recordings` the simulated drives.
+    `folder` takes the outcomes, `recordings` the simulated drives. Submaps start every 10 m and do not overlap, so that
+    a drive is affordable; the gap of 25 of them is 250 m.
     """
 
     folder: Path
@@ -62,8 +63,8 @@ class Programme:
     sessions: Sequence[tuple[Drive, Drive]] = SESSIONS
     protocols: Sequence[str] = PROTOCOLS
     baselines: tuple[PlaceRecogniser, ...] = ALL_BASELINES
-    submap: SubmapConfig = field(default_factory=SubmapConfig)
-    loops: LoopProtocol = LoopProtocol(min_index_gap=LoopConfig().min_index_gap)
+    submap: SubmapConfig = SubmapConfig(stride=10.0)
+    loops: LoopProtocol = LoopProtocol(min_index_gap=25)
     candidates: int = LoopConfig().candidates
     jobs: int = 1
 
