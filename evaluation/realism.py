@@ -56,14 +56,18 @@ def _surroundings(points: NDArray[np.float64], rng: np.random.Generator) -> dict
     lined = values[:, 1] < 0.02 * values[:, 2]
     planar, upright = ~scattered & ~lined, np.abs(axes[:, 2, 0])
     return {
-        "dense enough": 100.0 * float(dense.mean()),
-        "level plane": 100.0 * float((planar & (upright > 0.9)).mean()),
-        "steep plane": 100.0 * float((planar & (upright < 0.3)).mean()),
-        "slanted plane": 100.0 * float((planar & (upright >= 0.3) & (upright <= 0.9)).mean()),
-        "along a line": 100.0 * float((lined & ~scattered).mean()),
-        "scatter": 100.0 * float(scattered.mean()),
-        "deviation from planes (m)": float(np.median(np.sqrt(values[planar, 0]))),
+        "dense enough": _percent(dense),
+        "level plane": _percent(planar & (upright > 0.9)),
+        "steep plane": _percent(planar & (upright < 0.3)),
+        "slanted plane": _percent(planar & (upright >= 0.3) & (upright <= 0.9)),
+        "along a line": _percent(lined & ~scattered),
+        "scatter": _percent(scattered),
+        "deviation from planes (m)": float(np.median(np.sqrt(values[planar, 0]))) if planar.any() else 0.0,
     }
+
+
+def _percent(chosen: NDArray[np.bool_]) -> float:
+    return 100.0 * float(chosen.mean()) if len(chosen) else 0.0
 
 
 def recording_statistics(recording: Recording, scans: int = 40, seed: int = 0) -> dict[str, float]:
