@@ -7,15 +7,15 @@ settled is unknown. Contents are compared by a hash that the client computes its
 
 from __future__ import annotations
 
-import itertools
 import json
 import math
 import threading
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
+from typing import Any
 
 
 class Kind(StrEnum):
@@ -61,36 +61,66 @@ class Stored:
     content: str
 
 
-@dataclass
 class History:
-    """The operations of all clients, on one logical clock; safe for threads."""
+    """The operations of all clients, on one logical clock; safe for threads.
 
-    operations: list[Operation] = field(default_factory=list)
-    _clock: Iterator[int] = field(default_factory=lambda: itertools.count(1))
-    _lock: threading.Lock = field(default_factory=threading.Lock)
+    With a path, it goes on with what that file holds, and every step is appended there before the client goes on, so
+    that it outlives the process.
+    """
+
+    def __init__(self, path: Path | None = None, log: bytes = b"") -> None:
+        self.operations: list[Operation] = []
+        self._now = 0
+        self._lock = threading.Lock()
+        self._file = None
+        for line in (path.read_bytes() if path is not None and path.exists() else log).splitlines(keepends=True):
+            # A last line that was cut off never happened.
+            if line.endswith(b"\n"):
+                self._replay(json.loads(line))
+        if path is not None:
+            self._file = path.open("ab", buffering=0)
+
+    @classmethod
+    def parse(cls, log: bytes) -> History:
+        """The history that another process has written."""
+        return cls(log=log)
 
     def invoke(self, client: str, kind: Kind, key: str, value: str | int | None = None) -> Operation:
         """The client is about to call."""
         with self._lock:
-            operation = Operation(client, kind, key, value, next(self._clock))
+            self._now += 1
+            operation = Operation(client, kind, key, value, self._now)
             self.operations.append(operation)
+            self._append({"invoked": [client, kind, key, value]})
         return operation
 
     def settle(self, operation: Operation, outcome: Outcome, value: str | int | None = None) -> None:
         """The client has its answer; `value` is what it read."""
         with self._lock:
+            self._now += 1
             operation.outcome = outcome
             operation.value = operation.value if value is None else value
             # What has an unknown outcome may happen at any later time.
-            operation.settled_at = math.inf if outcome is Outcome.UNKNOWN else next(self._clock)
+            operation.settled_at = math.inf if outcome is Outcome.UNKNOWN else self._now
+            self._append({"settled": [operation.invoked_at, outcome, value]})
 
     def acknowledged(self, kind: Kind = Kind.PUT) -> list[Operation]:
         """The operations of a kind that were answered well."""
         return [operation for operation in self.operations if (operation.kind, operation.outcome) == (kind, Outcome.OK)]
 
-    def write(self, path: Path) -> None:
-        """Keep it, one operation a line, for a look at what went wrong."""
-        path.write_text("".join(json.dumps(asdict(operation)) + "\n" for operation in self.operations))
+    def _append(self, step: dict[str, list[Any]]) -> None:
+        if self._file is not None:
+            self._file.write(json.dumps(step).encode() + b"\n")
+
+    def _replay(self, step: dict[str, list[Any]]) -> None:
+        if "invoked" in step:
+            client, kind, key, value = step["invoked"]
+            self.invoke(client, Kind(kind), key, value)
+        else:
+            invoked_at, outcome, value = step["settled"]
+            # Clients settle soon after they invoke: look from the end.
+            operation = next(known for known in reversed(self.operations) if known.invoked_at == invoked_at)
+            self.settle(operation, Outcome(outcome), value)
 
 
 def violations(operations: Iterable[Operation], final: Iterable[Stored]) -> list[str]:

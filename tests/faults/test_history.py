@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 import pytest
 
 from tests.faults.history import History, Kind, Outcome, Stored, sequence_violations, violations
@@ -119,7 +117,14 @@ def test_the_numbers_of_a_stream_are_whole(numbers, committed, problems):
     assert sequence_violations("s", numbers, committed) == problems
 
 
-def test_a_history_is_kept_line_by_line(tmp_path):
-    history(put(), delete(outcome=UNKNOWN)).write(tmp_path / "history.jsonl")
-    lines = [json.loads(line) for line in (tmp_path / "history.jsonl").read_text().splitlines()]
-    assert [(line["kind"], line["outcome"]) for line in lines] == [("put", "ok"), ("delete", "unknown")]
+def test_a_history_outlives_its_process_but_for_a_line_that_was_cut_off(tmp_path):
+    log = tmp_path / "history.jsonl"
+    written = History(log)
+    written.settle(written.invoke("c1", Kind.PUT, "a", "x"), OK)
+    open_put = written.invoke("c2", Kind.PUT, "b", "y")
+    whole = log.read_bytes()
+    written.settle(open_put, OK)
+    assert History.parse(log.read_bytes()).operations == written.operations
+    cut = History.parse(log.read_bytes()[: len(whole) + 5])
+    assert [(operation.key, operation.outcome) for operation in cut.operations] == [("a", OK), ("b", UNKNOWN)]
+    assert cut.operations == History.parse(whole).operations

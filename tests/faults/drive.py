@@ -1,0 +1,90 @@
+"""A short drive through every step of the service, in one process over SQLite and files: something to interrupt.
+
+Two robots' sessions are opened, submaps posted (two of one place, one that cannot be described), scans appended, one
+submap deleted, a session finished, and the jobs run. Doing it again after a crash must end where an undisturbed run
+does: every step carries the client's own ids.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import hashlib
+import sys
+from pathlib import Path
+
+from service.application import SessionKey, SubmapKey
+from service.application.errors import NotFound, SessionFinished
+from tests.faults.history import History, Kind, Outcome
+from tests.support.fake_recogniser import CANNOT_BE_DESCRIBED
+from tests.support.service_world import TENANT, World, cloud_points, open_session, scan, sqlite_world, submap
+
+POSTED = SessionKey("town", "posted")
+STREAMED = SessionKey("town", "streamed")
+PLACES = {"a": 1, "b": 2, "c": 1, "d": 3}
+"""Posted submaps and the places they show: c closes a loop with a."""
+
+DEGENERATE = "degenerate"
+DELETED = "b"
+SCANS = 6
+METRES_BETWEEN_SCANS = 4.0
+
+
+def content(place: int, points: int = 300) -> str:
+    """The hash by which a client knows the points of a place again."""
+    return hashlib.sha256(cloud_points(place, points).tobytes()).hexdigest()
+
+
+async def drive(world: World, history: History) -> None:
+    """Do all of it, and note each step before and after."""
+    await open_session(world, POSTED)
+    await open_session(world, STREAMED)
+    for submap_id, place in PLACES.items():
+        await _post(world, history, submap_id, place, 300)
+    await _post(world, history, DEGENERATE, 4, CANNOT_BE_DESCRIBED)
+    with contextlib.suppress(SessionFinished):
+        for seq in range(1, SCANS + 1):
+            await _append(world, history, seq)
+    world.work_off()
+    await _delete(world, history)
+    await world.use_cases.sessions.finish(TENANT, STREAMED)
+    world.work_off()
+
+
+def undisturbed(home: Path, log: Path, boot: str = "boot-1") -> None:
+    """A drive from its beginning to its end over the store in `home`; what happened is appended to `log`."""
+    world = sqlite_world(home)
+    world.clock.epoch = boot
+    try:
+        asyncio.run(drive(world, History(log)))
+    finally:
+        world.context.transactions.close()
+
+
+async def _post(world: World, history: History, submap_id: str, place: int, points: int) -> None:
+    operation = history.invoke("robot", Kind.PUT, f"submap/{submap_id}", content(place, points))
+    await world.use_cases.submaps.post(TENANT, submap(submap_id, place, POSTED, points))
+    history.settle(operation, Outcome.OK)
+
+
+async def _append(world: World, history: History, seq: int) -> None:
+    opened = await world.use_cases.scans.open(TENANT, STREAMED)
+    resumed = history.invoke("scanner", Kind.RESUME, "stream")
+    history.settle(resumed, Outcome.OK, opened.committed_seq)
+    operation = history.invoke("scanner", Kind.PUT, f"scan/{seq}", content(seq))
+    await world.use_cases.scans.append(TENANT, scan(seq, METRES_BETWEEN_SCANS * seq, STREAMED))
+    history.settle(operation, Outcome.OK)
+
+
+async def _delete(world: World, history: History) -> None:
+    operation = history.invoke("operator", Kind.DELETE, f"submap/{DELETED}")
+    try:
+        await world.use_cases.submaps.delete(TENANT, SubmapKey(POSTED.map_id, POSTED.session_id, DELETED))
+    except NotFound:
+        history.settle(operation, Outcome.FAIL)
+    else:
+        history.settle(operation, Outcome.OK)
+
+
+if __name__ == "__main__":
+    undisturbed(Path(sys.argv[1]), Path(sys.argv[2]))
