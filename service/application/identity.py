@@ -18,6 +18,8 @@ RESERVED_SUBMAP_PREFIX = "scans-"
 """Submaps cut from a stream of scans are named `scans-FIRST-LAST`; clients may not choose such ids."""
 
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}", re.ASCII)
+# What Windows cannot have as the name of a file: downloads and exports are named after their resources.
+_NO_FILE_NAME = re.compile(r"(?:con|prn|aux|nul|com[0-9]|lpt[0-9])(?:\..*)?|.*\.", re.ASCII | re.IGNORECASE)
 
 
 @dataclass(frozen=True, order=True)
@@ -55,10 +57,12 @@ class SubmapKey:
 def validated_id(value: str, field: str) -> str:
     """`value` if it can name a resource: 1 to 64 of A-Z a-z 0-9 . _ -, beginning with a letter or digit.
 
-    Raises BadField naming `field`.
+    It does not end in a dot and is no device of Windows (`con`, `nul.txt`). Raises BadField naming `field`.
     """
     if not _ID.fullmatch(value):
         raise BadField(f"{field} must match [A-Za-z0-9][A-Za-z0-9._-]{{0,63}}", field=field)
+    if _NO_FILE_NAME.fullmatch(value):
+        raise BadField(f"{field} may neither end in a dot nor be a device of Windows", field=field)
     return value
 
 

@@ -115,7 +115,8 @@ class BodyLimit:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        refusal = self._refusal(Headers(scope=scope).get("content-length", "0"))
+        headers = Headers(scope=scope)
+        refusal = _two_lengths(headers) or self._refusal(headers.get("content-length", "0"))
         if refusal is not None:
             await problem(refusal, scope["state"]["request_id"])(scope, receive, send)
             return
@@ -199,6 +200,13 @@ class RequestTimer:
             # The route's pattern, never the path that a client chose: the number of series stays bounded.
             call = f"{scope['method']} {scope['route'].path}" if "route" in scope else "unmatched"
             self._requests.observe("http", call, str(status), time.perf_counter() - began_s)
+
+
+def _two_lengths(headers: Headers) -> RevisitError | None:
+    """Where a proxy believes one length and we the other, a second request could hide in the first (RFC 9112 6.1)."""
+    if "transfer-encoding" in headers and "content-length" in headers:
+        return MalformedBody("a body has either a Content-Length or a Transfer-Encoding")
+    return None
 
 
 def _too_large(limits: HttpLimits) -> TooLarge:
