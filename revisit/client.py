@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, Self
 
 from core.errors import RevisitError
@@ -25,6 +26,8 @@ from revisit.resources import (
     pose_json,
 )
 from revisit.retry import RetryPolicy
+from revisit.spool import DEFAULT_MAX_BYTES, Spool
+from revisit.spooled_stream import RECONNECT, SpooledStream
 from revisit.transport import ScanSink, Transport
 
 DEFAULT_HTTP = "http://127.0.0.1:8080"
@@ -145,8 +148,32 @@ class Client:
         return self._transport.download(_name(submap), file_format)
 
     @contextmanager
+    def spooled_stream(
+        self,
+        session: str | Session,
+        spool: Path | str,
+        *,
+        max_bytes: int = DEFAULT_MAX_BYTES,
+        full_wait_s: float = 0.0,
+    ) -> Iterator[SpooledStream]:
+        """A stream by way of the file `spool` on this machine's disk; needs no connection to be opened.
+
+        `send` returns once the scan is on that disk; a full spool refuses it after `full_wait_s` with
+        `revisit.spool.SpoolFull`. On leaving, what was not acknowledged stays in the file, for the next stream on it.
+        """
+        name = _name(session)
+        stream = SpooledStream(self._transport, name, Spool(Path(spool), name, max_bytes), full_wait_s, RECONNECT)
+        try:
+            yield stream
+        finally:
+            stream.close()
+
+    @contextmanager
     def stream(self, session: str | Session) -> Iterator[ScanStream]:
-        """A stream of scans; on leaving, every scan was answered. Resumes by itself after a disconnect."""
+        """A stream of scans; on leaving, every scan was answered. Resumes by itself after a disconnect.
+
+        It keeps what is not acknowledged in memory; `spooled_stream` keeps it on disk.
+        """
         stream = ScanStream(self._transport.open_stream(_name(session)))
         try:
             yield stream

@@ -90,3 +90,8 @@ def error_of(details: ErrorDetails) -> ApiError:
 def unreachable(address: str, cause: object) -> Unavailable:
     """The service did not answer at all."""
     return Unavailable(ErrorDetails("UNAVAILABLE", "UNREACHABLE", f"no answer from {address}: {cause}", True))
+
+
+def closed() -> FailedPrecondition:
+    """The stream was closed while somebody waited for it."""
+    return FailedPrecondition(ErrorDetails("FAILED_PRECONDITION", "CLOSED", "the stream was closed"))

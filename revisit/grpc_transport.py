@@ -14,6 +14,7 @@ from revisit.errors import ApiError, ErrorDetails, error_of, unreachable
 from revisit.resources import Json
 from revisit.retry import RetryPolicy
 from revisit.scan_stream import GrpcScanSink
+from revisit.transport import Forgetful, StreamJournal
 from revisit.v1 import (
     cloud_pb2,
     ingest_pb2_grpc,
@@ -145,10 +146,10 @@ class GrpcTransport:
         """See Transport."""
         return self._answer(system_pb2_grpc.SystemServiceStub, "GetStatus", system_pb2.GetStatusRequest())
 
-    def open_stream(self, session: str) -> GrpcScanSink:
+    def open_stream(self, session: str, journal: StreamJournal = Forgetful()) -> GrpcScanSink:
         """See Transport."""
         call = self._method(ingest_pb2_grpc.IngestServiceStub, "StreamScans")
-        return GrpcScanSink(call, session, self._retry, lambda error: _api_error(error, self._address))
+        return GrpcScanSink(call, session, self._retry, lambda error: _api_error(error, self._address), journal)
 
     def close(self) -> None:
         """See Transport."""

@@ -77,7 +77,7 @@ class Robot:
 
 @dataclass(frozen=True)
 class Session:
-    """A session; `committed_seq` is the last scan that is stored durably, 0 for none."""
+    """A session; `committed_seq` is the last scan that is stored durably, 0 for none, taken at `committed_stamp_ns`."""
 
     name: str
     robot: str | None
@@ -87,6 +87,7 @@ class Session:
     submap_count: int
     created_at_ns: int
     finished_at_ns: int | None
+    committed_stamp_ns: int | None
 
     @classmethod
     def parse(cls, value: Json) -> Self:
@@ -100,6 +101,7 @@ class Session:
             submap_count=int(value["submap_count"]),
             created_at_ns=int(value["created_at_ns"]),
             finished_at_ns=_int_or_none(value.get("finished_at_ns")),
+            committed_stamp_ns=_int_or_none(value.get("committed_stamp_ns")),
         )
 
 

@@ -8,9 +8,10 @@ from typing import Any
 import httpx
 
 from revisit.clouds import Cloud
-from revisit.errors import ErrorDetails, error_of, unreachable
+from revisit.errors import ApiError, ErrorDetails, error_of, unreachable
 from revisit.resources import Json
 from revisit.retry import RetryPolicy
+from revisit.transport import Forgetful, StreamJournal
 
 CONNECT_TIMEOUT_S = 5.0
 ANSWER_TIMEOUT_S = 90.0
@@ -98,9 +99,9 @@ class RestTransport:
         """See Transport."""
         return self._json("GET", "/v1/status")
 
-    def open_stream(self, session: str) -> RestScanSink:
+    def open_stream(self, session: str, journal: StreamJournal = Forgetful()) -> RestScanSink:
         """See Transport."""
-        return RestScanSink(self, session)
+        return RestScanSink(self, session, journal)
 
     def close(self) -> None:
         """See Transport."""
@@ -130,10 +131,12 @@ class RestTransport:
 class RestScanSink:
     """Scans one request each, for networks that only let HTTP through."""
 
-    def __init__(self, transport: RestTransport, session: str) -> None:
+    def __init__(self, transport: RestTransport, session: str, journal: StreamJournal) -> None:
         self._transport = transport
         self._session = session
+        self._journal = journal
         self._committed_seq = int(transport.get(session)["committed_seq"])
+        journal.opened(self._committed_seq, "")
         self.submaps: list[str] = []
         self.rejected: list[tuple[int, str]] = []
 
@@ -144,10 +147,22 @@ class RestScanSink:
 
     def send(self, cloud: Cloud, pose: Json, stamp_ns: int) -> None:
         """See ScanSink."""
-        ack = self._transport.append_scan(self._session, self._committed_seq + 1, pose, stamp_ns, cloud)
+        seq = self._committed_seq + 1
+        try:
+            ack = self._transport.append_scan(self._session, seq, pose, stamp_ns, cloud)
+        except ApiError as error:
+            if error.code != "INVALID_ARGUMENT" and error.reason != "TOO_LARGE":
+                raise
+            self._journal.refused(seq, error.reason, error.message)
+            self.rejected.append((seq, error.reason))
+            return
         self._committed_seq = int(ack["committed_seq"])
+        self._journal.committed(self._committed_seq)
         if ack["submap"]:
             self.submaps.append(ack["submap"]["submap"]["name"])
+
+    def check(self) -> None:
+        """See ScanSink: there is no connection that could end."""
 
     def flush(self) -> None:
         """See ScanSink: every `send` waited for its answer."""

@@ -2,7 +2,8 @@
 
 The window holds every scan that is not acknowledged. After a disconnect the stream opens again, learns the last
 durable scan and sends the rest of the window; a scan that the service refuses for good is dropped and its successors
-are renumbered; a busy service is waited for. Never more scans are unanswered than the service gave credits.
+are renumbered; a busy service is waited for. Never more scans are unanswered than the service gave credits, nor more
+bytes than its window has.
 """
 
 from __future__ import annotations
@@ -18,14 +19,17 @@ from typing import Any
 import grpc
 from google.protobuf.json_format import ParseDict
 
+from core.errors import RevisitError
 from revisit.clouds import Cloud
-from revisit.errors import ApiError
+from revisit.errors import ApiError, closed
 from revisit.resources import Json
 from revisit.retry import RetryPolicy
+from revisit.transport import Forgetful, StreamJournal
 from revisit.v1 import cloud_pb2, ingest_pb2
 
 GIVE_UP_AFTER_S = 120.0
 DEFAULT_CREDITS = 32
+DEFAULT_WINDOW_BYTES = 8 * 2**20
 
 
 @dataclass(frozen=True)
@@ -53,7 +57,10 @@ class GrpcScanSink:
         session: str,
         retry: RetryPolicy,
         api_error: Callable[[Any], ApiError],
+        journal: StreamJournal = Forgetful(),
     ) -> None:
+        """Opens the stream and waits for it; the `journal` hears of each answer before the stream goes on."""
+        self._journal = journal
         self._call = call
         self._session = session
         self._retry = retry
@@ -63,12 +70,14 @@ class GrpcScanSink:
         self._sent = 0
         self._unanswered = 0
         self._credits = DEFAULT_CREDITS
+        self._window_bytes = DEFAULT_WINDOW_BYTES
+        self._held_bytes = 0
         self._committed_seq = 0
         self._resend_at: float | None = None
         self._open = False
         self._met = False
         self._closing = False
-        self._error: ApiError | None = None
+        self._error: RevisitError | ApiError | None = None
         self._requests: queue.SimpleQueue[ingest_pb2.StreamScansRequest | None] = queue.SimpleQueue()
         self._running_call: Any = None
         self.submaps: list[str] = []
@@ -87,9 +96,15 @@ class GrpcScanSink:
     def send(self, cloud: Cloud, pose: Json, stamp_ns: int) -> None:
         """Take the next scan; waits while the window is full. Raises ApiError."""
         with self._changed:
-            self._wait_until(lambda: len(self._window) < self._credits)
+            self._wait_until(lambda: self._has_room(len(cloud.data)))
             self._window.append(_Pending(cloud, pose, stamp_ns))
+            self._held_bytes += len(cloud.data)
             self._transmit()
+
+    def check(self) -> None:
+        """See ScanSink."""
+        if self._error is not None:
+            raise self._error
 
     def flush(self) -> None:
         """Wait until every scan was answered. Raises ApiError."""
@@ -101,14 +116,22 @@ class GrpcScanSink:
         with self._changed:
             self._closing = True
             self._requests.put(None)
+            self._changed.notify_all()
         self._thread.join(timeout=5.0)
         if self._running_call is not None:
             self._running_call.cancel()
+
+    def _has_room(self, cloud_bytes: int) -> bool:
+        """Whether one more scan fits; one alone always does."""
+        within = self._held_bytes + cloud_bytes <= self._window_bytes or not self._window
+        return within and len(self._window) < self._credits
 
     def _wait_until(self, condition: Callable[[], bool]) -> None:
         while not condition():
             if self._error is not None:
                 raise self._error
+            if self._closing:
+                raise closed()
             self._changed.wait(timeout=0.05)
             self._transmit()
 
@@ -131,6 +154,9 @@ class GrpcScanSink:
             try:
                 if self._stream_once():
                     failures, last_good = 0, time.monotonic()
+            except RevisitError as failure:
+                self._fail(failure)
+                return
             except grpc.RpcError as rpc_error:
                 error = self._api_error(rpc_error)
                 if self._was_open():
@@ -148,7 +174,8 @@ class GrpcScanSink:
         """One connection, from Open to its end; whether the service accepted it."""
         with self._changed:
             self._requests = queue.SimpleQueue()
-        opening = ingest_pb2.Open(session=self._session)
+        token, acknowledged_seq = self._journal.resume_point()
+        opening = ingest_pb2.Open(session=self._session, resume_token=token, acknowledged_seq=acknowledged_seq)
         self._requests.put(ingest_pb2.StreamScansRequest(open=opening))
         if self._closing:
             self._requests.put(None)
@@ -167,12 +194,15 @@ class GrpcScanSink:
         """Take an answer in; whether the service asked to leave. With the lock held."""
         match response.WhichOneof("response"):
             case "opened":
-                self._commit(response.opened.committed_seq, first=self._committed_seq == 0 and not self._window)
+                self._journal.opened(response.opened.committed_seq, response.opened.resume_token)
+                self._commit(response.opened.committed_seq)
                 self._credits = max(1, response.opened.credits)
+                self._window_bytes = response.opened.window_bytes or DEFAULT_WINDOW_BYTES
                 self._open = self._met = True
                 self._sent, self._unanswered, self._resend_at = 0, 0, None
             case "ack":
                 self._unanswered -= response.ack.credits
+                self._journal.committed(response.ack.committed_seq)
                 self._commit(response.ack.committed_seq)
             case "nack":
                 self._unanswered -= response.nack.credits
@@ -187,20 +217,22 @@ class GrpcScanSink:
                 return True
         return False
 
-    def _commit(self, committed_seq: int, first: bool = False) -> None:
-        newly = committed_seq - self._committed_seq
-        self._committed_seq = max(self._committed_seq, committed_seq)
-        if first or newly <= 0:
-            return
+    def _commit(self, committed_seq: int) -> None:
+        newly = max(0, committed_seq - self._committed_seq)
+        self._committed_seq += newly
         for _ in range(min(newly, len(self._window))):
-            self._window.popleft()
+            self._drop_first()
         self._sent = max(0, self._sent - newly)
+
+    def _drop_first(self) -> None:
+        self._held_bytes -= len(self._window.popleft().cloud.data)
 
     def _refused(self, nack: ingest_pb2.Nack) -> None:
         if nack.seq != nack.expected_seq or not self._window:
             return
         if not nack.retryable:
-            self._window.popleft()
+            self._journal.refused(nack.seq, nack.reason, nack.message)
+            self._drop_first()
             self.rejected.append((nack.seq, nack.reason))
         # What was sent behind the refused scan is refused for the gap; it is sent again once that is answered.
         self._resend_at = max(self._resend_at or 0.0, time.monotonic())
@@ -213,7 +245,7 @@ class GrpcScanSink:
             self._open = False
             self._requests.put(None)
 
-    def _fail(self, error: ApiError) -> None:
+    def _fail(self, error: RevisitError | ApiError) -> None:
         with self._changed:
             self._error = error
             self._changed.notify_all()

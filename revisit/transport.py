@@ -24,6 +24,10 @@ class ScanSink(Protocol):
         """Take the next scan; may wait for the service. Raises ApiError."""
         ...
 
+    def check(self) -> None:
+        """Raises ApiError where the stream has ended."""
+        ...
+
     def flush(self) -> None:
         """Wait until every scan was answered. Raises ApiError."""
         ...
@@ -31,6 +35,43 @@ class ScanSink(Protocol):
     def close(self) -> None:
         """Let go of the connection."""
         ...
+
+
+class StreamJournal(Protocol):
+    """What a stream must not forget: told of every answer before the stream goes on. Calls come from one thread."""
+
+    def resume_point(self) -> tuple[str, int]:
+        """The token of the session as it was met, empty before, and the last scan known to be stored."""
+        ...
+
+    def opened(self, committed_seq: int, resume_token: str) -> None:
+        """The service has every scan up to `committed_seq`."""
+        ...
+
+    def committed(self, committed_seq: int) -> None:
+        """The service has every scan up to `committed_seq` by now."""
+        ...
+
+    def refused(self, seq: int, reason: str, message: str) -> None:
+        """The first scan that is not committed will never be taken; the next one gets its number."""
+        ...
+
+
+class Forgetful:
+    """`StreamJournal` of a stream whose scans live in memory alone."""
+
+    def resume_point(self) -> tuple[str, int]:
+        """See StreamJournal."""
+        return "", 0
+
+    def opened(self, committed_seq: int, resume_token: str) -> None:
+        """See StreamJournal."""
+
+    def committed(self, committed_seq: int) -> None:
+        """See StreamJournal."""
+
+    def refused(self, seq: int, reason: str, message: str) -> None:
+        """See StreamJournal."""
 
 
 class Transport(Protocol):
@@ -80,7 +121,7 @@ class Transport(Protocol):
         """What the service is doing."""
         ...
 
-    def open_stream(self, session: str) -> ScanSink:
+    def open_stream(self, session: str, journal: StreamJournal = Forgetful()) -> ScanSink:
         """Open a session's stream of scans."""
         ...
 

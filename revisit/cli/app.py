@@ -85,6 +85,9 @@ def ingest(
     ] = None,
     grpc: Grpc = GRPC,
     limit: Annotated[int | None, typer.Option(min=1, help="Send at most so many scans.")] = None,
+    spool: Annotated[
+        Path | None, typer.Option(help="File that keeps scans on this machine until they are stored.")
+    ] = None,
     wait: Annotated[bool, typer.Option(help="Wait until every submap is described.")] = True,
     finish: Annotated[bool, typer.Option(help="Finish the session after the last scan.")] = True,
     json: Json = False,
@@ -95,11 +98,25 @@ def ingest(
 
     recording = open_recording(folder, file_format)
     target = ingesting.Target(grpc, map_id, session_id or recording.name, scene_scale)
+    extent = ingesting.Extent(limit, spool, finish, wait)
     try:
-        ingesting.ingest(recording, target, limit, wait, finish, json)
+        ingesting.ingest(recording, target, extent, json)
     except KeyboardInterrupt as error:
         typer.echo("revisit: interrupted; the same command goes on where this one ended", err=True)
         raise typer.Exit(130) from error
+
+
+@app.command()
+def spool(
+    file: Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="The spool.")],
+    send: Annotated[bool, typer.Option(help="Send what it holds first.")] = False,
+    grpc: Grpc = GRPC,
+    json: Json = False,
+) -> None:
+    """Show what a robot's spool holds and which scans the service refused; --send empties it first."""
+    from revisit.cli import spooling
+
+    spooling.show(file, grpc if send else None, json)
 
 
 @app.command()

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import time
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
+from pathlib import Path
 
 from core.errors import RevisitError
 from evaluation.datasets import Recording
 from revisit.cli.output import emit_json, emit_table, progress_bar, refuse
-from revisit.client import Client
+from revisit.client import Client, ScanStream
 from revisit.errors import NotFound
 from revisit.resources import Session, Submap
+from revisit.spool import SpoolFull
+from revisit.spooled_stream import SpooledStream
 
 POLL_S = 1.0
 
@@ -40,24 +44,50 @@ class Ingested:
     seconds: float
 
 
-def ingest(recording: Recording, target: Target, limit: int | None, wait: bool, finish: bool, as_json: bool) -> None:
+@dataclass(frozen=True)
+class Sent:
+    """How many scans this run was about, and how many of them were refused or could not be read."""
+
+    scans: int
+    refused: int
+
+
+@dataclass(frozen=True)
+class Extent:
+    """How much to do: at most `limit` scans, by way of the file `spool`; then finish, then wait for the submaps."""
+
+    limit: int | None = None
+    spool: Path | None = None
+    finish: bool = True
+    wait: bool = True
+
+
+def ingest(recording: Recording, target: Target, extent: Extent, as_json: bool) -> None:
     """Send the scans that the service does not have, finish the session, wait for its submaps, report."""
-    count = min(len(recording), limit or len(recording))
+    count = min(len(recording), extent.limit or len(recording))
     started = time.monotonic()
     with Client.grpc(target.grpc) as client:
         session = open_session(client, target)
         if session.state == "ACTIVE":
-            sent, refused = _send(client, session, recording, count, as_json)
-            session = client.finish_session(session) if finish else client.get_session(session.name)
+            sent = _send(client, session, recording, count, extent.spool, as_json)
+            session = client.finish_session(session) if extent.finish else client.get_session(session.name)
         else:
-            sent, refused = 0, 0
-        submaps = _described(client, session, as_json) if wait else client.list_submaps(session)
+            sent = Sent(0, 0)
+        submaps = _described(client, session, as_json) if extent.wait else client.list_submaps(session)
         found = client.loop_closures(f"maps/{target.map_id}", state="ACCEPTED", session=session)
     seconds = time.monotonic() - started
     states = [submap.state for submap in submaps]
     described, failed = states.count("DESCRIBED"), states.count("FAILED")
     done = Ingested(
-        session.name, sent, session.committed_seq, refused, len(states), described, failed, len(found), seconds
+        session.name,
+        sent.scans,
+        session.committed_seq,
+        sent.refused,
+        len(states),
+        described,
+        failed,
+        len(found),
+        seconds,
     )
     if as_json:
         emit_json(asdict(done))
@@ -83,22 +113,45 @@ def open_session(client: Client, target: Target) -> Session:
         return client.create_session(map_name, target.session_id)
 
 
-def _send(client: Client, session: Session, recording: Recording, count: int, quiet: bool) -> tuple[int, int]:
-    """Stream the scans behind the last stored one; how many were sent and how many of them refused."""
-    unusable = 0
-    with progress_bar(quiet) as bar, client.stream(session) as stream:
-        first = stream.committed_seq
-        task = bar.add_task(f"{recording.name}: scans", total=count, completed=min(first, count))
+def _send(client: Client, session: Session, recording: Recording, count: int, spool: Path | None, quiet: bool) -> Sent:
+    """Stream the scans behind the last one that the service, or the spool, has."""
+    sent, unusable = 0, 0
+    with progress_bar(quiet) as bar, _opened(client, session, spool) as stream:
+        refused_before, behind_ns = len(stream.rejected), _last_stamp_ns(client, session, stream)
+        # Damaged and refused scans have no number in the session: an index is at least the number, its time tells.
+        first = min(session.committed_seq, count)
+        task = bar.add_task(f"{recording.name}: scans", total=count, completed=first)
         for index in range(first, count):
+            bar.advance(task)
             try:
                 scan = recording.scan(index)
+                if scan.stamp_ns <= behind_ns:
+                    unusable = 0  # what came before was told by an earlier run
+                    continue
                 stream.send(scan.points, scan.T_odom_sensor, scan.stamp_ns)
+                sent += 1
+            except SpoolFull:
+                raise
             except RevisitError:
                 # A damaged or empty file of the recording costs that scan, not the drive.
                 unusable += 1
-            bar.advance(task)
         stream.flush()
-        return max(0, count - first), len(stream.rejected) + unusable
+        return Sent(sent, len(stream.rejected) - refused_before + unusable)
+
+
+def _opened(
+    client: Client, session: Session, spool: Path | None
+) -> AbstractContextManager[ScanStream] | AbstractContextManager[SpooledStream]:
+    if spool is None:
+        return client.stream(session)
+    return client.spooled_stream(session, spool, full_wait_s=float("inf"))
+
+
+def _last_stamp_ns(client: Client, session: Session, stream: ScanStream | SpooledStream) -> int:
+    """When the last scan was taken that needs no sending, -1 where there is none."""
+    spooled_ns = stream.state.last_stamp_ns if isinstance(stream, SpooledStream) else None
+    stamp_ns = client.get_session(session.name).committed_stamp_ns if spooled_ns is None else spooled_ns
+    return -1 if stamp_ns is None else stamp_ns
 
 
 def _described(client: Client, session: Session, quiet: bool) -> list[Submap]:

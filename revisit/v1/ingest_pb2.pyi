@@ -17,14 +17,18 @@ class StreamScansRequest(_message.Message):
     def __init__(self, open: _Optional[_Union[Open, _Mapping]] = ..., scan: _Optional[_Union[Scan, _Mapping]] = ...) -> None: ...
 
 class Open(_message.Message):
-    __slots__ = ("session", "watch_loop_closures", "loop_closures_after")
+    __slots__ = ("session", "watch_loop_closures", "loop_closures_after", "resume_token", "acknowledged_seq")
     SESSION_FIELD_NUMBER: _ClassVar[int]
     WATCH_LOOP_CLOSURES_FIELD_NUMBER: _ClassVar[int]
     LOOP_CLOSURES_AFTER_FIELD_NUMBER: _ClassVar[int]
+    RESUME_TOKEN_FIELD_NUMBER: _ClassVar[int]
+    ACKNOWLEDGED_SEQ_FIELD_NUMBER: _ClassVar[int]
     session: str
     watch_loop_closures: bool
     loop_closures_after: int
-    def __init__(self, session: _Optional[str] = ..., watch_loop_closures: _Optional[bool] = ..., loop_closures_after: _Optional[int] = ...) -> None: ...
+    resume_token: str
+    acknowledged_seq: int
+    def __init__(self, session: _Optional[str] = ..., watch_loop_closures: _Optional[bool] = ..., loop_closures_after: _Optional[int] = ..., resume_token: _Optional[str] = ..., acknowledged_seq: _Optional[int] = ...) -> None: ...
 
 class Scan(_message.Message):
     __slots__ = ("seq", "stamp_ns", "t_odom_sensor", "cloud")
@@ -57,12 +61,16 @@ class StreamScansResponse(_message.Message):
     def __init__(self, opened: _Optional[_Union[Opened, _Mapping]] = ..., ack: _Optional[_Union[Ack, _Mapping]] = ..., nack: _Optional[_Union[Nack, _Mapping]] = ..., submap_finished: _Optional[_Union[SubmapFinished, _Mapping]] = ..., loop_closed: _Optional[_Union[LoopClosed, _Mapping]] = ..., throttle: _Optional[_Union[Throttle, _Mapping]] = ..., drain: _Optional[_Union[Drain, _Mapping]] = ...) -> None: ...
 
 class Opened(_message.Message):
-    __slots__ = ("committed_seq", "credits")
+    __slots__ = ("committed_seq", "credits", "window_bytes", "resume_token")
     COMMITTED_SEQ_FIELD_NUMBER: _ClassVar[int]
     CREDITS_FIELD_NUMBER: _ClassVar[int]
+    WINDOW_BYTES_FIELD_NUMBER: _ClassVar[int]
+    RESUME_TOKEN_FIELD_NUMBER: _ClassVar[int]
     committed_seq: int
     credits: int
-    def __init__(self, committed_seq: _Optional[int] = ..., credits: _Optional[int] = ...) -> None: ...
+    window_bytes: int
+    resume_token: str
+    def __init__(self, committed_seq: _Optional[int] = ..., credits: _Optional[int] = ..., window_bytes: _Optional[int] = ..., resume_token: _Optional[str] = ...) -> None: ...
 
 class Ack(_message.Message):
     __slots__ = ("committed_seq", "credits")

@@ -17,7 +17,7 @@ SESSION_STATE_ACTIVE: SessionState
 SESSION_STATE_FINISHED: SessionState
 
 class Session(_message.Message):
-    __slots__ = ("name", "robot", "state", "committed_seq", "travelled_m", "submap_count", "created_at_ns", "finished_at_ns")
+    __slots__ = ("name", "robot", "state", "committed_seq", "travelled_m", "submap_count", "created_at_ns", "finished_at_ns", "committed_stamp_ns")
     NAME_FIELD_NUMBER: _ClassVar[int]
     ROBOT_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
@@ -26,6 +26,7 @@ class Session(_message.Message):
     SUBMAP_COUNT_FIELD_NUMBER: _ClassVar[int]
     CREATED_AT_NS_FIELD_NUMBER: _ClassVar[int]
     FINISHED_AT_NS_FIELD_NUMBER: _ClassVar[int]
+    COMMITTED_STAMP_NS_FIELD_NUMBER: _ClassVar[int]
     name: str
     robot: str
     state: SessionState
@@ -34,7 +35,8 @@ class Session(_message.Message):
     submap_count: int
     created_at_ns: int
     finished_at_ns: int
-    def __init__(self, name: _Optional[str] = ..., robot: _Optional[str] = ..., state: _Optional[_Union[SessionState, str]] = ..., committed_seq: _Optional[int] = ..., travelled_m: _Optional[float] = ..., submap_count: _Optional[int] = ..., created_at_ns: _Optional[int] = ..., finished_at_ns: _Optional[int] = ...) -> None: ...
+    committed_stamp_ns: int
+    def __init__(self, name: _Optional[str] = ..., robot: _Optional[str] = ..., state: _Optional[_Union[SessionState, str]] = ..., committed_seq: _Optional[int] = ..., travelled_m: _Optional[float] = ..., submap_count: _Optional[int] = ..., created_at_ns: _Optional[int] = ..., finished_at_ns: _Optional[int] = ..., committed_stamp_ns: _Optional[int] = ...) -> None: ...
 
 class CreateSessionRequest(_message.Message):
     __slots__ = ("parent", "session_id", "robot")

@@ -12,7 +12,7 @@ from core.scan import CloudReport, Scan
 from core.se3 import Matrix4
 from service.application.clouds import CLOUD_BLOB, MAX_SCAN_POINTS, CloudInput, accept_cloud, pack_cloud
 from service.application.context import Context
-from service.application.errors import SequenceGap
+from service.application.errors import NotFound, SequenceGap
 from service.application.identity import SessionKey, TenantId
 from service.application.maps import require_map
 from service.application.ports import UnitOfWork
@@ -50,11 +50,23 @@ class ScanAck:
 
 
 @dataclass(frozen=True)
+class ResumePoint:
+    """What a client remembers of a session: the token of an earlier stream, if any, and what was acknowledged."""
+
+    token: str = ""
+    acknowledged_seq: int = 0
+
+
+@dataclass(frozen=True)
 class OpenedStream:
-    """Where a client resumes: the next scan to send is `committed_seq + 1`."""
+    """Where a client resumes: the next scan to send is `committed_seq + 1`.
+
+    `resume_token` names this session and no other that may get its name later.
+    """
 
     session: SessionKey
     committed_seq: int
+    resume_token: str
 
 
 @dataclass(frozen=True)
@@ -74,12 +86,21 @@ class Scans:
         """All calls use `context`."""
         self._context = context
 
-    async def open(self, tenant: TenantId, session: SessionKey) -> OpenedStream:
-        """Raises NotFound, SessionFinished, Draining."""
+    async def open(self, tenant: TenantId, session: SessionKey, resume: ResumePoint = ResumePoint()) -> OpenedStream:
+        """Where the session stands.
+
+        Raises NotFound, also where the token is another session's; SequenceGap where fewer scans are stored than were
+        acknowledged (an older backup was restored); SessionFinished, Draining.
+        """
         self._context.admit()
         record = await self._context.read(lambda uow: require_session(uow, tenant, session))
+        token = f"{record.number:x}-{record.created_at_ns:x}"
+        if resume.token not in ("", token):
+            raise NotFound("the resume token is of another session")
+        if resume.acknowledged_seq > record.committed_seq:
+            raise SequenceGap(record.committed_seq + 1, resume.acknowledged_seq + 1)
         require_active(record)
-        return OpenedStream(session, record.committed_seq)
+        return OpenedStream(session, record.committed_seq, token)
 
     async def append(self, tenant: TenantId, command: AppendScan) -> ScanAck:
         """Store one scan durably; returns after the commit.

@@ -29,7 +29,10 @@ class CreateSession:
 
 @dataclass(frozen=True)
 class SessionView:
-    """A session as clients see it. `committed_seq` is the last scan stored durably, 0 for none."""
+    """A session as clients see it.
+
+    `committed_seq` is the last scan stored durably, 0 for none; `committed_stamp_ns` is when that one was taken.
+    """
 
     key: SessionKey
     robot_id: str | None
@@ -39,6 +42,7 @@ class SessionView:
     submap_count: int
     created_at_ns: int
     finished_at_ns: int | None
+    committed_stamp_ns: int | None
 
 
 @dataclass(frozen=True)
@@ -131,6 +135,7 @@ class Sessions:
 
 
 def _view(uow: UnitOfWork, record: SessionRecord) -> SessionView:
+    last = uow.scans.get(record.tenant, record.map_id, record.session_id, record.committed_seq)
     return SessionView(
         key=SessionKey(record.map_id, record.session_id),
         robot_id=record.robot_id,
@@ -140,6 +145,7 @@ def _view(uow: UnitOfWork, record: SessionRecord) -> SessionView:
         submap_count=uow.submaps.count(record.tenant, map_id=record.map_id, session_id=record.session_id),
         created_at_ns=record.created_at_ns,
         finished_at_ns=record.finished_at_ns,
+        committed_stamp_ns=None if last is None else last.stamp_ns,
     )
 
 

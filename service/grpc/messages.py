@@ -154,6 +154,7 @@ def session_message(view: SessionView) -> session_pb2.Session:
         submap_count=view.submap_count,
         created_at_ns=view.created_at_ns,
         finished_at_ns=view.finished_at_ns,
+        committed_stamp_ns=view.committed_stamp_ns,
     )
 
 

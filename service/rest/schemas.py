@@ -173,7 +173,7 @@ class Robot(Answer):
 
 
 class Session(Answer):
-    """A session; `committed_seq` is the last scan stored durably, 0 for none."""
+    """A session; `committed_seq` is the last scan stored durably, 0 for none, taken at `committed_stamp_ns`."""
 
     name: str
     robot: str | None
@@ -183,6 +183,7 @@ class Session(Answer):
     submap_count: int
     created_at_ns: int
     finished_at_ns: int | None
+    committed_stamp_ns: int | None
 
     @classmethod
     def of(cls, view: SessionView) -> Self:
@@ -196,6 +197,7 @@ class Session(Answer):
             submap_count=view.submap_count,
             created_at_ns=view.created_at_ns,
             finished_at_ns=view.finished_at_ns,
+            committed_stamp_ns=view.committed_stamp_ns,
         )
 
 

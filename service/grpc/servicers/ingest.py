@@ -12,13 +12,16 @@ from revisit.v1 import ingest_pb2 as pb
 from revisit.v1 import ingest_pb2_grpc
 from service.application import SessionKey, TenantId, UseCases
 from service.application.errors import Draining
-from service.application.scans import AppendScan, ScanAck
+from service.application.scans import AppendScan, ResumePoint, ScanAck
 from service.grpc import messages, names
 from service.grpc.tenancy import tenant_of
 from service.status import STATUS, retry_after_s
 
 CREDITS = 32
-"""Scans a client may have unanswered."""
+"""Scans a client may have unanswered. What it sends beyond them waits in its own socket: one scan is read at a time."""
+
+WINDOW_BYTES = 8 * 2**20
+"""Bytes of clouds that a client may have unanswered."""
 
 UNREAD_LIMIT_S = 60.0
 """A client that reads no answers for so long loses its stream."""
@@ -58,13 +61,16 @@ class IngestServicer(ingest_pb2_grpc.IngestServiceServicer):
         """See the proto file for the rules."""
         opening = await _open_of(requests)
         stream = _ScanStream(self._use_cases, tenant_of(context), names.session_key(opening.session, "session"))
-        opened = await self._use_cases.scans.open(stream.tenant, stream.session)
+        resume = ResumePoint(opening.resume_token, opening.acknowledged_seq)
+        opened = await self._use_cases.scans.open(stream.tenant, stream.session, resume)
         older = self._streams.get(stream.key)
         self._streams[stream.key] = stream
         if older is not None:
             older.fence()
         try:
-            yield pb.StreamScansResponse(opened=pb.Opened(committed_seq=opened.committed_seq, credits=CREDITS))
+            where = pb.Opened(committed_seq=opened.committed_seq, resume_token=opened.resume_token)
+            where.credits, where.window_bytes = CREDITS, WINDOW_BYTES
+            yield pb.StreamScansResponse(opened=where)
             async for response in stream.run(requests, opening):
                 yield response
         finally:

@@ -8,11 +8,13 @@ import sys
 import time
 from pathlib import Path
 
+import httpx
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from evaluation.datasets import write_kitti
+from revisit import Client
 from revisit.cli.app import app
 from tests.support.service_world import cloud_points, pose
 
@@ -70,6 +72,51 @@ def test_a_recording_is_ingested_in_two_goes_and_not_a_third_time(recording, ser
     assert second["described"] == second["submaps"] >= 4
     third = json.loads(invoke("ingest", recording, *where))
     assert (third["scans_sent"], third["submaps"]) == (0, second["submaps"])
+
+
+@pytest.fixture(scope="module")
+def damaged_recording(tmp_path_factory):
+    """20 scans 1 m apart, of which 3, 8 and 12 cannot be read: they are left out and get no number in the session."""
+    folder = tmp_path_factory.mktemp("recordings") / "damaged"
+    write_kitti(folder, ((cloud_points(number, 500), pose(float(number)), number * 10**8) for number in range(20)))
+    files = sorted((folder / "velodyne").iterdir())
+    for number in (3, 8, 12):
+        files[number].write_bytes(b"torn")
+    return folder
+
+
+@pytest.mark.parametrize("by_spool", [False, True], ids=["stream", "spool"])
+def test_scans_that_were_left_out_do_not_make_a_second_run_send_others_twice(
+    damaged_recording, service, tmp_path, by_spool
+):
+    map_id = f"damaged-{by_spool}"
+    where = ("--map", map_id, "--grpc", service.grpc, "--json", "--no-finish", "--no-wait")
+    where += ("--spool", tmp_path / "robot.spool") if by_spool else ()
+    first = json.loads(invoke("ingest", damaged_recording, *where, "--limit", 10))
+    assert (first["scans_sent"], first["scans_stored"], first["scans_refused"]) == (8, 8, 2)
+    second = json.loads(invoke("ingest", damaged_recording, *where))
+    assert (second["scans_sent"], second["scans_stored"], second["scans_refused"]) == (9, 17, 1)
+    third = json.loads(invoke("ingest", damaged_recording, *where))
+    assert (third["scans_sent"], third["scans_stored"]) == (0, 17)
+    with httpx.Client(base_url=service.http, trust_env=False) as client:
+        stored = client.get(f"/v1/maps/{map_id}/sessions/damaged").json()
+    # From scan 0 at 0 m to scan 19 at 19 m, never back.
+    assert (stored["travelled_m"], stored["committed_stamp_ns"]) == (pytest.approx(19.0), 19 * 10**8)
+
+
+def test_a_spool_is_shown_and_sent_from_the_command_line(service, tmp_path):
+    with Client.grpc(service.grpc) as client:
+        session = client.create_session(client.create_map("from-spool"), "monday")
+    spool = tmp_path / "robot.spool"
+    with Client.grpc("127.0.0.1:1") as offline, offline.spooled_stream(session, spool) as stream:
+        for number in range(3):
+            stream.send(np.zeros((300, 3)) if number == 1 else cloud_points(number), pose(float(number)), number)
+    before = json.loads(invoke("spool", spool, "--json"))
+    assert (before["session"], before["pending"], before["committed_seq"]) == (session.name, 3, None)
+    after = json.loads(invoke("spool", spool, "--send", "--grpc", service.grpc, "--json"))
+    assert (after["pending"], after["committed_seq"]) == (0, 2)
+    assert [(dead["seq"], dead["reason"]) for dead in after["dead_letters"]] == [(2, "DEGENERATE_CLOUD")]
+    assert "DEGENERATE_CLOUD" in invoke("spool", spool)
 
 
 def test_loops_query_and_export_answer_for_an_ingested_recording(recording, service, tmp_path):

@@ -197,6 +197,27 @@ def test_a_newer_stream_of_the_session_fences_the_older(raw, session):
     assert newer.say(scan=scan_message(1)).hear().ack.committed_seq == 1
 
 
+def test_a_stream_names_its_session_and_refuses_to_resume_in_another(raw, client, session, town):
+    first = Conversation(raw).say(open=ingest_pb2.Open(session=session.name)).hear().opened
+    assert (first.committed_seq, first.credits, first.window_bytes) == (0, 32, 8 * 2**20)
+    again = ingest_pb2.Open(session=session.name, resume_token=first.resume_token)
+    assert Conversation(raw).say(open=again).hear().opened.resume_token == first.resume_token
+    other = client.create_session(town, "tuesday")
+    for name, token in ((other.name, first.resume_token), (session.name, "forged")):
+        talk = Conversation(raw).say(open=ingest_pb2.Open(session=name, resume_token=token))
+        assert code_of(talk.hear) is grpc.StatusCode.NOT_FOUND
+
+
+def test_a_client_that_knows_of_more_scans_than_are_stored_is_told_so(raw, session):
+    assert opened(raw, session).say(scan=scan_message(1)).hear().ack.committed_seq == 1
+    for acknowledged_seq, code in ((1, None), (2, grpc.StatusCode.FAILED_PRECONDITION)):
+        talk = Conversation(raw).say(open=ingest_pb2.Open(session=session.name, acknowledged_seq=acknowledged_seq))
+        if code is None:
+            assert talk.hear().opened.committed_seq == 1
+        else:
+            assert code_of(talk.hear) is code
+
+
 def test_every_scan_is_answered_after_the_client_closes_its_side(raw, session):
     talk = opened(raw, session)
     for seq in range(1, 21):

@@ -1,0 +1,178 @@
+"""A robot's spool against the real service: links that are cut, a service that is killed, a robot that is killed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from core.formats import NPY, encode_npy
+from revisit import ApiError, Client, Cloud
+from revisit.retry import RetryPolicy
+from revisit.spool import Spool, SpoolDisagrees
+from tests.support.live_service import live_service
+from tests.support.processes import ServiceProcess
+from tests.support.service_world import cloud_points, pose
+
+ROOT = Path(__file__).resolve().parents[2]
+BAD_CLOUD = Cloud(encode_npy(np.full((300, 3), np.nan, np.float32)), NPY)
+QUICK = RetryPolicy(attempts=2, base_s=0.01, cap_s=0.05)
+STEP_M = 0.5
+
+
+@pytest.fixture(scope="module")
+def service():
+    with live_service() as running:
+        yield running
+
+
+@pytest.fixture(params=["rest", "grpc"])
+def client(request, service):
+    with (
+        Client(service.http, retry=QUICK) if request.param == "rest" else Client.grpc(service.grpc, retry=QUICK) as made
+    ):
+        yield made
+
+
+@pytest.fixture
+def session(client, request):
+    return client.create_session(client.create_map(f"m{abs(hash(request.node.name))}"), "monday")
+
+
+@pytest.fixture(autouse=True)
+def impatient(monkeypatch):
+    """Reconnect at once: these tests wait for it."""
+    monkeypatch.setattr("revisit.client.RECONNECT", RetryPolicy(attempts=1, base_s=0.01, cap_s=0.1))
+
+
+def drive(stream, first, last):
+    for seq in range(first, last + 1):
+        stream.send(cloud_points(seq), pose(STEP_M * seq), seq)
+
+
+def check_stored(client, session, scans):
+    stored = client.get_session(session.name)
+    # Every scan is half a metre behind the last one: one lost, repeated or misplaced changes count or distance.
+    assert (stored.committed_seq, stored.travelled_m) == (scans, pytest.approx(STEP_M * (scans - 1)))
+
+
+def test_what_is_sent_through_a_spool_arrives_once_in_order(client, session, tmp_path):
+    with client.spooled_stream(session, tmp_path / "spool") as stream:
+        drive(stream, 1, 25)
+        stream.flush(timeout_s=30)
+        assert (stream.state.pending, stream.state.committed_seq, stream.state.last_stamp_ns) == (0, 25, 25)
+        assert len(stream.submaps) == 1
+    check_stored(client, session, 25)
+
+
+def test_refused_scans_become_dead_letters_and_the_others_arrive(client, session, tmp_path):
+    with client.spooled_stream(session, tmp_path / "spool") as stream:
+        drive(stream, 1, 3)
+        stream.send(BAD_CLOUD, pose(1.75), 3)
+        drive(stream, 4, 6)
+        stream.flush(timeout_s=30)
+        (dead,) = stream.dead_letters
+        assert (dead.seq, dead.reason, dead.stamp_ns) == (4, "NON_FINITE_POINTS", 3)
+    check_stored(client, session, 6)
+
+
+def test_a_robot_may_start_without_a_link_and_send_when_there_is_one(client, session, tmp_path):
+    for offline in (Client.grpc("127.0.0.1:1", retry=QUICK), Client("http://127.0.0.1:1", retry=QUICK)):
+        with offline, offline.spooled_stream(session, tmp_path / "spool") as stream:
+            first = (stream.state.last_stamp_ns or 0) + 1
+            drive(stream, first, first + 4)
+            with pytest.raises(TimeoutError, match="scans are not sent"):
+                stream.flush(timeout_s=0.3)
+            assert stream.error is None
+    with client.spooled_stream(session, tmp_path / "spool") as stream:
+        assert (stream.state.pending, stream.state.committed_seq) == (10, None)
+        stream.flush(timeout_s=30)
+    check_stored(client, session, 10)
+
+
+def test_scans_that_were_stored_but_not_acknowledged_are_not_sent_twice(client, session, tmp_path):
+    spool = Spool(tmp_path / "spool", session.name)
+    spool.opened(0, "")
+    spool.close()
+    # The service got two scans of this spool, whose robot died before it heard so.
+    with client.stream(session) as lost:
+        drive(lost, 1, 2)
+    with client.spooled_stream(session, tmp_path / "spool") as stream:
+        drive(stream, 1, 5)
+        stream.flush(timeout_s=30)
+    check_stored(client, session, 5)
+
+
+def test_a_session_that_ends_the_sending_is_told_and_the_scans_are_kept(client, session, tmp_path):
+    client.finish_session(session)
+    with client.spooled_stream(session, tmp_path / "spool") as stream:
+        drive(stream, 1, 3)
+        with pytest.raises(ApiError, match="SESSION_FINISHED"):
+            stream.flush(timeout_s=30)
+        assert stream.error is not None
+        drive(stream, 4, 4)
+        assert stream.state.pending == 4
+
+
+def test_a_service_that_lost_acknowledged_scans_is_noticed(client, session, tmp_path):
+    spool = Spool(tmp_path / "spool", session.name)
+    spool.opened(7, "")
+    spool.close()
+    with client.spooled_stream(session, tmp_path / "spool") as stream:
+        drive(stream, 1, 1)
+        with pytest.raises((SpoolDisagrees, ApiError), match=r"acknowledged 7|SEQ_GAP"):
+            stream.flush(timeout_s=30)
+        assert stream.state.pending == 1
+
+
+@pytest.fixture
+def real_service(tmp_path):
+    running = ServiceProcess(tmp_path / "home")
+    running._environment["REVISIT_GRPC_PORT"] = running.grpc_target.rpartition(":")[2]
+    yield running
+    running.close()
+
+
+ROBOT = """
+import sys
+from revisit import Client
+from revisit.retry import RetryPolicy
+from tests.support.service_world import cloud_points, pose
+target, session, spool = sys.argv[1:]
+with Client.grpc(target, retry=RetryPolicy(base_s=0.05)) as client, client.spooled_stream(session, spool) as stream:
+    for seq in range((stream.state.last_stamp_ns or 0) + 1, 81):
+        stream.send(cloud_points(seq), pose(0.5 * seq), seq)
+        print(seq, flush=True)
+    stream.flush()
+"""
+
+
+def start_robot(service, session, spool):
+    command = [sys.executable, "-c", ROBOT, service.grpc_target, session.name, str(spool)]
+    return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+
+
+def test_killing_robot_and_service_in_turn_loses_and_repeats_nothing(real_service, tmp_path):
+    with Client.grpc(real_service.grpc_target) as client:
+        session = client.create_session(client.create_map("town"), "monday")
+        robot = start_robot(real_service, session, tmp_path / "spool")
+        for scan in (15, 40):
+            while int(robot.stdout.readline()) < scan:
+                pass
+            if scan == 40:
+                real_service.kill()
+            os.kill(robot.pid, signal.SIGKILL)
+            robot.wait()
+            robot = start_robot(real_service, session, tmp_path / "spool")
+            if scan == 40:
+                real_service.start()
+        assert (robot.communicate(timeout=60), robot.returncode)[1] == 0
+        check_stored(client, session, 80)
+    spool = Spool(tmp_path / "spool")
+    assert (spool.state.pending, spool.state.committed_seq, spool.state.dead_letters) == (0, 80, 0)
+    spool.close()
