@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import hashlib
-import sqlite3
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
+
+from sqlalchemy import Connection, Engine
 
 from core.errors import DataLoss
 from service.adapters.blobs import FileBlobStore
-from service.adapters.sql.unit_of_work import SqlTransactions
+from service.adapters.sql.unit_of_work import SqlUnitOfWork, writer_engine
 from service.application.blob_references import blobs_of_submap
 from service.application.clouds import CLOUD_BLOB, unpack_cloud
 from service.application.identity import TenantId
 from service.application.ports import BlobStore, UnitOfWork
-from service.application.records import MapRecord, ScanRecord, SessionRecord, SubmapRecord
+from service.application.records import JobRecord, MapRecord, ScanRecord, SessionRecord, SubmapRecord
 from tests.faults.history import History, Stored, sequence_violations, violations
 from tests.support.records import TENANT
 
@@ -36,33 +38,40 @@ class Survey:
 
 
 def survey(home: Path, tenant: TenantId = TENANT) -> Survey:
-    """Open the store with the product's own adapters and look at everything in it."""
-    store = SqlTransactions(home / "revisit.db", checkpoints=True)
+    """Open the store with the product's own adapters, as the one writer would, and look at everything in it."""
+    engine = _engine(home / "revisit.db")
     blobs = FileBlobStore(home / "blobs")
     try:
-        found = store.read(lambda uow: _survey(uow, blobs, tenant)).result()
+        with engine.begin() as connection:
+            found = _survey(SqlUnitOfWork(connection, lease_ms=10_000), blobs, tenant)
+            found.problems.extend(_file_problems(connection))
     finally:
-        store.close()
-    found.problems.extend(_file_problems(home / "revisit.db"))
+        engine.dispose()
     return found
+
+
+@lru_cache(maxsize=1)
+def _engine(database: Path) -> Engine:
+    """Engines compile their statements, which takes longer than running them: keep the last, without connections."""
+    return writer_engine(database, checkpoints=True)
 
 
 def _survey(uow: UnitOfWork, blobs: BlobStore, tenant: TenantId) -> Survey:
     found = Survey()
-    for record in uow.submaps.find(tenant):
+    submaps, scans = uow.submaps.find(tenant), uow.scans.find(tenant)
+    for record in submaps:
         found.states[record.state] += 1
         found.problems.extend(_missing_blobs(record, blobs))
         if record.cloud_sha256 is not None:
             found.rows.extend(_stored(f"submap/{record.submap_id}", record.cloud_sha256, blobs, tenant, found.problems))
-    scans = uow.scans.find(tenant)
     for scan in scans:
         found.rows.extend(_stored(f"scan/{scan.seq}", scan.cloud_sha256, blobs, tenant, found.problems))
     for session in uow.sessions.find(tenant):
         found.committed[session.session_id] = session.committed_seq
-        found.problems.extend(_session_problems(uow, session, scans))
+        found.problems.extend(_session_problems(session, submaps, scans))
     for map_record in uow.maps.find(tenant):
-        found.problems.extend(_index_problems(uow, map_record))
-    found.problems.extend(_job_problems(uow, tenant))
+        found.problems.extend(_index_problems(uow, map_record, submaps))
+    found.problems.extend(_job_problems(submaps, uow.jobs.find(tenant)))
     return found
 
 
@@ -83,46 +92,42 @@ def _missing_blobs(record: SubmapRecord, blobs: BlobStore) -> Iterator[str]:
             yield f"submap/{record.submap_id}: {error.message}"
 
 
-def _session_problems(uow: UnitOfWork, session: SessionRecord, scans: list[ScanRecord]) -> list[str]:
+def _session_problems(session: SessionRecord, submaps: list[SubmapRecord], scans: list[ScanRecord]) -> list[str]:
     """The scans are 1, 2, 3, ... up to the committed one; every submap has an ordinal of its own."""
-    numbers = [scan.seq for scan in scans if scan.session_id == session.session_id]
+    key = (session.map_id, session.session_id)
+    numbers = [scan.seq for scan in scans if (scan.map_id, scan.session_id) == key]
     found = sequence_violations(session.session_id, numbers, session.committed_seq)
-    of_session = {"map_id": session.map_id, "session_id": session.session_id}
-    ordinals = [record.ordinal for record in uow.submaps.find(session.tenant, **of_session)]
+    ordinals = [submap.ordinal for submap in submaps if (submap.map_id, submap.session_id) == key]
     if len(set(ordinals)) < len(ordinals) or any(ordinal >= session.next_ordinal for ordinal in ordinals):
         found.append(f"{session.session_id}: ordinals {ordinals}, next {session.next_ordinal}")
     return found
 
 
-def _index_problems(uow: UnitOfWork, record: MapRecord) -> list[str]:
+def _index_problems(uow: UnitOfWork, record: MapRecord, submaps: list[SubmapRecord]) -> list[str]:
     """Replaying the change log gives exactly the described submaps with their descriptors, bit for bit."""
     replayed: dict[int, bytes] = {}
     for change in uow.changes.since(record.tenant, record.number, 0):
         replayed.pop(change.submap_number, None)
         if change.vector is not None:
             replayed[change.submap_number] = change.vector
-    submaps = uow.submaps.find(record.tenant, map_id=record.map_id)
-    described = {submap.number: submap.descriptor for submap in submaps if submap.state == "DESCRIBED"}
+    of_map = {submap.number: submap for submap in submaps if submap.map_id == record.map_id}
+    described = {number: submap.descriptor for number, submap in of_map.items() if submap.state == "DESCRIBED"}
     found = [] if replayed == described else [f"index {sorted(replayed)} != database {sorted(described)}"]
-    numbers = {submap.number for submap in submaps}
     loops = uow.loops.find(record.tenant, map_id=record.map_id)
-    dangling = [loop.loop_id for loop in loops if not {loop.query_number, loop.match_number} <= numbers]
+    dangling = [loop.loop_id for loop in loops if not {loop.query_number, loop.match_number} <= of_map.keys()]
     return found + [f"{loop_id}: an end of it is gone" for loop_id in dangling]
 
 
-def _job_problems(uow: UnitOfWork, tenant: TenantId) -> Iterator[str]:
+def _job_problems(submaps: list[SubmapRecord], jobs: list[JobRecord]) -> Iterator[str]:
     """A submap waits exactly while its job does, and has ended exactly as its job has."""
     allowed = {"QUEUED": {"QUEUED", "RUNNING"}, "DESCRIBED": {"DONE"}, "FAILED": {"FAILED"}}
-    for record in uow.submaps.find(tenant):
-        job = uow.jobs.get(tenant, record.operation_id)
-        if job is None or job.state not in allowed[record.state]:
-            yield f"submap/{record.submap_id} is {record.state}, its job {'gone' if job is None else job.state}"
+    states = {job.operation_id: job.state for job in jobs}
+    for submap in submaps:
+        state = states.get(submap.operation_id, "gone")
+        if state not in allowed[submap.state]:
+            yield f"submap/{submap.submap_id} is {submap.state}, its job {state}"
 
 
-def _file_problems(database: Path) -> list[str]:
-    connection = sqlite3.connect(database)
-    try:
-        found = [row[0] for row in connection.execute("PRAGMA integrity_check") if row[0] != "ok"]
-        return found + [f"dangling reference: {row}" for row in connection.execute("PRAGMA foreign_key_check")]
-    finally:
-        connection.close()
+def _file_problems(connection: Connection) -> list[str]:
+    found = [text for (text,) in connection.exec_driver_sql("PRAGMA integrity_check") if text != "ok"]
+    return found + [f"dangling reference: {row}" for row in connection.exec_driver_sql("PRAGMA foreign_key_check")]
