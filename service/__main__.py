@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 import os
 import sys
 from typing import TYPE_CHECKING
@@ -25,6 +26,8 @@ def main(arguments: list[str] | None = None) -> int:
         os.environ.setdefault(variable, threads)
     # Workers are started afresh (fork and exec at once), so gRPC need not prepare for a forked copy of itself.
     os.environ.setdefault("GRPC_ENABLE_FORK_SUPPORT", "0")
+    # What libraries start beside this process is started afresh too: a copy of a process with threads may hang.
+    multiprocessing.set_start_method("spawn", force=True)
     # Files are for this user only.
     os.umask(0o077)
     options = _parser().parse_args(arguments)
@@ -45,10 +48,14 @@ def main(arguments: list[str] | None = None) -> int:
         return _refuse(f"REVISIT_FAIL: {error}")
     from alembic.util import CommandError
 
+    from service.adapters.filesystem import RemoteFileSystem
+
     try:
         return _run(options, settings)
     except CommandError as error:
         return _refuse(f"the database {settings.database} does not fit this version: {error}")
+    except RemoteFileSystem as error:
+        return _refuse(str(error))
 
 
 def _run(options: argparse.Namespace, settings: Settings) -> int:

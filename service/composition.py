@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import importlib
 import os
 import secrets
 import signal
 import threading
-from collections.abc import Callable
 from typing import TYPE_CHECKING, cast
 
 import structlog
@@ -15,36 +15,62 @@ import structlog
 from service import VERSION
 from service.adapters.blobs import FileBlobStore
 from service.adapters.clock import SystemClock
+from service.adapters.disk import Disk
+from service.adapters.fail_stop import FailStop
+from service.adapters.filesystem import require_local
 from service.adapters.sql.unit_of_work import SqlTransactions
 from service.adapters.vector_index import PlaceVectorIndex
 from service.application import Context, UseCases
 from service.application.ports import PlaceRecogniser
 from service.application.recognition import Recognition
 from service.application.system import WORKER_SEEN_WITHIN_MS
+from service.application.upkeep import Chore
 from service.settings import Settings
 from service.worker.loop import Worker, WorkerIdentity
 
 if TYPE_CHECKING:
     from core.index import PlaceIndex
 
+STORAGE_FAILED = 74
+"""Exit status after an I/O error of the storage (EX_IOERR): what was being committed is unknown until a restart."""
+
+TEND_DISK_EVERY_S = 0.5
+
 STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
 log = structlog.get_logger(__name__)
 
 
-def build_context(settings: Settings, *, gateway: bool, on_uncertain: Callable[[], None] = lambda: None) -> Context:
-    """The ports of a process. The gateway alone checkpoints the database; see `SqlTransactions` for `on_uncertain`."""
-    policy = settings.policy
+def build_context(settings: Settings, *, gateway: bool, fail_stop: FailStop | None = None) -> Context:
+    """The ports of a process. The gateway alone checkpoints the database; `fail_stop` is thrown by a failing disk."""
+    require_local(settings.home)
+    policy, disk, switch = settings.policy, build_disk(settings), fail_stop or FailStop()
     transactions = SqlTransactions(
-        settings.database, checkpoints=gateway, lease_ms=policy.lease_ms, on_uncertain=on_uncertain
+        settings.database, checkpoints=gateway, lease_ms=policy.lease_ms, fail_stop=switch, on_full=disk.release
     )
     return Context(
         transactions=transactions,
-        blobs=FileBlobStore(settings.blobs),
+        blobs=FileBlobStore(settings.blobs, fail_stop=switch, on_full=disk.release),
         index=PlaceVectorIndex(_new_index),
         clock=SystemClock(),
         policy=policy,
+        disk=disk,
     )
+
+
+def build_disk(settings: Settings) -> Disk:
+    """The disk of the data with its reserve."""
+    return Disk(settings.home, settings.reserve_mb * 2**20)
+
+
+def chores(settings: Settings) -> tuple[Chore, ...]:
+    """What the gateway does beside answering."""
+    disk = build_disk(settings)
+
+    async def tend_disk() -> None:
+        await asyncio.to_thread(disk.tend)
+
+    return (Chore("tend_disk", TEND_DISK_EVERY_S, tend_disk),)
 
 
 def build_use_cases(context: Context) -> UseCases:
@@ -62,7 +88,7 @@ def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None
     stopping = threading.Event()
     for number in STOP_SIGNALS:
         signal.signal(number, lambda *_: stopping.set())
-    context = build_context(settings, gateway=False)
+    context = build_context(settings, gateway=False, fail_stop=FailStop(lambda: os._exit(STORAGE_FAILED)))
     identity = WorkerIdentity(worker_id or f"worker-{secrets.token_hex(4)}", recogniser.model_version, parent_pid)
     structlog.contextvars.bind_contextvars(worker=identity.worker_id)
     log.info("worker_ready", model_version=identity.model_version)

@@ -6,6 +6,7 @@ import asyncio
 import os
 import signal
 import socket
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -13,9 +14,11 @@ from typing import TYPE_CHECKING, Any
 import structlog
 import uvicorn
 
+from service.adapters.fail_stop import FailStop
 from service.adapters.sql.migration import migrate
 from service.application import Context, UseCases
-from service.composition import build_context, build_use_cases
+from service.application.upkeep import Upkeep
+from service.composition import STORAGE_FAILED, build_context, build_use_cases, chores
 from service.metrics import MetricsServer, RequestMetrics, StoreMetrics
 from service.settings import Settings
 from service.worker.supervisor import WorkerSupervisor
@@ -26,8 +29,8 @@ if TYPE_CHECKING:
 SERVER_FAILED = 70
 """Exit status where a server ended without being told to (EX_SOFTWARE)."""
 
-STORAGE_FAILED = 74
-"""Exit status after an I/O error of the database (EX_IOERR): what was being committed is unknown until a restart."""
+FAIL_STOP_S = 0.7
+"""Time to the end of the process after the disk has failed."""
 
 log = structlog.get_logger(__name__)
 
@@ -63,9 +66,13 @@ class _Gateway:
 
         def storage_failed() -> None:
             self._status = STORAGE_FAILED
+            # The answer to who asked still goes out, but whatever hangs on the disk does not hold up the end.
+            end = threading.Timer(FAIL_STOP_S, os._exit, (STORAGE_FAILED,))
+            end.daemon = True
+            end.start()
             loop.call_soon_threadsafe(stop.set)
 
-        context = build_context(self._settings, gateway=True, on_uncertain=storage_failed)
+        context = build_context(self._settings, gateway=True, fail_stop=FailStop(storage_failed))
         use_cases = build_use_cases(context)
         supervisor = WorkerSupervisor(context, self._settings.workers)
         http, http_port = self._http_server(use_cases)
@@ -73,6 +80,8 @@ class _Gateway:
         await rpc.start()
         serving = asyncio.create_task(http.serve(), name="http")
         supervisor.start()
+        upkeep = Upkeep(chores(self._settings))
+        upkeep.start()
         metrics = self._metrics_server(context)
         log.info("listening", host=self._settings.host, http_port=http_port, grpc_port=grpc_port, pid=os.getpid())
         stopped = asyncio.create_task(stop.wait(), name="stop")
@@ -81,6 +90,7 @@ class _Gateway:
             log.error("http_server_ended")
             self._status = SERVER_FAILED
         await self._drain(use_cases, http, serving, rpc, supervisor)
+        await upkeep.stop()
         if metrics is not None:
             await asyncio.to_thread(metrics.close)
         await asyncio.to_thread(context.transactions.close)

@@ -43,6 +43,12 @@ class Settings(BaseSettings):
     max_attempts: int = Field(default=3, ge=1, description="runs of a job before it fails")
     max_queued_jobs: int = Field(default=1000, ge=1, description="waiting jobs per tenant before posts are refused")
     jobs_per_worker: int = Field(default=500, ge=1, description="jobs after which a worker is replaced")
+    reserve_mb: int = Field(
+        default=256,
+        ge=0,
+        description="room (MiB) that a file in `home` keeps for when the disk is full; clients' data is refused while "
+        "that room is given up or less than a quarter of it is free beside it; 0 for none",
+    )
     drain_s: float = Field(default=10.0, gt=0, le=15, description="time for requests and jobs to end on SIGTERM")
     log_level: str = Field(default="INFO", description="DEBUG, INFO, WARNING or ERROR")
     fail: str = Field(

@@ -3,51 +3,79 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import hashlib
 import os
 import re
-import secrets
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+import structlog
+
 from core.errors import DataLoss
+from service.adapters.durable_files import (
+    TEMPORARY_PREFIX,
+    durable_write,
+    make_directories,
+    move_durably,
+    sync_directory,
+)
+from service.adapters.fail_stop import FailStop
 from service.application.errors import StorageFull, StorageUncertain
 from service.application.identity import TenantId
+from service.application.ports import StoredBlob
+
+QUARANTINE = ".quarantine"
+"""Damaged blobs are moved here, where nobody serves them and an operator can look at them."""
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}", re.ASCII)
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+log = structlog.get_logger(__name__)
 
 
 class FileBlobStore:
     """`ports.BlobStore` in a directory of this machine."""
 
-    def __init__(self, root: Path) -> None:
-        """Blobs live below `root`, which is made where it is missing."""
+    def __init__(
+        self, root: Path, *, fail_stop: FailStop | None = None, on_full: Callable[[], None] = lambda: None
+    ) -> None:
+        """Blobs live below `root`, which is made where it is missing.
+
+        `fail_stop` is thrown where the disk fails to write; `on_full` is called where it has no room.
+        """
         self._root = root
+        self._fail_stop = fail_stop or FailStop()
+        self._on_full = on_full
         root.mkdir(parents=True, exist_ok=True, mode=0o700)
 
     def put(self, tenant: TenantId, kind: str, data: bytes) -> str:
         """See `ports.BlobStore`."""
         sha256 = hashlib.sha256(data).hexdigest()
         path = self._path(tenant, kind, sha256)
-        try:
+        self._fail_stop.require_sound()
+        with self._translated():
             if path.exists() and path.stat().st_size == len(data):
                 # Another writer may have renamed it a moment ago, its directory not synced yet.
                 sync_directory(path.parent)
                 return sha256
             make_directories(path.parent, self._root)
             durable_write(path, data)
-        except OSError as error:
-            if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-                raise StorageFull from error
-            raise StorageUncertain(f"a blob could not be written: {error.strerror}") from error
         return sha256
 
     def get(self, tenant: TenantId, kind: str, sha256: str) -> bytes:
         """See `ports.BlobStore`."""
+        path = self._path(tenant, kind, sha256)
         try:
-            data = self._path(tenant, kind, sha256).read_bytes()
+            data = path.read_bytes()
         except FileNotFoundError as error:
             raise DataLoss(f"the {kind} {sha256[:12]} is missing") from error
+        except OSError as error:
+            raise DataLoss(f"the {kind} {sha256[:12]} cannot be read: {error.strerror}") from error
         if hashlib.sha256(data).hexdigest() != sha256:
+            self._quarantine(path, tenant, kind)
             raise DataLoss(f"the {kind} {sha256[:12]} is damaged")
         return data
 
@@ -56,48 +84,82 @@ class FileBlobStore:
         return self._path(tenant, kind, sha256).exists()
 
     def delete(self, tenant: TenantId, kind: str, sha256: str) -> None:
-        """See `ports.BlobStore`."""
-        self._path(tenant, kind, sha256).unlink(missing_ok=True)
+        """See `ports.BlobStore`. While a backup runs the file stays, for the next sweep to collect."""
+        with deleting(self._root) as may_delete:
+            if may_delete:
+                self._path(tenant, kind, sha256).unlink(missing_ok=True)
+
+    def stored(self, older_than_s: float) -> Iterator[StoredBlob]:
+        """See `ports.BlobStore`. Files that a crash left half written are removed on the way."""
+        latest = time.time() - older_than_s
+        for path in self._root.glob("*/*/??/*"):
+            try:
+                if path.stat().st_mtime > latest:
+                    continue
+            except FileNotFoundError:
+                continue
+            if path.name.startswith(TEMPORARY_PREFIX):
+                path.unlink(missing_ok=True)
+            else:
+                tenant, kind, _, sha256 = path.relative_to(self._root).parts
+                yield StoredBlob(TenantId(tenant), kind, sha256)
+
+    def quarantined(self) -> int:
+        """How many damaged blobs lie aside."""
+        folder = self._root / QUARANTINE
+        return sum(1 for _ in folder.iterdir()) if folder.is_dir() else 0
 
     def _path(self, tenant: TenantId, kind: str, sha256: str) -> Path:
         if not all(_NAME.fullmatch(part) for part in (tenant, kind, sha256)):
             raise DataLoss("a blob's address is damaged")
         return self._root / tenant / kind / sha256[:2] / sha256
 
+    def _quarantine(self, path: Path, tenant: TenantId, kind: str) -> None:
+        """Move a damaged blob out of the way: the next `put` of its content makes it whole again."""
+        log.error("blob_damaged", tenant=tenant, kind=kind, sha256=path.name)
+        try:
+            make_directories(self._root / QUARANTINE, self._root)
+            move_durably(path, self._root / QUARANTINE / f"{tenant}.{kind}.{path.name}")
+        except OSError as error:
+            log.warning("blob_not_quarantined", sha256=path.name, reason=error.strerror)
 
-def durable_write(path: Path, data: bytes) -> None:
-    """Make `path` hold `data`, all or nothing, surviving a power cut once this returns: the only way files are made.
+    @contextmanager
+    def _translated(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            if error.errno in _NO_ROOM:
+                self._on_full()
+                raise StorageFull from error
+            if error.errno == errno.EIO:
+                self._fail_stop.trip(f"a blob could not be written: {error.strerror}")
+            raise StorageUncertain(f"a blob could not be written: {error.strerror}") from error
 
-    Raises OSError; then the file is as it was before.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.{secrets.token_hex(4)}")
+
+@contextmanager
+def deleting(root: Path) -> Iterator[bool]:
+    """Whether blobs below `root` may be deleted within the block: not while a backup runs."""
+    lock = os.open(root, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
-        descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    except OSError:
-        temporary.unlink(missing_ok=True)
-        raise
-    sync_directory(path.parent)
-
-
-def make_directories(path: Path, root: Path) -> None:
-    """Make `path` and its parents below `root`, durably."""
-    if path.is_dir():
-        return
-    if path != root:
-        make_directories(path.parent, root)
-    path.mkdir(exist_ok=True, mode=0o700)
-    sync_directory(path.parent)
-
-
-def sync_directory(path: Path) -> None:
-    """Make the names in a directory survive a power cut."""
-    descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        os.fsync(descriptor)
+        yield _try_shared(lock)
     finally:
-        os.close(descriptor)
+        os.close(lock)
+
+
+@contextmanager
+def nothing_deleted(root: Path) -> Iterator[None]:
+    """Within the block no blob below `root` is deleted by any process; waits for deletions under way."""
+    lock = os.open(root, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(lock)
+
+
+def _try_shared(lock: int) -> bool:
+    try:
+        fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
@@ -14,7 +14,7 @@ from core.errors import DataLoss
 from service.adapters.leased_jobs import LeasedJobs
 from service.application.errors import AlreadyExists, NotFound
 from service.application.identity import TenantId
-from service.application.ports import IndexChange, Instant, UnitOfWork
+from service.application.ports import IndexChange, Instant, StoredBlob, UnitOfWork
 from service.application.records import (
     JobRecord,
     LoopRecord,
@@ -248,7 +248,7 @@ class MemoryTransactions:
         self._lease_ms = lease_ms
         self._lock = threading.Lock()
 
-    def write(self, work: Callable[[UnitOfWork], T]) -> Future[T]:
+    def write(self, work: Callable[[UnitOfWork], T], *, alone: bool = False) -> Future[T]:
         """See `ports.Transactions`."""
         return _settled(lambda: self._write(work))
 
@@ -277,7 +277,7 @@ class MemoryBlobStore:
 
     def __init__(self) -> None:
         """Begins empty."""
-        self._blobs: dict[tuple[str, str, str], bytes] = {}
+        self._blobs: dict[tuple[TenantId, str, str], bytes] = {}
 
     def put(self, tenant: TenantId, kind: str, data: bytes) -> str:
         """See `ports.BlobStore`."""
@@ -298,6 +298,10 @@ class MemoryBlobStore:
     def delete(self, tenant: TenantId, kind: str, sha256: str) -> None:
         """See `ports.BlobStore`."""
         self._blobs.pop((tenant, kind, sha256), None)
+
+    def stored(self, older_than_s: float) -> Iterator[StoredBlob]:
+        """See `ports.BlobStore`; ages are not kept, so every blob counts as old enough."""
+        return iter([StoredBlob(*address) for address in self._blobs])
 
 
 def _settled(work: Callable[[], T]) -> Future[T]:

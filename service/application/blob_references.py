@@ -11,6 +11,7 @@ from service.application.identity import TenantId
 from service.application.meshes import MESH_BLOB
 from service.application.ports import BlobStore, UnitOfWork
 from service.application.records import SubmapRecord
+from service.failpoints import failpoint
 
 SIGNATURE_BLOB = "signature"
 NEURAL_MAP_BLOB = "neural-map"
@@ -44,18 +45,20 @@ async def collect_blobs_in_turns(context: Context, tenant: TenantId, doomed: Ite
     left = sorted(doomed)
     for start in range(0, len(left), BLOBS_PER_TURN):
         turn = left[start : start + BLOBS_PER_TURN]
-        await context.write(partial(collect_blobs, blobs=context.blobs, tenant=tenant, doomed=turn))
+        await context.write(partial(collect_blobs, blobs=context.blobs, tenant=tenant, doomed=turn), alone=True)
 
 
 def collect_blobs(uow: UnitOfWork, blobs: BlobStore, tenant: TenantId, doomed: Iterable[Blob]) -> None:
     """Delete those of `doomed` that no row refers to.
 
-    Runs inside a write transaction of its own, after the rows are gone for good: whoever is about to refer to such a
-    blob makes sure of it in a write transaction too, so either that sees it missing or this sees the reference.
+    Runs alone in a write transaction, after the rows are gone for good, for a file does not come back with a rollback.
+    Whoever is about to refer to such a blob makes sure of it in a write transaction too, so either that sees it missing
+    or this sees the reference.
     """
     for kind, sha256 in doomed:
         if not _is_referenced(uow, tenant, kind, sha256):
             blobs.delete(tenant, kind, sha256)
+            failpoint("delete.after_blob")
 
 
 def _is_referenced(uow: UnitOfWork, tenant: TenantId, kind: str, sha256: str) -> bool:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 from concurrent.futures import Future
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, field, replace
 from typing import ParamSpec, TypeVar
 
 from core.config import PipelineConfig
-from service.application.errors import Draining, WorkersBusy
+from service.application.errors import Draining, StorageFull, WorkersBusy
 from service.application.identity import TenantId
-from service.application.ports import BlobStore, Clock, Transactions, UnitOfWork, VectorIndex
+from service.application.intake import Intake
+from service.application.ports import BlobStore, Clock, DiskSpace, Transactions, UnitOfWork, VectorIndex
 from service.application.records import MapRecord
 
 P = ParamSpec("P")
@@ -47,6 +49,18 @@ class Policy:
         )
 
 
+class EndlessDisk:
+    """`ports.DiskSpace` where nobody counts."""
+
+    def full(self) -> bool:
+        """See `ports.DiskSpace`."""
+        return False
+
+    def exhausted(self) -> bool:
+        """See `ports.DiskSpace`."""
+        return False
+
+
 @dataclass(frozen=True)
 class Context:
     """Ports and policy, and the ways from the event loop into threads."""
@@ -57,10 +71,12 @@ class Context:
     clock: Clock
     policy: Policy
     stopping: threading.Event = field(default_factory=threading.Event)
+    intake: Intake = field(default_factory=Intake)
+    disk: DiskSpace = field(default_factory=EndlessDisk)
 
-    async def write(self, work: Callable[[UnitOfWork], T]) -> T:
-        """Commit `work`; a caller that is cancelled does not undo it."""
-        return await _outcome(self.transactions.write(work))
+    async def write(self, work: Callable[[UnitOfWork], T], *, alone: bool = False) -> T:
+        """Commit `work` (see `ports.Transactions`); a caller that is cancelled does not undo it."""
+        return await _outcome(self.transactions.write(work, alone=alone))
 
     async def read(self, work: Callable[[UnitOfWork], T]) -> T:
         """Run `work` on a snapshot."""
@@ -74,6 +90,23 @@ class Context:
         """Raises Draining once the service is stopping."""
         if self.stopping.is_set():
             raise Draining
+
+    def admit_data(self) -> None:
+        """As `admit`, for what brings data with it. Raises also StorageFull while the disk is full."""
+        self.admit()
+        if self.disk.full():
+            raise StorageFull
+
+    @asynccontextmanager
+    async def taking_in(self, tenant: TenantId, *, patient: bool = False) -> AsyncIterator[Callable[[int], None]]:
+        """A place for one cloud; call what is given with the number of its points.
+
+        Raises RateLimited; WorkersBusy where there is no place, unless `patient`.
+        """
+        client = ""
+        self.intake.require_points(tenant, client)
+        async with self.intake.cloud(tenant, patient=patient):
+            yield lambda points: self.intake.spend(tenant, client, points)
 
     def require_queue_space(self, uow: UnitOfWork, tenant: TenantId) -> None:
         """Raises WorkersBusy where the tenant has too many jobs waiting."""

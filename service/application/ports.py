@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
@@ -251,10 +251,12 @@ class UnitOfWork(Protocol):
 class Transactions(Protocol):
     """Runs units of work: writes one after another, reads beside them on a consistent snapshot."""
 
-    def write(self, work: Callable[[UnitOfWork], T]) -> Future[T]:
+    def write(self, work: Callable[[UnitOfWork], T], *, alone: bool = False) -> Future[T]:
         """Run `work` and commit durably before the future is done; an exception rolls back and is passed on.
 
-        Raises through the future: StorageFull, StorageUncertain, and what `work` raises.
+        Works that wait share a transaction, and so see each other's changes; `alone`, for one that does what a
+        rollback cannot undo: it sees committed rows only. Raises through the future: StorageFull, StorageUncertain,
+        DataLoss, and what `work` raises.
         """
         ...
 
@@ -265,6 +267,15 @@ class Transactions(Protocol):
     def close(self) -> None:
         """Finish what is queued and release everything."""
         ...
+
+
+@dataclass(frozen=True)
+class StoredBlob:
+    """The address of a blob."""
+
+    tenant: TenantId
+    kind: str
+    sha256: str
 
 
 class BlobStore(Protocol):
@@ -284,6 +295,22 @@ class BlobStore(Protocol):
 
     def delete(self, tenant: TenantId, kind: str, sha256: str) -> None:
         """Forget the blob; no effect where there is none."""
+        ...
+
+    def stored(self, older_than_s: float) -> Iterator[StoredBlob]:
+        """Every blob of every tenant that was stored at least so long ago."""
+        ...
+
+
+class DiskSpace(Protocol):
+    """Whether there is room for what clients send."""
+
+    def full(self) -> bool:
+        """Whether new data must be refused: what room is left is for finishing and for deleting."""
+        ...
+
+    def exhausted(self) -> bool:
+        """Whether not even that is left."""
         ...
 
 

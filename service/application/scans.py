@@ -108,7 +108,7 @@ class Scans:
         Raises what decoding and validation raise, NotFound, SessionFinished, SequenceGap(expected), WorkersBusy,
         Draining, StorageFull, StorageUncertain.
         """
-        self._context.admit()
+        self._context.admit_data()
         if command.seq < 1 or command.seq >= 2**63:
             raise BadField("seq counts from 1", field="seq")
         session = await self._context.read(lambda uow: require_session(uow, tenant, command.session))

@@ -111,11 +111,13 @@ class Searches:
         self, tenant: TenantId, kind: OperationKind, payload: dict[str, Any], cloud: CloudInput, timeout_s: float
     ) -> dict[str, Any]:
         """Queue the cloud for a worker and wait for the answer. Raises what the worker met, DeadlineExceeded."""
-        self._context.admit()
+        self._context.admit_data()
         await self._context.read(lambda uow: require_map(uow, tenant, payload["map_id"]))
-        packed = await self._context.compute(_accept, cloud)
         blobs = self._context.blobs
-        sha256 = await self._context.compute(blobs.put, tenant, QUERY_CLOUD_BLOB, packed)
+        async with self._context.taking_in(tenant) as spend:
+            packed, points = await self._context.compute(_accept, cloud)
+            spend(points)
+            sha256 = await self._context.compute(blobs.put, tenant, QUERY_CLOUD_BLOB, packed)
         subject = f"maps/{payload['map_id']}"
         job = new_job(self._context, tenant, kind, subject, {**payload, "cloud_sha256": sha256})
 
@@ -136,9 +138,13 @@ class Searches:
         return operation.result
 
 
-def _accept(cloud: CloudInput) -> bytes:
-    """The packed cloud behind a nonce: the same cloud asked twice is two blobs, each deleted with its own answer."""
-    return secrets.token_bytes(QUERY_NONCE_BYTES) + pack_cloud(accept_cloud(cloud, MAX_SUBMAP_POINTS)[0])
+def _accept(cloud: CloudInput) -> tuple[bytes, int]:
+    """The packed cloud behind a nonce, and how many points it has.
+
+    With a nonce the same cloud asked twice is two blobs, each deleted with its own answer.
+    """
+    accepted, _ = accept_cloud(cloud, MAX_SUBMAP_POINTS)
+    return secrets.token_bytes(QUERY_NONCE_BYTES) + pack_cloud(accepted), len(accepted.points)
 
 
 __all__ = [

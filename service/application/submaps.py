@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
@@ -121,10 +122,15 @@ class Submaps:
         """Store a submap durably and queue its description; returns after the commit.
 
         Raises what decoding and validation raise, BadField, BadTransform, NotFound for the session, SessionFinished,
-        AlreadyExists for other content under the same id, WorkersBusy, Draining, StorageFull, StorageUncertain.
+        AlreadyExists for other content under the same id, WorkersBusy, RateLimited, Draining, StorageFull, StorageUncertain.
         """
-        self._context.admit()
+        self._context.admit_data()
+        async with self._context.taking_in(tenant) as spend:
+            return await self._store(tenant, command, spend)
+
+    async def _store(self, tenant: TenantId, command: PostSubmap, spend: Callable[[int], None]) -> PostedSubmap:
         accepted = await self._context.compute(self._accept, tenant, command)
+        spend(accepted.row.point_count)
         known = await self._context.read(lambda uow: self._known(uow, accepted.row))
         if known is not None:
             return known

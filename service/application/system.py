@@ -14,10 +14,11 @@ WORKER_SEEN_WITHIN_MS = 15_000
 
 @dataclass(frozen=True)
 class Readiness:
-    """Whether requests can be served; `reasons` says why not."""
+    """Whether requests can be served; `reasons` says why not, `degraded` what is refused although others are served."""
 
     ready: bool
     reasons: tuple[str, ...]
+    degraded: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,8 @@ class System:
             await self._context.read(lambda uow: uow.workers.alive("", 0))
         except RevisitError as error:
             return Readiness(False, (f"database: {error.message}",))
-        return Readiness(True, ())
+        full = ("storage full: no new scans or submaps until there is room",) if self._context.disk.full() else ()
+        return Readiness(True, (), full)
 
     async def status(self, tenant: TenantId) -> ServiceStatus:
         """Queue depth, index size, workers and model version."""
@@ -76,6 +78,11 @@ class System:
             )
 
         return await self._context.read(load)
+
+    def admit_cloud(self, tenant: TenantId) -> None:
+        """What can be said before a cloud is read: Raises Draining, RateLimited."""
+        self._context.admit()
+        self._context.intake.require_points(tenant, "")
 
     def drain(self) -> None:
         """From now on refuse new work with Draining; what is under way ends."""

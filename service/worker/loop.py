@@ -85,7 +85,9 @@ class Worker:
             log.info("job_ended", kind=lease.job.kind, subject=lease.job.subject)
 
     def _claim(self) -> Lease | None:
-        """The next job, if there is one; looks before it locks."""
+        """The next job, if there is one and room for its result; looks before it locks."""
+        if self._context.disk.exhausted():
+            return None
         now = self._context.clock.instant()
 
         def waiting(uow: UnitOfWork) -> bool:

@@ -12,6 +12,7 @@ from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from sqlalchemy.exc import OperationalError
 
+from service.adapters.fail_stop import FailStop
 from service.adapters.sql import tables
 from service.adapters.sql.migration import current_revision, migrate
 from service.adapters.sql.unit_of_work import SqlTransactions, reader_engine, writer_engine
@@ -164,12 +165,17 @@ def test_a_full_database_refuses_and_takes_writes_again_when_there_is_room(datab
 
 def test_an_input_output_error_is_uncertain_and_calls_for_a_restart(database):
     called = []
-    store = SqlTransactions(database, checkpoints=True, on_uncertain=lambda: called.append(True))
+    store = SqlTransactions(database, checkpoints=True, fail_stop=FailStop(lambda: called.append(True)))
 
     def breaks(uow):
-        raise OperationalError("COMMIT", {}, sqlite3.OperationalError("disk I/O error"))
+        error = sqlite3.OperationalError("disk I/O error")
+        error.sqlite_errorname = "SQLITE_IOERR_FSYNC"
+        raise OperationalError("COMMIT", {}, error)
 
     with pytest.raises(StorageUncertain, match="disk I/O error"):
         store.write(breaks).result()
     assert called == [True]
+    with pytest.raises(StorageUncertain, match="restarting"):
+        store.write(lambda uow: uow.maps.add(a_map())).result()
+    assert store.read(lambda uow: uow.maps.count(TENANT)).result() == 0
     store.close()

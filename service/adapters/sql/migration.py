@@ -8,6 +8,7 @@ from pathlib import Path
 from alembic import command
 from alembic.config import Config
 
+from service.adapters.filesystem import require_local
 from service.adapters.sql.unit_of_work import WriterLock
 
 MIGRATIONS = Path(__file__).resolve().parents[3] / "migrations"
@@ -16,8 +17,9 @@ MIGRATIONS = Path(__file__).resolve().parents[3] / "migrations"
 def migrate(database: Path, revision: str = "head") -> None:
     """Upgrade (or, to an older revision, downgrade) the SQLite file, which is made where it is missing.
 
-    Raises StorageUncertain while another process writes.
+    Raises StorageUncertain while another process writes; RemoteFileSystem where the file would not be on this machine.
     """
+    require_local(database.parent)
     database.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
     config = alembic_config(database)
     lock = WriterLock(database)

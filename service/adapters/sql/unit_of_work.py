@@ -13,17 +13,21 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
 from sqlalchemy import Connection, Engine, create_engine, event
-from sqlalchemy.exc import OperationalError
+from sqlalchemy.exc import DatabaseError
 
+from core.errors import DataLoss
+from service.adapters.durable_files import open_lock
+from service.adapters.fail_stop import FailStop
 from service.adapters.leased_jobs import LeasedJobs
 from service.adapters.sql import tables
+from service.adapters.sql.group_commit import GroupCommitter
 from service.adapters.sql.repositories import SqlChangeLog, SqlJobs, SqlRepository, SqlScans, SqlWorkerLog
 from service.application.errors import StorageFull, StorageUncertain
 from service.application.ports import UnitOfWork
@@ -36,11 +40,28 @@ from service.application.records import (
     SessionRecord,
     SubmapRecord,
 )
+from service.failpoints import failpoint
 
 T = TypeVar("T")
 
 LOCK_TIMEOUT_S = 5.0
 READERS = 2
+
+WRITER_PRAGMAS: dict[str, str | int] = {
+    "journal_mode": "wal",
+    "synchronous": 2,  # FULL: a commit returns when it is on the disk
+    "foreign_keys": 1,
+    "busy_timeout": 5000,
+    "journal_size_limit": 64 * 2**20,  # bytes: a WAL that has grown beyond is cut back by the next checkpoint
+    "temp_store": 2,  # MEMORY: a full disk cannot break a rollback
+    "secure_delete": 1,  # deleted rows are overwritten
+}
+READER_PRAGMAS: dict[str, str | int] = {"query_only": 1, "busy_timeout": 5000, "wal_autocheckpoint": 0}
+
+FULL = ("SQLITE_FULL", "SQLITE_IOERR_SHMSIZE")
+"""No room: in a file, or for the index of the WAL."""
+
+DAMAGED = ("SQLITE_CORRUPT", "SQLITE_NOTADB")
 
 
 @dataclass(frozen=True)
@@ -110,23 +131,28 @@ class SqlTransactions:
         *,
         checkpoints: bool,
         lease_ms: int = 10_000,
-        on_uncertain: Callable[[], None] = lambda: None,
+        fail_stop: FailStop | None = None,
+        on_full: Callable[[], None] = lambda: None,
     ) -> None:
         """`checkpoints`: this process folds the WAL back into the database (one process does: the gateway).
 
-        `on_uncertain` is called after an I/O error of the database: the process should stop and recover.
+        `fail_stop` is thrown by the first I/O error of the database, `on_full` called where the disk has no room.
+        Raises RuntimeError where the connections are not as durable, or as harmless, as they must be.
         """
         self._writer = writer_engine(path, checkpoints=checkpoints)
         self._reader = reader_engine(path)
+        require_pragmas(self._writer, WRITER_PRAGMAS | _checkpointing(checkpoints))
+        require_pragmas(self._reader, READER_PRAGMAS)
         self._lock = WriterLock(path)
         self._lease_ms = lease_ms
-        self._on_uncertain = on_uncertain
-        self._writing = ThreadPoolExecutor(1, thread_name_prefix="writer")
+        self._fail_stop = fail_stop or FailStop()
+        self._on_full = on_full
+        self._writing = GroupCommitter(self._transaction)
         self._reading = ThreadPoolExecutor(READERS, thread_name_prefix="reader")
 
-    def write(self, work: Callable[[UnitOfWork], T]) -> Future[T]:
+    def write(self, work: Callable[[UnitOfWork], T], *, alone: bool = False) -> Future[T]:
         """See `ports.Transactions`."""
-        return self._writing.submit(self._write, work)
+        return self._writing.submit(lambda connection: work(SqlUnitOfWork(connection, self._lease_ms)), alone=alone)
 
     def read(self, work: Callable[[UnitOfWork], T]) -> Future[T]:
         """See `ports.Transactions`."""
@@ -134,15 +160,20 @@ class SqlTransactions:
 
     def close(self) -> None:
         """See `ports.Transactions`."""
-        self._writing.shutdown(wait=True)
+        self._writing.close()
         self._reading.shutdown(wait=True)
         self._reader.dispose()
         self._writer.dispose()
         self._lock.close()
 
-    def _write(self, work: Callable[[UnitOfWork], T]) -> T:
-        with self._translated(), self._lock.held(), self._writer.begin() as connection:
-            return work(SqlUnitOfWork(connection, self._lease_ms))
+    @contextmanager
+    def _transaction(self) -> Iterator[Connection]:
+        self._fail_stop.require_sound()
+        with self._translated(), self._lock.held():
+            with self._writer.begin() as connection:
+                yield connection
+                failpoint("commit.before")
+            failpoint("commit.after")
 
     def _read(self, work: Callable[[UnitOfWork], T]) -> T:
         with self._translated(), self._reader.begin() as connection:
@@ -152,75 +183,107 @@ class SqlTransactions:
     def _translated(self) -> Iterator[None]:
         try:
             yield
-        except OperationalError as error:
-            text = str(error.orig)
-            if "full" in text:
-                raise StorageFull from error
-            if "I/O" in text:
-                self._on_uncertain()
-            raise StorageUncertain(f"the database failed: {text}") from error
+        except DatabaseError as error:
+            raise self._refusal(error) from error
+
+    def _refusal(self, error: DatabaseError) -> Exception:
+        """What a failure of SQLite means to those who asked; an I/O error throws the switch."""
+        name = str(getattr(error.orig, "sqlite_errorname", ""))
+        if name in FULL:
+            self._on_full()
+            return StorageFull()
+        if name in DAMAGED:
+            return DataLoss(f"the database is damaged: {error.orig}")
+        if name.startswith("SQLITE_IOERR"):
+            self._fail_stop.trip(f"{name}: {error.orig}")
+        return StorageUncertain(f"the database failed: {error.orig}")
 
 
 class WriterLock:
     """A lock between processes that a writer holds for each transaction, its checkpoint included.
 
     SQLite's own lock admits a writer and a checkpoint at once, which its WAL-reset fault needs; and waiting for it
-    sleeps in growing steps. The kernel frees this lock with its process, however that ends.
+    sleeps in growing steps. The kernel frees this lock with its process, however that ends. Whoever wants it waits in
+    turn: the first in the line holds the turnstile, so a busy process cannot take the lock twice while another waits.
     """
 
     def __init__(self, database: Path) -> None:
-        """The lock file lies beside `database`."""
-        self._descriptor = os.open(f"{database}.writer", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        """The lock files lie beside `database`."""
+        self._writer = open_lock(database.with_name(f"{database.name}.writer"))
+        self._turnstile = open_lock(database.with_name(f"{database.name}.turn"))
 
     @contextmanager
     def held(self) -> Iterator[None]:
         """Hold the lock. Raises StorageUncertain after 5 s, with nothing written."""
         deadline = time.monotonic() + LOCK_TIMEOUT_S
-        while not self._try():
-            if time.monotonic() > deadline:
-                raise StorageUncertain("another process holds the database; nothing was stored")
-            time.sleep(0.001)
-        try:
+        with ExitStack() as holding:
+            with _locked(self._turnstile, deadline):
+                holding.enter_context(_locked(self._writer, deadline))
             yield
-        finally:
-            fcntl.flock(self._descriptor, fcntl.LOCK_UN)
 
     def close(self) -> None:
-        """Give the file back."""
-        os.close(self._descriptor)
+        """Give the files back."""
+        os.close(self._writer)
+        os.close(self._turnstile)
 
-    def _try(self) -> bool:
-        try:
-            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            if error.errno in (errno.EAGAIN, errno.EACCES):
-                return False
-            raise
-        return True
+
+@contextmanager
+def _locked(descriptor: int, deadline: float) -> Iterator[None]:
+    """Hold one `flock`. Raises StorageUncertain at `deadline` of the monotonic clock."""
+    while not _try_lock(descriptor):
+        if time.monotonic() > deadline:
+            raise StorageUncertain("another process holds the database; nothing was stored")
+        time.sleep(0.001)
+    try:
+        yield
+    finally:
+        fcntl.flock(descriptor, fcntl.LOCK_UN)
+
+
+def _try_lock(descriptor: int) -> bool:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno in (errno.EAGAIN, errno.EACCES):
+            return False
+        raise
+    return True
 
 
 def writer_engine(path: Path, *, checkpoints: bool) -> Engine:
     """An engine whose transactions take the write lock at once and are on disk when their commit returns."""
     engine = create_engine(f"sqlite:///{path}", pool_size=1, max_overflow=0)
-    pragmas = ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", "busy_timeout=5000")
-    _prepare(engine, (*pragmas, f"wal_autocheckpoint={1000 if checkpoints else 0}"), "BEGIN IMMEDIATE")
+    _prepare(engine, WRITER_PRAGMAS | _checkpointing(checkpoints), "BEGIN IMMEDIATE")
     return engine
 
 
 def reader_engine(path: Path) -> Engine:
     """An engine whose transactions see one snapshot and can change nothing."""
     engine = create_engine(f"sqlite:///{path}", pool_size=READERS, max_overflow=0)
-    _prepare(engine, ("query_only=ON", "busy_timeout=5000", "wal_autocheckpoint=0"), "BEGIN")
+    _prepare(engine, READER_PRAGMAS, "BEGIN")
     return engine
 
 
-def _prepare(engine: Engine, pragmas: tuple[str, ...], begin: str) -> None:
+def require_pragmas(engine: Engine, pragmas: dict[str, str | int]) -> None:
+    """Raises RuntimeError where a connection is not as `pragmas` demand: SQLite ignores what it cannot grant."""
+    with engine.connect() as connection:
+        granted = {name: connection.exec_driver_sql(f"PRAGMA {name}").scalar() for name in pragmas}
+    wrong = {name: value for name, value in granted.items() if value != pragmas[name]}
+    if wrong:
+        raise RuntimeError(f"the database connection has {wrong}, not { ({name: pragmas[name] for name in wrong}) }")
+
+
+def _checkpointing(checkpoints: bool) -> dict[str, str | int]:
+    return {"wal_autocheckpoint": 1000 if checkpoints else 0}
+
+
+def _prepare(engine: Engine, pragmas: dict[str, str | int], begin: str) -> None:
     @event.listens_for(engine, "connect")
     def set_pragmas(connection: Any, _record: Any) -> None:
         # The driver must not begin transactions by itself: it would do so only before a write.
         connection.isolation_level = None
-        for pragma in pragmas:
-            connection.execute(f"PRAGMA {pragma}")
+        for name, value in pragmas.items():
+            connection.execute(f"PRAGMA {name}={value}")
 
     @event.listens_for(engine, "begin")
     def begin_transaction(connection: Connection) -> None:

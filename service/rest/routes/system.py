@@ -24,9 +24,9 @@ async def livez() -> dict[str, str]:
 
 @router.get("/readyz", responses={503: {"description": "Not ready; `reasons` says why"}})
 async def readyz(cases: Cases) -> Response:
-    """Whether requests can be served."""
+    """Whether requests can be served, and in `degraded`, which of them are refused nevertheless."""
     readiness = await cases.system.readiness()
-    body = {"ready": readiness.ready, "reasons": list(readiness.reasons)}
+    body = {"ready": readiness.ready, "reasons": list(readiness.reasons), "degraded": list(readiness.degraded)}
     return JSONResponse(body, status_code=200 if readiness.ready else 503)
 
 

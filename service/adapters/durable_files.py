@@ -1,0 +1,81 @@
+"""Files that survive a power cut: the only place of the service that makes files (tests/architecture holds it to that).
+
+A file is written beside its place, synced, renamed, and its directory synced, in this order. What `make_room` keeps is
+no data but room: blocks of the disk that are given back when it fills up.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+from pathlib import Path
+
+from service.failpoints import failpoint
+
+TEMPORARY_PREFIX = "."
+"""Of the names of files that are being written; a crash may leave one behind."""
+
+
+def durable_write(path: Path, data: bytes) -> None:
+    """Make `path` hold `data`, all or nothing, surviving a power cut once this returns.
+
+    Raises OSError; then the file is as it was before.
+    """
+    temporary = path.with_name(f"{TEMPORARY_PREFIX}{path.name}.{os.getpid()}.{secrets.token_hex(4)}")
+    try:
+        descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(data)
+            file.flush()
+            failpoint("blob.before_sync")
+            os.fsync(file.fileno())
+        failpoint("blob.before_rename")
+        temporary.replace(path)
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
+    failpoint("blob.before_directory_sync")
+    sync_directory(path.parent)
+
+
+def make_directories(path: Path, root: Path) -> None:
+    """Make `path` and its parents below `root`, durably."""
+    if path.is_dir():
+        return
+    if path != root:
+        make_directories(path.parent, root)
+    path.mkdir(exist_ok=True, mode=0o700)
+    sync_directory(path.parent)
+
+
+def sync_directory(path: Path) -> None:
+    """Make the names in a directory survive a power cut."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def make_room(path: Path, size_bytes: int) -> None:
+    """Take `size_bytes` of the disk for a file that holds nothing. Raises OSError; then there is no such file."""
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    try:
+        os.posix_fallocate(descriptor, 0, size_bytes)
+    except OSError:
+        path.unlink(missing_ok=True)
+        raise
+    finally:
+        os.close(descriptor)
+
+
+def move_durably(path: Path, target: Path) -> None:
+    """Rename, surviving a power cut. Raises OSError."""
+    path.replace(target)
+    sync_directory(target.parent)
+    sync_directory(path.parent)
+
+
+def open_lock(path: Path) -> int:
+    """The descriptor of a file to be locked with `flock`, which is made where it is missing; close it after use."""
+    return os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)

@@ -1,0 +1,69 @@
+"""Files are made by service/adapters/durable_files.py and nowhere else in the service."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+HOME = "service/adapters/durable_files.py"
+MAKERS = {
+    "write_bytes", "write_text", "touch", "mknod", "mkstemp", "NamedTemporaryFile", "TemporaryFile", "copyfile",
+    "copytree", "copy2",
+}  # fmt: skip
+
+
+def makes_files(text: str) -> set[str]:
+    """The calls of a module that can make or overwrite a file."""
+    calls = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Call)]
+    return {ast.unparse(call.func) for call in calls if _makes(ast.unparse(call.func), call)}
+
+
+def _makes(called: str, call: ast.Call) -> bool:
+    name = called.rpartition(".")[2]
+    if name in MAKERS or called in ("os.open", "shutil.copy"):
+        return True
+    return name == "open" and _writes(call.args[1:2] if called == "open" else call.args[:1], call.keywords)
+
+
+def _writes(modes: list[ast.expr], keywords: list[ast.keyword]) -> bool:
+    """Whether a mode of `open` is one that writes."""
+    modes = modes + [keyword.value for keyword in keywords if keyword.arg == "mode"]
+    return any(isinstance(mode, ast.Constant) and set("wax+") & set(str(mode.value)) for mode in modes)
+
+
+ALLOWED = {
+    # Opens directories, to lock them.
+    "service/adapters/blobs.py": {"os.open"},
+}
+
+
+@pytest.mark.parametrize(
+    "path",
+    [path for path in sorted((ROOT / "service").rglob("*.py")) if path.relative_to(ROOT).as_posix() != HOME],
+    ids=lambda path: path.relative_to(ROOT).as_posix(),
+)
+def test_only_durable_files_makes_files(path):
+    assert makes_files(path.read_text()) <= ALLOWED.get(path.relative_to(ROOT).as_posix(), set())
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("Path('x').write_bytes(b'')", True),
+        ("open('x', 'wb')", True),
+        ("path.open('a')", True),
+        ("os.open('x', os.O_CREAT)", True),
+        ("shutil.copyfile(a, b)", True),
+        ("open('x')", False),
+        ("path.open('rb')", False),
+        ("path.open(mode='w')", True),
+        ("table.copy()", False),
+        ("scans.open(tenant, session)", False),
+        ("names.append('x')", False),
+    ],
+)
+def test_the_search_itself_finds_what_it_should(text, found):
+    assert bool(makes_files(text)) == found
