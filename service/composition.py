@@ -21,6 +21,7 @@ from service.adapters.filesystem import require_local
 from service.adapters.sql.unit_of_work import SqlTransactions
 from service.adapters.vector_index import PlaceVectorIndex
 from service.application import Context, UseCases
+from service.application.intake import Intake
 from service.application.ports import PlaceRecogniser
 from service.application.recognition import Recognition
 from service.application.system import WORKER_SEEN_WITHIN_MS
@@ -54,6 +55,7 @@ def build_context(settings: Settings, *, gateway: bool, fail_stop: FailStop | No
         index=PlaceVectorIndex(_new_index),
         clock=SystemClock(),
         policy=policy,
+        intake=Intake(settings.intake),
         disk=disk,
     )
 

@@ -12,6 +12,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from core.config import PipelineConfig
 from service.application.context import Policy
+from service.application.intake import IntakeLimits
 
 
 class Settings(BaseSettings):
@@ -42,7 +43,27 @@ class Settings(BaseSettings):
     lease_s: float = Field(default=10.0, gt=0, description="a job is given to another worker after this silence")
     max_attempts: int = Field(default=3, ge=1, description="runs of a job before it fails")
     max_queued_jobs: int = Field(default=1000, ge=1, description="waiting jobs per tenant before posts are refused")
+    points_per_s: float = Field(
+        default=40e6, gt=0, description="points a second that are taken in altogether, over 10 s on average"
+    )
+    tenant_points_per_s: float = Field(default=20e6, gt=0, description="points a second that one tenant may send")
+    client_points_per_s: float = Field(default=10e6, gt=0, description="points a second that one API key may send")
+    clouds_at_once: int = Field(
+        default=16,
+        ge=1,
+        description="clouds decoded and stored at the same time, a tenant at most three quarters of them; posts beyond "
+        "are refused, streams wait",
+    )
+    max_streams: int = Field(default=256, ge=1, le=256, description="open streams of scans")
+    streams_per_client: int = Field(default=8, ge=1, description="open streams of scans of one API key")
     jobs_per_worker: int = Field(default=500, ge=1, description="jobs after which a worker is replaced")
+    job_timeout_s: float = Field(default=120.0, gt=0, description="a run of a job that takes longer is ended")
+    worker_memory_mb: int = Field(
+        default=4096,
+        ge=256,
+        description="memory (MiB) that a worker may take, its index (4 KiB a submap) included; a job that needs more "
+        "fails, and a worker that keeps three quarters of it between two jobs is replaced",
+    )
     reserve_mb: int = Field(
         default=256,
         ge=0,
@@ -86,6 +107,18 @@ class Settings(BaseSettings):
             max_queued_jobs=self.max_queued_jobs,
             max_attempts=self.max_attempts,
             lease_ms=int(self.lease_s * 1000),
+        )
+
+    @property
+    def intake(self) -> IntakeLimits:
+        """How much is taken in."""
+        return IntakeLimits(
+            points_per_s=self.points_per_s,
+            tenant_points_per_s=self.tenant_points_per_s,
+            client_points_per_s=self.client_points_per_s,
+            clouds=self.clouds_at_once,
+            streams=self.max_streams,
+            client_streams=self.streams_per_client,
         )
 
     @property

@@ -63,6 +63,12 @@ class WorkersBusy(Unavailable):
     code = ErrorCode.WORKERS_BUSY
 
 
+class RateLimited(Unavailable):
+    """More comes from this client, or for its tenant, than its quota: try again later with the same id."""
+
+    code = ErrorCode.RATE
+
+
 class Draining(Unavailable):
     """The service is shutting down: try again with the same id."""
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -102,11 +104,15 @@ class Scans:
         require_active(record)
         return OpenedStream(session, record.committed_seq, token)
 
-    async def append(self, tenant: TenantId, command: AppendScan) -> ScanAck:
-        """Store one scan durably; returns after the commit.
+    def place_for_stream(self, tenant: TenantId, *, replaces: bool) -> AbstractContextManager[None]:
+        """A place for one more stream; one that `replaces` another, which ends, gets that one's. Raises RateLimited."""
+        return self._context.intake.stream(tenant, "", replaces=replaces)
+
+    async def append(self, tenant: TenantId, command: AppendScan, *, patient: bool = False) -> ScanAck:
+        """Store one scan durably; returns after the commit. One that is `patient` waits for its turn.
 
         Raises what decoding and validation raise, NotFound, SessionFinished, SequenceGap(expected), WorkersBusy,
-        Draining, StorageFull, StorageUncertain.
+        RateLimited, Draining, StorageFull, StorageUncertain.
         """
         self._context.admit_data()
         if command.seq < 1 or command.seq >= 2**63:
@@ -114,7 +120,12 @@ class Scans:
         session = await self._context.read(lambda uow: require_session(uow, tenant, command.session))
         if _is_replay(session, command.seq):
             return ScanAck(session.committed_seq, replay=True, report=None, submap=None)
+        async with self._context.taking_in(tenant, patient=patient) as spend:
+            return await self._store(tenant, command, spend)
+
+    async def _store(self, tenant: TenantId, command: AppendScan, spend: Callable[[int], None]) -> ScanAck:
         accepted = await self._context.compute(_accept, command)
+        spend(len(accepted.scan.points))
         await self._context.compute(self._context.blobs.put, tenant, CLOUD_BLOB, accepted.packed)
         failpoint("ingest.after_blob")
         ack = await self._context.write(lambda uow: self._insert(uow, tenant, command.session, accepted))

@@ -122,7 +122,8 @@ class Submaps:
         """Store a submap durably and queue its description; returns after the commit.
 
         Raises what decoding and validation raise, BadField, BadTransform, NotFound for the session, SessionFinished,
-        AlreadyExists for other content under the same id, WorkersBusy, RateLimited, Draining, StorageFull, StorageUncertain.
+        AlreadyExists for other content under the same id, WorkersBusy, RateLimited, Draining, StorageFull,
+        StorageUncertain.
         """
         self._context.admit_data()
         async with self._context.taking_in(tenant) as spend:

@@ -44,6 +44,8 @@ from service.metrics import RequestMetrics
 MAX_MESSAGE_BYTES = 16 * 2**20
 MAX_METADATA_BYTES = 16 * 2**10
 MAX_CONCURRENT_CALLS = 256
+"""Of one connection. All connections together may have twice as many, so that streams, of which there are at most 256,
+leave room for other calls."""
 
 OPTIONS = (
     ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES),
@@ -72,7 +74,7 @@ def create_server(use_cases: UseCases, *, requests: RequestMetrics | None = None
     """A server over `use_cases` without a port: add one, start it on the running loop, stop it with a grace."""
     timers = [] if requests is None else [CallTimer(requests)]
     server = grpc.aio.server(
-        interceptors=[*timers, ErrorInterceptor()], options=OPTIONS, maximum_concurrent_rpcs=MAX_CONCURRENT_CALLS
+        interceptors=[*timers, ErrorInterceptor()], options=OPTIONS, maximum_concurrent_rpcs=2 * MAX_CONCURRENT_CALLS
     )
     names = [health_pb2.DESCRIPTOR.services_by_name["Health"].full_name]
     for module, servicer, register in _SERVICES:

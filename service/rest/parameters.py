@@ -41,7 +41,15 @@ Id: TypeAlias = Annotated[str, Path(max_length=200)]
 Cases: TypeAlias = Annotated[UseCases, Depends(_use_cases)]
 Tenant: TypeAlias = Annotated[TenantId, Depends(_tenant)]
 Paging: TypeAlias = Annotated[PageRequest, Depends(_page)]
-Cloud: TypeAlias = Annotated[EncodedCloud, Depends(cloud_body)]
+
+
+async def _admitted_cloud(request: Request, cases: Cases, tenant: Tenant) -> EncodedCloud:
+    """The body as a cloud; one that will be refused is not even read."""
+    cases.system.admit_cloud(tenant)
+    return await cloud_body(request)
+
+
+Cloud: TypeAlias = Annotated[EncodedCloud, Depends(_admitted_cloud)]
 
 
 def _session_key(map_id: Id, session_id: Id) -> SessionKey:

@@ -12,7 +12,7 @@ from revisit.v1 import ingest_pb2 as pb
 from revisit.v1 import ingest_pb2_grpc
 from service.application import SessionKey, TenantId, UseCases
 from service.application.errors import Draining
-from service.application.scans import AppendScan, ResumePoint, ScanAck
+from service.application.scans import AppendScan, OpenedStream, ResumePoint, ScanAck
 from service.grpc import messages, names
 from service.grpc.tenancy import tenant_of
 from service.status import STATUS, retry_after_s
@@ -64,9 +64,20 @@ class IngestServicer(ingest_pb2_grpc.IngestServiceServicer):
         resume = ResumePoint(opening.resume_token, opening.acknowledged_seq)
         opened = await self._use_cases.scans.open(stream.tenant, stream.session, resume)
         older = self._streams.get(stream.key)
-        self._streams[stream.key] = stream
-        if older is not None:
-            older.fence()
+        with self._use_cases.scans.place_for_stream(stream.tenant, replaces=older is not None):
+            self._streams[stream.key] = stream
+            if older is not None:
+                older.fence()
+            async for response in self._answers(stream, opened, requests, opening):
+                yield response
+
+    async def _answers(
+        self,
+        stream: _ScanStream,
+        opened: OpenedStream,
+        requests: AsyncIterator[pb.StreamScansRequest],
+        opening: pb.Open,
+    ) -> AsyncIterator[pb.StreamScansResponse]:
         try:
             where = pb.Opened(committed_seq=opened.committed_seq, resume_token=opened.resume_token)
             where.credits, where.window_bytes = CREDITS, WINDOW_BYTES
@@ -134,7 +145,7 @@ class _ScanStream:
     async def _append(self, scan: pb.Scan) -> ScanAck:
         pose = messages.matrix(scan.t_odom_sensor, scan.HasField("t_odom_sensor"), "T_odom_sensor")
         command = AppendScan(self.session, messages.seq(scan.seq), scan.stamp_ns, pose, messages.cloud(scan.cloud))
-        return await self._use_cases.scans.append(self.tenant, command)
+        return await self._use_cases.scans.append(self.tenant, command, patient=True)
 
     async def _acknowledge(self, ack: ScanAck) -> None:
         await self._send(ack=pb.Ack(committed_seq=ack.committed_seq, credits=1))

@@ -1,0 +1,180 @@
+"""How much is taken in: points a second per client, tenant and service; clouds at a time; streams at a time.
+
+What is over a bound is refused at once with the time to come back, so that what is taken in stays quick: an overloaded
+service answers, it does not swell. Points are the unit, for their number is what a request costs.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import Counter, deque
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager
+from dataclasses import dataclass, field
+
+from service.application.errors import RateLimited, WorkersBusy
+from service.application.identity import TenantId
+
+CALL_POINTS = 1_000
+"""What a call costs beside the points it brings."""
+
+BUSY_RETRY_S = 1.0
+
+
+@dataclass(frozen=True)
+class IntakeLimits:
+    """Bounds of one installation; rates are points a second, over `burst_s` on average."""
+
+    points_per_s: float = 40e6
+    tenant_points_per_s: float = 20e6
+    client_points_per_s: float = 10e6
+    burst_s: float = 10.0
+    clouds: int = 16
+    """Clouds that are decoded and stored at the same time."""
+    tenant_share: float = 0.75
+    """Of those clouds: what one tenant may have of them, so that another finds a place."""
+    streams: int = 256
+    client_streams: int = 8
+
+
+@dataclass
+class Bucket:
+    """Points that may still come, refilled at `per_s` a second up to `most`.
+
+    A cloud is taken while there is any left and paid for once its points are counted, so the balance may be negative:
+    then nothing is taken until that is made up for.
+    """
+
+    per_s: float
+    most: float
+    balance: float
+    at_s: float
+
+    def wait_s(self, now_s: float) -> float:
+        """How long until there is any left, seconds; 0 where there is."""
+        self.balance = min(self.most, self.balance + (now_s - self.at_s) * self.per_s)
+        self.at_s = now_s
+        return max(0.0, -self.balance / self.per_s)
+
+
+@dataclass(eq=False)
+class _Waiter:
+    tenant: TenantId
+    turn: asyncio.Future[None] = field(default_factory=lambda: asyncio.get_running_loop().create_future())
+
+
+class Intake:
+    """The bounds and what is taken in now. All calls come from the event loop."""
+
+    def __init__(self, limits: IntakeLimits = IntakeLimits(), now_s: Callable[[], float] = time.monotonic) -> None:
+        """`now_s` is a monotonic clock in seconds."""
+        self.limits = limits
+        self._now_s = now_s
+        self._buckets: dict[tuple[str, ...], Bucket] = {}
+        self._clouds: Counter[TenantId] = Counter()
+        self._waiters: deque[_Waiter] = deque()
+        self._streams: Counter[tuple[str, ...]] = Counter()
+
+    @property
+    def clouds(self) -> int:
+        """Clouds that are being taken in."""
+        return self._clouds.total()
+
+    @property
+    def streams(self) -> int:
+        """Streams that are open."""
+        return self._streams.total()
+
+    def require_points(self, tenant: TenantId, client: str) -> None:
+        """Raises RateLimited where the client, its tenant or the service has had its points."""
+        now_s = self._now_s()
+        wait_s = max(bucket.wait_s(now_s) for bucket in self._buckets_of(tenant, client))
+        if wait_s > 0.0:
+            raise RateLimited(retry_after_s=wait_s)
+
+    def spend(self, tenant: TenantId, client: str, points: int) -> None:
+        """Pay for a call that brought so many points."""
+        for bucket in self._buckets_of(tenant, client):
+            bucket.balance -= points + CALL_POINTS
+
+    @asynccontextmanager
+    async def cloud(self, tenant: TenantId, *, patient: bool = False) -> AsyncIterator[None]:
+        """A place for one cloud.
+
+        Raises WorkersBusy where all of them, or the tenant's share of them, are taken. One that is `patient` waits for
+        its turn: a stream, of which there are few, and which holds back its client.
+        """
+        if self._has_place(tenant):
+            self._clouds[tenant] += 1
+        elif patient:
+            await self._turn(tenant)
+        else:
+            message = f"{self.clouds} clouds are being taken in; try again with the same id"
+            raise WorkersBusy(message, retry_after_s=BUSY_RETRY_S)
+        try:
+            yield
+        finally:
+            self._leave(tenant)
+
+    @contextmanager
+    def stream(self, tenant: TenantId, client: str, *, replaces: bool) -> Iterator[None]:
+        """A place for one stream; one that `replaces` another, which ends, gets that one's.
+
+        Raises RateLimited where the client or the service has enough of them.
+        """
+        key, more = (tenant, client), int(replaces)
+        own, overall = self._streams[key], self.streams
+        if own >= self.limits.client_streams + more or overall >= self.limits.streams + more:
+            raise RateLimited(f"{own} streams of this client and {overall} in all are open", retry_after_s=BUSY_RETRY_S)
+        self._streams[key] += 1
+        try:
+            yield
+        finally:
+            self._streams[key] -= 1
+            if not self._streams[key]:
+                del self._streams[key]
+
+    def _has_place(self, tenant: TenantId) -> bool:
+        share = max(1, int(self.limits.clouds * self.limits.tenant_share))
+        return self.clouds < self.limits.clouds and self._clouds[tenant] < share
+
+    async def _turn(self, tenant: TenantId) -> None:
+        """Wait for a place; it is taken when this returns."""
+        waiter = _Waiter(tenant)
+        self._waiters.append(waiter)
+        try:
+            await waiter.turn
+        except asyncio.CancelledError:
+            if waiter in self._waiters:
+                self._waiters.remove(waiter)
+            else:
+                self._leave(tenant)
+            raise
+
+    def _leave(self, tenant: TenantId) -> None:
+        self._clouds[tenant] -= 1
+        if not self._clouds[tenant]:
+            del self._clouds[tenant]
+        for waiter in self._waiters:
+            if self._has_place(waiter.tenant):
+                self._waiters.remove(waiter)
+                self._clouds[waiter.tenant] += 1
+                waiter.turn.set_result(None)
+                return
+
+    def _buckets_of(self, tenant: TenantId, client: str) -> tuple[Bucket, ...]:
+        """Of the service, the tenant and the client. There are as many as credentials, no client can make more."""
+        limits = self.limits
+        rates = {
+            (): limits.points_per_s,
+            (tenant,): limits.tenant_points_per_s,
+            (tenant, client): limits.client_points_per_s,
+        }
+        return tuple(self._bucket(key, per_s) for key, per_s in rates.items())
+
+    def _bucket(self, key: tuple[str, ...], per_s: float) -> Bucket:
+        if key not in self._buckets:
+            most = per_s * self.limits.burst_s
+            self._buckets[key] = Bucket(per_s, most, most, self._now_s())
+        return self._buckets[key]
