@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from core.clusters import Clusters
 from core.config import MicroConfig
+from core.normal_spectrum import normal_spectrum
 from core.saliency import Saliency
 from core.surface import Surface
 
@@ -26,11 +27,12 @@ class ClusterStatistics:
     """The micro features of a submap.
 
     histograms (e, d) float32, Hellinger mapped unit vectors, one for each evaluation; weights (e,) float64, such that
-    the evaluations of cluster m share its alpha_m.
+    the evaluations of cluster m share its alpha_m; spectrum (s,) float32, the normal spectrum of all clusters.
     """
 
     histograms: Array
     weights: NDArray[np.float64]
+    spectrum: Array
 
 
 def histogram_size(config: MicroConfig) -> int:
@@ -46,7 +48,7 @@ def describe_clusters(
     config: MicroConfig,
     rng: np.random.Generator,
 ) -> ClusterStatistics:
-    """psi of every cluster, evaluated as often as its saliency s_m says.
+    """psi of every cluster, evaluated as often as its saliency s_m says, and the normal spectrum of all of them.
 
     `config.evaluation` = "keypoint": one evaluation at each keypoint (n, 2) of the cluster, over the cluster's vertices
     in the column of `radius` around it (Fig. 2b: the keypoints of a cluster govern its number of evaluations); all
@@ -60,7 +62,8 @@ def describe_clusters(
     totals = counts.sum(axis=1)
     kept = totals > 0
     shares = counts[kept] / totals[kept, None]
-    return ClusterStatistics(np.sqrt(shares).astype(np.float32), weights[kept])
+    spectrum = normal_spectrum(surface, clusters, config)
+    return ClusterStatistics(np.sqrt(shares).astype(np.float32), weights[kept], spectrum)
 
 
 def angular_histogram(

@@ -40,6 +40,17 @@ def fuse(
     return PlaceDescriptor(unit(np.concatenate([macro_part, micro_part, layout_part])), model_version)
 
 
+def without_parts(vector: Array, config: FusionConfig, *, bev: bool = False, normals: bool = False) -> Array:
+    """What `fuse` would have given without the BEV and layout parts, or the cluster part, from its `vector` (d,)."""
+    macro_end, micro_end = config.macro_size, config.macro_size + config.micro_size + config.spectrum_size
+    kept = vector.copy()
+    if bev:
+        kept[:macro_end] = kept[micro_end:] = 0.0
+    if normals:
+        kept[macro_end:micro_end] = 0.0
+    return unit(kept)
+
+
 def macro_descriptor(bev: BevFeatures, codebooks: Codebooks) -> Array:
     """F^B (p,): VLAD of the patches, each in both of its directions, so that a turn by 180 degrees changes nothing."""
     vlad = aggregate(with_reversed(project_locally(bev.descriptors, codebooks), codebooks), codebooks.macro_centres)
@@ -47,16 +58,23 @@ def macro_descriptor(bev: BevFeatures, codebooks: Codebooks) -> Array:
 
 
 def micro_descriptor(micro: ClusterStatistics, codebooks: Codebooks, config: FusionConfig) -> Array:
-    """F^G (q,): saliency-weighted VLAD of the cluster histograms (Eq. 13)."""
+    """F^G (q,): saliency-weighted VLAD of the cluster histograms (Eq. 13), and their normal spectrum beside it."""
     vlad = aggregate(micro.histograms, codebooks.micro_centres, micro.weights, config.literal_saliency)
-    return fold(vlad, codebooks.micro_mean, codebooks.micro_folds)
+    histograms = fold(vlad, codebooks.micro_mean, codebooks.micro_folds)
+    faces = discriminated(micro.spectrum, codebooks.spectrum_mean, codebooks.spectrum_basis)
+    return unit(np.concatenate([config.histogram_share * histograms, faces]))
 
 
 def layout_descriptor(bev: BevFeatures, codebooks: Codebooks) -> Array:
     """F^L (r,): the layout spectrum in directions that differ between places and not between visits (decision 0006)."""
-    if not bev.layout.any():
-        return np.zeros(len(codebooks.layout_basis), dtype=np.float32)
-    return unit(codebooks.layout_basis @ (np.sqrt(bev.layout) - codebooks.layout_mean))
+    return discriminated(bev.layout, codebooks.layout_mean, codebooks.layout_basis)
+
+
+def discriminated(spectrum: Array, mean: Array, basis: Array) -> Array:
+    """The square roots of a spectrum (s,) in the directions (r, s) of a basis, as a unit vector; zeros stay zeros."""
+    if not spectrum.any():
+        return np.zeros(len(basis), dtype=np.float32)
+    return unit(basis @ (np.sqrt(spectrum) - mean))
 
 
 def with_reversed(projected: Array, codebooks: Codebooks) -> Array:

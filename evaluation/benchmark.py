@@ -1,5 +1,6 @@
 """`revisit bench`: the declared metrics of one machine against the committed baseline.
 
+Where REVISIT_DATA names the folder of real recordings, surface error and map size are also measured on real scans.
 Quality is compared tightly. Times are divided by the time of a fixed piece of numerical work on the same machine, so
 that a slower computer does not look like a slower program; the seconds are shown beside.
 """
@@ -7,6 +8,10 @@ that a slower computer does not look like a slower program; the seconds are show
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,13 +20,18 @@ from typing import TypeVar
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from core.config import PipelineConfig, SubmapConfig
+from core.implicit_map import NeuralMap
 from core.index import FaissIndex, IndexEntry, SearchFilter
-from core.model_bundle import load_packaged_models
+from core.model_bundle import ModelBundle, load_packaged_models
 from core.pipeline import DescribedPlace, describe, verify
 from core.scan import Scan
 from core.submap import Submap
+from evaluation.cutting import cut, load_submap
+from evaluation.datasets import KittiRecording
+from evaluation.perturbations import Perturbation
 from evaluation.simulator import HDL64, StreetGrid, build_city, drive, grid_drive, simulate
 
 Result = TypeVar("Result")
@@ -30,6 +40,7 @@ BASELINE = Path("docs/reference/benchmark-baseline.json")
 STORED_DESCRIPTORS = 10_000
 QUERIES = 500
 TOWN_SEED = 4_711
+REAL_SUBMAPS = 8
 
 
 @dataclass(frozen=True)
@@ -44,7 +55,7 @@ class Metric:
 
 
 def measure() -> list[Metric]:
-    """All metrics, on simulated 10 m submaps of a 64-beam sensor, one thread."""
+    """All metrics on 10 m submaps of a 64-beam sensor, one thread: simulated ones, and real ones where there are."""
     torch.set_num_threads(1)
     unit_s = _reference_seconds()
     first, second = _two_visits()
@@ -57,6 +68,7 @@ def measure() -> list[Metric]:
     query_p99_s = _query_p99_seconds(len(place.descriptor.vector))
     return [
         *_quality(first, place),
+        *_real_quality(models, config),
         Metric("describe", describe_s, "CPU s", "up", np.inf),
         Metric("describe_ratio", describe_s / unit_s, "reference work", "up", 0.35),
         Metric("verify", verify_s, "CPU s", "up", np.inf),
@@ -83,23 +95,58 @@ def run(baseline: Path = BASELINE, update: bool = False) -> tuple[list[Metric], 
     """Measure, compare with the committed baseline, and with `update` write it anew."""
     metrics = measure()
     if update:
-        baseline.write_text(json.dumps({m.key: round(m.value, 6) for m in metrics}, indent=2) + "\n")
+        known = json.loads(baseline.read_text()) if baseline.exists() else {}
+        baseline.write_text(json.dumps(known | {m.key: round(m.value, 6) for m in metrics}, indent=2) + "\n")
     return metrics, compare(metrics, json.loads(baseline.read_text()))
 
 
 def _quality(submap: Submap, place: DescribedPlace) -> list[Metric]:
-    field = place.neural_map
-    if field is None:
-        raise ValueError("the benchmark describes with the implicit map")
-    sample = submap.levelled().points[:: max(1, len(submap.points) // 40_000)]
-    distance = np.abs(field.sdf(sample)[0])
-    raw_bytes = 12 * len(submap.points)
+    distance = _distances(submap, place)
     return [
         Metric("surface_error_median", float(np.median(distance)), "m", "up", 0.1),
         Metric("surface_error_p90", float(np.percentile(distance, 90)), "m", "up", 0.1),
-        Metric("neural_map_share", len(field.to_blob()) / raw_bytes, "of the raw float32 cloud", "up", 0.1),
+        Metric("neural_map_share", _map_share(submap, place), "of the raw float32 cloud", "up", 0.1),
         Metric("signature", len(place.signature.to_blob()) / 1e3, "kB", "up", 0.1),
     ]
+
+
+def _real_quality(models: ModelBundle, config: PipelineConfig) -> list[Metric]:
+    """Surface error and map size over submaps spread along the real street."""
+    if "REVISIT_DATA" not in os.environ:
+        return []
+    script = Path(os.environ["REVISIT_DATA"]) / "unpack.py"
+    with tempfile.TemporaryDirectory() as folder:
+        street = Path(folder) / "street"
+        subprocess.run([sys.executable, script, "kitti00_head", street], check=True, stdout=subprocess.DEVNULL)
+        recording = KittiRecording(street)
+        windows = cut(recording, config.submap)
+        spread = [windows[round(place)] for place in np.linspace(0, len(windows) - 1, REAL_SUBMAPS)]
+        submaps = [load_submap(recording, window, config.submap, Perturbation())[0] for window in spread]
+    places = [describe(submap, models, config) for submap in submaps]
+    distance = np.concatenate([_distances(*pair) for pair in zip(submaps, places, strict=True)])
+    share = float(np.mean([_map_share(*pair) for pair in zip(submaps, places, strict=True)]))
+    return [
+        Metric("real_surface_error_median", float(np.median(distance)), "m", "up", 0.1),
+        Metric("real_surface_error_p90", float(np.percentile(distance, 90)), "m", "up", 0.1),
+        Metric("real_neural_map_share", share, "of the raw float32 cloud", "up", 0.1),
+    ]
+
+
+def _distances(submap: Submap, place: DescribedPlace) -> NDArray[np.float32]:
+    """Distances (n,) in metres of a sample of the returns to the surface of the neural map."""
+    field = _field(place)
+    sample = submap.levelled().points[:: max(1, len(submap.points) // 40_000)]
+    return np.abs(field.sdf(sample)[0])
+
+
+def _map_share(submap: Submap, place: DescribedPlace) -> float:
+    return len(_field(place).to_blob()) / (12 * len(submap.points))
+
+
+def _field(place: DescribedPlace) -> NeuralMap:
+    if place.neural_map is None:
+        raise ValueError("the benchmark describes with the implicit map")
+    return place.neural_map
 
 
 def _two_visits() -> tuple[Submap, Submap]:
@@ -110,9 +157,7 @@ def _two_visits() -> tuple[Submap, Submap]:
     trajectory = drive(path, world.ground, lane_m=1.8, spacing_m=1.0)
     middle = round(len(trajectory) * 0.25), round(len(trajectory) * 0.75)
     scans = list(simulate(world, trajectory, HDL64, TOWN_SEED))
-    visits = [
-        [Scan.validated(s.points, s.T_world_sensor, s.stamp_ns) for s in scans[m - 5 : m + 6]] for m in middle
-    ]
+    visits = [[Scan.validated(s.points, s.T_world_sensor, s.stamp_ns) for s in scans[m - 5 : m + 6]] for m in middle]
     return Submap.from_scans(visits[0], SubmapConfig()), Submap.from_scans(visits[1], SubmapConfig())
 
 

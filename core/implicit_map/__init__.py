@@ -1,14 +1,14 @@
 """Implicit submap: elastic neural points and their decoder (paper III-B, Eq. 1-6).
 
-    voxel_hash       one slot a voxel; nearest neural points
-    neural_points    insertion, eviction, movement, orientation          Eq. 1
-    visibility       free-space evidence for the dynamic filter          Eq. 6
-    decoder          MLP from blended features to signed distance        Eq. 2-5
-    neighbourhood    neighbours, weights and encodings of queries        Eq. 2-4
-    samples          labelled samples along the rays
-    neural_map       the fitted field and its queries
-    fitting          all of it, for one submap
-    settled, blob    the compact stored form
+voxel_hash       one slot a voxel; nearest neural points
+neural_points    insertion, eviction, movement, orientation          Eq. 1
+visibility       free-space evidence for the dynamic filter          Eq. 6
+decoder          MLP from blended features to signed distance        Eq. 2-5
+neighbourhood    neighbours, weights and encodings of queries        Eq. 2-4
+samples          labelled samples along the rays
+neural_map       the fitted field and its queries
+fitting          all of it, for one submap
+settled, blob    the compact stored form
 """
 
 from core.implicit_map.decoder import DecoderWeights

@@ -29,9 +29,7 @@ def case_table() -> NDArray[np.int8]:
     """
     table = np.full((256, 5, 3), -1, dtype=np.int8)
     for case in range(256):
-        triangles = [
-            (loop[0], loop[i], loop[i + 1]) for loop in _loops(case) for i in range(1, len(loop) - 1)
-        ]
+        triangles = [(loop[0], loop[i], loop[i + 1]) for loop in _loops(case) for i in range(1, len(loop) - 1)]
         for row, triangle in enumerate(triangles):
             table[case, row] = triangle
     return table

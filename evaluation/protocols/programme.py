@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Protocol
 
 from core.config import LoopConfig, PipelineConfig, SubmapConfig
+from core.descriptor import without_parts
 from core.model_bundle import load_packaged_models
 from evaluation.baselines import ALL_BASELINES, PlaceRecogniser
 from evaluation.datasets import PosedClouds, Recording, open_recording
@@ -114,10 +115,25 @@ class _DriveTrials:
         return hold(protocol, contest, Sides(recording.name, recording.name, queries, known), self._report)
 
     def _side(self, side: Side, contest: Contest) -> list[Described]:
+        method = contest.method
+        if isinstance(method, PipelineMethod) and method.ablation in ("bev-only", "normals-only"):
+            whole = self._side(side, dataclasses.replace(contest, method=dataclasses.replace(method, ablation="none")))
+            return [_part(one, method) for one in whole]
         key = repr(contest.method), repr(contest.baselines), side.perturbation
         if key not in self._described:
             self._described[key] = describe_side(side, contest, self._report)
         return self._described[key]
+
+
+def _part(described: Described, method: PipelineMethod) -> Described:
+    """A submap as the ablation of `method` would have described it: its descriptor without the other part."""
+    description = described.place.description
+    if description is None:
+        return described
+    leave_out = {"bev-only": "normals", "normals-only": "bev"}[method.ablation]
+    vector = without_parts(description.vector, method.config.fusion, **{leave_out: True})
+    place = dataclasses.replace(described.place, description=dataclasses.replace(description, vector=vector))
+    return dataclasses.replace(described, place=place)
 
 
 def _between_sessions(programme: Programme, known: Drive, asking: Drive, report: Progress, contest: Contest) -> Trial:

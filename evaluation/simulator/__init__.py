@@ -1,10 +1,10 @@
 """A LiDAR simulator: ray casting through a procedural town with vegetation, changing parked cars and moving traffic.
 
-    streets = grid.streets() or streets_under(path)      paths
-    world = build_city(streets, seed, drive=path)        city
-    later = changed(world, seed)                         changes
-    trajectory = drive(path, world.ground)               trajectories
-    for scan in simulate(world, trajectory, HDL64, seed) lidar
+streets = grid.streets() or streets_under(path)      paths
+world = build_city(streets, seed, drive=path)        city
+later = changed(world, seed)                         changes
+trajectory = drive(path, world.ground)               trajectories
+for scan in simulate(world, trajectory, HDL64, seed) lidar
 """
 
 from evaluation.simulator.changes import Changes, changed

@@ -102,9 +102,7 @@ def _passing(world: World, parked: ParkedCars, origin: Floats, stamp_ns: int) ->
     return sum(len(car) for car in standing), joined([*standing, *movers])
 
 
-def _passing_hits(
-    passing: Blocks, moving_from: int, origin: Floats, rays: NDArray[np.float32]
-) -> tuple[_Hits, _Hits]:
+def _passing_hits(passing: Blocks, moving_from: int, origin: Floats, rays: NDArray[np.float32]) -> tuple[_Hits, _Hits]:
     """Hits of the rays on the standing and on the moving part of `passing`."""
     triangles, materials = passing.triangles(), passing.triangle_materials()
     split = 12 * moving_from

@@ -40,9 +40,13 @@ def train_codebooks(places: list[list[Features]], cells: int, config: FusionConf
     layout_mean, layout_basis = discriminant_directions(
         np.sqrt([[view.layout for view in place] for place in places]), config.layout_size
     )
+    spectrum_mean, spectrum_basis = discriminant_directions(
+        np.sqrt([[view.micro.spectrum for view in place] for place in places]), config.spectrum_size
+    )
     return Codebooks(
         basis, parity, macro_centres, macro_mean, random_folds(macro_mean.size, config.macro_size, rng),
         micro_centres, micro_mean, random_folds(micro_mean.size, config.micro_size, rng), layout_mean, layout_basis,
+        spectrum_mean, spectrum_basis,
     )  # fmt: skip
 
 
@@ -125,4 +129,4 @@ def _spread_start(features: Array, count: int, rng: np.random.Generator) -> Arra
 def _without_folds(basis: Array, parity: Array) -> Codebooks:
     nothing = np.zeros((0, 0), dtype=np.float32)
     flat = nothing.ravel()
-    return Codebooks(basis, parity, nothing, flat, nothing, nothing, flat, nothing, flat, nothing)
+    return Codebooks(basis, parity, nothing, flat, nothing, nothing, flat, nothing, flat, nothing, flat, nothing)

@@ -53,9 +53,7 @@ def main() -> None:
         decoder, losses = _train_decoder(config, options.episodes)
         report.append(f"- decoder: {options.episodes} episodes, loss {losses[0]:.3f} -> {np.mean(losses[-50:]):.3f}")
     books, count = _train_codebooks(config, decoder, options.districts, options.places, options.jobs)
-    report.append(
-        f"- codebooks: {count} places of {options.districts} towns, three views each"
-    )
+    report.append(f"- codebooks: {count} places of {options.districts} towns, three views each")
     content = _pack(decoder, books)
     options.out.write_bytes(content)
     report.append(f"- seeds from {TRAINING_SEED}, used for nothing else")

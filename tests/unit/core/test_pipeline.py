@@ -10,6 +10,7 @@ import pytest
 
 from core import se3
 from core.config import PipelineConfig
+from core.descriptor import without_parts
 from core.errors import DegenerateCloud, DescriptorModelMismatch
 from core.loop import RejectedLoop, VerifiedLoop
 from core.model_bundle import load_packaged_models
@@ -92,8 +93,10 @@ def test_every_ablation_still_gives_a_unit_descriptor(seen_from, ablation):
 
 
 def test_leaving_a_part_out_zeroes_its_share_of_the_descriptor(seen_from):
-    books = load_packaged_models().codebooks
-    ends = np.cumsum([folded_size(books.macro_folds), folded_size(books.micro_folds)])
+    books, sizes = load_packaged_models().codebooks, CONFIG.fusion
+    assert (folded_size(books.macro_folds), folded_size(books.micro_folds)) == (sizes.macro_size, sizes.micro_size)
+    assert (len(books.spectrum_basis), len(books.layout_basis)) == (sizes.spectrum_size, sizes.layout_size)
+    ends = np.cumsum([sizes.macro_size, sizes.micro_size + sizes.spectrum_size])
 
     def parts_of(ablation: Ablation) -> list[bool]:
         return [bool(part.any()) for part in np.split(seen_from(1, ablation=ablation)[0].descriptor.vector, ends)]
@@ -101,6 +104,15 @@ def test_leaving_a_part_out_zeroes_its_share_of_the_descriptor(seen_from):
     assert parts_of(Ablation.NONE) == [True, True, True]
     assert parts_of(Ablation.BEV_ONLY) == [True, False, True]
     assert parts_of(Ablation.NORMALS_ONLY) == [False, True, False]
+
+
+def test_leaving_parts_out_afterwards_is_the_same_as_describing_without_them(seen_from):
+    whole, faces, image = (
+        seen_from(1, ablation=ablation)[0].descriptor.vector
+        for ablation in (Ablation.NONE, Ablation.NORMALS_ONLY, Ablation.BEV_ONLY)
+    )
+    np.testing.assert_allclose(without_parts(whole, CONFIG.fusion, bev=True), faces, atol=1e-6)
+    np.testing.assert_allclose(without_parts(whole, CONFIG.fusion, normals=True), image, atol=1e-6)
 
 
 def test_a_floor_without_walls_is_flagged_and_never_a_loop(make_drive, shapes):
