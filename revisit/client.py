@@ -240,6 +240,10 @@ class Client:
         """The operations, oldest first; `state` QUEUED, RUNNING, DONE or FAILED."""
         return [Operation.parse(item) for item in self._transport.list("", "operations", _given({"state": state}))]
 
+    def retry_operation(self, operation: str | Operation) -> Operation:
+        """Queue a failed description again; an operation that has not failed is left as it is."""
+        return Operation.parse(self._transport.retry_operation(_name(operation)))
+
     def wait(self, operation: str | Operation, timeout_s: float = 300.0) -> Operation:
         """The operation once it is DONE. Raises OperationFailed; TimeoutError after `timeout_s`."""
         deadline = time.monotonic() + timeout_s

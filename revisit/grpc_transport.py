@@ -110,6 +110,11 @@ class GrpcTransport:
         request = operation_pb2.WaitOperationRequest(name=name, timeout_s=timeout_s)
         return self._part("operation", operation_pb2_grpc.OperationServiceStub, "WaitOperation", request)
 
+    def retry_operation(self, name: str) -> Json:
+        """See Transport."""
+        request = operation_pb2.RetryOperationRequest(name=name)
+        return self._part("operation", operation_pb2_grpc.OperationServiceStub, "RetryOperation", request)
+
     def post_submap(self, session: str, submap_id: str, pose: Json, stamp_ns: int, cloud: Cloud) -> Json:
         """See Transport."""
         request = submap_pb2.PostSubmapRequest(

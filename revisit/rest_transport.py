@@ -64,6 +64,10 @@ class RestTransport:
         """See Transport."""
         return self._json("GET", f"{_path(name)}:wait", params={"timeout_s": timeout_s})
 
+    def retry_operation(self, name: str) -> Json:
+        """See Transport."""
+        return self._json("POST", f"{_path(name)}:retry")
+
     def post_submap(self, session: str, submap_id: str, pose: Json, stamp_ns: int, cloud: Cloud) -> Json:
         """See Transport."""
         params = {"submap_id": submap_id, "stamp_ns": stamp_ns, "T_odom_submap": _pose_text(pose)}

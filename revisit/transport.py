@@ -101,6 +101,10 @@ class Transport(Protocol):
         """The operation once it has ended, or as it stands after `timeout_s` (at most 60)."""
         ...
 
+    def retry_operation(self, name: str) -> Json:
+        """Queue a failed operation again."""
+        ...
+
     def post_submap(self, session: str, submap_id: str, pose: Json, stamp_ns: int, cloud: Cloud) -> Json:
         """Post a submap."""
         ...

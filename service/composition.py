@@ -27,7 +27,9 @@ from service.application.recognition import Recognition
 from service.application.system import WORKER_SEEN_WITHIN_MS
 from service.application.upkeep import Chore
 from service.settings import Settings
-from service.worker.loop import Worker, WorkerIdentity
+from service.worker.confinement import confine
+from service.worker.heartbeat import WorkerIdentity
+from service.worker.loop import Worker, WorkerLimits
 
 if TYPE_CHECKING:
     from core.index import PlaceIndex
@@ -85,6 +87,7 @@ def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None
     for number in STOP_SIGNALS:
         # A handler of its own, for the kernel spares the first process of a container the default one.
         signal.signal(number, lambda number, _: os._exit(128 + number))
+    confine(settings.worker_memory_mb * 2**20)
     log.info("worker_loading")
     recogniser = load_recogniser(settings.recogniser)
     stopping = threading.Event()
@@ -94,7 +97,8 @@ def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None
     identity = WorkerIdentity(worker_id or f"worker-{secrets.token_hex(4)}", recogniser.model_version, parent_pid)
     structlog.contextvars.bind_contextvars(worker=identity.worker_id)
     log.info("worker_ready", model_version=identity.model_version)
-    worker = Worker(context, Recognition(context, recogniser), identity, stopping, settings.jobs_per_worker)
+    limits = WorkerLimits(settings.jobs_per_worker, settings.worker_memory_mb * 2**20 * 3 // 4, settings.job_timeout_s)
+    worker = Worker(context, Recognition(context, recogniser), identity, stopping, limits)
     try:
         worker.run()
     finally:

@@ -210,6 +210,35 @@ def evaluate(
     evaluating.evaluate_folder(folder, file_format, options, json)
 
 
+operations = typer.Typer(help="Look at the service's work, and queue again what has failed.", no_args_is_help=True)
+app.add_typer(operations, name="operations")
+
+
+@operations.command("list")
+def operations_list(
+    state: Annotated[str, typer.Option(help="QUEUED, RUNNING, DONE, FAILED or ALL.")] = "FAILED",
+    http: Http = HTTP,
+    json: Json = False,
+) -> None:
+    """List operations with what they are about and why they failed; by default those that failed for good."""
+    from revisit.cli import operating
+
+    operating.list_operations(http, state.upper(), json)
+
+
+@operations.command("retry")
+def operations_retry(
+    names: Annotated[list[str] | None, typer.Argument(help="Their ids.")] = None,
+    every: Annotated[bool, typer.Option("--all", help="Every description that has failed.")] = False,
+    http: Http = HTTP,
+    json: Json = False,
+) -> None:
+    """Queue failed descriptions again, with as many attempts as new ones."""
+    from revisit.cli import operating
+
+    operating.retry(http, names or [], every, json)
+
+
 bench = typer.Typer(help="Measure the product.", invoke_without_command=True)
 app.add_typer(bench, name="bench")
 

@@ -50,6 +50,11 @@ class OperationServiceStub:
                 request_serializer=revisit_dot_v1_dot_operation__pb2.WaitOperationRequest.SerializeToString,
                 response_deserializer=revisit_dot_v1_dot_operation__pb2.WaitOperationResponse.FromString,
                 _registered_method=True)
+        self.RetryOperation = channel.unary_unary(
+                '/revisit.v1.OperationService/RetryOperation',
+                request_serializer=revisit_dot_v1_dot_operation__pb2.RetryOperationRequest.SerializeToString,
+                response_deserializer=revisit_dot_v1_dot_operation__pb2.RetryOperationResponse.FromString,
+                _registered_method=True)
 
 
 class OperationServiceServicer:
@@ -77,6 +82,13 @@ class OperationServiceServicer:
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def RetryOperation(self, request, context):
+        """Queue a failed description again; an operation that has not failed is left as it is.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
 
 def add_OperationServiceServicer_to_server(servicer, server):
     rpc_method_handlers = {
@@ -94,6 +106,11 @@ def add_OperationServiceServicer_to_server(servicer, server):
                     servicer.WaitOperation,
                     request_deserializer=revisit_dot_v1_dot_operation__pb2.WaitOperationRequest.FromString,
                     response_serializer=revisit_dot_v1_dot_operation__pb2.WaitOperationResponse.SerializeToString,
+            ),
+            'RetryOperation': grpc.unary_unary_rpc_method_handler(
+                    servicer.RetryOperation,
+                    request_deserializer=revisit_dot_v1_dot_operation__pb2.RetryOperationRequest.FromString,
+                    response_serializer=revisit_dot_v1_dot_operation__pb2.RetryOperationResponse.SerializeToString,
             ),
     }
     generic_handler = grpc.method_handlers_generic_handler(
@@ -178,6 +195,33 @@ class OperationService:
             '/revisit.v1.OperationService/WaitOperation',
             revisit_dot_v1_dot_operation__pb2.WaitOperationRequest.SerializeToString,
             revisit_dot_v1_dot_operation__pb2.WaitOperationResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def RetryOperation(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/revisit.v1.OperationService/RetryOperation',
+            revisit_dot_v1_dot_operation__pb2.RetryOperationRequest.SerializeToString,
+            revisit_dot_v1_dot_operation__pb2.RetryOperationResponse.FromString,
             options,
             channel_credentials,
             insecure,

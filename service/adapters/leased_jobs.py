@@ -38,6 +38,7 @@ class LeasedJobs:
             lease_token=job.lease_token + 1,
             lease_epoch=now.epoch,
             lease_expires_ms=now.ms + self._lease_ms,
+            failure_message=None,
         )
         self._jobs.replace(leased)
         return Lease(leased)
@@ -56,25 +57,25 @@ class LeasedJobs:
         """See `ports.JobQueue`."""
         job = self._held(lease)
         if retry and job.attempts < job.max_attempts:
-            later = now.ms + RETRY_DELAY_MS * job.attempts
-            self._jobs.replace(replace(job, state="QUEUED", lease_epoch=now.epoch, not_before_ms=later))
+            self._jobs.replace(_queued_again(job, now))
             return False
         self._jobs.replace(_failed(job, code, message, finished_at_ns))
         return True
 
     def bury(self, now: Instant, finished_at_ns: int) -> list[JobRecord]:
         """See `ports.JobQueue`."""
-        message = "the worker ended during every attempt"
-        dead = [_failed(job, ErrorCode.INTERNAL, message, finished_at_ns) for job in self._jobs.exhausted(now)]
+        dead = [_failed(job, ErrorCode.INTERNAL, _last_end(job), finished_at_ns) for job in self._jobs.exhausted(now)]
         for job in dead:
             self._jobs.replace(job)
         return dead
 
-    def release(self, owner: str) -> int:
+    def release(self, owner: str, now: Instant, reason: str) -> int:
         """See `ports.JobQueue`."""
         held = self._jobs.leased_to(owner)
         for job in held:
-            self._jobs.replace(replace(job, lease_expires_ms=0))
+            ended = replace(job, lease_expires_ms=0, failure_message=reason)
+            # The last attempt stays with its dead worker until it is buried, with what belongs to the job.
+            self._jobs.replace(ended if job.attempts >= job.max_attempts else _queued_again(ended, now))
         return len(held)
 
     def _held(self, lease: Lease) -> JobRecord:
@@ -83,6 +84,18 @@ class LeasedJobs:
         if job is None or job.state != "RUNNING" or job.lease_token != lease.job.lease_token:
             raise StaleLease(f"operation {lease.job.operation_id} is no longer leased to this run")
         return job
+
+
+def _queued_again(job: JobRecord, now: Instant) -> JobRecord:
+    """After a pause that grows, in which other jobs go first: a job that kills its workers does not do it in a row."""
+    later = now.ms + RETRY_DELAY_MS * job.attempts
+    return replace(job, state="QUEUED", lease_epoch=now.epoch, not_before_ms=later)
+
+
+def _last_end(job: JobRecord) -> str:
+    """Why a job ends whose last allowed run did not come back."""
+    reason = job.failure_message or "its lease ran out"
+    return f"no worker survived the job: {job.attempts} attempts, the last one ended because {reason}"
 
 
 def _failed(job: JobRecord, code: str, message: str, finished_at_ns: int) -> JobRecord:

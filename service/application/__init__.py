@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from service.application.context import Context, Policy
+from service.application.dead_letters import DeadLetters
 from service.application.identity import DEFAULT_TENANT, SessionKey, SubmapKey, TenantId
 from service.application.loops import Loops
 from service.application.maps import Maps
@@ -33,6 +34,7 @@ class UseCases:
     searches: Searches
     loops: Loops
     operations: Operations
+    dead_letters: DeadLetters
     system: System
 
     @classmethod
@@ -48,6 +50,7 @@ class UseCases:
             searches=Searches(context, operations),
             loops=Loops(context),
             operations=operations,
+            dead_letters=DeadLetters(context),
             system=System(context, version),
         )
 

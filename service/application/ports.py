@@ -145,8 +145,8 @@ class JobQueue(Protocol):
         """Fail the jobs whose last allowed run ended with its worker; returns them."""
         ...
 
-    def release(self, owner: str) -> int:
-        """Let the leases of a dead worker run out at once; how many."""
+    def release(self, owner: str, now: Instant, reason: str) -> int:
+        """End the runs of a worker that died of `reason`, without waiting for its leases to run out; how many."""
         ...
 
 

@@ -20,6 +20,7 @@ from core.submap import Submap
 from service.application.blob_references import NEURAL_MAP_BLOB, SIGNATURE_BLOB
 from service.application.clouds import QUERY_CLOUD_BLOB, QUERY_NONCE_BYTES, unpack_cloud
 from service.application.context import Context
+from service.application.dead_letters import mark_subject_failed
 from service.application.description_commit import DescriptionCommit, DescriptionTask, JudgedPlace, StoredDescription
 from service.application.errors import StaleLease, StorageFull, Unavailable
 from service.application.identity import SubmapKey
@@ -75,9 +76,15 @@ class Recognition:
             log.warning("result_refused", operation=lease.job.operation_id, token=lease.job.lease_token)
         except RevisitError as error:
             self._fail(lease, error.code, error.message, retry=isinstance(error, Unavailable | StorageFull))
+        except MemoryError:
+            self.fail(lease, "the job needs more memory than a worker may take")
         except Exception as error:  # whatever the method raises must not end the worker
             log.exception("job_crashed", operation=lease.job.operation_id)
-            self._fail(lease, ErrorCode.INTERNAL, f"{type(error).__name__}: {error}"[:500], retry=True)
+            self.fail(lease, f"{type(error).__name__}: {error}"[:500])
+
+    def fail(self, lease: Lease, message: str) -> None:
+        """End this run of a job: back to the queue, or failed for good after its last attempt."""
+        self._fail(lease, ErrorCode.INTERNAL, message, retry=True)
 
     def _fail(self, lease: Lease, code: ErrorCode, message: str, *, retry: bool) -> None:
         clock = self._context.clock
@@ -213,17 +220,6 @@ class Recognition:
         config = self._context.policy.for_map(map_record)
         submap = Submap.from_cloud(Scan.validated(cloud.points, np.eye(4), 0), config.submap)
         return self._recogniser.describe(submap, config)
-
-
-def mark_subject_failed(uow: UnitOfWork, job: JobRecord, code: str, message: str) -> None:
-    """Say on the submap itself that its description has failed for good."""
-    if job.kind != OperationKind.DESCRIBE_SUBMAP:
-        return
-    key = SubmapKey(**job.payload)
-    submap = uow.submaps.get(job.tenant, key.map_id, key.session_id, key.submap_id)
-    if submap is not None and submap.operation_id == job.operation_id:
-        failed = SubmapState.FAILED.value
-        uow.submaps.replace(replace(submap, state=failed, failure_code=code, failure_message=message))
 
 
 def _loop_filter(submap: SubmapRecord, config: PipelineConfig) -> VectorFilter:

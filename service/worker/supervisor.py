@@ -1,4 +1,4 @@
-"""The gateway's watch over its worker processes: start them, start them again, stop them."""
+"""The gateway's watch over its worker processes: start them, start them again, end those that hang, stop them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ import secrets
 import signal
 import sys
 from asyncio.subprocess import Process
+from collections import Counter
 from contextlib import suppress
+from enum import StrEnum
 from pathlib import Path
 
 import structlog
@@ -16,17 +18,34 @@ import structlog
 from service import ONE_THREAD
 from service.application.context import Context
 from service.application.errors import Unavailable
-from service.application.ports import UnitOfWork
+from service.application.ports import Instant, UnitOfWork
+from service.worker.heartbeat import OVERTIME
 
 RESPAWN_S = (0.1, 2.0)
 STEADY_S = 30.0
 """A worker that lived this long is replaced at once; one that keeps dying waits longer, at most 2 s."""
 
+SILENT_LEASES = 3
+"""A worker that has not shown itself for so many leases is ended: something in it holds every thread."""
+
 log = structlog.get_logger(__name__)
 
 
+class WorkerEnd(StrEnum):
+    """How a worker process ended."""
+
+    STOPPED = "stopped"
+    KILLED = "killed"
+    SILENT = "silent"
+    OVERTIME = "overtime"
+    FAILED = "failed"
+
+
 class WorkerSupervisor:
-    """Keeps `count` worker processes alive. They are started afresh (never forked) with one thread each."""
+    """Keeps `count` worker processes alive. They are started afresh (never forked) with one thread each.
+
+    `ends` counts how they ended.
+    """
 
     def __init__(self, context: Context, count: int) -> None:
         """Leases of a dead worker are released through `context`."""
@@ -35,6 +54,7 @@ class WorkerSupervisor:
         self._processes: set[Process] = set()
         self._stopping = False
         self._count = count
+        self.ends: Counter[WorkerEnd] = Counter(dict.fromkeys(WorkerEnd, 0))
 
     def start(self) -> None:
         """Start the workers; returns at once."""
@@ -53,53 +73,109 @@ class WorkerSupervisor:
 
     def _signal_all(self, number: signal.Signals) -> None:
         for process in tuple(self._processes):
-            # It may have ended by itself a moment ago.
-            with suppress(ProcessLookupError):
-                process.send_signal(number)
+            _send(process, number)
 
     async def _keep_running(self) -> None:
         pause_s = RESPAWN_S[0]
         while not self._stopping:
             started = asyncio.get_running_loop().time()
+            end = WorkerEnd.FAILED
             try:
-                await self._run_once()
+                end = await self._run_once()
             except OSError as error:
                 # No process or file handle is free just now: what else runs here may give some back.
                 log.error("worker_not_started", reason=error.strerror)
             lived_s = asyncio.get_running_loop().time() - started
-            pause_s = RESPAWN_S[0] if lived_s > STEADY_S else min(pause_s * 2, RESPAWN_S[1])
+            well = end is WorkerEnd.STOPPED or lived_s > STEADY_S
+            pause_s = RESPAWN_S[0] if well else min(pause_s * 2, RESPAWN_S[1])
             if not self._stopping:
                 await asyncio.sleep(pause_s)
 
-    async def _run_once(self) -> None:
-        """Run one worker process to its end, and let go of what it held."""
+    async def _run_once(self) -> WorkerEnd:
+        """Run one worker process to its end, and let go of what it held; how it ended."""
         worker_id = f"worker-{secrets.token_hex(4)}"
         arguments = ("worker", "--id", worker_id, "--parent", str(os.getpid()))
         process = await asyncio.create_subprocess_exec(
             sys.executable, "-m", "service", *arguments, env=_environment(), stdin=asyncio.subprocess.DEVNULL
         )
         self._processes.add(process)
+        log.info("worker_started", worker=worker_id, pid=process.pid)
         if self._stopping:
             self._signal_all(signal.SIGTERM)
+        watch = asyncio.create_task(self._end_when_silent(process, worker_id), name=f"watch-{worker_id}")
         status = await process.wait()
         self._processes.discard(process)
-        log.info("worker_ended", worker=worker_id, pid=process.pid, status=status)
-        await self._release(worker_id)
+        watch.cancel()
+        silent = watch.done() and not watch.cancelled()
+        end = WorkerEnd.SILENT if silent else _end_of(status)
+        self.ends[end] += 1
+        log.info("worker_ended", worker=worker_id, pid=process.pid, status=status, end=end.value)
+        await self._release(worker_id, _reason(end, status))
+        return end
 
-    async def _release(self, worker_id: str) -> None:
+    async def _end_when_silent(self, process: Process, worker_id: str) -> None:
+        """Return once the worker has stopped showing itself and was killed for it. One that still loads is left alone.
+
+        Its own watch over a job's time needs a thread that runs: native code may keep it from doing so.
+        """
+        patience_ms = SILENT_LEASES * self._context.policy.lease_ms
+        seen, missed = False, 0
+        while missed < 2:
+            await asyncio.sleep(patience_ms / 3000)
+            alive = await self._shows_itself(worker_id, patience_ms)
+            seen = seen or alive
+            missed = 0 if alive or not seen else missed + 1
+        log.error("worker_silent", worker=worker_id, pid=process.pid)
+        _send(process, signal.SIGKILL)
+
+    async def _shows_itself(self, worker_id: str, within_ms: int) -> bool:
+        now = self._context.clock.instant()
         try:
-            released = await self._context.write(lambda uow: _bury(uow, worker_id))
+            alive = await self._context.read(lambda uow: uow.workers.alive(now.epoch, now.ms - within_ms))
+        except Unavailable as error:
+            # A database that does not answer says nothing about the worker.
+            log.warning("worker_not_watched", worker=worker_id, reason=error.message)
+            return True
+        return any(worker.worker_id == worker_id for worker in alive)
+
+    async def _release(self, worker_id: str, reason: str) -> None:
+        now = self._context.clock.instant()
+        try:
+            released = await self._context.write(lambda uow: _bury(uow, worker_id, now, reason))
         except Unavailable as error:
             log.warning("leases_not_released", worker=worker_id, reason=error.message)
             return
         if released:
-            log.warning("worker_died_at_work", worker=worker_id)
+            log.warning("worker_died_at_work", worker=worker_id, reason=reason)
 
 
-def _bury(uow: UnitOfWork, worker_id: str) -> int:
+def _send(process: Process, number: signal.Signals) -> None:
+    # It may have ended by itself a moment ago.
+    with suppress(ProcessLookupError):
+        process.send_signal(number)
+
+
+def _end_of(status: int) -> WorkerEnd:
+    if status == 0:
+        return WorkerEnd.STOPPED
+    if status == OVERTIME:
+        return WorkerEnd.OVERTIME
+    return WorkerEnd.KILLED if status < 0 else WorkerEnd.FAILED
+
+
+def _reason(end: WorkerEnd, status: int) -> str:
+    """Why a run did not come back, as the end of a sentence."""
+    if end is WorkerEnd.SILENT:
+        return "its worker hung without a sign of life"
+    if status < 0:
+        return f"its worker was ended by signal {-status} ({signal.strsignal(-status)})"
+    return f"its worker ended with status {status}"
+
+
+def _bury(uow: UnitOfWork, worker_id: str, now: Instant, reason: str) -> int:
     """Forget a dead worker; how many jobs it held."""
     uow.workers.forget(worker_id)
-    return uow.queue.release(worker_id)
+    return uow.queue.release(worker_id, now, reason)
 
 
 def _environment() -> dict[str, str]:

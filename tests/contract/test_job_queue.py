@@ -142,10 +142,31 @@ def test_a_job_whose_workers_keep_dying_is_buried_after_its_last_attempt(queue, 
     assert queue.claim(ms=3 * LEASE_MS).job.operation_id == "op-2"
 
 
-def test_the_leases_of_a_dead_worker_can_be_let_go_at_once(queue, write):
-    queue.enqueue("op-1", "op-2")
+def test_the_job_of_a_dead_worker_goes_back_at_once_behind_the_others_for_a_pause(queue, write):
+    queue.enqueue("op-1", "op-2", "op-3")
     queue.claim(owner="dead")
     queue.claim(owner="living")
-    assert write(lambda uow: uow.queue.release("dead")) == 1
-    assert queue.claim(owner="living").job.operation_id == "op-1"
-    assert queue.claim(owner="living") is None
+    assert write(lambda uow: uow.queue.release("dead", at(100), "it fell over")) == 1
+    assert queue.claim(ms=100, owner="living").job.operation_id == "op-3"
+    assert queue.claim(ms=599, owner="living") is None
+    again = queue.claim(ms=600, owner="living").job
+    assert (again.operation_id, again.attempts, again.failure_message) == ("op-1", 2, None)
+
+
+def test_a_late_result_of_a_worker_that_was_given_up_is_refused(queue, write):
+    queue.enqueue("op-1")
+    late = queue.claim(owner="given up")
+    write(lambda uow: uow.queue.release("given up", at(0), "it hung"))
+    with pytest.raises(StaleLease):
+        queue.complete(late)
+
+
+def test_a_job_whose_last_worker_died_is_buried_with_the_reason(queue, write, read):
+    queue.enqueue("op-1")
+    for run in range(3):
+        queue.claim(ms=run * LEASE_MS, owner=f"w{run}")
+        write(lambda uow, run=run: uow.queue.release(f"w{run}", at(run * LEASE_MS), f"fall {run} broke it"))
+    assert queue.claim(ms=3 * LEASE_MS) is None
+    assert [job.operation_id for job in queue.bury(ms=3 * LEASE_MS)] == ["op-1"]
+    message = "no worker survived the job: 3 attempts, the last one ended because fall 2 broke it"
+    assert (stored(read).state, stored(read).failure_message) == ("FAILED", message)

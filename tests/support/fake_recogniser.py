@@ -6,7 +6,10 @@ special sizes misbehave: see the constants. REVISIT_FAKE_DELAY_S makes each desc
 
 from __future__ import annotations
 
+import ctypes
 import os
+import re
+import threading
 import time
 
 import numpy as np
@@ -19,9 +22,35 @@ from service.application.ports import LoopVerdict, Mesh, SubmapDescription
 KILLS_THE_WORKER = 666
 RAISES = 667
 CANNOT_BE_DESCRIBED = 668
+HANGS = 669
+HOLDS_EVERY_THREAD = 670
+EATS_MEMORY = 671
+SEGFAULTS = 672
 
 BINS = 64
 ACCEPTED_FROM = 0.98
+
+
+def _hang() -> None:
+    threading.Event().wait()
+
+
+def _hold_every_thread() -> None:
+    # Backtracks for years within one call that never gives the interpreter's lock back.
+    re.match(r"(a+)+$", "a" * 60 + "b")
+
+
+def _eat_memory() -> None:
+    eaten = []
+    while True:
+        eaten.append(np.ones(2**27))
+
+
+def _segfault() -> None:
+    ctypes.string_at(0)
+
+
+MISCHIEF = {HANGS: _hang, HOLDS_EVERY_THREAD: _hold_every_thread, EATS_MEMORY: _eat_memory, SEGFAULTS: _segfault}
 
 
 class FakeRecogniser:
@@ -34,6 +63,8 @@ class FakeRecogniser:
         time.sleep(float(os.environ.get("REVISIT_FAKE_DELAY_S", "0")))
         if len(submap.points) == KILLS_THE_WORKER:
             os._exit(9)
+        if len(submap.points) in MISCHIEF:
+            MISCHIEF[len(submap.points)]()
         if len(submap.points) == RAISES:
             raise RuntimeError("the method has a fault")
         if len(submap.points) == CANNOT_BE_DESCRIBED:

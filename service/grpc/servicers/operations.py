@@ -16,11 +16,12 @@ MAX_WAIT_S = 60.0
 
 
 class OperationServicer(operation_pb2_grpc.OperationServiceServicer):
-    """Get, list and wait for operations."""
+    """Get, list, wait for and retry operations."""
 
     def __init__(self, use_cases: UseCases) -> None:
         """Answers from `use_cases`."""
         self._operations = use_cases.operations
+        self._dead_letters = use_cases.dead_letters
 
     async def GetOperation(self, request: pb.GetOperationRequest, context: Any) -> pb.GetOperationResponse:
         """Get an operation."""
@@ -41,3 +42,8 @@ class OperationServicer(operation_pb2_grpc.OperationServiceServicer):
             raise BadField(f"timeout_s must be in 0..{MAX_WAIT_S:g}", field="timeout_s")
         view = await self._operations.wait(tenant_of(context), names.operation_id(request.name), timeout_s)
         return pb.WaitOperationResponse(operation=messages.operation_message(view))
+
+    async def RetryOperation(self, request: pb.RetryOperationRequest, context: Any) -> pb.RetryOperationResponse:
+        """Queue a failed description again."""
+        view = await self._dead_letters.retry(tenant_of(context), names.operation_id(request.name))
+        return pb.RetryOperationResponse(operation=messages.operation_message(view))

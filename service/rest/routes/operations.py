@@ -33,6 +33,12 @@ async def wait_operation(
     return Operation.of(await cases.operations.wait(tenant, operation_id, timeout_s))
 
 
+@router.post("/{operation_id}:retry")
+async def retry_operation(operation_id: Id, cases: Cases, tenant: Tenant) -> Operation:
+    """Queue a failed description again; an operation that has not failed is left as it is."""
+    return Operation.of(await cases.dead_letters.retry(tenant, operation_id))
+
+
 @router.get("/{operation_id}")
 async def get_operation(operation_id: Id, cases: Cases, tenant: Tenant) -> Operation:
     """Get an operation."""

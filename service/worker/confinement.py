@@ -1,0 +1,31 @@
+"""What a worker may take of its machine, so that a job that wants everything harms nobody but itself."""
+
+from __future__ import annotations
+
+import resource
+from contextlib import suppress
+from pathlib import Path
+
+SACRIFICE = 500
+"""Of -1000 to 1000: where memory runs out all the same, the kernel ends a worker before it ends the gateway."""
+
+
+def confine(memory_bytes: int) -> None:
+    """Bound this process's own memory: what goes beyond is a MemoryError, or the end of this process alone.
+
+    What counts is memory that the process may write to (RLIMIT_DATA). The address space is no measure: torch and Open3D
+    reserve twice what they use. A core dump would write a customer's site to the disk, so there is none.
+    """
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    limit = memory_bytes if hard == resource.RLIM_INFINITY else min(memory_bytes, hard)
+    resource.setrlimit(resource.RLIMIT_DATA, (limit, hard))
+    # A container may forbid it; the limit above holds without.
+    with suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text(str(SACRIFICE))
+
+
+def resident_bytes() -> int:
+    """The memory that this process holds just now."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize()

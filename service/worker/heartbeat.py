@@ -1,0 +1,128 @@
+"""The thread beside a worker's job: it keeps the lease, shows that the worker lives, and ends what takes too long."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+import structlog
+
+from core.errors import RevisitError
+from service.application.context import Context
+from service.application.errors import StaleLease
+from service.application.ports import Lease, UnitOfWork
+from service.application.recognition import Recognition
+from service.application.records import WorkerRecord
+
+BEATS_PER_LEASE = 5
+"""So that a lease outlives four lost beats: every 2 s for a lease of 10 s."""
+
+LOOK_EVERY_S = 0.5
+
+ORPHANED = 75
+"""Exit status of a worker whose gateway is gone (EX_TEMPFAIL)."""
+
+OVERTIME = 124
+"""Exit status of a worker whose job took too long (that of timeout(1))."""
+
+log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True)
+class WorkerIdentity:
+    """Who a worker is: its id, the model it runs, and the gateway that started it, if one did."""
+
+    worker_id: str
+    model_version: str
+    parent_pid: int | None
+
+
+class Heartbeat:
+    """Beats from `with` to the end of its block. `lease` is that of the job under way."""
+
+    def __init__(
+        self, context: Context, recognition: Recognition, identity: WorkerIdentity, job_timeout_s: float
+    ) -> None:
+        """A job that takes longer than `job_timeout_s` is failed through `recognition`, and the process ends."""
+        self._context = context
+        self._recognition = recognition
+        self._identity = identity
+        self._job_timeout_s = job_timeout_s
+        self._lease: Lease | None = None
+        self._began_s = 0.0
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._keep_alive, name="heartbeat", daemon=True)
+
+    def __enter__(self) -> Self:
+        """Begin to beat."""
+        self._beat()
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """End; the worker is gone."""
+        self._ended.set()
+        self._thread.join()
+        self._context.transactions.write(lambda uow: uow.workers.forget(self._identity.worker_id)).result()
+
+    def hold(self, lease: Lease) -> None:
+        """Keep this lease from now on."""
+        self._began_s = time.monotonic()
+        self._lease = lease
+
+    def let_go(self) -> None:
+        """Keep no lease any more."""
+        self._lease = None
+
+    def _keep_alive(self) -> None:
+        beat_every_s = self._context.policy.lease_ms / 1000 / BEATS_PER_LEASE
+        beaten_s = time.monotonic()
+        while not self._ended.wait(min(beat_every_s, LOOK_EVERY_S)):
+            if self._identity.parent_pid is not None and os.getppid() != self._identity.parent_pid:
+                os._exit(ORPHANED)
+            self._end_overtime()
+            if time.monotonic() - beaten_s >= beat_every_s:
+                beaten_s = time.monotonic()
+                self._beat_or_log()
+
+    def _end_overtime(self) -> None:
+        """Fail a job that takes too long. What hangs in it cannot be stopped, so the process ends with it."""
+        lease = self._lease
+        if lease is None or time.monotonic() - self._began_s < self._job_timeout_s:
+            return
+        try:
+            self._recognition.fail(lease, f"the job took longer than {self._job_timeout_s:g} s")
+        except RevisitError as error:
+            log.warning("overtime_not_stored", operation=lease.job.operation_id, reason=error.message)
+        os._exit(OVERTIME)
+
+    def _beat_or_log(self) -> None:
+        try:
+            self._beat()
+        except RevisitError as error:
+            log.warning("heartbeat_failed", reason=error.message)
+
+    def _beat(self) -> None:
+        """Show that the worker lives and keep its lease, in one transaction."""
+        lease, identity = self._lease, self._identity
+        now = self._context.clock.instant()
+        worker = WorkerRecord(identity.worker_id, identity.model_version, now.epoch, now.ms)
+
+        def beat(uow: UnitOfWork) -> bool:
+            uow.workers.beat(worker)
+            try:
+                if lease is not None:
+                    uow.queue.extend(lease, now)
+            except StaleLease:
+                return False
+            return True
+
+        kept = self._context.transactions.write(beat).result()
+        if not kept and lease is not None and self._lease is lease:
+            log.warning("lease_lost", operation=lease.job.operation_id)

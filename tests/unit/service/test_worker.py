@@ -1,0 +1,83 @@
+"""When a worker makes room for a fresh one, and what it may take of its machine."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from service import ONE_THREAD
+from service.worker.heartbeat import WorkerIdentity
+from service.worker.loop import Worker, WorkerLimits
+from tests.support.processes import ROOT
+from tests.support.service_world import TENANT, memory_world, open_session, submap
+
+GIB = 2**30
+
+
+@pytest.fixture
+async def world():
+    made = memory_world()
+    await open_session(made)
+    for number in range(3):
+        await made.use_cases.submaps.post(TENANT, submap(f"s{number}", number))
+    yield made
+    made.context.transactions.close()
+
+
+def run_worker(world, limits):
+    """Run a worker to its end; how many jobs are done then."""
+    identity = WorkerIdentity("w1", "fake-1", None)
+    worker = Worker(world.context, world.worker(), identity, threading.Event(), limits)
+    thread = threading.Thread(target=worker.run)
+    thread.start()
+    thread.join(10)
+    assert not thread.is_alive()
+    return world.context.transactions.read(lambda uow: uow.jobs.count(TENANT, state="DONE")).result()
+
+
+async def test_a_worker_ends_after_its_number_of_jobs(world):
+    assert run_worker(world, WorkerLimits(jobs=2, recycled_at_bytes=64 * GIB, job_timeout_s=60)) == 2
+
+
+async def test_a_worker_that_keeps_too_much_memory_ends_between_two_jobs(world):
+    # Any process holds more than a byte; a worker that has done nothing yet is never ended for it.
+    assert run_worker(world, WorkerLimits(jobs=3, recycled_at_bytes=1, job_timeout_s=60)) == 1
+
+
+async def test_a_worker_that_ends_is_forgotten(world):
+    run_worker(world, WorkerLimits(jobs=1, recycled_at_bytes=64 * GIB, job_timeout_s=60))
+    assert world.context.transactions.read(lambda uow: uow.workers.alive("boot-1", 0)).result() == []
+
+
+def test_a_confined_process_meets_a_memory_error_leaves_no_core_dump_and_goes_before_the_gateway():
+    script = """
+import resource
+from pathlib import Path
+import numpy as np
+from service.worker.confinement import confine, resident_bytes
+confine(300 * 2**20)
+kept = np.ones(2**24)  # 128 MiB
+assert 128 * 2**20 < resident_bytes() < 300 * 2**20
+try:
+    np.ones(2**25)  # 256 MiB more
+except MemoryError:
+    print("refused", resource.getrlimit(resource.RLIMIT_CORE), Path("/proc/self/oom_score_adj").read_text().strip())
+"""
+    command = [sys.executable, "-c", script]
+    environment = {**os.environ, **ONE_THREAD}
+    ran = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=True)
+    assert ran.stdout.strip() == "refused (0, 0) 500"
+
+
+def test_a_process_of_the_service_starts_others_afresh_and_never_forks_itself():
+    script = (
+        "from service.__main__ import main\n"
+        "try:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
+        "import multiprocessing\nprint(multiprocessing.get_start_method())"
+    )
+    ran = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert ran.stdout.splitlines()[-1] == "spawn"
