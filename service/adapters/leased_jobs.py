@@ -25,9 +25,9 @@ class LeasedJobs:
         """See `ports.JobQueue`."""
         return self._jobs.add(job)
 
-    def claim(self, owner: str, now: Instant) -> Lease | None:
+    def claim(self, owner: str, now: Instant, after: str = "") -> Lease | None:
         """See `ports.JobQueue`."""
-        job = self._jobs.next_runnable(now)
+        job = self._jobs.next_runnable(now, after)
         if job is None:
             return None
         leased = replace(

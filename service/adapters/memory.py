@@ -117,10 +117,10 @@ class MemoryScans(MemoryRepository[ScanRecord]):
 class MemoryJobs(MemoryRepository[JobRecord]):
     """`ports.JobRepository`."""
 
-    def next_runnable(self, now: Instant) -> JobRecord | None:
+    def next_runnable(self, now: Instant, after: str = "") -> JobRecord | None:
         """See `ports.JobRepository`."""
         due = [job for job in self._all() if _due(job, now)]
-        return min(due, key=lambda job: (job.priority, job.number), default=None)
+        return min(due, key=lambda job: (job.tenant <= after, job.tenant, job.priority, job.number), default=None)
 
     def exhausted(self, now: Instant) -> list[JobRecord]:
         """See `ports.JobRepository`."""

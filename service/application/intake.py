@@ -53,9 +53,17 @@ class Bucket:
 
     def wait_s(self, now_s: float) -> float:
         """How long until there is any left, seconds; 0 where there is."""
+        self._refill(now_s)
+        return max(0.0, -self.balance / self.per_s)
+
+    def take(self, points: int, now_s: float) -> None:
+        """Pay with so many."""
+        self._refill(now_s)
+        self.balance -= points
+
+    def _refill(self, now_s: float) -> None:
         self.balance = min(self.most, self.balance + (now_s - self.at_s) * self.per_s)
         self.at_s = now_s
-        return max(0.0, -self.balance / self.per_s)
 
 
 @dataclass(eq=False)
@@ -95,8 +103,9 @@ class Intake:
 
     def spend(self, tenant: TenantId, client: str, points: int) -> None:
         """Pay for a call that brought so many points."""
+        now_s = self._now_s()
         for bucket in self._buckets_of(tenant, client):
-            bucket.balance -= points + CALL_POINTS
+            bucket.take(points + CALL_POINTS, now_s)
 
     @asynccontextmanager
     async def cloud(self, tenant: TenantId, *, patient: bool = False) -> AsyncIterator[None]:

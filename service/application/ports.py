@@ -98,8 +98,12 @@ class ScanRepository(Repository[ScanRecord], Protocol):
 class JobRepository(Repository[JobRecord], Protocol):
     """Jobs, also across tenants for those who run them."""
 
-    def next_runnable(self, now: Instant) -> JobRecord | None:
-        """The most urgent, then oldest job that is queued and due, or whose lease has run out with attempts left."""
+    def next_runnable(self, now: Instant, after: str = "") -> JobRecord | None:
+        """A job that is queued and due, or whose lease has run out with attempts left: the most urgent, then oldest.
+
+        Tenants take turns: it is of the first tenant behind `after`, by name, that has one; behind the last comes the
+        first.
+        """
         ...
 
     def exhausted(self, now: Instant) -> list[JobRecord]:
@@ -125,8 +129,8 @@ class JobQueue(Protocol):
         """Queue a job."""
         ...
 
-    def claim(self, owner: str, now: Instant) -> Lease | None:
-        """Lease the next runnable job to `owner`; the attempt is counted before the run."""
+    def claim(self, owner: str, now: Instant, after: str = "") -> Lease | None:
+        """Lease the next runnable job behind tenant `after` to `owner`; the attempt is counted before the run."""
         ...
 
     def extend(self, lease: Lease, now: Instant) -> None:

@@ -49,6 +49,7 @@ class Worker:
         self._recognition = recognition
         self._identity = identity
         self._stopping = stopping
+        self._last_tenant = ""
         self._limits = limits
         self._heartbeat = Heartbeat(context, recognition, identity, limits.job_timeout_s)
 
@@ -61,6 +62,7 @@ class Worker:
                 if lease is None:
                     self._stopping.wait(IDLE_POLL_S)
                     continue
+                self._last_tenant = lease.job.tenant
                 self._run(lease)
                 done += 1
         log.info("worker_stopped", jobs=done)
@@ -97,7 +99,7 @@ class Worker:
         def claim(uow: UnitOfWork) -> Lease | None:
             for job in uow.queue.bury(now, self._context.clock.wall_ns()):
                 mark_subject_failed(uow, job, ErrorCode.INTERNAL, job.failure_message or "")
-            return uow.queue.claim(self._identity.worker_id, now)
+            return uow.queue.claim(self._identity.worker_id, now, self._last_tenant)
 
         try:
             if not self._context.transactions.read(waiting).result():

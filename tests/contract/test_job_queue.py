@@ -18,12 +18,12 @@ def at(ms: int, epoch: str = "boot") -> Instant:
 @pytest.fixture
 def queue(write):
     class Queue:
-        def enqueue(self, *ids):
+        def enqueue(self, *ids, **fields):
             for operation_id in ids:
-                write(lambda uow, operation_id=operation_id: uow.queue.enqueue(a_job(operation_id)))
+                write(lambda uow, operation_id=operation_id: uow.queue.enqueue(a_job(operation_id, **fields)))
 
-        def claim(self, ms=0, owner="w1", epoch="boot"):
-            return write(lambda uow: uow.queue.claim(owner, at(ms, epoch)))
+        def claim(self, ms=0, owner="w1", epoch="boot", after=""):
+            return write(lambda uow: uow.queue.claim(owner, at(ms, epoch), after))
 
         def fail(self, lease, ms=0, retry=True):
             return write(lambda uow: uow.queue.fail(lease, "INTERNAL", "why", at(ms), 7, retry=retry))
@@ -54,6 +54,26 @@ def test_a_job_for_which_a_client_waits_goes_before_older_ones(queue, write):
     queue.enqueue("op-1")
     write(lambda uow: uow.queue.enqueue(a_job("search", priority=0)))
     assert [queue.claim().job.operation_id for _ in range(2)] == ["search", "op-1"]
+
+
+def test_tenants_take_turns_however_many_jobs_one_of_them_has(queue):
+    queue.enqueue(*(f"a{number}" for number in range(50)), tenant="anna")
+    queue.enqueue("b0", "b1", tenant="bert")
+    queue.enqueue("c0", tenant="carl", priority=0)
+    order, last = [], ""
+    for _ in range(7):
+        job = queue.claim(after=last).job
+        order.append(job.operation_id)
+        last = job.tenant
+    assert order == ["a0", "b0", "c0", "a1", "b1", "a2", "a3"]
+
+
+def test_a_job_that_a_dead_worker_left_is_claimed_in_its_tenants_turn(queue):
+    queue.enqueue("b0", tenant="bert")
+    assert queue.claim(after="anna").job.operation_id == "b0"
+    queue.enqueue("a0", "a1", tenant="anna")
+    assert queue.claim(ms=LEASE_MS, after="anna").job.operation_id == "b0"
+    assert queue.claim(ms=LEASE_MS, after="bert").job.operation_id == "a0"
 
 
 def test_the_attempt_is_counted_before_the_run(queue, read):

@@ -104,14 +104,17 @@ class SqlScans(SqlRepository[ScanRecord]):
 class SqlJobs(SqlRepository[JobRecord]):
     """`ports.JobRepository`."""
 
-    def next_runnable(self, now: Instant) -> JobRecord | None:
+    def next_runnable(self, now: Instant, after: str = "") -> JobRecord | None:
         """See `ports.JobRepository`."""
         jobs = tables.jobs.c
         due = and_(jobs.state == "QUEUED", or_(jobs.lease_epoch != now.epoch, jobs.not_before_ms <= now.ms))
         lost = and_(self._lost(now), jobs.attempts < jobs.max_attempts)
         # One query per state: each walks the index of its state, whatever number of jobs have ended.
-        oldest = [job for job in (self._oldest(due), self._oldest(lost)) if job is not None]
-        return min(oldest, key=lambda job: (job.priority, job.number), default=None)
+        for turn in (jobs.tenant > after, jobs.tenant <= after):
+            first = [job for job in (self._first(and_(due, turn)), self._first(and_(lost, turn))) if job is not None]
+            if first:
+                return min(first, key=lambda job: (job.tenant, job.priority, job.number))
+        return None
 
     def exhausted(self, now: Instant) -> list[JobRecord]:
         """See `ports.JobRepository`."""
@@ -124,8 +127,9 @@ class SqlJobs(SqlRepository[JobRecord]):
         query = select(tables.jobs).where(tables.jobs.c.state == "RUNNING", tables.jobs.c.lease_owner == owner)
         return [self._of(row) for row in self._connection.execute(query)]
 
-    def _oldest(self, where: ColumnElement[bool]) -> JobRecord | None:
-        query = select(tables.jobs).where(where).order_by(tables.jobs.c.priority, tables.jobs.c.number)
+    def _first(self, where: ColumnElement[bool]) -> JobRecord | None:
+        jobs = tables.jobs.c
+        query = select(tables.jobs).where(where).order_by(jobs.tenant, jobs.priority, jobs.number)
         row = self._connection.execute(query.limit(1)).first()
         return None if row is None else self._of(row)
 

@@ -223,7 +223,7 @@ jobs = _numbered(
     _text("failure_code", nullable=True),
     Column("failure_message", Text, nullable=True),
     _integer("finished_at_ns", nullable=True),
-    Index(None, "state", "priority"),
+    Index(None, "state", "tenant", "priority"),
     Index(None, "tenant", "state"),
 )
 

@@ -1,0 +1,158 @@
+"""What is taken in: points a second, clouds at a time, streams at a time; for a client, a tenant and all."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import ExitStack
+
+import pytest
+
+from service.application.errors import RateLimited, WorkersBusy
+from service.application.intake import CALL_POINTS, Intake, IntakeLimits
+
+
+class Clock:
+    now_s = 100.0
+
+    def __call__(self):
+        return self.now_s
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+def intake(clock, **limits):
+    return Intake(IntakeLimits(burst_s=2.0, **limits), clock)
+
+
+def wait_s(intake, tenant="anna", client="robot"):
+    try:
+        intake.require_points(tenant, client)
+    except RateLimited as refused:
+        return refused.retry_after_s
+    return 0.0
+
+
+def test_a_client_may_send_its_burst_and_then_its_rate(clock):
+    bounded = intake(clock, client_points_per_s=5_000)
+    bounded.spend("anna", "robot", 10_000 - CALL_POINTS)
+    assert wait_s(bounded) == 0.0  # nothing is left, nothing is owed
+    bounded.spend("anna", "robot", 5_000 - CALL_POINTS)
+    assert wait_s(bounded) == pytest.approx(1.0)
+    clock.now_s += 0.75
+    assert wait_s(bounded) == pytest.approx(0.25)
+    clock.now_s += 0.25
+    assert wait_s(bounded) == 0.0
+
+
+def test_what_was_saved_is_never_more_than_the_burst(clock):
+    bounded = intake(clock, client_points_per_s=5_000)
+    assert wait_s(bounded) == 0.0
+    clock.now_s += 1_000_000.0
+    bounded.spend("anna", "robot", 10_000)
+    assert wait_s(bounded) == pytest.approx(CALL_POINTS / 5_000)
+
+
+@pytest.mark.parametrize(
+    ("limit", "same_client", "same_tenant", "other_tenant"),
+    [
+        ("client_points_per_s", True, False, False),
+        ("tenant_points_per_s", True, True, False),
+        ("points_per_s", True, True, True),
+    ],
+)
+def test_a_debt_is_felt_by_those_who_share_the_bucket(clock, limit, same_client, same_tenant, other_tenant):
+    bounded = intake(clock, **{limit: 1_000})
+    bounded.spend("anna", "robot", 2_000)
+    assert (wait_s(bounded) > 0.0) is same_client
+    assert (wait_s(bounded, client="other") > 0.0) is same_tenant
+    assert (wait_s(bounded, tenant="bert", client="robot") > 0.0) is other_tenant
+
+
+def test_a_call_without_points_costs_something(clock):
+    bounded = intake(clock, client_points_per_s=CALL_POINTS)
+    for _ in range(3):
+        bounded.spend("anna", "robot", 0)
+    assert wait_s(bounded) == pytest.approx(1.0)
+
+
+async def test_one_cloud_too_many_is_refused_until_one_is_done(clock):
+    bounded = intake(clock, clouds=4, tenant_share=1.0)
+    async with bounded.cloud("anna"), bounded.cloud("anna"), bounded.cloud("bert"):
+        async with bounded.cloud("carl"):
+            assert bounded.clouds == 4
+            with pytest.raises(WorkersBusy) as refused:
+                async with bounded.cloud("dora"):
+                    pass
+            assert refused.value.retry_after_s > 0
+        async with bounded.cloud("dora"):
+            assert bounded.clouds == 4
+    assert bounded.clouds == 0
+
+
+async def test_one_tenant_leaves_a_place_for_another(clock):
+    bounded = intake(clock, clouds=4, tenant_share=0.75)
+    async with bounded.cloud("anna"), bounded.cloud("anna"), bounded.cloud("anna"):
+        with pytest.raises(WorkersBusy):
+            async with bounded.cloud("anna"):
+                pass
+        async with bounded.cloud("bert"):
+            assert bounded.clouds == 4
+
+
+async def test_the_patient_wait_for_their_turn_in_order(clock):
+    bounded = intake(clock, clouds=2, tenant_share=0.5)
+    order = []
+
+    async def take(name, tenant):
+        async with bounded.cloud(tenant, patient=True):
+            order.append(name)
+            await asyncio.sleep(0)
+
+    async with bounded.cloud("anna"):
+        tasks = [asyncio.create_task(take(*who)) for who in (("a1", "anna"), ("a2", "anna"), ("b1", "bert"))]
+        await asyncio.gather(tasks[2])
+        assert order == ["b1"]  # bert need not wait behind anna's
+    await asyncio.gather(*tasks)
+    assert order == ["b1", "a1", "a2"]
+    assert bounded.clouds == 0
+
+
+async def test_who_gives_up_waiting_takes_no_place(clock):
+    bounded = intake(clock, clouds=1)
+
+    async def take():
+        async with bounded.cloud("anna", patient=True):
+            pass
+
+    async with bounded.cloud("anna"):
+        waiting = [asyncio.create_task(take()) for _ in range(3)]
+        await asyncio.sleep(0)
+        waiting[0].cancel()
+        await asyncio.gather(waiting[0], return_exceptions=True)
+    waiting[1].cancel()  # given its place a moment ago
+    await asyncio.gather(*waiting, return_exceptions=True)
+    assert bounded.clouds == 0
+    async with bounded.cloud("anna"):
+        assert bounded.clouds == 1
+
+
+def test_streams_are_bounded_for_a_client_and_for_all(clock):
+    bounded = intake(clock, streams=5, client_streams=3)
+    with ExitStack() as held:
+        for _ in range(3):
+            held.enter_context(bounded.stream("anna", "robot", replaces=False))
+        with pytest.raises(RateLimited, match="3 streams of this client"):
+            held.enter_context(bounded.stream("anna", "robot", replaces=False))
+        # One that takes over from another, which ends, gets its place.
+        with bounded.stream("anna", "robot", replaces=True):
+            assert bounded.streams == 4
+        held.enter_context(bounded.stream("anna", "other", replaces=False))
+        held.enter_context(bounded.stream("bert", "robot", replaces=False))
+        with pytest.raises(RateLimited, match="5 in all"):
+            held.enter_context(bounded.stream("carl", "robot", replaces=False))
+    assert bounded.streams == 0
+    with bounded.stream("anna", "robot", replaces=False):
+        assert bounded.streams == 1
