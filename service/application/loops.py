@@ -18,6 +18,9 @@ from service.application.ports import UnitOfWork
 from service.application.poses import pose_matrix
 from service.application.records import LoopRecord
 
+_LAST_NUMBER = 2**63 - 1
+"""No closure has a larger number; stores cannot compare with one."""
+
 _WATCH_POLL_S = 0.25
 _WATCH_BATCH = 100
 
@@ -100,7 +103,7 @@ class Loops:
 
         Ends when the service stops. Raises NotFound for the map.
         """
-        seen = after
+        seen = min(after, _LAST_NUMBER)
         while not self._context.stopping.is_set():
             records = await self._accepted_after(tenant, map_id, seen, session_id)
             for record in records:

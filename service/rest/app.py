@@ -13,16 +13,9 @@ from service.rest.limits import HttpLimits
 from service.rest.middleware import BodyLimit, HostGuard, OriginGuard, RequestEnvelope, RequestTimer
 from service.rest.routes import loops, maps, operations, robots, searches, sessions, submaps, system
 from service.rest.schemas import Problem
+from service.status import STATUS
 
 API_VERSION = "1"
-
-_PROBLEMS: dict[int | str, dict[str, Any]] = {
-    status: {"description": text, "content": {PROBLEM_JSON: {"schema": {"$ref": "#/components/schemas/Problem"}}}}
-    for status, text in {
-        "4XX": "The request cannot be served as it is; nothing was stored",
-        "5XX": "The service failed; where retryable, repeat the request with the same ids",
-    }.items()
-}
 
 
 def create_app(
@@ -39,7 +32,6 @@ def create_app(
         summary="Loop closure as a service for robot fleets",
         docs_url=None,
         redoc_url=None,
-        responses=_PROBLEMS,
         generate_unique_id_function=lambda route: route.name,
     )
     app.state.use_cases = use_cases
@@ -58,12 +50,25 @@ def create_app(
 
 
 def _describe_problems(app: FastAPI) -> None:
-    """Add `Problem` to the OpenAPI document and drop FastAPI's own 422, which this service never sends."""
+    """Give every operation of the OpenAPI document every status of the error table, with the reasons behind it.
+
+    FastAPI's own 422 is never sent; its schemas go.
+    """
     document = app.openapi()
     schemas = document["components"]["schemas"]
     schemas["Problem"] = Problem.model_json_schema()
     schemas.pop("HTTPValidationError", None)
     schemas.pop("ValidationError", None)
-    for path in document["paths"].values():
-        for operation in path.values():
-            operation["responses"].pop("422", None)
+    problems = document["components"]["responses"] = _problems()
+    references = {status: {"$ref": f"#/components/responses/{status}"} for status in problems}
+    for operation in (operation for path in document["paths"].values() for operation in path.values()):
+        own = {status: answer for status, answer in operation["responses"].items() if status != "422"}
+        operation["responses"] = {**references, **own}
+
+
+def _problems() -> dict[str, dict[str, Any]]:
+    reasons: dict[str, list[str]] = {}
+    for code, status in sorted(STATUS.items(), key=lambda entry: entry[1].http):
+        reasons.setdefault(str(status.http), []).append(code.value)
+    content = {PROBLEM_JSON: {"schema": {"$ref": "#/components/schemas/Problem"}}}
+    return {status: {"description": ", ".join(names), "content": content} for status, names in reasons.items()}

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ValidationError
 from starlette.requests import ClientDisconnect, Request
 
 from core.errors import BadField, MalformedBody, TooLarge, UnsupportedEncoding
+from core.formats import MEDIA_TYPES
 from core.formats.compression import decode_content
 from service.application.clouds import EncodedCloud
 from service.rest.errors import bad_field
@@ -24,12 +25,13 @@ _BRACKET = re.compile(r"[\[\]{}]")
 
 ANY_BINARY = {"schema": {"type": "string", "format": "binary"}}
 
+CLOUD_CONTENT = dict.fromkeys(MEDIA_TYPES, ANY_BINARY)
+
 CLOUD_BODY: dict[str, Any] = {
     "requestBody": {
         "required": True,
-        "description": "A point cloud in the encoding named by Content-Type, optionally with Content-Encoding gzip or "
-        "zstd.",
-        "content": {"application/octet-stream": ANY_BINARY},
+        "description": "A point cloud, optionally with Content-Encoding gzip or zstd.",
+        "content": CLOUD_CONTENT,
     }
 }
 

@@ -12,7 +12,7 @@ from core.errors import BadField
 from service.application import UseCases
 from service.application.identity import SubmapKey, TenantId
 from service.application.searches import LocalizeQuery, SearchCriteria, SearchResult
-from service.rest.bodies import ANY_BINARY, CLOUD_BODY, cloud_body, json_bytes, limits_of, media_type, parse_json
+from service.rest.bodies import CLOUD_BODY, CLOUD_CONTENT, cloud_body, json_bytes, limits_of, media_type, parse_json
 from service.rest.parameters import Cases, Cloud, Id, Prior, RadiusM, Tenant, criteria_of_body, criteria_of_query
 from service.rest.schemas import LocalizeAnswer, SearchAnswer, SearchRequest
 
@@ -24,7 +24,7 @@ _SEARCH_BODY = {
         "description": "JSON to search by submap or by descriptor, else a point cloud (criteria in the query string).",
         "content": {
             "application/json": {"schema": SearchRequest.model_json_schema()},
-            "application/octet-stream": ANY_BINARY,
+            **CLOUD_CONTENT,
         },
     }
 }

@@ -7,6 +7,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Response
 
+from service.application.downloads import MEDIA_TYPES
 from service.application.identity import SubmapKey
 from service.application.submaps import DownloadKind, PostSubmap
 from service.rest.bodies import ANY_BINARY, CLOUD_BODY
@@ -78,7 +79,7 @@ async def list_submaps(key: SessionOf, cases: Cases, tenant: Tenant, paging: Pag
 @router.get(
     "/{submap_id}:download",
     response_class=Response,
-    responses={200: {"content": {"application/octet-stream": ANY_BINARY}, "description": "The file"}},
+    responses={200: {"content": dict.fromkeys(MEDIA_TYPES.values(), ANY_BINARY), "description": "The file"}},
 )
 async def download_submap(
     key: SubmapOf, cases: Cases, tenant: Tenant, file_format: Annotated[DownloadFormat, Query(alias="format")]

@@ -9,6 +9,7 @@ import pytest
 from revisit import Client
 from revisit.retry import RetryPolicy
 from tests.support.live_service import live_service
+from tests.support.service_world import sqlite_world
 
 _numbers = itertools.count(1)
 
@@ -17,6 +18,15 @@ _numbers = itertools.count(1)
 def service():
     with live_service() as running:
         yield running
+
+
+@pytest.fixture(scope="module")
+def sqlite_service(tmp_path_factory):
+    """A service over SQLite and files, for input that only a database would stumble over."""
+    world = sqlite_world(tmp_path_factory.mktemp("sqlite"))
+    with live_service(world) as running:
+        yield running
+    world.context.transactions.close()
 
 
 @pytest.fixture(params=["rest", "grpc"])
