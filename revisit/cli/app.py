@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from revisit.cli import keeping
+
 app = typer.Typer(
     name="revisit",
     help="Loop closure as a service for robot fleets.",
@@ -298,9 +300,15 @@ def doctor(
     home: Annotated[Path | None, typer.Option(help="Directory of the database and the blobs.")] = None,
     http: Http = HTTP,
     grpc: Grpc = GRPC,
+    full: Annotated[bool, typer.Option("--full", help="Read every blob instead of 200 of them.")] = False,
     json: Json = False,
 ) -> None:
-    """Check versions, the models, the database and whether the service answers."""
+    """Check versions, the models, the data folder and whether the service answers."""
     from revisit.cli import examining
 
-    examining.doctor(home, http, grpc, json)
+    examining.doctor(home, http, grpc, json, full)
+
+
+app.command()(keeping.backup)
+app.command()(keeping.restore)
+app.command()(keeping.scrub)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import platform
-import sqlite3
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
 
@@ -16,27 +15,19 @@ from revisit.cli.output import emit_json, emit_table
 from revisit.client import Client
 from revisit.errors import ApiError
 from revisit.retry import RetryPolicy
+from service.adapters.examination import Finding, examine
 
 LIBRARIES = ("numpy", "torch", "faiss-cpu", "opencv-python-headless", "fastapi", "grpcio", "protobuf", "sqlalchemy")
 
 
-@dataclass(frozen=True)
-class Finding:
-    """One check. `ok` is None where it does not apply."""
-
-    check: str
-    ok: bool | None
-    detail: str
-
-
-def doctor(home: Path | None, http: str, grpc: str, as_json: bool) -> None:
-    """Run every check; exit status 1 where one failed."""
+def doctor(home: Path | None, http: str, grpc: str, as_json: bool, full: bool = False) -> None:
+    """Run every check; exit status 1 where one failed. `full` reads every blob instead of a sample."""
     once = RetryPolicy(attempts=1)
     findings = [
         Finding("python", True, platform.python_version()),
         *(_library(name) for name in LIBRARIES),
         _checked("models", _models),
-        _database(home),
+        *_data(home, full),
         _checked("REST", lambda: _answer(Client(http, retry=once))),
         _checked("gRPC", lambda: _answer(Client.grpc(grpc, retry=once))),
     ]
@@ -69,18 +60,10 @@ def _models() -> str:
     return load_packaged_models().version
 
 
-def _database(home: Path | None) -> Finding:
+def _data(home: Path | None, full: bool) -> list[Finding]:
     from service.settings import Settings
 
-    file = Settings(home=home).database if home else Settings().database
-    if not file.exists():
-        return Finding("database", None, f"{file} does not exist yet")
-    try:
-        with sqlite3.connect(f"file:{file}?mode=ro", uri=True) as connection:
-            (verdict,) = connection.execute("PRAGMA quick_check(1)").fetchone()
-    except sqlite3.Error as error:
-        return Finding("database", False, f"{file}: {error}")
-    return Finding("database", verdict == "ok", f"{file}: {verdict}")
+    return examine(Settings(home=home).home if home else Settings().home, full=full)
 
 
 def _answer(client: Client) -> str:

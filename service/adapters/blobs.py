@@ -36,6 +36,10 @@ _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 log = structlog.get_logger(__name__)
 
 
+class BlobDamaged(DataLoss):
+    """The bytes of a blob are not those that it was named after."""
+
+
 class FileBlobStore:
     """`ports.BlobStore` in a directory of this machine."""
 
@@ -69,15 +73,10 @@ class FileBlobStore:
         """See `ports.BlobStore`."""
         path = self._path(tenant, kind, sha256)
         try:
-            data = path.read_bytes()
-        except FileNotFoundError as error:
-            raise DataLoss(f"the {kind} {sha256[:12]} is missing") from error
-        except OSError as error:
-            raise DataLoss(f"the {kind} {sha256[:12]} cannot be read: {error.strerror}") from error
-        if hashlib.sha256(data).hexdigest() != sha256:
+            return read_verified(path)
+        except BlobDamaged:
             self._quarantine(path, tenant, kind)
-            raise DataLoss(f"the {kind} {sha256[:12]} is damaged")
-        return data
+            raise
 
     def exists(self, tenant: TenantId, kind: str, sha256: str) -> bool:
         """See `ports.BlobStore`."""
@@ -110,9 +109,7 @@ class FileBlobStore:
         return sum(1 for _ in folder.iterdir()) if folder.is_dir() else 0
 
     def _path(self, tenant: TenantId, kind: str, sha256: str) -> Path:
-        if not all(_NAME.fullmatch(part) for part in (tenant, kind, sha256)):
-            raise DataLoss("a blob's address is damaged")
-        return self._root / tenant / kind / sha256[:2] / sha256
+        return blob_path(self._root, StoredBlob(tenant, kind, sha256))
 
     def _quarantine(self, path: Path, tenant: TenantId, kind: str) -> None:
         """Move a damaged blob out of the way: the next `put` of its content makes it whole again."""
@@ -134,6 +131,27 @@ class FileBlobStore:
             if error.errno == errno.EIO:
                 self._fail_stop.trip(f"a blob could not be written: {error.strerror}")
             raise StorageUncertain(f"a blob could not be written: {error.strerror}") from error
+
+
+def read_verified(path: Path) -> bytes:
+    """A blob's bytes, checked against its file's name. Raises BlobDamaged; DataLoss where they cannot be read."""
+    kind, sha256 = path.parents[1].name, path.name
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError as error:
+        raise DataLoss(f"the {kind} {sha256[:12]} is missing") from error
+    except OSError as error:
+        raise DataLoss(f"the {kind} {sha256[:12]} cannot be read: {error.strerror}") from error
+    if hashlib.sha256(data).hexdigest() != sha256:
+        raise BlobDamaged(f"the {kind} {sha256[:12]} is damaged")
+    return data
+
+
+def blob_path(root: Path, blob: StoredBlob) -> Path:
+    """Where below `root` a blob lies. Raises DataLoss for an address that could lead elsewhere."""
+    if not all(_NAME.fullmatch(part) for part in (blob.tenant, blob.kind, blob.sha256)):
+        raise DataLoss("a blob's address is damaged")
+    return root / blob.tenant / blob.kind / blob.sha256[:2] / blob.sha256
 
 
 @contextmanager

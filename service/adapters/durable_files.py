@@ -38,6 +38,12 @@ def durable_write(path: Path, data: bytes) -> None:
     sync_directory(path.parent)
 
 
+def write_later_synced(path: Path, data: bytes) -> None:
+    """Make a new file that survives a power cut only after an `os.sync`: for many files of which all or none count."""
+    with open(path, "xb", opener=_private) as file:
+        file.write(data)
+
+
 def make_directories(path: Path, root: Path) -> None:
     """Make `path` and its parents below `root`, durably."""
     if path.is_dir():
@@ -79,3 +85,7 @@ def move_durably(path: Path, target: Path) -> None:
 def open_lock(path: Path) -> int:
     """The descriptor of a file to be locked with `flock`, which is made where it is missing; close it after use."""
     return os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+
+
+def _private(path: str, flags: int) -> int:
+    return os.open(path, flags | os.O_CLOEXEC, 0o600)

@@ -17,7 +17,9 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 class ServiceProcess:
-    """`python -m service serve` on free ports over `home`."""
+    """`python -m service serve` on free ports over `home`, without a reserve on the disk; `launcher` goes before it."""
+
+    launcher: tuple[str, ...] = ()
 
     def __init__(self, home: Path, **settings: Any) -> None:
         self._environment = {name: value for name, value in os.environ.items() if not name.startswith("REVISIT_")}
@@ -26,6 +28,7 @@ class ServiceProcess:
             "REVISIT_HTTP_PORT": "0",
             "REVISIT_GRPC_PORT": "0",
             "REVISIT_WORKERS": "1",
+            "REVISIT_RESERVE_MB": "0",
             "REVISIT_RECOGNISER": "tests.support.fake_recogniser:load",
             **{f"REVISIT_{name.upper()}": str(value) for name, value in settings.items()},
         }
@@ -35,7 +38,7 @@ class ServiceProcess:
     def start(self) -> None:
         """Start it (again) and wait until it listens."""
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "service", "serve"],
+            [*self.launcher, sys.executable, "-m", "service", "serve"],
             cwd=ROOT,
             env=self._environment,
             stderr=subprocess.PIPE,
@@ -60,6 +63,15 @@ class ServiceProcess:
                 break
             time.sleep(0.01)
         raise AssertionError(f"no {event!r} in {self.events[-20:]}, exit status {self._process.poll()}")
+
+    @property
+    def pid(self) -> int:
+        """The gateway's process id."""
+        return self._process.pid
+
+    def wait_until_it_ends(self, timeout_s: float = 30.0) -> int:
+        """The exit status of a gateway that ends by itself."""
+        return self._process.wait(timeout_s)
 
     def kill(self) -> None:
         """kill -9 the gateway; its workers are left to notice."""

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from alembic import command
 from alembic.config import Config
+from alembic.script import ScriptDirectory
 
 from service.adapters.filesystem import require_local
 from service.adapters.sql.unit_of_work import WriterLock
@@ -39,6 +40,17 @@ def alembic_config(database: Path) -> Config:
     config.set_main_option("script_location", str(MIGRATIONS))
     config.set_main_option("sqlalchemy.url", f"sqlite:///{database}")
     return config
+
+
+def known_revisions() -> frozenset[str]:
+    """The revisions that this version can open or upgrade."""
+    scripts = ScriptDirectory(str(MIGRATIONS))
+    return frozenset(script.revision for script in scripts.walk_revisions())
+
+
+def newest_revision() -> str:
+    """The revision that this version brings a database to."""
+    return str(ScriptDirectory(str(MIGRATIONS)).get_current_head())
 
 
 def current_revision(database: Path) -> str | None:

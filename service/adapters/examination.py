@@ -1,0 +1,137 @@
+"""The data folder under examination: whether what the rows name is there and is what was stored."""
+
+from __future__ import annotations
+
+import random
+import sqlite3
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+from core.errors import DataLoss
+from service.adapters.blobs import QUARANTINE, FileBlobStore, blob_path, read_verified
+from service.adapters.filesystem import MOUNTS, RemoteFileSystem, filesystem_type, require_local
+from service.adapters.sql.blob_rows import named_blobs, open_to_read
+from service.adapters.sql.migration import current_revision, known_revisions, newest_revision
+from service.application.ports import StoredBlob
+
+SAMPLE = 200
+"""Blobs that are read where not all are asked for."""
+
+WAL_ALARM_BYTES = 64 * 2**20
+FIXED_SQLITE = (3, 51, 3)
+BACKPORTS = ((3, 44, 6), (3, 50, 7))
+"""SQLite without the fault by which two connections that write or checkpoint at one instant damage the WAL."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One check. `ok` is None where it does not apply."""
+
+    check: str
+    ok: bool | None
+    detail: str
+
+
+def examine(home: Path, *, full: bool) -> list[Finding]:
+    """Look at a data folder, whether or not the service runs, and change nothing. `full`: read every blob."""
+    database = home / "revisit.db"
+    findings = [_sqlite_library(), _file_system(home)]
+    if not database.exists():
+        return [*findings, Finding("database", None, f"{database} does not exist yet")]
+    try:
+        with closing(open_to_read(database)) as rows:
+            findings += [_schema(database), _pages(rows), _references(rows), _wal(database)]
+            findings.append(_blobs(home, list(named_blobs(rows)), full=full))
+    except sqlite3.Error as error:
+        findings.append(Finding("database", False, f"{database}: {error}"))
+    aside = FileBlobStore(home / "blobs").quarantined() if (home / "blobs").is_dir() else 0
+    detail = f"{aside} damaged blobs lie in {home / 'blobs' / QUARANTINE}" if aside else "empty"
+    return [*findings, Finding("quarantine", aside == 0, detail)]
+
+
+@dataclass(frozen=True)
+class Scrubbed:
+    """What a scrub found: how many blobs it read, which it moved aside, which are missing; the database's verdict."""
+
+    checked: int
+    damaged: tuple[str, ...]
+    missing: tuple[str, ...]
+    database: str
+
+
+def scrub(home: Path) -> Scrubbed:
+    """Read every blob that a row names and every page of the database; the service may run.
+
+    A damaged blob is moved aside: whoever asks for it gets DATA_LOSS, and posting the same content again mends it.
+    Raises OSError, sqlite3.Error.
+    """
+    store = FileBlobStore(home / "blobs")
+    damaged, missing = [], []
+    with closing(open_to_read(home / "revisit.db")) as rows:
+        (verdict,) = rows.execute("PRAGMA integrity_check(1)").fetchone()
+        blobs = list(named_blobs(rows))
+    for blob in blobs:
+        there = blob_path(home / "blobs", blob).exists()
+        try:
+            store.get(blob.tenant, blob.kind, blob.sha256)
+        except DataLoss:
+            (damaged if there else missing).append(f"{blob.tenant}/{blob.kind}/{blob.sha256}")
+    return Scrubbed(len(blobs), tuple(damaged), tuple(missing), str(verdict))
+
+
+def _sqlite_library() -> Finding:
+    version = sqlite3.sqlite_version_info
+    fixed = version >= FIXED_SQLITE or any(version[:2] == known[:2] and version >= known for known in BACKPORTS)
+    note = "" if fixed else ", has the WAL-reset fault; the service never writes or checkpoints from two connections"
+    return Finding("SQLite", True, f"{sqlite3.sqlite_version}{note}")
+
+
+def _file_system(home: Path) -> Finding:
+    try:
+        require_local(home)
+    except RemoteFileSystem as error:
+        return Finding("file system", False, str(error))
+    kind = filesystem_type(home.resolve(), MOUNTS.read_text()) if MOUNTS.exists() else "unknown"
+    return Finding("file system", True, kind)
+
+
+def _schema(database: Path) -> Finding:
+    revision, newest = current_revision(database), newest_revision()
+    if revision == newest:
+        return Finding("schema", True, f"{revision}, the newest")
+    if revision in known_revisions():
+        return Finding("schema", True, f"{revision}; the next start brings it to {newest}")
+    return Finding("schema", False, f"{revision}, which this version does not know: a newer one made it")
+
+
+def _pages(rows: sqlite3.Connection) -> Finding:
+    (verdict,) = rows.execute("PRAGMA integrity_check(1)").fetchone()
+    return Finding("database", verdict == "ok", f"integrity {verdict}")
+
+
+def _references(rows: sqlite3.Connection) -> Finding:
+    broken = rows.execute("PRAGMA foreign_key_check").fetchall()
+    return Finding("references", not broken, f"{len(broken)} rows whose parent is gone")
+
+
+def _wal(database: Path) -> Finding:
+    wal = database.with_name(f"{database.name}-wal")
+    size_bytes = wal.stat().st_size if wal.exists() else 0
+    return Finding("WAL", size_bytes <= WAL_ALARM_BYTES, f"{size_bytes / 2**20:.1f} MiB")
+
+
+def _blobs(home: Path, named: Sequence[StoredBlob], *, full: bool) -> Finding:
+    chosen = named if full else random.sample(named, min(SAMPLE, len(named)))
+    bad = [problem for blob in chosen if (problem := _problem(home, blob))]
+    examples = f": {'; '.join(bad[:3])}" if bad else ""
+    return Finding("blobs", not bad, f"{len(chosen)} of {len(named)} read, {len(bad)} missing or damaged{examples}")
+
+
+def _problem(home: Path, blob: StoredBlob) -> str:
+    try:
+        read_verified(blob_path(home / "blobs", blob))
+    except DataLoss as error:
+        return error.message
+    return ""

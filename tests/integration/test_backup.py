@@ -1,0 +1,253 @@
+"""Backup, restore, scrub and doctor over a real data folder."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import threading
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from core.errors import DataLoss
+from revisit.cli.app import app
+from service.adapters import backup
+from service.adapters.backup import BackupRefused, make_backup, restore_backup
+from service.adapters.examination import examine, scrub
+from service.application.downloads import DownloadKind
+from tests.support.service_world import TENANT, open_session, sqlite_world, submap
+
+
+@pytest.fixture
+def home(tmp_path):
+    return tmp_path / "home"
+
+
+@pytest.fixture
+async def world(home):
+    """Four described submaps in one session, each with a cloud, signature, mesh and neural map."""
+    opened = sqlite_world(home)
+    await open_session(opened)
+    for number in range(4):
+        await opened.use_cases.submaps.post(TENANT, submap(f"s{number}", number))
+    opened.work_off()
+    yield opened
+    opened.context.transactions.close()
+
+
+@pytest.fixture
+def archive(world, home, tmp_path):
+    make_backup(home, tmp_path / "backup", "1.0")
+    return tmp_path / "backup"
+
+
+def blobs(folder: Path) -> dict[str, bytes]:
+    files = (path for path in (folder / "blobs").rglob("*") if path.is_file())
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+
+
+def names(home: Path) -> set[str]:
+    restored = sqlite_world(home)
+    found = restored.context.transactions.read(lambda uow: uow.submaps.find(TENANT, map_id="town")).result()
+    restored.context.transactions.close()
+    return {record.submap_id for record in found}
+
+
+def flip_a_bit(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(bytes(data))
+
+
+def healthy(home: Path) -> bool:
+    return all(finding.ok is not False for finding in examine(home, full=True))
+
+
+async def test_a_restored_backup_is_what_was_backed_up(world, home, archive, tmp_path):
+    manifest = restore_backup(archive, tmp_path / "restored")
+    assert (manifest.blobs, manifest.lost) == (16, ())
+    assert blobs(tmp_path / "restored") == blobs(home)
+    assert names(tmp_path / "restored") == {"s0", "s1", "s2", "s3"}
+    assert healthy(tmp_path / "restored")
+    restored = sqlite_world(tmp_path / "restored")
+    mesh = await restored.use_cases.submaps.download(TENANT, submap("s1", 1).key, DownloadKind.MESH)
+    assert mesh.data.startswith(b"ply\n")
+    assert (await restored.use_cases.submaps.post(TENANT, submap("s1", 1))).replay
+    restored.context.transactions.close()
+
+
+async def test_a_backup_under_ingest_has_everything_that_was_acknowledged_before_it_began(world, home, tmp_path):
+    acknowledged, stop = [], threading.Event()
+
+    async def ingest():
+        number = 100
+        while not stop.is_set():
+            await world.use_cases.submaps.post(TENANT, submap(f"s{number}", number))
+            acknowledged.append(f"s{number}")
+            number += 1
+
+    ingesting = asyncio.create_task(ingest())
+    while len(acknowledged) < 5:
+        await asyncio.sleep(0.01)
+    before = {"s0", "s1", "s2", "s3", *acknowledged}
+    manifest = await asyncio.to_thread(make_backup, home, tmp_path / "backup", "1.0")
+    stop.set()
+    await ingesting
+    restore_backup(tmp_path / "backup", tmp_path / "restored")
+    assert manifest.lost == ()
+    assert before <= names(tmp_path / "restored") <= {*before, *acknowledged}
+    assert healthy(tmp_path / "restored")
+
+
+async def test_what_is_deleted_during_a_backup_is_whole_in_it_and_is_swept_later(world, home, tmp_path, monkeypatch):
+    real, loop = backup._copy_blobs, asyncio.get_running_loop()
+
+    def delete_first(*arguments):
+        asyncio.run_coroutine_threadsafe(world.use_cases.submaps.delete(TENANT, submap("s0", 0).key), loop).result(10)
+        return real(*arguments)
+
+    monkeypatch.setattr(backup, "_copy_blobs", delete_first)
+    manifest = await asyncio.to_thread(make_backup, home, tmp_path / "backup", "1.0")
+    monkeypatch.undo()
+    assert manifest.lost == ()
+    restore_backup(tmp_path / "backup", tmp_path / "restored")
+    assert names(tmp_path / "restored") == {"s0", "s1", "s2", "s3"}
+    assert names(home) == {"s1", "s2", "s3"} and len(blobs(home)) == 16, "its blobs wait for the sweep"
+    await world.use_cases.submaps.delete(TENANT, submap("s1", 1).key)
+    assert len(blobs(home)) == 12
+
+
+def damage_database(archive: Path) -> None:
+    flip_a_bit(archive / "revisit.db")
+
+
+def damage_a_blob(archive: Path) -> None:
+    flip_a_bit(archive / sorted(blobs(archive))[0])
+
+
+def lose_a_blob(archive: Path) -> None:
+    (archive / sorted(blobs(archive))[-1]).unlink()
+
+
+def lose_the_manifest(archive: Path) -> None:
+    (archive / "manifest.json").unlink()
+
+
+def cut_the_manifest(archive: Path) -> None:
+    (archive / "manifest.json").write_bytes((archive / "manifest.json").read_bytes()[:-20])
+
+
+def of_the_future(archive: Path) -> None:
+    rewrite(archive, revision="9999")
+
+
+def of_another_format(archive: Path) -> None:
+    rewrite(archive, format=2)
+
+
+def rewrite(archive: Path, **changes) -> None:
+    manifest = json.loads((archive / "manifest.json").read_text())
+    (archive / "manifest.json").write_text(json.dumps({**manifest, **changes}))
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        damage_database,
+        damage_a_blob,
+        lose_a_blob,
+        lose_the_manifest,
+        cut_the_manifest,
+        of_the_future,
+        of_another_format,
+    ],
+)
+async def test_a_damaged_or_foreign_backup_is_refused_and_leaves_nothing(archive, tmp_path, damage):
+    damage(archive)
+    kept = blobs(archive)
+    with pytest.raises(BackupRefused):
+        restore_backup(archive, tmp_path / "restored")
+    assert not (tmp_path / "restored").exists() and not (tmp_path / "restored.restoring").exists()
+    assert blobs(archive) == kept, "the backup itself is not touched"
+
+
+async def test_nothing_is_overwritten(world, home, archive, tmp_path):
+    with pytest.raises(FileExistsError, match="new folder"):
+        make_backup(home, archive, "1.0")
+    with pytest.raises(FileExistsError, match="not empty"):
+        restore_backup(archive, home)
+    with pytest.raises(FileNotFoundError, match="no database"):
+        make_backup(tmp_path / "nowhere", tmp_path / "other", "1.0")
+    (tmp_path / "empty").mkdir()
+    restore_backup(archive, tmp_path / "empty")
+    assert healthy(tmp_path / "empty")
+
+
+async def test_a_backup_says_what_was_lost_before_it_and_can_still_be_restored(world, home, tmp_path):
+    victim = sorted(blobs(home))[0]
+    flip_a_bit(home / victim)
+    manifest = make_backup(home, tmp_path / "backup", "1.0")
+    assert len(manifest.lost) == 1 and manifest.lost[0].endswith(Path(victim).name) and manifest.blobs == 15
+    restore_backup(tmp_path / "backup", tmp_path / "restored")
+    assert len(blobs(tmp_path / "restored")) == 15
+    assert not healthy(tmp_path / "restored")
+
+
+@pytest.mark.parametrize("kind", ["cloud", "signature", "mesh", "neural-map"])
+async def test_a_flipped_bit_is_found_moved_aside_and_hurts_one_item_only(world, home, kind):
+    victim = next(home / name for name in sorted(blobs(home)) if f"/{kind}/" in name)
+    flip_a_bit(victim)
+    assert not healthy(home) and victim.exists(), "doctor changes nothing"
+    found = scrub(home)
+    assert (found.checked, len(found.damaged), found.missing, found.database) == (16, 1, (), "ok")
+    assert not victim.exists() and len(list((home / "blobs" / ".quarantine").iterdir())) == 1
+    downloads = {"cloud": DownloadKind.POINTS, "mesh": DownloadKind.MESH, "neural-map": DownloadKind.NEURAL}
+    if kind in downloads:
+        lost = 0
+        for number in range(4):
+            try:
+                await world.use_cases.submaps.download(TENANT, submap(f"s{number}", number).key, downloads[kind])
+            except DataLoss:
+                lost += 1
+        assert lost == 1
+    assert (scrub(home).damaged, len(scrub(home).missing)) == ((), 1)
+
+
+async def test_the_same_content_posted_again_mends_a_damaged_blob(world, home):
+    victim = next(home / name for name in sorted(blobs(home)) if "/cloud/" in name)
+    whole = victim.read_bytes()
+    flip_a_bit(victim)
+    scrub(home)
+    world.context.blobs.put(TENANT, "cloud", whole)
+    assert scrub(home).missing == () and victim.read_bytes() == whole
+
+
+async def test_the_doctor_names_what_is_wrong(world, home):
+    def findings(full=False):
+        return {finding.check: finding for finding in examine(home, full=full)}
+
+    assert all(finding.ok for finding in findings(full=True).values())
+    assert "16 of 16 read" in findings(full=True)["blobs"].detail
+
+    def become_newer(uow):
+        uow.connection.exec_driver_sql("UPDATE alembic_version SET version_num = '9999'")
+
+    world.context.transactions.write(become_newer).result()
+    assert findings()["schema"].ok is False and "newer" in findings()["schema"].detail
+    for name in blobs(home):
+        (home / name).unlink()
+    assert findings()["blobs"].ok is False and "16 missing or damaged" in findings()["blobs"].detail
+
+
+async def test_the_commands_back_up_restore_and_scrub(world, home, tmp_path):
+    run = CliRunner()
+    made = run.invoke(app, ["backup", str(tmp_path / "b"), "--home", str(home), "--json"])
+    assert made.exit_code == 0 and json.loads(made.stdout)["blobs"] == 16
+    restored = run.invoke(app, ["restore", str(tmp_path / "b"), "--home", str(tmp_path / "r")])
+    assert restored.exit_code == 0 and "16 blobs" in restored.stdout
+    flip_a_bit(tmp_path / "r" / sorted(blobs(tmp_path / "r"))[0])
+    scrubbed = run.invoke(app, ["scrub", "--home", str(tmp_path / "r")])
+    assert scrubbed.exit_code == 1 and "damaged, moved aside" in scrubbed.output
+    again = run.invoke(app, ["backup", str(tmp_path / "c"), "--home", str(tmp_path / "r")])
+    assert again.exit_code == 1 and "lost before this backup" in again.output
