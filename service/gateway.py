@@ -19,7 +19,7 @@ from service.adapters.sql.migration import migrate
 from service.application import Context, UseCases
 from service.application.upkeep import Upkeep
 from service.composition import STORAGE_FAILED, build_context, build_use_cases, chores
-from service.metrics import MetricsServer, RequestMetrics, StoreMetrics
+from service.metrics import LoadMetrics, MetricsServer, RequestMetrics, StoreMetrics
 from service.settings import Settings
 from service.worker.supervisor import WorkerSupervisor
 
@@ -82,6 +82,7 @@ class _Gateway:
         supervisor.start()
         upkeep = Upkeep(chores(self._settings))
         upkeep.start()
+        self._watch = asyncio.create_task(LoadMetrics(self._requests.registry, context.intake).watch(), name="load")
         metrics = self._metrics_server(context)
         log.info("listening", host=self._settings.host, http_port=http_port, grpc_port=grpc_port, pid=os.getpid())
         stopped = asyncio.create_task(stop.wait(), name="stop")

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import asyncio
+import time
 from collections.abc import Iterator
 from enum import StrEnum
 from typing import Any
 
-from prometheus_client import CollectorRegistry, Histogram, start_http_server
+import structlog
+from prometheus_client import CollectorRegistry, Gauge, Histogram, start_http_server
 from prometheus_client.core import GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
 from core.errors import RevisitError
 from service.application import DEFAULT_TENANT, Context
+from service.application.intake import Intake
 from service.application.loops import LoopState
 from service.application.operations import OperationState
 from service.application.ports import Repository, UnitOfWork
@@ -19,7 +23,14 @@ from service.application.submaps import SubmapState
 from service.application.system import WORKER_SEEN_WITHIN_MS
 
 LATENCY_BUCKETS_S = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0)
+LAG_BUCKETS_S = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.25, 1.0)
+LAG_EVERY_S = 0.05
+LAG_BOUND_S = 0.1
+"""A loop that is later than this keeps health checks and acknowledgements waiting: it is logged."""
+
 LOOPBACK = "127.0.0.1"
+
+log = structlog.get_logger(__name__)
 
 
 class RequestMetrics:
@@ -38,6 +49,32 @@ class RequestMetrics:
     def observe(self, transport: str, call: str, status: str, duration_s: float) -> None:
         """Count one answered request; `call` is a route or an RPC, never what a client chose freely."""
         self._durations.labels(transport, call, status).observe(duration_s)
+
+
+class LoadMetrics:
+    """How late the event loop is (everything waits as long), and what is taken in now."""
+
+    def __init__(self, registry: CollectorRegistry, intake: Intake) -> None:
+        self._lag = Histogram(
+            "revisit_event_loop_lag_seconds",
+            "How late the gateway's event loop wakes, looked at every 50 ms.",
+            registry=registry,
+            buckets=LAG_BUCKETS_S,
+        )
+        clouds = Gauge("revisit_clouds_in_intake", "Clouds that are being decoded and stored.", registry=registry)
+        clouds.set_function(lambda: intake.clouds)
+        streams = Gauge("revisit_open_streams", "Streams of scans that are open.", registry=registry)
+        streams.set_function(lambda: intake.streams)
+
+    async def watch(self) -> None:
+        """Measure until cancelled; write down each time that the loop was later than it may be."""
+        while True:
+            began_s = time.perf_counter()
+            await asyncio.sleep(LAG_EVERY_S)
+            lag_s = max(0.0, time.perf_counter() - began_s - LAG_EVERY_S)
+            self._lag.observe(lag_s)
+            if lag_s > LAG_BOUND_S:
+                log.warning("event_loop_late", lag_s=round(lag_s, 3))
 
 
 class StoreMetrics(Collector):

@@ -103,10 +103,9 @@ class Context:
 
         Raises RateLimited; WorkersBusy where there is no place, unless `patient`.
         """
-        client = ""
-        self.intake.require_points(tenant, client)
+        self.intake.require_points(tenant)
         async with self.intake.cloud(tenant, patient=patient):
-            yield lambda points: self.intake.spend(tenant, client, points)
+            yield lambda points: self.intake.spend(tenant, points)
 
     def require_queue_space(self, uow: UnitOfWork, tenant: TenantId) -> None:
         """Raises WorkersBusy where the tenant has too many jobs waiting."""

@@ -75,9 +75,15 @@ class _Waiter:
 class Intake:
     """The bounds and what is taken in now. All calls come from the event loop."""
 
-    def __init__(self, limits: IntakeLimits = IntakeLimits(), now_s: Callable[[], float] = time.monotonic) -> None:
-        """`now_s` is a monotonic clock in seconds."""
+    def __init__(
+        self,
+        limits: IntakeLimits = IntakeLimits(),
+        client: Callable[[], str] = lambda: "",
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """`client` says whose request is being answered, within its tenant; `now_s` is a monotonic clock in seconds."""
         self.limits = limits
+        self._client = client
         self._now_s = now_s
         self._buckets: dict[tuple[str, ...], Bucket] = {}
         self._clouds: Counter[TenantId] = Counter()
@@ -94,17 +100,17 @@ class Intake:
         """Streams that are open."""
         return self._streams.total()
 
-    def require_points(self, tenant: TenantId, client: str) -> None:
+    def require_points(self, tenant: TenantId) -> None:
         """Raises RateLimited where the client, its tenant or the service has had its points."""
         now_s = self._now_s()
-        wait_s = max(bucket.wait_s(now_s) for bucket in self._buckets_of(tenant, client))
+        wait_s = max(bucket.wait_s(now_s) for bucket in self._buckets_of(tenant))
         if wait_s > 0.0:
             raise RateLimited(retry_after_s=wait_s)
 
-    def spend(self, tenant: TenantId, client: str, points: int) -> None:
+    def spend(self, tenant: TenantId, points: int) -> None:
         """Pay for a call that brought so many points."""
         now_s = self._now_s()
-        for bucket in self._buckets_of(tenant, client):
+        for bucket in self._buckets_of(tenant):
             bucket.take(points + CALL_POINTS, now_s)
 
     @asynccontextmanager
@@ -127,12 +133,12 @@ class Intake:
             self._leave(tenant)
 
     @contextmanager
-    def stream(self, tenant: TenantId, client: str, *, replaces: bool) -> Iterator[None]:
+    def stream(self, tenant: TenantId, *, replaces: bool) -> Iterator[None]:
         """A place for one stream; one that `replaces` another, which ends, gets that one's.
 
         Raises RateLimited where the client or the service has enough of them.
         """
-        key, more = (tenant, client), int(replaces)
+        key, more = (tenant, self._client()), int(replaces)
         own, overall = self._streams[key], self.streams
         if own >= self.limits.client_streams + more or overall >= self.limits.streams + more:
             raise RateLimited(f"{own} streams of this client and {overall} in all are open", retry_after_s=BUSY_RETRY_S)
@@ -172,13 +178,13 @@ class Intake:
                 waiter.turn.set_result(None)
                 return
 
-    def _buckets_of(self, tenant: TenantId, client: str) -> tuple[Bucket, ...]:
+    def _buckets_of(self, tenant: TenantId) -> tuple[Bucket, ...]:
         """Of the service, the tenant and the client. There are as many as credentials, no client can make more."""
         limits = self.limits
         rates = {
             (): limits.points_per_s,
             (tenant,): limits.tenant_points_per_s,
-            (tenant, client): limits.client_points_per_s,
+            (tenant, self._client()): limits.client_points_per_s,
         }
         return tuple(self._bucket(key, per_s) for key, per_s in rates.items())
 

@@ -106,7 +106,7 @@ class Scans:
 
     def place_for_stream(self, tenant: TenantId, *, replaces: bool) -> AbstractContextManager[None]:
         """A place for one more stream; one that `replaces` another, which ends, gets that one's. Raises RateLimited."""
-        return self._context.intake.stream(tenant, "", replaces=replaces)
+        return self._context.intake.stream(tenant, replaces=replaces)
 
     async def append(self, tenant: TenantId, command: AppendScan, *, patient: bool = False) -> ScanAck:
         """Store one scan durably; returns after the commit. One that is `patient` waits for its turn.

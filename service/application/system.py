@@ -82,7 +82,7 @@ class System:
     def admit_cloud(self, tenant: TenantId) -> None:
         """What can be said before a cloud is read: Raises Draining, RateLimited."""
         self._context.admit()
-        self._context.intake.require_points(tenant, "")
+        self._context.intake.require_points(tenant)
 
     def drain(self) -> None:
         """From now on refuse new work with Draining; what is under way ends."""
