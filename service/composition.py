@@ -25,6 +25,7 @@ from service.application.intake import Intake
 from service.application.ports import PlaceRecogniser
 from service.application.recognition import Recognition
 from service.application.system import WORKER_SEEN_WITHIN_MS
+from service.application.sweeping import sweep
 from service.application.upkeep import Chore
 from service.settings import Settings
 from service.worker.confinement import confine
@@ -38,6 +39,7 @@ STORAGE_FAILED = 74
 """Exit status after an I/O error of the storage (EX_IOERR): what was being committed is unknown until a restart."""
 
 TEND_DISK_EVERY_S = 0.5
+SWEEP_EVERY_S = 6 * 3600.0
 
 STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
@@ -67,14 +69,17 @@ def build_disk(settings: Settings) -> Disk:
     return Disk(settings.home, settings.reserve_mb * 2**20)
 
 
-def chores(settings: Settings) -> tuple[Chore, ...]:
+def chores(settings: Settings, context: Context) -> tuple[Chore, ...]:
     """What the gateway does beside answering."""
     disk = build_disk(settings)
 
     async def tend_disk() -> None:
         await asyncio.to_thread(disk.tend)
 
-    return (Chore("tend_disk", TEND_DISK_EVERY_S, tend_disk),)
+    async def sweep_blobs() -> None:
+        await sweep(context)
+
+    return (Chore("tend_disk", TEND_DISK_EVERY_S, tend_disk), Chore("sweep_blobs", SWEEP_EVERY_S, sweep_blobs))
 
 
 def build_use_cases(context: Context) -> UseCases:

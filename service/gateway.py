@@ -80,7 +80,7 @@ class _Gateway:
         await rpc.start()
         serving = asyncio.create_task(http.serve(), name="http")
         supervisor.start()
-        upkeep = Upkeep(chores(self._settings))
+        upkeep = Upkeep(chores(self._settings, context))
         upkeep.start()
         self._watch = asyncio.create_task(LoadMetrics(self._requests.registry, context.intake).watch(), name="load")
         metrics = self._metrics_server(context)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from functools import partial
 
-from service.application.clouds import CLOUD_BLOB
+from service.application.clouds import CLOUD_BLOB, QUERY_CLOUD_BLOB
 from service.application.context import Context
 from service.application.identity import TenantId
 from service.application.meshes import MESH_BLOB
@@ -56,13 +56,17 @@ def collect_blobs(uow: UnitOfWork, blobs: BlobStore, tenant: TenantId, doomed: I
     or this sees the reference.
     """
     for kind, sha256 in doomed:
-        if not _is_referenced(uow, tenant, kind, sha256):
+        if not is_referenced(uow, tenant, kind, sha256):
             blobs.delete(tenant, kind, sha256)
             failpoint("delete.after_blob")
 
 
-def _is_referenced(uow: UnitOfWork, tenant: TenantId, kind: str, sha256: str) -> bool:
+def is_referenced(uow: UnitOfWork, tenant: TenantId, kind: str, sha256: str) -> bool:
+    """Whether a row names the blob. No row names the cloud of a query: who asked deletes it with the answer."""
     if kind == CLOUD_BLOB:
         return bool(uow.submaps.count(tenant, cloud_sha256=sha256) or uow.scans.count(tenant, cloud_sha256=sha256))
-    column = {SIGNATURE_BLOB: "signature_sha256", NEURAL_MAP_BLOB: "neural_map_sha256", MESH_BLOB: "mesh_sha256"}[kind]
-    return uow.submaps.count(tenant, **{column: sha256}) > 0
+    if kind == QUERY_CLOUD_BLOB:
+        return False
+    columns = {SIGNATURE_BLOB: "signature_sha256", NEURAL_MAP_BLOB: "neural_map_sha256", MESH_BLOB: "mesh_sha256"}
+    # A kind that this version does not know is another version's: it stays.
+    return kind not in columns or uow.submaps.count(tenant, **{columns[kind]: sha256}) > 0
