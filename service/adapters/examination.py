@@ -68,7 +68,8 @@ def scrub(home: Path) -> Scrubbed:
     Raises OSError, sqlite3.Error.
     """
     store = FileBlobStore(home / "blobs")
-    damaged, missing = [], []
+    damaged: list[str] = []
+    missing: list[str] = []
     with closing(open_to_read(home / "revisit.db")) as rows:
         (verdict,) = rows.execute("PRAGMA integrity_check(1)").fetchone()
         blobs = list(named_blobs(rows))
