@@ -86,7 +86,7 @@ class _Connection:
     async def pump(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Pass bytes on until the reader ends or the fault strikes in either direction."""
         ended = asyncio.create_task(self._ended.wait())
-        with contextlib.suppress(ConnectionError):
+        with contextlib.suppress(OSError):
             while not self._ended.is_set():
                 reading = asyncio.create_task(reader.read(CHUNK_BYTES))
                 await asyncio.wait((reading, ended), return_when=asyncio.FIRST_COMPLETED)

@@ -1,0 +1,211 @@
+"""Deliberate faults: edits of the source that each break one promise, applied to a copy, and the test that must notice.
+
+A harness that never fails proves nothing. Whoever changes the code an edit names changes the edit with it: one that no
+longer fits is itself a failure.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+COPIED = ("service", "migrations", "tests", "pyproject.toml")
+LINKED = ("core", "revisit", "evaluation", "scripts", "docs", "proto", "docker")
+
+POWER_CUT = "tests/faults/test_power_cut.py::test_a_power_cut_takes_nothing_that_was_acknowledged[1000]"
+CRASH = "tests/faults/test_crash_points.py::"
+QUEUE = "tests/contract/test_job_queue.py::"
+
+
+@dataclass(frozen=True)
+class Edit:
+    """Replace `old`, which occurs once in the file, by `new`."""
+
+    path: str
+    old: str
+    new: str
+
+
+@dataclass(frozen=True)
+class Sabotage:
+    """A broken promise: what is broken, the edits that break it, the test that must fail, and whether that is quick."""
+
+    name: str
+    edits: tuple[Edit, ...]
+    test: str
+    quick: bool = False
+
+
+class DoesNotFit(AssertionError):
+    """The code that an edit names has changed: change the edit too."""
+
+
+SABOTAGES = (
+    Sabotage(
+        "a commit does not wait for the disk",
+        (Edit("service/adapters/sql/unit_of_work.py", '"synchronous": 2,', '"synchronous": 1,'),),
+        POWER_CUT,
+    ),
+    Sabotage(
+        "the client is told before the commit",
+        (
+            Edit(
+                "service/adapters/sql/group_commit.py",
+                "                    outcomes.append(_attempt(connection, write))\n",
+                "                    outcomes.append(_attempt(connection, write))\n"
+                "                    outcomes[-1].tell()\n",
+            ),
+            Edit("service/adapters/sql/group_commit.py", "            outcome.tell()\n", "            pass\n"),
+        ),
+        POWER_CUT,
+    ),
+    Sabotage(
+        "a blob is not synced",
+        (Edit("service/adapters/durable_files.py", "            os.fsync(file.fileno())\n", ""),),
+        POWER_CUT,
+    ),
+    Sabotage(
+        "the directory of a blob is not synced",
+        (
+            Edit(
+                "service/adapters/durable_files.py",
+                'failpoint("blob.before_directory_sync")\n    sync_directory(path.parent)\n',
+                'failpoint("blob.before_directory_sync")\n',
+            ),
+        ),
+        POWER_CUT,
+    ),
+    Sabotage(
+        "a described submap does not enter the index",
+        (
+            Edit(
+                "service/application/description_commit.py",
+                "        uow.changes.record_described(row.tenant, self.task.map.number, row.number)\n",
+                "",
+            ),
+        ),
+        f"{CRASH}test_an_undisturbed_drive_leaves_nothing_to_complain_about",
+    ),
+    Sabotage(
+        "a repeated request runs its job again",
+        (
+            Edit(
+                "service/application/submaps.py",
+                "        if known is not None:\n            return known\n        # A delete",
+                "        if known is not None:\n"
+                "            job = uow.jobs.get(row.tenant, known.operation.operation_id)\n"
+                '            uow.jobs.replace(replace(job, state="QUEUED"))\n'
+                "            return known\n        # A delete",
+            ),
+            Edit(
+                "service/application/submaps.py",
+                "        if known is not None:\n            return known\n        await",
+                "        await",
+            ),
+        ),
+        f"{CRASH}test_a_kill_at_any_point_loses_and_doubles_nothing[job.after_commit]",
+    ),
+    Sabotage(
+        "other content is taken under a used id",
+        (Edit("service/application/submaps.py", "if known.content_hash != row.content_hash:", "if False:"),),
+        "tests/integration/test_use_cases.py::"
+        "test_a_repeated_post_gives_the_first_answer_and_another_content_is_refused",
+        quick=True,
+    ),
+    Sabotage(
+        "a key can be used twice",
+        (
+            Edit(
+                "migrations/versions/0001_initial_schema.py",
+                '        sa.UniqueConstraint("tenant", "operation_id", name="uq_jobs_tenant_operation_id"),\n',
+                "",
+            ),
+        ),
+        "tests/integration/test_sqlite.py::test_the_migration_makes_the_schema_of_the_tables",
+    ),
+    Sabotage(
+        "a late result is taken",
+        (Edit("service/adapters/leased_jobs.py", " or job.lease_token != lease.job.lease_token", ""),),
+        f"{QUEUE}test_a_late_result_is_refused_by_its_token",
+        quick=True,
+    ),
+    Sabotage(
+        "the attempt is counted after the run",
+        (Edit("service/adapters/leased_jobs.py", "attempts=job.attempts + 1,", "attempts=job.attempts,"),),
+        f"{QUEUE}test_the_attempt_is_counted_before_the_run",
+    ),
+    Sabotage(
+        "a tenant sees the rows of others",
+        (Edit("service/adapters/sql/repositories.py", "and_(self._table.c.tenant == tenant, *(", "and_(*("),),
+        "tests/contract/test_transactions.py::test_find_filters_pages_and_keeps_the_tenant",
+        quick=True,
+    ),
+    Sabotage(
+        "any number of hits may be asked for",
+        (Edit("service/application/search_answers.py", "if not 1 <= criteria.k <= MAX_K:", "if criteria.k < 1:"),),
+        "tests/contract/api/test_api_bad_input.py::test_k_out_of_1_to_100_is_refused",
+    ),
+    Sabotage(
+        "two streams of a session go on side by side",
+        (Edit("service/grpc/servicers/ingest.py", "                older.fence()\n", "                pass\n"),),
+        "tests/contract/api/test_api_streams.py::test_a_newer_stream_of_the_session_fences_the_older",
+    ),
+    Sabotage(
+        "a gap in a stream is taken",
+        (
+            Edit(
+                "service/application/scans.py",
+                "        raise SequenceGap(session.committed_seq + 1, seq)\n",
+                "        pass\n",
+            ),
+        ),
+        "tests/integration/test_use_cases.py::test_a_scan_again_is_acknowledged_and_ignored_and_a_gap_is_refused",
+    ),
+    Sabotage(
+        "processes are forked",
+        (Edit("service/__main__.py", 'set_start_method("spawn", force=True)', 'set_start_method("fork", force=True)'),),
+        "tests/unit/service/test_worker.py",
+    ),
+)
+
+
+def edited(sabotage: Sabotage, root: Path = ROOT) -> dict[str, str]:
+    """The edited files by path. Raises DoesNotFit."""
+    texts: dict[str, str] = {}
+    for edit in sabotage.edits:
+        text = texts.get(edit.path) or (root / edit.path).read_text()
+        found = text.count(edit.old)
+        if found != 1:
+            raise DoesNotFit(
+                f"sabotage {sabotage.name!r} no longer fits {edit.path}: {edit.old!r} occurs {found} times, not once. "
+                "Change tests/faults/sabotage.py with the code."
+            )
+        texts[edit.path] = text.replace(edit.old, edit.new)
+    return texts
+
+
+def sabotaged_copy(sabotage: Sabotage, folder: Path) -> Path:
+    """A copy of the project in `folder` with the fault in it. Raises DoesNotFit."""
+    texts = edited(sabotage)
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in COPIED:
+        source = ROOT / name
+        if source.is_dir():
+            shutil.copytree(source, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+        else:
+            shutil.copy(source, folder / name)
+    for name in LINKED:
+        (folder / name).symlink_to(ROOT / name)
+    for path, text in texts.items():
+        (folder / path).write_text(text)
+    return folder
+
+
+def run_test(root: Path, test: str) -> subprocess.CompletedProcess[str]:
+    """Run one test of the project in `root`."""
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", test]
+    return subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=900, check=False)
