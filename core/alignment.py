@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -37,7 +38,9 @@ class Registration:
     T_match_query (4, 4); overlap 0..1, the share of standing surface in the region both have seen that lies on the
     other's surface, the mean of both directions; rmse_m of the point-to-plane residuals of the points that do;
     information (6, 6) in the tangent (x, y, z, rx, ry, rz) of the match frame, of unit variance residuals; common,
-    the smaller number of standing points in the shared region.
+    the smaller number of standing points in the shared region; contrast, how much of the overlap is lost when the
+    query is moved along the horizontal direction that the surfaces fix least: near 0 where any place along a street
+    or hedge would fit as well.
     """
 
     T_match_query: se3.Matrix4
@@ -45,6 +48,7 @@ class Registration:
     rmse_m: float
     information: Array64
     common: int
+    contrast: float
 
 
 def correspond(query: PlaceSignature, match: PlaceSignature, limit: int) -> tuple[NDArray[np.int64], Array64]:
@@ -132,9 +136,11 @@ def register(
     tree = cKDTree(match.points)
     approached = [_approach(start, query, match, tree, config) for start in starts]
     T_match_query, agreement = max(approached, key=lambda pose: pose[1])
-    if agreement >= config.min_agreement:
-        T_match_query = _iterate(T_match_query, query, match, tree, 1, config.fine_distance, config.fine_rounds)
-    return _assess(T_match_query, query, match, tree, config)
+    if agreement < config.min_agreement:
+        return _assess(T_match_query, query, match, tree, config)
+    T_match_query = _iterate(T_match_query, query, match, tree, 1, config.fine_distance, config.fine_rounds)
+    registration = _assess(T_match_query, query, match, tree, config)
+    return dataclasses.replace(registration, contrast=_contrast(registration, query, match, tree, config))
 
 
 def _approach(
@@ -328,7 +334,30 @@ def _assess(
     jacobian = np.concatenate([normals, np.cross(moved[forward], normals)], axis=1)
     rmse = float(np.sqrt(np.mean(residuals**2))) if len(residuals) else float(config.surface_distance)
     common = int(min(seen_query.sum(), seen_match.sum()))
-    return Registration(T_match_query, overlap, rmse, jacobian.T @ jacobian, common)
+    return Registration(T_match_query, overlap, rmse, jacobian.T @ jacobian, common, contrast=0.0)
+
+
+def _contrast(
+    registration: Registration,
+    query: PlaceSignature,
+    match: PlaceSignature,
+    tree: cKDTree,
+    config: VerificationConfig,
+) -> float:
+    """The overlap of the standing query surface, less the largest one at a pose moved along the weakest direction."""
+    weakest = np.linalg.eigh(registration.information[:2, :2])[1][:, 0]
+    T = registration.T_match_query
+    moved = se3.apply(T, query.points[: query.standing])
+    normals = query.normals[: query.standing] @ T[:3, :3].T
+    points, point_normals = match.points.astype(np.float64), match.normals.astype(np.float64)
+
+    def overlap(shift_m: float) -> float:
+        shifted = moved + np.array([*(shift_m * weakest), 0.0])
+        seen = _in_region(shifted, points)
+        hits, _, _ = _on_surface(shifted, normals, points, point_normals, tree, config)
+        return _share(hits & seen, seen)
+
+    return overlap(0.0) - max(overlap(sign * shift) for shift in config.contrast_shifts for sign in (-1.0, 1.0))
 
 
 def _share(hits: NDArray[np.bool_], of: NDArray[np.bool_]) -> float:

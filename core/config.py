@@ -198,6 +198,12 @@ class VerificationConfig:
     fine_distance: float = parameter(1.0, "m", "own", "reach of the fine ICP steps")
     neighbour_distance: float = parameter(1.0, "m", "own", "a surface point has its counterpart within this distance")
     surface_distance: float = parameter(0.25, "m", "own", "and lies this near to its tangent plane")
+    contrast_shifts: tuple[float, ...] = parameter(
+        (2.5, 4.0, 6.0), "m", "own, decision 0016", "moves along the weakest direction that a loop must not survive"
+    )
+    min_contrast: float = parameter(
+        0.08, "1", "own, decision 0016", "smallest overlap that such a move must cost, else the pose is not fixed"
+    )
     min_common: int = parameter(60, "points", "own", "standing points of each place in the region both have seen")
     min_common_share: float = parameter(0.35, "1", "own", "of the smaller place must stand in that region")
     max_tilt: float = parameter(15.0, "deg", "own", "largest tilt between two gravity-aligned submaps")

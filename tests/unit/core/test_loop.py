@@ -87,6 +87,16 @@ def corridor() -> PlaceSignature:
     return signature_of_points(points, np.concatenate([one.normals, -one.normals]))
 
 
+def hedges(seed: int) -> PlaceSignature:
+    """Two rough hedges of 60 m along a street; every seed sees other leaves of them."""
+    rng = np.random.default_rng(seed)
+    points = np.column_stack([rng.uniform(-30, 30, 2000), rng.normal(5.0, 0.1, 2000), rng.uniform(-1.5, 1.0, 2000)])
+    normals = np.column_stack([rng.normal(0, 0.3, 2000), np.full(2000, -1.0), rng.normal(0, 0.2, 2000)])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    side = np.where(rng.random(2000) < 0.5, 1.0, -1.0)[:, None] * [0, 1, 0] + [1, 0, 1]
+    return signature_of_points(points * side, normals * side)
+
+
 def test_one_wall_is_a_degenerate_place() -> None:
     verdict = verify(wall(60.0), wall(60.0), 1.0, VERIFICATION)
     assert isinstance(verdict, RejectedLoop)
@@ -122,7 +132,16 @@ def test_each_gate_rejects_with_its_own_reason_and_keeps_the_evidence(
     assert verdict.measurement is not None
 
 
-def test_more_overlap_and_more_agreeing_keypoints_never_lower_the_score() -> None:
-    assert loop_score(30, 0.6, 0.08) > loop_score(30, 0.4, 0.08)
-    assert loop_score(60, 0.4, 0.08) > loop_score(30, 0.4, 0.08)
-    assert loop_score(30, 0.4, 0.08) > loop_score(30, 0.4, 0.12)
+def test_overlap_and_contrast_raise_the_score_and_residuals_lower_it() -> None:
+    assert loop_score(0.6, 0.2, 0.1) > loop_score(0.4, 0.2, 0.1)
+    assert loop_score(0.4, 0.3, 0.1) > loop_score(0.4, 0.2, 0.1)
+    assert loop_score(0.4, 0.2, 0.1) > loop_score(0.4, 0.2, 0.12)
+
+
+def test_a_house_among_others_has_contrast_and_a_hedge_along_the_street_has_none() -> None:
+    yard_loop = verify(place(1), place(1), 1.0, VERIFICATION)
+    assert isinstance(yard_loop, VerifiedLoop) and yard_loop.measurement.contrast > 0.3
+    verdict = verify(hedges(1), hedges(2), 1.0, VERIFICATION)
+    assert isinstance(verdict, RejectedLoop)
+    assert verdict.reason is RejectionReason.DEGENERATE_ALIGNMENT
+    assert verdict.measurement is not None and verdict.measurement.contrast < VERIFICATION.min_contrast
