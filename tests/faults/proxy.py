@@ -69,6 +69,10 @@ class BadLink:
                 _reset(to_client)
                 if connection.fault.half_open:
                     await asyncio.wait_for(service.read(), 60.0)
+        except asyncio.CancelledError:
+            # The link is taken down; asyncio's streams would report a task that ends cancelled as a fault.
+            upwards.cancel()
+            downwards.cancel()
         finally:
             for end in (to_client, to_service):
                 _reset(end) if connection.cut else end.close()

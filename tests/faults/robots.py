@@ -1,0 +1,181 @@
+"""Robots behind a bad link: they note what they send and what they are told, and never give up."""
+
+from __future__ import annotations
+
+import hashlib
+import queue
+import threading
+from collections.abc import Iterator
+from functools import lru_cache
+
+import grpc
+import httpx
+
+from core.formats import KITTI, encode_kitti
+from revisit import ApiError, Client, Cloud
+from revisit.retry import RetryPolicy
+from revisit.v1 import cloud_pb2, geometry_pb2, ingest_pb2, ingest_pb2_grpc
+from tests.faults.history import History, Kind, Operation, Outcome
+from tests.support.service_world import cloud_points, pose
+
+POINTS = 120
+UNROTATED = geometry_pb2.Quaternion(w=1.0)
+ONCE = RetryPolicy(attempts=1)
+_FRESH_CHANNEL = (("grpc.use_local_subchannel_pool", 1), ("grpc.enable_http_proxy", 0))
+"""A new connection for every attempt, without waiting because an earlier one failed."""
+
+
+@lru_cache(maxsize=10_000)
+def body(place: int) -> bytes:
+    """The cloud of a place as it is sent."""
+    return encode_kitti(cloud_points(place, POINTS))
+
+
+@lru_cache(maxsize=10_000)
+def content(place: int) -> str:
+    """The hash by which its sender knows the cloud of a place again."""
+    return hashlib.sha256(cloud_points(place, POINTS).tobytes()).hexdigest()
+
+
+class Poster:
+    """Posts submaps, each attempt on a connection of its own, over REST or gRPC; the repeating is up to the caller."""
+
+    def __init__(self, name: str, session: str, history: History) -> None:
+        """`session` is maps/{map}/sessions/{session}."""
+        self.name = name
+        self.bodies: dict[str, list[dict[str, object]]] = {}
+        self.surprises: list[str] = []
+        self._session = session
+        self._history = history
+
+    def post(self, http: str, submap_id: str, place: int) -> Outcome:
+        """One attempt over REST at the URL `http`."""
+        operation = self._history.invoke(self.name, Kind.PUT, f"submap/{submap_id}", content(place))
+        asked = {"submap_id": submap_id, "stamp_ns": place, "T_odom_submap": f"{place},0,0,0,0,0,1"}
+        url = f"{http}/v1/{self._session}/submaps"
+        try:
+            answer = httpx.post(url, params=asked, content=body(place), headers={"Content-Type": KITTI}, timeout=20)
+        except httpx.HTTPError:
+            return self._settle(operation, Outcome.UNKNOWN)
+        if answer.status_code == 202:
+            self.bodies.setdefault(submap_id, []).append(answer.json())
+        elif answer.status_code not in (409, 429, 503, 504):
+            self.surprises.append(f"{answer.status_code} {answer.text}")
+        outcomes = {202: Outcome.OK, 409: Outcome.FAIL}
+        return self._settle(operation, outcomes.get(answer.status_code, Outcome.UNKNOWN))
+
+    def create(self, target: str, submap_id: str, place: int) -> Outcome:
+        """One attempt over gRPC at host:port."""
+        operation = self._history.invoke(self.name, Kind.PUT, f"submap/{submap_id}", content(place))
+        try:
+            with Client.grpc(target, retry=ONCE) as client:
+                client.post_submap(self._session, submap_id, Cloud(body(place), KITTI), pose(float(place)), place)
+        except ApiError as error:
+            if error.reason == "ALREADY_EXISTS":
+                return self._settle(operation, Outcome.FAIL)
+            if not error.retryable:
+                self.surprises.append(str(error))
+            return self._settle(operation, Outcome.UNKNOWN)
+        return self._settle(operation, Outcome.OK)
+
+    def _settle(self, operation: Operation, outcome: Outcome) -> Outcome:
+        self._history.settle(operation, outcome)
+        return outcome
+
+
+class Scanner:
+    """Streams scans 1, 2, 3, ... of a session: after every cut it opens again and goes on where the service says."""
+
+    def __init__(self, session: str, history: History) -> None:
+        """`session` is maps/{map}/sessions/{session}."""
+        self.committed_seq = 0
+        self.most_resent = 0
+        self.surprises: list[str] = []
+        self._session = session
+        self._history = history
+        self._open: dict[int, Operation] = {}
+        self._furthest = 0
+
+    def stream(self, target: str, until_seq: int) -> bool:
+        """One connection; whether scan `until_seq` is acknowledged in the end. A link that fails is no surprise."""
+        requests: queue.SimpleQueue[ingest_pb2.StreamScansRequest | None] = queue.SimpleQueue()
+        requests.put(ingest_pb2.StreamScansRequest(open=ingest_pb2.Open(session=self._session)))
+        resuming = self._history.invoke("scanner", Kind.RESUME, "stream")
+        try:
+            with grpc.insecure_channel(target, options=_FRESH_CHANNEL) as channel:
+                stub = ingest_pb2_grpc.IngestServiceStub(channel)
+                self._talk(stub.StreamScans(iter(requests.get, None), timeout=60), requests, resuming, until_seq)
+        except grpc.RpcError as error:
+            if error.code() not in (grpc.StatusCode.UNAVAILABLE, grpc.StatusCode.ABORTED, grpc.StatusCode.CANCELLED):
+                self.surprises.append(f"{error.code()} {error.details()}")
+        finally:
+            requests.put(None)
+        return self.committed_seq >= until_seq
+
+    def _talk(
+        self,
+        answers: Iterator[ingest_pb2.StreamScansResponse],
+        requests: queue.SimpleQueue[ingest_pb2.StreamScansRequest | None],
+        resuming: Operation,
+        until_seq: int,
+    ) -> None:
+        opened = next(answers).opened
+        self._history.settle(resuming, Outcome.OK, opened.committed_seq)
+        self._commit(opened.committed_seq)
+        self.most_resent = max(self.most_resent, self._furthest - opened.committed_seq)
+        sent, credits = opened.committed_seq, opened.credits
+        while True:
+            while sent < until_seq and sent - self.committed_seq < credits:
+                sent += 1
+                requests.put(self._scan(sent))
+            if self.committed_seq >= until_seq:
+                requests.put(None)
+            answer = next(answers, None)
+            if answer is None or answer.WhichOneof("response") == "drain":
+                return
+            if answer.WhichOneof("response") == "nack":
+                self.surprises.append(f"{answer.nack.seq}: {answer.nack.reason}, expected {answer.nack.expected_seq}")
+                return
+            if answer.WhichOneof("response") == "ack":
+                told = self._history.invoke("scanner", Kind.RESUME, "stream")
+                self._history.settle(told, Outcome.OK, answer.ack.committed_seq)
+                self._commit(answer.ack.committed_seq)
+
+    def _scan(self, seq: int) -> ingest_pb2.StreamScansRequest:
+        if seq not in self._open:
+            self._open[seq] = self._history.invoke("scanner", Kind.PUT, f"scan/{seq}", content(seq))
+        self._furthest = max(self._furthest, seq)
+        encoded = cloud_pb2.EncodedCloud(content_type=KITTI, data=body(seq))
+        taken_from = geometry_pb2.Transform(translation=geometry_pb2.Vector3(x=0.5 * seq), rotation=UNROTATED)
+        scan = ingest_pb2.Scan(seq=seq, stamp_ns=seq, t_odom_sensor=taken_from, cloud=cloud_pb2.Cloud(encoded=encoded))
+        return ingest_pb2.StreamScansRequest(scan=scan)
+
+    def _commit(self, committed_seq: int) -> None:
+        self.committed_seq = max(self.committed_seq, committed_seq)
+        for seq in [seq for seq in self._open if seq <= committed_seq]:
+            self._history.settle(self._open.pop(seq), Outcome.OK)
+
+
+class Crew:
+    """Threads that work until told to stop."""
+
+    def __init__(self) -> None:
+        self.stop = threading.Event()
+        self._threads: list[threading.Thread] = []
+
+    def start(self, work) -> None:
+        """Call `work` again and again."""
+
+        def repeat() -> None:
+            while not self.stop.is_set():
+                work()
+
+        self._threads.append(threading.Thread(target=repeat, daemon=True))
+        self._threads[-1].start()
+
+    def end(self, timeout_s: float = 60.0) -> None:
+        """Let every thread finish what it does."""
+        self.stop.set()
+        for thread in self._threads:
+            thread.join(timeout_s)
+            assert not thread.is_alive(), "a client hangs"
