@@ -11,6 +11,7 @@ from typing import Any, Self
 
 from core.errors import RevisitError
 from revisit.clouds import PointsLike, encoded
+from revisit.credentials import Credentials
 from revisit.errors import ErrorDetails, InvalidArgument, OperationFailed
 from revisit.resources import (
     Json,
@@ -46,22 +47,39 @@ class Client:
         self,
         http: str | None = None,
         *,
+        api_key: str | None = None,
+        ca: str | Path | None = None,
         transport: Transport | None = None,
         retry: RetryPolicy = RetryPolicy(),
     ) -> None:
-        """Over REST at the URL `http`, by default $REVISIT_URL or port 8080 here; unless another transport is given."""
+        """Over REST at the URL `http`, by default $REVISIT_URL or port 8080 here; unless another transport is given.
+
+        `api_key`, by default $REVISIT_API_KEY; `ca`, by default $REVISIT_CA: a PEM file of the authorities to trust.
+        """
         if transport is None:
             from revisit.rest_transport import RestTransport
 
-            transport = RestTransport(http or os.environ.get("REVISIT_URL", DEFAULT_HTTP), retry)
+            credentials = Credentials.given(api_key, ca)
+            transport = RestTransport(http or os.environ.get("REVISIT_URL", DEFAULT_HTTP), retry, credentials)
         self._transport: Transport = transport
 
     @classmethod
-    def grpc(cls, address: str | None = None, *, retry: RetryPolicy = RetryPolicy()) -> Self:
-        """A client over gRPC at host:port, by default $REVISIT_GRPC or port 8090 here."""
+    def grpc(
+        cls,
+        address: str | None = None,
+        *,
+        api_key: str | None = None,
+        ca: str | Path | None = None,
+        retry: RetryPolicy = RetryPolicy(),
+    ) -> Self:
+        """A client over gRPC at host:port, by default $REVISIT_GRPC or port 8090 here; `grpcs://host:port` for TLS.
+
+        Credentials as for REST; a client certificate from $REVISIT_CERTIFICATE and $REVISIT_CERTIFICATE_KEY.
+        """
         from revisit.grpc_transport import GrpcTransport
 
-        return cls(transport=GrpcTransport(address or os.environ.get("REVISIT_GRPC", DEFAULT_GRPC), retry))
+        address = address or os.environ.get("REVISIT_GRPC", DEFAULT_GRPC)
+        return cls(transport=GrpcTransport(address, retry, Credentials.given(api_key, ca)))
 
     def create_map(
         self,

@@ -62,6 +62,14 @@ class DeadlineExceeded(ApiError):
     """The answer took too long."""
 
 
+class Unauthenticated(ApiError):
+    """The API key is missing, wrong, expired or revoked."""
+
+
+class PermissionDenied(ApiError):
+    """The API key does not reach so far."""
+
+
 class DataLoss(ApiError):
     """Stored data is damaged."""
 
@@ -78,6 +86,8 @@ _CLASSES: dict[str, type[ApiError]] = {
     "RESOURCE_EXHAUSTED": ResourceExhausted,
     "UNAVAILABLE": Unavailable,
     "DEADLINE_EXCEEDED": DeadlineExceeded,
+    "UNAUTHENTICATED": Unauthenticated,
+    "PERMISSION_DENIED": PermissionDenied,
     "DATA_LOSS": DataLoss,
 }
 

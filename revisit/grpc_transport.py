@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, TypeVar
 
 import grpc
@@ -10,6 +11,7 @@ from google.protobuf.json_format import MessageToDict, ParseDict
 from google.rpc import error_details_pb2, status_pb2  # type: ignore[import-untyped]  # ships no types
 
 from revisit.clouds import Cloud
+from revisit.credentials import Credentials
 from revisit.errors import ApiError, ErrorDetails, error_of, unreachable
 from revisit.resources import Json
 from revisit.retry import RetryPolicy
@@ -36,6 +38,7 @@ from revisit.v1 import (
 
 MAX_MESSAGE_BYTES = 16 * 2**20
 ANSWER_TIMEOUT_S = 90.0
+TLS_PREFIX = "grpcs://"
 STATUS_DETAILS = "grpc-status-details-bin"
 
 _OPTIONS = (
@@ -62,10 +65,16 @@ _COLLECTIONS: dict[str, tuple[Any, Any, str, str]] = {
 class GrpcTransport:
     """`revisit.transport.Transport` over gRPC."""
 
-    def __init__(self, address: str, retry: RetryPolicy) -> None:
+    def __init__(self, address: str, retry: RetryPolicy, credentials: Credentials = Credentials()) -> None:
         self._address = address
         self._retry = retry
-        self._channel = grpc.insecure_channel(address, options=_OPTIONS)
+        self._metadata = tuple(credentials.authorization().items())
+        host = address.removeprefix(TLS_PREFIX)
+        self._channel = (
+            grpc.insecure_channel(host, options=_OPTIONS)
+            if host == address
+            else grpc.secure_channel(host, _channel_credentials(credentials), options=_OPTIONS)
+        )
 
     def create(self, parent: str, collection: str, resource_id: str, fields: Json) -> Json:
         """See Transport."""
@@ -161,8 +170,7 @@ class GrpcTransport:
         self._channel.close()
 
     def _method(self, stub: Any, name: str) -> Callable[..., Any]:
-        method: Callable[..., Any] = getattr(stub(self._channel), name)
-        return method
+        return partial(getattr(stub(self._channel), name), metadata=self._metadata)
 
     def _answer(self, stub: Any, method: str, request: Any) -> Json:
         call = self._method(stub, method)
@@ -180,6 +188,11 @@ class GrpcTransport:
                 raise _api_error(error, self._address) from error
 
         return self._retry.run(once)
+
+
+def _channel_credentials(credentials: Credentials) -> grpc.ChannelCredentials:
+    files = (credentials.ca, credentials.key, credentials.certificate)
+    return grpc.ssl_channel_credentials(*(None if file is None else file.read_bytes() for file in files))
 
 
 def _message(module: Any, name: str, fields: Json) -> Any:

@@ -8,6 +8,7 @@ from typing import Any
 import httpx
 
 from revisit.clouds import Cloud
+from revisit.credentials import Credentials
 from revisit.errors import ApiError, ErrorDetails, error_of, unreachable
 from revisit.resources import Json
 from revisit.retry import RetryPolicy
@@ -20,10 +21,16 @@ ANSWER_TIMEOUT_S = 90.0
 class RestTransport:
     """`revisit.transport.Transport` over HTTP."""
 
-    def __init__(self, base_url: str, retry: RetryPolicy) -> None:
+    def __init__(self, base_url: str, retry: RetryPolicy, credentials: Credentials = Credentials()) -> None:
         timeout = httpx.Timeout(ANSWER_TIMEOUT_S, connect=CONNECT_TIMEOUT_S)
         # trust_env: a robot's proxy settings must not send its clouds elsewhere.
-        self._http = httpx.Client(base_url=base_url, timeout=timeout, trust_env=False)
+        self._http = httpx.Client(
+            base_url=base_url,
+            timeout=timeout,
+            trust_env=False,
+            headers=credentials.authorization(),
+            verify=credentials.ssl_context() if base_url.startswith("https:") else True,
+        )
         self._base_url = base_url
         self._retry = retry
 

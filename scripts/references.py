@@ -41,8 +41,9 @@ ADVICE = {
     "STORAGE_UNCERTAIN": "Send the same again with the same ids: that settles whether it was stored.",
     "STORAGE_FULL": "Free disk space; then send the same again.",
     "DEADLINE_EXCEEDED": "Send the same again, or wait longer (`timeout_s`); for bodies, send faster.",
-    "UNAUTHENTICATED": "Reserved; this version has no keys.",
-    "PERMISSION_DENIED": "Address the service by a name it knows (REVISIT_ALLOWED_HOSTS), and from its own pages only.",
+    "UNAUTHENTICATED": "Send a valid API key, or ask whoever runs the service for one: `revisit keys create`.",
+    "PERMISSION_DENIED": "Use a key with the scope that `detail` names; address the service by a name it knows "
+    "(REVISIT_ALLOWED_HOSTS), and from its own pages only.",
     "DATA_LOSS": "Restore the volume: a stored file is damaged. The log names it.",
     "INTERNAL": "A defect: report it with the request id and the log entry it leads to.",
 }

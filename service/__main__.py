@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import asyncio
 import multiprocessing
 import os
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
@@ -39,7 +40,7 @@ def main(arguments: list[str] | None = None) -> int:
         settings = Settings()
         configure_logging(settings.log_level)
     except ValidationError as error:
-        return _refuse("\n".join(f"REVISIT_{str(e['loc'][0]).upper()}: {e['msg']}" for e in error.errors()))
+        return _refuse("\n".join(_named(finding) for finding in error.errors()))
     except ValueError as error:
         return _refuse(f"REVISIT_LOG_LEVEL: {error}")
     try:
@@ -79,17 +80,43 @@ def _run(options: argparse.Namespace, settings: Settings) -> int:
 
 def _serve(settings: Settings) -> int:
     """Run the gateway, where its address is safe to listen on; the exit status."""
-    if settings.exposed and not settings.insecure_bind:
+    missing = _missing_protection(settings)
+    if missing:
         return _refuse(
-            f"refusing to listen on {settings.host}: there are no API keys yet, so anyone who reaches this address "
-            "could read and change every map. Listen on 127.0.0.1, or set REVISIT_INSECURE_BIND=1 if you mean it."
+            f"refusing to listen on {settings.host}, which others can reach, without {' and '.join(missing)}. "
+            "Listen on 127.0.0.1, or set REVISIT_INSECURE_BIND=1 if you mean it."
         )
     from service.gateway import serve
 
     try:
         return serve(settings)
-    except OSError as error:
+    except (OSError, ValueError) as error:
         return _refuse(f"cannot serve on {settings.host}: {error}")
+
+
+def _missing_protection(settings: Settings) -> list[str]:
+    """What an address that others can reach lacks; nothing where that was asked for."""
+    if not settings.exposed or settings.insecure_bind:
+        return []
+    missing = [] if settings.tls_certificate else ["TLS (REVISIT_TLS_CERTIFICATE, REVISIT_TLS_KEY)"]
+    if not settings.knows_callers_without_keys and not _has_live_key(settings):
+        missing.append("an API key (`revisit keys create`)")
+    return missing
+
+
+def _has_live_key(settings: Settings) -> bool:
+    from service.adapters.sql.migration import migrate
+    from service.composition import offline_use_cases
+
+    migrate(settings.database)
+    with offline_use_cases(settings) as use_cases:
+        return asyncio.run(use_cases.keys.any_live())
+
+
+def _named(finding: Any) -> str:
+    """What is wrong with a setting, by its variable; a rule about several of them names them itself."""
+    where = f"REVISIT_{str(finding['loc'][0]).upper()}: " if finding["loc"] else ""
+    return where + str(finding["msg"]).removeprefix("Value error, ")
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -8,11 +8,14 @@ import os
 import secrets
 import signal
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, cast
 
 import structlog
 
 from service import VERSION
+from service.access_rules import access_rules
 from service.adapters.blobs import FileBlobStore
 from service.adapters.clock import SystemClock
 from service.adapters.disk import Disk
@@ -82,9 +85,19 @@ def chores(settings: Settings, context: Context) -> tuple[Chore, ...]:
     return (Chore("tend_disk", TEND_DISK_EVERY_S, tend_disk), Chore("sweep_blobs", SWEEP_EVERY_S, sweep_blobs))
 
 
-def build_use_cases(context: Context) -> UseCases:
-    """What the transports call."""
-    return UseCases.over(context, VERSION)
+def build_use_cases(context: Context, settings: Settings) -> UseCases:
+    """What the transports call. Raises ValueError where a file of the access rules cannot be used."""
+    return UseCases.over(context, VERSION, access_rules(settings))
+
+
+@contextmanager
+def offline_use_cases(settings: Settings) -> Iterator[UseCases]:
+    """The use cases on the database of a service that may or may not run, for the command line."""
+    context = build_context(settings, gateway=False)
+    try:
+        yield UseCases.over(context, VERSION)
+    finally:
+        context.transactions.close()
 
 
 def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None) -> None:

@@ -21,6 +21,7 @@ from service.application.upkeep import Upkeep
 from service.composition import STORAGE_FAILED, build_context, build_use_cases, chores
 from service.metrics import LoadMetrics, MetricsServer, RequestMetrics, StoreMetrics
 from service.settings import Settings
+from service.tls import grpc_credentials, http_context
 from service.worker.supervisor import WorkerSupervisor
 
 if TYPE_CHECKING:
@@ -73,7 +74,7 @@ class _Gateway:
             loop.call_soon_threadsafe(stop.set)
 
         context = build_context(self._settings, gateway=True, fail_stop=FailStop(storage_failed))
-        use_cases = build_use_cases(context)
+        use_cases = build_use_cases(context, self._settings)
         supervisor = WorkerSupervisor(context, self._settings.workers)
         http, http_port = self._http_server(use_cases)
         rpc, grpc_port = self._grpc_server(use_cases)
@@ -84,7 +85,12 @@ class _Gateway:
         upkeep.start()
         self._watch = asyncio.create_task(LoadMetrics(self._requests.registry, context.intake).watch(), name="load")
         metrics = self._metrics_server(context)
-        log.info("listening", host=self._settings.host, http_port=http_port, grpc_port=grpc_port, pid=os.getpid())
+        tls = self._settings.tls_certificate is not None
+        log.info(
+            "listening", host=self._settings.host, http_port=http_port, grpc_port=grpc_port, tls=tls, pid=os.getpid()
+        )
+        if self._settings.exposed and await use_cases.access.is_open():
+            log.warning("open_to_everyone", hint="create an API key: `revisit keys create`")
         stopped = asyncio.create_task(stop.wait(), name="stop")
         await asyncio.wait([stopped, serving], return_when=asyncio.FIRST_COMPLETED)
         if not stopped.done():
@@ -131,11 +137,18 @@ class _Gateway:
         from service.rest.app import create_app
         from service.rest.slow_clients import uvicorn_limits
 
+        tls = http_context(self._settings)
         config = uvicorn.Config(
-            create_app(use_cases, hosts=self._settings.host_names, requests=self._requests),
+            create_app(
+                use_cases,
+                hosts=self._settings.host_names,
+                requests=self._requests,
+                described=not self._settings.exposed,
+            ),
             log_config=None,
             access_log=False,
             timeout_graceful_shutdown=int(self._settings.drain_s),
+            ssl_context_factory=None if tls is None else lambda *_: tls,
             **uvicorn_limits(),
         )
         listener = _listen(self._settings.host, self._settings.http_port)
@@ -144,10 +157,11 @@ class _Gateway:
     def _grpc_server(self, use_cases: UseCases) -> tuple[grpc.aio.Server, int]:
         from service.grpc.server import create_server
 
-        server = create_server(use_cases, requests=self._requests)
+        server = create_server(use_cases, requests=self._requests, described=not self._settings.exposed)
         host, port = self._settings.host, self._settings.grpc_port
+        address, tls = f"[{host}]:{port}" if ":" in host else f"{host}:{port}", grpc_credentials(self._settings)
         try:
-            return server, server.add_insecure_port(f"[{host}]:{port}" if ":" in host else f"{host}:{port}")
+            return server, server.add_insecure_port(address) if tls is None else server.add_secure_port(address, tls)
         except RuntimeError as error:
             raise OSError(f"port {port} for gRPC cannot be taken; REVISIT_GRPC_PORT names another") from error
 

@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-import ipaddress
 import os
 from dataclasses import replace
 from pathlib import Path
 
 from pydantic import Field
-from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from core.config import PipelineConfig
+from service.access_settings import AccessSettings
 from service.application.context import Policy
 from service.application.intake import IntakeLimits
 
 
-class Settings(BaseSettings):
+class Settings(AccessSettings):
     """How this installation runs. Field `http_port` is the variable REVISIT_HTTP_PORT, and so on."""
 
-    model_config = SettingsConfigDict(env_prefix="REVISIT_", frozen=True)
-
     home: Path = Field(default=Path("data"), description="directory of the database and the blobs")
-    host: str = Field(default="127.0.0.1", description="address that both servers listen on")
     http_port: int = Field(default=8080, ge=0, le=65535, description="REST port; 0 takes a free one")
     grpc_port: int = Field(default=8090, ge=0, le=65535, description="gRPC port; 0 takes a free one")
     metrics_port: int | None = Field(
@@ -32,7 +28,6 @@ class Settings(BaseSettings):
         description="names, separated by commas, under which HTTP clients may address the service beside localhost, "
         "IP addresses and `host`; * for any",
     )
-    insecure_bind: bool = Field(default=False, description="allow an address that others can reach, without keys")
     workers: int = Field(
         default_factory=lambda: max(1, (os.cpu_count() or 2) - 1), ge=0, le=256, description="worker processes"
     )
@@ -126,13 +121,3 @@ class Settings(BaseSettings):
         """The names that a Host header may carry beside localhost and IP addresses, lower case."""
         listed = {name.strip().lower() for name in self.allowed_hosts.split(",")}
         return frozenset((listed | {self.host.lower()}) - {""})
-
-    @property
-    def exposed(self) -> bool:
-        """Whether the address can be reached from other machines."""
-        if self.host == "localhost":
-            return False
-        try:
-            return not ipaddress.ip_address(self.host).is_loopback
-        except ValueError:
-            return True

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from revisit.cli import keeping
+from revisit.cli import access_commands, keeping
 
 app = typer.Typer(
     name="revisit",
@@ -239,6 +239,10 @@ def operations_retry(
     from revisit.cli import operating
 
     operating.retry(http, names or [], every, json)
+
+
+app.add_typer(access_commands.keys, name="keys")
+app.add_typer(access_commands.audit, name="audit")
 
 
 bench = typer.Typer(help="Measure the product.", invoke_without_command=True)

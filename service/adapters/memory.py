@@ -12,6 +12,7 @@ from typing import Any, Generic, TypeVar
 
 from core.errors import DataLoss
 from service.adapters.leased_jobs import LeasedJobs
+from service.adapters.memory_access import MemoryAuditTrail, MemoryKeyRing
 from service.application.errors import AlreadyExists, NotFound
 from service.application.identity import TenantId
 from service.application.ports import IndexChange, Instant, StoredBlob, UnitOfWork
@@ -217,7 +218,7 @@ class MemoryWorkerLog:
         self._rows.by_number.update(kept)
 
 
-_TABLES = ("maps", "robots", "sessions", "scans", "submaps", "loops", "jobs", "changes", "workers")
+_TABLES = ("maps", "robots", "sessions", "scans", "submaps", "loops", "jobs", "changes", "workers", "keys", "audit")
 
 
 class MemoryUnitOfWork:
@@ -237,6 +238,8 @@ class MemoryUnitOfWork:
         self.queue = LeasedJobs(self.jobs, lease_ms)
         self.changes = MemoryChangeLog(tables["changes"], tables["submaps"])
         self.workers = MemoryWorkerLog(tables["workers"])
+        self.keys = MemoryKeyRing(tables["keys"].by_number)
+        self.audit = MemoryAuditTrail(tables["audit"].by_number)
 
 
 class MemoryTransactions:

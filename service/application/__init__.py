@@ -8,6 +8,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from service.application.access import Access, AccessRules
+from service.application.api_keys import ApiKeys
+from service.application.audit import AuditLog
 from service.application.context import Context, Policy
 from service.application.dead_letters import DeadLetters
 from service.application.identity import DEFAULT_TENANT, SessionKey, SubmapKey, TenantId
@@ -36,9 +39,12 @@ class UseCases:
     operations: Operations
     dead_letters: DeadLetters
     system: System
+    access: Access
+    keys: ApiKeys
+    audit: AuditLog
 
     @classmethod
-    def over(cls, context: Context, version: str) -> UseCases:
+    def over(cls, context: Context, version: str, rules: AccessRules = AccessRules()) -> UseCases:
         """All use cases over the same ports; `version` is the product's."""
         operations = Operations(context)
         return cls(
@@ -52,6 +58,9 @@ class UseCases:
             operations=operations,
             dead_letters=DeadLetters(context),
             system=System(context, version),
+            access=Access(context, rules),
+            keys=ApiKeys(context),
+            audit=AuditLog(context),
         )
 
 

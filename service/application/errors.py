@@ -87,6 +87,28 @@ class StorageFull(RevisitError):
     code = ErrorCode.STORAGE_FULL
 
 
+class Unauthenticated(RevisitError):
+    """The credential is missing or not valid."""
+
+    code = ErrorCode.UNAUTHENTICATED
+
+
+class RevokedKey(Unauthenticated):
+    """The key was revoked or has expired."""
+
+
+class PermissionDenied(RevisitError):
+    """The credential does not reach so far."""
+
+    code = ErrorCode.PERMISSION_DENIED
+
+
+class TooManyFailures(Unavailable):
+    """Too many failed attempts to authenticate: check the credential before you try again."""
+
+    code = ErrorCode.RATE
+
+
 class StaleLease(RevisitError):
     """Another worker holds this job by now: the result is refused."""
 

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from core.errors import BadField
+from service.application import audit
 from service.application.blob_references import blobs_of_map, collect_blobs_in_turns
 from service.application.context import Context
 from service.application.errors import AlreadyExists, NotFound
@@ -96,11 +97,14 @@ class Maps:
         """Delete a map with everything in it. Raises NotFound, Draining."""
         self._context.admit()
 
+        entry, at_ns = audit.noted(tenant, "map_deleted", f"maps/{map_id}"), self._context.clock.wall_ns()
+
         def remove(uow: UnitOfWork) -> int:
             record = require_map(uow, tenant, map_id)
             doomed.update(blobs_of_map(uow, tenant, map_id))
             for rows in (uow.loops, uow.submaps, uow.scans, uow.sessions, uow.maps):
                 rows.delete(tenant, map_id=map_id)
+            audit.append(uow, at_ns, entry)
             return record.number
 
         doomed: set[tuple[str, str]] = set()

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from core.config import PipelineConfig
 from core.se3 import Matrix4
 from core.submap import Submap
+from service.application.access_ports import AuditTrail, KeyRing
 from service.application.identity import TenantId
 from service.application.records import (
     JobRecord,
@@ -249,6 +250,16 @@ class UnitOfWork(Protocol):
     @property
     def workers(self) -> WorkerLog:
         """The living workers."""
+        ...
+
+    @property
+    def keys(self) -> KeyRing:
+        """API keys."""
+        ...
+
+    @property
+    def audit(self) -> AuditTrail:
+        """The audit log."""
         ...
 
 

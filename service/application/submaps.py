@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from core.errors import BadField
 from core.scan import CloudReport, Scan
 from core.se3 import Matrix4
+from service.application import audit
 from service.application.blob_references import blobs_of_submap, collect_blobs_in_turns
 from service.application.clouds import CLOUD_BLOB, MAX_SUBMAP_POINTS, CloudInput, StoredCloud, accept_cloud, pack_cloud
 from service.application.context import Context
@@ -162,6 +163,7 @@ class Submaps:
     async def delete(self, tenant: TenantId, key: SubmapKey) -> None:
         """Delete a submap, its loop closures and its place in the index. Raises NotFound, Draining."""
         self._context.admit()
+        entry, at_ns = audit.noted(tenant, "submap_deleted", key.name), self._context.clock.wall_ns()
 
         def remove(uow: UnitOfWork) -> SubmapRecord:
             record = require_submap(uow, tenant, key)
@@ -171,6 +173,7 @@ class Submaps:
             uow.submaps.delete(tenant, number=record.number)
             if record.descriptor is not None:
                 uow.changes.record_removed(tenant, map_record.number, record.number)
+            audit.append(uow, at_ns, entry)
             return record
 
         doomed = blobs_of_submap(await self._context.write(remove))

@@ -18,6 +18,7 @@ from google.protobuf.message import DecodeError, Message
 from google.rpc import error_details_pb2, status_pb2  # type: ignore[import-untyped]  # ships no types
 
 from core.errors import MalformedBody, RevisitError
+from service.grpc.access import Gate
 from service.status import ERROR_DOMAIN, STATUS, retry_after_s
 
 STATUS_DETAILS = "grpc-status-details-bin"
@@ -31,7 +32,11 @@ _log = structlog.get_logger(__name__)
 
 
 class ErrorInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  # not generic at run time
-    """Turns what a handler raises into a status with details, for unary calls and streams."""
+    """Turns what a handler raises into a status with details, for unary calls and streams; admits before it parses."""
+
+    def __init__(self, gate: Gate) -> None:
+        """`gate` admits the callers."""
+        self._gate = gate
 
     async def intercept_service(
         self,
@@ -40,9 +45,10 @@ class ErrorInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  #
     ) -> Any:
         """The handler of the call, wrapped where it is one of ours."""
         handler = await continuation(handler_call_details)
-        if handler is None or not str(handler_call_details.method).startswith(_OWN_METHODS):
+        method = str(handler_call_details.method)
+        if handler is None or not method.startswith(_OWN_METHODS):
             return handler
-        return _guarded(handler)
+        return _guarded(handler, method, self._gate)
 
 
 def rpc_status(error: RevisitError, request_id: str) -> status_pb2.Status:
@@ -75,14 +81,15 @@ def code_of(error: RevisitError) -> grpc.StatusCode:
     return grpc.StatusCode[STATUS[error.code].grpc]
 
 
-def _guarded(handler: Any) -> Any:
+def _guarded(handler: Any, method: str, gate: Gate) -> Any:
     parse = handler.request_deserializer
     if handler.request_streaming and handler.response_streaming:
 
         async def stream_stream(requests: AsyncIterator[bytes], context: Any) -> AsyncIterator[Any]:
             try:
-                async for response in handler.stream_stream(_parsed(parse, requests), context):
-                    yield response
+                async with gate.watching(method, context):
+                    async for response in handler.stream_stream(_parsed(parse, requests), context):
+                        yield response
             except Exception as error:  # noqa: BLE001  # the last resort of every call
                 await _abort(context, error)
 
@@ -91,8 +98,9 @@ def _guarded(handler: Any) -> Any:
 
         async def unary_stream(request: bytes, context: Any) -> AsyncIterator[Any]:
             try:
-                async for response in handler.unary_stream(_parse(parse, request), context):
-                    yield response
+                async with gate.watching(method, context):
+                    async for response in handler.unary_stream(_parse(parse, request), context):
+                        yield response
             except Exception as error:  # noqa: BLE001  # the last resort of every call
                 await _abort(context, error)
 
@@ -100,6 +108,7 @@ def _guarded(handler: Any) -> Any:
 
     async def unary_unary(request: bytes, context: Any) -> Any:
         try:
+            await gate.admit(method, context)
             return await handler.unary_unary(_parse(parse, request), context)
         except Exception as error:  # noqa: BLE001  # the last resort of every call
             await _abort(context, error)

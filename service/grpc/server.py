@@ -28,6 +28,7 @@ from revisit.v1 import (
     system_pb2_grpc,
 )
 from service.application import UseCases
+from service.grpc.access import Gate, require_declared_scopes
 from service.grpc.errors import ErrorInterceptor
 from service.grpc.servicers.health import HealthServicer
 from service.grpc.servicers.ingest import IngestServicer
@@ -70,16 +71,26 @@ _SERVICES: tuple[tuple[Any, Callable[[UseCases], object], Callable[..., None]], 
 )
 
 
-def create_server(use_cases: UseCases, *, requests: RequestMetrics | None = None) -> grpc.aio.Server:
-    """A server over `use_cases` without a port: add one, start it on the running loop, stop it with a grace."""
+def create_server(
+    use_cases: UseCases, *, requests: RequestMetrics | None = None, described: bool = True
+) -> grpc.aio.Server:
+    """A server over `use_cases` without a port: add one, start it on the running loop, stop it with a grace.
+
+    `described`: it answers reflection. Raises RuntimeError where an RPC does not say who may call it.
+    """
+    services = [service for module, *_ in _SERVICES for service in module.DESCRIPTOR.services_by_name.values()]
+    require_declared_scopes(services)
     timers = [] if requests is None else [CallTimer(requests)]
     server = grpc.aio.server(
-        interceptors=[*timers, ErrorInterceptor()], options=OPTIONS, maximum_concurrent_rpcs=2 * MAX_CONCURRENT_CALLS
+        interceptors=[*timers, ErrorInterceptor(Gate(use_cases))],
+        options=OPTIONS,
+        maximum_concurrent_rpcs=2 * MAX_CONCURRENT_CALLS,
     )
-    names = [health_pb2.DESCRIPTOR.services_by_name["Health"].full_name]
-    for module, servicer, register in _SERVICES:
+    health = health_pb2.DESCRIPTOR.services_by_name["Health"].full_name
+    names = [health, *(service.full_name for service in services)]
+    for _, servicer, register in _SERVICES:
         register(servicer(use_cases), server)
-        names += [service.full_name for service in module.DESCRIPTOR.services_by_name.values()]
     health_pb2_grpc.add_HealthServicer_to_server(HealthServicer(use_cases, frozenset(names)), server)
-    reflection.enable_server_reflection([*names, reflection.SERVICE_NAME], server)
+    if described:
+        reflection.enable_server_reflection([*names, reflection.SERVICE_NAME], server)
     return server

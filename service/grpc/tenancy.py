@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from service.application import DEFAULT_TENANT, TenantId
+from service.application import TenantId
+from service.application.callers import current_tenant
 
 
 def tenant_of(_context: Any) -> TenantId:
-    """The tenant of a call. Tenants come from credentials, which a later issue adds; until then there is one."""
-    return DEFAULT_TENANT
+    """The tenant of a call: from the credential alone, which `access.Gate` has verified before."""
+    return current_tenant()

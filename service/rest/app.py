@@ -8,6 +8,7 @@ from fastapi import FastAPI
 
 from service.application import UseCases
 from service.metrics import RequestMetrics
+from service.rest.access import describe_access, require_declared_scopes
 from service.rest.errors import PROBLEM_JSON, install_error_handlers
 from service.rest.limits import HttpLimits
 from service.rest.middleware import BodyLimit, HostGuard, OriginGuard, RequestEnvelope, RequestTimer
@@ -24,20 +25,26 @@ def create_app(
     *,
     hosts: frozenset[str] = frozenset(),
     requests: RequestMetrics | None = None,
+    described: bool = True,
 ) -> FastAPI:
-    """The ASGI application over `use_cases`, addressed as localhost, by IP address or by one of `hosts`."""
+    """The ASGI application over `use_cases`, addressed as localhost, by IP address or by one of `hosts`.
+
+    `described`: it answers with its OpenAPI document. Raises RuntimeError where a route does not say who may call it.
+    """
     app = FastAPI(
         title="Revisit",
         version=API_VERSION,
         summary="Loop closure as a service for robot fleets",
         docs_url=None,
         redoc_url=None,
+        openapi_url="/openapi.json" if described else None,
         generate_unique_id_function=lambda route: route.name,
     )
     app.state.use_cases = use_cases
     app.state.limits = limits
     for module in (maps, robots, searches, submaps, sessions, loops, operations, system):
         app.include_router(module.router)
+    require_declared_scopes(app)
     install_error_handlers(app)
     app.add_middleware(BodyLimit, limits=limits)
     app.add_middleware(OriginGuard)
@@ -64,6 +71,7 @@ def _describe_problems(app: FastAPI) -> None:
     for operation in (operation for path in document["paths"].values() for operation in path.values()):
         own = {status: answer for status, answer in operation["responses"].items() if status != "422"}
         operation["responses"] = {**references, **own}
+    describe_access(app, document)
 
 
 def _problems() -> dict[str, dict[str, Any]]:

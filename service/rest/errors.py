@@ -68,6 +68,8 @@ def problem(error: RevisitError, request_id: str, headers: dict[str, str] | None
         body["expected_seq"] = expected
     delay_s = retry_after_s(error, status)
     extra = {} if delay_s is None else {"retry-after": str(max(1, math.ceil(delay_s)))}
+    if error.code is ErrorCode.UNAUTHENTICATED:
+        extra["www-authenticate"] = "Bearer"
     return Response(json.dumps(body), status.http, {**(headers or {}), **extra}, PROBLEM_JSON)
 
 

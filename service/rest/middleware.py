@@ -26,11 +26,16 @@ SECURITY_HEADERS = {
     "referrer-policy": "no-referrer",
     "cross-origin-opener-policy": "same-origin",
     "cross-origin-resource-policy": "same-origin",
+    "cache-control": "no-store",
     "content-security-policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
         "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     ),
 }
+
+
+HSTS = {"strict-transport-security": "max-age=31536000"}
+"""Over TLS: for a year browsers do not come back without it."""
 
 
 class RequestEnvelope:
@@ -46,13 +51,14 @@ class RequestEnvelope:
             return
         request_id = _request_id(scope)
         scope.setdefault("state", {})["request_id"] = request_id
+        headers = {**SECURITY_HEADERS, **(HSTS if scope["scheme"] == "https" else {}), "x-request-id": request_id}
         started = False
 
         async def send_with_headers(message: Message) -> None:
             nonlocal started
             if message["type"] == "http.response.start":
                 started = True
-                MutableHeaders(scope=message).update({**SECURITY_HEADERS, "x-request-id": request_id})
+                MutableHeaders(scope=message).update(headers)
             await send(message)
 
         try:

@@ -11,7 +11,8 @@ from starlette.responses import Response
 from core import se3
 from core.errors import BadField
 from core.se3 import Matrix4
-from service.application import DEFAULT_TENANT, SessionKey, SubmapKey, TenantId, UseCases
+from service.application import SessionKey, SubmapKey, TenantId, UseCases
+from service.application.callers import current_tenant
 from service.application.clouds import EncodedCloud
 from service.application.paging import PageRequest
 from service.application.searches import SearchCriteria
@@ -26,9 +27,9 @@ def _use_cases(request: Request) -> UseCases:
     return use_cases
 
 
-def _tenant() -> TenantId:
-    # Tenants come from credentials, which a later issue adds; until then there is one.
-    return DEFAULT_TENANT
+async def _tenant() -> TenantId:
+    # From the credential alone: `access.admitted` has verified it before.
+    return current_tenant()
 
 
 def _page(

@@ -73,4 +73,6 @@ def uvicorn_limits() -> dict[str, Any]:
         "limit_concurrency": CONNECTIONS,
         "timeout_keep_alive": KEEP_ALIVE_S,
         "server_header": False,
+        # Who asks is known by the connection, not by what a client writes into X-Forwarded-For.
+        "proxy_headers": False,
     }

@@ -27,6 +27,7 @@ from service.adapters.durable_files import open_lock
 from service.adapters.fail_stop import FailStop
 from service.adapters.leased_jobs import LeasedJobs
 from service.adapters.sql import tables
+from service.adapters.sql.access import SqlAuditTrail, SqlKeyRing
 from service.adapters.sql.group_commit import GroupCommitter
 from service.adapters.sql.repositories import SqlChangeLog, SqlJobs, SqlRepository, SqlScans, SqlWorkerLog
 from service.application.errors import StorageFull, StorageUncertain
@@ -120,6 +121,16 @@ class SqlUnitOfWork:
     def workers(self) -> SqlWorkerLog:
         """The living workers."""
         return SqlWorkerLog(self.connection)
+
+    @cached_property
+    def keys(self) -> SqlKeyRing:
+        """API keys."""
+        return SqlKeyRing(self.connection)
+
+    @cached_property
+    def audit(self) -> SqlAuditTrail:
+        """The audit log."""
+        return SqlAuditTrail(self.connection)
 
 
 class SqlTransactions:

@@ -6,14 +6,16 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 
+from service.application.callers import Scope
 from service.application.loops import LoopState
+from service.rest.access import allows
 from service.rest.parameters import Cases, Id, Paging, Tenant
 from service.rest.schemas import LoopClosure, LoopClosurePage
 
 router = APIRouter(prefix="/v1/maps/{map_id}/loopClosures", tags=["loop closures"])
 
 
-@router.get("")
+@router.get("", dependencies=[allows(Scope.QUERY)])
 async def list_loop_closures(
     map_id: Id,
     cases: Cases,
@@ -27,7 +29,7 @@ async def list_loop_closures(
     return LoopClosurePage(loop_closures=[LoopClosure.of(view) for view in page.items], next_page_token=page.next_token)
 
 
-@router.get("/{loop_id}")
+@router.get("/{loop_id}", dependencies=[allows(Scope.QUERY)])
 async def get_loop_closure(map_id: Id, loop_id: Id, cases: Cases, tenant: Tenant) -> LoopClosure:
     """Get a loop closure with its evidence."""
     return LoopClosure.of(await cases.loops.get(tenant, map_id, loop_id))

@@ -6,14 +6,16 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 
+from service.application.callers import Scope
 from service.application.operations import OperationState
+from service.rest.access import allows
 from service.rest.parameters import Cases, Id, Paging, Tenant
 from service.rest.schemas import Operation, OperationPage
 
 router = APIRouter(prefix="/v1/operations", tags=["operations"])
 
 
-@router.get("")
+@router.get("", dependencies=[allows(Scope.INGEST, Scope.QUERY)])
 async def list_operations(
     cases: Cases, tenant: Tenant, paging: Paging, state: OperationState | None = None
 ) -> OperationPage:
@@ -22,7 +24,7 @@ async def list_operations(
     return OperationPage(operations=[Operation.of(view) for view in page.items], next_page_token=page.next_token)
 
 
-@router.get("/{operation_id}:wait")
+@router.get("/{operation_id}:wait", dependencies=[allows(Scope.INGEST, Scope.QUERY)])
 async def wait_operation(
     operation_id: Id,
     cases: Cases,
@@ -33,13 +35,13 @@ async def wait_operation(
     return Operation.of(await cases.operations.wait(tenant, operation_id, timeout_s))
 
 
-@router.post("/{operation_id}:retry")
+@router.post("/{operation_id}:retry", dependencies=[allows(Scope.ADMIN)])
 async def retry_operation(operation_id: Id, cases: Cases, tenant: Tenant) -> Operation:
     """Queue a failed description again; an operation that has not failed is left as it is."""
     return Operation.of(await cases.dead_letters.retry(tenant, operation_id))
 
 
-@router.get("/{operation_id}")
+@router.get("/{operation_id}", dependencies=[allows(Scope.INGEST, Scope.QUERY)])
 async def get_operation(operation_id: Id, cases: Cases, tenant: Tenant) -> Operation:
     """Get an operation."""
     return Operation.of(await cases.operations.get(tenant, operation_id))

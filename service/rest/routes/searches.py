@@ -10,8 +10,10 @@ from starlette.requests import Request
 
 from core.errors import BadField
 from service.application import UseCases
+from service.application.callers import Scope
 from service.application.identity import SubmapKey, TenantId
 from service.application.searches import LocalizeQuery, SearchCriteria, SearchResult
+from service.rest.access import allows
 from service.rest.bodies import CLOUD_BODY, CLOUD_CONTENT, cloud_body, json_bytes, limits_of, media_type, parse_json
 from service.rest.parameters import Cases, Cloud, Id, Prior, RadiusM, Tenant, criteria_of_body, criteria_of_query
 from service.rest.schemas import LocalizeAnswer, SearchAnswer, SearchRequest
@@ -30,7 +32,7 @@ _SEARCH_BODY = {
 }
 
 
-@router.post("/{map_id}/submaps:search", openapi_extra=_SEARCH_BODY)
+@router.post("/{map_id}/submaps:search", openapi_extra=_SEARCH_BODY, dependencies=[allows(Scope.QUERY)])
 async def search_submaps(
     map_id: Id,
     request: Request,
@@ -46,7 +48,7 @@ async def search_submaps(
     return SearchAnswer.of(await cases.searches.by_cloud(tenant, map_id, cloud, criteria))
 
 
-@router.post("/{map_id}:localize", openapi_extra=CLOUD_BODY)
+@router.post("/{map_id}:localize", openapi_extra=CLOUD_BODY, dependencies=[allows(Scope.QUERY)])
 async def localize(
     map_id: Id,
     cloud: Cloud,

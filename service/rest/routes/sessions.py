@@ -6,8 +6,10 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Response
 
+from service.application.callers import Scope
 from service.application.scans import AppendScan
 from service.application.sessions import CreateSession
+from service.rest.access import allows
 from service.rest.bodies import CLOUD_BODY, describe_json, json_body
 from service.rest.parameters import Cases, Cloud, Id, Paging, PoseOfSensor, SessionOf, StampNs, Tenant, mark_replay
 from service.rest.schemas import Ack, CreateSessionRequest, Session, SessionPage
@@ -15,7 +17,9 @@ from service.rest.schemas import Ack, CreateSessionRequest, Session, SessionPage
 router = APIRouter(prefix="/v1/maps/{map_id}/sessions", tags=["sessions"])
 
 
-@router.post("", status_code=201, openapi_extra=describe_json(CreateSessionRequest))
+@router.post(
+    "", status_code=201, openapi_extra=describe_json(CreateSessionRequest), dependencies=[allows(Scope.INGEST)]
+)
 async def create_session(
     map_id: Id,
     body: Annotated[CreateSessionRequest, json_body(CreateSessionRequest)],
@@ -29,26 +33,26 @@ async def create_session(
     return Session.of(created.session)
 
 
-@router.get("")
+@router.get("", dependencies=[allows(Scope.INGEST, Scope.QUERY)])
 async def list_sessions(map_id: Id, cases: Cases, tenant: Tenant, paging: Paging) -> SessionPage:
     """List the sessions of a map, oldest first."""
     page = await cases.sessions.list(tenant, map_id, paging)
     return SessionPage(sessions=[Session.of(view) for view in page.items], next_page_token=page.next_token)
 
 
-@router.post("/{session_id}:finish")
+@router.post("/{session_id}:finish", dependencies=[allows(Scope.INGEST)])
 async def finish_session(key: SessionOf, cases: Cases, tenant: Tenant) -> Session:
     """Finish a session: the scans of its last, shorter window become a submap. Again: no effect."""
     return Session.of(await cases.sessions.finish(tenant, key))
 
 
-@router.get("/{session_id}")
+@router.get("/{session_id}", dependencies=[allows(Scope.INGEST, Scope.QUERY)])
 async def get_session(key: SessionOf, cases: Cases, tenant: Tenant) -> Session:
     """Get a session."""
     return Session.of(await cases.sessions.get(tenant, key))
 
 
-@router.post("/{session_id}/scans", openapi_extra=CLOUD_BODY, tags=["scans"])
+@router.post("/{session_id}/scans", openapi_extra=CLOUD_BODY, tags=["scans"], dependencies=[allows(Scope.INGEST)])
 async def append_scan(
     key: SessionOf,
     seq: Annotated[int, Query(ge=1, lt=2**63)],

@@ -7,9 +7,11 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Response
 
+from service.application.callers import Scope
 from service.application.downloads import MEDIA_TYPES
 from service.application.identity import SubmapKey
 from service.application.submaps import DownloadKind, PostSubmap
+from service.rest.access import allows
 from service.rest.bodies import ANY_BINARY, CLOUD_BODY
 from service.rest.parameters import (
     Cases,
@@ -51,7 +53,7 @@ class View(StrEnum):
     FULL = "FULL"
 
 
-@router.post("", status_code=202, openapi_extra=CLOUD_BODY)
+@router.post("", status_code=202, openapi_extra=CLOUD_BODY, dependencies=[allows(Scope.INGEST)])
 async def post_submap(
     key: SessionOf,
     submap_id: Annotated[str, Query(max_length=64)],
@@ -69,7 +71,7 @@ async def post_submap(
     return Posted.of(posted)
 
 
-@router.get("")
+@router.get("", dependencies=[allows(Scope.INGEST, Scope.QUERY)])
 async def list_submaps(key: SessionOf, cases: Cases, tenant: Tenant, paging: Paging) -> SubmapPage:
     """List the submaps of a session in their order."""
     page = await cases.submaps.list(tenant, key, paging)
@@ -80,6 +82,7 @@ async def list_submaps(key: SessionOf, cases: Cases, tenant: Tenant, paging: Pag
     "/{submap_id}:download",
     response_class=Response,
     responses={200: {"content": dict.fromkeys(MEDIA_TYPES.values(), ANY_BINARY), "description": "The file"}},
+    dependencies=[allows(Scope.QUERY)],
 )
 async def download_submap(
     key: SubmapOf, cases: Cases, tenant: Tenant, file_format: Annotated[DownloadFormat, Query(alias="format")]
@@ -91,13 +94,13 @@ async def download_submap(
     return Response(download.data, media_type=download.media_type, headers=headers)
 
 
-@router.get("/{submap_id}")
+@router.get("/{submap_id}", dependencies=[allows(Scope.INGEST, Scope.QUERY)])
 async def get_submap(key: SubmapOf, cases: Cases, tenant: Tenant, view: View = View.BASIC) -> Submap:
     """Get a submap; FULL adds its descriptor."""
     return Submap.of(await cases.submaps.get(tenant, key, full=view is View.FULL))
 
 
-@router.delete("/{submap_id}", status_code=204)
+@router.delete("/{submap_id}", status_code=204, dependencies=[allows(Scope.ADMIN)])
 async def delete_submap(key: SubmapOf, cases: Cases, tenant: Tenant) -> None:
     """Delete a submap, its loop closures and its place in the index."""
     await cases.submaps.delete(tenant, key)

@@ -7,6 +7,8 @@ from pathlib import Path
 from fastapi import APIRouter, Response
 from fastapi.responses import FileResponse, JSONResponse
 
+from service.application.callers import Scope
+from service.rest.access import PUBLIC, allows
 from service.rest.parameters import Cases, Tenant
 from service.rest.schemas import Status
 
@@ -16,13 +18,13 @@ WEB = Path(__file__).resolve().parents[2] / "web"
 router = APIRouter(tags=["system"])
 
 
-@router.get("/livez")
+@router.get("/livez", dependencies=[PUBLIC])
 async def livez() -> dict[str, str]:
     """The process answers."""
     return {"status": "ok"}
 
 
-@router.get("/readyz", responses={503: {"description": "Not ready; `reasons` says why"}})
+@router.get("/readyz", responses={503: {"description": "Not ready; `reasons` says why"}}, dependencies=[PUBLIC])
 async def readyz(cases: Cases) -> Response:
     """Whether requests can be served, and in `degraded`, which of them are refused nevertheless."""
     readiness = await cases.system.readiness()
@@ -30,14 +32,14 @@ async def readyz(cases: Cases) -> Response:
     return JSONResponse(body, status_code=200 if readiness.ready else 503)
 
 
-@router.get("/version")
+@router.get("/version", dependencies=[allows(Scope.INGEST, Scope.QUERY)])
 async def version(cases: Cases, tenant: Tenant) -> dict[str, str | None]:
     """Version of the service and of the models in use."""
     status = await cases.system.status(tenant)
     return {"version": status.version, "model_version": status.model_version}
 
 
-@router.get("/v1/status")
+@router.get("/v1/status", dependencies=[allows(Scope.INGEST, Scope.QUERY)])
 async def get_status(cases: Cases, tenant: Tenant) -> Status:
     """Queue depth, index size, workers and versions."""
     return Status.of(await cases.system.status(tenant))
@@ -49,7 +51,7 @@ def _serve(path: str, file: str, media_type: str) -> None:
     async def answer() -> FileResponse:
         return FileResponse(WEB / file, media_type=media_type)
 
-    router.add_api_route(path, answer, include_in_schema=False, name=file)
+    router.add_api_route(path, answer, include_in_schema=False, name=file, dependencies=[PUBLIC])
 
 
 _serve("/", "index.html", "text/html")

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import itertools
 
+import grpc
+import httpx
 import pytest
 
 from revisit import Client
 from revisit.retry import RetryPolicy
+from tests.support.credentials import a_key
 from tests.support.live_service import live_service
-from tests.support.service_world import sqlite_world
+from tests.support.service_world import memory_world, sqlite_world
 
 _numbers = itertools.count(1)
 
@@ -49,3 +52,31 @@ def session(client):
 def town(session):
     """The name of the map that `session` is in."""
     return session.name.partition("/sessions/")[0]
+
+
+@pytest.fixture(scope="session")
+def guarded():
+    """A service that has keys, and so lets nobody in without one."""
+    world = memory_world()
+    a_key(world)
+    with live_service(world) as running:
+        yield running
+
+
+@pytest.fixture(autouse=True)
+def forgotten_failures(request):
+    """Each test of `guarded` begins with no failed attempts to its address."""
+    if "guarded" in request.fixturenames:
+        request.getfixturevalue("guarded").world.clock.ms += 600_000
+
+
+@pytest.fixture
+def guarded_http(guarded):
+    with httpx.Client(base_url=guarded.http, trust_env=False) as opened:
+        yield opened
+
+
+@pytest.fixture
+def guarded_grpc(guarded):
+    with grpc.insecure_channel(guarded.grpc) as opened:
+        yield opened

@@ -1,0 +1,81 @@
+"""Keys and the audit log in the database."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from sqlalchemy import Connection, insert, literal_column, select, text, update
+from sqlalchemy.exc import IntegrityError
+
+from service.adapters.sql.access_tables import api_keys, audit_log
+from service.application.access_ports import AuditRecord, KeyRecord
+from service.application.errors import AlreadyExists, NotFound
+
+
+class SqlKeyRing:
+    """`access_ports.KeyRing`."""
+
+    def __init__(self, connection: Connection) -> None:
+        """All statements go through `connection`."""
+        self._connection = connection
+
+    def add(self, record: KeyRecord) -> KeyRecord:
+        """See `access_ports.KeyRing`."""
+        values = dataclasses.asdict(record)
+        values.pop("number")
+        try:
+            statement = insert(api_keys).values(values).returning(api_keys.c.number)
+            return dataclasses.replace(record, number=int(self._connection.execute(statement).scalar_one()))
+        except IntegrityError as error:
+            raise AlreadyExists from error
+
+    def get(self, key_id: str) -> KeyRecord | None:
+        """See `access_ports.KeyRing`."""
+        row = self._connection.execute(select(api_keys).where(api_keys.c.key_id == key_id)).one_or_none()
+        return None if row is None else KeyRecord(**row._mapping)
+
+    def all(self) -> list[KeyRecord]:
+        """See `access_ports.KeyRing`."""
+        rows = self._connection.execute(select(api_keys).order_by(api_keys.c.number))
+        return [KeyRecord(**row._mapping) for row in rows]
+
+    def replace(self, record: KeyRecord) -> None:
+        """See `access_ports.KeyRing`."""
+        values = dataclasses.asdict(record)
+        statement = update(api_keys).where(api_keys.c.number == values.pop("number")).values(values)
+        if self._connection.execute(statement).rowcount != 1:
+            raise NotFound
+
+    def is_empty(self) -> bool:
+        """See `access_ports.KeyRing`."""
+        return self._connection.execute(select(literal_column("1")).select_from(api_keys).limit(1)).first() is None
+
+
+class SqlAuditTrail:
+    """`access_ports.AuditTrail`."""
+
+    def __init__(self, connection: Connection) -> None:
+        """All statements go through `connection`."""
+        self._connection = connection
+
+    def append(self, record: AuditRecord) -> None:
+        """See `access_ports.AuditTrail`."""
+        try:
+            self._connection.execute(insert(audit_log).values(dataclasses.asdict(record)))
+        except IntegrityError as error:
+            raise AlreadyExists from error
+
+    def last(self) -> AuditRecord | None:
+        """See `access_ports.AuditTrail`."""
+        row = self._connection.execute(select(audit_log).order_by(audit_log.c.number.desc()).limit(1)).first()
+        return None if row is None else AuditRecord(**row._mapping)
+
+    def since(self, number: int, limit: int) -> list[AuditRecord]:
+        """See `access_ports.AuditTrail`."""
+        query = select(audit_log).where(audit_log.c.number > number).order_by(audit_log.c.number).limit(limit)
+        return [AuditRecord(**row._mapping) for row in self._connection.execute(query)]
+
+    def highest(self) -> int:
+        """See `access_ports.AuditTrail`: SQLite remembers the highest AUTOINCREMENT number beside the table."""
+        query = text("SELECT seq FROM sqlite_sequence WHERE name = 'audit_log'")
+        return int(self._connection.execute(query).scalar() or 0)

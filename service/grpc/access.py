@@ -1,0 +1,123 @@
+"""Who may call which RPC: every RPC is in this table, or the server does not start."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Iterable
+from contextlib import asynccontextmanager
+from typing import Any
+
+from google.protobuf.descriptor import ServiceDescriptor
+
+from core.errors import RevisitError
+from service.application import UseCases
+from service.application.access import STREAM_RECHECK_S, Credential
+from service.application.callers import Scope, enter
+from service.application.errors import PermissionDenied, TooManyFailures, Unauthenticated
+
+_INGEST = frozenset({Scope.INGEST})
+_QUERY = frozenset({Scope.QUERY})
+_ADMIN = frozenset({Scope.ADMIN})
+_EITHER = _INGEST | _QUERY
+
+SCOPES: dict[str, dict[str, frozenset[Scope]]] = {
+    "MapService": {"CreateMap": _INGEST, "GetMap": _EITHER, "ListMaps": _EITHER, "DeleteMap": _ADMIN},
+    "RobotService": {"CreateRobot": _INGEST, "GetRobot": _EITHER, "ListRobots": _EITHER},
+    "SessionService": {
+        "CreateSession": _INGEST,
+        "GetSession": _EITHER,
+        "ListSessions": _EITHER,
+        "FinishSession": _INGEST,
+    },
+    "SubmapService": {
+        "PostSubmap": _INGEST,
+        "GetSubmap": _EITHER,
+        "ListSubmaps": _EITHER,
+        "DownloadSubmap": _QUERY,
+        "DeleteSubmap": _ADMIN,
+    },
+    "IngestService": {"StreamScans": _INGEST},
+    "LoopClosureService": {
+        "SearchSubmaps": _QUERY,
+        "Localize": _QUERY,
+        "GetLoopClosure": _QUERY,
+        "ListLoopClosures": _QUERY,
+        "WatchLoopClosures": _QUERY,
+    },
+    "OperationService": {
+        "GetOperation": _EITHER,
+        "ListOperations": _EITHER,
+        "WaitOperation": _EITHER,
+        "RetryOperation": _ADMIN,
+    },
+    "SystemService": {"GetStatus": _EITHER},
+}
+"""Of the scopes of an RPC, a caller needs one."""
+
+
+class Gate:
+    """Admits calls, and watches over those that last."""
+
+    def __init__(self, use_cases: UseCases, *, recheck_s: float = STREAM_RECHECK_S) -> None:
+        """Verifies the credential of an open stream again every `recheck_s` seconds."""
+        self._access = use_cases.access
+        self._recheck_s = recheck_s
+
+    async def admit(self, method: str, context: Any) -> None:
+        """Admit the caller of `/revisit.v1.Service/Method`.
+
+        Raises Unauthenticated, PermissionDenied, TooManyFailures.
+        """
+        service, name = method.rsplit("/", 1)
+        scopes = SCOPES[service.rpartition(".")[2]][name]
+        enter(await self._access.admit(credential_of(context), scopes, method))
+
+    @asynccontextmanager
+    async def watching(self, method: str, context: Any) -> AsyncIterator[None]:
+        """Admit the caller of a stream; the block ends with Unauthenticated once the credential has lost its right.
+
+        The block must be left in the task that entered it. Raises what `admit` raises.
+        """
+        await self.admit(method, context)
+        try:
+            async with asyncio.timeout(None) as stream:
+                watch = asyncio.create_task(self._watch(method, context, stream))
+                try:
+                    yield
+                finally:
+                    watch.cancel()
+        except TimeoutError as error:
+            if stream.expired():
+                raise Unauthenticated("the credential has lost its right: the stream ends") from error
+            raise
+
+    async def _watch(self, method: str, context: Any, stream: asyncio.Timeout) -> None:
+        while True:
+            await asyncio.sleep(self._recheck_s)
+            try:
+                await self.admit(method, context)
+            except (Unauthenticated, PermissionDenied, TooManyFailures):
+                stream.reschedule(asyncio.get_running_loop().time())
+                return
+            except RevisitError:
+                # A store that does not answer now is asked again.
+                continue
+
+
+def credential_of(context: Any) -> Credential:
+    """The bearer token in the metadata, the names in a verified client certificate, and the peer's address."""
+    scheme, _, token = str(dict(context.invocation_metadata() or ()).get("authorization", "")).partition(" ")
+    names = context.auth_context().get("x509_subject_alternative_name", ())
+    return Credential(
+        bearer=token.strip() if scheme.lower() == "bearer" else None,
+        certificate_names=tuple(name.decode("utf-8", "replace") for name in names),
+        address=str(context.peer()).rpartition(":")[0],
+    )
+
+
+def require_declared_scopes(services: Iterable[ServiceDescriptor]) -> None:
+    """Raises RuntimeError where an RPC is not in the table."""
+    for service in services:
+        for method in service.methods:
+            if not SCOPES.get(service.name, {}).get(method.name):
+                raise RuntimeError(f"{service.full_name}/{method.name} does not declare who may call it")

@@ -1,0 +1,91 @@
+"""Who may call which route: every route declares it, or the application does not start."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from fastapi import Depends, FastAPI, Security
+from fastapi.params import Security as DeclaredScopes
+from fastapi.routing import APIRoute
+from fastapi.security import SecurityScopes
+from starlette.requests import Request
+from starlette.routing import BaseRoute
+
+from service.application.access import Credential
+from service.application.callers import Scope, enter
+
+SCHEME = "bearer"
+
+FRAMEWORK_PATHS = frozenset({"/openapi.json"})
+"""Routes that FastAPI adds by itself: a description of the interface, of nobody's data."""
+
+
+async def admitted(request: Request, needed: SecurityScopes) -> None:
+    """Admit the caller where its credential has one of the scopes `needed`, before anything of the request is read.
+
+    Raises Unauthenticated, PermissionDenied, TooManyFailures.
+    """
+    scopes = frozenset(Scope(scope) for scope in needed.scopes)
+    call = f"{request.method} {request.url.path}"
+    enter(await request.app.state.use_cases.access.admit(credential_of(request), scopes, call))
+
+
+async def anyone() -> None:
+    """Declares a route that holds nobody's data."""
+
+
+def allows(*scopes: Scope) -> Any:
+    """Declares that a route is for callers with one of `scopes`."""
+    return Security(admitted, scopes=list(scopes))
+
+
+PUBLIC = Depends(anyone)
+
+
+def credential_of(request: Request) -> Credential:
+    """The bearer token of the Authorization header and the address of the connection."""
+    scheme, _, token = request.headers.get("authorization", "").partition(" ")
+    address = request.client.host if request.client is not None else ""
+    return Credential(token.strip() if scheme.lower() == "bearer" else None, address=address)
+
+
+def require_declared_scopes(app: FastAPI) -> None:
+    """Raises RuntimeError where a route does not say who may call it."""
+    for route in every_route(app):
+        path = getattr(route, "path", None)
+        if isinstance(route, APIRoute):
+            declared = [d for d in route.dependencies if d.dependency in (admitted, anyone)]
+            if len(declared) == 1 and (scopes_of(route) or declared[0].dependency is anyone):
+                continue
+        elif path in FRAMEWORK_PATHS:
+            continue
+        raise RuntimeError(f"{path or route} does not declare who may call it")
+
+
+def every_route(routes: Any) -> Iterator[BaseRoute]:
+    """The routes of an application or router, also of the routers that were included in it."""
+    for route in routes.routes:
+        # Where FastAPI keeps an included router in one piece instead of copying its routes.
+        included = getattr(route, "original_router", None)
+        if included is None:
+            yield route
+        else:
+            yield from every_route(included)
+
+
+def scopes_of(route: APIRoute) -> list[str]:
+    """The scopes of which a caller needs one; none for a route that is open to all."""
+    return [scope for d in route.dependencies if isinstance(d, DeclaredScopes) for scope in d.scopes or ()]
+
+
+def describe_access(app: FastAPI, document: dict[str, Any]) -> None:
+    """Say in the OpenAPI document what each route needs."""
+    document["components"]["securitySchemes"] = {
+        SCHEME: {"type": "http", "scheme": "bearer", "description": "An API key, `rv_...`, or a JWT of your issuer."}
+    }
+    for route in every_route(app):
+        if isinstance(route, APIRoute) and route.include_in_schema:
+            for method in route.methods or ():
+                operation = document["paths"][route.path_format][method.lower()]
+                operation["security"] = [{SCHEME: [scope]} for scope in scopes_of(route)]

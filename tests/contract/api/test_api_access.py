@@ -1,0 +1,126 @@
+"""Who may call what: every route and RPC declares its scopes and keeps to them (rows A01, A03)."""
+
+from __future__ import annotations
+
+import re
+
+import grpc
+import pytest
+from fastapi import FastAPI
+
+from service.application.callers import Scope
+from service.grpc import access as grpc_access
+from service.grpc import server as grpc_server
+from service.rest.access import allows, every_route, require_declared_scopes, scopes_of
+from service.rest.app import create_app
+from tests.support.credentials import a_key, bearer, ended
+from tests.support.service_world import memory_world
+
+PATHS = {"map_id": "town", "session_id": "monday", "submap_id": "a", "loop_id": "loop-1", "operation_id": "op-1"}
+PUBLIC_PATHS = {
+    "/livez",
+    "/readyz",
+    "/",
+    "/dashboard.css",
+    "/dashboard.js",
+    "/drawing.js",
+    "/placement.js",
+    "/reading.js",
+}
+
+
+def rest_calls():
+    """Every call of the OpenAPI document: method, path with ids filled in, and the scopes of which it needs one."""
+    app = create_app(memory_world().use_cases)
+    for path, methods in app.openapi()["paths"].items():
+        for method, call in methods.items():
+            scopes = [scope for way in call.get("security", ()) for scope in way["bearer"]]
+            yield pytest.param(method, re.sub(r"{\w+}", "x1", path), scopes, id=f"{method} {path}")
+
+
+def rpcs():
+    """Every RPC of the proto descriptors."""
+    for module, *_ in grpc_server._SERVICES:
+        for service in module.DESCRIPTOR.services_by_name.values():
+            for method in service.methods:
+                yield pytest.param(service.full_name, method, id=f"{service.name}.{method.name}")
+
+
+@pytest.mark.parametrize(("method", "path", "scopes"), list(rest_calls()))
+def test_without_a_key_no_route_answers_but_the_public_ones(guarded_http, method, path, scopes):
+    answer = guarded_http.request(method, path)
+    if path in PUBLIC_PATHS:
+        assert (scopes, answer.status_code) == ([], 200)
+        return
+    assert (answer.status_code, answer.json()["reason"]) == (401, "UNAUTHENTICATED")
+    assert answer.headers["www-authenticate"] == "Bearer"
+
+
+@pytest.mark.parametrize(("service", "method"), list(rpcs()))
+def test_without_a_key_no_rpc_answers(guarded_grpc, service, method):
+    code, _ = ended(guarded_grpc, method)
+    assert code is grpc.StatusCode.UNAUTHENTICATED
+
+
+def test_the_public_routes_are_these_and_hold_nobodys_data():
+    routes = list(every_route(create_app(memory_world().use_cases)))
+    assert {route.path for route in routes if not scopes_of_any(route)} == PUBLIC_PATHS | {"/openapi.json"}
+
+
+def scopes_of_any(route):
+    return scopes_of(route) if hasattr(route, "dependencies") else []
+
+
+@pytest.mark.parametrize(("method", "path", "scopes"), list(rest_calls()))
+def test_a_key_with_every_scope_but_the_needed_ones_is_refused(guarded, guarded_http, method, path, scopes):
+    if not scopes:
+        return
+    others = [scope.value for scope in Scope if scope.value not in scopes]
+    answer = guarded_http.request(method, path, headers=bearer(a_key(guarded.world, scopes=others)))
+    assert (answer.status_code, answer.json()["reason"]) == (403, "PERMISSION_DENIED")
+    assert all(scope in answer.json()["detail"] for scope in scopes)
+
+
+@pytest.mark.parametrize(("service", "method"), list(rpcs()))
+def test_a_key_with_every_scope_but_the_needed_ones_is_refused_over_grpc(guarded, guarded_grpc, service, method):
+    needed = grpc_access.SCOPES[service.rpartition(".")[2]][method.name]
+    key = a_key(guarded.world, scopes=[scope.value for scope in Scope if scope not in needed])
+    code, details = ended(guarded_grpc, method, bearer(key).items())
+    assert code is grpc.StatusCode.PERMISSION_DENIED
+    assert all(scope in details for scope in needed)
+
+
+def test_both_transports_ask_for_the_same_scopes():
+    routes = {route.name: set(scopes_of(route)) for route in every_route(create_app(memory_world().use_cases))
+              if hasattr(route, "dependencies")}  # fmt: skip
+    compared = 0
+    for methods in grpc_access.SCOPES.values():
+        for name, scopes in methods.items():
+            snake = re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
+            if snake in routes:
+                assert routes[snake] == scopes, name
+                compared += 1
+    assert compared >= 20
+
+
+def test_a_route_that_declares_no_scope_stops_the_start():
+    app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
+    app.get("/declared", dependencies=[allows(Scope.QUERY)])(lambda: None)
+    require_declared_scopes(app)
+    app.get("/forgotten")(lambda: None)
+    with pytest.raises(RuntimeError, match="/forgotten does not declare"):
+        require_declared_scopes(app)
+
+
+def test_a_route_that_allows_no_scope_stops_the_start():
+    app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
+    app.get("/empty", dependencies=[allows()])(lambda: None)
+    with pytest.raises(RuntimeError, match="/empty does not declare"):
+        require_declared_scopes(app)
+
+
+async def test_an_rpc_that_declares_no_scope_stops_the_start(monkeypatch):
+    scopes = {**grpc_access.SCOPES, "MapService": {"CreateMap": frozenset({Scope.INGEST})}}
+    monkeypatch.setattr(grpc_access, "SCOPES", scopes)
+    with pytest.raises(RuntimeError, match="MapService/GetMap does not declare"):
+        grpc_server.create_server(memory_world().use_cases)
