@@ -66,13 +66,16 @@ def _rejected(query: QueryMatches) -> bool:
 
 
 def _accepted(matches: Sequence[QueryMatches], positives: Flags) -> dict[str, int]:
-    """Loops the gates let through: right, wrong."""
-    right = [
+    """Loops the gates let through, by whether the submaps lie within the positive radius.
+
+    Far ones need not be false: `poses` tells, by the error of their poses.
+    """
+    near = [
         bool(positives[index, query.ranked[0].id])
         for index, query in enumerate(matches)
         if query.ranked and query.ranked[0].verdict.accepted
     ]
-    return {"accepted": len(right), "accepted_right": sum(right), "accepted_wrong": len(right) - sum(right)}
+    return {"accepted": len(near), "accepted_near": sum(near), "accepted_far": len(near) - sum(near)}
 
 
 def _pose_errors(places: Sequence[Place], matches: Sequence[QueryMatches]) -> dict[str, Any]:
