@@ -97,6 +97,7 @@ class _ScanStream:
         self.session = session
         self._use_cases = use_cases
         self._fenced = asyncio.Event()
+        self._handler: asyncio.Task[Any] = asyncio.current_task()  # type: ignore[assignment]  # made by its call
         self._answers: asyncio.Queue[pb.StreamScansResponse | None] = asyncio.Queue(maxsize=2 * CREDITS)
 
     @property
@@ -126,7 +127,11 @@ class _ScanStream:
 
     async def _close_after(self, enders: list[asyncio.Task[None]]) -> None:
         done, _ = await asyncio.wait(enders, return_when=asyncio.FIRST_COMPLETED)
-        await self._answers.put(None)
+        try:
+            await asyncio.wait_for(self._answers.put(None), UNREAD_LIMIT_S)
+        except TimeoutError:
+            # The answers hang in a write that nobody reads: only cancelling that gives the stream's place back.
+            self._handler.cancel()
         for task in done:
             task.result()
 
