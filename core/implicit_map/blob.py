@@ -33,11 +33,14 @@ def unpack(blob: bytes) -> tuple[dict[str, Any], list[bytes]]:
     if not content.startswith(MAGIC) or hashlib.sha256(content).digest() != digest:
         raise DataLoss("the stored neural map is damaged")
     start = len(MAGIC) + 4
-    (size,) = struct.unpack_from("<I", content, len(MAGIC))
-    header = json.loads(content[start : start + size])
-    body = zstandard.ZstdDecompressor().decompress(content[start + size :], max_output_size=_MAX_BODY_BYTES)
-    ends = np.cumsum([0, *header["sections"]])
-    return header, [body[a:b] for a, b in itertools.pairwise(ends)]
+    try:
+        (size,) = struct.unpack_from("<I", content, len(MAGIC))
+        header = json.loads(content[start : start + size])
+        body = zstandard.ZstdDecompressor().decompress(content[start + size :], max_output_size=_MAX_BODY_BYTES)
+        ends = [0, *itertools.accumulate(header["sections"])]
+        return header, [body[a:b] for a, b in itertools.pairwise(ends)]
+    except (struct.error, ValueError, TypeError, KeyError, RecursionError, zstandard.ZstdError) as error:
+        raise DataLoss("the stored neural map cannot be read") from error
 
 
 def to_varint(values: NDArray[np.integer]) -> bytes:

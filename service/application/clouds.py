@@ -82,7 +82,7 @@ def unpack_cloud(blob: bytes) -> StoredCloud:
     try:
         magic, count, width = _HEADER.unpack_from(blob)
         size = count * width * 4
-        if magic != _MAGIC or width not in (3, 4):
+        if magic != _MAGIC or width not in (3, 4) or count > MAX_SUBMAP_POINTS:
             raise DataLoss("a stored cloud has a damaged header")
         data = zstandard.ZstdDecompressor().decompress(blob[_HEADER.size :], max_output_size=size)
     except (struct.error, zstandard.ZstdError) as error:

@@ -17,6 +17,7 @@ _MAGIC = b"RVM1"
 _HEADER = struct.Struct("<4sII")
 _STEP_M = 0.001
 _NORMAL_STEPS = 127
+_MAX_BYTES = 2**29
 
 
 def pack_mesh(mesh: Mesh) -> bytes:
@@ -35,7 +36,7 @@ def unpack_mesh(blob: bytes) -> Mesh:
         magic, vertices, faces = _HEADER.unpack_from(blob)
         rows_size = (vertices + faces) * 12
         size = rows_size + vertices * 3
-        if magic != _MAGIC:
+        if magic != _MAGIC or size > _MAX_BYTES:
             raise DataLoss("a stored mesh has a damaged header")
         data = zstandard.ZstdDecompressor().decompress(blob[_HEADER.size :], max_output_size=size) if size else b""
     except (struct.error, zstandard.ZstdError) as error:

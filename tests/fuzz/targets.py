@@ -1,0 +1,117 @@
+"""What every reader of foreign bytes promises, as functions of bytes that return nothing and raise only on a defect.
+
+`test_targets.py` drives them with hypothesis; with atheris installed, `python -m tests.fuzz.targets NAME [FOLDER ...]`
+drives one with libFuzzer, which takes further files and its own options as arguments.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from core import signature
+from core.errors import DataLoss, RevisitError
+from core.formats import MEDIA_TYPES, CloudLimits, PackedCloud, decode_cloud, decode_content
+from core.implicit_map import blob
+from core.scan import validate_cloud
+from core.signature import PlaceSignature
+from service.application.clouds import unpack_cloud
+from service.application.meshes import unpack_mesh
+from service.application.paging import PageRequest
+from service.rest.bodies import parse_json
+from service.rest.limits import HttpLimits
+from service.rest.schemas import CreateMapRequest, SearchRequest
+
+LIMITS = CloudLimits(max_decoded_bytes=2**20, max_points=20_000)
+DIGEST_BYTES = 16
+"""How much of the SHA-256 a signature ends with."""
+
+FILES = Path(__file__).resolve().parents[1] / "corpus/files"
+
+Target = Callable[[bytes], None]
+
+
+def cloud(media_type: str) -> Target:
+    """A file of one media type: finite points in range, or a documented refusal."""
+
+    def read(data: bytes) -> None:
+        try:
+            points, report = validate_cloud(decode_cloud(data, media_type, limits=LIMITS).points)
+        except RevisitError as error:
+            if isinstance(error, DataLoss):
+                raise AssertionError("a client's bytes are no stored data") from error
+            return
+        if not 100 <= len(points) <= LIMITS.max_points or report.dropped_nonfinite < 0:
+            raise AssertionError(f"{len(points)} points were accepted")
+
+    return read
+
+
+def content(encoding: str) -> Target:
+    """A Content-Encoding: as many bytes as the limits allow, or a refusal."""
+
+    def read(data: bytes) -> None:
+        try:
+            decoded = decode_content(data, encoding, LIMITS)
+        except RevisitError:
+            return
+        if len(decoded) > LIMITS.max_decoded_bytes:
+            raise AssertionError(f"{len(decoded)} bytes were accepted")
+
+    return read
+
+
+def refusing(reader: Callable[[bytes], object], *refusals: type[RevisitError]) -> Target:
+    """A reader that answers or refuses with one of `refusals`."""
+
+    def read(data: bytes) -> None:
+        try:
+            reader(data)
+        except refusals:
+            return
+
+    return read
+
+
+def behind_checksum(reader: Callable[[bytes], object], magic: bytes, digest_bytes: int) -> Target:
+    """A stored reader that is given a fitting checksum, so that what lies behind it is reached."""
+
+    def read(data: bytes) -> None:
+        content = magic + data
+        refusing(reader, DataLoss)(content + hashlib.sha256(content).digest()[:digest_bytes])
+
+    return read
+
+
+TARGETS: dict[str, Target] = {
+    **{media_type: cloud(media_type) for media_type in MEDIA_TYPES},
+    "gzip": content("gzip"),
+    "zstd": content("zstd"),
+    "packed cloud header": refusing(PackedCloud.from_bytes, RevisitError),
+    "json map": refusing(lambda data: parse_json(data, CreateMapRequest, HttpLimits()), RevisitError),
+    "json search": refusing(lambda data: parse_json(data, SearchRequest, HttpLimits()), RevisitError),
+    "page token": refusing(lambda data: PageRequest(token=data.decode("latin-1")).after, RevisitError),
+    "neural map": refusing(blob.unpack, DataLoss),
+    "neural map behind its checksum": behind_checksum(blob.unpack, blob.MAGIC, 32),
+    "signature": refusing(PlaceSignature.from_blob, DataLoss),
+    "signature behind its checksum": behind_checksum(PlaceSignature.from_blob, signature.MAGIC, DIGEST_BYTES),
+    "stored cloud": refusing(unpack_cloud, DataLoss),
+    "stored mesh": refusing(unpack_mesh, DataLoss),
+}
+"""By name. The last six read what the service itself has stored: damage to them is DATA_LOSS, never a crash."""
+
+
+def main() -> None:
+    """Fuzz the target that the first argument names with atheris, from the files of the corpus on."""
+    import atheris
+
+    name, *arguments = sys.argv[1:]
+    atheris.instrument_all()
+    atheris.Setup([sys.argv[0], str(FILES), *arguments], TARGETS[name])
+    atheris.Fuzz()
+
+
+if __name__ == "__main__":
+    main()
