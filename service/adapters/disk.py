@@ -30,8 +30,12 @@ class Disk:
         self._floor_bytes = reserve_bytes // FLOOR_SHARE
 
     def full(self) -> bool:
-        """See `ports.DiskSpace`."""
-        return self._reserve_bytes > 0 and (not self._reserve.exists() or self.exhausted())
+        """See `ports.DiskSpace`. Releases the reserve where the disk runs full."""
+        if self._reserve_bytes == 0:
+            return False
+        if self.exhausted():
+            self.release()
+        return not self._reserve.exists()
 
     def exhausted(self) -> bool:
         """See `ports.DiskSpace`."""
@@ -50,12 +54,7 @@ class Disk:
 
     def tend(self) -> None:
         """Release the reserve where the disk runs full, make it again where there is room; to be called often."""
-        if self._reserve_bytes == 0:
-            return
-        if self._reserve.exists():
-            if self.exhausted():
-                self.release()
-        elif self.free_bytes() >= self._reserve_bytes + 2 * self._floor_bytes:
+        if self.full() and self.free_bytes() >= self._reserve_bytes + 2 * self._floor_bytes:
             try:
                 make_room(self._reserve, self._reserve_bytes)
             except OSError as error:

@@ -1,0 +1,149 @@
+"""A full disk: data is refused, everything else goes on, and so does the data once there is room."""
+
+from __future__ import annotations
+
+import subprocess
+import time
+from pathlib import Path
+
+import httpx
+import pytest
+
+from core.formats import KITTI, encode_kitti
+from service.adapters.disk import Disk
+from service.application.errors import StorageFull
+from tests.support.processes import ServiceProcess
+from tests.support.service_world import cloud_points, open_session, sqlite_world, submap
+
+SESSION = "/v1/maps/town/sessions/monday"
+SIZE_MB, RESERVE_MB = 64, 8
+MOUNTED = ("unshare", "-rm", "sh", "-c", f'mount -t tmpfs -o size={SIZE_MB}m tmpfs "$REVISIT_HOME" && exec "$@"', "sh")
+
+
+class OnSmallDisk(ServiceProcess):
+    """The service on a file system of its own in memory, which nobody else sees."""
+
+    launcher = MOUNTED
+
+
+def may_mount() -> bool:
+    """Whether this user may make a mount namespace with a tmpfs in it."""
+    probe = ["unshare", "-rm", "sh", "-c", "mount -t tmpfs tmpfs /mnt"]
+    try:
+        return subprocess.run(probe, capture_output=True, check=False, timeout=10).returncode == 0
+    except OSError:
+        return False
+
+
+needs_mount = pytest.mark.skipif(not may_mount(), reason="no user namespaces here: a small disk cannot be mounted")
+
+
+def post(client: httpx.Client, number: int) -> httpx.Response:
+    parameters = {"submap_id": f"s{number}", "stamp_ns": number, "T_odom_submap": f"{number},0,0,0,0,0,1"}
+    body = encode_kitti(cloud_points(number, 300))
+    return client.post(f"{SESSION}/submaps", params=parameters, content=body, headers={"Content-Type": KITTI})
+
+
+def eventually(check, timeout_s: float = 10.0) -> float:
+    """Wait until `check` holds; how long that took, seconds."""
+    started = time.monotonic()
+    while not check():
+        assert time.monotonic() - started < timeout_s, "it did not happen"
+        time.sleep(0.05)
+    return time.monotonic() - started
+
+
+def fill(folder: Path) -> Path:
+    """Take all that is left of the disk."""
+    filler = folder / "filler"
+    with filler.open("wb", buffering=0) as file:
+        for size in (2**20, 2**12):
+            try:
+                while True:
+                    file.write(bytes(size))
+            except OSError:
+                continue
+    return filler
+
+
+@needs_mount
+def test_a_full_disk_refuses_data_serves_the_rest_and_heals_by_itself(tmp_path):
+    (tmp_path / "home").mkdir()
+    service = OnSmallDisk(tmp_path / "home", reserve_mb=RESERVE_MB, min_index_gap=2)
+    disk = Path(f"/proc/{service.pid}/root") / (tmp_path / "home").relative_to("/")
+    try:
+        with httpx.Client(base_url=service.url, timeout=10) as client:
+            client.post("/v1/maps", json={"map_id": "town"}).raise_for_status()
+            client.post("/v1/maps/town/sessions", json={"session_id": "monday"}).raise_for_status()
+            eventually((disk / "reserve").exists)
+            assert [post(client, number).status_code for number in range(5)] == [202] * 5
+            eventually(lambda: client.get("/v1/status").json()["indexed_submaps"] == 5, 30.0)
+
+            filler = fill(disk)
+            eventually(lambda: post(client, 99).status_code == 507)
+            refused = post(client, 100)
+            assert (refused.json()["reason"], refused.json()["retryable"]) == ("STORAGE_FULL", True)
+            assert int(refused.headers["retry-after"]) >= 1
+            readiness = client.get("/readyz")
+            assert readiness.status_code == 200 and "storage full" in readiness.json()["degraded"][0]
+            found = client.post("/v1/maps/town/submaps:search", json={"submap": f"{SESSION[4:]}/submaps/s1"})
+            assert found.status_code == 200 and len(found.json()["hits"]) == 4
+            assert client.delete(f"{SESSION}/submaps/s4").status_code in (200, 204)
+
+            filler.unlink()
+            took_s = eventually(lambda: post(client, 100).status_code == 202)
+            assert took_s < 5.0
+            assert client.get("/readyz").json()["degraded"] == []
+            listed = client.get(f"{SESSION}/submaps").json()["submaps"]
+            names = {item["name"].rpartition("/")[2] for item in listed}
+            assert {"s0", "s1", "s2", "s3", "s100"} <= names <= {"s0", "s1", "s2", "s3", "s99", "s100"}
+        assert service.terminate()[0] == 0
+    finally:
+        service.close()
+
+
+@pytest.fixture
+def room(monkeypatch):
+    """What the disk says is free, bytes, to be changed by the test."""
+    free = {"bytes": 100}
+    monkeypatch.setattr(Disk, "free_bytes", lambda self: free["bytes"])
+    return free
+
+
+def test_the_reserve_is_given_up_at_the_floor_and_made_again_with_room_to_spare(tmp_path, room):
+    disk = Disk(tmp_path, reserve_bytes=40)  # hence a floor of 10
+    room["bytes"] = 59
+    disk.tend()
+    assert disk.full(), "40 for the reserve and twice 10 are not there yet"
+    room["bytes"] = 60
+    disk.tend()
+    assert not disk.full() and (tmp_path / "reserve").stat().st_size == 40
+    room["bytes"] = 10
+    disk.tend()
+    assert not disk.full()
+    room["bytes"] = 9
+    assert disk.full() and not (tmp_path / "reserve").exists()
+    room["bytes"] = 49
+    assert disk.full() and not disk.exhausted(), "what was released is for finishing, not for new data"
+
+
+def test_without_a_reserve_the_disk_never_counts_as_full(tmp_path, room):
+    disk = Disk(tmp_path, reserve_bytes=0)
+    room["bytes"] = 0
+    disk.tend()
+    assert not disk.full() and not disk.exhausted() and list(tmp_path.iterdir()) == []
+
+
+async def test_a_full_disk_refuses_before_the_cloud_is_even_decoded(tmp_path):
+    world = sqlite_world(tmp_path)
+    await open_session(world)
+
+    class Full:
+        def full(self) -> bool:
+            return True
+
+    object.__setattr__(world.context, "disk", Full())
+    with pytest.raises(StorageFull):
+        await world.use_cases.submaps.post("default", submap("s1", 1))
+    assert not list((tmp_path / "blobs").rglob("cloud"))
+    world.context.transactions.close()
