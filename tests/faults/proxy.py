@@ -44,11 +44,18 @@ class BadLink:
         self.port = 0
         self.cuts = 0
         self.connections = 0
+        self._under_way: set[asyncio.Task[None]] = set()
 
     @property
     def address(self) -> str:
         """host:port."""
         return f"127.0.0.1:{self.port}"
+
+    def accept(self, client: asyncio.StreamReader, to_client: asyncio.StreamWriter) -> None:
+        """Serve a connection. The loop itself would forget a task whose client has gone and whose service has not."""
+        task = asyncio.get_running_loop().create_task(self.connect(client, to_client))
+        self._under_way.add(task)
+        task.add_done_callback(self._under_way.discard)
 
     async def connect(self, client: asyncio.StreamReader, to_client: asyncio.StreamWriter) -> None:
         """Serve one connection until both ends are done or the fault strikes."""
@@ -69,10 +76,6 @@ class BadLink:
                 _reset(to_client)
                 if connection.fault.half_open:
                     await asyncio.wait_for(service.read(), 60.0)
-        except asyncio.CancelledError:
-            # The link is taken down; asyncio's streams would report a task that ends cancelled as a fault.
-            upwards.cancel()
-            downwards.cancel()
         finally:
             for end in (to_client, to_service):
                 _reset(end) if connection.cut else end.close()
@@ -136,7 +139,7 @@ def bad_link(target: str, fault: Callable[[], Fault] = lambda: WHOLE) -> Iterato
     loop = asyncio.new_event_loop()
 
     async def serve() -> None:
-        server = await asyncio.start_server(link.connect, "127.0.0.1", 0)
+        server = await asyncio.start_server(link.accept, "127.0.0.1", 0)
         link.port = server.sockets[0].getsockname()[1]
         ready.set()
         await stop.wait()
