@@ -167,7 +167,8 @@ class Submap:
     def parse(cls, value: Json) -> Self:
         """From an answer."""
         pose = matrix_of(value["t_odom_submap"])
-        assert pose is not None
+        if pose is None:
+            raise ValueError(f"the answer has no pose of submap {value['name']}")
         return cls(
             name=value["name"],
             state=_state(value["state"]),

@@ -1,0 +1,49 @@
+"""Python may run with -O, which drops assert statements: nothing the product checks may hang on one."""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+# Parsers and indexes: where a dropped check would mean a crash of a library instead of an error.
+SUBSET = (
+    "tests/unit/formats/test_bad_input.py",
+    "tests/contract/test_place_index.py",
+    "tests/contract/test_vector_index.py",
+)
+
+
+def asserts(text: str) -> list[int]:
+    """The lines of assert statements."""
+    return [node.lineno for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Assert)]
+
+
+@pytest.mark.parametrize("package", ["core", "service", "revisit", "evaluation", "migrations"])
+def test_shipped_code_has_no_assert_statement(package):
+    found = {
+        f"{path.relative_to(ROOT)}:{line}"
+        for path in (ROOT / package).rglob("*.py")
+        if "revisit/v1" not in path.as_posix()
+        for line in asserts(path.read_text())
+    }
+    assert found == set()
+    assert asserts("if x:\n    assert x\n") == [2]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_parsers_and_indexes_refuse_the_same_input_without_assert_statements():
+    optimised = {**os.environ, "PYTHONOPTIMIZE": "1"}
+    probe = subprocess.run([sys.executable, "-c", "assert False"], env=optimised, check=False, capture_output=True)
+    assert probe.returncode == 0, "-O was not in force"
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-W", "ignore", *SUBSET]
+    run = subprocess.run(command, cwd=ROOT, env=optimised, capture_output=True, text=True, check=False, timeout=850)
+    assert run.returncode == 0, run.stdout[-3000:]
+    assert int(re.search(r"(\d+) passed", run.stdout)[1]) >= 150
