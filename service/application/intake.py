@@ -113,6 +113,12 @@ class Intake:
         for bucket in self._buckets_of(tenant):
             bucket.take(points + CALL_POINTS, now_s)
 
+    def require_place(self, tenant: TenantId) -> None:
+        """Raises WorkersBusy where no cloud more can be taken in now."""
+        if not self._has_place(tenant):
+            message = f"{self.clouds} clouds are being taken in; try again with the same id"
+            raise WorkersBusy(message, retry_after_s=BUSY_RETRY_S)
+
     @asynccontextmanager
     async def cloud(self, tenant: TenantId, *, patient: bool = False) -> AsyncIterator[None]:
         """A place for one cloud.
@@ -120,13 +126,11 @@ class Intake:
         Raises WorkersBusy where all of them, or the tenant's share of them, are taken. One that is `patient` waits for
         its turn: a stream, of which there are few, and which holds back its client.
         """
-        if self._has_place(tenant):
-            self._clouds[tenant] += 1
-        elif patient:
+        if patient and not self._has_place(tenant):
             await self._turn(tenant)
         else:
-            message = f"{self.clouds} clouds are being taken in; try again with the same id"
-            raise WorkersBusy(message, retry_after_s=BUSY_RETRY_S)
+            self.require_place(tenant)
+            self._clouds[tenant] += 1
         try:
             yield
         finally:

@@ -80,9 +80,10 @@ class System:
         return await self._context.read(load)
 
     def admit_cloud(self, tenant: TenantId) -> None:
-        """What can be said before a cloud is read: Raises Draining, RateLimited."""
+        """What can be said before a cloud is read. Raises Draining, RateLimited, WorkersBusy."""
         self._context.admit()
         self._context.intake.require_points(tenant)
+        self._context.intake.require_place(tenant)
 
     def drain(self) -> None:
         """From now on refuse new work with Draining; what is under way ends."""

@@ -87,6 +87,8 @@ async def test_one_cloud_too_many_is_refused_until_one_is_done(clock):
     async with bounded.cloud("anna"), bounded.cloud("anna"), bounded.cloud("bert"):
         async with bounded.cloud("carl"):
             assert bounded.clouds == 4
+            with pytest.raises(WorkersBusy):
+                bounded.require_place("dora")
             with pytest.raises(WorkersBusy) as refused:
                 async with bounded.cloud("dora"):
                     pass

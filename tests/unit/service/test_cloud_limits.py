@@ -1,0 +1,23 @@
+"""How many points a scan and a submap may have: at the limit and one above."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from core.errors import TooLarge
+from core.formats import DecodedCloud
+from service.application.clouds import MAX_SCAN_POINTS, MAX_SUBMAP_POINTS, accept_cloud
+
+
+def test_the_limits_are_those_of_the_documentation():
+    assert (MAX_SCAN_POINTS, MAX_SUBMAP_POINTS) == (500_000, 2_000_000)
+
+
+@pytest.mark.parametrize("limit", [MAX_SCAN_POINTS, MAX_SUBMAP_POINTS], ids=["scan", "submap"])
+def test_a_cloud_may_have_as_many_points_as_the_limit_and_no_more(limit):
+    points = np.random.default_rng(1).uniform(-50, 50, (limit + 1, 3)).astype(np.float32)
+    accepted, _ = accept_cloud(DecodedCloud(points[:limit]), limit)
+    assert len(accepted.points) == limit
+    with pytest.raises(TooLarge, match=f"may hold {limit} points here, got {limit + 1}"):
+        accept_cloud(DecodedCloud(points), limit)
