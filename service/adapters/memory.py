@@ -170,14 +170,14 @@ class MemoryChangeLog:
         """See `ports.ChangeLog`."""
         return self._append(_Change(tenant, map_number, submap_number, described=False))
 
-    def since(self, tenant: TenantId, map_number: int, seq: int) -> list[IndexChange]:
+    def since(self, tenant: TenantId, map_number: int, seq: int, limit: int | None = None) -> list[IndexChange]:
         """See `ports.ChangeLog`."""
         changes = [change for _, change in sorted(self._changes.by_number.items())]
         return [
             self._seen(change)
             for change in changes
             if (change.tenant, change.map_number) == (tenant, map_number) and change.number > seq
-        ]
+        ][:limit]
 
     def _append(self, change: _Change) -> int:
         self._changes.last += 1

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.application.errors import NotFound
 from service.application.identity import TenantId
-from service.application.ports import Transactions, UnitOfWork, VectorFilter, VectorIndex, VectorMatch
+from service.application.ports import IndexChange, Transactions, UnitOfWork, VectorFilter, VectorIndex, VectorMatch
 from service.application.records import MapRecord, SubmapRecord
 from service.application.search_answers import SearchCriteria, SearchHit, SearchResult
 from service.application.submaps import submap_key
 from service.failpoints import failpoint
+
+PORTION = 4096
+"""Changes that are read at a time: a large map is loaded without holding all its descriptors twice."""
 
 
 @dataclass(frozen=True)
@@ -43,14 +47,20 @@ class PlaceMemory:
     def recall(self, map_record: MapRecord, vector: NDArray[np.float32], k: int, where: VectorFilter) -> Recall:
         """The k places most like `vector` (d,). Raises BadField for another dimension."""
         tenant, number = map_record.tenant, map_record.number
-        before = self._index.seq(number)
-        changes = self._transactions.read(lambda uow: uow.changes.since(tenant, number, before)).result()
-        failpoint("index.before_apply")
-        self._index.apply(number, changes)
-        failpoint("index.after_apply")
-        seq = changes[-1].seq if changes else before
+        seq = self._catch_up(tenant, number)
         matches = self._index.search(number, vector, k, where) if self._index.size(number) else []
         return Recall(self._transactions.read(lambda uow: _places(uow, tenant, matches)).result(), seq)
+
+    def _catch_up(self, tenant: TenantId, number: int) -> int:
+        """Apply what the database has and the index has not, in portions; the last change that was read."""
+        while True:
+            before = self._index.seq(number)
+            changes = self._transactions.read(partial(_changes, tenant=tenant, number=number, seq=before)).result()
+            failpoint("index.before_apply")
+            self._index.apply(number, changes)
+            failpoint("index.after_apply")
+            if len(changes) < PORTION:
+                return changes[-1].seq if changes else before
 
     def search(
         self, map_record: MapRecord, vector: NDArray[np.float32], criteria: SearchCriteria, where: VectorFilter
@@ -64,6 +74,10 @@ class PlaceMemory:
             if place.similarity >= floor
         )
         return SearchResult(tuple(hits), self._index.size(map_record.number))
+
+
+def _changes(uow: UnitOfWork, tenant: TenantId, number: int, seq: int) -> list[IndexChange]:
+    return uow.changes.since(tenant, number, seq, PORTION)
 
 
 def vector_filter(

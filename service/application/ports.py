@@ -178,8 +178,11 @@ class ChangeLog(Protocol):
         """The submap is gone."""
         ...
 
-    def since(self, tenant: TenantId, map_number: int, seq: int) -> list[IndexChange]:
-        """The changes above `seq` in order. A submap that has gone meanwhile appears only as removed."""
+    def since(self, tenant: TenantId, map_number: int, seq: int, limit: int | None = None) -> list[IndexChange]:
+        """The changes above `seq` in order, the first `limit` of them.
+
+        A submap that has gone meanwhile appears only as removed.
+        """
         ...
 
 

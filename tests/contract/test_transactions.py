@@ -119,6 +119,7 @@ def test_the_change_log_tells_additions_and_removals_in_order(write, read):
     assert (changes[0].vector, changes[0].ordinal, changes[0].position_m) == (b"\x00\x00\x80?", 0, (0.1, 0.2, 0.3))
     assert changes[2].vector is None
     assert [change.seq for change in read(lambda uow: uow.changes.since(TENANT, 1, two))] == [three]
+    assert [change.seq for change in read(lambda uow: uow.changes.since(TENANT, 1, one, limit=1))] == [two]
     assert read(lambda uow: uow.changes.since(TENANT, 2, 0)) == []
     assert read(lambda uow: uow.changes.since(OTHER, 1, 0)) == []
 

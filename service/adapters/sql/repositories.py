@@ -153,7 +153,7 @@ class SqlChangeLog:
         """See `ports.ChangeLog`."""
         return self._append(tenant, map_number, submap_number, "REMOVED")
 
-    def since(self, tenant: TenantId, map_number: int, seq: int) -> list[IndexChange]:
+    def since(self, tenant: TenantId, map_number: int, seq: int, limit: int | None = None) -> list[IndexChange]:
         """See `ports.ChangeLog`."""
         changes, submaps = tables.index_changes.c, tables.submaps.c
         query = (
@@ -162,6 +162,7 @@ class SqlChangeLog:
             .outerjoin_from(tables.index_changes, tables.submaps, submaps.number == changes.submap_number)
             .where(changes.tenant == tenant, changes.map_number == map_number, changes.seq > seq)
             .order_by(changes.seq)
+            .limit(limit)
         )
         return [_change(row) for row in self._connection.execute(query)]
 

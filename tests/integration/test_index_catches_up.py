@@ -1,0 +1,35 @@
+"""A fresh index catches up with the database in portions and then knows what one that saw everything knows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from service.adapters.memory_index import MemoryVectorIndex
+from service.application import place_memory
+from service.application.place_memory import PlaceMemory
+from service.application.ports import VectorFilter
+from tests.support.service_world import TENANT, open_session, sqlite_world, submap
+
+
+@pytest.mark.parametrize("portion", [1, 2, 5, 6, 100])
+async def test_portions_of_any_size_give_the_same_index(tmp_path, monkeypatch, portion):
+    world = sqlite_world(tmp_path)
+    await open_session(world)
+    for number in range(5):
+        await world.use_cases.submaps.post(TENANT, submap(f"s{number}", number))
+    world.work_off()
+    await world.use_cases.submaps.delete(TENANT, submap("s3", 3).key)  # the sixth change
+    monkeypatch.setattr(place_memory, "PORTION", portion)
+    index = MemoryVectorIndex()
+    memory = PlaceMemory(world.context.transactions, index)
+
+    def load(uow):
+        return uow.maps.get(TENANT, "town"), uow.submaps.get(TENANT, "town", "monday", "s1")
+
+    map_record, record = world.context.transactions.read(load).result()
+    recall = memory.recall(map_record, np.frombuffer(record.descriptor, dtype="<f4"), 10, VectorFilter())
+    assert {place.submap.submap_id for place in recall.places} == {"s0", "s1", "s2", "s4"}
+    assert recall.places[0].submap.submap_id == "s1"
+    assert (index.size(map_record.number), recall.seq) == (4, 6)
+    world.context.transactions.close()
