@@ -57,11 +57,11 @@ SABOTAGES = (
                 "service/adapters/sql/group_commit.py",
                 "                    outcomes.append(_attempt(connection, write))\n",
                 "                    outcomes.append(_attempt(connection, write))\n"
-                "                    outcomes[-1].tell()\n",
+                "                    outcomes[-1].tell()\n                    time.sleep(0.05)\n",
             ),
             Edit("service/adapters/sql/group_commit.py", "            outcome.tell()\n", "            pass\n"),
         ),
-        POWER_CUT,
+        f"{CRASH}test_an_undisturbed_drive_leaves_nothing_to_complain_about",
     ),
     Sabotage(
         "a blob is not synced",
