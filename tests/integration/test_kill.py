@@ -1,13 +1,10 @@
-"""kill -9 and SIGTERM: what was acknowledged is there, once, and is worked off; the service comes and goes cleanly."""
+"""kill -9 and SIGTERM, one step at a time; for kills at random moments see tests/faults/test_kill_campaign.py."""
 
 from __future__ import annotations
 
-import contextlib
 import os
-import signal
 import subprocess
 import sys
-import threading
 import time
 
 import httpx
@@ -64,66 +61,6 @@ def wait_until_worked_off(service: ServiceProcess, timeout_s: float = 40.0) -> l
             return found
         time.sleep(0.1)
     raise AssertionError(f"still queued: {[s for s in submaps(service) if s['state'] == 'QUEUED']}")
-
-
-class Poster(threading.Thread):
-    """A client that posts one submap after another, and repeats what was not answered, under the same id."""
-
-    def __init__(self, service: ServiceProcess, name: str) -> None:
-        super().__init__(name=name, daemon=True)
-        self._service = service
-        self.acknowledged: list[str] = []
-        self.surprises: list[str] = []
-        self.stop = threading.Event()
-
-    def run(self) -> None:
-        number = 0
-        while not self.stop.is_set():
-            submap_id = f"{self.name}-{number}"
-            with contextlib.suppress(httpx.HTTPError):
-                with httpx.Client(base_url=self._service.url, timeout=5) as client:
-                    answer = post_submap(client, submap_id, place=hash(submap_id) % 1000)
-                if answer.status_code == 202:
-                    self.acknowledged.append(submap_id)
-                    number += 1
-                elif answer.status_code != 503:
-                    self.surprises.append(answer.text)
-                    return
-            time.sleep(0.01)
-
-
-def test_every_acknowledged_submap_survives_kills_of_gateway_and_worker_once(service):
-    open_session(service)
-    posters = [Poster(service, f"robot{number}") for number in range(3)]
-    for poster in posters:
-        poster.start()
-    for victim in ("gateway", "worker", "gateway"):
-        time.sleep(0.7)
-        if victim == "gateway":
-            workers = service.worker_pids()
-            service.kill()
-            service.start()
-            deadline = time.monotonic() + 5
-            while any(is_running(pid) for pid in workers):
-                assert time.monotonic() < deadline, "a worker outlived its gateway"
-                time.sleep(0.05)
-        else:
-            service.wait_for("worker_ready", after=len(service.events) - 50)
-            for pid in service.worker_pids():
-                os.kill(pid, signal.SIGKILL)
-    time.sleep(0.5)
-    for poster in posters:
-        poster.stop.set()
-        poster.join(10)
-    assert [poster.surprises for poster in posters] == [[], [], []]
-    acknowledged = [submap_id for poster in posters for submap_id in poster.acknowledged]
-    assert len(acknowledged) > 20
-    stored = wait_until_worked_off(service)
-    names = [submap["submap_id"] for submap in stored]
-    assert set(acknowledged) <= set(names)
-    assert len(names) == len(set(names))
-    assert {submap["state"] for submap in stored} == {"DESCRIBED"}
-    assert sorted(submap["ordinal"] for submap in stored) == list(range(len(stored)))
 
 
 def test_an_unfinished_window_of_scans_survives_a_kill(service):
