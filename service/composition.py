@@ -27,8 +27,8 @@ from service.application import Context, UseCases
 from service.application.intake import Intake
 from service.application.ports import PlaceRecogniser
 from service.application.recognition import Recognition
-from service.application.system import WORKER_SEEN_WITHIN_MS
 from service.application.sweeping import sweep
+from service.application.system import WORKER_SEEN_WITHIN_MS
 from service.application.upkeep import Chore
 from service.settings import Settings
 from service.worker.confinement import confine

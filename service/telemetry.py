@@ -8,6 +8,8 @@ import sys
 
 import structlog
 
+from service.redaction import redacted
+
 
 def configure_logging(level: str) -> None:
     """Log from `level` up. Raises ValueError for an unknown level."""
@@ -20,7 +22,8 @@ def configure_logging(level: str) -> None:
             structlog.processors.add_log_level,
             structlog.processors.TimeStamper(fmt="iso", utc=True),
             structlog.processors.format_exc_info,
-            structlog.processors.JSONRenderer(),
+            # On the finished line: a secret may be in any value, an exception's text too.
+            structlog.processors.JSONRenderer(serializer=lambda entry, **how: redacted(json.dumps(entry, **how))),
         ],
         wrapper_class=structlog.make_filtering_bound_logger(number),
         logger_factory=structlog.WriteLoggerFactory(file=sys.stderr),
@@ -40,4 +43,4 @@ class _JsonLine(logging.Formatter):
         entry = {"event": record.getMessage(), "logger": record.name, "level": record.levelname.lower()}
         if record.exc_info:
             entry["exception"] = self.formatException(record.exc_info)
-        return json.dumps(entry)
+        return redacted(json.dumps(entry))

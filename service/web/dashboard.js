@@ -2,7 +2,7 @@
 "use strict";
 
 import { bestLoops, Drawing, SESSION_COLOURS } from "/drawing.js";
-import { read, readAll, readMap } from "/reading.js";
+import { KeyNeeded, read, readAll, readMap, useKey } from "/reading.js";
 
 const REFRESH_MS = 3000;
 const MOST_LISTED = 100;
@@ -148,6 +148,7 @@ async function showMap(map) {
 async function refresh() {
   try {
     const [readiness, status] = await Promise.all([read("/readyz"), read("/v1/status")]);
+    byId("unlock").hidden = true;
     judgeHealth(readiness, status);
     showFigures(status);
     const maps = await readAll("/v1/maps", "maps");
@@ -171,7 +172,9 @@ async function refresh() {
     seen = now;
   } catch (error) {
     seen = "";
-    showHealth("the service does not answer", "bad");
+    const locked = error instanceof KeyNeeded;
+    byId("unlock").hidden = !locked;
+    showHealth(locked ? "an API key is needed" : "the service does not answer", "bad");
     byId("message").textContent = error.message;
   }
 }
@@ -194,6 +197,11 @@ function tellSubmap(event) {
 
 byId("map").addEventListener("change", () => {
   history.replaceState(null, "", `#${byId("map").value}`);
+  refresh();
+});
+byId("api-key").addEventListener("change", () => {
+  useKey(byId("api-key").value);
+  byId("api-key").value = "";
   refresh();
 });
 byId("every-loop").addEventListener("change", showDrawing);

@@ -4,9 +4,22 @@
 const PAGE_SIZE = 500;
 const MOST_PAGES = 20;
 
+const KEY = "revisit-api-key";
+
+/** The service lets nobody read without a key, or not with this one. */
+export class KeyNeeded extends Error {}
+
+/** Use this API key from now on, until the tab is closed. */
+export function useKey(key) {
+  sessionStorage.setItem(KEY, key.trim());
+}
+
 export async function read(path) {
-  const answer = await fetch(path, { headers: { accept: "application/json" }, cache: "no-store" });
+  const key = sessionStorage.getItem(KEY);
+  const headers = { accept: "application/json", ...(key ? { authorization: `Bearer ${key}` } : {}) };
+  const answer = await fetch(path, { headers, cache: "no-store" });
   if (answer.status === 503 && path === "/readyz") return answer.json();
+  if (answer.status === 401 || answer.status === 403) throw new KeyNeeded((await answer.json()).detail);
   if (!answer.ok) throw new Error(`${path} answered ${answer.status}`);
   return answer.json();
 }

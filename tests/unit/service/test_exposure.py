@@ -1,0 +1,91 @@
+"""Where the service may listen: every combination of address, TLS, credentials and override (promise P20)."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import logging
+
+import pytest
+import structlog
+
+import service.gateway
+from service.__main__ import main
+from service.application.api_keys import CreateKey
+from service.composition import offline_use_cases
+from service.settings import Settings
+
+ADDRESSES = {"127.0.0.1": False, "::1": False, "localhost": False, "0.0.0.0": True, "::": True, "192.0.2.7": True}
+
+
+@pytest.fixture
+def served(monkeypatch, tmp_path):
+    """A home, and what would have been served there."""
+    monkeypatch.setenv("REVISIT_HOME", str(tmp_path))
+    calls = []
+    monkeypatch.setattr(service.gateway, "serve", lambda settings: calls.append(settings) or 0)
+    yield calls
+    structlog.reset_defaults()
+    logging.basicConfig(force=True, handlers=[logging.NullHandler()])
+
+
+def make_key():
+    from service.adapters.sql.migration import migrate
+
+    migrate(Settings().database)
+    with offline_use_cases(Settings()) as use_cases:
+        return asyncio.run(use_cases.keys.create(CreateKey("acme", ["query"]))).record
+
+
+MATRIX = list(itertools.product(ADDRESSES, (False, True), (False, True), (False, True)))
+
+
+@pytest.mark.parametrize(("host", "tls", "key", "override"), MATRIX)
+def test_an_address_that_others_reach_needs_tls_and_a_key_or_an_override(
+    served, monkeypatch, capsys, host, tls, key, override
+):
+    monkeypatch.setenv("REVISIT_HOST", host)
+    monkeypatch.setenv("REVISIT_INSECURE_BIND", str(override))
+    if tls:
+        monkeypatch.setenv("REVISIT_TLS_CERTIFICATE", "chain.pem")
+        monkeypatch.setenv("REVISIT_TLS_KEY", "key.pem")
+    if key:
+        make_key()
+    allowed = not ADDRESSES[host] or override or (tls and key)
+    assert main(["serve"]) == (0 if allowed else 78)
+    assert len(served) == allowed
+    said = capsys.readouterr().err
+    assert ("TLS (" in said) == (not allowed and not tls)
+    assert ("an API key" in said) == (not allowed and not key)
+
+
+def test_a_revoked_key_counts_as_none(served, monkeypatch, capsys):
+    monkeypatch.setenv("REVISIT_HOST", "0.0.0.0")
+    monkeypatch.setenv("REVISIT_TLS_CERTIFICATE", "chain.pem")
+    monkeypatch.setenv("REVISIT_TLS_KEY", "key.pem")
+    record = make_key()
+    with offline_use_cases(Settings()) as use_cases:
+        asyncio.run(use_cases.keys.revoke(record.key_id))
+    assert main(["serve"]) == 78
+    assert "an API key" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("variables", "message"),
+    [
+        ({"TLS_CERTIFICATE": "a"}, "belong together"),
+        ({"TLS_KEY": "a"}, "belong together"),
+        ({"CLIENT_CA": "a"}, "needs REVISIT_TLS_CERTIFICATE"),
+        ({"TLS_CERTIFICATE": "a", "TLS_KEY": "b", "CLIENT_CERTIFICATES": "c"}, "needs REVISIT_CLIENT_CA"),
+        ({"JWT_ISSUER": "https://id.example"}, "belong together"),
+        ({"JWT_ISSUER": "https://id.example", "JWT_AUDIENCE": "r", "JWT_KEYS": "http://id.example/k"}, "https URL"),
+        ({"JWT_ISSUER": "https://id.example", "JWT_AUDIENCE": "r", "JWT_KEYS": "https://x.example/k"}, "https URL"),
+        ({"AUTHENTICATION": "off"}, "REVISIT_AUTHENTICATION"),
+    ],
+)
+def test_settings_that_do_not_fit_together_stop_the_start(served, monkeypatch, capsys, variables, message):
+    for name, value in variables.items():
+        monkeypatch.setenv(f"REVISIT_{name}", value)
+    assert main(["serve"]) == 78
+    assert message in capsys.readouterr().err
+    assert not served
