@@ -24,6 +24,7 @@ from service.adapters.filesystem import require_local
 from service.adapters.sql.unit_of_work import SqlTransactions
 from service.adapters.vector_index import PlaceVectorIndex
 from service.application import Context, UseCases
+from service.application.callers import current_actor
 from service.application.intake import Intake
 from service.application.ports import PlaceRecogniser
 from service.application.recognition import Recognition
@@ -62,7 +63,7 @@ def build_context(settings: Settings, *, gateway: bool, fail_stop: FailStop | No
         index=PlaceVectorIndex(_new_index),
         clock=SystemClock(),
         policy=policy,
-        intake=Intake(settings.intake),
+        intake=Intake(settings.intake, current_actor),
         disk=disk,
     )
 

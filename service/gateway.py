@@ -63,17 +63,7 @@ class _Gateway:
     async def run(self) -> int:
         """Serve until told to stop, then drain; the exit status."""
         stop = self._stop_signal()
-        loop = asyncio.get_running_loop()
-
-        def storage_failed() -> None:
-            self._status = STORAGE_FAILED
-            # The answer to who asked still goes out, but whatever hangs on the disk does not hold up the end.
-            end = threading.Timer(FAIL_STOP_S, os._exit, (STORAGE_FAILED,))
-            end.daemon = True
-            end.start()
-            loop.call_soon_threadsafe(stop.set)
-
-        context = build_context(self._settings, gateway=True, fail_stop=FailStop(storage_failed))
+        context = build_context(self._settings, gateway=True, fail_stop=FailStop(self._failing_disk_ends(stop)))
         use_cases = build_use_cases(context, self._settings)
         supervisor = WorkerSupervisor(context, self._settings.workers)
         http, http_port = self._http_server(use_cases)
@@ -117,6 +107,19 @@ class _Gateway:
         use_cases.system.drain()
         http.should_exit = True
         await asyncio.gather(rpc.stop(grace=self._settings.drain_s), serving, supervisor.stop(self._settings.drain_s))
+
+    def _failing_disk_ends(self, stop: asyncio.Event) -> Callable[[], None]:
+        loop = asyncio.get_running_loop()
+
+        def storage_failed() -> None:
+            self._status = STORAGE_FAILED
+            # The answer to who asked still goes out, but whatever hangs on the disk does not hold up the end.
+            end = threading.Timer(FAIL_STOP_S, os._exit, (STORAGE_FAILED,))
+            end.daemon = True
+            end.start()
+            loop.call_soon_threadsafe(stop.set)
+
+        return storage_failed
 
     def _stop_signal(self) -> asyncio.Event:
         stop = asyncio.Event()
