@@ -107,7 +107,7 @@ SABOTAGES = (
                 "        await",
             ),
         ),
-        f"{CRASH}test_a_kill_at_any_point_loses_and_doubles_nothing[job.after_commit]",
+        f"{CRASH}test_a_drive_that_is_repeated_runs_none_of_its_jobs_again",
     ),
     Sabotage(
         "other content is taken under a used id",

@@ -6,7 +6,9 @@ import ast
 import multiprocessing
 import os
 import signal
+import sqlite3
 from collections import Counter
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -74,6 +76,21 @@ def test_an_undisturbed_drive_leaves_nothing_to_complain_about(home):
     assert survey(home).against(history_of(home)) == []
     assert survey(home).states == END
     assert any(operation.key == f"submap/{DEGENERATE}" for operation in history_of(home).acknowledged())
+
+
+def attempts(home: Path) -> dict[str, int]:
+    """How often each operation was run."""
+    with closing(sqlite3.connect(home / "revisit.db")) as connection:
+        return dict(connection.execute("SELECT operation_id, attempts FROM jobs"))
+
+
+def test_a_drive_that_is_repeated_runs_none_of_its_jobs_again(home):
+    home.mkdir()
+    undisturbed(home, home.parent / "log")
+    before = attempts(home)
+    undisturbed(home, home.parent / "log", boot="boot-2")
+    after = attempts(home)
+    assert {operation: after[operation] for operation in before} == before
 
 
 @pytest.mark.parametrize("point", POINTS)
