@@ -38,7 +38,7 @@ def main(arguments: list[str] | None = None) -> int:
 
     try:
         settings = Settings()
-        configure_logging(settings.log_level)
+        configure_logging(settings.log_level, hash_tenants=settings.hash_tenants_in_logs)
     except ValidationError as error:
         return _refuse("\n".join(_named(finding) for finding in error.errors()))
     except ValueError as error:

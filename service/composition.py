@@ -26,6 +26,7 @@ from service.adapters.vector_index import PlaceVectorIndex
 from service.application import Context, UseCases
 from service.application.callers import current_actor
 from service.application.intake import Intake
+from service.application.origin import NoTracer, Tracer
 from service.application.ports import PlaceRecogniser
 from service.application.recognition import Recognition
 from service.application.sweeping import sweep
@@ -86,6 +87,15 @@ def chores(settings: Settings, context: Context) -> tuple[Chore, ...]:
     return (Chore("tend_disk", TEND_DISK_EVERY_S, tend_disk), Chore("sweep_blobs", SWEEP_EVERY_S, sweep_blobs))
 
 
+def build_tracer(settings: Settings, process: str) -> Tracer:
+    """What makes spans, in a process that is `gateway` or `worker`."""
+    if not settings.otlp_endpoint:
+        return NoTracer()
+    from service.adapters.opentelemetry_tracer import otlp_tracer
+
+    return otlp_tracer(settings.otlp_endpoint, process)
+
+
 def build_use_cases(context: Context, settings: Settings) -> UseCases:
     """What the transports call. Raises ValueError where a file of the access rules cannot be used."""
     return UseCases.over(context, VERSION, access_rules(settings))
@@ -117,10 +127,12 @@ def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None
     structlog.contextvars.bind_contextvars(worker=identity.worker_id)
     log.info("worker_ready", model_version=identity.model_version)
     limits = WorkerLimits(settings.jobs_per_worker, settings.worker_memory_mb * 2**20 * 3 // 4, settings.job_timeout_s)
-    worker = Worker(context, Recognition(context, recogniser), identity, stopping, limits)
+    tracer = build_tracer(settings, "worker")
+    worker = Worker(context, Recognition(context, recogniser), identity, stopping, limits, tracer)
     try:
         worker.run()
     finally:
+        tracer.close()
         context.transactions.close()
 
 

@@ -13,15 +13,17 @@ from typing import TYPE_CHECKING, Any
 
 import structlog
 import uvicorn
+from prometheus_client import ProcessCollector
 
 from service.adapters.fail_stop import FailStop
 from service.adapters.sql.migration import migrate
 from service.application import Context, UseCases
 from service.application.upkeep import Upkeep
-from service.composition import STORAGE_FAILED, build_context, build_use_cases, chores
+from service.composition import STORAGE_FAILED, build_context, build_tracer, build_use_cases, chores
 from service.metrics import LoadMetrics, MetricsServer, RequestMetrics, StoreMetrics
 from service.settings import Settings
 from service.tls import grpc_credentials, http_context
+from service.worker.metrics import WorkerMetrics
 from service.worker.supervisor import WorkerSupervisor
 
 if TYPE_CHECKING:
@@ -59,6 +61,7 @@ class _Gateway:
         self._settings = settings
         self._status = 0
         self._requests = RequestMetrics()
+        self._tracer = build_tracer(settings, "gateway")
 
     async def run(self) -> int:
         """Serve until told to stop, then drain; the exit status."""
@@ -66,6 +69,8 @@ class _Gateway:
         context = build_context(self._settings, gateway=True, fail_stop=FailStop(self._failing_disk_ends(stop)))
         use_cases = build_use_cases(context, self._settings)
         supervisor = WorkerSupervisor(context, self._settings.workers)
+        self._requests.registry.register(WorkerMetrics(supervisor))
+        ProcessCollector(namespace="revisit", registry=self._requests.registry)
         http, http_port = self._http_server(use_cases)
         rpc, grpc_port = self._grpc_server(use_cases)
         await rpc.start()
@@ -90,6 +95,7 @@ class _Gateway:
         await upkeep.stop()
         if metrics is not None:
             await asyncio.to_thread(metrics.close)
+        await asyncio.to_thread(self._tracer.close)
         await asyncio.to_thread(context.transactions.close)
         log.info("stopped", status=self._status)
         return self._status
@@ -146,6 +152,7 @@ class _Gateway:
                 use_cases,
                 hosts=self._settings.host_names,
                 requests=self._requests,
+                tracer=self._tracer,
                 described=not self._settings.exposed,
             ),
             log_config=None,
@@ -160,7 +167,9 @@ class _Gateway:
     def _grpc_server(self, use_cases: UseCases) -> tuple[grpc.aio.Server, int]:
         from service.grpc.server import create_server
 
-        server = create_server(use_cases, requests=self._requests, described=not self._settings.exposed)
+        server = create_server(
+            use_cases, requests=self._requests, tracer=self._tracer, described=not self._settings.exposed
+        )
         host, port = self._settings.host, self._settings.grpc_port
         address, tls = f"[{host}]:{port}" if ":" in host else f"{host}:{port}", grpc_credentials(self._settings)
         try:

@@ -66,7 +66,15 @@ class Settings(AccessSettings):
         "that room is given up or less than a quarter of it is free beside it; 0 for none",
     )
     drain_s: float = Field(default=10.0, gt=0, le=15, description="time for requests and jobs to end on SIGTERM")
+    otlp_endpoint: str = Field(
+        default="",
+        pattern=r"^(https?://[^/\s]+)?$",
+        description="where traces are sent, OTLP over gRPC, as http://host:port or https://host:port; none by default",
+    )
     log_level: str = Field(default="INFO", description="DEBUG, INFO, WARNING or ERROR")
+    hash_tenants_in_logs: bool = Field(
+        default=False, description="log a hash (12 hex digits of SHA-256) in place of each tenant's name"
+    )
     fail: str = Field(
         default="",
         description="for tests: what happens at which failpoints of service/failpoints.py, as point=action@n",

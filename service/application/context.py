@@ -7,6 +7,7 @@ import threading
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import Future
 from contextlib import asynccontextmanager
+from contextvars import copy_context
 from dataclasses import dataclass, field, replace
 from typing import ParamSpec, TypeVar
 
@@ -76,7 +77,9 @@ class Context:
 
     async def write(self, work: Callable[[UnitOfWork], T], *, alone: bool = False) -> T:
         """Commit `work` (see `ports.Transactions`); a caller that is cancelled does not undo it."""
-        return await _outcome(self.transactions.write(work, alone=alone))
+        # The writer has a thread of its own, to which the origin of the request must go along.
+        here = copy_context()
+        return await _outcome(self.transactions.write(lambda uow: here.run(work, uow), alone=alone))
 
     async def read(self, work: Callable[[UnitOfWork], T]) -> T:
         """Run `work` on a snapshot."""

@@ -12,6 +12,7 @@ from typing import Any
 from service.application.context import Context
 from service.application.errors import NotFound
 from service.application.identity import TenantId
+from service.application.origin import current_origin
 from service.application.paging import Page, PageRequest, page_of
 from service.application.ports import UnitOfWork
 from service.application.records import JobRecord
@@ -113,6 +114,7 @@ def new_job(
     context: Context, tenant: TenantId, kind: OperationKind, subject: str, payload: dict[str, Any]
 ) -> JobRecord:
     """A job to queue, with an operation id of its own. Searches, for which a client waits, go before descriptions."""
+    origin = current_origin()
     return JobRecord(
         tenant=tenant,
         operation_id=f"op-{secrets.token_hex(10)}",
@@ -124,6 +126,8 @@ def new_job(
         max_attempts=context.policy.max_attempts,
         created_at_ns=context.clock.wall_ns(),
         priority=1 if kind is OperationKind.DESCRIBE_SUBMAP else 0,
+        request_id=origin.request_id,
+        traceparent=origin.span.traceparent,
     )
 
 

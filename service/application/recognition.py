@@ -27,6 +27,7 @@ from service.application.identity import SubmapKey
 from service.application.maps import model_for_map, require_map
 from service.application.meshes import MESH_BLOB, pack_mesh
 from service.application.operations import OperationKind
+from service.application.origin import current_origin
 from service.application.place_memory import PlaceMemory, RecalledPlace, vector_filter
 from service.application.ports import (
     Lease,
@@ -94,6 +95,7 @@ class Recognition:
                 mark_subject_failed(uow, lease.job, code, message)
 
         failpoint("job.before_failure")
+        current_origin().span.fail(f"{code}: {message}")
         log.warning("job_failed", operation=lease.job.operation_id, code=code, reason=message, retry=retry)
         try:
             self._context.transactions.write(end).result()

@@ -6,7 +6,6 @@ INVALID_ARGUMENT (gRPC itself would answer INTERNAL or UNKNOWN with the name of 
 
 from __future__ import annotations
 
-import re
 import uuid
 from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any, NoReturn
@@ -18,15 +17,15 @@ from google.protobuf.message import DecodeError, Message
 from google.rpc import error_details_pb2, status_pb2  # type: ignore[import-untyped]  # ships no types
 
 from core.errors import MalformedBody, RevisitError
+from service.application.origin import current_origin
 from service.grpc.access import Gate
+from service.grpc.origin import REQUEST_ID
 from service.status import ERROR_DOMAIN, STATUS, retry_after_s
 
 STATUS_DETAILS = "grpc-status-details-bin"
-REQUEST_ID = "x-request-id"
 MAX_MESSAGE_CHARACTERS = 800
 
 _OWN_METHODS = "/revisit."
-_REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}", re.ASCII)
 
 _log = structlog.get_logger(__name__)
 
@@ -131,7 +130,7 @@ def _parse(parse: Callable[[bytes], Any], request: bytes) -> Any:
 async def _abort(context: Any, error: Exception) -> NoReturn:
     if isinstance(error, grpc.aio.AbortError):
         raise error
-    request_id = _request_id(context)
+    request_id = current_origin().request_id or uuid.uuid4().hex
     if not isinstance(error, RevisitError):
         _log.exception("call failed unexpectedly", request_id=request_id, exc_info=error)
         error = RevisitError("an internal error occurred; the request id leads to its log entry")
@@ -139,8 +138,3 @@ async def _abort(context: Any, error: Exception) -> NoReturn:
     trailing = ((STATUS_DETAILS, status.SerializeToString()), (REQUEST_ID, request_id))
     await context.abort(code_of(error), status.message, trailing)
     raise AssertionError("abort does not return")
-
-
-def _request_id(context: Any) -> str:
-    sent = dict(context.invocation_metadata() or ()).get(REQUEST_ID, "")
-    return sent if isinstance(sent, str) and _REQUEST_ID.fullmatch(sent) else uuid.uuid4().hex

@@ -28,8 +28,10 @@ from revisit.v1 import (
     system_pb2_grpc,
 )
 from service.application import UseCases
+from service.application.origin import NoTracer, Tracer
 from service.grpc.access import Gate, require_declared_scopes
 from service.grpc.errors import ErrorInterceptor
+from service.grpc.origin import CallOrigin
 from service.grpc.servicers.health import HealthServicer
 from service.grpc.servicers.ingest import IngestServicer
 from service.grpc.servicers.loops import LoopClosureServicer
@@ -72,7 +74,11 @@ _SERVICES: tuple[tuple[Any, Callable[[UseCases], object], Callable[..., None]], 
 
 
 def create_server(
-    use_cases: UseCases, *, requests: RequestMetrics | None = None, described: bool = True
+    use_cases: UseCases,
+    *,
+    requests: RequestMetrics | None = None,
+    tracer: Tracer = NoTracer(),
+    described: bool = True,
 ) -> grpc.aio.Server:
     """A server over `use_cases` without a port: add one, start it on the running loop, stop it with a grace.
 
@@ -82,7 +88,7 @@ def create_server(
     require_declared_scopes(services)
     timers = [] if requests is None else [CallTimer(requests)]
     server = grpc.aio.server(
-        interceptors=[*timers, ErrorInterceptor(Gate(use_cases))],
+        interceptors=[CallOrigin(tracer), *timers, ErrorInterceptor(Gate(use_cases))],
         options=OPTIONS,
         maximum_concurrent_rpcs=2 * MAX_CONCURRENT_CALLS,
     )

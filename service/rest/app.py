@@ -7,11 +7,13 @@ from typing import Any
 from fastapi import FastAPI
 
 from service.application import UseCases
+from service.application.origin import NoTracer, Tracer
 from service.metrics import RequestMetrics
 from service.rest.access import describe_access, require_declared_scopes
 from service.rest.errors import PROBLEM_JSON, install_error_handlers
 from service.rest.limits import HttpLimits
 from service.rest.middleware import BodyLimit, HostGuard, OriginGuard, RequestEnvelope, RequestTimer
+from service.rest.origin import RequestOrigin
 from service.rest.routes import loops, maps, operations, robots, searches, sessions, submaps, system
 from service.rest.schemas import Problem
 from service.status import STATUS
@@ -25,6 +27,7 @@ def create_app(
     *,
     hosts: frozenset[str] = frozenset(),
     requests: RequestMetrics | None = None,
+    tracer: Tracer = NoTracer(),
     described: bool = True,
 ) -> FastAPI:
     """The ASGI application over `use_cases`, addressed as localhost, by IP address or by one of `hosts`.
@@ -49,6 +52,7 @@ def create_app(
     app.add_middleware(BodyLimit, limits=limits)
     app.add_middleware(OriginGuard)
     app.add_middleware(HostGuard, hosts=hosts)
+    app.add_middleware(RequestOrigin, tracer=tracer)
     app.add_middleware(RequestEnvelope)
     if requests is not None:
         app.add_middleware(RequestTimer, requests=requests)

@@ -16,6 +16,7 @@ from service.application.errors import DeadlineExceeded, WorkersBusy
 from service.metrics import RequestMetrics
 from service.rest.errors import ForeignOrigin, UnknownHost, problem, unexpected
 from service.rest.limits import HttpLimits
+from service.rest.origin import call_of
 
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}", re.ASCII)
 _PORT = re.compile(r":[0-9]*$", re.ASCII)
@@ -203,9 +204,7 @@ class RequestTimer:
         try:
             await self._app(scope, receive, send_noting)
         finally:
-            # The route's pattern, never the path that a client chose: the number of series stays bounded.
-            call = f"{scope['method']} {scope['route'].path}" if "route" in scope else "unmatched"
-            self._requests.observe("http", call, str(status), time.perf_counter() - began_s)
+            self._requests.observe("http", call_of(scope), str(status), time.perf_counter() - began_s)
 
 
 def _two_lengths(headers: Headers) -> RevisitError | None:

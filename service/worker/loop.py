@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import structlog
@@ -11,8 +13,10 @@ from core.errors import ErrorCode
 from service.application.context import Context
 from service.application.dead_letters import mark_subject_failed
 from service.application.errors import Unavailable
+from service.application.origin import NoTracer, Origin, Role, Tracer, originating
 from service.application.ports import Lease, UnitOfWork
 from service.application.recognition import Recognition
+from service.application.records import JobRecord
 from service.worker.confinement import resident_bytes
 from service.worker.heartbeat import Heartbeat, WorkerIdentity
 
@@ -43,6 +47,7 @@ class Worker:
         identity: WorkerIdentity,
         stopping: threading.Event,
         limits: WorkerLimits,
+        tracer: Tracer = NoTracer(),
     ) -> None:
         """`recognition` runs the jobs."""
         self._context = context
@@ -51,6 +56,7 @@ class Worker:
         self._stopping = stopping
         self._last_tenant = ""
         self._limits = limits
+        self._tracer = tracer
         self._heartbeat = Heartbeat(context, recognition, identity, limits.job_timeout_s)
 
     def run(self) -> None:
@@ -76,7 +82,7 @@ class Worker:
         return done >= self._limits.jobs
 
     def _run(self, lease: Lease) -> None:
-        with structlog.contextvars.bound_contextvars(operation=lease.job.operation_id, attempt=lease.job.attempts):
+        with self._origin(lease.job):
             self._heartbeat.hold(lease)
             try:
                 self._recognition.run(lease)
@@ -86,6 +92,18 @@ class Worker:
             finally:
                 self._heartbeat.let_go()
             log.info("job_ended", kind=lease.job.kind, subject=lease.job.subject)
+
+    @contextmanager
+    def _origin(self, job: JobRecord) -> Iterator[None]:
+        """A span within the trace of the request that the job came from; ids in each line of the log."""
+        about: dict[str, str | int] = {"revisit.operation": job.operation_id, "revisit.attempt": job.attempts}
+        ids = {"tenant": job.tenant, "operation": job.operation_id, "attempt": job.attempts}
+        with (
+            self._tracer.span(Role.JOB, job.kind, job.traceparent, about) as span,
+            originating(Origin(job.request_id, span)),
+            structlog.contextvars.bound_contextvars(**ids),
+        ):
+            yield
 
     def _claim(self) -> Lease | None:
         """The next job, if there is one and room for its result; looks before it locks."""

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from service.settings import Settings
+
 ROOT = Path(__file__).resolve().parents[3]
 DOCKERFILE = (ROOT / "docker/Dockerfile").read_text()
 COMPOSE = (ROOT / "docker/compose.yaml").read_text()
@@ -85,10 +87,24 @@ def compose_service(name):
 
 @pytest.mark.parametrize("name", TARGETS)
 @pytest.mark.parametrize(
-    "line", ["read_only: true", "cap_drop: [ALL]", "volumes: [data:/data]", 'security_opt: ["no-new-privileges:true"]']
+    "line",
+    [
+        "read_only: true",
+        "cap_drop: [ALL]",
+        "volumes: [data:/data]",
+        'security_opt: ["no-new-privileges:true"]',
+        "pids_limit: 256",
+        'tmpfs: ["/tmp:size=64m,mode=1777,nosuid,nodev,noexec"]',
+    ],
 )
 def test_the_services_are_locked_down_and_share_one_volume(name, line):
     assert line in compose_service(name)
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_a_service_may_take_more_memory_than_its_workers_and_not_all_there_is(name):
+    limit_mb = 1024 * int(re.search(r"mem_limit: (\d+)g", compose_service(name))[1])
+    assert Settings.model_fields["worker_memory_mb"].default < limit_mb <= 8 * 1024
 
 
 @pytest.mark.parametrize("name", TARGETS)

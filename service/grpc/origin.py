@@ -1,0 +1,90 @@
+"""The outer edge of gRPC: each call has an id, an origin, a span and a line in the log."""
+
+from __future__ import annotations
+
+import re
+import time
+import uuid
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import grpc
+import structlog
+
+from service.application.origin import Origin, Role, Tracer, originating, validated_traceparent
+
+REQUEST_ID = "x-request-id"
+
+_OWN_METHODS = "/revisit."
+_REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}", re.ASCII)
+
+log = structlog.get_logger(__name__)
+
+
+class CallOrigin(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  # not generic at run time
+    """Says where what follows comes from: the call's id, and a span within the trace that the client names."""
+
+    def __init__(self, tracer: Tracer) -> None:
+        """Spans are made by `tracer`."""
+        self._tracer = tracer
+
+    async def intercept_service(
+        self,
+        continuation: Callable[[grpc.HandlerCallDetails], Awaitable[Any]],
+        handler_call_details: grpc.HandlerCallDetails,
+    ) -> Any:
+        """The handler of the call, wrapped where it is one of ours."""
+        handler = await continuation(handler_call_details)
+        method = str(handler_call_details.method)
+        if handler is None or not method.startswith(_OWN_METHODS):
+            return handler
+        return self._wrapped(handler, method)
+
+    def _wrapped(self, handler: Any, method: str) -> Any:
+        parts = (handler.request_deserializer, handler.response_serializer)
+        if not handler.response_streaming:
+
+            async def unary_unary(request: Any, context: Any) -> Any:
+                with self._call(method, context):
+                    return await handler.unary_unary(request, context)
+
+            return grpc.unary_unary_rpc_method_handler(unary_unary, *parts)
+        answer = handler.stream_stream if handler.request_streaming else handler.unary_stream
+        wrap = (
+            grpc.stream_stream_rpc_method_handler
+            if handler.request_streaming
+            else (grpc.unary_stream_rpc_method_handler)
+        )
+
+        async def stream(request: Any, context: Any) -> AsyncIterator[Any]:
+            with self._call(method, context):
+                async for response in answer(request, context):
+                    yield response
+
+        return wrap(stream, *parts)
+
+    @contextmanager
+    def _call(self, method: str, context: Any) -> Iterator[None]:
+        began_s, sent = time.perf_counter(), dict(context.invocation_metadata() or ())
+        request_id = _request_id(sent.get(REQUEST_ID))
+        context.set_trailing_metadata(((REQUEST_ID, request_id),))
+        about = {"rpc.system": "grpc", "rpc.method": method, "revisit.request_id": request_id}
+        given = validated_traceparent(_text(sent.get("traceparent")))
+        with self._tracer.span(Role.REQUEST, method, given, about) as span, originating(Origin(request_id, span)):
+            try:
+                yield
+            finally:
+                status = grpc.StatusCode(context.code()).name if context.code() else "OK"
+                span.note(**{"rpc.grpc.status": status})
+                took_ms = round(1000 * (time.perf_counter() - began_s), 1)
+                log.info("request", call=method, status=status, took_ms=took_ms)
+
+
+def _request_id(sent: object) -> str:
+    text = _text(sent)
+    return text if text is not None and _REQUEST_ID.fullmatch(text) else uuid.uuid4().hex
+
+
+def _text(value: object) -> str | None:
+    return value if isinstance(value, str) else None

@@ -1,0 +1,79 @@
+"""What the product needs at run time may be passed on with it: permissive licences, and exceptions with a reason."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).resolve().parents[2]
+DIRECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
+
+PERMISSIVE = {
+    "0BSD", "APACHE-2.0", "BSD-2-CLAUSE", "BSD-3-CLAUSE", "BSL-1.0", "CC0-1.0", "ISC", "LLVM-EXCEPTION", "MIT",
+    "MIT-0", "MIT-CMU", "PSF-2.0", "ZLIB",
+    # As older metadata names them, in classifiers and in free text.
+    "APACHE SOFTWARE LICENSE", "APACHE 2.0", "BSD LICENSE", "3-CLAUSE BSD LICENSE", "ISC LICENSE (ISCL)",
+    "MIT LICENSE", "PYTHON SOFTWARE FOUNDATION LICENSE",
+}  # fmt: skip
+
+EXCEPTIONS = {
+    "certifi": ("MOZILLA PUBLIC LICENSE 2.0 (MPL 2.0)", "a list of certificates, used unchanged; httpx needs it"),
+}
+"""Distribution -> its licence, and why it may be used all the same."""
+
+
+def runtime_distributions():
+    """The names of what an installation without extras consists of, itself left out, found from installed metadata."""
+    found, waiting = set(), [(Requirement(text), "") for text in DIRECT]
+    while waiting:
+        requirement, parent_extra = waiting.pop()
+        if requirement.marker is not None and not requirement.marker.evaluate({"extra": parent_extra}):
+            continue
+        for extra in ("", *requirement.extras):
+            key = (canonicalize_name(requirement.name), extra)
+            if key not in found:
+                found.add(key)
+                needs = metadata.distribution(requirement.name).requires or []
+                waiting += [(Requirement(text), extra) for text in needs]
+    return sorted({name for name, _ in found})
+
+
+def licences_of(name):
+    """The licences that a distribution names: by SPDX expression, else by classifier, else by its own words."""
+    about = metadata.metadata(name)
+    if expression := about.get("License-Expression"):
+        return {part.upper() for part in re.split(r"\s+(?:AND|OR|WITH)\s+|[()]", expression) if part}
+    classified = {
+        line.rpartition(" :: ")[2].upper()
+        for line in about.get_all("Classifier", [])
+        if line.startswith("License ::") and not line.endswith("OSI Approved")
+    }
+    return classified or {(about.get("License") or "unknown").strip().splitlines()[0].upper()}
+
+
+DISTRIBUTIONS = runtime_distributions()
+
+
+@pytest.mark.parametrize("name", DISTRIBUTIONS)
+def test_what_is_needed_at_run_time_has_a_permissive_licence(name):
+    licences = licences_of(name)
+    if name in EXCEPTIONS:
+        assert licences == {EXCEPTIONS[name][0]}
+    else:
+        assert licences <= PERMISSIVE, f"{name} has {licences}"
+
+
+def test_every_exception_is_still_needed():
+    assert EXCEPTIONS.keys() <= set(DISTRIBUTIONS)
+
+
+def test_the_walk_finds_what_dependencies_bring_with_them():
+    # grpcio and numpy are asked for, certifi comes with httpx, cryptography with the extra of pyjwt.
+    assert {"grpcio", "numpy", "certifi", "cryptography"} <= set(DISTRIBUTIONS)
+    assert {"pytest", "ruff", "mypy"}.isdisjoint(DISTRIBUTIONS)
