@@ -7,7 +7,7 @@ import sys
 
 from tests.support.processes import ROOT
 
-HEAVY = ("torch", "open3d", "cv2", "numba", "scipy", "sklearn", "small_gicp", "matplotlib", "opentelemetry")
+HEAVY = ("torch", "open3d", "cv2", "numba", "scipy", "sklearn", "small_gicp", "matplotlib", "opentelemetry.sdk")
 
 
 def test_the_gateway_imports_nothing_that_only_workers_need():

@@ -70,7 +70,8 @@ REASONS = {
     SEGFAULTS: "2 attempts, the last one ended because its worker was ended by signal 11 (Segmentation fault)",
     HANGS: "the job took longer than 5 s",
     EATS_MEMORY: "the job needs more memory than a worker may take",
-    HOLDS_EVERY_THREAD: "the last one ended because its worker hung without a sign of life",
+    # Whichever comes first: the end of the last lease, or the end that the gateway makes of its silent worker.
+    HOLDS_EVERY_THREAD: "no worker survived the job: 2 attempts",
 }
 
 
@@ -85,6 +86,8 @@ def test_poison_submaps_fail_with_their_reasons_and_others_are_described(start):
         assert REASONS[mischief] in failed["failure"]["message"]
     # Workers are there again: what comes later is described too.
     assert ended(service, post(service, "later", 9))["state"] == "DONE"
+    ends = {event["end"] for event in service.events if event["event"] == "worker_ended"}
+    assert {"killed", "overtime", "silent"} <= ends
     assert all(pause < 2.5 for pause in respawns_s(service))
 
 
