@@ -8,8 +8,6 @@ from typing import Annotated
 
 import typer
 
-from revisit.cli.output import emit_json
-
 Home = Annotated[Path | None, typer.Option(help="Directory of the database and the blobs.")]
 Json = Annotated[bool, typer.Option("--json", help="Answer as JSON.")]
 
@@ -60,6 +58,8 @@ def _home(home: Path | None) -> Path:
 
 
 def _tell(text: str, data: dict[str, object], as_json: bool) -> None:
+    from revisit.cli.output import emit_json
+
     if as_json:
         emit_json(data)
     else:

@@ -283,8 +283,8 @@ def test_a_draining_service_refuses_new_work_and_says_when_to_come_back(http, su
         stopping.clear()
     assert_problem(answer, 503, "DRAINING")
     assert int(answer.headers["retry-after"]) >= 1
-    assert (ready.status_code, ready.json()) == (503, {"ready": False, "reasons": ["draining"]})
-    assert http.get("/readyz").json() == {"ready": True, "reasons": []}
+    assert (ready.status_code, ready.json()) == (503, {"ready": False, "reasons": ["draining"], "degraded": []})
+    assert http.get("/readyz").json() == {"ready": True, "reasons": [], "degraded": []}
 
 
 def test_health_version_and_status_answer(http):
