@@ -88,12 +88,21 @@ def current_origin() -> Origin:
 @contextmanager
 def originating(origin: Origin) -> Iterator[None]:
     """All that is done in the block comes from `origin`; its request id is in each line of the log."""
-    token = _current.set(origin)
+    before = _current.get()
+    _enter(origin)
     try:
-        with structlog.contextvars.bound_contextvars(request_id=origin.request_id):
-            yield
+        yield
     finally:
-        _current.reset(token)
+        # Not by token: a stream that is given up may be closed in another context than it was begun in.
+        _enter(before)
+
+
+def _enter(origin: Origin | None) -> None:
+    _current.set(origin)
+    if origin is None:
+        structlog.contextvars.unbind_contextvars("request_id")
+    else:
+        structlog.contextvars.bind_contextvars(request_id=origin.request_id)
 
 
 def validated_traceparent(text: str | None) -> str | None:

@@ -1,0 +1,30 @@
+"""Whose work is done where."""
+
+from __future__ import annotations
+
+import contextvars
+
+import structlog
+
+from service.application.origin import Origin, current_origin, originating
+
+
+def test_work_has_the_innermost_origin_and_the_outer_one_afterwards() -> None:
+    with originating(Origin("outer")):
+        with originating(Origin("inner")):
+            assert current_origin().request_id == "inner"
+        assert current_origin().request_id == "outer"
+        assert structlog.contextvars.get_contextvars()["request_id"] == "outer"
+    assert current_origin().request_id is None
+    assert "request_id" not in structlog.contextvars.get_contextvars()
+
+
+def test_a_stream_that_is_given_up_may_be_closed_in_another_context() -> None:
+    def stream():
+        with originating(Origin("cut")):
+            yield current_origin().request_id
+
+    answers = stream()
+    assert contextvars.copy_context().run(next, answers) == "cut"
+    contextvars.copy_context().run(answers.close)
+    assert current_origin().request_id is None
