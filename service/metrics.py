@@ -14,7 +14,7 @@ from prometheus_client.core import GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
 from core.errors import RevisitError
-from service.application import DEFAULT_TENANT, Context
+from service.application import Context
 from service.application.intake import Intake
 from service.application.loops import LoopState
 from service.application.operations import OperationState
@@ -104,7 +104,7 @@ class StoreMetrics(Collector):
             "revisit_loop_closures": ("Judged pairs of submaps by verdict.", uow.loops, LoopState),
         }
         counts = {
-            name: (text, "state", {state.value: table.count(DEFAULT_TENANT, state=state.value) for state in states})
+            name: (text, "state", {state.value: table.count_of_all_tenants(state=state.value) for state in states})
             for name, (text, table, states) in tables.items()
         }
         alive = uow.workers.alive(now.epoch, now.ms - WORKER_SEEN_WITHIN_MS)

@@ -78,6 +78,11 @@ class MemoryRepository(Generic[R]):
         """See `ports.Repository`."""
         return len(self._matching(tenant, equals))
 
+    def count_of_all_tenants(self, **equals: Scalar) -> int:
+        """See `ports.Repository`."""
+        rows = self._rows.by_number.values()
+        return sum(all(getattr(row, name) == value for name, value in equals.items()) for row in rows)
+
     def replace(self, record: R) -> None:
         """See `ports.Repository`."""
         number = record.number  # type: ignore[attr-defined]  # R is a record

@@ -75,6 +75,10 @@ class Repository(Protocol[R]):
         """How many records `find` would give."""
         ...
 
+    def count_of_all_tenants(self, **equals: str | int | None) -> int:
+        """How many records all tenants have together, for those who look after the service."""
+        ...
+
     def replace(self, record: R) -> None:
         """Overwrite the record of this number. Raises NotFound where there is none."""
         ...

@@ -90,8 +90,10 @@ def test_replace_changes_one_record_and_needs_it_to_exist(write, read):
 def test_delete_takes_what_find_would_give_of_this_tenant(write, read):
     write(lambda uow: uow.maps.add(a_map("a")))
     write(lambda uow: uow.maps.add(a_map("a", tenant=OTHER)))
+    assert read(lambda uow: uow.maps.count_of_all_tenants(map_id="a")) == 2
     assert write(lambda uow: uow.maps.delete(TENANT, map_id="a")) == 1
     assert read(lambda uow: uow.maps.count(OTHER)) == 1
+    assert read(lambda uow: (uow.maps.count_of_all_tenants(), uow.maps.count_of_all_tenants(map_id="b"))) == (1, 0)
 
 
 def test_scans_are_found_by_distance_and_by_number(write, read):

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any, Generic, TypeVar
 
-from sqlalchemy import ColumnElement, Connection, Row, Table, and_, delete, func, insert, or_, select, update
+from sqlalchemy import ColumnElement, Connection, Row, Table, and_, delete, func, insert, or_, select, true, update
 from sqlalchemy.exc import IntegrityError
 
 from service.adapters.sql import tables
@@ -64,6 +64,11 @@ class SqlRepository(Generic[R]):
         """See `ports.Repository`."""
         query = select(func.count()).select_from(self._table).where(self._matches(tenant, equals))
         return int(self._connection.execute(query).scalar_one())
+
+    def count_of_all_tenants(self, **equals: Scalar) -> int:
+        """See `ports.Repository`."""
+        where = and_(true(), *(self._table.c[name] == value for name, value in equals.items()))
+        return int(self._connection.execute(select(func.count()).select_from(self._table).where(where)).scalar_one())
 
     def replace(self, record: R) -> None:
         """See `ports.Repository`."""
