@@ -30,10 +30,10 @@ run: $(STAMP) ## the service on this machine: HTTP, gRPC and workers
 	$(BIN)/revisit serve
 
 test: $(STAMP) ## the tests, without the slow ones
-	$(PYTHON) -m pytest tests -m "not slow"
+	$(PYTHON) -m pytest tests -m "not slow" -n 2 --dist loadfile
 
 test-all: $(STAMP) ## every test
-	$(PYTHON) -m pytest tests
+	$(PYTHON) -m pytest tests --timeout 7200
 
 lint: $(STAMP) ## style, docstrings, import contracts, proto style
 	$(BIN)/ruff check .

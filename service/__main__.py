@@ -105,6 +105,8 @@ def _missing_protection(settings: Settings) -> list[str]:
 
 
 def _has_live_key(settings: Settings) -> bool:
+    if not settings.database.exists():
+        return False
     from service.adapters.sql.migration import migrate
     from service.composition import offline_use_cases
 

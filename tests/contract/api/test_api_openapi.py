@@ -35,10 +35,17 @@ GOOD_CLOUDS = dict(valid_files(records(300)).values())
 
 
 def operations():
-    """Every operation of the document by name; clouds are sent as the bytes they are."""
+    """Every operation of the document by name; clouds are sent as the bytes they are.
+
+    The service asked is an open one, so a request without a key is none against the document.
+    """
     for media_type in MEDIA_TYPES:
         schemathesis.serializer(media_type)(lambda context, value: value)
-    schema = schemathesis.openapi.from_dict(DOCUMENT)
+    paths = {
+        path: {method: {**operation, "security": []} for method, operation in methods.items()}
+        for path, methods in DOCUMENT["paths"].items()
+    }
+    schema = schemathesis.openapi.from_dict({**DOCUMENT, "paths": paths})
     return {f"{o.method.upper()} {o.path}": o for o in (result.ok() for result in schema.get_all_operations())}
 
 
