@@ -19,13 +19,11 @@ from google.rpc import error_details_pb2, status_pb2  # type: ignore[import-unty
 from core.errors import MalformedBody, RevisitError
 from service.application.origin import current_origin
 from service.grpc.access import Gate
-from service.grpc.origin import REQUEST_ID
+from service.grpc.origin import OWN_METHODS, REQUEST_ID
 from service.status import ERROR_DOMAIN, STATUS, retry_after_s
 
 STATUS_DETAILS = "grpc-status-details-bin"
 MAX_MESSAGE_CHARACTERS = 800
-
-_OWN_METHODS = "/revisit."
 
 _log = structlog.get_logger(__name__)
 
@@ -45,7 +43,7 @@ class ErrorInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  #
         """The handler of the call, wrapped where it is one of ours."""
         handler = await continuation(handler_call_details)
         method = str(handler_call_details.method)
-        if handler is None or not method.startswith(_OWN_METHODS):
+        if handler is None or not method.startswith(OWN_METHODS):
             return handler
         return _guarded(handler, method, self._gate)
 

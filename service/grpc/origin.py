@@ -16,7 +16,7 @@ from service.application.origin import Origin, Role, Tracer, originating, valida
 
 REQUEST_ID = "x-request-id"
 
-_OWN_METHODS = "/revisit."
+OWN_METHODS = "/revisit."
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}", re.ASCII)
 
 log = structlog.get_logger(__name__)
@@ -37,7 +37,7 @@ class CallOrigin(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  # not g
         """The handler of the call, wrapped where it is one of ours."""
         handler = await continuation(handler_call_details)
         method = str(handler_call_details.method)
-        if handler is None or not method.startswith(_OWN_METHODS):
+        if handler is None or not method.startswith(OWN_METHODS):
             return handler
         return self._wrapped(handler, method)
 
