@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from evaluation.calibration import CONFIDENCE, RATES, Threshold, calibrate, null_similarities
 from evaluation.matching import QueryMatches, pose_error
 from evaluation.metrics import (
     Flags,
@@ -26,7 +27,10 @@ _BYTES_PER_RAW_POINT = 12
 
 
 def summarise(places: Sequence[Place], matches: Sequence[QueryMatches], protocol: LoopProtocol) -> dict[str, Any]:
-    """All figures, JSON-ready: counts, `descriptor` (cosine alone), `verified`, `poses`, `seconds`, `bytes`."""
+    """All figures, JSON-ready.
+
+    Counts, `descriptor` (cosine alone), `thresholds`, `verified`, `poses`, `seconds`, `bytes`.
+    """
     positions = np.stack([place.position for place in places]) if places else np.zeros((0, 3))
     positives = positive_pairs(positions, protocol)
     by_similarity = [[match.id for match in query.by_similarity] for query in matches]
@@ -40,6 +44,7 @@ def summarise(places: Sequence[Place], matches: Sequence[QueryMatches], protocol
         "bad_scans": len({scan for place in places for scan in place.bad_scans}),
         "queries_with_a_loop": int(positives.any(axis=1).sum()),
         "descriptor": _recognition(by_similarity, cosine, positives),
+        "thresholds": _thresholds(places),
         "verified": {**_recognition(by_score, score, positives), **_accepted(matches, positives)},
         "rejections": dict(Counter(query.ranked[0].verdict.reason for query in matches if _rejected(query))),
         "poses": _pose_errors(places, matches),
@@ -58,6 +63,23 @@ def _recognition(ranked: list[list[int]], score: list[float], positives: Flags) 
         **dataclasses.asdict(scores),
         "recall_at_1": recall_at(ranked, positives, 1),
         "recall_at_5": recall_at(ranked, positives, 5),
+    }
+
+
+def _thresholds(places: Sequence[Place]) -> dict[str, Any]:
+    """`min_similarity` that holds each false-alarm rate in this place, without labels; None where it is too small."""
+    described = [(place.description.vector, place.position) for place in places if place.description is not None]
+    if not described:
+        return {"distinct_places": 0, "confidence": CONFIDENCE, "min_similarity": {}}
+    null = null_similarities(*(np.stack(column) for column in zip(*described, strict=True)))
+    found = {f"{rate:.0%}": calibrate(null, rate) for rate in RATES}
+    return {
+        "distinct_places": null.distinct_places,
+        "confidence": CONFIDENCE,
+        "min_similarity": {
+            rate: threshold.similarity if isinstance(threshold, Threshold) else None
+            for rate, threshold in found.items()
+        },
     }
 
 
