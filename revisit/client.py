@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -151,7 +152,7 @@ class Client:
         """Store a submap, (n, 3) or (n, 4) points in its own frame; the operation that describes it."""
         pose = _pose(T_odom_submap, "T_odom_submap")
         answer = self._transport.post_submap(_name(session), submap_id, pose, stamp_ns, encoded(points))
-        return Operation.parse(answer["operation"])
+        return replace(Operation.parse(answer["operation"]), seq=int(answer["submap"]["seq"]))
 
     def get_submap(self, name: str, *, full: bool = False) -> Submap:
         """Get `maps/{map}/sessions/{session}/submaps/{submap}`; with its descriptor where `full`."""
@@ -213,7 +214,8 @@ class Client:
         """The submaps most like a submap, a cloud or a descriptor (give one), most similar first.
 
         `criteria`: min_similarity, exclude_session, only_session (a session, its name or id), min_index_gap,
-        prior_position_m with radius_m.
+        prior_position_m with radius_m. `min_seq` (of an operation, a submap or a stream): the answer sees every submap
+        up to it, or `DeadlineExceeded` is raised after `min_seq_timeout_s` (10 by default).
         """
         for field in ("exclude_session", "only_session"):
             if criteria.get(field) is not None:
@@ -234,16 +236,23 @@ class Client:
         prior_position_m: Sequence[float] | None = None,
         radius_m: float | None = None,
         candidates: int = 10,
+        **freshness: Any,
     ) -> Localization:
-        """Where in the map a cloud was taken; `best` is None where the place is unknown."""
-        options = {"prior_position_m": prior_position_m, "radius_m": radius_m, "candidates": candidates}
+        """Where in the map a cloud was taken; `best` is None where the place is unknown.
+
+        `freshness`: min_seq with min_seq_timeout_s, as in `search`.
+        """
+        options = {"prior_position_m": prior_position_m, "radius_m": radius_m, "candidates": candidates, **freshness}
         return Localization.parse(self._transport.localize(_name(map_), encoded(points), _given(options)))
 
     def loop_closures(
-        self, map_: str | Map, *, state: str | None = None, session: str | Session | None = None
+        self, map_: str | Map, *, state: str | None = None, session: str | Session | None = None, **freshness: Any
     ) -> list[LoopClosure]:
-        """The loop closures of a map, oldest first; `state` ACCEPTED or REJECTED, `session` of the query submap."""
-        filters = _given({"state": state, "session": None if session is None else _name(session)})
+        """The loop closures of a map, oldest first; `state` ACCEPTED or REJECTED, `session` of the query submap.
+
+        `freshness`: min_seq with min_seq_timeout_s, as in `search`.
+        """
+        filters = _given({"state": state, "session": None if session is None else _name(session), **freshness})
         return [LoopClosure.parse(item) for item in self._transport.list(_name(map_), "loopClosures", filters)]
 
     def get_loop_closure(self, name: str) -> LoopClosure:
@@ -308,6 +317,11 @@ class ScanStream:
     def submaps(self) -> list[str]:
         """Names of the submaps that the scans completed so far."""
         return self._sink.submaps
+
+    @property
+    def submap_seq(self) -> int:
+        """The `seq` of the last submap that the scans completed, 0 for none: a query's `min_seq`."""
+        return self._sink.submap_seq
 
     @property
     def rejected(self) -> list[tuple[int, str]]:

@@ -107,7 +107,10 @@ class Session:
 
 @dataclass(frozen=True)
 class Operation:
-    """Work that goes on after the answer; `result` once DONE, `failure_reason` once FAILED."""
+    """Work that goes on after the answer; `result` once DONE, `failure_reason` once FAILED.
+
+    `seq` is that of the submap, where `post_submap` returned the operation: the `min_seq` of a query that must see it.
+    """
 
     name: str
     kind: str
@@ -117,6 +120,7 @@ class Operation:
     result: Json | None
     failure_reason: str | None
     failure_message: str | None
+    seq: int | None = field(default=None, compare=False)
 
     @property
     def done(self) -> bool:
@@ -143,7 +147,8 @@ class Operation:
 class Submap:
     """A submap; sizes in bytes, the position in the session's odometry frame.
 
-    `descriptor` is there where the full view was asked for and the submap is described.
+    `descriptor` is there where the full view was asked for and the submap is described. `seq` grows with every submap
+    of the service: a query with it as `min_seq` sees this submap.
     """
 
     name: str
@@ -162,6 +167,7 @@ class Submap:
     model_version: str | None
     operation: str
     descriptor: tuple[float, ...] = ()
+    seq: int = 0
 
     @classmethod
     def parse(cls, value: Json) -> Self:
@@ -186,6 +192,7 @@ class Submap:
             model_version=value.get("model_version") or None,
             operation=value["operation"],
             descriptor=tuple(float(number) for number in value.get("descriptor", ())),
+            seq=int(value["seq"]),
         )
 
 

@@ -149,6 +149,7 @@ class RestScanSink:
         self._committed_seq = int(transport.get(session)["committed_seq"])
         journal.opened(self._committed_seq, "")
         self.submaps: list[str] = []
+        self.submap_seq = 0
         self.rejected: list[tuple[int, str]] = []
 
     @property
@@ -171,6 +172,7 @@ class RestScanSink:
         self._journal.committed(self._committed_seq)
         if ack["submap"]:
             self.submaps.append(ack["submap"]["submap"]["name"])
+            self.submap_seq = int(ack["submap"]["submap"]["seq"])
 
     def check(self) -> None:
         """See ScanSink: there is no connection that could end."""

@@ -12,6 +12,9 @@ from revisit.errors import ApiError
 
 T = TypeVar("T")
 
+WAITED_FOR = "SEQ_NOT_REACHED"
+"""The service has waited as long as the caller allowed: only the caller knows whether to wait longer."""
+
 
 @dataclass(frozen=True)
 class RetryPolicy:
@@ -32,7 +35,7 @@ class RetryPolicy:
             try:
                 return call()
             except ApiError as error:
-                if not error.retryable:
+                if not error.retryable or error.reason == WAITED_FOR:
                     raise
                 time.sleep(self.pause_s(failures, error.retry_after_s))
         return call()

@@ -81,6 +81,7 @@ class GrpcScanSink:
         self._requests: queue.SimpleQueue[ingest_pb2.StreamScansRequest | None] = queue.SimpleQueue()
         self._running_call: Any = None
         self.submaps: list[str] = []
+        self.submap_seq = 0
         self.loops: list[str] = []
         self.rejected: list[tuple[int, str]] = []
         self._thread = threading.Thread(target=self._run, name=f"scans {session}", daemon=True)
@@ -203,6 +204,7 @@ class GrpcScanSink:
             case "ack":
                 self._unanswered -= response.ack.credits
                 self._journal.committed(response.ack.committed_seq)
+                self.submap_seq = max(self.submap_seq, response.ack.submap_seq)
                 self._commit(response.ack.committed_seq)
             case "nack":
                 self._unanswered -= response.nack.credits

@@ -13,6 +13,7 @@ class ScanSink(Protocol):
     """Takes the scans of a session in order and delivers them."""
 
     submaps: list[str]
+    submap_seq: int
     rejected: list[tuple[int, str]]
 
     @property

@@ -73,12 +73,14 @@ class Opened(_message.Message):
     def __init__(self, committed_seq: _Optional[int] = ..., credits: _Optional[int] = ..., window_bytes: _Optional[int] = ..., resume_token: _Optional[str] = ...) -> None: ...
 
 class Ack(_message.Message):
-    __slots__ = ("committed_seq", "credits")
+    __slots__ = ("committed_seq", "credits", "submap_seq")
     COMMITTED_SEQ_FIELD_NUMBER: _ClassVar[int]
     CREDITS_FIELD_NUMBER: _ClassVar[int]
+    SUBMAP_SEQ_FIELD_NUMBER: _ClassVar[int]
     committed_seq: int
     credits: int
-    def __init__(self, committed_seq: _Optional[int] = ..., credits: _Optional[int] = ...) -> None: ...
+    submap_seq: int
+    def __init__(self, committed_seq: _Optional[int] = ..., credits: _Optional[int] = ..., submap_seq: _Optional[int] = ...) -> None: ...
 
 class Nack(_message.Message):
     __slots__ = ("seq", "reason", "retryable", "message", "expected_seq", "credits")

@@ -54,7 +54,7 @@ class Descriptor(_message.Message):
     def __init__(self, vector: _Optional[_Iterable[float]] = ..., model_version: _Optional[str] = ...) -> None: ...
 
 class SearchSubmapsRequest(_message.Message):
-    __slots__ = ("parent", "submap", "descriptor", "cloud", "k", "min_similarity", "exclude_session", "only_session", "min_index_gap", "prior_position_m", "radius_m")
+    __slots__ = ("parent", "submap", "descriptor", "cloud", "k", "min_similarity", "exclude_session", "only_session", "min_index_gap", "prior_position_m", "radius_m", "min_seq", "min_seq_timeout_s")
     PARENT_FIELD_NUMBER: _ClassVar[int]
     SUBMAP_FIELD_NUMBER: _ClassVar[int]
     DESCRIPTOR_FIELD_NUMBER: _ClassVar[int]
@@ -66,6 +66,8 @@ class SearchSubmapsRequest(_message.Message):
     MIN_INDEX_GAP_FIELD_NUMBER: _ClassVar[int]
     PRIOR_POSITION_M_FIELD_NUMBER: _ClassVar[int]
     RADIUS_M_FIELD_NUMBER: _ClassVar[int]
+    MIN_SEQ_FIELD_NUMBER: _ClassVar[int]
+    MIN_SEQ_TIMEOUT_S_FIELD_NUMBER: _ClassVar[int]
     parent: str
     submap: str
     descriptor: Descriptor
@@ -77,7 +79,9 @@ class SearchSubmapsRequest(_message.Message):
     min_index_gap: int
     prior_position_m: _geometry_pb2.Vector3
     radius_m: float
-    def __init__(self, parent: _Optional[str] = ..., submap: _Optional[str] = ..., descriptor: _Optional[_Union[Descriptor, _Mapping]] = ..., cloud: _Optional[_Union[_cloud_pb2.Cloud, _Mapping]] = ..., k: _Optional[int] = ..., min_similarity: _Optional[float] = ..., exclude_session: _Optional[str] = ..., only_session: _Optional[str] = ..., min_index_gap: _Optional[int] = ..., prior_position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., radius_m: _Optional[float] = ...) -> None: ...
+    min_seq: int
+    min_seq_timeout_s: float
+    def __init__(self, parent: _Optional[str] = ..., submap: _Optional[str] = ..., descriptor: _Optional[_Union[Descriptor, _Mapping]] = ..., cloud: _Optional[_Union[_cloud_pb2.Cloud, _Mapping]] = ..., k: _Optional[int] = ..., min_similarity: _Optional[float] = ..., exclude_session: _Optional[str] = ..., only_session: _Optional[str] = ..., min_index_gap: _Optional[int] = ..., prior_position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., radius_m: _Optional[float] = ..., min_seq: _Optional[int] = ..., min_seq_timeout_s: _Optional[float] = ...) -> None: ...
 
 class SearchHit(_message.Message):
     __slots__ = ("submap", "similarity", "position_m")
@@ -98,18 +102,22 @@ class SearchSubmapsResponse(_message.Message):
     def __init__(self, hits: _Optional[_Iterable[_Union[SearchHit, _Mapping]]] = ..., searched: _Optional[int] = ...) -> None: ...
 
 class LocalizeRequest(_message.Message):
-    __slots__ = ("parent", "cloud", "prior_position_m", "radius_m", "candidates")
+    __slots__ = ("parent", "cloud", "prior_position_m", "radius_m", "candidates", "min_seq", "min_seq_timeout_s")
     PARENT_FIELD_NUMBER: _ClassVar[int]
     CLOUD_FIELD_NUMBER: _ClassVar[int]
     PRIOR_POSITION_M_FIELD_NUMBER: _ClassVar[int]
     RADIUS_M_FIELD_NUMBER: _ClassVar[int]
     CANDIDATES_FIELD_NUMBER: _ClassVar[int]
+    MIN_SEQ_FIELD_NUMBER: _ClassVar[int]
+    MIN_SEQ_TIMEOUT_S_FIELD_NUMBER: _ClassVar[int]
     parent: str
     cloud: _cloud_pb2.Cloud
     prior_position_m: _geometry_pb2.Vector3
     radius_m: float
     candidates: int
-    def __init__(self, parent: _Optional[str] = ..., cloud: _Optional[_Union[_cloud_pb2.Cloud, _Mapping]] = ..., prior_position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., radius_m: _Optional[float] = ..., candidates: _Optional[int] = ...) -> None: ...
+    min_seq: int
+    min_seq_timeout_s: float
+    def __init__(self, parent: _Optional[str] = ..., cloud: _Optional[_Union[_cloud_pb2.Cloud, _Mapping]] = ..., prior_position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., radius_m: _Optional[float] = ..., candidates: _Optional[int] = ..., min_seq: _Optional[int] = ..., min_seq_timeout_s: _Optional[float] = ...) -> None: ...
 
 class LocalizedCandidate(_message.Message):
     __slots__ = ("submap", "accepted", "reason", "similarity", "score", "t_match_query", "evidence")
@@ -152,18 +160,22 @@ class GetLoopClosureResponse(_message.Message):
     def __init__(self, loop_closure: _Optional[_Union[LoopClosure, _Mapping]] = ...) -> None: ...
 
 class ListLoopClosuresRequest(_message.Message):
-    __slots__ = ("parent", "page_size", "page_token", "state", "session")
+    __slots__ = ("parent", "page_size", "page_token", "state", "session", "min_seq", "min_seq_timeout_s")
     PARENT_FIELD_NUMBER: _ClassVar[int]
     PAGE_SIZE_FIELD_NUMBER: _ClassVar[int]
     PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
     SESSION_FIELD_NUMBER: _ClassVar[int]
+    MIN_SEQ_FIELD_NUMBER: _ClassVar[int]
+    MIN_SEQ_TIMEOUT_S_FIELD_NUMBER: _ClassVar[int]
     parent: str
     page_size: int
     page_token: str
     state: LoopState
     session: str
-    def __init__(self, parent: _Optional[str] = ..., page_size: _Optional[int] = ..., page_token: _Optional[str] = ..., state: _Optional[_Union[LoopState, str]] = ..., session: _Optional[str] = ...) -> None: ...
+    min_seq: int
+    min_seq_timeout_s: float
+    def __init__(self, parent: _Optional[str] = ..., page_size: _Optional[int] = ..., page_token: _Optional[str] = ..., state: _Optional[_Union[LoopState, str]] = ..., session: _Optional[str] = ..., min_seq: _Optional[int] = ..., min_seq_timeout_s: _Optional[float] = ...) -> None: ...
 
 class ListLoopClosuresResponse(_message.Message):
     __slots__ = ("loop_closures", "next_page_token")

@@ -48,7 +48,7 @@ SUBMAP_VIEW_BASIC: SubmapView
 SUBMAP_VIEW_FULL: SubmapView
 
 class Submap(_message.Message):
-    __slots__ = ("name", "state", "ordinal", "t_odom_submap", "position_m", "stamp_ns", "first_seq", "last_seq", "scan_count", "point_count", "raw_bytes", "neural_map_bytes", "flags", "model_version", "failure", "operation", "created_at_ns", "descriptor")
+    __slots__ = ("name", "state", "ordinal", "t_odom_submap", "position_m", "stamp_ns", "first_seq", "last_seq", "scan_count", "point_count", "raw_bytes", "neural_map_bytes", "flags", "model_version", "failure", "operation", "created_at_ns", "descriptor", "seq")
     NAME_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
     ORDINAL_FIELD_NUMBER: _ClassVar[int]
@@ -67,6 +67,7 @@ class Submap(_message.Message):
     OPERATION_FIELD_NUMBER: _ClassVar[int]
     CREATED_AT_NS_FIELD_NUMBER: _ClassVar[int]
     DESCRIPTOR_FIELD_NUMBER: _ClassVar[int]
+    SEQ_FIELD_NUMBER: _ClassVar[int]
     name: str
     state: SubmapState
     ordinal: int
@@ -85,7 +86,8 @@ class Submap(_message.Message):
     operation: str
     created_at_ns: int
     descriptor: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, name: _Optional[str] = ..., state: _Optional[_Union[SubmapState, str]] = ..., ordinal: _Optional[int] = ..., t_odom_submap: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., stamp_ns: _Optional[int] = ..., first_seq: _Optional[int] = ..., last_seq: _Optional[int] = ..., scan_count: _Optional[int] = ..., point_count: _Optional[int] = ..., raw_bytes: _Optional[int] = ..., neural_map_bytes: _Optional[int] = ..., flags: _Optional[_Iterable[str]] = ..., model_version: _Optional[str] = ..., failure: _Optional[_Union[_operation_pb2.Failure, _Mapping]] = ..., operation: _Optional[str] = ..., created_at_ns: _Optional[int] = ..., descriptor: _Optional[_Iterable[float]] = ...) -> None: ...
+    seq: int
+    def __init__(self, name: _Optional[str] = ..., state: _Optional[_Union[SubmapState, str]] = ..., ordinal: _Optional[int] = ..., t_odom_submap: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., stamp_ns: _Optional[int] = ..., first_seq: _Optional[int] = ..., last_seq: _Optional[int] = ..., scan_count: _Optional[int] = ..., point_count: _Optional[int] = ..., raw_bytes: _Optional[int] = ..., neural_map_bytes: _Optional[int] = ..., flags: _Optional[_Iterable[str]] = ..., model_version: _Optional[str] = ..., failure: _Optional[_Union[_operation_pb2.Failure, _Mapping]] = ..., operation: _Optional[str] = ..., created_at_ns: _Optional[int] = ..., descriptor: _Optional[_Iterable[float]] = ..., seq: _Optional[int] = ...) -> None: ...
 
 class PostSubmapRequest(_message.Message):
     __slots__ = ("parent", "submap_id", "t_odom_submap", "stamp_ns", "cloud")

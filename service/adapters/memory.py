@@ -120,6 +120,18 @@ class MemoryScans(MemoryRepository[ScanRecord]):
         return sorted((scan for scan in scans if scan.seq in set(seqs)), key=lambda scan: scan.seq)
 
 
+class MemorySubmaps(MemoryRepository[SubmapRecord]):
+    """`ports.SubmapRepository`."""
+
+    def last_number(self) -> int:
+        """See `ports.SubmapRepository`."""
+        return self._rows.last
+
+    def waiting_up_to(self, tenant: TenantId, map_id: str, number: int) -> int:
+        """See `ports.SubmapRepository`."""
+        return sum(row.number <= number for row in self.find(tenant, map_id=map_id, state="QUEUED"))
+
+
 class MemoryJobs(MemoryRepository[JobRecord]):
     """`ports.JobRepository`."""
 
@@ -235,9 +247,7 @@ class MemoryUnitOfWork:
         self.robots: MemoryRepository[RobotRecord] = MemoryRepository(tables["robots"], ("robot_id",))
         self.sessions: MemoryRepository[SessionRecord] = MemoryRepository(tables["sessions"], ("map_id", "session_id"))
         self.scans = MemoryScans(tables["scans"], ("map_id", "session_id", "seq"))
-        self.submaps: MemoryRepository[SubmapRecord] = MemoryRepository(
-            tables["submaps"], ("map_id", "session_id", "submap_id")
-        )
+        self.submaps = MemorySubmaps(tables["submaps"], ("map_id", "session_id", "submap_id"))
         self.loops: MemoryRepository[LoopRecord] = MemoryRepository(tables["loops"], ("map_id", "loop_id"))
         self.jobs = MemoryJobs(tables["jobs"], ("operation_id",))
         self.queue = LeasedJobs(self.jobs, lease_ms)

@@ -46,6 +46,12 @@ class DeadlineExceeded(RevisitError):
     code = ErrorCode.DEADLINE_EXCEEDED
 
 
+class SeqNotReached(RevisitError):
+    """Submaps up to `min_seq` are not described yet, after the time allowed for waiting."""
+
+    code = ErrorCode.SEQ_NOT_REACHED
+
+
 class Unavailable(RevisitError):
     """The service cannot do this now: try again after `retry_after_s`."""
 

@@ -11,6 +11,7 @@ from typing import Any
 from core.se3 import Matrix4
 from service.application.context import Context
 from service.application.errors import NotFound
+from service.application.freshness import Freshness, await_freshness
 from service.application.identity import SubmapKey, TenantId
 from service.application.maps import require_map
 from service.application.paging import Page, PageRequest, page_of
@@ -86,11 +87,13 @@ class Loops:
         page: PageRequest,
         state: LoopState | None = None,
         session_id: str | None = None,
+        fresh: Freshness = Freshness(),
     ) -> Page[LoopClosureView]:
         """The closures of a map, oldest first; `session_id` keeps those whose query submap is of that session.
 
-        Raises NotFound for the map.
+        Raises NotFound for the map, SeqNotReached where `fresh` was not reached.
         """
+        await await_freshness(self._context, tenant, map_id, fresh)
         records = await self._context.read(
             lambda uow: _load(uow, tenant, map_id, page.after, page.size + 1, state, session_id)
         )

@@ -100,6 +100,18 @@ class ScanRepository(Repository[ScanRecord], Protocol):
         ...
 
 
+class SubmapRepository(Repository[SubmapRecord], Protocol):
+    """Submaps, also by how far a map has come with them."""
+
+    def last_number(self) -> int:
+        """The last number that was given out, to whichever tenant, deleted since or not; 0 for none."""
+        ...
+
+    def waiting_up_to(self, tenant: TenantId, map_id: str, number: int) -> int:
+        """How many submaps of a map with numbers up to `number` are still queued."""
+        ...
+
+
 class JobRepository(Repository[JobRecord], Protocol):
     """Jobs, also across tenants for those who run them."""
 
@@ -230,7 +242,7 @@ class UnitOfWork(Protocol):
         ...
 
     @property
-    def submaps(self) -> Repository[SubmapRecord]:
+    def submaps(self) -> SubmapRepository:
         """Submaps by (map_id, session_id, submap_id)."""
         ...
 

@@ -21,6 +21,7 @@ from service.application.clouds import (
 )
 from service.application.context import Context
 from service.application.errors import DeadlineExceeded, NotReady, error_of
+from service.application.freshness import Freshness, await_freshness
 from service.application.identity import SubmapKey, TenantId
 from service.application.maps import require_map
 from service.application.operations import OperationKind, Operations, new_job
@@ -61,9 +62,15 @@ class Searches:
         self._operations = operations
         self._memory = PlaceMemory(context.transactions, context.index)
 
-    async def by_submap(self, tenant: TenantId, key: SubmapKey, criteria: SearchCriteria) -> SearchResult:
-        """The submaps most like a described one, which is never its own hit. Raises NotFound, NotReady, BadField."""
+    async def by_submap(
+        self, tenant: TenantId, key: SubmapKey, criteria: SearchCriteria, fresh: Freshness = Freshness()
+    ) -> SearchResult:
+        """The submaps most like a described one, which is never its own hit.
+
+        Raises NotFound, NotReady, BadField, SeqNotReached where `fresh` was not reached.
+        """
         validated_criteria(criteria)
+        await await_freshness(self._context, tenant, key.map_id, fresh)
 
         def load(uow: UnitOfWork) -> tuple[MapRecord, SubmapRecord, VectorFilter]:
             record = require_submap(uow, tenant, key)
@@ -77,11 +84,18 @@ class Searches:
         return await self._context.compute(self._memory.search, map_record, vector, criteria, where)
 
     async def by_descriptor(
-        self, tenant: TenantId, map_id: str, vector: NDArray[np.float32], model_version: str, criteria: SearchCriteria
+        self,
+        tenant: TenantId,
+        map_id: str,
+        vector: NDArray[np.float32],
+        model_version: str,
+        criteria: SearchCriteria,
+        fresh: Freshness = Freshness(),
     ) -> SearchResult:
         """The submaps nearest to a descriptor (d,), once normalised. Raises as `by_submap`, DescriptorModelMismatch."""
         validated_criteria(criteria)
         unit = _unit(vector)
+        await await_freshness(self._context, tenant, map_id, fresh)
 
         def load(uow: UnitOfWork) -> tuple[MapRecord, VectorFilter]:
             return require_map(uow, tenant, map_id), vector_filter(uow, tenant, map_id, criteria, None)
@@ -92,18 +106,31 @@ class Searches:
         return await self._context.compute(self._memory.search, map_record, unit, criteria, where)
 
     async def by_cloud(
-        self, tenant: TenantId, map_id: str, cloud: CloudInput, criteria: SearchCriteria, timeout_s: float = 30.0
+        self,
+        tenant: TenantId,
+        map_id: str,
+        cloud: CloudInput,
+        criteria: SearchCriteria,
+        fresh: Freshness = Freshness(),
+        timeout_s: float = 30.0,
     ) -> SearchResult:
-        """Describe a cloud in a worker, store no submap, search. Raises DeadlineExceeded, WorkersBusy, NotFound, ..."""
+        """Describe a cloud in a worker, store no submap, search.
+
+        Raises DeadlineExceeded, WorkersBusy, NotFound, SeqNotReached, ...
+        """
         payload = {"map_id": map_id, "criteria": criteria_to_json(validated_criteria(criteria))}
+        await await_freshness(self._context, tenant, map_id, fresh)
         answer = await self._ask(tenant, OperationKind.SEARCH_CLOUD, payload, cloud, timeout_s)
         return search_result_from_json(answer)
 
-    async def localize(self, tenant: TenantId, query: LocalizeQuery, timeout_s: float = 30.0) -> Localization:
+    async def localize(
+        self, tenant: TenantId, query: LocalizeQuery, fresh: Freshness = Freshness(), timeout_s: float = 30.0
+    ) -> Localization:
         """Describe a cloud in a worker, search, verify. No match is a result. Raises as `by_cloud`."""
         prior, radius = query.prior_position_m, query.radius_m
         criteria = validated_criteria(SearchCriteria(k=query.candidates, prior_position_m=prior, radius_m=radius))
         payload = {"map_id": query.map_id, "criteria": criteria_to_json(criteria)}
+        await await_freshness(self._context, tenant, query.map_id, fresh)
         answer = await self._ask(tenant, OperationKind.LOCALIZE, payload, query.cloud, timeout_s)
         return localization_from_json(answer)
 
@@ -148,6 +175,7 @@ def _accept(cloud: CloudInput) -> tuple[bytes, int]:
 
 
 __all__ = [
+    "Freshness",
     "Localization",
     "LocalizeQuery",
     "LocalizedCandidate",

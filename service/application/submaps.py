@@ -70,10 +70,12 @@ class SubmapView:
     `ordinal` counts the submaps of its session from 0; `position_m` is where it was taken, in the session's odometry
     frame; `first_seq`..`last_seq` are its scans (None for a posted cloud); `raw_bytes` is the float32 xyz cloud's
     size, `neural_map_bytes` that of its neural map; `failure` says why it could not be described. `descriptor` (d,) is
-    there where it was asked for and the submap is described.
+    there where it was asked for and the submap is described. `seq` grows with every submap of the service, in the order
+    of their commits: a query's `min_seq` (see `freshness`).
     """
 
     key: SubmapKey
+    seq: int
     state: SubmapState
     ordinal: int
     T_odom_submap: Matrix4
@@ -293,6 +295,7 @@ def submap_view(record: SubmapRecord) -> SubmapView:
     """The client's view of a submap."""
     return SubmapView(
         key=submap_key(record),
+        seq=record.number,
         state=SubmapState(record.state),
         ordinal=record.ordinal,
         T_odom_submap=pose_matrix(record.T_odom_submap),

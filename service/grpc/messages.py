@@ -25,6 +25,7 @@ from revisit.v1 import (
     system_pb2,
 )
 from service.application.clouds import EncodedCloud
+from service.application.freshness import DEFAULT_WAIT_S, Freshness
 from service.application.loops import LoopClosureView, LoopState
 from service.application.maps import MapView
 from service.application.operations import OperationFailure, OperationState, OperationView
@@ -81,6 +82,12 @@ def criteria(request: loop_closure_pb2.SearchSubmapsRequest) -> SearchCriteria:
         prior_position_m=position(request),
         radius_m=optional(request, "radius_m"),
     )
+
+
+def freshness(request: Any) -> Freshness:
+    """What the answer must rest on. Raises BadField."""
+    given = optional(request, "min_seq_timeout_s")
+    return Freshness(request.min_seq, DEFAULT_WAIT_S if given is None else given).validated()
 
 
 def position(request: Any) -> tuple[float, float, float] | None:
@@ -194,6 +201,7 @@ def submap_message(view: SubmapView) -> submap_pb2.Submap:
         operation=f"operations/{view.operation_id}",
         created_at_ns=view.created_at_ns,
         descriptor=() if view.descriptor is None else view.descriptor.tolist(),
+        seq=view.seq,
     )
 
 

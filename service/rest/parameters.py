@@ -14,12 +14,17 @@ from core.se3 import Matrix4
 from service.application import SessionKey, SubmapKey, TenantId, UseCases
 from service.application.callers import current_tenant
 from service.application.clouds import EncodedCloud
+from service.application.freshness import DEFAULT_WAIT_S, MAX_WAIT_S, Freshness
 from service.application.paging import PageRequest
 from service.application.searches import SearchCriteria
 from service.rest.bodies import cloud_body, parse_numbers
 from service.rest.schemas import SearchRequest
 
 POSE_HELP = "x,y,z,qx,qy,qz,qw: translation in metres and unit quaternion."
+
+MIN_SEQ_HELP = (
+    "The seq of a submap: the answer rests on every submap of the map up to it, or is a 504 (SEQ_NOT_REACHED)."
+)
 
 
 def _use_cases(request: Request) -> UseCases:
@@ -134,6 +139,17 @@ def criteria_of_body(body: SearchRequest) -> SearchCriteria:
         prior_position_m=None if position is None else (position[0], position[1], position[2]),
         radius_m=body.radius_m,
     )
+
+
+def freshness_of_query(
+    min_seq: Annotated[int, Query(ge=0, lt=2**63, description=MIN_SEQ_HELP)] = 0,
+    min_seq_timeout_s: Annotated[float, Query(ge=0, le=MAX_WAIT_S, allow_inf_nan=False)] = DEFAULT_WAIT_S,
+) -> Freshness:
+    """What an answer must rest on, from the query string."""
+    return Freshness(min_seq, min_seq_timeout_s)
+
+
+Fresh: TypeAlias = Annotated[Freshness, Depends(freshness_of_query)]
 
 
 def mark_replay(response: Response, replay: bool) -> None:

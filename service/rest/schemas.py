@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from core import se3
 from core.scan import CloudReport
 from core.se3 import Matrix4
+from service.application.freshness import DEFAULT_WAIT_S, MAX_WAIT_S
 from service.application.loops import LoopClosureView
 from service.application.maps import MAX_SCENE_SCALE, MIN_SCENE_SCALE, CreateMap, MapView
 from service.application.operations import OperationFailure, OperationView
@@ -75,7 +76,11 @@ class CreateSessionRequest(Request):
 
 
 class SearchRequest(Request):
-    """Search by `submap` (a resource name) or by `descriptor` with its `model_version`; exactly one of the two."""
+    """Search by `submap` (a resource name) or by `descriptor` with its `model_version`; exactly one of the two.
+
+    `min_seq`, the seq of a submap: the answer rests on every submap of the map up to it, or is a 504 (SEQ_NOT_REACHED)
+    after `min_seq_timeout_s` seconds. A submap whose description failed is not waited for.
+    """
 
     submap: Annotated[str, Field(max_length=300)] | None = None
     descriptor: Annotated[list[float], Field(min_length=1, max_length=4096)] | None = None
@@ -87,6 +92,8 @@ class SearchRequest(Request):
     min_index_gap: Annotated[int, Field(ge=0, le=1_000_000)] | None = None
     prior_position_m: Annotated[list[Coordinate], Field(min_length=3, max_length=3)] | None = None
     radius_m: Annotated[float, Field(gt=0, le=1e6)] | None = None
+    min_seq: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    min_seq_timeout_s: Annotated[float, Field(ge=0, le=MAX_WAIT_S)] = DEFAULT_WAIT_S
 
 
 class Vector3(Answer):
@@ -257,9 +264,13 @@ class Report(Answer):
 
 
 class Submap(Answer):
-    """A submap; `descriptor` is empty unless view=FULL was asked for and the submap is described."""
+    """A submap; `descriptor` is empty unless view=FULL was asked for and the submap is described.
+
+    `seq` grows with every submap of the service, in the order in which they were stored: a query's `min_seq`.
+    """
 
     name: str
+    seq: int
     state: str
     ordinal: int
     t_odom_submap: Transform
@@ -283,6 +294,7 @@ class Submap(Answer):
         """From a use case's view."""
         return cls(
             name=view.key.name,
+            seq=view.seq,
             state=view.state.value,
             ordinal=view.ordinal,
             t_odom_submap=Transform.of(view.T_odom_submap),

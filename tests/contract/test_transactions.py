@@ -111,6 +111,26 @@ def test_scans_are_found_by_distance_and_by_number(write, read):
     assert [scan.seq for scan in found] == [2, 4]
 
 
+def test_what_waits_in_a_map_is_counted_up_to_a_number_of_this_tenant(write, read):
+    _, _, first, second, _ = write(fill)
+    write(lambda uow: uow.submaps.replace(replace(first, state="DESCRIBED")))
+
+    def waiting(tenant, map_id, number):
+        return read(lambda uow: uow.submaps.waiting_up_to(tenant, map_id, number))
+
+    assert waiting(TENANT, "town", second.number) == 1
+    assert waiting(TENANT, "town", first.number) == 0
+    assert waiting(TENANT, "elsewhere", second.number) == waiting(OTHER, "town", second.number) == 0
+
+
+def test_the_last_number_outlives_the_submap_that_had_it(write, read):
+    assert read(lambda uow: uow.submaps.last_number()) == 0
+    _, _, _, second, loop = write(fill)
+    write(lambda uow: uow.loops.delete(TENANT, loop_id=loop.loop_id))
+    write(lambda uow: uow.submaps.delete(TENANT, number=second.number))
+    assert read(lambda uow: uow.submaps.last_number()) == second.number
+
+
 def test_the_change_log_tells_additions_and_removals_in_order(write, read):
     *_, first, second, _ = write(fill)
     one = write(lambda uow: uow.changes.record_described(TENANT, 1, first.number))

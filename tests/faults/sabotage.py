@@ -64,6 +64,12 @@ SABOTAGES = (
         f"{CRASH}test_an_undisturbed_drive_leaves_nothing_to_complain_about",
     ),
     Sabotage(
+        "a query does not wait for what it must rest on",
+        (Edit("service/application/freshness.py", "min_seq == 0:\n", "min_seq >= 0:\n"),),
+        "tests/contract/api/test_api_read_your_writes.py::test_a_query_waits_for_what_its_own_client_has_posted",
+        quick=True,
+    ),
+    Sabotage(
         "a blob is not synced",
         (Edit("service/adapters/durable_files.py", "            os.fsync(file.fileno())\n", ""),),
         POWER_CUT,

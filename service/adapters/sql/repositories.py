@@ -6,14 +6,28 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any, Generic, TypeVar
 
-from sqlalchemy import ColumnElement, Connection, Row, Table, and_, delete, func, insert, or_, select, true, update
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Row,
+    Table,
+    and_,
+    delete,
+    func,
+    insert,
+    or_,
+    select,
+    text,
+    true,
+    update,
+)
 from sqlalchemy.exc import IntegrityError
 
 from service.adapters.sql import tables
 from service.application.errors import AlreadyExists, NotFound
 from service.application.identity import TenantId
 from service.application.ports import IndexChange, Instant
-from service.application.records import JobRecord, ScanRecord, WorkerRecord
+from service.application.records import JobRecord, ScanRecord, SubmapRecord, WorkerRecord
 
 R = TypeVar("R")
 
@@ -104,6 +118,21 @@ class SqlScans(SqlRepository[ScanRecord]):
         seq = tables.scans.c.seq
         rows = self._connection.execute(select(tables.scans).where(where, seq.in_(seqs)).order_by(seq))
         return [self._of(row) for row in rows]
+
+
+class SqlSubmaps(SqlRepository[SubmapRecord]):
+    """`ports.SubmapRepository`."""
+
+    def last_number(self) -> int:
+        """See `ports.SubmapRepository`."""
+        # SQLite's own record of AUTOINCREMENT, which outlives the rows.
+        query = text("SELECT seq FROM sqlite_sequence WHERE name = 'submaps'")
+        return int(self._connection.execute(query).scalar() or 0)
+
+    def waiting_up_to(self, tenant: TenantId, map_id: str, number: int) -> int:
+        """See `ports.SubmapRepository`."""
+        where = and_(self._matches(tenant, {"state": "QUEUED", "map_id": map_id}), tables.submaps.c.number <= number)
+        return int(self._connection.execute(select(func.count()).select_from(tables.submaps).where(where)).scalar_one())
 
 
 class SqlJobs(SqlRepository[JobRecord]):

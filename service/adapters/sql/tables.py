@@ -168,6 +168,7 @@ submaps = _numbered(
     ForeignKeyConstraint(
         ["tenant", "map_id", "session_id"], ["sessions.tenant", "sessions.map_id", "sessions.session_id"]
     ),
+    Index(None, "state", "tenant", "map_id"),
     Index(None, "tenant", "cloud_sha256"),
     Index(None, "tenant", "signature_sha256"),
     Index(None, "tenant", "neural_map_sha256"),

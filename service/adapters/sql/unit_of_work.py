@@ -29,7 +29,7 @@ from service.adapters.leased_jobs import LeasedJobs
 from service.adapters.sql import tables
 from service.adapters.sql.access import SqlAuditTrail, SqlKeyRing
 from service.adapters.sql.group_commit import GroupCommitter
-from service.adapters.sql.repositories import SqlChangeLog, SqlJobs, SqlRepository, SqlScans, SqlWorkerLog
+from service.adapters.sql.repositories import SqlChangeLog, SqlJobs, SqlRepository, SqlScans, SqlSubmaps, SqlWorkerLog
 from service.application.errors import StorageFull, StorageUncertain
 from service.application.ports import UnitOfWork
 from service.application.records import (
@@ -93,9 +93,9 @@ class SqlUnitOfWork:
         return SqlScans(self.connection, tables.scans, ScanRecord, ("map_id", "session_id", "seq"))
 
     @cached_property
-    def submaps(self) -> SqlRepository[SubmapRecord]:
+    def submaps(self) -> SqlSubmaps:
         """Submaps by (map_id, session_id, submap_id)."""
-        return SqlRepository(self.connection, tables.submaps, SubmapRecord, ("map_id", "session_id", "submap_id"))
+        return SqlSubmaps(self.connection, tables.submaps, SubmapRecord, ("map_id", "session_id", "submap_id"))
 
     @cached_property
     def loops(self) -> SqlRepository[LoopRecord]:

@@ -153,7 +153,8 @@ class _ScanStream:
         return await self._use_cases.scans.append(self.tenant, command, patient=True)
 
     async def _acknowledge(self, ack: ScanAck) -> None:
-        await self._send(ack=pb.Ack(committed_seq=ack.committed_seq, credits=1))
+        submap_seq = 0 if ack.submap is None else ack.submap.submap.seq
+        await self._send(ack=pb.Ack(committed_seq=ack.committed_seq, credits=1, submap_seq=submap_seq))
         if ack.submap is not None:
             posted = ack.submap
             finished = pb.SubmapFinished(

@@ -37,7 +37,8 @@ class LoopClosureServicer(loop_closure_pb2_grpc.LoopClosureServiceServicer):
             radius_m=messages.optional(request, "radius_m"),
             candidates=request.candidates if request.HasField("candidates") else 10,
         )
-        return messages.localize_message(await self._searches.localize(tenant_of(context), query))
+        answer = await self._searches.localize(tenant_of(context), query, messages.freshness(request))
+        return messages.localize_message(answer)
 
     async def GetLoopClosure(self, request: pb.GetLoopClosureRequest, context: Any) -> pb.GetLoopClosureResponse:
         """Get a loop closure."""
@@ -49,7 +50,8 @@ class LoopClosureServicer(loop_closure_pb2_grpc.LoopClosureServiceServicer):
         map_id = names.map_id(request.parent, "parent")
         session_id = names.session_id_in(request.parent, request.session, "session")
         paging, state = messages.page_request(request), messages.loop_state(request.state)
-        page = await self._loops.list(tenant_of(context), map_id, paging, state, session_id)
+        fresh = messages.freshness(request)
+        page = await self._loops.list(tenant_of(context), map_id, paging, state, session_id, fresh)
         items = [messages.loop_message(view) for view in page.items]
         return pb.ListLoopClosuresResponse(loop_closures=items, next_page_token=page.next_token)
 
@@ -64,16 +66,17 @@ class LoopClosureServicer(loop_closure_pb2_grpc.LoopClosureServiceServicer):
 
     async def _search(self, tenant: TenantId, request: pb.SearchSubmapsRequest) -> SearchResult:
         map_id, criteria = names.map_id(request.parent, "parent"), messages.criteria(request)
+        fresh = messages.freshness(request)
         match request.WhichOneof("query"):
             case "submap":
                 key = names.submap_key(request.submap, "submap")
                 if key.map_id != map_id:
                     raise BadField(f"submap must be of {request.parent}", field="submap")
-                return await self._searches.by_submap(tenant, key, criteria)
+                return await self._searches.by_submap(tenant, key, criteria, fresh)
             case "descriptor":
                 vector = np.asarray(request.descriptor.vector, dtype=np.float32)
                 version = request.descriptor.model_version
-                return await self._searches.by_descriptor(tenant, map_id, vector, version, criteria)
+                return await self._searches.by_descriptor(tenant, map_id, vector, version, criteria, fresh)
             case "cloud":
-                return await self._searches.by_cloud(tenant, map_id, messages.cloud(request.cloud), criteria)
+                return await self._searches.by_cloud(tenant, map_id, messages.cloud(request.cloud), criteria, fresh)
         raise BadField("give a submap, a descriptor or a cloud", field="query")

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Query
 from service.application.callers import Scope
 from service.application.loops import LoopState
 from service.rest.access import allows
-from service.rest.parameters import Cases, Id, Paging, Tenant
+from service.rest.parameters import Cases, Fresh, Id, Paging, Tenant
 from service.rest.schemas import LoopClosure, LoopClosurePage
 
 router = APIRouter(prefix="/v1/maps/{map_id}/loopClosures", tags=["loop closures"])
@@ -21,11 +21,12 @@ async def list_loop_closures(
     cases: Cases,
     tenant: Tenant,
     paging: Paging,
+    fresh: Fresh,
     state: LoopState | None = None,
     session_id: Annotated[str | None, Query(max_length=64)] = None,
 ) -> LoopClosurePage:
     """List the loop closures of a map with their evidence, oldest first."""
-    page = await cases.loops.list(tenant, map_id, paging, state, session_id)
+    page = await cases.loops.list(tenant, map_id, paging, state, session_id, fresh)
     return LoopClosurePage(loop_closures=[LoopClosure.of(view) for view in page.items], next_page_token=page.next_token)
 
 

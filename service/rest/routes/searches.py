@@ -12,10 +12,10 @@ from core.errors import BadField
 from service.application import UseCases
 from service.application.callers import Scope
 from service.application.identity import SubmapKey, TenantId
-from service.application.searches import LocalizeQuery, SearchCriteria, SearchResult
+from service.application.searches import Freshness, LocalizeQuery, SearchCriteria, SearchResult
 from service.rest.access import allows
 from service.rest.bodies import CLOUD_BODY, CLOUD_CONTENT, cloud_body, json_bytes, limits_of, media_type, parse_json
-from service.rest.parameters import Cases, Cloud, Id, Prior, RadiusM, Tenant, criteria_of_body, criteria_of_query
+from service.rest.parameters import Cases, Cloud, Fresh, Id, Prior, RadiusM, Tenant, criteria_of_body, criteria_of_query
 from service.rest.schemas import LocalizeAnswer, SearchAnswer, SearchRequest
 
 router = APIRouter(prefix="/v1/maps", tags=["searches"])
@@ -37,6 +37,7 @@ async def search_submaps(
     map_id: Id,
     request: Request,
     criteria: Annotated[SearchCriteria, Depends(criteria_of_query)],
+    fresh: Fresh,
     cases: Cases,
     tenant: Tenant,
 ) -> SearchAnswer:
@@ -45,7 +46,7 @@ async def search_submaps(
         body = parse_json(await json_bytes(request), SearchRequest, limits_of(request))
         return SearchAnswer.of(await _search_by_json(cases, tenant, map_id, body))
     cloud = await cloud_body(request)
-    return SearchAnswer.of(await cases.searches.by_cloud(tenant, map_id, cloud, criteria))
+    return SearchAnswer.of(await cases.searches.by_cloud(tenant, map_id, cloud, criteria, fresh))
 
 
 @router.post("/{map_id}:localize", openapi_extra=CLOUD_BODY, dependencies=[allows(Scope.QUERY)])
@@ -55,23 +56,26 @@ async def localize(
     cases: Cases,
     tenant: Tenant,
     prior: Prior,
+    fresh: Fresh,
     radius_m: RadiusM = None,
     candidates: Annotated[int, Query(ge=1, le=100)] = 10,
 ) -> LocalizeAnswer:
     """Where in the map was this cloud taken? No match is an answer, not an error."""
     query = LocalizeQuery(map_id, cloud, prior, radius_m, candidates)
-    return LocalizeAnswer.of(await cases.searches.localize(tenant, query))
+    return LocalizeAnswer.of(await cases.searches.localize(tenant, query, fresh))
 
 
 async def _search_by_json(cases: UseCases, tenant: TenantId, map_id: str, body: SearchRequest) -> SearchResult:
     if (body.submap is None) == (body.descriptor is None):
         raise BadField("give either submap or descriptor", field="submap")
+    fresh = Freshness(body.min_seq, body.min_seq_timeout_s)
     if body.submap is not None:
-        return await cases.searches.by_submap(tenant, _submap_of(map_id, body.submap), criteria_of_body(body))
+        return await cases.searches.by_submap(tenant, _submap_of(map_id, body.submap), criteria_of_body(body), fresh)
     if body.model_version is None:
         raise BadField("a descriptor needs its model_version", field="model_version")
     vector = np.asarray(body.descriptor, dtype=np.float32)
-    return await cases.searches.by_descriptor(tenant, map_id, vector, body.model_version, criteria_of_body(body))
+    criteria = criteria_of_body(body)
+    return await cases.searches.by_descriptor(tenant, map_id, vector, body.model_version, criteria, fresh)
 
 
 def _submap_of(map_id: str, name: str) -> SubmapKey:

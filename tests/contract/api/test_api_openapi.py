@@ -28,7 +28,16 @@ from tests.support.service_world import cloud_points, pose
 
 # Per operation, half of them as the document says and half against it.
 EXAMPLES = int(os.environ.get("REVISIT_SCHEMATHESIS_EXAMPLES", "60"))
-AGREES = [not_a_server_error, status_code_conformance, content_type_conformance, response_schema_conformance]
+
+
+def no_server_error(ctx, response, case):
+    """No 5xx, except what is documented for a `min_seq` that no submap has yet."""
+    if response.status_code == 504 and response.json()["reason"] == "SEQ_NOT_REACHED":
+        return None
+    return not_a_server_error(ctx, response, case)
+
+
+AGREES = [no_server_error, status_code_conformance, content_type_conformance, response_schema_conformance]
 DOCUMENT = json.loads((Path(__file__).resolve().parents[3] / "docs/reference/openapi.json").read_text())
 POSE = "1,2,3,0,0,0,1"
 GOOD_CLOUDS = dict(valid_files(records(300)).values())
