@@ -93,7 +93,7 @@ class _Connection:
     async def pump(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Pass bytes on until the reader ends or the fault strikes in either direction."""
         ended = asyncio.create_task(self._ended.wait())
-        with contextlib.suppress(OSError):
+        try:
             while not self._ended.is_set():
                 reading = asyncio.create_task(reader.read(CHUNK_BYTES))
                 await asyncio.wait((reading, ended), return_when=asyncio.FIRST_COMPLETED)
@@ -105,6 +105,9 @@ class _Connection:
                 await self._pass(chunk, writer)
             if writer.can_write_eof() and not self.cut:
                 writer.write_eof()
+        except OSError:
+            # An end that resets is gone: the other must not wait for it.
+            self._ended.set()
         ended.cancel()
 
     async def _pass(self, chunk: bytes, writer: asyncio.StreamWriter) -> None:

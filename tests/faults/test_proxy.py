@@ -111,3 +111,17 @@ def test_a_fault_can_end_while_the_link_lives(echo):
 def test_a_service_that_is_away_resets_its_clients(echo):
     with bad_link("127.0.0.1:1") as link, connected(link) as client:
         assert received(client) == (b"", True)
+
+
+def test_a_service_that_dies_while_its_client_waits_is_noticed_by_the_client():
+    """Bytes that it had not read make the kernel reset the connection."""
+    with (
+        socket.create_server(("127.0.0.1", 0)) as listener,
+        bad_link(f"127.0.0.1:{listener.getsockname()[1]}") as link,
+        connected(link) as client,
+    ):
+        client.sendall(b"unread")
+        service, _ = listener.accept()
+        assert service.recv(6, socket.MSG_PEEK)
+        service.close()
+        assert received(client)[0] == b""
