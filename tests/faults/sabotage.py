@@ -172,6 +172,38 @@ SABOTAGES = (
         "tests/integration/test_use_cases.py::test_a_scan_again_is_acknowledged_and_ignored_and_a_gap_is_refused",
     ),
     Sabotage(
+        "a damaged file is served",
+        (Edit("service/adapters/blobs.py", "if hashlib.sha256(data).hexdigest() != sha256:", "if False:"),),
+        "tests/contract/test_blob_store.py::test_a_damaged_file_is_refused",
+    ),
+    Sabotage(
+        "after a failed sync the service goes on",
+        (Edit("service/adapters/fail_stop.py", "        if self._tripped:\n", "        if False:\n"),),
+        "tests/integration/test_failing_disk.py::"
+        "test_after_a_failed_sync_nothing_is_written_even_if_the_disk_seems_well_again",
+    ),
+    Sabotage(
+        "a key that has expired opens",
+        (
+            Edit(
+                "service/application/api_keys.py",
+                "    if record.expires_at_ns is not None and record.expires_at_ns <= now_ns:\n",
+                "    if False:\n",
+            ),
+        ),
+        "tests/contract/api/test_api_keys.py::test_an_expired_and_a_revoked_key_say_so_to_their_holder_only",
+    ),
+    Sabotage(
+        "a token of any issuer opens",
+        (Edit("service/adapters/tokens.py", "            issuer=self._issuer,\n", ""),),
+        "tests/unit/service/test_tokens.py::test_a_token_that_is_not_right_in_everything_is_refused",
+    ),
+    Sabotage(
+        "a secret is written to the log",
+        (Edit("service/redaction.py", "        text = pattern.sub(replacement, text)\n", "        pass\n"),),
+        "tests/unit/service/test_redaction.py::test_no_way_into_the_log_lets_a_secret_through",
+    ),
+    Sabotage(
         "processes are forked",
         (Edit("service/__main__.py", 'set_start_method("spawn", force=True)', 'set_start_method("fork", force=True)'),),
         "tests/unit/service/test_worker.py",
