@@ -6,6 +6,7 @@ import asyncio
 import os
 import signal
 import socket
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -32,6 +33,10 @@ if TYPE_CHECKING:
 SERVER_FAILED = 70
 """Exit status where a server ended without being told to (EX_SOFTWARE)."""
 
+SWITCH_S = 0.0005
+"""How long a thread that decodes may hold the interpreter while the event loop waits for it, where Python has 5 ms: an
+answer hands over several times, so with a handful of such threads a refusal took a second."""
+
 FAIL_STOP_S = 0.7
 """Time to the end of the process after the disk has failed."""
 
@@ -50,6 +55,7 @@ class _Server(uvicorn.Server):
 def serve(settings: Settings) -> int:
     """Run the gateway and its workers until SIGTERM or SIGINT; the exit status."""
     migrate(settings.database)
+    sys.setswitchinterval(SWITCH_S)
     with asyncio.Runner(loop_factory=_loop_factory()) as runner:
         return runner.run(_Gateway(settings).run())
 

@@ -14,7 +14,7 @@ from typing import ParamSpec, TypeVar
 from core.config import PipelineConfig
 from service.application.errors import Draining, StorageFull, WorkersBusy
 from service.application.identity import TenantId
-from service.application.intake import Intake
+from service.application.intake import QUEUE_RETRY_S, Intake
 from service.application.ports import BlobStore, Clock, DiskSpace, Transactions, UnitOfWork, VectorIndex
 from service.application.records import MapRecord
 
@@ -101,12 +101,16 @@ class Context:
             raise StorageFull
 
     @asynccontextmanager
-    async def taking_in(self, tenant: TenantId, *, patient: bool = False) -> AsyncIterator[Callable[[int], None]]:
-        """A place for one cloud; call what is given with the number of its points.
+    async def taking_in(
+        self, tenant: TenantId, *, patient: bool = False, queued: bool = True
+    ) -> AsyncIterator[Callable[[int], None]]:
+        """A place for one cloud, which becomes a job if it is `queued`; call what is given with the number of points.
 
-        Raises RateLimited; WorkersBusy where there is no place, unless `patient`.
+        Raises RateLimited; WorkersBusy where the queue was full a moment ago, or there is no place, unless `patient`.
         """
         self.intake.require_points(tenant)
+        if queued:
+            self.intake.require_queue(tenant)
         async with self.intake.cloud(tenant, patient=patient):
             yield lambda points: self.intake.spend(tenant, points)
 
@@ -114,7 +118,9 @@ class Context:
         """Raises WorkersBusy where the tenant has too many jobs waiting."""
         waiting = uow.jobs.count(tenant, state="QUEUED")
         if waiting >= self.policy.max_queued_jobs:
-            raise WorkersBusy(f"{waiting} jobs are waiting; try again later with the same id", retry_after_s=5.0)
+            self.intake.note_full_queue(tenant)
+            message = f"{waiting} jobs are waiting; try again later with the same id"
+            raise WorkersBusy(message, retry_after_s=QUEUE_RETRY_S)
 
 
 async def _outcome(future: Future[T]) -> T:

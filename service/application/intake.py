@@ -20,6 +20,11 @@ CALL_POINTS = 1_000
 """What a call costs beside the points it brings."""
 
 BUSY_RETRY_S = 1.0
+QUEUE_RETRY_S = 5.0
+"""When to come back where all places, or all places of the queue, are taken."""
+
+QUEUE_STAYS_FULL_S = 0.25
+"""For so long, a queue that was full is taken to be full still: to find that out costs what storing a cloud does."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +78,7 @@ class _Waiter:
 
 
 class Intake:
-    """The bounds and what is taken in now. All calls come from the event loop."""
+    """The bounds and what is taken in now. All calls but `note_full_queue` come from the event loop."""
 
     def __init__(
         self,
@@ -89,6 +94,7 @@ class Intake:
         self._clouds: Counter[TenantId] = Counter()
         self._waiters: deque[_Waiter] = deque()
         self._streams: Counter[tuple[str, ...]] = Counter()
+        self._queue_full_until_s: dict[TenantId, float] = {}
 
     @property
     def clouds(self) -> int:
@@ -112,6 +118,15 @@ class Intake:
         now_s = self._now_s()
         for bucket in self._buckets_of(tenant):
             bucket.take(points + CALL_POINTS, now_s)
+
+    def note_full_queue(self, tenant: TenantId) -> None:
+        """The tenant's queue has just been found full; from any thread."""
+        self._queue_full_until_s[tenant] = self._now_s() + QUEUE_STAYS_FULL_S
+
+    def require_queue(self, tenant: TenantId) -> None:
+        """Raises WorkersBusy where the tenant's queue was full a moment ago."""
+        if self._now_s() < self._queue_full_until_s.get(tenant, 0.0):
+            raise WorkersBusy("the queue is full; try again later with the same id", retry_after_s=QUEUE_RETRY_S)
 
     def require_place(self, tenant: TenantId) -> None:
         """Raises WorkersBusy where no cloud more can be taken in now."""

@@ -120,7 +120,7 @@ class Scans:
         session = await self._context.read(lambda uow: require_session(uow, tenant, command.session))
         if _is_replay(session, command.seq):
             return ScanAck(session.committed_seq, replay=True, report=None, submap=None)
-        async with self._context.taking_in(tenant, patient=patient) as spend:
+        async with self._context.taking_in(tenant, patient=patient, queued=False) as spend:
             return await self._store(tenant, command, spend)
 
     async def _store(self, tenant: TenantId, command: AppendScan, spend: Callable[[int], None]) -> ScanAck:

@@ -20,7 +20,8 @@ from service.rest.limits import HttpLimits
 
 SchemaT = TypeVar("SchemaT", bound=BaseModel)
 
-_STRING = re.compile(r'"(?:[^"\\]|\\.)*"', re.DOTALL)
+# Ends with the text where a string does not, and gives nothing back: else one without an end is tried at each quote.
+_STRING = re.compile(r'"(?:[^"\\]++|\\.)*+"?', re.DOTALL)
 _BRACKET = re.compile(r"[\[\]{}]")
 
 ANY_BINARY = {"schema": {"type": "string", "format": "binary"}}

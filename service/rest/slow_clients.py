@@ -15,32 +15,55 @@ HEAD_BYTES = 32 * 2**10
 """Bytes of a request line with its headers."""
 
 CONNECTIONS = 512
-"""Open connections and requests; one more is answered 503 at once."""
+"""Open connections. One more takes the place of the one that has been awaited the longest; where all are being
+answered, it is told 503 at once."""
 
 KEEP_ALIVE_S = 15
 """How long a connection without a request stays open."""
 
 
 class DeadlineProtocol(H11Protocol):
-    """uvicorn's HTTP/1.1 with a deadline where uvicorn would wait for ever: see `_idle`."""
+    """uvicorn's HTTP/1.1 with a deadline where uvicorn would wait for ever: see `_idle`.
+
+    uvicorn alone refuses everyone once there are too many connections, also where these only keep silent.
+    """
 
     head_s = HEAD_S
+    most_connections = CONNECTIONS
     _deadline: asyncio.TimerHandle | None = None
+    _heard_s = 0.0
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn has it
         """Start the clock of the first request."""
         super().connection_made(transport)
+        self._heard_s = asyncio.get_running_loop().time()
+        if len(self.connections) > self.most_connections:
+            self._make_room()
         self._watch()
 
     def data_received(self, data: bytes) -> None:
         """Feed the parser; stop the clock once the head is there."""
+        was_idle = self._idle()
         super().data_received(data)
+        if was_idle and not self._idle():
+            self._heard_s = asyncio.get_running_loop().time()
         self._watch()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Stop the clock."""
         self._stop()
         super().connection_lost(exc)
+
+    def _make_room(self) -> None:
+        """Close the connection whose last request head is the longest ago and which owes us bytes: idle ones first."""
+        others = (other for other in self.connections if isinstance(other, DeadlineProtocol) and other is not self)
+        awaited = [other for other in others if other._awaited() and not other.transport.is_closing()]
+        if awaited:
+            min(awaited, key=lambda other: (not other._idle(), other._heard_s)).transport.close()
+
+    def _awaited(self) -> bool:
+        """Whether it is the client's turn: to send a request, or the rest of one."""
+        return self.conn.their_state in (h11.IDLE, h11.SEND_BODY)
 
     def _watch(self) -> None:
         if not self._idle():
@@ -70,7 +93,8 @@ def uvicorn_limits() -> dict[str, Any]:
         "http": DeadlineProtocol,
         "ws": "none",
         "h11_max_incomplete_event_size": HEAD_BYTES,
-        "limit_concurrency": CONNECTIONS,
+        # Room is made above the limit, so uvicorn refuses only where no connection could be given up.
+        "limit_concurrency": CONNECTIONS + 1,
         "timeout_keep_alive": KEEP_ALIVE_S,
         "server_header": False,
         # Who asks is known by the connection, not by what a client writes into X-Forwarded-For.

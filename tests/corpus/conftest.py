@@ -58,7 +58,7 @@ class Service:
 @pytest.fixture(scope="session")
 def corpus_service(tmp_path_factory):
     home = tmp_path_factory.mktemp("corpus")
-    world = sqlite_world(home)
+    world = sqlite_world(home, max_queued_jobs=1_000_000)
     asyncio.run(_seed(world))
     with (
         live_service(world) as live,

@@ -15,6 +15,8 @@ def request_bodies() -> Bodies:
         "I10-10000-emoji.json": lambda: json.dumps({"map_id": "i10", "display_name": "\U0001f600" * 10_000}).encode(),
         "J02-5000-digits.json": lambda: b'{"map_id": "x", "min_index_gap": ' + b"9" * 5000 + b"}",
         "J03-200000-brackets.json": lambda: b"[" * 200_000,
+        # Every quote but the first is escaped: a matcher that tries again at each of them takes quadratic time.
+        "J03-string-without-end.json": lambda: b'{"map_id": "' + b'\\"' * 400_000,
         "J03-17-levels.json": lambda: b"[" * 17 + b"]" * 17,
         "J07-utf-16.json": lambda: '{"map_id": "x"}'.encode("utf-16"),
         "J07-byte-order-mark.json": lambda: b'\xef\xbb\xbf{"map_id": "x"}',

@@ -67,7 +67,6 @@ class Case:
     answers: tuple[int, ...] = ()
     has: dict[str, Any] = field(default_factory=dict)
     covered_by: tuple[str, ...] = ()
-    awaits: str = ""
     deviation: str = ""
 
     @property

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import socket
 import ssl
+from datetime import UTC, datetime, timedelta
 
 import pytest
 import trustme
@@ -100,10 +101,15 @@ def test_a_certificate_whose_name_is_not_mapped_opens_nothing(secured, files, au
         client.list_maps()
 
 
-@pytest.mark.parametrize("case", ["another authority", "none"])
-def test_a_certificate_of_another_authority_or_none_ends_in_the_handshake(secured, files, tmp_path, monkeypatch, case):
+@pytest.mark.parametrize("case", ["another authority", "expired", "none"])
+def test_a_certificate_that_cannot_be_trusted_or_none_ends_in_the_handshake(
+    secured, files, authority, tmp_path, monkeypatch, case
+):
     if case == "another authority":
         certified(monkeypatch, tmp_path, trustme.CA().issue_cert("robot-7.example"))
+    if case == "expired":
+        yesterday = datetime.now(UTC) - timedelta(days=1)
+        certified(monkeypatch, tmp_path, authority.issue_cert("robot-7.example", not_after=yesterday))
     with (
         Client.grpc(f"grpcs://{secured.grpc_target}", ca=files / "ca.pem", retry=ONCE) as client,
         pytest.raises(ApiError) as refused,

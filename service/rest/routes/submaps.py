@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Response
+from fastapi import APIRouter, Depends, Query, Response
 
 from service.application.callers import Scope
 from service.application.downloads import MEDIA_TYPES
@@ -53,7 +53,12 @@ class View(StrEnum):
     FULL = "FULL"
 
 
-@router.post("", status_code=202, openapi_extra=CLOUD_BODY, dependencies=[allows(Scope.INGEST)])
+async def _job_admitted(cases: Cases, tenant: Tenant) -> None:
+    """Before the body is read."""
+    cases.system.admit_job(tenant)
+
+
+@router.post("", status_code=202, openapi_extra=CLOUD_BODY, dependencies=[allows(Scope.INGEST), Depends(_job_admitted)])
 async def post_submap(
     key: SessionOf,
     submap_id: Annotated[str, Query(max_length=64)],

@@ -12,9 +12,10 @@ import pytest
 from google.rpc import error_details_pb2, status_pb2
 
 from core.formats import QUANTISED, encode_quantised
-from revisit import ApiError, Client
+from revisit import ApiError, Client, Cloud
 from revisit.retry import RetryPolicy
 from revisit.v1 import cloud_pb2, geometry_pb2, ingest_pb2, ingest_pb2_grpc
+from service.application import intake
 from service.application.intake import CALL_POINTS, IntakeLimits
 from tests.support.live_service import live_service
 from tests.support.service_world import cloud_points, pose
@@ -37,11 +38,12 @@ def service():
 @pytest.fixture
 def limits(service, monkeypatch):
     """Bounds for one test; buckets start full."""
-    intake = service.world.context.intake
+    taking = service.world.context.intake
 
     def of(**bounds):
-        monkeypatch.setattr(intake, "limits", IntakeLimits(**bounds))
-        monkeypatch.setattr(intake, "_buckets", {})
+        monkeypatch.setattr(taking, "limits", IntakeLimits(**bounds))
+        monkeypatch.setattr(taking, "_buckets", {})
+        monkeypatch.setattr(taking, "_queue_full_until_s", {})
 
     of()
     yield of
@@ -78,7 +80,8 @@ def test_points_beyond_a_quota_are_refused_with_the_time_to_come_back(client, se
     assert service.stored() == before
 
 
-def test_a_full_queue_refuses_one_more_job_on_either_transport(client, session, service):
+def test_a_full_queue_refuses_one_more_job_on_either_transport(client, session, service, limits, monkeypatch):
+    monkeypatch.setattr(intake, "QUEUE_STAYS_FULL_S", 60.0)
     queued = service.world.context.transactions.read(lambda uow: uow.jobs.count("default", state="QUEUED")).result()
     for number in range(5 - queued):
         post(client, session, number)
@@ -86,7 +89,21 @@ def test_a_full_queue_refuses_one_more_job_on_either_transport(client, session, 
         post(client, session, 9)
     assert (refused.value.reason, refused.value.code) == ("WORKERS_BUSY", "UNAVAILABLE")
     assert refused.value.retryable and refused.value.retry_after_s >= 1.0
+    with pytest.raises(ApiError, match="WORKERS_BUSY"):
+        # Moments later nothing is decoded to find that out again: what is no cloud is not called one.
+        client.post_submap(session, "no-cloud", Cloud(b"no cloud", QUANTISED), pose(), 1)
     service.world.work_off()
+    limits()
+    post(client, session, 9)
+
+
+def test_a_stream_goes_on_where_the_queue_is_full(service, limits):
+    with Client.grpc(service.grpc, retry=ONCE) as client:
+        session = client.create_session(client.create_map("streaming"), "s")
+        service.world.context.intake.note_full_queue("default")
+        with client.stream(session) as stream:
+            stream.send(cloud_points(1, POINTS), pose(), 1)
+        assert stream.committed_seq == 1
 
 
 def test_a_refused_body_is_not_even_read(service, limits):
