@@ -1,0 +1,62 @@
+"""A store that an earlier version has left is opened by this one, and holds what was acknowledged then (P27)."""
+
+from __future__ import annotations
+
+import asyncio
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from service.application import SubmapKey
+from service.application.search_answers import SearchCriteria
+from tests.compatibility.write import STORES, write_store
+from tests.faults.drive import POSTED, undisturbed
+from tests.faults.history import History
+from tests.faults.survey import survey
+from tests.support.service_world import TENANT, sqlite_world
+
+END = {"DESCRIBED": 6, "FAILED": 1}
+
+
+def unpacked(file: Path, folder: Path) -> Path:
+    with zipfile.ZipFile(file) as archive:
+        archive.extractall(folder)
+    return folder / "home"
+
+
+@pytest.fixture(params=[file.name for file in sorted(STORES.glob("*.zip"))])
+def home(request, tmp_path):
+    return unpacked(STORES / request.param, tmp_path)
+
+
+def searched(home: Path) -> set[str]:
+    """What is found in the place of submap a; opening the store migrates it."""
+    world = sqlite_world(home)
+    try:
+        key = SubmapKey(POSTED.map_id, POSTED.session_id, "a")
+        found = asyncio.run(world.use_cases.searches.by_submap(TENANT, key, SearchCriteria(k=1)))
+        return {hit.submap.submap_id for hit in found.hits}
+    finally:
+        world.context.transactions.close()
+
+
+def test_a_store_of_an_earlier_version_opens_with_all_that_was_acknowledged(home, tmp_path):
+    assert searched(home) == {"c"}
+    found = survey(home)
+    assert found.against(History.parse((tmp_path / "log").read_bytes())) == []
+    assert found.states == END
+
+
+def test_the_robots_of_then_go_on_with_it_now(home, tmp_path):
+    undisturbed(home, tmp_path / "log", boot="boot-2")
+    found = survey(home)
+    assert found.against(History.parse((tmp_path / "log").read_bytes())) == []
+    assert found.states == END
+
+
+def test_there_is_a_store_and_one_of_today_can_be_made(tmp_path):
+    assert list(STORES.glob("*.zip"))
+    write_store(tmp_path / "today.zip")
+    home = unpacked(tmp_path / "today.zip", tmp_path)
+    assert survey(home).states == END
