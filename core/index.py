@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import faiss
 import numpy as np
@@ -71,6 +71,12 @@ class PlaceIndex(Protocol):
     def __len__(self) -> int:
         """How many places are stored."""
 
+    def ids(self) -> NDArray[np.int64]:
+        """The ids of the vectors that a search compares with."""
+
+    def differing(self, entries: Sequence[IndexEntry], vectors: Array) -> list[int]:
+        """The ids of those `entries` that are not stored as `add` would store them, bit for bit. Raises BadField."""
+
 
 class _Metadata:
     """The entries' fields as growing arrays, so that a filter is a few comparisons. Rows are never reordered."""
@@ -101,6 +107,15 @@ class _Metadata:
         for identifier in known:
             self.alive[self.rows.pop(identifier)] = False
         return np.array(known, dtype=np.int64)
+
+    def holds(self, entry: IndexEntry) -> bool:
+        """Whether the entry is there with these fields."""
+        row = self.rows.get(entry.id)
+        return row is not None and bool(
+            self.alive[row]
+            and (self.ids[row], self.sessions[row], self.ordinals[row]) == (entry.id, entry.session, entry.ordinal)
+            and np.array_equal(self.positions[row], entry.position)
+        )
 
     def passing(self, only: SearchFilter) -> Flags:
         """Which rows (count,) satisfy the filter."""
@@ -158,6 +173,15 @@ class ExactIndex:
         rows = np.flatnonzero(self._metadata.passing(only))
         return _ranked(self._metadata.ids[rows], self._vectors[rows] @ query, k)
 
+    def ids(self) -> NDArray[np.int64]:
+        """See PlaceIndex."""
+        return self._metadata.ids[: self._metadata.count][self._metadata.alive[: self._metadata.count]]
+
+    def differing(self, entries: Sequence[IndexEntry], vectors: Array) -> list[int]:
+        """See PlaceIndex."""
+        count = self._metadata.count
+        return _differing(self._metadata, entries, vectors, self._metadata.ids[:count], self._vectors)
+
 
 class FaissIndex:
     """FAISS exact inner product; filters become an id selector, so the recall under a filter is 1."""
@@ -198,6 +222,16 @@ class FaissIndex:
                 return _ranked(ids, similarities, k)
             wanted = min(2 * wanted, len(allowed))
 
+    def ids(self) -> NDArray[np.int64]:
+        """See PlaceIndex."""
+        return np.asarray(faiss.vector_to_array(self._faiss.id_map), dtype=np.int64)
+
+    def differing(self, entries: Sequence[IndexEntry], vectors: Array) -> list[int]:
+        """See PlaceIndex."""
+        flat: Any = faiss.downcast_index(self._faiss.index)
+        stored = faiss.rev_swig_ptr(flat.get_xb(), flat.ntotal * self._dimension).reshape(-1, self._dimension)
+        return _differing(self._metadata, entries, vectors, self.ids(), stored)
+
     def _search(self, query: Array, k: int, allowed: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
         parameters = None
         if len(allowed) < len(self._metadata.rows):
@@ -205,6 +239,25 @@ class FaissIndex:
             parameters.sel = faiss.IDSelectorBatch(allowed)
         similarities, ids = self._faiss.search(query[None], k, params=parameters)
         return similarities[0], ids[0]
+
+
+def _differing(
+    metadata: _Metadata, entries: Sequence[IndexEntry], vectors: Array, ids: NDArray[np.int64], stored: Array
+) -> list[int]:
+    """The ids of `entries` whose metadata or vectors are others in the index, `stored` in the order of `ids`."""
+    matrix = np.ascontiguousarray(vectors, dtype=np.float32)
+    if matrix.shape != (len(entries), stored.shape[1]):
+        raise BadField(f"vectors must be ({len(entries)}, {stored.shape[1]}), got {matrix.shape}", field="vectors")
+    expected = _normalised(matrix, "vectors").view(np.uint32)
+    # The last row counts where an id occurs twice: an id that was removed and added again.
+    rows = dict(zip(ids.tolist(), range(len(ids)), strict=True))
+    return [
+        entry.id
+        for entry, vector in zip(entries, expected, strict=True)
+        if entry.id not in rows
+        or not metadata.holds(entry)
+        or not np.array_equal(stored[rows[entry.id]].view(np.uint32), vector)
+    ]
 
 
 def _ranked(ids: NDArray[np.int64], similarities: Array, k: int) -> list[Match]:

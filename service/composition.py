@@ -25,6 +25,7 @@ from service.adapters.sql.unit_of_work import SqlTransactions
 from service.adapters.vector_index import PlaceVectorIndex
 from service.application import Context, UseCases
 from service.application.callers import current_actor
+from service.application.index_keeping import IndexKeeper
 from service.application.intake import Intake
 from service.application.origin import NoTracer, Tracer
 from service.application.ports import PlaceRecogniser
@@ -45,6 +46,8 @@ STORAGE_FAILED = 74
 
 TEND_DISK_EVERY_S = 0.5
 SWEEP_EVERY_S = 6 * 3600.0
+LOAD_INDEX_EVERY_S = 1.0
+AUDIT_INDEX_EVERY_S = 10.0
 
 STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
@@ -76,7 +79,7 @@ def build_disk(settings: Settings) -> Disk:
 
 def chores(settings: Settings, context: Context) -> tuple[Chore, ...]:
     """What the gateway does beside answering."""
-    disk = build_disk(settings)
+    disk, keeper = build_disk(settings), IndexKeeper(context)
 
     async def tend_disk() -> None:
         await asyncio.to_thread(disk.tend)
@@ -84,7 +87,15 @@ def chores(settings: Settings, context: Context) -> tuple[Chore, ...]:
     async def sweep_blobs() -> None:
         await sweep(context)
 
-    return (Chore("tend_disk", TEND_DISK_EVERY_S, tend_disk), Chore("sweep_blobs", SWEEP_EVERY_S, sweep_blobs))
+    async def audit_index() -> None:
+        await keeper.audit()
+
+    return (
+        Chore("tend_disk", TEND_DISK_EVERY_S, tend_disk),
+        Chore("sweep_blobs", SWEEP_EVERY_S, sweep_blobs),
+        Chore("load_index", LOAD_INDEX_EVERY_S, keeper.load),
+        Chore("audit_index", AUDIT_INDEX_EVERY_S, audit_index),
+    )
 
 
 def build_tracer(settings: Settings, process: str) -> Tracer:

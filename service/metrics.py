@@ -10,7 +10,7 @@ from typing import Any
 
 import structlog
 from prometheus_client import CollectorRegistry, Gauge, Histogram, start_http_server
-from prometheus_client.core import GaugeMetricFamily, Metric
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
 from core.errors import RevisitError
@@ -85,7 +85,10 @@ class StoreMetrics(Collector):
         self._context = context
 
     def collect(self) -> Iterator[Metric]:
-        """The families; none where the database does not answer."""
+        """The families; only that of the index where the database does not answer."""
+        drift = CounterMetricFamily("revisit_index_drift", "Submaps of the index that differed from the database.")
+        drift.add_metric([], self._context.index_health.drift)
+        yield drift
         try:
             counts = self._context.transactions.read(self._count).result()
         except RevisitError:
@@ -108,7 +111,14 @@ class StoreMetrics(Collector):
             for name, (text, table, states) in tables.items()
         }
         alive = uow.workers.alive(now.epoch, now.ms - WORKER_SEEN_WITHIN_MS)
-        return {**counts, "revisit_workers": ("Workers that have shown themselves lately.", "", {"": len(alive)})}
+        oldest_ns, now_ns = uow.jobs.oldest_queued_ns(), self._context.clock.wall_ns()
+        waits_s = 0 if oldest_ns is None else max(0, now_ns - oldest_ns) // 10**9
+        return {
+            **counts,
+            "revisit_workers": ("Workers that have shown themselves lately.", "", {"": len(alive)}),
+            "revisit_oldest_queued_job_seconds": ("How long the oldest queued job has waited.", "", {"": waits_s}),
+            "revisit_wal_bytes": ("Size of the database's write-ahead log.", "", {"": self._context.disk.wal_bytes()}),
+        }
 
 
 class MetricsServer:

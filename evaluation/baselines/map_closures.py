@@ -10,13 +10,12 @@ import importlib
 import importlib.util
 from collections.abc import Iterable, Iterator
 
-import numpy as np
-
 from core.scan import Points
 
 NAME = "map-closures"
 PACKAGE = "map_closures"
-MEASURED_VERSION = "2.2.0"
+VOXEL_M, MAX_RANGE_M = 0.5, 100.0
+"""Of the package's own pipeline, version 2.2.0."""
 
 
 def is_installed() -> bool:
@@ -27,11 +26,15 @@ def is_installed() -> bool:
 def find_closures(clouds: Iterable[Points]) -> Iterator[dict[int, int]]:
     """For every cloud (n, 3) in turn, metres: which earlier clouds show the same place, by number.
 
-    The value is the number of key points that agree on one alignment. The package never compares a cloud with the three
-    before it, and seeds its RANSAC at random: the numbers vary from run to run. Raises ModuleNotFoundError where it is
-    not installed.
+    The value is the number of key points that agree on one alignment. As in the package's own pipeline, clouds pass
+    through its voxel map: it looks at densities, which near the path drown all else in raw clouds. It never compares a
+    cloud with the three before it, and seeds its RANSAC at random: the numbers vary from run to run.
+    Raises ModuleNotFoundError where the package is not installed.
     """
     memory = importlib.import_module(f"{PACKAGE}.map_closures").MapClosures()
+    voxel_map = importlib.import_module(f"{PACKAGE}.voxel_map").VoxelMap
     for number, points in enumerate(clouds):
-        closures = memory.get_closures(number, points.astype(np.float64))
+        voxels = voxel_map(VOXEL_M, MAX_RANGE_M)
+        voxels.add_points(points)
+        closures = memory.get_closures(number, voxels.point_cloud())
         yield {int(closure.source_id): int(closure.number_of_inliers) for closure in closures}

@@ -41,6 +41,11 @@ class Disk:
         """See `ports.DiskSpace`."""
         return self.free_bytes() < self._floor_bytes
 
+    def wal_bytes(self) -> int:
+        """See `ports.DiskSpace`."""
+        wal = self._home / "revisit.db-wal"
+        return wal.stat().st_size if wal.exists() else 0
+
     def free_bytes(self) -> int:
         """What this user may still write."""
         disk = os.statvfs(self._home)

@@ -15,11 +15,11 @@ from service.adapters.filesystem import MOUNTS, RemoteFileSystem, filesystem_typ
 from service.adapters.sql.blob_rows import named_blobs, open_to_read
 from service.adapters.sql.migration import current_revision, known_revisions, newest_revision
 from service.application.ports import StoredBlob
+from service.application.system import WAL_ALARM_BYTES
 
 SAMPLE = 200
 """Blobs that are read where not all are asked for."""
 
-WAL_ALARM_BYTES = 64 * 2**20
 FIXED_SQLITE = (3, 51, 3)
 BACKPORTS = ((3, 44, 6), (3, 50, 7))
 """SQLite without the fault by which two connections that write or checkpoint at one instant damage the WAL."""

@@ -83,6 +83,10 @@ class MemoryRepository(Generic[R]):
         rows = self._rows.by_number.values()
         return sum(all(getattr(row, name) == value for name, value in equals.items()) for row in rows)
 
+    def of_all_tenants(self) -> list[R]:
+        """See `ports.Repository`."""
+        return [row for _, row in sorted(self._rows.by_number.items())]
+
     def replace(self, record: R) -> None:
         """See `ports.Repository`."""
         number = record.number  # type: ignore[attr-defined]  # R is a record
@@ -127,6 +131,10 @@ class MemorySubmaps(MemoryRepository[SubmapRecord]):
         """See `ports.SubmapRepository`."""
         return self._rows.last
 
+    def described(self, tenant: TenantId, map_id: str) -> list[int]:
+        """See `ports.SubmapRepository`."""
+        return [row.number for row in self.find(tenant, map_id=map_id, state="DESCRIBED")]
+
     def waiting_up_to(self, tenant: TenantId, map_id: str, number: int) -> int:
         """See `ports.SubmapRepository`."""
         return sum(row.number <= number for row in self.find(tenant, map_id=map_id, state="QUEUED"))
@@ -147,6 +155,10 @@ class MemoryJobs(MemoryRepository[JobRecord]):
     def leased_to(self, owner: str) -> list[JobRecord]:
         """See `ports.JobRepository`."""
         return [job for job in self._all() if job.state == "RUNNING" and job.lease_owner == owner]
+
+    def oldest_queued_ns(self) -> int | None:
+        """See `ports.JobRepository`."""
+        return min((job.created_at_ns for job in self._all() if job.state == "QUEUED"), default=None)
 
     def _all(self) -> list[JobRecord]:
         return [job for _, job in sorted(self._rows.by_number.items())]

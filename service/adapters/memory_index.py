@@ -24,8 +24,10 @@ class MemoryVectorIndex:
         """See `ports.VectorIndex`."""
         return self._seq.get(map_number, 0)
 
-    def apply(self, map_number: int, changes: Sequence[IndexChange]) -> None:
+    def apply(self, map_number: int, changes: Sequence[IndexChange], after: int = 0) -> None:
         """See `ports.VectorIndex`."""
+        if self.seq(map_number) < after:
+            return
         places = self._places.setdefault(map_number, {})
         for change in changes:
             if change.seq <= self.seq(map_number):
@@ -55,6 +57,23 @@ class MemoryVectorIndex:
         """See `ports.VectorIndex`."""
         self._places.pop(map_number, None)
         self._seq.pop(map_number, None)
+
+    def numbers(self, map_number: int) -> tuple[int, NDArray[np.int64]]:
+        """See `ports.VectorIndex`."""
+        return self.seq(map_number), np.array(list(self._places.get(map_number, {})), dtype=np.int64)
+
+    def differing(self, map_number: int, places: Sequence[IndexChange]) -> list[int]:
+        """See `ports.VectorIndex`."""
+        held = self._places.get(map_number, {})
+        return [place.submap_number for place in places if not _same(held.get(place.submap_number), place)]
+
+
+def _same(held: tuple[IndexChange, NDArray[np.float32]] | None, place: IndexChange) -> bool:
+    if held is None:
+        return False
+    change, vector = held
+    fields = (change.session_number, change.ordinal, change.position_m, vector.tobytes())
+    return fields == (place.session_number, place.ordinal, place.position_m, place.vector)
 
 
 def _passes(change: IndexChange, where: VectorFilter) -> bool:

@@ -14,7 +14,7 @@ from core.errors import BadField
 from service.application.ports import IndexChange, VectorFilter, VectorMatch
 
 if TYPE_CHECKING:
-    from core.index import PlaceIndex, SearchFilter
+    from core.index import IndexEntry, PlaceIndex, SearchFilter
 
 MakeIndex = Callable[[int], "PlaceIndex"]
 """An empty index for descriptors of the given dimension."""
@@ -44,12 +44,12 @@ class PlaceVectorIndex:
         """See `ports.VectorIndex`."""
         return self._of(map_number).seq
 
-    def apply(self, map_number: int, changes: Sequence[IndexChange]) -> None:
+    def apply(self, map_number: int, changes: Sequence[IndexChange], after: int = 0) -> None:
         """See `ports.VectorIndex`."""
         index = self._of(map_number)
         with index.lock:
             new = [change for change in changes if change.seq > index.seq]
-            if not new:
+            if not new or index.seq < after:
                 return
             last = {change.submap_number: change for change in new}
             self._remove(index, [number for number in last if number in index.present])
@@ -78,6 +78,20 @@ class PlaceVectorIndex:
         with self._lock:
             self._maps.pop(map_number, None)
 
+    def numbers(self, map_number: int) -> tuple[int, NDArray[np.int64]]:
+        """See `ports.VectorIndex`."""
+        index = self._of(map_number)
+        with index.lock:
+            return index.seq, np.zeros(0, np.int64) if index.places is None else index.places.ids()
+
+    def differing(self, map_number: int, places: Sequence[IndexChange]) -> list[int]:
+        """See `ports.VectorIndex`."""
+        index = self._of(map_number)
+        with index.lock:
+            if index.places is None:
+                return [place.submap_number for place in places]
+            return index.places.differing(*_entries(places)) if places else []
+
     def _of(self, map_number: int) -> _MapIndex:
         with self._lock:
             return self._maps.setdefault(map_number, _MapIndex())
@@ -88,25 +102,30 @@ class PlaceVectorIndex:
             index.present.difference_update(numbers)
 
     def _add(self, index: _MapIndex, changes: list[IndexChange]) -> None:
-        from core.index import IndexEntry
-
         if not changes:
             return
-        vectors = np.stack([np.frombuffer(change.vector or b"", dtype="<f4") for change in changes])
+        entries, vectors = _entries(changes)
         if index.places is None:
             index.dimension = vectors.shape[1]
             index.places = self._make_index(index.dimension)
-        entries = [
-            IndexEntry(
-                id=change.submap_number,
-                session=change.session_number,
-                ordinal=change.ordinal,
-                position=np.asarray(change.position_m, dtype=np.float64),
-            )
-            for change in changes
-        ]
         index.places.add(entries, vectors)
         index.present.update(change.submap_number for change in changes)
+
+
+def _entries(changes: Sequence[IndexChange]) -> tuple[list[IndexEntry], NDArray[np.float32]]:
+    from core.index import IndexEntry
+
+    vectors = np.stack([np.frombuffer(change.vector or b"", dtype="<f4") for change in changes])
+    entries = [
+        IndexEntry(
+            id=change.submap_number,
+            session=change.session_number,
+            ordinal=change.ordinal,
+            position=np.asarray(change.position_m, dtype=np.float64),
+        )
+        for change in changes
+    ]
+    return entries, vectors
 
 
 def _search_filter(where: VectorFilter) -> SearchFilter:

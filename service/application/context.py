@@ -61,6 +61,22 @@ class EndlessDisk:
         """See `ports.DiskSpace`."""
         return False
 
+    def wal_bytes(self) -> int:
+        """See `ports.DiskSpace`."""
+        return 0
+
+
+@dataclass
+class IndexHealth:
+    """How this process's index stands to the database.
+
+    `loading`: it is being loaded after a start, and the service is not ready. `drift`: how many submaps were found to
+    differ, and mended, since.
+    """
+
+    loading: bool = False
+    drift: int = 0
+
 
 @dataclass(frozen=True)
 class Context:
@@ -74,6 +90,7 @@ class Context:
     stopping: threading.Event = field(default_factory=threading.Event)
     intake: Intake = field(default_factory=Intake)
     disk: DiskSpace = field(default_factory=EndlessDisk)
+    index_health: IndexHealth = field(default_factory=IndexHealth)
 
     async def write(self, work: Callable[[UnitOfWork], T], *, alone: bool = False) -> T:
         """Commit `work` (see `ports.Transactions`); a caller that is cancelled does not undo it."""

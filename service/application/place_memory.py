@@ -47,17 +47,20 @@ class PlaceMemory:
     def recall(self, map_record: MapRecord, vector: NDArray[np.float32], k: int, where: VectorFilter) -> Recall:
         """The k places most like `vector` (d,). Raises BadField for another dimension."""
         tenant, number = map_record.tenant, map_record.number
-        seq = self._catch_up(tenant, number)
-        matches = self._index.search(number, vector, k, where) if self._index.size(number) else []
+        while True:
+            seq = self.catch_up(tenant, number)
+            matches = self._index.search(number, vector, k, where) if self._index.size(number) else []
+            if self._index.seq(number) >= seq:
+                break  # else the map was forgotten in between, to be loaded again
         return Recall(self._transactions.read(lambda uow: _places(uow, tenant, matches)).result(), seq)
 
-    def _catch_up(self, tenant: TenantId, number: int) -> int:
+    def catch_up(self, tenant: TenantId, number: int) -> int:
         """Apply what the database has and the index has not, in portions; the last change that was read."""
         while True:
             before = self._index.seq(number)
             changes = self._transactions.read(partial(_changes, tenant=tenant, number=number, seq=before)).result()
             failpoint("index.before_apply")
-            self._index.apply(number, changes)
+            self._index.apply(number, changes, before)
             failpoint("index.after_apply")
             if len(changes) < PORTION:
                 return changes[-1].seq if changes else before

@@ -79,6 +79,10 @@ class Repository(Protocol[R]):
         """How many records all tenants have together, for those who look after the service."""
         ...
 
+    def of_all_tenants(self) -> list[R]:
+        """Every record of every tenant, by number, for those who look after the service."""
+        ...
+
     def replace(self, record: R) -> None:
         """Overwrite the record of this number. Raises NotFound where there is none."""
         ...
@@ -107,6 +111,10 @@ class SubmapRepository(Repository[SubmapRecord], Protocol):
         """The last number that was given out, to whichever tenant, deleted since or not; 0 for none."""
         ...
 
+    def described(self, tenant: TenantId, map_id: str) -> list[int]:
+        """The numbers of the described submaps of a map: what its index holds."""
+        ...
+
     def waiting_up_to(self, tenant: TenantId, map_id: str, number: int) -> int:
         """How many submaps of a map with numbers up to `number` are still queued."""
         ...
@@ -129,6 +137,10 @@ class JobRepository(Repository[JobRecord], Protocol):
 
     def leased_to(self, owner: str) -> list[JobRecord]:
         """The running jobs of a worker."""
+        ...
+
+    def oldest_queued_ns(self) -> int | None:
+        """When the longest waiting job of any tenant was made, nanoseconds since 1970; None where none waits."""
         ...
 
 
@@ -347,6 +359,10 @@ class DiskSpace(Protocol):
         """Whether not even that is left."""
         ...
 
+    def wal_bytes(self) -> int:
+        """Size of what is committed and not folded back into the database yet."""
+        ...
+
 
 @dataclass(frozen=True)
 class VectorFilter:
@@ -380,8 +396,11 @@ class VectorIndex(Protocol):
         """The last change applied, 0 for none."""
         ...
 
-    def apply(self, map_number: int, changes: Sequence[IndexChange]) -> None:
-        """Apply changes in order; those at or below `seq` are ignored."""
+    def apply(self, map_number: int, changes: Sequence[IndexChange], after: int = 0) -> None:
+        """Apply the changes that follow change `after`, in order; those at or below `seq` are ignored.
+
+        All are where `seq` is below `after`: the map was forgotten since they were read.
+        """
         ...
 
     def search(self, map_number: int, vector: NDArray[np.float32], k: int, where: VectorFilter) -> list[VectorMatch]:
@@ -394,6 +413,14 @@ class VectorIndex(Protocol):
 
     def drop(self, map_number: int) -> None:
         """Forget a map."""
+        ...
+
+    def numbers(self, map_number: int) -> tuple[int, NDArray[np.int64]]:
+        """`seq`, and the numbers of the submaps that it holds as of that change."""
+        ...
+
+    def differing(self, map_number: int, places: Sequence[IndexChange]) -> list[int]:
+        """The numbers of those `places`, which have vectors, that it does not hold exactly so."""
         ...
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from core.errors import RevisitError
@@ -11,10 +12,13 @@ from service.application.ports import UnitOfWork
 
 WORKER_SEEN_WITHIN_MS = 15_000
 
+WAL_ALARM_BYTES = 64 * 2**20
+"""A log that grows beyond is not folded back any more: some reader keeps a snapshot for very long."""
+
 
 @dataclass(frozen=True)
 class Readiness:
-    """Whether requests can be served; `reasons` says why not, `degraded` what is refused although others are served."""
+    """Whether requests can be served; `reasons` says why not, `degraded` what is refused, or wrong, nevertheless."""
 
     ready: bool
     reasons: tuple[str, ...]
@@ -51,15 +55,23 @@ class System:
         self._version = version
 
     async def readiness(self) -> Readiness:
-        """Ready when the database answers and the service is not draining."""
+        """Ready when the database answers, the index is loaded and the service is not draining."""
         if self.draining:
             return Readiness(False, ("draining",))
+        if self._context.index_health.loading:
+            return Readiness(False, ("the index is being loaded",))
         try:
             await self._context.read(lambda uow: uow.workers.alive("", 0))
         except RevisitError as error:
             return Readiness(False, (f"database: {error.message}",))
-        full = ("storage full: no new scans or submaps until there is room",) if self._context.disk.full() else ()
-        return Readiness(True, (), full)
+        return Readiness(True, (), tuple(self._degraded()))
+
+    def _degraded(self) -> Iterator[str]:
+        if self._context.disk.full():
+            yield "storage full: no new scans or submaps until there is room"
+        wal_bytes = self._context.disk.wal_bytes()
+        if wal_bytes > WAL_ALARM_BYTES:
+            yield f"the log of the database has grown to {wal_bytes >> 20} MiB: searches and starts become slower"
 
     async def status(self, tenant: TenantId) -> ServiceStatus:
         """Queue depth, index size, workers and model version."""

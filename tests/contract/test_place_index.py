@@ -122,3 +122,28 @@ def test_an_id_is_stored_once(index: PlaceIndex) -> None:
     with pytest.raises(BadField):
         index.add([entry(6), entry(6)], random_vectors(2))
     assert len(index) == 1
+
+
+def test_what_is_stored_differs_in_nothing_also_after_removals(index: PlaceIndex) -> None:
+    vectors, entries = random_vectors(40), [entry(i, session=i % 3, ordinal=i, x=i / 7) for i in range(40)]
+    index.add(entries, vectors)
+    index.remove([3, 17, 39])
+    kept = [row for row in range(40) if row not in (3, 17, 39)]
+    assert sorted(index.ids().tolist()) == kept
+    assert index.differing([entries[row] for row in kept], vectors[kept]) == []
+    assert index.differing(entries, vectors) == [3, 17, 39]
+
+
+@pytest.mark.parametrize("field", ["session", "ordinal", "x"])
+def test_other_metadata_differ(index: PlaceIndex, field: str) -> None:
+    index.add([entry(1), entry(2)], random_vectors(2))
+    assert index.differing([entry(1), entry(2, **{field: 1})], random_vectors(2)) == [2]
+
+
+def test_one_bit_of_a_vector_makes_a_difference(index: PlaceIndex) -> None:
+    unit = np.eye(DIMENSION, dtype=np.float32)[:2]
+    index.add([entry(1), entry(2)], unit)
+    other = unit.copy()
+    # Of a unit vector along an axis: a bit that the norm does not see.
+    other.view(np.uint32)[1, 5] ^= 1
+    assert index.differing([entry(1), entry(2)], other) == [2]

@@ -106,3 +106,26 @@ def test_a_descriptor_that_cannot_be_compared_is_refused(index, vector):
     index.apply(MAP, [added(1, 10, unit(1, 0))])
     with pytest.raises(BadField):
         index.search(MAP, vector, 3, ANY)
+
+
+def test_it_tells_what_it_holds_and_as_of_which_change(index):
+    assert [index.numbers(MAP)[0], index.numbers(MAP)[1].tolist()] == [0, []]
+    index.apply(MAP, [added(1, 10, unit(1, 0)), added(2, 11, unit(0, 1)), removed(3, 10)])
+    seq, held = index.numbers(MAP)
+    assert (seq, held.tolist()) == (3, [11])
+
+
+def test_it_tells_which_places_it_does_not_hold_exactly_so(index):
+    right = [added(1, 10, unit(1, 0), ordinal=1), added(2, 11, unit(0, 1), ordinal=2)]
+    assert index.differing(MAP, right) == [10, 11]
+    index.apply(MAP, right)
+    assert index.differing(MAP, right) == index.differing(MAP, []) == []
+    assert index.differing(MAP, [right[0], added(2, 11, unit(0, 1), ordinal=3)]) == [11]
+    assert index.differing(MAP, [added(1, 10, unit(1, 1), ordinal=1), right[1]]) == [10]
+
+
+def test_changes_that_follow_others_are_ignored_once_the_map_was_forgotten(index):
+    index.apply(MAP, [added(1, 10, unit(1, 0))])
+    index.drop(MAP)
+    index.apply(MAP, [added(2, 11, unit(0, 1))], after=1)
+    assert (index.seq(MAP), index.size(MAP)) == (0, 0)

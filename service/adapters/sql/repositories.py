@@ -84,6 +84,10 @@ class SqlRepository(Generic[R]):
         where = and_(true(), *(self._table.c[name] == value for name, value in equals.items()))
         return int(self._connection.execute(select(func.count()).select_from(self._table).where(where)).scalar_one())
 
+    def of_all_tenants(self) -> list[R]:
+        """See `ports.Repository`."""
+        return [self._of(row) for row in self._connection.execute(select(self._table).order_by(self._table.c.number))]
+
     def replace(self, record: R) -> None:
         """See `ports.Repository`."""
         values = _values(record)
@@ -129,6 +133,11 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
         query = text("SELECT seq FROM sqlite_sequence WHERE name = 'submaps'")
         return int(self._connection.execute(query).scalar() or 0)
 
+    def described(self, tenant: TenantId, map_id: str) -> list[int]:
+        """See `ports.SubmapRepository`."""
+        where = self._matches(tenant, {"state": "DESCRIBED", "map_id": map_id})
+        return list(self._connection.execute(select(tables.submaps.c.number).where(where)).scalars())
+
     def waiting_up_to(self, tenant: TenantId, map_id: str, number: int) -> int:
         """See `ports.SubmapRepository`."""
         where = and_(self._matches(tenant, {"state": "QUEUED", "map_id": map_id}), tables.submaps.c.number <= number)
@@ -160,6 +169,12 @@ class SqlJobs(SqlRepository[JobRecord]):
         """See `ports.JobRepository`."""
         query = select(tables.jobs).where(tables.jobs.c.state == "RUNNING", tables.jobs.c.lease_owner == owner)
         return [self._of(row) for row in self._connection.execute(query)]
+
+    def oldest_queued_ns(self) -> int | None:
+        """See `ports.JobRepository`."""
+        query = select(func.min(tables.jobs.c.created_at_ns)).where(tables.jobs.c.state == "QUEUED")
+        oldest: int | None = self._connection.execute(query).scalar_one()
+        return oldest
 
     def _first(self, where: ColumnElement[bool]) -> JobRecord | None:
         jobs = tables.jobs.c

@@ -41,6 +41,24 @@ async def test_jobs_submaps_and_loops_are_counted_by_state(metrics):
     assert 'revisit_loop_closures{state="ACCEPTED"} 2.0' in found
 
 
+async def test_the_oldest_queued_job_tells_how_long_it_has_waited(metrics):
+    world, _, server = metrics
+    assert "revisit_oldest_queued_job_seconds 0.0" in lines_of(server)
+    await open_session(world)
+    await world.use_cases.submaps.post(TENANT, submap("first", place=1))
+    world.clock.ms += 7_900
+    await world.use_cases.submaps.post(TENANT, submap("second", place=2))
+    assert "revisit_oldest_queued_job_seconds 7.0" in lines_of(server)
+    world.work_off()
+    assert "revisit_oldest_queued_job_seconds 0.0" in lines_of(server)
+
+
+def test_drift_of_the_index_is_counted(metrics):
+    world, _, server = metrics
+    world.context.index_health.drift += 3
+    assert "revisit_index_drift_total 3.0" in lines_of(server)
+
+
 def test_requests_are_timed_under_their_call_and_status(metrics):
     _, requests, server = metrics
     requests.observe("http", "GET /v1/maps", "200", 0.02)

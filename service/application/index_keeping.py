@@ -1,0 +1,96 @@
+"""The gateway's index beside its database: loaded before the service is ready, audited and mended ever after."""
+
+from __future__ import annotations
+
+import time
+
+import structlog
+
+from service.application.context import Context
+from service.application.place_memory import PlaceMemory
+from service.application.ports import IndexChange, UnitOfWork
+from service.application.records import MapRecord, SubmapRecord
+
+WINDOW = 1024
+"""Descriptors that one turn of the audit compares: tens of milliseconds of one core."""
+
+log = structlog.get_logger(__name__)
+
+
+class IndexKeeper:
+    """Loads every map's index once, then compares it with the database a window at a time, for ever around."""
+
+    def __init__(self, context: Context) -> None:
+        """From now on the service is not ready, until `load` is done."""
+        self._context = context
+        self._memory = PlaceMemory(context.transactions, context.index)
+        self._next_map = 0
+        self._next_submap: dict[int, int] = {}
+        context.index_health.loading = True
+
+    async def load(self) -> None:
+        """Bring the index of every map up to the database; nothing once that was done."""
+        if not self._context.index_health.loading:
+            return
+        began_s = time.perf_counter()
+        maps = await self._context.read(lambda uow: uow.maps.of_all_tenants())
+        for record in maps:
+            await self._context.compute(self._memory.catch_up, record.tenant, record.number)
+        self._context.index_health.loading = False
+        submaps = sum(self._context.index.size(record.number) for record in maps)
+        log.info("index_loaded", maps=len(maps), submaps=submaps, took_s=round(time.perf_counter() - began_s, 3))
+
+    async def audit(self) -> int:
+        """Compare the next maps, until a window of descriptors is done; how many submaps differed and were mended."""
+        if self._context.index_health.loading:
+            return 0
+        maps = await self._context.read(lambda uow: uow.maps.of_all_tenants())
+        behind = [record for record in maps if record.number >= self._next_map]
+        drift = compared = 0
+        for record in [*behind, *maps[: len(maps) - len(behind)]]:
+            self._next_map = record.number + 1
+            found, looked_at = await self._context.compute(self._audit_map, record)
+            drift, compared = drift + found, compared + looked_at
+            if compared >= WINDOW:
+                self._next_map = record.number if self._next_submap.get(record.number) else record.number + 1
+                break
+        return drift
+
+    def _audit_map(self, record: MapRecord) -> tuple[int, int]:
+        """The ids of a map and its next window of descriptors; how many submaps differed, how many were compared."""
+        tenant, number, index = record.tenant, record.number, self._context.index
+        self._memory.catch_up(tenant, number)
+        seq, held = index.numbers(number)
+
+        def load(uow: UnitOfWork) -> tuple[set[int], list[SubmapRecord]] | None:
+            if uow.maps.get(tenant, record.map_id) is None:
+                return None
+            after, wanted = self._next_submap.get(number, 0), {"map_id": record.map_id, "state": "DESCRIBED"}
+            window = uow.submaps.find(tenant, after=after, limit=WINDOW, **wanted)
+            return set(uow.submaps.described(tenant, record.map_id)), window
+
+        stored = self._context.transactions.read(load).result()
+        if stored is None:
+            return 0, 0
+        live, window = stored
+        suspects = (live ^ set(held.tolist())).union(index.differing(number, [_place(submap) for submap in window]))
+        self._next_submap[number] = window[-1].number if len(window) == WINDOW else 0
+        # What has changed since the index was looked at differs rightly.
+        newer = self._context.transactions.read(lambda uow: uow.changes.since(tenant, number, seq)).result()
+        drift = suspects.difference(change.submap_number for change in newer)
+        if drift:
+            self._mend(record, len(drift))
+        return len(drift), len(window)
+
+    def _mend(self, record: MapRecord, drift: int) -> None:
+        """Load the map's index anew; searches meanwhile wait for it (see `PlaceMemory.recall`)."""
+        log.error("index_drift", tenant=record.tenant, map=record.map_id, submaps=drift)
+        self._context.index_health.drift += drift
+        self._context.index.drop(record.number)
+        self._memory.catch_up(record.tenant, record.number)
+
+
+def _place(submap: SubmapRecord) -> IndexChange:
+    """A described submap as its index holds it."""
+    place = (submap.session_number, submap.ordinal, submap.position_m)
+    return IndexChange(0, submap.number, *place, submap.descriptor)

@@ -1,0 +1,196 @@
+"""The index is loaded before the service is ready; whatever happens to it in memory is found and mended."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+
+import faiss
+import numpy as np
+import pytest
+
+from core.index import FaissIndex
+from service.adapters.vector_index import PlaceVectorIndex
+from service.application import UseCases, index_keeping, place_memory
+from service.application.index_keeping import IndexKeeper
+from service.application.place_memory import PlaceMemory
+from service.application.ports import VectorFilter
+from tests.support.service_world import SESSION, TENANT, open_session, sqlite_world, submap
+
+SUBMAPS = 12
+MUTATIONS = int(os.environ.get("REVISIT_TEST_INDEX_MUTATIONS", "100"))
+
+
+@pytest.fixture
+async def context(tmp_path):
+    """A filled database, and an index of FAISS that has not seen it yet."""
+    world = sqlite_world(tmp_path)
+    await open_session(world)
+    for number in range(SUBMAPS):
+        await world.use_cases.submaps.post(TENANT, submap(f"s{number}", number))
+    world.work_off()
+    yield replace(world.context, index=PlaceVectorIndex(FaissIndex))
+    world.context.transactions.close()
+
+
+@pytest.fixture
+async def keeper(context):
+    """It has loaded the index."""
+    made = IndexKeeper(context)
+    await made.load()
+    return made
+
+
+def map_of(context):
+    return context.transactions.read(lambda uow: uow.maps.get(TENANT, SESSION.map_id)).result()
+
+
+def found(context) -> list[str]:
+    """The submaps that a search for each finds first."""
+    memory, record = PlaceMemory(context.transactions, context.index), map_of(context)
+    rows = context.transactions.read(lambda uow: uow.submaps.find(TENANT, map_id=SESSION.map_id)).result()
+    vectors = [np.frombuffer(row.descriptor, dtype="<f4") for row in rows]
+    return [memory.recall(record, vector, 1, VectorFilter()).places[0].submap.submap_id for vector in vectors]
+
+
+EVERY_ONE = [f"s{number}" for number in range(SUBMAPS)]
+
+
+async def test_the_service_is_ready_once_the_index_is_loaded(context):
+    system = UseCases.over(context, "test").system
+    assert (await system.readiness()).ready
+    keeper = IndexKeeper(context)
+    assert (await system.readiness()).reasons == ("the index is being loaded",)
+    assert await keeper.audit() == 0
+    await keeper.load()
+    assert (await system.readiness()).ready
+    assert context.index.size(map_of(context).number) == SUBMAPS
+
+
+async def test_a_sound_index_has_no_drift(context, keeper):
+    assert [await keeper.audit() for _ in range(3)] == [0, 0, 0]
+    assert found(context) == EVERY_ONE
+
+
+async def test_what_changes_while_the_audit_looks_is_no_drift(context, keeper, monkeypatch):
+    use_cases = UseCases.over(context, "test")
+    look = context.index.numbers
+
+    def deleted_meanwhile(number):
+        seen = look(number)
+        rows = context.transactions.write(lambda uow: forget(uow, "s4")).result()
+        assert rows == 1
+        return seen
+
+    def forget(uow, submap_id):
+        record = uow.submaps.get(TENANT, SESSION.map_id, SESSION.session_id, submap_id)
+        for end in ("query_number", "match_number"):
+            uow.loops.delete(TENANT, **{end: record.number})
+        uow.changes.record_removed(TENANT, map_of(context).number, record.number)
+        return uow.submaps.delete(TENANT, number=record.number)
+
+    monkeypatch.setattr(context.index, "numbers", deleted_meanwhile)
+    assert await keeper.audit() == 0
+    assert (await use_cases.system.readiness()).ready
+
+
+async def test_a_map_that_is_deleted_is_no_drift(context, keeper):
+    await UseCases.over(context, "test").maps.delete(TENANT, SESSION.map_id)
+    assert await keeper.audit() == 0
+    assert context.index_health.drift == 0
+
+
+async def test_a_window_at_a_time_every_descriptor_is_compared(context, keeper, monkeypatch):
+    monkeypatch.setattr(index_keeping, "WINDOW", 5)
+    damage_vector(inner(context), np.random.default_rng(0), row=SUBMAPS - 1)
+    assert [await keeper.audit() for _ in range(4)] == [0, 0, 1, 0]
+    assert found(context) == EVERY_ONE
+
+
+def inner(context) -> FaissIndex:
+    """The structure inside the map's index."""
+    return context.index._maps[map_of(context).number].places
+
+
+def damage_vector(places, rng, row=None) -> None:
+    """Flip one bit of one stored vector."""
+    flat = faiss.downcast_index(places._faiss.index)
+    values = faiss.rev_swig_ptr(flat.get_xb(), flat.ntotal * flat.d).view(np.uint32).reshape(flat.ntotal, flat.d)
+    row = rng.integers(flat.ntotal) if row is None else row
+    values[row, rng.integers(flat.d)] ^= np.uint32(1) << np.uint32(rng.integers(32))
+
+
+def lose_a_vector(places, rng) -> None:
+    places._faiss.remove_ids(faiss.IDSelectorBatch(rng.choice(places.ids(), 1)))
+
+
+def lose_a_place(places, rng) -> None:
+    places.remove([int(rng.choice(places.ids()))])
+
+
+def hold_one_too_many(places, rng) -> None:
+    places._faiss.add_with_ids(rng.normal(size=(1, 64)).astype(np.float32), np.array([10**6 + int(rng.integers(9))]))
+
+
+def forget_that_it_lives(places, rng) -> None:
+    places._metadata.alive[rng.integers(places._metadata.count)] = False
+
+
+def move_a_place(places, rng) -> None:
+    places._metadata.positions[rng.integers(places._metadata.count), rng.integers(3)] += 1e-9
+
+
+def change_a_session(places, rng) -> None:
+    places._metadata.sessions[rng.integers(places._metadata.count)] += 1
+
+
+DAMAGES = [
+    damage_vector,
+    lose_a_vector,
+    lose_a_place,
+    hold_one_too_many,
+    forget_that_it_lives,
+    move_a_place,
+    change_a_session,
+]
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+async def test_damage_to_the_index_is_found_counted_and_mended(context, keeper, damage):
+    damage(inner(context), np.random.default_rng(7))
+    assert await keeper.audit() == 1
+    assert context.index_health.drift == 1
+    assert found(context) == EVERY_ONE
+    assert await keeper.audit() == 0
+
+
+async def test_an_index_that_missed_changes_is_found_and_mended(context, keeper):
+    number = map_of(context).number
+    seq, _ = context.index.numbers(number)
+    context.index.drop(number)
+    context.index._of(number).seq = seq
+    assert await keeper.audit() == SUBMAPS
+    assert found(context) == EVERY_ONE
+
+
+async def test_hundreds_of_random_damages_are_each_found(context, keeper):
+    rng = np.random.default_rng(2026)
+    for turn in range(MUTATIONS):
+        damage = DAMAGES[int(rng.integers(len(DAMAGES)))]
+        damage(inner(context), rng)
+        assert await keeper.audit() == 1, (turn, damage.__name__)
+    assert found(context) == EVERY_ONE
+
+
+async def test_a_search_waits_for_a_map_that_is_forgotten_between_its_steps(context, keeper, monkeypatch):
+    monkeypatch.setattr(place_memory, "PORTION", 5)
+    search, forgotten = context.index.search, []
+
+    def forgets_first(number, *arguments):
+        if not forgotten:
+            forgotten.append(number)
+            context.index.drop(number)
+        return search(number, *arguments)
+
+    monkeypatch.setattr(context.index, "search", forgets_first)
+    assert found(context) == EVERY_ONE
