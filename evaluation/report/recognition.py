@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluation.metrics import Interval
+from evaluation.metrics import Interval, Outcomes, mean_auc
 from evaluation.protocols.contest import PRODUCT, VERIFIED
+from evaluation.protocols.directions import Direction, recall_by_direction
 from evaluation.protocols.programme import ABLATIONS
-from evaluation.protocols.trial import MethodOutcome, Scores, Trial, scores
+from evaluation.protocols.trial import MethodOutcome, Scores, Trial, judged, scores
 from evaluation.report.document import Document
 from evaluation.report.failures import Failure, worst_failures
 from evaluation.report.pictures import draw_curves, draw_map, draw_pairs
@@ -47,19 +48,21 @@ def write_report(
     trials: Sequence[Trial], folder: Path, model_version: str, failure_pictures: FailurePictures | None = None
 ) -> tuple[Path, Path]:
     """Write recognition.md, recognition.html and their pictures into `folder`; the paths of the two documents."""
-    judged = [_Judged(trial, _all_scores(trial)) for trial in trials]
+    results = [_Judged(trial, _all_scores(trial)) for trial in trials]
     document = Document("Recognition bench")
     document.paragraph(
         f"Model {model_version}. Sequences are simulated unless their name says otherwise. Intervals are 95 %, by "
         "bootstrap over loop segments. AUC and F1 as in the paper (IV-B); R@P100 is the recall over all loops at "
         "100 % precision, EP the extended precision."
     )
-    _means(document, judged)
+    _means(document, trials)
+    _changes(document, trials)
     for protocol in dict.fromkeys(trial.protocol for trial in trials):
         document.heading(_TITLES.get(protocol, protocol))
-        for one in judged:
+        for one in results:
             if one.trial.protocol == protocol:
                 _sequence(document, one, folder, failure_pictures)
+    _directions(document, trials)
     _poses(document, trials)
     _times(document, trials)
     _memory(document, trials)
@@ -71,20 +74,43 @@ def _all_scores(trial: Trial) -> dict[str, Scores]:
     return {outcome.method: scores(outcome, question) for outcome in trial.outcomes}
 
 
-def _means(document: Document, judged: Sequence[_Judged]) -> None:
+def _means(document: Document, trials: Sequence[Trial]) -> None:
     """Mean AUC of every method (rows) under every protocol (columns)."""
-    protocols = list(dict.fromkeys(one.trial.protocol for one in judged))
-    methods = list(dict.fromkeys(method for one in judged for method in one.scores))
+    protocols = list(dict.fromkeys(trial.protocol for trial in trials))
+    methods = list(dict.fromkeys(outcome.method for trial in trials for outcome in trial.outcomes))
     document.heading("Mean AUC over the sequences")
     rows = []
     for method in methods:
-        cells = []
-        for protocol in protocols:
-            values = [one.scores[method].recognition.auc.value for one in judged
-                      if one.trial.protocol == protocol and method in one.scores]  # fmt: skip
-            cells.append(f"{np.mean(values):.3f} ({len(values)})" if values else "-")
-        rows.append([method, *cells])
+        runs = [list(_runs(trials, protocol, method).values()) for protocol in protocols]
+        rows.append([method, *(f"{_interval(mean_auc(run))} ({len(run)})" if run else "-" for run in runs)])
     document.table(["method (sequences)", *protocols], rows)
+
+
+def _changes(document: Document, trials: Sequence[Trial]) -> None:
+    """How far each protocol moves the mean AUC of the product from what it is on the same drives as they are."""
+    rows = []
+    for protocol in dict.fromkeys(trial.protocol for trial in trials):
+        for method in (PRODUCT, VERIFIED):
+            plain, changed = _runs(trials, "online", method), _runs(trials, protocol, method)
+            common = [name for name in changed if name in plain]
+            if protocol != "online" and common:
+                change = mean_auc([changed[name] for name in common], [plain[name] for name in common])
+                rows.append([_TITLES.get(protocol, protocol), method, _interval(change), str(len(common))])
+    if rows:
+        document.heading("Change of the mean AUC")
+        document.paragraph("Against every submap asking its past, with intervals of paired draws.")
+        document.table(["what is changed", "method", "change", "sequences"], rows)
+
+
+def _runs(trials: Sequence[Trial], protocol: str, method: str) -> dict[str, Outcomes]:
+    """The outcomes of a method under a protocol, by sequence."""
+    return {
+        trial.sequence: judged(outcome, trial.question())
+        for trial in trials
+        if trial.protocol == protocol
+        for outcome in trial.outcomes
+        if outcome.method == method
+    }
 
 
 def _sequence(document: Document, one: _Judged, folder: Path, failure_pictures: FailurePictures | None) -> None:
@@ -128,6 +154,23 @@ def _failures(document: Document, trial: Trial, folder: Path, pictures: FailureP
     file = folder / "pictures" / f"{trial.sequence}-{trial.protocol}-failures.png"
     draw_pairs([(title, *images) for title, images in pairs], file)
     document.picture(file, folder, f"Worst failures of '{method}' on {trial.sequence}")
+
+
+def _directions(document: Document, trials: Sequence[Trial]) -> None:
+    """Recall at the first rank by the direction in which a place is passed again, over all sequences of a protocol."""
+    totals: dict[tuple[str, str], dict[Direction, list[int]]] = {}
+    for trial in trials:
+        for outcome in trial.outcomes:
+            kept = totals.setdefault((trial.protocol, outcome.method), {one: [0, 0] for one in Direction})
+            for direction, (right, count) in recall_by_direction(trial, outcome).items():
+                kept[direction][0] += right
+                kept[direction][1] += count
+    document.heading("Recall@1 by direction")
+    rows = [
+        [protocol, method, *(f"{right / count:.3f} ({count})" if count else "-" for right, count in kept.values())]
+        for (protocol, method), kept in totals.items()
+    ]
+    document.table(["protocol", "method", *(f"{one} (queries)" for one in Direction)], rows)
 
 
 def _poses(document: Document, trials: Sequence[Trial]) -> None:

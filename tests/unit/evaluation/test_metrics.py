@@ -13,6 +13,7 @@ from evaluation.metrics import (
     best_f1,
     extended_precision,
     loop_segments,
+    mean_auc,
     positive_pairs,
     precision_recall,
     recall_at,
@@ -100,6 +101,21 @@ def test_the_interval_holds_the_value_and_is_the_same_for_the_same_seed() -> Non
     assert first == again
     assert first.auc.low < first.auc.value < first.auc.high
     assert first.auc.high - first.auc.low > 0.01
+
+
+def test_the_mean_of_recordings_and_their_paired_difference() -> None:
+    has_loop = np.tile(np.repeat([True, False], 5), 6)
+    good = Outcomes(np.where(has_loop, 0.9, 0.1), has_loop, has_loop)
+    # Every other loop is matched wrongly and surely: half of the loops count as right.
+    missed = has_loop & (np.arange(60) % 2 == 0)
+    poor = Outcomes(np.where(has_loop, 0.9, 0.1), has_loop & ~missed, has_loop)
+    mean, difference = mean_auc([good, poor]), mean_auc([good, poor], [poor, poor])
+    apart = [score_recognition(one, loop_segments(has_loop)).auc.value for one in (good, poor)]
+    assert mean.value == pytest.approx(np.mean(apart))
+    assert difference.value == pytest.approx((apart[0] - apart[1]) / 2)
+    assert 0.0 < difference.low <= difference.value <= difference.high
+    same = mean_auc([poor, good], [poor, good])
+    assert (same.value, same.low, same.high) == (0.0, 0.0, 0.0)
 
 
 def test_segments_change_where_loops_begin_and_end() -> None:

@@ -19,6 +19,7 @@ from evaluation.methods import Description, Verdict
 from evaluation.metrics import LoopProtocol, Outcomes
 from evaluation.protocols.bench import run_recognition_bench
 from evaluation.protocols.contest import PRODUCT, VERIFIED
+from evaluation.protocols.directions import Direction, directions, recall_by_direction
 from evaluation.protocols.programme import ABLATIONS, PROTOCOLS, Programme, RecordedDrive, run_programme
 from evaluation.protocols.question import Question
 from evaluation.protocols.towns import DRIVES, SESSIONS, TEST_SEEDS, SimulatedDrive
@@ -145,7 +146,18 @@ def test_other_parameters_do_not_take_the_outcomes_on_file(programme: Programme,
 def test_the_report_shows_every_method_figure_and_picture(programme: Programme, trials: list[Trial]) -> None:
     _, (markdown, page) = run_recognition_bench(programme, lambda *_: None, Compass(asleep=True))
     text, shown = markdown.read_text(), page.read_text()
-    for word in (PRODUCT, VERIFIED, "scan-context", "Table III", "Table IV", "Table V", "second-in-first", "look"):
+    for word in (
+        PRODUCT,
+        VERIFIED,
+        "scan-context",
+        "Table III",
+        "Table IV",
+        "Table V",
+        "second-in-first",
+        "look",
+        "Change of the mean AUC",
+        "by direction",
+    ):
         assert word in text and word in shown
     pictures = {file.name for file in (programme.folder / "pictures").glob("*.png")}
     assert {"first-online-curves.png", "first-online-map.png", "second-in-first-sessions-map.png"} <= pictures
@@ -190,6 +202,29 @@ def small_trial() -> Trial:
 def test_a_trial_is_read_back_as_it_was_written(tmp_path: Path) -> None:
     small_trial().write(tmp_path / "deep" / "trial.json")
     assert Trial.read(tmp_path / "deep" / "trial.json") == small_trial()
+
+
+def test_a_place_is_passed_in_the_same_direction_in_reverse_or_across() -> None:
+    # Out along x to 400 m, back beside it, then across it at 200 m.
+    out = [(float(x), 0.0, 0.0) for x in range(0, 401, 100)]
+    way = (
+        *out,
+        *((x, 1.0, 0.0) for x, _, _ in reversed(out)),
+        (200.0, -100.0, 0.0),
+        (200.0, 0.0, 0.0),
+        (200.0, 100, 0),
+    )
+    trial = dataclasses.replace(
+        small_trial(), loops=LoopProtocol(10.0, 1), query_positions=way, map_positions=way, within_session=True
+    )
+    found = list(directions(trial))
+    assert found[:6] == [None] * 6
+    # The last submap of the way back turns already, by a little more than 45 degrees.
+    assert found[6:10] == [Direction.REVERSE] * 3 + [Direction.ACROSS]
+    assert found[10:] == [None, Direction.ACROSS, None]
+    answers = outcome([((), None)] * 6 + [((3,), 0.9), ((0,), 0.9), ((1,), 0.9), ((0,), 0.9)] + [((2,), 0.5)] * 3)
+    counted = recall_by_direction(trial, answers)
+    assert counted == {Direction.SAME: (0, 0), Direction.REVERSE: (2, 3), Direction.ACROSS: (2, 2)}
 
 
 def test_the_surest_wrong_match_and_the_least_sure_loop_come_first() -> None:
