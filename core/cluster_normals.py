@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from core.clusters import Clusters
 from core.config import MicroConfig
-from core.normal_spectrum import normal_spectrum
 from core.saliency import Saliency
 from core.surface import Surface
 
@@ -27,12 +26,11 @@ class ClusterStatistics:
     """The micro features of a submap.
 
     histograms (e, d) float32, Hellinger mapped unit vectors, one for each evaluation; weights (e,) float64, such that
-    the evaluations of cluster m share its alpha_m; spectrum (s,) float32, the normal spectrum of all clusters.
+    the evaluations of cluster m share its alpha_m.
     """
 
     histograms: Array
     weights: NDArray[np.float64]
-    spectrum: Array
 
 
 def histogram_size(config: MicroConfig) -> int:
@@ -48,7 +46,7 @@ def describe_clusters(
     config: MicroConfig,
     rng: np.random.Generator,
 ) -> ClusterStatistics:
-    """psi of every cluster, evaluated as often as its saliency s_m says, and the normal spectrum of all of them.
+    """psi of every cluster, evaluated as often as its saliency s_m says.
 
     `config.evaluation` = "keypoint": one evaluation at each keypoint (n, 2) of the cluster, over the cluster's vertices
     in the column of `radius` around it (Fig. 2b: the keypoints of a cluster govern its number of evaluations); all
@@ -62,8 +60,7 @@ def describe_clusters(
     totals = counts.sum(axis=1)
     kept = totals > 0
     shares = counts[kept] / totals[kept, None]
-    spectrum = normal_spectrum(surface, clusters, config)
-    return ClusterStatistics(np.sqrt(shares).astype(np.float32), weights[kept], spectrum)
+    return ClusterStatistics(np.sqrt(shares).astype(np.float32), weights[kept])
 
 
 def angular_histogram(

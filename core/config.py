@@ -137,15 +137,24 @@ class MicroConfig:
     epsilon: float = parameter(
         0.5, "keypoints", "paper Eq. 12", "keeps the weight of clusters without keypoints positive"
     )
-    spectrum_headings: int = parameter(72, "1", "own, decision 0015", "headings of the normal spectrum")
-    spectrum_reach: float = parameter(50.0, "m", "own, decision 0015", "faces beyond this distance do not count")
-    spectrum_spacing: float = parameter(1.0, "m", "own, decision 0015", "bin of a profile of faces along a heading")
-    spectrum_sharpness: float = parameter(
+
+
+@dataclass(frozen=True)
+class SpectrumConfig:
+    """Spectra of profiles along all headings: of faces (normal spectrum) and of the plan (plan spectrum)."""
+
+    headings: int = parameter(72, "1", "own, decision 0015", "headings, over a turn for faces, over half for the plan")
+    reach: float = parameter(65.0, "m", "own, decision 0017", "weights fall to zero at this distance")
+    spacing: float = parameter(1.0, "m", "own, decision 0015", "bin of a profile")
+    sharpness: float = parameter(
         4.0, "1", "own, decision 0015", "power of the cosine by which a face counts for a heading near its own"
     )
-    spectrum_frequencies: int = parameter(20, "1", "own, decision 0015", "frequencies of the normal spectrum")
-    spectrum_highest: float = parameter(0.25, "cycles/m", "own, decision 0015", "highest frequency")
-    spectrum_harmonics: int = parameter(12, "1", "own, decision 0015", "harmonics over the heading, beside their mean")
+    frequencies: int = parameter(24, "1", "own, decision 0015", "frequencies of a spectrum")
+    highest: float = parameter(0.25, "cycles/m", "own, decision 0015", "highest frequency")
+    harmonics: int = parameter(12, "1", "own, decision 0015", "harmonics over the heading, beside their mean")
+    neighbours: int = parameter(
+        1, "1", "own, decision 0017", "higher frequencies with which each one's harmonics are compared in phase"
+    )
 
 
 @dataclass(frozen=True)
@@ -155,14 +164,16 @@ class FusionConfig:
     local_size: int = parameter(64, "1", "own", "principal components kept of a patch histogram")
     macro_centres: int = parameter(128, "1", "own", "codebook size of the BEV patches")
     micro_centres: int = parameter(16, "1", "method notes", "codebook size of the cluster histograms")
-    macro_size: int = parameter(532, "1", "own, decision 0007", "length of the BEV part")
-    micro_size: int = parameter(64, "1", "own, decision 0007", "length of the VLAD of the cluster part")
-    spectrum_size: int = parameter(260, "1", "own, decision 0015", "length of the normal spectrum in the cluster part")
+    macro_size: int = parameter(196, "1", "own, decision 0007", "length of the BEV part")
+    micro_size: int = parameter(30, "1", "own, decision 0007", "length of the VLAD of the cluster part")
+    spectrum_size: int = parameter(330, "1", "own, decision 0017", "length of the normal spectrum in the cluster part")
     layout_size: int = parameter(168, "1", "own, decision 0006", "length of the layout part")
-    macro_weight: float = parameter(0.5, "1", "paper Eq. 14, lambda_B", "weight of the BEV part")
+    plan_size: int = parameter(300, "1", "own, decision 0017", "length of the plan part")
+    macro_weight: float = parameter(0.4, "1", "paper Eq. 14, lambda_B", "weight of the BEV part")
     micro_weight: float = parameter(0.7, "1", "paper Eq. 14, lambda_G", "weight of the cluster part")
     histogram_share: float = parameter(0.3, "1", "own, decision 0015", "weight of the VLAD beside the normal spectrum")
     layout_weight: float = parameter(0.7, "1", "own, decision 0006", "weight of the layout part")
+    plan_weight: float = parameter(0.7, "1", "own, decision 0017", "weight of the plan part")
     literal_saliency: bool = parameter(False, "", "paper Eq. 13", "weigh cluster histograms before assignment")
 
 
@@ -230,6 +241,7 @@ class PipelineConfig:
     clusters: ClusterConfig = dataclasses.field(default_factory=ClusterConfig)
     bev: BevConfig = dataclasses.field(default_factory=BevConfig)
     micro: MicroConfig = dataclasses.field(default_factory=MicroConfig)
+    spectra: SpectrumConfig = dataclasses.field(default_factory=SpectrumConfig)
     fusion: FusionConfig = dataclasses.field(default_factory=FusionConfig)
     loop: LoopConfig = dataclasses.field(default_factory=LoopConfig)
     verification: VerificationConfig = dataclasses.field(default_factory=VerificationConfig)

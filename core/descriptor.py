@@ -11,6 +11,7 @@ from core.bev import BevFeatures
 from core.cluster_normals import ClusterStatistics
 from core.config import FusionConfig
 from core.errors import DescriptorModelMismatch
+from core.spectra import PlaceSpectra
 from core.vlad import Codebooks, aggregate, fold, project_locally, unit
 
 Array = NDArray[np.float32]
@@ -30,18 +31,31 @@ class PlaceDescriptor:
         return float(self.vector @ other.vector)
 
 
-def fuse(
-    bev: BevFeatures, micro: ClusterStatistics, codebooks: Codebooks, config: FusionConfig, model_version: str
-) -> PlaceDescriptor:
-    """Norm([lambda_B F^B, lambda_G F^G, lambda_L F^L]) (Eq. 14, layout added); a part that saw nothing is zero."""
-    macro_part = config.macro_weight * macro_descriptor(bev, codebooks)
-    micro_part = config.micro_weight * micro_descriptor(micro, codebooks, config)
-    layout_part = config.layout_weight * layout_descriptor(bev, codebooks)
-    return PlaceDescriptor(unit(np.concatenate([macro_part, micro_part, layout_part])), model_version)
+@dataclass(frozen=True)
+class PlaceFeatures:
+    """What the fused descriptor is made of."""
+
+    bev: BevFeatures
+    micro: ClusterStatistics
+    spectra: PlaceSpectra
+
+
+def fuse(features: PlaceFeatures, codebooks: Codebooks, config: FusionConfig, model_version: str) -> PlaceDescriptor:
+    """Norm([lambda_B F^B, lambda_G F^G, lambda_L F^L, lambda_P F^P]) (Eq. 14, layout and plan added).
+
+    A part that saw nothing is zero.
+    """
+    parts = (
+        config.macro_weight * macro_descriptor(features.bev, codebooks),
+        config.micro_weight * micro_descriptor(features, codebooks, config),
+        config.layout_weight * layout_descriptor(features.bev, codebooks),
+        config.plan_weight * discriminated(features.spectra.plan, codebooks.plan_mean, codebooks.plan_basis),
+    )
+    return PlaceDescriptor(unit(np.concatenate(parts)), model_version)
 
 
 def without_parts(vector: Array, config: FusionConfig, *, bev: bool = False, normals: bool = False) -> Array:
-    """What `fuse` would have given without the BEV and layout parts, or the cluster part, from its `vector` (d,)."""
+    """What `fuse` would have given without the BEV parts, or the cluster part, from its `vector` (d,)."""
     macro_end, micro_end = config.macro_size, config.macro_size + config.micro_size + config.spectrum_size
     kept = vector.copy()
     if bev:
@@ -57,24 +71,25 @@ def macro_descriptor(bev: BevFeatures, codebooks: Codebooks) -> Array:
     return fold(vlad, codebooks.macro_mean, codebooks.macro_folds)
 
 
-def micro_descriptor(micro: ClusterStatistics, codebooks: Codebooks, config: FusionConfig) -> Array:
+def micro_descriptor(features: PlaceFeatures, codebooks: Codebooks, config: FusionConfig) -> Array:
     """F^G (q,): saliency-weighted VLAD of the cluster histograms (Eq. 13), and their normal spectrum beside it."""
+    micro = features.micro
     vlad = aggregate(micro.histograms, codebooks.micro_centres, micro.weights, config.literal_saliency)
     histograms = fold(vlad, codebooks.micro_mean, codebooks.micro_folds)
-    faces = discriminated(micro.spectrum, codebooks.spectrum_mean, codebooks.spectrum_basis)
+    faces = discriminated(features.spectra.normal, codebooks.spectrum_mean, codebooks.spectrum_basis)
     return unit(np.concatenate([config.histogram_share * histograms, faces]))
 
 
 def layout_descriptor(bev: BevFeatures, codebooks: Codebooks) -> Array:
     """F^L (r,): the layout spectrum in directions that differ between places and not between visits (decision 0006)."""
-    return discriminated(bev.layout, codebooks.layout_mean, codebooks.layout_basis)
+    return discriminated(np.sqrt(bev.layout), codebooks.layout_mean, codebooks.layout_basis)
 
 
 def discriminated(spectrum: Array, mean: Array, basis: Array) -> Array:
-    """The square roots of a spectrum (s,) in the directions (r, s) of a basis, as a unit vector; zeros stay zeros."""
+    """A spectrum (s,) in the directions (r, s) of a basis, as a unit vector; zeros stay zeros."""
     if not spectrum.any():
         return np.zeros(len(basis), dtype=np.float32)
-    return unit(basis @ (np.sqrt(spectrum) - mean))
+    return unit(basis @ (spectrum - mean))
 
 
 def with_reversed(projected: Array, codebooks: Codebooks) -> Array:

@@ -16,7 +16,7 @@ from core.bev import BevFeatures, describe_bev
 from core.cluster_normals import describe_clusters
 from core.clusters import Clusters, segment_clusters
 from core.config import PipelineConfig, VerificationConfig
-from core.descriptor import PlaceDescriptor, fuse
+from core.descriptor import PlaceDescriptor, PlaceFeatures, fuse
 from core.errors import DegenerateCloud
 from core.implicit_map import NeuralMap, fit_implicit_map
 from core.loop import RejectedLoop, VerifiedLoop
@@ -24,6 +24,7 @@ from core.model_bundle import ModelBundle
 from core.saliency import weigh_clusters
 from core.scan import is_plane
 from core.signature import PlaceSignature, sign_place
+from core.spectra import describe_spectra
 from core.submap import Submap
 from core.surface import Surface, extract_surface, surface_from_points
 
@@ -76,8 +77,10 @@ def describe(
     bev = clock("bev", lambda: describe_bev(surface, clusters, config.bev))  # III-D, Eq. 7-9
     saliency = weigh_clusters(bev.keypoints, surface, clusters, config.micro.epsilon)  # Eq. 10-12
     micro = clock("micro", lambda: describe_clusters(surface, clusters, bev.keypoints, saliency, config.micro, rng))
+    spectra = clock("spectra", lambda: describe_spectra(surface, clusters, config.spectra))
+    features = PlaceFeatures(bev, micro, spectra)
     field = field and dataclasses.replace(field, T_submap_map=T_submap_map)
-    descriptor = clock("fusion", lambda: fuse(bev, micro, models.codebooks, fusion, models.version))  # Eq. 13-14
+    descriptor = clock("fusion", lambda: fuse(features, models.codebooks, fusion, models.version))  # Eq. 13-14
     if not descriptor.vector.any():
         raise DegenerateCloud("nothing in the submap's bird's-eye view tells it from other places", field="points")
     signature = clock("signature", lambda: sign_place(surface, clusters, bev, models.codebooks, config.verification))
@@ -124,7 +127,7 @@ def _ablated(config: PipelineConfig, ablation: Ablation) -> PipelineConfig:
     if ablation is Ablation.BEV_ONLY:
         return dataclasses.replace(config, fusion=dataclasses.replace(config.fusion, micro_weight=0.0))
     if ablation is Ablation.NORMALS_ONLY:
-        fusion = dataclasses.replace(config.fusion, macro_weight=0.0, layout_weight=0.0)
+        fusion = dataclasses.replace(config.fusion, macro_weight=0.0, layout_weight=0.0, plan_weight=0.0)
         return dataclasses.replace(config, fusion=fusion)
     return config
 

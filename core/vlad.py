@@ -22,7 +22,7 @@ class Codebooks:
     when the patch is turned by 180 degrees. macro_centres (k, l), macro_mean (k * l,) and macro_folds (h, k * l): h
     signed places 1..p of each entry in the projected vector (`fold`). micro_centres (c, e), micro_mean (c * e,) and
     micro_folds (h, c * e) likewise. layout_mean (s,) and layout_basis (r, s) of square roots of layout spectra;
-    spectrum_mean and spectrum_basis likewise of normal spectra.
+    spectrum_mean and spectrum_basis of normal spectra, plan_mean and plan_basis of plan spectra likewise.
     """
 
     local_basis: Array
@@ -37,6 +37,8 @@ class Codebooks:
     layout_basis: Array
     spectrum_mean: Array
     spectrum_basis: Array
+    plan_mean: Array
+    plan_basis: Array
 
     def to_arrays(self) -> dict[str, Array]:
         """The fields by name."""
@@ -63,6 +65,7 @@ class Codebooks:
             and self.micro_mean.shape == (micro.size,) == self.micro_folds.shape[1:]
             and self.layout_mean.shape == self.layout_basis.shape[1:]
             and self.spectrum_mean.shape == self.spectrum_basis.shape[1:]
+            and self.plan_mean.shape == self.plan_basis.shape[1:]
             and all((np.abs(folds) >= 1).all() for folds in (self.macro_folds, self.micro_folds))
         )
         if not agree:

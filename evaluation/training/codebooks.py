@@ -11,6 +11,7 @@ from core.bev import reversed_patches
 from core.cluster_normals import ClusterStatistics
 from core.config import FusionConfig
 from core.descriptor import with_reversed
+from core.spectra import PlaceSpectra
 from core.vlad import Codebooks, aggregate, project_locally
 
 Array = NDArray[np.float32]
@@ -18,11 +19,12 @@ Array = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Features:
-    """What one view of a training place contributes: patches (n, d), cluster statistics, layout spectrum (s,)."""
+    """What one view of a training place contributes: patches (n, d), cluster statistics, layout (s,), spectra."""
 
     patches: Array
     micro: ClusterStatistics
     layout: Array
+    spectra: PlaceSpectra
 
 
 def train_codebooks(places: list[list[Features]], cells: int, config: FusionConfig, seed: int) -> Codebooks:
@@ -41,12 +43,15 @@ def train_codebooks(places: list[list[Features]], cells: int, config: FusionConf
         np.sqrt([[view.layout for view in place] for place in places]), config.layout_size
     )
     spectrum_mean, spectrum_basis = discriminant_directions(
-        np.sqrt([[view.micro.spectrum for view in place] for place in places]), config.spectrum_size
+        np.array([[view.spectra.normal for view in place] for place in places]), config.spectrum_size
+    )
+    plan_mean, plan_basis = discriminant_directions(
+        np.array([[view.spectra.plan for view in place] for place in places]), config.plan_size
     )
     return Codebooks(
         basis, parity, macro_centres, macro_mean, random_folds(macro_mean.size, config.macro_size, rng),
         micro_centres, micro_mean, random_folds(micro_mean.size, config.micro_size, rng), layout_mean, layout_basis,
-        spectrum_mean, spectrum_basis,
+        spectrum_mean, spectrum_basis, plan_mean, plan_basis,
     )  # fmt: skip
 
 
@@ -129,4 +134,4 @@ def _spread_start(features: Array, count: int, rng: np.random.Generator) -> Arra
 def _without_folds(basis: Array, parity: Array) -> Codebooks:
     nothing = np.zeros((0, 0), dtype=np.float32)
     flat = nothing.ravel()
-    return Codebooks(basis, parity, nothing, flat, nothing, nothing, flat, nothing, flat, nothing, flat, nothing)
+    return Codebooks(basis, parity, nothing, flat, nothing, nothing, flat, nothing, *[flat, nothing] * 3)

@@ -21,6 +21,7 @@ from core.config import PipelineConfig
 from core.implicit_map import DecoderWeights, fit_implicit_map
 from core.model_bundle import load_bundle
 from core.saliency import weigh_clusters
+from core.spectra import describe_spectra
 from core.submap import Submap
 from core.surface import extract_surface
 from core.vlad import Codebooks
@@ -108,7 +109,7 @@ def view_features(
     bev = describe_bev(surface, clusters, config.bev)
     saliency = weigh_clusters(bev.keypoints, surface, clusters, config.micro.epsilon)
     micro = describe_clusters(surface, clusters, bev.keypoints, saliency, config.micro, rng)
-    return Features(bev.descriptors, micro, bev.layout)
+    return Features(bev.descriptors, micro, bev.layout, describe_spectra(surface, clusters, config.spectra))
 
 
 def _pack(decoder: DecoderWeights, books: Codebooks) -> bytes:

@@ -12,10 +12,11 @@ from core.bev import describe_bev
 from core.cluster_normals import describe_clusters
 from core.clusters import segment_clusters
 from core.config import PipelineConfig
-from core.descriptor import PlaceDescriptor, fuse
+from core.descriptor import PlaceDescriptor, PlaceFeatures, fuse
 from core.model_bundle import load_packaged_models
 from core.saliency import weigh_clusters
 from core.signature import PlaceSignature, sign_place
+from core.spectra import describe_spectra
 from core.surface import Surface
 
 RESOLUTION = 0.4
@@ -59,7 +60,8 @@ def recognised(surface: Surface) -> tuple[PlaceDescriptor, PlaceSignature]:
     bev = describe_bev(surface, clusters, CONFIG.bev)
     saliency = weigh_clusters(bev.keypoints, surface, clusters, CONFIG.micro.epsilon)
     micro = describe_clusters(surface, clusters, bev.keypoints, saliency, CONFIG.micro, np.random.default_rng(0))
-    descriptor = fuse(bev, micro, models.codebooks, CONFIG.fusion, models.version)
+    features = PlaceFeatures(bev, micro, describe_spectra(surface, clusters, CONFIG.spectra))
+    descriptor = fuse(features, models.codebooks, CONFIG.fusion, models.version)
     return descriptor, sign_place(surface, clusters, bev, models.codebooks, CONFIG.verification)
 
 

@@ -95,7 +95,8 @@ def test_every_ablation_still_gives_a_unit_descriptor(seen_from, ablation):
 def test_leaving_a_part_out_zeroes_its_share_of_the_descriptor(seen_from):
     books, sizes = load_packaged_models().codebooks, CONFIG.fusion
     assert (folded_size(books.macro_folds), folded_size(books.micro_folds)) == (sizes.macro_size, sizes.micro_size)
-    assert (len(books.spectrum_basis), len(books.layout_basis)) == (sizes.spectrum_size, sizes.layout_size)
+    bases = books.spectrum_basis, books.layout_basis, books.plan_basis
+    assert tuple(len(basis) for basis in bases) == (sizes.spectrum_size, sizes.layout_size, sizes.plan_size)
     ends = np.cumsum([sizes.macro_size, sizes.micro_size + sizes.spectrum_size])
 
     def parts_of(ablation: Ablation) -> list[bool]:

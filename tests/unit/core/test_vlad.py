@@ -18,7 +18,7 @@ def small_books() -> Codebooks:
     four = np.eye(4, dtype=np.float32)
     zeros, folds = np.zeros(4, np.float32), np.array([[1, -2, 3, -1], [2, 3, -1, 2]], np.float32)
     parity = np.array([1, -1], np.float32)
-    return Codebooks(identity, parity, centres, zeros, folds, centres, zeros, folds, zeros, four, zeros, four)
+    return Codebooks(identity, parity, centres, zeros, folds, centres, zeros, folds, *[zeros, four] * 3)
 
 
 def test_residuals_are_summed_normalised_by_centre_and_rooted() -> None:
