@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from core import se3
 from core.config import VerificationConfig
+from core.line_of_sight import seen_through
 from core.signature import PlaceSignature
 
 Array = NDArray[np.float32]
@@ -40,7 +41,8 @@ class Registration:
     information (6, 6) in the tangent (x, y, z, rx, ry, rz) of the match frame, of unit variance residuals; common,
     the smaller number of standing points in the shared region; contrast, how much of the overlap is lost when the
     query is moved along the horizontal direction that the surfaces fix least: near 0 where any place along a street
-    or hedge would fit as well.
+    or hedge would fit as well; seen_through 0..1, the share of what stands in either place, as far as the other has
+    looked there, that the other has looked through.
     """
 
     T_match_query: se3.Matrix4
@@ -49,6 +51,7 @@ class Registration:
     information: Array64
     common: int
     contrast: float
+    seen_through: float
 
 
 def correspond(query: PlaceSignature, match: PlaceSignature, limit: int) -> tuple[NDArray[np.int64], Array64]:
@@ -140,7 +143,11 @@ def register(
         return _assess(T_match_query, query, match, tree, config)
     T_match_query = _iterate(T_match_query, query, match, tree, 1, config.fine_distance, config.fine_rounds)
     registration = _assess(T_match_query, query, match, tree, config)
-    return dataclasses.replace(registration, contrast=_contrast(registration, query, match, tree, config))
+    return dataclasses.replace(
+        registration,
+        contrast=_contrast(registration, query, match, tree, config),
+        seen_through=_seen_through(T_match_query, query, match, config),
+    )
 
 
 def _approach(
@@ -334,7 +341,7 @@ def _assess(
     jacobian = np.concatenate([normals, np.cross(moved[forward], normals)], axis=1)
     rmse = float(np.sqrt(np.mean(residuals**2))) if len(residuals) else float(config.surface_distance)
     common = int(min(seen_query.sum(), seen_match.sum()))
-    return Registration(T_match_query, overlap, rmse, jacobian.T @ jacobian, common, contrast=0.0)
+    return Registration(T_match_query, overlap, rmse, jacobian.T @ jacobian, common, contrast=0.0, seen_through=0.0)
 
 
 def _contrast(
@@ -358,6 +365,17 @@ def _contrast(
         return _share(hits & seen, seen)
 
     return overlap(0.0) - max(overlap(sign * shift) for shift in config.contrast_shifts for sign in (-1.0, 1.0))
+
+
+def _seen_through(
+    T_match_query: se3.Matrix4, query: PlaceSignature, match: PlaceSignature, config: VerificationConfig
+) -> float:
+    """The share of what stands in either place, where the other tells anything of it, that the other looked through."""
+    moved = se3.apply(T_match_query, query.points[: query.standing])
+    back = se3.apply(se3.inverse(T_match_query), match.points[: match.standing])
+    by_match = seen_through(moved, match.points.astype(np.float64), config)
+    by_query = seen_through(back, query.points.astype(np.float64), config)
+    return (by_match[0] + by_query[0]) / max(by_match[1] + by_query[1], 1)
 
 
 def _share(hits: NDArray[np.bool_], of: NDArray[np.bool_]) -> float:

@@ -215,6 +215,13 @@ class VerificationConfig:
     min_contrast: float = parameter(
         0.08, "1", "own, decision 0016", "smallest overlap that such a move must cost, else the pose is not fixed"
     )
+    sight_angle: float = parameter(3.0, "deg", "own, decision 0018", "directions in which places have looked")
+    sight_margin: float = parameter(2.0, "m", "own, decision 0018", "farther behind, it is looked through")
+    sight_near: float = parameter(4.0, "m", "own, decision 0018", "nearer points look too different from scan to scan")
+    sight_far: float = parameter(40.0, "m", "own, decision 0018", "farther points are too sparse to tell")
+    max_seen_through: float = parameter(
+        0.35, "1", "own, decision 0018", "largest share of what stands that the other place has looked through"
+    )
     min_common: int = parameter(60, "points", "own", "standing points of each place in the region both have seen")
     min_common_share: float = parameter(0.35, "1", "own", "of the smaller place must stand in that region")
     max_tilt: float = parameter(15.0, "deg", "own", "largest tilt between two gravity-aligned submaps")

@@ -26,6 +26,7 @@ class RejectionReason(StrEnum):
     DEGENERATE_ALIGNMENT = "DEGENERATE_ALIGNMENT"
     IMPLAUSIBLE_TILT = "IMPLAUSIBLE_TILT"
     LOW_OVERLAP = "LOW_OVERLAP"
+    SEEN_THROUGH = "SEEN_THROUGH"
     LOW_SCORE = "LOW_SCORE"
 
 
@@ -34,9 +35,10 @@ class LoopMeasurement:
     """The evidence for a loop.
 
     similarity of the descriptors; inliers and inlier_ratio of the keypoint correspondences; overlap 0..1 of the
-    surfaces; contrast, how much of it is lost a few metres aside; rmse_m of the point-to-plane residuals; score 0..1
-    (`loop_score`); T_match_query (4, 4) maps points of the query submap's frame into the match submap's frame;
-    covariance (6, 6) of its tangent (x, y, z, rx, ry, rz), metres and radians, in the match frame.
+    surfaces; contrast, how much of it is lost a few metres aside; seen_through 0..1, how much of what stands in one
+    place the other has looked through; rmse_m of the point-to-plane residuals; score 0..1 (`loop_score`);
+    T_match_query (4, 4) maps points of the query submap's frame into the match submap's frame; covariance (6, 6) of its
+    tangent (x, y, z, rx, ry, rz), metres and radians, in the match frame.
     """
 
     similarity: float
@@ -44,6 +46,7 @@ class LoopMeasurement:
     inlier_ratio: float
     overlap: float
     contrast: float
+    seen_through: float
     rmse_m: float
     score: float
     T_match_query: se3.Matrix4
@@ -95,14 +98,14 @@ def is_degenerate(place: PlaceSignature, config: VerificationConfig) -> bool:
     return bool(spread[0] < config.min_spread)
 
 
-def loop_score(overlap: float, contrast: float, rmse_m: float) -> float:
-    """Evidence to 0..1 by logistic regression on real and simulated submaps (docs/decisions/0016)."""
-    features = (1.0, overlap, contrast, max(rmse_m, _SHARPEST_RMSE_M))
+def loop_score(contrast: float, seen_through: float, rmse_m: float) -> float:
+    """Evidence to 0..1 by logistic regression on real and simulated submaps (docs/decisions/0018)."""
+    features = (1.0, contrast, seen_through, max(rmse_m, _SHARPEST_RMSE_M))
     logit = float(np.dot(_SCORE_WEIGHTS, features))
     return float(1.0 / (1.0 + np.exp(-np.clip(logit, -30.0, 30.0))))
 
 
-_SCORE_WEIGHTS = (-3.1, 16.9, 38.9, -93.0)
+_SCORE_WEIGHTS = (16.7, 19.2, -29.7, -150.0)
 _SHARPEST_RMSE_M = 0.09  # cleaner surfaces, such as simulated ones, are no better evidence
 
 
@@ -110,12 +113,13 @@ def _measure(
     fit: PlanarFit, registration: Registration, similarity: float, config: VerificationConfig
 ) -> LoopMeasurement:
     ratio = fit.inliers / max(fit.correspondences, 1)
-    score = loop_score(registration.overlap, registration.contrast, registration.rmse_m)
+    score = loop_score(registration.contrast, registration.seen_through, registration.rmse_m)
     # neighbouring residuals are not independent, so the information counts one point in `correlated_points`
     variance = max(registration.rmse_m, config.min_sigma) ** 2 * config.correlated_points
     covariance = variance * np.linalg.inv(registration.information + 1e-6 * np.eye(6))
     return LoopMeasurement(
-        similarity, fit.inliers, ratio, registration.overlap, registration.contrast, registration.rmse_m, score,
+        similarity, fit.inliers, ratio, registration.overlap, registration.contrast,
+        registration.seen_through, registration.rmse_m, score,
         registration.T_match_query, 0.5 * (covariance + covariance.T),
     )  # fmt: skip
 
@@ -147,6 +151,8 @@ def _rejection(
         return RejectionReason.LOW_OVERLAP
     if measurement.contrast < config.min_contrast:
         return RejectionReason.DEGENERATE_ALIGNMENT
+    if measurement.seen_through > config.max_seen_through:
+        return RejectionReason.SEEN_THROUGH
     if measurement.score < config.min_score:
         return RejectionReason.LOW_SCORE
     return None

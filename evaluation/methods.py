@@ -83,6 +83,6 @@ class PipelineMethod:
         measured = loop.measurement
         if measured is None:
             return Verdict(0.0, reason, None)
-        names = ("inliers", "inlier_ratio", "overlap", "contrast", "rmse_m")
+        names = ("inliers", "inlier_ratio", "overlap", "contrast", "seen_through", "rmse_m")
         evidence = {name: float(getattr(measured, name)) for name in names}
         return Verdict(float(measured.score), reason, measured.T_match_query, evidence)

@@ -119,6 +119,7 @@ def test_a_corridor_never_makes_a_loop_because_its_length_is_not_observed() -> N
     [
         ({"min_common": 10**6}, RejectionReason.NO_COMMON_REGION),
         ({"min_overlap": 1.01}, RejectionReason.LOW_OVERLAP),
+        ({"max_seen_through": -0.1}, RejectionReason.SEEN_THROUGH),
         ({"min_score": 1.01}, RejectionReason.LOW_SCORE),
         ({"max_tilt": -1.0}, RejectionReason.IMPLAUSIBLE_TILT),
     ],
@@ -132,10 +133,15 @@ def test_each_gate_rejects_with_its_own_reason_and_keeps_the_evidence(
     assert verdict.measurement is not None
 
 
-def test_overlap_and_contrast_raise_the_score_and_residuals_lower_it() -> None:
-    assert loop_score(0.6, 0.2, 0.1) > loop_score(0.4, 0.2, 0.1)
-    assert loop_score(0.4, 0.3, 0.1) > loop_score(0.4, 0.2, 0.1)
-    assert loop_score(0.4, 0.2, 0.1) > loop_score(0.4, 0.2, 0.12)
+def test_contrast_raises_the_score_and_contradictions_and_residuals_lower_it() -> None:
+    assert loop_score(0.3, 0.05, 0.1) > loop_score(0.2, 0.05, 0.1)
+    assert loop_score(0.3, 0.05, 0.1) > loop_score(0.3, 0.15, 0.1)
+    assert loop_score(0.3, 0.05, 0.1) > loop_score(0.3, 0.05, 0.12)
+
+
+def test_a_place_and_itself_see_nothing_through_each_other() -> None:
+    verdict = verify(place(1), place(1), 1.0, VERIFICATION)
+    assert verdict.measurement is not None and verdict.measurement.seen_through < 0.01
 
 
 def test_a_house_among_others_has_contrast_and_a_hedge_along_the_street_has_none() -> None:

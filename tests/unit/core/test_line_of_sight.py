@@ -1,0 +1,54 @@
+"""What one place has looked through contradicts what stands there in the other; what is hidden tells nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from core.config import VerificationConfig
+from core.line_of_sight import seen_through
+
+CONFIG = VerificationConfig()
+
+
+def wall(distance_m: float, azimuth_deg: tuple[float, float] = (-30.0, 30.0)) -> np.ndarray:
+    """A round wall about the origin, 4 m tall from 1.5 m below the sensor, a point every degree and every 0.4 m."""
+    azimuth = np.radians(np.arange(*azimuth_deg, 1.0))
+    height = np.arange(-1.5, 2.5, 0.4)
+    angle, z = (grid.ravel() for grid in np.meshgrid(azimuth, height))
+    return np.column_stack([distance_m * np.cos(angle), distance_m * np.sin(angle), z])
+
+
+def test_a_wall_before_the_one_that_was_seen_was_looked_through() -> None:
+    # At 10 m a wall of 4 m fills more of the view than at 20 m: only where there is a wall behind it, it is judged.
+    through, judged = seen_through(wall(10.0, (-20.0, 20.0)), wall(20.0), CONFIG)
+    assert through == judged > 150
+
+
+def test_the_same_wall_and_one_within_the_margin_are_confirmed() -> None:
+    for distance_m in (20.0, 18.5, 21.5):
+        through, judged = seen_through(wall(distance_m, (-20.0, 20.0)), wall(20.0), CONFIG)
+        assert through == 0
+        assert judged > 300
+
+
+def test_what_is_hidden_and_where_nobody_looked_tell_nothing() -> None:
+    assert seen_through(wall(30.0), wall(20.0), CONFIG) == (0, 0)
+    assert seen_through(wall(10.0, (90.0, 150.0)), wall(20.0), CONFIG) == (0, 0)
+
+
+def test_beside_the_edge_of_something_near_nothing_counts_as_looked_through() -> None:
+    post = wall(10.0, (0.0, 3.0))
+    scene = np.concatenate([wall(20.0), wall(10.0, (-4.0, -1.0))])
+    assert seen_through(post, scene, CONFIG)[0] == 0
+    assert seen_through(post, wall(20.0), CONFIG)[0] > 0
+
+
+def test_what_is_very_near_or_far_is_not_judged() -> None:
+    assert seen_through(wall(3.0), wall(20.0), CONFIG) == (0, 0)
+    assert seen_through(wall(45.0), wall(60.0), CONFIG) == (0, 0)
+
+
+def test_azimuth_goes_round() -> None:
+    behind = wall(10.0, (175.0, 185.0))
+    through, judged = seen_through(behind, wall(20.0, (150.0, 210.0)), CONFIG)
+    assert through == judged > 0
