@@ -42,7 +42,7 @@ class Registration:
     the smaller number of standing points in the shared region; contrast, how much of the overlap is lost when the
     query is moved along the horizontal direction that the surfaces fix least: near 0 where any place along a street
     or hedge would fit as well; seen_through 0..1, the share of what stands in either place, as far as the other has
-    looked there, that the other has looked through.
+    looked there, that the other has looked through. Both are worst, 0 and 1, where ICP was given up early.
     """
 
     T_match_query: se3.Matrix4
@@ -341,7 +341,7 @@ def _assess(
     jacobian = np.concatenate([normals, np.cross(moved[forward], normals)], axis=1)
     rmse = float(np.sqrt(np.mean(residuals**2))) if len(residuals) else float(config.surface_distance)
     common = int(min(seen_query.sum(), seen_match.sum()))
-    return Registration(T_match_query, overlap, rmse, jacobian.T @ jacobian, common, contrast=0.0, seen_through=0.0)
+    return Registration(T_match_query, overlap, rmse, jacobian.T @ jacobian, common, contrast=0.0, seen_through=1.0)
 
 
 def _contrast(

@@ -151,3 +151,10 @@ def test_a_house_among_others_has_contrast_and_a_hedge_along_the_street_has_none
     assert isinstance(verdict, RejectedLoop)
     assert verdict.reason is RejectionReason.DEGENERATE_ALIGNMENT
     assert verdict.measurement is not None and verdict.measurement.contrast < VERIFICATION.min_contrast
+
+
+def test_a_pose_given_up_early_counts_as_the_worst_evidence() -> None:
+    verdict = verify(place(1), place(2), 1.0, replace(VERIFICATION, min_agreement=1.01))
+    assert verdict.measurement is not None
+    assert (verdict.measurement.contrast, verdict.measurement.seen_through) == (0.0, 1.0)
+    assert verdict.measurement.score < 1e-3
