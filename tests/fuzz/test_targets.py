@@ -21,6 +21,7 @@ from service.application.clouds import StoredCloud, pack_cloud
 from service.application.meshes import pack_mesh
 from service.application.ports import Mesh
 from tests.fuzz.targets import FILES, TARGETS, refusing
+from tests.support.campaigns import Campaign
 from tests.support.cloud_files import records, valid_files
 
 EXAMPLES = int(os.environ.get("REVISIT_FUZZ_EXAMPLES", "100"))
@@ -90,9 +91,13 @@ def test_damaged_and_random_bytes_are_read_or_refused(name):
     @LIMITS
     @given(damaged(SEEDS[name]) | st.binary(max_size=300))
     def check(data):
-        TARGETS[name](data)
+        if not campaign.over:
+            TARGETS[name](data)
+            campaign.done += 1
 
+    campaign = Campaign("P18", EXAMPLES)
     check()
+    campaign.publish(f"{name}: 0 undocumented errors")
 
 
 @pytest.mark.parametrize("name", TARGETS)

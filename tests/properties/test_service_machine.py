@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule, run_state_machine_as_test
 
 from service.application import SessionKey, SubmapKey
+from tests.support.campaigns import Campaign
 from tests.support.service_drivers import RestDriver, UseCaseDriver
 
 EXAMPLES = int(os.environ.get("REVISIT_MACHINE_EXAMPLES", "8"))
@@ -144,6 +145,7 @@ class ServiceMachine(RuleBasedStateMachine):
 
 
 def run(driver, examples: int, steps: int) -> None:
+    campaign = Campaign("P3", examples * steps)
     machine = type("Machine", (ServiceMachine,), {"driver_of": staticmethod(driver)})
     run_state_machine_as_test(
         machine,
@@ -156,6 +158,8 @@ def run(driver, examples: int, steps: int) -> None:
             suppress_health_check=list(HealthCheck),
         ),
     )
+    campaign.done = examples * steps
+    campaign.publish("steps at most, with restarts: every answer and every list as the model says")
 
 
 @pytest.mark.parametrize("stores", ["memory", "sqlite"])
