@@ -11,6 +11,7 @@ from service.adapters.sql.migration import migrate
 from tests.faults.history import History
 from tests.faults.power_cut import Disk, Recording, Step, can_record, crash_states, python_program, record
 from tests.faults.survey import survey
+from tests.support.campaigns import Campaign, sizes
 
 ROOT = Path(__file__).resolve().parents[2]
 RANDOM = random.Random(0)
@@ -35,15 +36,15 @@ def problems(state, home: Path) -> list[str]:
 
 def require_sound(recording: Recording, count: int, home: Path) -> None:
     """Every one of `count` crash states holds what was acknowledged, and fits together."""
-    checked = 0
-    for state in crash_states(recording, count):
+    campaign = Campaign("P1", count)
+    for _, state in zip(campaign, crash_states(recording, count), strict=False):
         found = problems(state, home)
         assert not found, f"cut behind call {state.step} ({state.how} of what was not synced): {found}"
-        checked += 1
-    assert checked == count
+    assert campaign.over
+    campaign.publish("power cuts: 0 acknowledged lost, 0 damaged")
 
 
-@pytest.mark.parametrize("count", [pytest.param(1_000), pytest.param(5_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", sizes("POWER_CUTS", 1_000, 5_000))
 @pytest.mark.timeout(1800)
 def test_a_power_cut_takes_nothing_that_was_acknowledged(recording, folder, count):
     require_sound(recording, count, folder / "home")
