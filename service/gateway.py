@@ -35,7 +35,7 @@ SERVER_FAILED = 70
 
 SWITCH_S = 0.0005
 """How long a thread that decodes may hold the interpreter while the event loop waits for it, where Python has 5 ms: an
-answer hands over several times, so with a handful of such threads a refusal took a second."""
+answer hands over several times. Chosen by that reasoning; its effect was not measured by itself."""
 
 FAIL_STOP_S = 0.7
 """Time to the end of the process after the disk has failed."""
