@@ -33,6 +33,7 @@ class ServiceProcess:
             **{f"REVISIT_{name.upper()}": str(value) for name, value in settings.items()},
         }
         self.events: list[dict[str, Any]] = []
+        self.other_lines: list[str] = []
         self.start()
 
     def start(self) -> None:
@@ -99,8 +100,10 @@ class ServiceProcess:
 
     def _read(self, process: subprocess.Popen[str]) -> None:
         for line in process.stderr:
-            with contextlib.suppress(json.JSONDecodeError):
+            try:
                 self.events.append(json.loads(line))
+            except json.JSONDecodeError:
+                self.other_lines.append(line)
 
 
 def is_running(pid: int) -> bool:
