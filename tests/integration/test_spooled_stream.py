@@ -99,11 +99,13 @@ def test_scans_that_were_stored_but_not_acknowledged_are_not_sent_twice(client, 
     spool = Spool(tmp_path / "spool", session.name)
     spool.opened(0, "")
     spool.close()
+    offline = Client("http://127.0.0.1:1", retry=QUICK)
+    with offline, offline.spooled_stream(session, tmp_path / "spool") as stream:
+        drive(stream, 1, 5)
     # The service got two scans of this spool, whose robot died before it heard so.
     with client.stream(session) as lost:
         drive(lost, 1, 2)
     with client.spooled_stream(session, tmp_path / "spool") as stream:
-        drive(stream, 1, 5)
         stream.flush(timeout_s=30)
     check_stored(client, session, 5)
 
