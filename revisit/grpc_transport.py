@@ -223,7 +223,8 @@ def _api_error(error: Any, address: str) -> ApiError:
     """The exception for a gRPC failure, from its google.rpc details where the service sent them."""
     packed = dict(error.trailing_metadata() or ()).get(STATUS_DETAILS)
     if not isinstance(packed, bytes):
-        if error.code() == grpc.StatusCode.UNAVAILABLE:
+        # Calls of this client are not cancelled while somebody waits for them: the service ended before it answered.
+        if error.code() in (grpc.StatusCode.UNAVAILABLE, grpc.StatusCode.CANCELLED):
             return unreachable(address, error.details())
         return error_of(ErrorDetails(error.code().name, error.code().name, str(error.details())))
     info, request, bad, delay = (

@@ -1,4 +1,4 @@
-"""kill -9 of the gateway and of its workers at random moments, while robots post and stream over both transports."""
+"""kill -9 of gateway and workers, and SIGTERM, at random moments, while robots post and stream over both transports."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from tests.support.campaigns import Campaign, sizes
 from tests.support.processes import ServiceProcess, is_running
 
 SESSION = "maps/town/sessions/monday"
+DRAINED_S = 15.0
 GATEWAY_EVERY = 5
 """Every so many kills hit the gateway, which takes its workers along; the others hit a worker."""
 
@@ -82,12 +83,16 @@ class Fleet:
         return poster.post(f"http://{self._http.address}", submap_id, place)
 
 
+def start_again(service: ServiceProcess, http: BadLink, grpc: BadLink) -> None:
+    service.start()
+    http.target, grpc.target = service.url.removeprefix("http://"), service.grpc_target
+
+
 def kill_gateway(service: ServiceProcess, http: BadLink, grpc: BadLink) -> None:
     """And start it again; its workers notice that it is gone."""
     orphans = service.worker_pids()
     service.kill()
-    service.start()
-    http.target, grpc.target = service.url.removeprefix("http://"), service.grpc_target
+    start_again(service, http, grpc)
     until(lambda: not any(is_running(pid) for pid in orphans), "a worker outlived its gateway")
 
 
@@ -127,3 +132,31 @@ def test_what_was_acknowledged_survives_kills_of_gateway_and_workers_once(servic
     assert set(found.states) == {"DESCRIBED"}
     assert fleet.acknowledged() > campaign.done
     campaign.publish(f"0 of {fleet.acknowledged()} acknowledged lost, 0 twice, index = database")
+
+
+@pytest.mark.parametrize("drains", sizes("DRAINS", 2, 500))
+@pytest.mark.timeout(7200)
+def test_a_service_that_is_told_to_end_does_so_in_time_and_keeps_what_it_acknowledged(service, folder, drains):
+    rng, moment, took_s = random.Random(13), threading.Event(), []
+    with bad_link(service.url.removeprefix("http://")) as http, bad_link(service.grpc_target) as grpc:
+        fleet = Fleet(http, grpc)
+        fleet.start()
+        campaign = Campaign("P13", drains)
+        for _ in campaign:
+            seen = fleet.acknowledged()
+            until(lambda seen=seen: fleet.acknowledged() > seen, "nothing is acknowledged any more")
+            moment.wait(rng.uniform(0.0, 0.3))
+            workers = service.worker_pids()
+            status, ended_s = service.terminate()
+            took_s.append(ended_s)
+            assert (status, [pid for pid in workers if is_running(pid)]) == (0, [])
+            start_again(service, http, grpc)
+        fleet.crew.end()
+        until(lambda: worked_off(service.url), "jobs are left", timeout_s=600.0)
+    service.close()
+    assert max(took_s) < DRAINED_S
+    assert fleet.surprises() == []
+    found = survey(folder / "home")
+    assert found.against(fleet.history) == []
+    assert set(found.states) == {"DESCRIBED"}
+    campaign.publish(f"every exit 0, the slowest after {max(took_s):.1f} s; 0 of {fleet.acknowledged()} lost")
