@@ -1,0 +1,46 @@
+"""What is deleted is gone from the disk, byte for byte, once the log of the database is folded back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from service.application.blob_references import blobs_of_submap
+from tests.support.service_world import SESSION, TENANT, open_session, sqlite_world, submap
+
+
+def holds(home: Path, needle: bytes) -> bool:
+    """Whether any file of the data folder has these bytes."""
+    return any(needle in path.read_bytes() for path in home.rglob("*") if path.is_file())
+
+
+def traces(world, submap_id: str) -> list[bytes]:
+    """What is stored of a submap: its descriptor, the hash of its cloud and the content of each blob."""
+
+    def load(uow):
+        return uow.submaps.get(TENANT, SESSION.map_id, SESSION.session_id, submap_id)
+
+    record = world.context.transactions.read(load).result()
+    blobs = [world.context.blobs.get(TENANT, *address) for address in blobs_of_submap(record)]
+    return [record.descriptor, record.cloud_sha256.encode(), *blobs]
+
+
+@pytest.mark.parametrize("what", ["submap", "map"])
+async def test_no_byte_of_what_was_deleted_is_left(tmp_path, what):
+    world = sqlite_world(tmp_path)
+    await open_session(world)
+    await world.use_cases.submaps.post(TENANT, submap("secret", 1))
+    await world.use_cases.submaps.post(TENANT, submap("kept", 2))
+    world.work_off()
+    secret, kept = traces(world, "secret"), traces(world, "kept")
+    assert len(secret) == 6
+    assert all(holds(tmp_path, trace) for trace in [*secret, *kept])
+    if what == "submap":
+        await world.use_cases.submaps.delete(TENANT, submap("secret", 1).key)
+    else:
+        await world.use_cases.maps.delete(TENANT, SESSION.map_id)
+    world.context.transactions.close()
+    assert [holds(tmp_path, trace) for trace in secret] == [False] * 6
+    assert [holds(tmp_path, trace) for trace in kept] == [what == "submap"] * 6
+    assert holds(tmp_path, f"{what}_deleted".encode()), "the audit log does not tell of it"
