@@ -14,7 +14,7 @@ class HttpLimits:
     body_bytes: int = 32 * MIB
     json_bytes: int = 1 * MIB
     json_depth: int = 16
-    body_grace_s: float = 15.0
+    body_grace_s: float = 10.0
     """Time that any body may take."""
     body_bytes_per_s: int = 8 * 1024
     """The rate above which a body may take longer, on average since it began."""

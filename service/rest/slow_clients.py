@@ -8,15 +8,18 @@ from typing import Any
 import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-HEAD_S = 15.0
+HEAD_S = 10.0
 """Time for a request line with its headers, counted from the connection or from the first byte of the next request."""
+
+REST_S = 2.0
+"""Time for the rest of a body whose request was answered already: refused, or given up."""
 
 HEAD_BYTES = 32 * 2**10
 """Bytes of a request line with its headers."""
 
 CONNECTIONS = 512
 """Open connections. One more takes the place of the one that has been awaited the longest; where all are being
-answered, it is told 503 at once."""
+answered it is let in, and from twice as many on it is told 503 at once."""
 
 KEEP_ALIVE_S = 15
 """How long a connection without a request stays open."""
@@ -29,6 +32,7 @@ class DeadlineProtocol(H11Protocol):
     """
 
     head_s = HEAD_S
+    rest_s = REST_S
     most_connections = CONNECTIONS
     _deadline: asyncio.TimerHandle | None = None
     _heard_s = 0.0
@@ -49,6 +53,11 @@ class DeadlineProtocol(H11Protocol):
             self._heard_s = asyncio.get_running_loop().time()
         self._watch()
 
+    def on_response_complete(self) -> None:
+        """Start the clock of what is left of the body, or of the next request."""
+        super().on_response_complete()
+        self._watch()
+
     def connection_lost(self, exc: Exception | None) -> None:
         """Stop the clock."""
         self._stop()
@@ -66,10 +75,13 @@ class DeadlineProtocol(H11Protocol):
         return self.conn.their_state in (h11.IDLE, h11.SEND_BODY)
 
     def _watch(self) -> None:
+        awaits_head = self.conn.their_state is h11.IDLE
         if not self._idle():
             self._stop()
-        elif self._deadline is None and self.timeout_keep_alive_task is None:
-            self._deadline = asyncio.get_running_loop().call_later(self.head_s, self._expire)
+        # uvicorn's own clock, which runs after every answer, is for the next head only.
+        elif self._deadline is None and not (awaits_head and self.timeout_keep_alive_task is not None):
+            patience_s = self.head_s if awaits_head else self.rest_s
+            self._deadline = asyncio.get_running_loop().call_later(patience_s, self._expire)
 
     def _idle(self) -> bool:
         """Whether nothing but a request head, or the rest of a body that was answered already, is awaited."""
@@ -93,8 +105,9 @@ def uvicorn_limits() -> dict[str, Any]:
         "http": DeadlineProtocol,
         "ws": "none",
         "h11_max_incomplete_event_size": HEAD_BYTES,
-        # Room is made above the limit, so uvicorn refuses only where no connection could be given up.
-        "limit_concurrency": CONNECTIONS + 1,
+        # Room is made above the limit, and what gives way is still counted for a moment; so uvicorn refuses only where
+        # far more are there because none could be given up.
+        "limit_concurrency": 2 * CONNECTIONS,
         "timeout_keep_alive": KEEP_ALIVE_S,
         "server_header": False,
         # Who asks is known by the connection, not by what a client writes into X-Forwarded-For.
