@@ -49,18 +49,23 @@ class Perturbation:
 
 
 def keep_beams(points: Points, beams: int, source_beams: int = SOURCE_BEAMS) -> Points:
-    """The points (n, 3) of `beams` evenly chosen elevation bins out of `source_beams` between the lowest and highest.
+    """The points (n, 3) of `beams` evenly chosen elevation bins of those that hold points.
 
-    Works without knowing the sensor: bins divide the elevations that occur (0.5 to 99.5 percentile). The share that
-    stays is about beams / source_beams; with as many beams as bins, or more, all points stay.
+    Works without knowing the sensor: `source_beams` bins divide the elevations that occur (0.5 to 99.5 percentile), and
+    those that hold less than a tenth of the fullest lie between two beams. The share that stays is about beams over the
+    number of others; where there are no more than `beams` of them, all points stay.
     """
     if beams >= source_beams or len(points) == 0:
         return points
     elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
     low, high = np.percentile(elevation, [0.5, 99.5])
     bins = np.clip(((elevation - low) / max(high - low, 1e-9) * source_beams).astype(np.int64), 0, source_beams - 1)
+    counts = np.bincount(bins, minlength=source_beams)
+    seen = np.flatnonzero(counts >= 0.1 * counts.max())
+    if beams >= len(seen):
+        return points
     kept = np.zeros(source_beams, dtype=bool)
-    kept[((np.arange(beams) + 0.5) * source_beams / beams).astype(np.int64)] = True
+    kept[seen[((np.arange(beams) + 0.5) * len(seen) / beams).astype(np.int64)]] = True
     return np.asarray(points[kept[bins]], dtype=np.float32)
 
 

@@ -180,6 +180,17 @@ def test_thinning_keeps_the_share_and_is_the_same_every_time() -> None:
     assert not np.array_equal(thin.thin(points, 3)[:100], thin.thin(points, 4)[:100])
 
 
+def test_beams_are_chosen_among_those_that_a_sensor_has() -> None:
+    # 32 beams from -30.67 to 10.67 degrees, as of an HDL-32; every second of them stays, up to the highest but one.
+    elevation = np.radians(np.repeat(np.linspace(-30.67, 10.67, 32), 500))
+    points = 20.0 * np.column_stack([np.cos(elevation), np.zeros(16_000), np.sin(elevation)]).astype(np.float32)
+    kept = np.degrees(np.arctan2(*keep_beams(points, 16)[:, [2, 0]].T))
+    levels = np.unique(np.round(kept, 1))
+    assert len(kept) == 8_000 and len(levels) == 16
+    assert (levels[0], levels[-1]) == (pytest.approx(-30.67, abs=1.4), pytest.approx(10.67, abs=1.4))
+    assert len(keep_beams(points, 32)) == len(points)
+
+
 @pytest.mark.parametrize("changes", [{"keep_points": 0.0}, {"keep_points": 1.5}, {"keep_beams": 0}])
 def test_senseless_perturbations_are_refused(changes: dict[str, float]) -> None:
     with pytest.raises(ValueError, match="keep_"):
