@@ -42,7 +42,8 @@ class Side:
 class Contest:
     """Who takes part. `candidates` of the product's descriptor are verified; 0 leaves verification out.
 
-    Without a `method` the baselines are by themselves.
+    Without a `method` the baselines are by themselves. They see clouds divided by `scene_scale`, since their parameters
+    are for streets; the method brings its own.
     """
 
     method: Method | None
@@ -50,6 +51,7 @@ class Contest:
     loops: LoopProtocol
     baselines: tuple[PlaceRecogniser, ...]
     candidates: int = 20
+    scene_scale: float = 1.0
     seed: int = 0
     jobs: int = 1
 
@@ -88,7 +90,7 @@ def describe_side(side: Side, contest: Contest, report: Progress) -> list[Descri
     windows = cut(side.recording, contest.submap)
     work = DescriptionWork(side.recording, contest.submap, side.perturbation, contest.method, contest.seed)
     described: list[Described] = []
-    for one in in_processes(_describe, (work, contest.baselines), list(enumerate(windows)), contest.jobs):
+    for one in in_processes(_describe, (work, contest), list(enumerate(windows)), contest.jobs):
         described.append(one)
         report("describe", len(described), len(windows))
     return described
@@ -111,18 +113,18 @@ def hold(protocol: str, contest: Contest, sides: Sides, report: Progress) -> Tri
     )  # fmt: skip
 
 
-def _describe(context: tuple[DescriptionWork, tuple[PlaceRecogniser, ...]], task: tuple[int, Window]) -> Described:
+def _describe(context: tuple[DescriptionWork, Contest], task: tuple[int, Window]) -> Described:
     """One submap for all methods. The baselines, too, see it levelled."""
-    work, baselines = context
+    work, contest = context
     place = describe_place(work, task)
-    if not baselines:
+    if not contest.baselines:
         return Described(place, (), ())
     try:
         submap, _ = load_submap(work.recording, task[1], work.config, work.perturbation)
     except RevisitError:
         return Described(place, None, ())
-    points, descriptors, seconds = turned(submap, place.yaw).levelled().points, [], []
-    for baseline in baselines:
+    points, descriptors, seconds = turned(submap, place.yaw).levelled().points / contest.scene_scale, [], []
+    for baseline in contest.baselines:
         started = time.perf_counter()
         descriptors.append(baseline.describe(points))
         seconds.append(time.perf_counter() - started)

@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Protocol
 
@@ -21,6 +21,7 @@ from evaluation.perturbations import Perturbation
 from evaluation.protocols.contest import Contest, Described, Progress, Side, Sides, describe_side, hold
 from evaluation.protocols.towns import DRIVES, SESSIONS
 from evaluation.protocols.trial import Trial
+from evaluation.scene import estimate_scene_scale
 
 ABLATIONS = ("no-implicit", "bev-only", "normals-only")
 PROTOCOLS = ("online", "rotation", "beams", "density", *ABLATIONS, "sessions")
@@ -34,6 +35,10 @@ HARDER = {"beams": Perturbation(keep_beams=16), "density": Perturbation(keep_poi
 class Drive(Protocol):
     """Something that becomes a recording: a simulated drive, or a folder."""
 
+    @property
+    def scene_scale(self) -> float:
+        """Size of the scene compared with a street (`PipelineConfig.scene_scale`)."""
+
     def recorded(self, folder: Path, progress: Progress | None = None) -> Recording:
         """The recording; `folder` may keep what has to be made."""
 
@@ -44,6 +49,11 @@ class RecordedDrive:
 
     source: Path
     file_format: str = "kitti"
+
+    @cached_property
+    def scene_scale(self) -> float:
+        """As estimated from its ranges. Raises what opening it raises."""
+        return estimate_scene_scale(open_recording(self.source, self.file_format))
 
     def recorded(self, folder: Path, progress: Progress | None = None) -> Recording:
         """The recording. Raises what opening it raises."""
@@ -69,19 +79,22 @@ class Programme:
     candidates: int = LoopConfig().candidates
     jobs: int = 1
 
-    def contests(self, ablation: str, method: Method | None) -> list[tuple[str, Contest]]:
+    def contests(self, ablation: str, method: Method | None, scene_scale: float = 1.0) -> list[tuple[str, Contest]]:
         """The product (or `method`) and the baselines apart, each with what decides its outcome besides the question.
 
         With an ablation only the product's descriptor.
         """
-        who = repr(method) if method is not None else f"{load_packaged_models().version} {PipelineConfig()}"
-        method = method or PipelineMethod(PipelineConfig(submap=self.submap), ablation)
+        submap = dataclasses.replace(self.submap, min_range=self.submap.min_range * scene_scale)
+        config = PipelineConfig(submap=submap, scene_scale=scene_scale)
+        who = repr(method) if method is not None else f"{load_packaged_models().version} {config}"
         candidates = self.candidates if ablation == "none" else 0
-        product = Contest(method, self.submap, self.loops, (), candidates, jobs=self.jobs)
+        product = Contest(
+            method or PipelineMethod(config, ablation), submap, self.loops, (), candidates, jobs=self.jobs
+        )
         if ablation != "none":
             return [(who, product)]
-        peers = Contest(None, self.submap, self.loops, self.baselines, candidates=0, jobs=self.jobs)
-        return [(who, product), (repr(self.baselines), peers)]
+        peers = Contest(None, submap, self.loops, self.baselines, 0, scene_scale, jobs=self.jobs)
+        return [(who, product), (repr((self.baselines, scene_scale)), peers)]
 
 
 def run_programme(programme: Programme, report: Progress, method: Method | None = None) -> Iterator[Trial]:
@@ -152,9 +165,10 @@ def _trial(
     method: Method | None,
     run: Callable[[Contest], Trial],
 ) -> Trial:
-    """The trial of all contests; what is on file for the same drives, methods and parameters is not run again."""
+    """The trial of all contests at the scale of the first drive; what is on file for the same is not run again."""
     parts: list[Trial] = []
-    for who, contest in programme.contests(protocol if protocol in ABLATIONS else "none", method):
+    ablation = protocol if protocol in ABLATIONS else "none"
+    for who, contest in programme.contests(ablation, method, drives[0].scene_scale):
         fingerprint = _fingerprint(programme, drives, who)
         file = programme.folder / "trials" / f"{protocol}-{fingerprint}.json"
         if not file.exists():

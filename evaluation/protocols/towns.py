@@ -71,6 +71,11 @@ class SimulatedDrive:
     spacing_m: float = 1.5
     later: int | None = None
 
+    @property
+    def scene_scale(self) -> float:
+        """They are streets."""
+        return 1.0
+
     def path(self) -> Path:
         """Where the car drives, its lane included."""
         way = self._grid().route(list(self.route)).rounded(6.0).sampled(0.5)

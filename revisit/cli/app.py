@@ -21,6 +21,10 @@ Http = Annotated[str, typer.Option(envvar="REVISIT_URL", help="URL of the servic
 Grpc = Annotated[str, typer.Option(envvar="REVISIT_GRPC", help="host:port of the service's gRPC side.")]
 Json = Annotated[bool, typer.Option("--json", help="Answer as JSON.")]
 MapName = Annotated[str, typer.Option("--map", help="Id of the map.")]
+Tau = Annotated[float | None, typer.Option(help="Metres per submap.")]
+Stride = Annotated[float | None, typer.Option(help="Metres between submap starts.")]
+IndexGap = Annotated[int | None, typer.Option(help="Nearer submaps are no loop.")]
+PositiveRadius = Annotated[float | None, typer.Option(help="Submaps nearer than this are the same place, m.")]
 
 RECORDINGS = "kitti, kitti360, mulran, nclt, clouds (pcd or ply with TUM or KITTI poses) or rosbag2 (mcap or db3)."
 
@@ -188,12 +192,10 @@ def evaluate(
     folder: Annotated[Path, typer.Argument(exists=True, help="The recording.")],
     file_format: Annotated[str, typer.Option("--format", help=RECORDINGS)] = "kitti",
     json: Annotated[Path | None, typer.Option("--json", help="Write rows and summary to this file.")] = None,
-    tau: Annotated[float | None, typer.Option(help="Metres per submap.")] = None,
-    stride: Annotated[float | None, typer.Option(help="Metres between submap starts.")] = None,
-    min_index_gap: Annotated[int | None, typer.Option(help="Nearer submaps are no loop.")] = None,
-    positive_radius: Annotated[
-        float | None, typer.Option(help="Submaps nearer than this are the same place, m.")
-    ] = None,
+    tau: Tau = None,
+    stride: Stride = None,
+    min_index_gap: IndexGap = None,
+    positive_radius: PositiveRadius = None,
     rotate_seed: Annotated[int | None, typer.Option(help="Turn every submap by a random yaw of this seed.")] = None,
     keep_beams: Annotated[int | None, typer.Option(help="Keep so many of 64 beams.")] = None,
     keep_points: Annotated[float, typer.Option(help="Keep this share of the points.")] = 1.0,
@@ -290,13 +292,18 @@ def bench_recognition(
         tuple[Path, Path] | None, typer.Option(exists=True, help="MAP QUERY: two recordings in one world frame.")
     ] = None,
     file_format: Annotated[str, typer.Option("--format", help=RECORDINGS)] = "kitti",
+    tau: Tau = None,
+    stride: Stride = None,
+    min_index_gap: IndexGap = None,
+    positive_radius: PositiveRadius = None,
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
 ) -> None:
     """Recognition of the product and of every baseline, as one report; a second run goes on where the first ended."""
     from revisit.cli import benchmarking
 
     own = benchmarking.OwnRecordings(tuple(recording or ()), sessions, file_format)
-    benchmarking.recognition(out, recordings or out / "recordings", (drives, protocols), own, jobs)
+    lengths = benchmarking.Lengths(tau, stride, min_index_gap, positive_radius)
+    benchmarking.recognition(out, recordings or out / "recordings", (drives, protocols), own, lengths, jobs)
 
 
 @app.command()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,25 @@ class OwnRecordings:
     file_format: str
 
 
+@dataclass(frozen=True)
+class Lengths:
+    """How drives are cut and what counts as the same place: metres, the gap in submaps; None keeps the bench's own."""
+
+    tau: float | None = None
+    stride: float | None = None
+    min_index_gap: int | None = None
+    positive_radius_m: float | None = None
+
+    def of(self, programme: Programme) -> Programme:
+        """The programme with these lengths."""
+        given = {name: value for name, value in asdict(self).items() if value is not None}
+        submap, loops = (
+            {name: value for name, value in given.items() if name in names}
+            for names in (("tau", "stride"), ("min_index_gap", "positive_radius_m"))
+        )
+        return replace(programme, submap=replace(programme.submap, **submap), loops=replace(programme.loops, **loops))
+
+
 def metrics(update: bool, as_json: bool) -> None:
     """Measure, show, and exit with status 1 where a metric became worse than the baseline allows."""
     measured, regressions = benchmark.run(update=update)
@@ -40,12 +59,14 @@ def metrics(update: bool, as_json: bool) -> None:
         raise typer.Exit(1)
 
 
-def recognition(out: Path, recordings: Path, chosen: tuple[str, str], own: OwnRecordings, jobs: int) -> None:
+def recognition(
+    out: Path, recordings: Path, chosen: tuple[str, str], own: OwnRecordings, lengths: Lengths, jobs: int
+) -> None:
     """Run the recognition bench on the simulated drives, or on the user's own recordings, and name its report."""
     if own.file_format not in FORMATS:
         raise refuse(f"--format is one of {', '.join(FORMATS)}")
     protocols = _named("--protocols", chosen[1], PROTOCOLS)
-    programme = Programme(out, recordings, protocols=protocols, jobs=jobs, **_sources(chosen[0], own))
+    programme = lengths.of(Programme(out, recordings, protocols=protocols, jobs=jobs, **_sources(chosen[0], own)))
     with progress_bar(quiet=False) as bar:
         trials, (markdown, page) = run_recognition_bench(programme, _reporter(bar))
     say(f"{len(trials)} trials in {markdown} and {page}")

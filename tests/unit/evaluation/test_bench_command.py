@@ -87,6 +87,14 @@ def test_ones_own_recordings_take_the_place_of_the_simulated_ones(programmes: li
     assert list(programme.drives) == [first] and list(programme.sessions) == [(first, second)]
 
 
+def test_lengths_that_were_given_replace_those_of_the_bench(programmes: list[Programme], tmp_path: Path) -> None:
+    words = ["--tau", "5", "--min-index-gap", "7", "--positive-radius", "4"]
+    assert recognition("--out", str(tmp_path), *words) == 0
+    (programme,) = programmes
+    assert (programme.submap.tau, programme.submap.stride) == (5.0, 10.0)
+    assert (programme.loops.min_index_gap, programme.loops.positive_radius_m) == (7, 4.0)
+
+
 @pytest.mark.parametrize("words", [["--drives", "mars"], ["--protocols", "online,luck"], ["--format", "tape"]])
 def test_unknown_names_are_refused(programmes: list[Programme], words: list[str]) -> None:
     assert recognition(*words) == 1 and programmes == []

@@ -15,7 +15,7 @@ from core.config import SubmapConfig
 from core.submap import Submap
 from evaluation.baselines import ScanContext, Solid
 from evaluation.datasets import write_kitti
-from evaluation.methods import Description, Verdict
+from evaluation.methods import Description, PipelineMethod, Verdict
 from evaluation.metrics import LoopProtocol, Outcomes
 from evaluation.protocols.bench import run_recognition_bench
 from evaluation.protocols.contest import PRODUCT, VERIFIED
@@ -86,6 +86,18 @@ def programme(tmp_path_factory: pytest.TempPathFactory) -> Programme:
 @pytest.fixture(scope="module")
 def trials(programme: Programme) -> list[Trial]:
     return list(run_programme(programme, lambda *_: None, Compass()))
+
+
+def test_a_recording_of_a_room_is_held_at_its_scale_by_every_method(programme: Programme, tmp_path: Path) -> None:
+    walls = np.array([[x, y, z] for x in (-3.0, 3.0) for y in np.linspace(-2, 2, 20) for z in np.linspace(0, 2, 10)])
+    write_kitti(tmp_path, [(walls.astype(np.float32), se3.from_yaw(0.0), 0)])
+    room = RecordedDrive(tmp_path)
+    assert room.scene_scale == pytest.approx(np.percentile(np.linalg.norm(walls, axis=1), 90) / 20.0, rel=1e-3)
+    (_, product), (_, peers) = programme.contests("none", None, room.scene_scale)
+    assert isinstance(product.method, PipelineMethod)
+    assert product.method.config.scene_scale == peers.scene_scale == room.scene_scale
+    assert product.submap == peers.submap == product.method.config.submap
+    assert product.submap.min_range == pytest.approx(programme.submap.min_range * room.scene_scale)
 
 
 def by_name(trials: list[Trial], protocol: str) -> Trial:
