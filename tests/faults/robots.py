@@ -11,73 +11,89 @@ from functools import lru_cache
 import grpc
 import httpx
 
+from core.errors import ErrorCode
 from core.formats import KITTI, encode_kitti
 from revisit import ApiError, Client, Cloud
 from revisit.retry import RetryPolicy
 from revisit.v1 import cloud_pb2, geometry_pb2, ingest_pb2, ingest_pb2_grpc
+from service.status import STATUS
 from tests.faults.history import History, Kind, Operation, Outcome
 from tests.support.service_world import cloud_points, pose
 
 POINTS = 120
+TOO_FEW_POINTS = 50
 UNROTATED = geometry_pb2.Quaternion(w=1.0)
 ONCE = RetryPolicy(attempts=1)
 _FRESH_CHANNEL = (("grpc.use_local_subchannel_pool", 1), ("grpc.enable_http_proxy", 0))
 """A new connection for every attempt, without waiting because an earlier one failed."""
 
 
+EXPECTED = frozenset({409, 429, 503, 504})
+"""Refusals, as HTTP names them, that a robot on a bad link may meet."""
+
+
 @lru_cache(maxsize=10_000)
-def body(place: int) -> bytes:
+def body(place: int, points: int = POINTS) -> bytes:
     """The cloud of a place as it is sent."""
-    return encode_kitti(cloud_points(place, POINTS))
+    return encode_kitti(cloud_points(place, points))
 
 
 @lru_cache(maxsize=10_000)
-def content(place: int) -> str:
+def content(place: int, points: int = POINTS) -> str:
     """The hash by which its sender knows the cloud of a place again."""
-    return hashlib.sha256(cloud_points(place, POINTS).tobytes()).hexdigest()
+    return hashlib.sha256(cloud_points(place, points).tobytes()).hexdigest()
+
+
+def outcome_of(status: int) -> Outcome:
+    """What the HTTP status of an answer to a post tells: a 4xx was not stored, anything else but 202 may be."""
+    if status == 202:
+        return Outcome.OK
+    return Outcome.FAIL if 400 <= status < 500 else Outcome.UNKNOWN
 
 
 class Poster:
     """Posts submaps, each attempt on a connection of its own, over REST or gRPC; the repeating is up to the caller."""
 
-    def __init__(self, name: str, session: str, history: History) -> None:
-        """`session` is maps/{map}/sessions/{session}."""
+    def __init__(self, name: str, session: str, history: History, expected: frozenset[int] = EXPECTED) -> None:
+        """`session` is maps/{map}/sessions/{session}; a refusal that is not `expected` is a surprise."""
         self.name = name
         self.bodies: dict[str, list[dict[str, object]]] = {}
+        self.replays: dict[str, bool] = {}
         self.surprises: list[str] = []
         self._session = session
         self._history = history
+        self._expected = expected
 
-    def post(self, http: str, submap_id: str, place: int) -> Outcome:
+    def post(self, http: str, submap_id: str, place: int, points: int = POINTS) -> Outcome:
         """One attempt over REST at the URL `http`."""
-        operation = self._history.invoke(self.name, Kind.PUT, f"submap/{submap_id}", content(place))
+        operation = self._history.invoke(self.name, Kind.PUT, f"submap/{submap_id}", content(place, points))
         asked = {"submap_id": submap_id, "stamp_ns": place, "T_odom_submap": f"{place},0,0,0,0,0,1"}
         url = f"{http}/v1/{self._session}/submaps"
         try:
             # Without certificates to check there are none to load, which takes longer than the call.
             with httpx.Client(verify=False, trust_env=False, timeout=20) as client:
-                answer = client.post(url, params=asked, content=body(place), headers={"Content-Type": KITTI})
+                answer = client.post(url, params=asked, content=body(place, points), headers={"Content-Type": KITTI})
         except httpx.HTTPError:
             return self._settle(operation, Outcome.UNKNOWN)
         if answer.status_code == 202:
             self.bodies.setdefault(submap_id, []).append(answer.json())
-        elif answer.status_code not in (409, 429, 503, 504):
+            self.replays[submap_id] = answer.headers.get("idempotent-replay") == "true"
+        elif answer.status_code not in self._expected:
             self.surprises.append(f"{answer.status_code} {answer.text}")
-        outcomes = {202: Outcome.OK, 409: Outcome.FAIL}
-        return self._settle(operation, outcomes.get(answer.status_code, Outcome.UNKNOWN))
+        return self._settle(operation, outcome_of(answer.status_code))
 
-    def create(self, target: str, submap_id: str, place: int) -> Outcome:
+    def create(self, target: str, submap_id: str, place: int, points: int = POINTS) -> Outcome:
         """One attempt over gRPC at host:port."""
-        operation = self._history.invoke(self.name, Kind.PUT, f"submap/{submap_id}", content(place))
+        operation = self._history.invoke(self.name, Kind.PUT, f"submap/{submap_id}", content(place, points))
+        cloud = Cloud(body(place, points), KITTI)
         try:
             with Client.grpc(target, retry=ONCE) as client:
-                client.post_submap(self._session, submap_id, Cloud(body(place), KITTI), pose(float(place)), place)
+                client.post_submap(self._session, submap_id, cloud, pose(float(place)), place)
         except ApiError as error:
-            if error.reason == "ALREADY_EXISTS":
-                return self._settle(operation, Outcome.FAIL)
-            if not error.retryable:
+            status = _http_status(error)
+            if status not in self._expected:
                 self.surprises.append(str(error))
-            return self._settle(operation, Outcome.UNKNOWN)
+            return self._settle(operation, outcome_of(status))
         return self._settle(operation, Outcome.OK)
 
     def _settle(self, operation: Operation, outcome: Outcome) -> Outcome:
@@ -85,16 +101,24 @@ class Poster:
         return outcome
 
 
+def _http_status(error: ApiError) -> int:
+    """The status by which HTTP would have refused; 503 for no answer at all."""
+    if error.reason == "UNREACHABLE":
+        return 503
+    return STATUS[ErrorCode[error.reason]].http if error.reason in ErrorCode.__members__ else 500
+
+
 class Scanner:
     """Streams scans 1, 2, 3, ... of a session: after every cut it opens again and goes on where the service says."""
 
-    def __init__(self, session: str, history: History) -> None:
-        """`session` is maps/{map}/sessions/{session}."""
+    def __init__(self, session: str, history: History, expected: frozenset[str] = frozenset()) -> None:
+        """`session` is maps/{map}/sessions/{session}; a Nack whose reason is not `expected` is a surprise."""
         self.committed_seq = 0
         self.most_resent = 0
         self.surprises: list[str] = []
         self._session = session
         self._history = history
+        self._expected = expected
         self._open: dict[int, Operation] = {}
         self._furthest = 0
 
@@ -136,7 +160,9 @@ class Scanner:
             if answer is None or answer.WhichOneof("response") == "drain":
                 return
             if answer.WhichOneof("response") == "nack":
-                self.surprises.append(f"{answer.nack.seq}: {answer.nack.reason}, expected {answer.nack.expected_seq}")
+                nack = answer.nack
+                if nack.reason not in self._expected:
+                    self.surprises.append(f"{nack.seq}: {nack.reason}, expected {nack.expected_seq}")
                 return
             if answer.WhichOneof("response") == "ack":
                 told = self._history.invoke("scanner", Kind.RESUME, "stream")
