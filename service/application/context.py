@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import threading
 from collections.abc import AsyncIterator, Callable
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import asynccontextmanager
 from contextvars import copy_context
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import ParamSpec, TypeVar
 
 from core.config import PipelineConfig
@@ -20,6 +22,9 @@ from service.application.records import MapRecord
 
 P = ParamSpec("P")
 T = TypeVar("T")
+
+DECODERS = max(2, os.cpu_count() or 2)
+"""Clouds that are decoded at the same time: more threads than cores would only take the event loop's turns."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +96,7 @@ class Context:
     intake: Intake = field(default_factory=Intake)
     disk: DiskSpace = field(default_factory=EndlessDisk)
     index_health: IndexHealth = field(default_factory=IndexHealth)
+    decoders: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(DECODERS, "decode"))
 
     async def write(self, work: Callable[[UnitOfWork], T], *, alone: bool = False) -> T:
         """Commit `work` (see `ports.Transactions`); a caller that is cancelled does not undo it."""
@@ -105,6 +111,11 @@ class Context:
     async def compute(self, work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
         """Run `work`, which may take milliseconds of CPU or disk, beside the event loop."""
         return await asyncio.to_thread(work, *args, **kwargs)
+
+    async def decode(self, work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+        """As `compute`, for clouds, which take a core each: the others wait for their turn."""
+        here = partial(copy_context().run, work, *args, **kwargs)
+        return await asyncio.get_running_loop().run_in_executor(self.decoders, here)
 
     def admit(self) -> None:
         """Raises Draining once the service is stopping."""
@@ -123,21 +134,36 @@ class Context:
     ) -> AsyncIterator[Callable[[int], None]]:
         """A place for one cloud, which becomes a job if it is `queued`; call what is given with the number of points.
 
-        Raises RateLimited; WorkersBusy where the queue was full a moment ago, or there is no place, unless `patient`.
+        Raises RateLimited; WorkersBusy where the queue is full, or there is no place, unless `patient`.
         """
         self.intake.require_points(tenant)
         if queued:
-            self.intake.require_queue(tenant)
+            await self.require_room(tenant)
         async with self.intake.cloud(tenant, patient=patient):
             yield lambda points: self.intake.spend(tenant, points)
 
+    async def require_room(self, tenant: TenantId) -> None:
+        """As `require_queue_space`, before any work is done: with the jobs that what is being taken in will become."""
+        most = self.policy.max_queued_jobs
+        if self.intake.queue_seems_full(tenant, most) and not self.intake.recounted_lately(tenant):
+            self.intake.note_recount(tenant, await self.read(lambda uow: _waiting(uow, tenant)))
+        if self.intake.queue_seems_full(tenant, most):
+            raise _queue_is_full(most)
+
     def require_queue_space(self, uow: UnitOfWork, tenant: TenantId) -> None:
-        """Raises WorkersBusy where the tenant has too many jobs waiting."""
-        waiting = uow.jobs.count(tenant, state="QUEUED")
-        if waiting >= self.policy.max_queued_jobs:
-            self.intake.note_full_queue(tenant)
-            message = f"{waiting} jobs are waiting; try again later with the same id"
-            raise WorkersBusy(message, retry_after_s=QUEUE_RETRY_S)
+        """Raises WorkersBusy where the tenant has too many jobs waiting, else counts on one more."""
+        waiting, most = _waiting(uow, tenant), self.policy.max_queued_jobs
+        self.intake.expect_waiting(tenant, min(waiting + 1, most))
+        if waiting >= most:
+            raise _queue_is_full(most)
+
+
+def _waiting(uow: UnitOfWork, tenant: TenantId) -> int:
+    return uow.jobs.count(tenant, state="QUEUED")
+
+
+def _queue_is_full(most: int) -> WorkersBusy:
+    return WorkersBusy(f"{most} jobs are waiting; try again later with the same id", retry_after_s=QUEUE_RETRY_S)
 
 
 async def _outcome(future: Future[T]) -> T:

@@ -23,8 +23,8 @@ BUSY_RETRY_S = 1.0
 QUEUE_RETRY_S = 5.0
 """When to come back where all places, or all places of the queue, are taken."""
 
-QUEUE_STAYS_FULL_S = 0.25
-"""For so long, a queue that was full is taken to be full still: to find that out costs what storing a cloud does."""
+RECOUNT_S = 0.05
+"""A queue that seems to be full is counted again at most this often, so that finding it full costs next to nothing."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class _Waiter:
 
 
 class Intake:
-    """The bounds and what is taken in now. All calls but `note_full_queue` come from the event loop."""
+    """The bounds and what is taken in now. All calls but `expect_waiting` come from the event loop."""
 
     def __init__(
         self,
@@ -94,7 +94,8 @@ class Intake:
         self._clouds: Counter[TenantId] = Counter()
         self._waiters: deque[_Waiter] = deque()
         self._streams: Counter[tuple[str, ...]] = Counter()
-        self._queue_full_until_s: dict[TenantId, float] = {}
+        self._waiting: dict[TenantId, int] = {}
+        self._recounted_s: dict[TenantId, float] = {}
 
     @property
     def clouds(self) -> int:
@@ -119,14 +120,22 @@ class Intake:
         for bucket in self._buckets_of(tenant):
             bucket.take(points + CALL_POINTS, now_s)
 
-    def note_full_queue(self, tenant: TenantId) -> None:
-        """The tenant's queue has just been found full; from any thread."""
-        self._queue_full_until_s[tenant] = self._now_s() + QUEUE_STAYS_FULL_S
+    def expect_waiting(self, tenant: TenantId, jobs: int) -> None:
+        """So many jobs of the tenant wait from now on, with the one that is being added; from any thread."""
+        self._waiting[tenant] = jobs
 
-    def require_queue(self, tenant: TenantId) -> None:
-        """Raises WorkersBusy where the tenant's queue was full a moment ago."""
-        if self._now_s() < self._queue_full_until_s.get(tenant, 0.0):
-            raise WorkersBusy("the queue is full; try again later with the same id", retry_after_s=QUEUE_RETRY_S)
+    def note_recount(self, tenant: TenantId, jobs: int) -> None:
+        """So many jobs of the tenant were just counted."""
+        self._waiting[tenant], self._recounted_s[tenant] = jobs, self._now_s()
+
+    def queue_seems_full(self, tenant: TenantId, most: int) -> bool:
+        """Whether the jobs that wait, as far as is known, and the clouds that are being taken in make `most`."""
+        return self._waiting.get(tenant, 0) + self._clouds[tenant] >= most
+
+    def recounted_lately(self, tenant: TenantId) -> bool:
+        """Whether the tenant's jobs were counted again a moment ago."""
+        recounted_s = self._recounted_s.get(tenant)
+        return recounted_s is not None and self._now_s() < recounted_s + RECOUNT_S
 
     def require_place(self, tenant: TenantId) -> None:
         """Raises WorkersBusy where no cloud more can be taken in now."""

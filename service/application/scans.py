@@ -124,7 +124,7 @@ class Scans:
             return await self._store(tenant, command, spend)
 
     async def _store(self, tenant: TenantId, command: AppendScan, spend: Callable[[int], None]) -> ScanAck:
-        accepted = await self._context.compute(_accept, command)
+        accepted = await self._context.decode(_accept, command)
         spend(len(accepted.scan.points))
         await self._context.compute(self._context.blobs.put, tenant, CLOUD_BLOB, accepted.packed)
         failpoint("ingest.after_blob")

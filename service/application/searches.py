@@ -142,7 +142,7 @@ class Searches:
         await self._context.read(lambda uow: require_map(uow, tenant, payload["map_id"]))
         blobs = self._context.blobs
         async with self._context.taking_in(tenant) as spend:
-            packed, points = await self._context.compute(_accept, cloud)
+            packed, points = await self._context.decode(_accept, cloud)
             spend(points)
             sha256 = await self._context.compute(blobs.put, tenant, QUERY_CLOUD_BLOB, packed)
         subject = f"maps/{payload['map_id']}"

@@ -133,7 +133,7 @@ class Submaps:
             return await self._store(tenant, command, spend)
 
     async def _store(self, tenant: TenantId, command: PostSubmap, spend: Callable[[int], None]) -> PostedSubmap:
-        accepted = await self._context.compute(self._accept, tenant, command)
+        accepted = await self._context.decode(self._accept, tenant, command)
         spend(accepted.row.point_count)
         known = await self._context.read(lambda uow: self._known(uow, accepted.row))
         if known is not None:

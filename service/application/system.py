@@ -97,10 +97,10 @@ class System:
         self._context.intake.require_points(tenant)
         self._context.intake.require_place(tenant)
 
-    def admit_job(self, tenant: TenantId) -> None:
-        """As `admit_cloud`, for a cloud that becomes a job. Raises also WorkersBusy where the queue was just full."""
+    async def admit_job(self, tenant: TenantId) -> None:
+        """As `admit_cloud`, for a cloud that becomes a job. Raises also WorkersBusy where the queue is full."""
         self.admit_cloud(tenant)
-        self._context.intake.require_queue(tenant)
+        await self._context.require_room(tenant)
 
     def drain(self) -> None:
         """From now on refuse new work with Draining; what is under way ends."""

@@ -1,107 +1,51 @@
-"""The real service under more load than it can do (P10) and with one greedy tenant (P11's share: one client of many).
+"""The real service under ten times the load that it takes (P10), and how quick its health stays meanwhile (P12).
 
-Sizes are environment variables: REVISIT_LOAD_S seconds of each phase (20), REVISIT_LOAD_CLIENTS flooding clients (40).
-What is measured is printed as one JSON line, for the table in docs/reference/reliability.md.
+Sizes are environment variables: REVISIT_LOAD_S seconds of each phase (20), REVISIT_LOAD_TAKEN clouds a second that the
+service takes (10), of which ten times as many are sent. Clients and service share the machine, so each time is stated
+twice: as clients see it, and, named `served`, as the service logs it.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import threading
-import time
-from dataclasses import dataclass, field
-from pathlib import Path
 
 import httpx
-import numpy as np
 import pytest
 
-from core.formats import QUANTISED, encode_quantised
+from core.formats import encode_quantised
+from service.application.intake import CALL_POINTS
+from tests.support.figures import publish
+from tests.support.load import CALLS, OK, Sender, Served, Tally, Watch, run_for
 from tests.support.processes import ServiceProcess
 from tests.support.service_world import cloud_points
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(3600)]
 
 LOAD_S = float(os.environ.get("REVISIT_LOAD_S", "20"))
-CLIENTS = int(os.environ.get("REVISIT_LOAD_CLIENTS", "40"))
+TAKEN_PER_S = float(os.environ.get("REVISIT_LOAD_TAKEN", "10"))
+TIMES = 10
+CLIENTS = 20
 POINTS = 20_000
 RSS_CAP_MIB = 1024
-QUEUE_BOUND = 200
+QUEUE_BOUND = 50
+REFUSED = ("RATE", "WORKERS_BUSY")
+REFUSED_STATUSES = ("429", "503", "RESOURCE_EXHAUSTED", "UNAVAILABLE")
+TAKEN_STATUSES = ("202", "OK")
+REFUSED_P50_MS = 50.0
+"""Of what the service logs. Promised are 50 ms for all; the rest is published, for the machine does other work too."""
 CLOUD = encode_quantised(cloud_points(1, POINTS))
+BOUNDS = {
+    "points": {"tenant_points_per_s": TAKEN_PER_S * (POINTS + CALL_POINTS)},
+    "queue": {"fake_delay_s": 1.0 / TAKEN_PER_S},
+}
+"""What keeps the service from taking more: the points of a tenant, or a queue that one worker empties."""
 
 
-@dataclass
-class Tally:
-    """What one kind of client saw: seconds that answers took, by status."""
-
-    took_s: dict[int, list[float]] = field(default_factory=dict)
-    broken: int = 0
-
-    def note(self, status: int, seconds: float) -> None:
-        """Count an answer."""
-        self.took_s.setdefault(status, []).append(seconds)
-
-    def quantile_ms(self, status: int, share: float) -> float:
-        """Of the answers with this status, milliseconds."""
-        return round(1000 * float(np.quantile(self.took_s[status], share)), 1)
-
-    def counts(self) -> dict[int, int]:
-        """Answers by status."""
-        return {status: len(seconds) for status, seconds in sorted(self.took_s.items())}
-
-
-class Poster(threading.Thread):
-    """Posts one submap after another, `every_s` apart, until told to stop; takes no notice of Retry-After."""
-
-    def __init__(self, url: str, name: str, tally: Tally, every_s: float, stop: threading.Event) -> None:
-        super().__init__(name=name, daemon=True)
-        self._url, self._tally, self._every_s, self._stopped = url, tally, every_s, stop
-
-    def run(self) -> None:
-        with httpx.Client(base_url=self._url, timeout=30, trust_env=False) as client:
-            number = 0
-            while not self._stopped.wait(self._every_s):
-                number += 1
-                params = {"submap_id": f"{self.name}-{number}", "stamp_ns": number, "T_odom_submap": "0,0,0,0,0,0,1"}
-                began_s = time.perf_counter()
-                try:
-                    answer = client.post(
-                        "/v1/maps/town/sessions/monday/submaps",
-                        params=params,
-                        content=CLOUD,
-                        headers={"content-type": QUANTISED},
-                    )
-                    self._tally.note(answer.status_code, time.perf_counter() - began_s)
-                except httpx.HTTPError:
-                    self._tally.broken += 1
-
-
-class Watch(threading.Thread):
-    """Looks at the service meanwhile: memory of the gateway, the queue, and how long /livez takes."""
-
-    def __init__(self, service: ServiceProcess, stop: threading.Event) -> None:
-        super().__init__(daemon=True)
-        self._service, self._stopped = service, stop
-        self.rss_mib, self.queued, self.livez = 0.0, 0, Tally()
-
-    def run(self) -> None:
-        status = Path(f"/proc/{self._service._process.pid}/status")
-        with httpx.Client(base_url=self._service.url, timeout=30, trust_env=False) as client:
-            while not self._stopped.wait(0.2):
-                line = next(line for line in status.read_text().splitlines() if line.startswith("VmRSS"))
-                self.rss_mib = max(self.rss_mib, int(line.split()[1]) / 1024)
-                began_s = time.perf_counter()
-                answer = client.get("/livez")
-                self.livez.note(answer.status_code, time.perf_counter() - began_s)
-                self.queued = max(self.queued, client.get("/v1/status").json()["queued_jobs"])
-
-
-@pytest.fixture
-def service(tmp_path):
-    running = ServiceProcess(
-        tmp_path / "home", workers=1, fake_delay_s="0.01", max_queued_jobs=QUEUE_BOUND, tenant_points_per_s=2e6
-    )
+@pytest.fixture(params=BOUNDS)
+def service(tmp_path, request):
+    settings = {"workers": 1, "max_queued_jobs": QUEUE_BOUND, "metrics_port": 0, **BOUNDS[request.param]}
+    running = ServiceProcess(tmp_path / "home", **settings)
     with httpx.Client(base_url=running.url, trust_env=False) as client:
         client.post("/v1/maps", json={"map_id": "town"})
         client.post("/v1/maps/town/sessions", json={"session_id": "monday"})
@@ -109,41 +53,41 @@ def service(tmp_path):
     running.close()
 
 
-def phase(service, name, clients, every_s):
-    """One load for LOAD_S; what its clients and the watch saw."""
-    tally, stop = Tally(), threading.Event()
+def phase(service, transport, name, clients, per_s):
+    """One load for LOAD_S; what its clients, the watch and the service saw."""
+    tally, stop, served = Tally(), threading.Event(), Served(service)
     watch = Watch(service, stop)
-    threads = [watch, *(Poster(service.url, f"{name}{number}", tally, every_s, stop) for number in range(clients))]
-    for thread in threads:
-        thread.start()
-    time.sleep(LOAD_S)
-    stop.set()
-    for thread in threads:
-        thread.join(60)
-    return tally, watch
+    calls = [CALLS[transport](service, CLOUD) for _ in range(clients)]
+    senders = (Sender(f"{name}{number}", call, tally, clients / per_s, stop) for number, call in enumerate(calls))
+    run_for(LOAD_S, stop, watch, *senders)
+    return tally, watch, served
 
 
-def test_ten_times_the_load_is_refused_not_absorbed(service):
-    calm, _ = phase(service, "calm", clients=2, every_s=0.1)
-    flood, watch = phase(service, "flood", clients=CLIENTS, every_s=0.0)
-    refused = [status for status in flood.took_s if status in (429, 503)]
-    figures = {
-        "seconds": LOAD_S,
-        "calm": calm.counts(),
-        "calm_p99_ms": calm.quantile_ms(202, 0.99),
-        "flood": flood.counts(),
-        "broken": flood.broken,
-        "accepted_p99_ms": flood.quantile_ms(202, 0.99),
-        "refused_p50_ms": {status: flood.quantile_ms(status, 0.5) for status in refused},
-        "refused_p99_ms": {status: flood.quantile_ms(status, 0.99) for status in refused},
-        "livez_p99_ms": watch.livez.quantile_ms(200, 0.99),
-        "gateway_rss_mib": round(watch.rss_mib),
-        "queued": watch.queued,
+def quickness(tally, watch, served):
+    """The times of a phase, milliseconds."""
+    return {
+        "answers": tally.counts(),
+        "accepted_p50_p99_ms": [tally.quantile_ms(share, OK) for share in (0.5, 0.99)],
+        "accepted_served_p50_p99_ms": [served.took_ms(share, *TAKEN_STATUSES) for share in (0.5, 0.99)],
+        "refused_p50_p99_ms": [tally.quantile_ms(share, *REFUSED) for share in (0.5, 0.99)],
+        "refused_served_p50_p99_ms": [served.took_ms(share, *REFUSED_STATUSES) for share in (0.5, 0.99)],
+        "livez_p50_p99_ms": [watch.livez.quantile_ms(share, "200") for share in (0.5, 0.99)],
+        "loop_lag_p50_p99_ms": [served.lag_ms(share) for share in (0.5, 0.99)],
+        "most_loop_lag_ms": served.most_lag_ms(),
     }
-    print(json.dumps(figures))
-    assert set(flood.took_s) <= {202, 429, 503}
-    assert refused and len(flood.took_s[202]) > 0
-    assert flood.broken == 0
+
+
+@pytest.mark.parametrize("transport", ["rest", "grpc"])
+def test_ten_times_the_load_is_refused_not_absorbed(service, transport, request):
+    calm = quickness(*phase(service, transport, "calm", clients=2, per_s=TAKEN_PER_S / 2))
+    answers, watch, served = phase(service, transport, "flood", clients=CLIENTS, per_s=TIMES * TAKEN_PER_S)
+    flood = quickness(answers, watch, served)
+    sizes = {"gateway_rss_mib": round(watch.rss_mib), "queued": watch.queued}
+    case = request.node.callspec.id
+    publish("overload", promise="P10, P12", case=case, seconds=LOAD_S, calm=calm, flood=flood, **sizes)
+    assert answers.others(OK, *REFUSED) == {}
+    assert flood["refused_served_p50_p99_ms"][0] < REFUSED_P50_MS
+    assert answers.counts()[OK] > 0
     assert watch.queued <= QUEUE_BOUND
     assert watch.rss_mib < RSS_CAP_MIB
     with httpx.Client(base_url=service.url, trust_env=False) as client:

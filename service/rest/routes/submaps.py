@@ -55,7 +55,7 @@ class View(StrEnum):
 
 async def _job_admitted(cases: Cases, tenant: Tenant) -> None:
     """Before the body is read."""
-    cases.system.admit_job(tenant)
+    await cases.system.admit_job(tenant)
 
 
 @router.post("", status_code=202, openapi_extra=CLOUD_BODY, dependencies=[allows(Scope.INGEST), Depends(_job_admitted)])

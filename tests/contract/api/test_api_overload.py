@@ -43,7 +43,8 @@ def limits(service, monkeypatch):
     def of(**bounds):
         monkeypatch.setattr(taking, "limits", IntakeLimits(**bounds))
         monkeypatch.setattr(taking, "_buckets", {})
-        monkeypatch.setattr(taking, "_queue_full_until_s", {})
+        monkeypatch.setattr(taking, "_waiting", {})
+        monkeypatch.setattr(taking, "_recounted_s", {})
 
     of()
     yield of
@@ -81,7 +82,7 @@ def test_points_beyond_a_quota_are_refused_with_the_time_to_come_back(client, se
 
 
 def test_a_full_queue_refuses_one_more_job_on_either_transport(client, session, service, limits, monkeypatch):
-    monkeypatch.setattr(intake, "QUEUE_STAYS_FULL_S", 60.0)
+    monkeypatch.setattr(intake, "RECOUNT_S", 60.0)
     queued = service.world.context.transactions.read(lambda uow: uow.jobs.count("default", state="QUEUED")).result()
     for number in range(5 - queued):
         post(client, session, number)
@@ -90,17 +91,19 @@ def test_a_full_queue_refuses_one_more_job_on_either_transport(client, session, 
     assert (refused.value.reason, refused.value.code) == ("WORKERS_BUSY", "UNAVAILABLE")
     assert refused.value.retryable and refused.value.retry_after_s >= 1.0
     with pytest.raises(ApiError, match="WORKERS_BUSY"):
-        # Moments later nothing is decoded to find that out again: what is no cloud is not called one.
+        # Nothing is decoded to find that out: what is no cloud is not called one.
         client.post_submap(session, "no-cloud", Cloud(b"no cloud", QUANTISED), pose(), 1)
     service.world.work_off()
-    limits()
+    with pytest.raises(ApiError, match="WORKERS_BUSY"):
+        post(client, session, 9)
+    monkeypatch.setattr(intake, "RECOUNT_S", 0.0)
     post(client, session, 9)
 
 
 def test_a_stream_goes_on_where_the_queue_is_full(service, limits):
     with Client.grpc(service.grpc, retry=ONCE) as client:
         session = client.create_session(client.create_map("streaming"), "s")
-        service.world.context.intake.note_full_queue("default")
+        service.world.context.intake.note_recount("default", 5)
         with client.stream(session) as stream:
             stream.send(cloud_points(1, POINTS), pose(), 1)
         assert stream.committed_seq == 1

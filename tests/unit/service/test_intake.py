@@ -164,3 +164,26 @@ def test_streams_are_bounded_for_a_client_and_for_all(clock):
     assert bounded.streams == 0
     with bounded.stream("anna", replaces=False):
         assert bounded.streams == 1
+
+
+def test_a_queue_is_full_with_what_is_being_taken_in(clock):
+    bounded = intake(clock, clouds=4, tenant_share=1.0)
+    bounded.expect_waiting("anna", 3)
+
+    async def seems_full():
+        async with bounded.cloud("anna"):
+            return [bounded.queue_seems_full("anna", most) for most in (5, 4)]
+
+    assert asyncio.run(seems_full()) == [False, True]
+    assert not bounded.queue_seems_full("anna", 4)
+    assert not bounded.queue_seems_full("bert", 1)
+
+
+def test_a_queue_is_counted_again_at_most_twenty_times_a_second(clock):
+    bounded = intake(clock)
+    assert not bounded.recounted_lately("anna")
+    bounded.note_recount("anna", 7)
+    assert bounded.recounted_lately("anna") and not bounded.recounted_lately("bert")
+    clock.now_s += 0.051
+    assert not bounded.recounted_lately("anna")
+    assert bounded.queue_seems_full("anna", 7) and not bounded.queue_seems_full("anna", 8)
