@@ -43,6 +43,10 @@ class LeasedJobs:
         self._jobs.replace(leased)
         return Lease(leased)
 
+    def require(self, lease: Lease) -> None:
+        """See `ports.JobQueue`."""
+        self._held(lease)
+
     def extend(self, lease: Lease, now: Instant) -> None:
         """See `ports.JobQueue`."""
         job = self._held(lease)

@@ -63,6 +63,8 @@ class DescriptionCommit:
         Raises StaleLease where another worker holds the job.
         """
         tenant, map_record = self.task.map.tenant, self.task.map
+        # A late run must not trip over the rows of the run that overtook it.
+        uow.queue.require(self.lease)
         newer = uow.changes.since(tenant, map_record.number, self.seq)
         if any(_may_match(change, self.where) for change in newer):
             return False

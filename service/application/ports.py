@@ -162,6 +162,10 @@ class JobQueue(Protocol):
         """Lease the next runnable job behind tenant `after` to `owner`; the attempt is counted before the run."""
         ...
 
+    def require(self, lease: Lease) -> None:
+        """Raises StaleLease where another worker holds the job by now."""
+        ...
+
     def extend(self, lease: Lease, now: Instant) -> None:
         """Keep the lease. Raises StaleLease where another worker holds the job by now."""
         ...

@@ -11,6 +11,7 @@ import os
 import re
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -83,6 +84,23 @@ class FakeRecogniser:
         if agreement < ACCEPTED_FROM:
             return LoopVerdict(False, "TOO_DIFFERENT", agreement, None, {"agreement": agreement})
         return LoopVerdict(True, None, agreement, T_match_query, {"agreement": agreement})
+
+
+NOWHERE = np.full(BINS, 0.125, dtype=np.float32)
+"""A unit vector that no place has."""
+
+
+class MistakenRecogniser(FakeRecogniser):
+    """What it describes is nowhere: whatever of it is stored can be told from what others found."""
+
+    def describe(self, submap: Submap, config: PipelineConfig) -> SubmapDescription:
+        """As the other does, with the descriptor of no place."""
+        return replace(super().describe(submap, config), descriptor=NOWHERE)
+
+
+def load_mistaken() -> MistakenRecogniser:
+    """What REVISIT_RECOGNISER=tests.support.fake_recogniser:load_mistaken loads."""
+    return MistakenRecogniser()
 
 
 def load() -> FakeRecogniser:

@@ -16,10 +16,11 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[2]
 
 
-class ServiceProcess:
-    """`python -m service serve` on free ports over `home`, without a reserve on the disk; `launcher` goes before it."""
+class _Logging:
+    """A process of the service over `home`, without a reserve on the disk, and what it logs; `launcher` goes before."""
 
     launcher: tuple[str, ...] = ()
+    command: tuple[str, ...]
 
     def __init__(self, home: Path, **settings: Any) -> None:
         self._environment = {name: value for name, value in os.environ.items() if not name.startswith("REVISIT_")}
@@ -37,21 +38,17 @@ class ServiceProcess:
         self.start()
 
     def start(self) -> None:
-        """Start it (again) and wait until it listens."""
+        """Start it (again)."""
         self._process = subprocess.Popen(
-            [*self.launcher, sys.executable, "-m", "service", "serve"],
+            [*self.launcher, sys.executable, "-m", "service", *self.command],
             cwd=ROOT,
             env=self._environment,
             stderr=subprocess.PIPE,
             text=True,
             start_new_session=True,
         )
-        seen = len(self.events)
         self._reader = threading.Thread(target=self._read, args=(self._process,), daemon=True)
         self._reader.start()
-        listening = self.wait_for("listening", after=seen)
-        self.url = f"http://127.0.0.1:{listening['http_port']}"
-        self.grpc_target = f"127.0.0.1:{listening['grpc_port']}"
 
     def wait_for(self, event: str, after: int = 0, timeout_s: float = 30.0) -> dict[str, Any]:
         """The first log entry of this kind after the first `after` entries."""
@@ -67,8 +64,39 @@ class ServiceProcess:
 
     @property
     def pid(self) -> int:
-        """The gateway's process id."""
+        """The process id."""
         return self._process.pid
+
+    def send(self, number: signal.Signals) -> None:
+        """Send it a signal."""
+        self._process.send_signal(number)
+
+    def close(self) -> None:
+        """End everything that is left of it."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.wait()
+
+    def _read(self, process: subprocess.Popen[str]) -> None:
+        for line in process.stderr:
+            try:
+                self.events.append(json.loads(line))
+            except json.JSONDecodeError:
+                self.other_lines.append(line)
+
+
+class ServiceProcess(_Logging):
+    """`python -m service serve` on free ports, with its workers."""
+
+    command = ("serve",)
+
+    def start(self) -> None:
+        """Start it (again) and wait until it listens."""
+        seen = len(self.events)
+        super().start()
+        listening = self.wait_for("listening", after=seen)
+        self.url = f"http://127.0.0.1:{listening['http_port']}"
+        self.grpc_target = f"127.0.0.1:{listening['grpc_port']}"
 
     def wait_until_it_ends(self, timeout_s: float = 30.0) -> int:
         """The exit status of a gateway that ends by itself."""
@@ -92,18 +120,16 @@ class ServiceProcess:
         children = Path(f"/proc/{self._process.pid}/task/{self._process.pid}/children")
         return [int(pid) for pid in children.read_text().split()]
 
-    def close(self) -> None:
-        """End everything that is left of it."""
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(self._process.pid, signal.SIGKILL)
-        self._process.wait()
 
-    def _read(self, process: subprocess.Popen[str]) -> None:
-        for line in process.stderr:
-            try:
-                self.events.append(json.loads(line))
-            except json.JSONDecodeError:
-                self.other_lines.append(line)
+class WorkerProcess(_Logging):
+    """`python -m service worker` beside a service of the same `home`, which does not watch over it."""
+
+    command = ("worker",)
+
+    def start(self) -> None:
+        """Start it and wait until it takes jobs."""
+        super().start()
+        self.wait_for("worker_ready")
 
 
 def is_running(pid: int) -> bool:

@@ -1,0 +1,120 @@
+"""A worker process stands still in its job until another has done it, and then goes on: nothing of it counts (P15)."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from core.formats import KITTI
+from revisit import Client, Cloud
+from revisit.resources import Operation
+from tests.faults.robots import body
+from tests.faults.survey import survey
+from tests.support.campaigns import Campaign, sizes
+from tests.support.fake_recogniser import NOWHERE
+from tests.support.processes import ServiceProcess, WorkerProcess
+from tests.support.service_world import pose
+
+SESSION = "maps/town/sessions/monday"
+DESCRIBES_FOR_S = 1.0
+MISTAKEN = "tests.support.fake_recogniser:load_mistaken"
+
+
+def until(condition: Callable[[], object], what: str, timeout_s: float = 60.0) -> None:
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline, what
+        time.sleep(0.02)
+
+
+def is_free(lock: Path) -> bool:
+    """Whether nobody holds the lock of the writers."""
+    descriptor = os.open(lock, os.O_RDWR)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    finally:
+        os.close(descriptor)
+    return True
+
+
+def is_stopped(pid: int) -> bool:
+    return "\nState:\tT" in Path(f"/proc/{pid}/status").read_text()
+
+
+@contextmanager
+def stopped(worker: WorkerProcess, home: Path) -> Iterator[None]:
+    """The worker stands still within the block, but not in a transaction: that would hold up everybody."""
+    locks = (home / "revisit.db.writer", home / "revisit.db.turn")
+    while True:
+        worker.send(signal.SIGSTOP)
+        until(lambda: is_stopped(worker.pid), "it does not stop")
+        if all(is_free(lock) for lock in locks):
+            break
+        worker.send(signal.SIGCONT)
+    yield
+    worker.send(signal.SIGCONT)
+
+
+@pytest.fixture
+def client(folder) -> Iterator[Client]:
+    """Of a gateway that starts no workers and watches over none."""
+    with closing(ServiceProcess(folder / "home", workers=0)) as service, Client(service.url) as made:
+        made.create_session(made.create_map("town", min_index_gap=2), "monday")
+        yield made
+
+
+@pytest.fixture
+def start_worker(folder) -> Iterator[Callable[..., WorkerProcess]]:
+    with ExitStack() as workers:
+        yield lambda **settings: workers.enter_context(closing(WorkerProcess(folder / "home", **settings)))
+
+
+def post(client: Client, submap_id: str, place: int) -> Operation:
+    return client.post_submap(SESSION, submap_id, Cloud(body(place), KITTI), pose(float(place)), place)
+
+
+def overtake(home: Path, client: Client, quick: WorkerProcess, slow: WorkerProcess, stopped_s: float) -> float:
+    """The slow worker stands still in its job for `stopped_s`, the quick one does it; how long that took, seconds."""
+    late = post(client, "c", 1)
+    until(lambda: client.get_operation(late.name).state == "RUNNING", "the slow worker does not begin")
+    with stopped(slow, home):
+        stopped_at = time.monotonic()
+        quick.send(signal.SIGCONT)
+        done = client.wait(late)
+        done_s = time.monotonic() - stopped_at
+        threading.Event().wait(stopped_s - done_s)
+    assert slow.wait_for("result_refused")["operation"] == late.name.removeprefix("operations/")
+    assert (done.state, done.attempts) == ("DONE", 2)
+    return done_s
+
+
+@pytest.mark.parametrize("stopped_s", sizes("STOPPED_S", 1, 60))
+def test_a_worker_that_was_stopped_beyond_its_lease_has_its_result_refused(folder, client, start_worker, stopped_s):
+    lease_s, home, campaign = min(10.0, stopped_s), folder / "home", Campaign("P15", 1)
+    quick = start_worker(lease_s=lease_s)
+    for submap_id, place in (("a", 1), ("b", 2)):
+        assert client.wait(post(client, submap_id, place)).state == "DONE"
+    for _ in campaign:
+        with stopped(quick, home):
+            slow = start_worker(lease_s=lease_s, recogniser=MISTAKEN, fake_delay_s=DESCRIBES_FOR_S)
+            done_s = overtake(home, client, quick, slow, stopped_s)
+    loops = [(loop.query, loop.match, loop.state) for loop in client.loop_closures("maps/town")]
+    assert loops == [(f"{SESSION}/submaps/c", f"{SESSION}/submaps/a", "ACCEPTED")]
+    described = client.get_submap(f"{SESSION}/submaps/c", full=True)
+    assert described.state == "DESCRIBED" and not np.allclose(described.descriptor, NOWHERE)
+    found = survey(home)
+    assert (found.problems, found.states) == ([], {"DESCRIBED": 3})
+    campaign.publish(
+        f"stopped for {stopped_s} s, its job done by another after {done_s:.1f} s, its late result refused"
+    )
