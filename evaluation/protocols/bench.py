@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -33,23 +33,22 @@ def run_recognition_bench(
     trials = list(run_programme(programme, report, method))
     if method is not None:
         return trials, write_report(trials, programme.folder, type(method).__name__)
-    pictures = _BevPictures(_recordings(programme), PipelineConfig(submap=programme.submap))
+    pictures = _BevPictures(_sources(programme))
     return trials, write_report(trials, programme.folder, load_packaged_models().version, pictures)
 
 
-def _recordings(programme: Programme) -> Sequence[Recording]:
-    """Every recording of the programme; simulated ones are there by now."""
+def _sources(programme: Programme) -> Iterator[tuple[Recording, PipelineConfig]]:
+    """Every recording of the programme, with the product's parameters for it; simulated ones are there by now."""
     drives = [*programme.drives, *(one for pair in programme.sessions for one in pair)]
-    wanted = drives if "sessions" in programme.protocols else programme.drives
-    return [drive.recorded(programme.recordings) for drive in wanted]
+    for drive in drives if "sessions" in programme.protocols else programme.drives:
+        yield drive.recorded(programme.recordings), programme.pipeline(drive.scene_scale)
 
 
 class _BevPictures:
     """Bird's-eye images of failed pairs, made by the product from the recordings."""
 
-    def __init__(self, recordings: Sequence[Recording], config: PipelineConfig) -> None:
-        self._recordings = {recording.name: recording for recording in recordings}
-        self._config = config
+    def __init__(self, sources: Iterable[tuple[Recording, PipelineConfig]]) -> None:
+        self._sources = {recording.name: (recording, config) for recording, config in sources}
 
     def __call__(self, trial: Trial, failure: Failure) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:
         """Query and map submap, as they lie in the recording; None where one of them cannot be described."""
@@ -60,4 +59,5 @@ class _BevPictures:
             return None
 
     def _image(self, recording: str, window: tuple[int, ...]) -> NDArray[np.float32]:
-        return bev_image(self._recordings[recording], window, self._config)
+        source, config = self._sources[recording]
+        return bev_image(source, window, config)

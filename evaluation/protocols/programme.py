@@ -79,13 +79,18 @@ class Programme:
     candidates: int = LoopConfig().candidates
     jobs: int = 1
 
+    def pipeline(self, scene_scale: float) -> PipelineConfig:
+        """The product's parameters for a scene of that scale."""
+        submap = dataclasses.replace(self.submap, min_range=self.submap.min_range * scene_scale)
+        return PipelineConfig(submap=submap, scene_scale=scene_scale)
+
     def contests(self, ablation: str, method: Method | None, scene_scale: float = 1.0) -> list[tuple[str, Contest]]:
         """The product (or `method`) and the baselines apart, each with what decides its outcome besides the question.
 
         With an ablation only the product's descriptor.
         """
-        submap = dataclasses.replace(self.submap, min_range=self.submap.min_range * scene_scale)
-        config = PipelineConfig(submap=submap, scene_scale=scene_scale)
+        config = self.pipeline(scene_scale)
+        submap = config.submap
         who = repr(method) if method is not None else f"{load_packaged_models().version} {config}"
         candidates = self.candidates if ablation == "none" else 0
         product = Contest(
