@@ -17,6 +17,7 @@ from service.application.context import Context
 from service.application.errors import PermissionDenied, TooManyFailures, Unauthenticated
 from service.application.failed_attempts import FailedAttempts
 from service.application.identity import TenantId
+from service.redaction import redacted
 
 MAX_CREDENTIAL_CHARACTERS = 8192
 STREAM_RECHECK_S = 10.0
@@ -65,8 +66,13 @@ class Access:
         self._audit = AuditLog(context)
         self._failed = FailedAttempts()
 
-    async def admit(self, credential: Credential, scopes: frozenset[Scope], call: str) -> Caller:
-        """The caller, who has one of `scopes`; `call` names what is asked for in the audit log.
+    async def admit(
+        self, credential: Credential, scopes: frozenset[Scope], call: str, path: str | None = None
+    ) -> Caller:
+        """The caller, who has one of `scopes`; for the audit log, `call` is the route or RPC that is asked for.
+
+        `path` is what the client wrote to get there. It is noted of callers that are known: strangers write all kinds
+        of things, their key for example.
 
         Raises Unauthenticated, PermissionDenied, TooManyFailures; for administration, what storing the row raises.
         """
@@ -75,10 +81,10 @@ class Access:
             caller = await self.identify(credential)
             caller.require_any(scopes)
         except (Unauthenticated, PermissionDenied) as error:
-            await self._note_refusal(error, caller, credential, call)
+            await self._note_refusal(error, caller, credential, call if caller is None else path or call)
             raise
         if scopes == {Scope.ADMIN}:
-            await self._audit.note(AuditEntry(caller.tenant, caller.name, "admin_call", audit.printable(call), {}))
+            await self._audit.note(AuditEntry(caller.tenant, caller.name, "admin_call", _subject(path or call), {}))
         return caller
 
     async def identify(self, credential: Credential) -> Caller:
@@ -126,7 +132,12 @@ class Access:
         if over_budget := self._failed.take_over_budget():
             detail["over_budget_before"] = str(over_budget)
         try:
-            await self._audit.note(AuditEntry(tenant, actor, "refused", audit.printable(call), detail))
+            await self._audit.note(AuditEntry(tenant, actor, "refused", _subject(call), detail))
         except RevisitError as failure:
             # Refusing comes first: a full disk must not change the answer.
             _log.error("refusal_not_in_audit_log", reason=failure.code.value)
+
+
+def _subject(asked: str) -> str:
+    """What was asked for, as the audit log keeps it."""
+    return audit.printable(redacted(asked))

@@ -14,6 +14,7 @@ from starlette.routing import BaseRoute
 
 from service.application.access import Credential
 from service.application.callers import Scope, enter
+from service.rest.origin import call_of
 
 SCHEME = "bearer"
 
@@ -27,8 +28,9 @@ async def admitted(request: Request, needed: SecurityScopes) -> None:
     Raises Unauthenticated, PermissionDenied, TooManyFailures.
     """
     scopes = frozenset(Scope(scope) for scope in needed.scopes)
-    call = f"{request.method} {request.url.path}"
-    enter(await request.app.state.use_cases.access.admit(credential_of(request), scopes, call))
+    path = f"{request.method} {request.url.path}"
+    access = request.app.state.use_cases.access
+    enter(await access.admit(credential_of(request), scopes, call_of(request.scope), path))
 
 
 async def anyone() -> None:
