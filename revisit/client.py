@@ -113,8 +113,8 @@ class Client:
         """All maps, oldest first."""
         return [Map.parse(item) for item in self._transport.list("", "maps", {})]
 
-    def delete(self, resource: str | Map | Submap) -> None:
-        """Delete a map or a submap, with everything in it."""
+    def delete(self, resource: str | Map | Session | Submap) -> None:
+        """Delete a map, a session or a submap, with everything in it."""
         self._transport.delete(_name(resource))
 
     def create_robot(self, robot_id: str, *, display_name: str = "") -> Robot:

@@ -91,7 +91,7 @@ class Transport(Protocol):
         ...
 
     def delete(self, name: str) -> None:
-        """Delete a map or submap."""
+        """Delete a map, session or submap."""
         ...
 
     def finish_session(self, name: str) -> Json:

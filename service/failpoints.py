@@ -36,7 +36,7 @@ POINTS = {
     "merge.after_loops": "in its transaction, the loops are added, the job has not ended",
     "index.before_apply": "the changes of an index are read, none is applied",
     "index.after_apply": "the changes of an index are applied, nothing was searched",
-    "delete.after_rows": "the rows of a submap or map are gone, their blobs are there",
+    "delete.after_rows": "the rows of a submap, session or map are gone, their blobs are there",
     "delete.after_blob": "one blob of what was deleted is gone, others may be there",
 }
 """Every point there is, and where the code stands when it is reached."""

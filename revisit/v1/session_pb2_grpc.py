@@ -55,6 +55,11 @@ class SessionServiceStub:
                 request_serializer=revisit_dot_v1_dot_session__pb2.FinishSessionRequest.SerializeToString,
                 response_deserializer=revisit_dot_v1_dot_session__pb2.FinishSessionResponse.FromString,
                 _registered_method=True)
+        self.DeleteSession = channel.unary_unary(
+                '/revisit.v1.SessionService/DeleteSession',
+                request_serializer=revisit_dot_v1_dot_session__pb2.DeleteSessionRequest.SerializeToString,
+                response_deserializer=revisit_dot_v1_dot_session__pb2.DeleteSessionResponse.FromString,
+                _registered_method=True)
 
 
 class SessionServiceServicer:
@@ -89,6 +94,14 @@ class SessionServiceServicer:
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def DeleteSession(self, request, context):
+        """Delete a session with its scans, its submaps and their loop closures. Its streams end with NOT_FOUND, its jobs are
+        dropped, its id is free again.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
 
 def add_SessionServiceServicer_to_server(servicer, server):
     rpc_method_handlers = {
@@ -111,6 +124,11 @@ def add_SessionServiceServicer_to_server(servicer, server):
                     servicer.FinishSession,
                     request_deserializer=revisit_dot_v1_dot_session__pb2.FinishSessionRequest.FromString,
                     response_serializer=revisit_dot_v1_dot_session__pb2.FinishSessionResponse.SerializeToString,
+            ),
+            'DeleteSession': grpc.unary_unary_rpc_method_handler(
+                    servicer.DeleteSession,
+                    request_deserializer=revisit_dot_v1_dot_session__pb2.DeleteSessionRequest.FromString,
+                    response_serializer=revisit_dot_v1_dot_session__pb2.DeleteSessionResponse.SerializeToString,
             ),
     }
     generic_handler = grpc.method_handlers_generic_handler(
@@ -222,6 +240,33 @@ class SessionService:
             '/revisit.v1.SessionService/FinishSession',
             revisit_dot_v1_dot_session__pb2.FinishSessionRequest.SerializeToString,
             revisit_dot_v1_dot_session__pb2.FinishSessionResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def DeleteSession(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/revisit.v1.SessionService/DeleteSession',
+            revisit_dot_v1_dot_session__pb2.DeleteSessionRequest.SerializeToString,
+            revisit_dot_v1_dot_session__pb2.DeleteSessionResponse.FromString,
             options,
             channel_credentials,
             insecure,

@@ -34,12 +34,6 @@ def blobs_of_submap(record: SubmapRecord) -> set[Blob]:
     return {(kind, sha256) for kind, sha256 in named if sha256 is not None}
 
 
-def blobs_of_map(uow: UnitOfWork, tenant: TenantId, map_id: str) -> set[Blob]:
-    """The blobs of all submaps and scans of a map."""
-    scans = {(CLOUD_BLOB, scan.cloud_sha256) for scan in uow.scans.find(tenant, map_id=map_id)}
-    return scans.union(*(blobs_of_submap(submap) for submap in uow.submaps.find(tenant, map_id=map_id)))
-
-
 async def collect_blobs_in_turns(context: Context, tenant: TenantId, doomed: Iterable[Blob]) -> None:
     """`collect_blobs` of all of `doomed`, in as many short transactions as that takes."""
     left = sorted(doomed)

@@ -19,6 +19,7 @@ from service.application.identity import TenantId
 from service.application.intake import QUEUE_RETRY_S, Intake
 from service.application.ports import BlobStore, Clock, DiskSpace, Transactions, UnitOfWork, VectorIndex
 from service.application.records import MapRecord
+from service.application.stream_endings import StreamEndings
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -96,6 +97,7 @@ class Context:
     intake: Intake = field(default_factory=Intake)
     disk: DiskSpace = field(default_factory=EndlessDisk)
     index_health: IndexHealth = field(default_factory=IndexHealth)
+    stream_endings: StreamEndings = field(default_factory=StreamEndings)
     decoders: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(DECODERS, "decode"))
 
     async def write(self, work: Callable[[UnitOfWork], T], *, alone: bool = False) -> T:

@@ -10,6 +10,7 @@ from core.errors import DescriptorModelMismatch
 from service.application.context import Context
 from service.application.loops import LoopState
 from service.application.maps import require_map
+from service.application.operations import SUBMAP_DELETED
 from service.application.place_memory import RecalledPlace
 from service.application.ports import IndexChange, Lease, LoopVerdict, SubmapDescription, UnitOfWork, VectorFilter
 from service.application.poses import pose_row
@@ -69,7 +70,7 @@ class DescriptionCommit:
         if any(_may_match(change, self.where) for change in newer):
             return False
         if not uow.submaps.count(tenant, number=self.task.submap.number):
-            self._end(uow, {"outcome": "the submap was deleted"})
+            self._end(uow, SUBMAP_DELETED)
             return True
         self._store_submap(uow)
         failpoint("merge.after_submap")

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 from core.errors import BadField
 from service.application import audit
-from service.application.blob_references import blobs_of_map, collect_blobs_in_turns
+from service.application.blob_references import Blob, collect_blobs_in_turns
 from service.application.context import Context
+from service.application.deletion import delete_map
 from service.application.errors import AlreadyExists, NotFound
 from service.application.identity import TenantId, content_hash, validated_id, validated_label
 from service.application.paging import Page, PageRequest, page_of
@@ -99,17 +100,14 @@ class Maps:
 
         entry, at_ns = audit.noted(tenant, "map_deleted", f"maps/{map_id}"), self._context.clock.wall_ns()
 
-        def remove(uow: UnitOfWork) -> int:
+        def remove(uow: UnitOfWork) -> tuple[int, set[Blob]]:
             record = require_map(uow, tenant, map_id)
-            doomed.update(blobs_of_map(uow, tenant, map_id))
-            for rows in (uow.loops, uow.submaps, uow.scans, uow.sessions, uow.maps):
-                rows.delete(tenant, map_id=map_id)
             audit.append(uow, at_ns, entry)
-            return record.number
+            return record.number, delete_map(uow, record, at_ns)
 
-        doomed: set[tuple[str, str]] = set()
-        number = await self._context.write(remove)
+        number, doomed = await self._context.write(remove)
         failpoint("delete.after_rows")
+        self._context.stream_endings.end(tenant, map_id)
         self._context.index.drop(number)
         await collect_blobs_in_turns(self._context, tenant, doomed)
 

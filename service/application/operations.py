@@ -18,6 +18,9 @@ from service.application.ports import UnitOfWork
 from service.application.records import JobRecord
 
 MAX_WAIT_S = 60.0
+SUBMAP_DELETED = {"outcome": "the submap was deleted"}
+"""The result of a job whose submap is gone."""
+
 _POLL_S = (0.02, 0.25)
 
 

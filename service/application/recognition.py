@@ -26,7 +26,7 @@ from service.application.errors import StaleLease, StorageFull, Unavailable
 from service.application.identity import SubmapKey
 from service.application.maps import model_for_map, require_map
 from service.application.meshes import MESH_BLOB, pack_mesh
-from service.application.operations import OperationKind
+from service.application.operations import SUBMAP_DELETED, OperationKind
 from service.application.origin import current_origin
 from service.application.place_memory import PlaceMemory, RecalledPlace, vector_filter
 from service.application.ports import (
@@ -111,7 +111,7 @@ class Recognition:
     def _describe_submap(self, lease: Lease) -> None:
         task = self._context.transactions.read(lambda uow: self._task(uow, lease.job)).result()
         if task is None:
-            self._complete(lease, {"outcome": "the submap was deleted"})
+            self._complete(lease, SUBMAP_DELETED)
             return
         self._require_same_model(task.map)
         config = self._context.policy.for_map(task.map)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 from collections.abc import Callable
 from contextlib import AbstractContextManager
@@ -103,6 +104,10 @@ class Scans:
             raise SequenceGap(record.committed_seq + 1, resume.acknowledged_seq + 1)
         require_active(record)
         return OpenedStream(session, record.committed_seq, token)
+
+    def ending(self, tenant: TenantId, session: SessionKey) -> AbstractContextManager[asyncio.Event]:
+        """Set once the session was deleted; to be entered before `open`."""
+        return self._context.stream_endings.watched(tenant, session)
 
     def place_for_stream(self, tenant: TenantId, *, replaces: bool) -> AbstractContextManager[None]:
         """A place for one more stream; one that `replaces` another, which ends, gets that one's. Raises RateLimited."""

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from service.application import audit
+from service.application.blob_references import Blob, collect_blobs_in_turns
 from service.application.context import Context
+from service.application.deletion import delete_session
 from service.application.errors import AlreadyExists
 from service.application.identity import SessionKey, TenantId, content_hash, validated_id
 from service.application.maps import require_map
@@ -54,7 +57,7 @@ class CreatedSession:
 
 
 class Sessions:
-    """Create, get, list and finish sessions."""
+    """Create, get, list, finish and delete sessions."""
 
     def __init__(self, context: Context) -> None:
         """All calls use `context`."""
@@ -114,6 +117,24 @@ class Sessions:
         closed = await self._context.write(close)
         failpoint("session.after_finish")
         return closed
+
+    async def delete(self, tenant: TenantId, key: SessionKey) -> None:
+        """Delete a session with its scans, its submaps and their loop closures; its streams end, its jobs are dropped.
+
+        Its id is free again. Raises NotFound, Draining.
+        """
+        self._context.admit()
+        entry, at_ns = audit.noted(tenant, "session_deleted", key.name), self._context.clock.wall_ns()
+
+        def remove(uow: UnitOfWork) -> set[Blob]:
+            session = require_session(uow, tenant, key)
+            audit.append(uow, at_ns, entry)
+            return delete_session(uow, require_map(uow, tenant, key.map_id), session, at_ns)
+
+        doomed = await self._context.write(remove)
+        failpoint("delete.after_rows")
+        self._context.stream_endings.end(tenant, key.map_id, key.session_id)
+        await collect_blobs_in_turns(self._context, tenant, doomed)
 
     def _record(self, tenant: TenantId, command: CreateSession) -> SessionRecord:
         return SessionRecord(

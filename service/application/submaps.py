@@ -14,9 +14,10 @@ from core.errors import BadField
 from core.scan import CloudReport, Scan
 from core.se3 import Matrix4
 from service.application import audit
-from service.application.blob_references import blobs_of_submap, collect_blobs_in_turns
+from service.application.blob_references import Blob, collect_blobs_in_turns
 from service.application.clouds import CLOUD_BLOB, MAX_SUBMAP_POINTS, CloudInput, StoredCloud, accept_cloud, pack_cloud
 from service.application.context import Context
+from service.application.deletion import delete_submap
 from service.application.downloads import Download, DownloadKind, render_download
 from service.application.errors import AlreadyExists, NotFound
 from service.application.identity import (
@@ -167,18 +168,12 @@ class Submaps:
         self._context.admit()
         entry, at_ns = audit.noted(tenant, "submap_deleted", key.name), self._context.clock.wall_ns()
 
-        def remove(uow: UnitOfWork) -> SubmapRecord:
+        def remove(uow: UnitOfWork) -> set[Blob]:
             record = require_submap(uow, tenant, key)
-            map_record = require_map(uow, tenant, key.map_id)
-            uow.loops.delete(tenant, query_number=record.number)
-            uow.loops.delete(tenant, match_number=record.number)
-            uow.submaps.delete(tenant, number=record.number)
-            if record.descriptor is not None:
-                uow.changes.record_removed(tenant, map_record.number, record.number)
             audit.append(uow, at_ns, entry)
-            return record
+            return delete_submap(uow, require_map(uow, tenant, key.map_id), record, at_ns)
 
-        doomed = blobs_of_submap(await self._context.write(remove))
+        doomed = await self._context.write(remove)
         failpoint("delete.after_rows")
         await collect_blobs_in_turns(self._context, tenant, doomed)
 

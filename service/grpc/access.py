@@ -28,6 +28,7 @@ SCOPES: dict[str, dict[str, frozenset[Scope]]] = {
         "GetSession": _EITHER,
         "ListSessions": _EITHER,
         "FinishSession": _INGEST,
+        "DeleteSession": _ADMIN,
     },
     "SubmapService": {
         "PostSubmap": _INGEST,

@@ -1,8 +1,8 @@
 """A short drive through every step of the service, in one process over SQLite and files: something to interrupt.
 
-Two robots' sessions are opened, submaps posted (two of one place, one that cannot be described), scans appended, one
-submap deleted, a session finished, and the jobs run. Doing it again after a crash must end where an undisturbed run
-does: every step carries the client's own ids.
+Three sessions are opened, submaps posted (two of one place, one that cannot be described), scans appended, one submap
+and one session deleted, another session finished, and the jobs run. Doing it again after a crash must end where an
+undisturbed run does: every step carries the client's own ids.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import asyncio
 import contextlib
 import hashlib
 import sys
+from collections.abc import Awaitable
 from pathlib import Path
 
 from service.application import SessionKey, SubmapKey
@@ -21,8 +22,12 @@ from tests.support.service_world import TENANT, World, cloud_points, open_sessio
 
 POSTED = SessionKey("town", "posted")
 STREAMED = SessionKey("town", "streamed")
+SCRAPPED = SessionKey("town", "scrapped")
 PLACES = {"a": 1, "b": 2, "c": 1, "d": 3}
 """Posted submaps and the places they show: c closes a loop with a."""
+
+SCRAPPED_PLACES = {"scrapped-described": 1, "scrapped-waiting": 5}
+"""Submaps of the session that is deleted: one closes loops with a and c, one still waits for a worker."""
 
 DEGENERATE = "degenerate"
 DELETED = "b"
@@ -37,16 +42,21 @@ def content(place: int, points: int = 300) -> str:
 
 async def drive(world: World, history: History) -> None:
     """Do all of it, and note each step before and after."""
-    await open_session(world, POSTED)
-    await open_session(world, STREAMED)
+    for session in (POSTED, STREAMED, SCRAPPED):
+        await open_session(world, session)
     for submap_id, place in PLACES.items():
         await _post(world, history, submap_id, place, 300)
     await _post(world, history, DEGENERATE, 4, CANNOT_BE_DESCRIBED)
     with contextlib.suppress(SessionFinished):
         for seq in range(1, SCANS + 1):
             await _append(world, history, seq)
+    described, waiting = SCRAPPED_PLACES
+    await _post(world, history, described, SCRAPPED_PLACES[described], 300, SCRAPPED)
     world.work_off()
-    await _delete(world, history)
+    await _post(world, history, waiting, SCRAPPED_PLACES[waiting], 300, SCRAPPED)
+    removed = world.use_cases.submaps.delete(TENANT, SubmapKey(POSTED.map_id, POSTED.session_id, DELETED))
+    await _delete(removed, history, DELETED)
+    await _delete(world.use_cases.sessions.delete(TENANT, SCRAPPED), history, *SCRAPPED_PLACES)
     await world.use_cases.sessions.finish(TENANT, STREAMED)
     world.work_off()
 
@@ -61,9 +71,11 @@ def undisturbed(home: Path, log: Path, boot: str = "boot-1") -> None:
         world.context.transactions.close()
 
 
-async def _post(world: World, history: History, submap_id: str, place: int, points: int) -> None:
+async def _post(
+    world: World, history: History, submap_id: str, place: int, points: int, session: SessionKey = POSTED
+) -> None:
     operation = history.invoke("robot", Kind.PUT, f"submap/{submap_id}", content(place, points))
-    await world.use_cases.submaps.post(TENANT, submap(submap_id, place, POSTED, points))
+    await world.use_cases.submaps.post(TENANT, submap(submap_id, place, session, points))
     history.settle(operation, Outcome.OK)
 
 
@@ -76,14 +88,16 @@ async def _append(world: World, history: History, seq: int) -> None:
     history.settle(operation, Outcome.OK)
 
 
-async def _delete(world: World, history: History) -> None:
-    operation = history.invoke("operator", Kind.DELETE, f"submap/{DELETED}")
+async def _delete(removal: Awaitable[None], history: History, *submap_ids: str) -> None:
+    """Do `removal`, which takes these submaps with it."""
+    operations = [history.invoke("operator", Kind.DELETE, f"submap/{submap_id}") for submap_id in submap_ids]
+    outcome = Outcome.OK
     try:
-        await world.use_cases.submaps.delete(TENANT, SubmapKey(POSTED.map_id, POSTED.session_id, DELETED))
+        await removal
     except NotFound:
-        history.settle(operation, Outcome.FAIL)
-    else:
-        history.settle(operation, Outcome.OK)
+        outcome = Outcome.FAIL
+    for operation in operations:
+        history.settle(operation, outcome)
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ def traces(world, submap_id: str) -> list[bytes]:
     return [record.descriptor, record.cloud_sha256.encode(), *blobs]
 
 
-@pytest.mark.parametrize("what", ["submap", "map"])
+@pytest.mark.parametrize("what", ["submap", "session", "map"])
 async def test_no_byte_of_what_was_deleted_is_left(tmp_path, what):
     world = sqlite_world(tmp_path)
     await open_session(world)
@@ -38,6 +38,8 @@ async def test_no_byte_of_what_was_deleted_is_left(tmp_path, what):
     assert all(holds(tmp_path, trace) for trace in [*secret, *kept])
     if what == "submap":
         await world.use_cases.submaps.delete(TENANT, submap("secret", 1).key)
+    elif what == "session":
+        await world.use_cases.sessions.delete(TENANT, SESSION)
     else:
         await world.use_cases.maps.delete(TENANT, SESSION.map_id)
     world.context.transactions.close()

@@ -104,6 +104,11 @@ class ServiceMachine(RuleBasedStateMachine):
                 # Fewer than 100 scans, 0.1 m apart: all of them are the rest of one window.
                 session.submaps[f"scans-1-{session.committed_seq}"] = 0
 
+    @rule(key=SESSIONS)
+    def delete_session(self, key):
+        assert self.driver.delete_session(key) == ("NOT_FOUND" if self.session(key) is None else "OK")
+        self.maps.get(key.map_id, {}).pop(key.session_id, None)
+
     @rule(key=SESSIONS, submap_id=SUBMAPS)
     def delete_submap(self, key, submap_id):
         session = self.session(key)
@@ -154,6 +159,7 @@ def run(driver, examples: int, steps: int) -> None:
             stateful_step_count=steps,
             deadline=None,
             derandomize=True,
+            report_multiple_bugs=False,
             database=None,
             suppress_health_check=list(HealthCheck),
         ),

@@ -63,6 +63,10 @@ class UseCaseDriver:
         """OK or NOT_FOUND."""
         return self._outcome(self._world.use_cases.sessions.finish(TENANT, session))
 
+    def delete_session(self, session: SessionKey) -> str:
+        """OK or NOT_FOUND."""
+        return self._outcome(self._world.use_cases.sessions.delete(TENANT, session))
+
     def post_submap(self, session: SessionKey, submap_id: str, place: int) -> str:
         """OK, REPLAY, ALREADY_EXISTS, SESSION_FINISHED or NOT_FOUND."""
         return self._outcome(self._world.use_cases.submaps.post(TENANT, submap(submap_id, place, session)))
@@ -154,6 +158,10 @@ class RestDriver:
     def finish_session(self, session: SessionKey) -> str:
         """See `UseCaseDriver`."""
         return self._outcome(self._http.post(f"/{session.name}:finish"))
+
+    def delete_session(self, session: SessionKey) -> str:
+        """See `UseCaseDriver`."""
+        return self._outcome(self._http.delete(f"/{session.name}"))
 
     def post_submap(self, session: SessionKey, submap_id: str, place: int) -> str:
         """See `UseCaseDriver`."""

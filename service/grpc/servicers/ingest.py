@@ -11,7 +11,7 @@ from core.errors import ErrorCode, RevisitError
 from revisit.v1 import ingest_pb2 as pb
 from revisit.v1 import ingest_pb2_grpc
 from service.application import SessionKey, TenantId, UseCases
-from service.application.errors import Draining
+from service.application.errors import Draining, NotFound
 from service.application.scans import AppendScan, OpenedStream, ResumePoint, ScanAck
 from service.grpc import messages, names
 from service.grpc.tenancy import tenant_of
@@ -60,16 +60,18 @@ class IngestServicer(ingest_pb2_grpc.IngestServiceServicer):
     ) -> AsyncIterator[pb.StreamScansResponse]:
         """See the proto file for the rules."""
         opening = await _open_of(requests)
-        stream = _ScanStream(self._use_cases, tenant_of(context), names.session_key(opening.session, "session"))
-        resume = ResumePoint(opening.resume_token, opening.acknowledged_seq)
-        opened = await self._use_cases.scans.open(stream.tenant, stream.session, resume)
-        older = self._streams.get(stream.key)
-        with self._use_cases.scans.place_for_stream(stream.tenant, replaces=older is not None):
-            self._streams[stream.key] = stream
-            if older is not None:
-                older.fence()
-            async for response in self._answers(stream, opened, requests, opening):
-                yield response
+        tenant, session = tenant_of(context), names.session_key(opening.session, "session")
+        scans, resume = self._use_cases.scans, ResumePoint(opening.resume_token, opening.acknowledged_seq)
+        with scans.ending(tenant, session) as ended:
+            opened = await scans.open(tenant, session, resume)
+            stream = _ScanStream(self._use_cases, tenant, session, ended)
+            older = self._streams.get(stream.key)
+            with scans.place_for_stream(tenant, replaces=older is not None):
+                self._streams[stream.key] = stream
+                if older is not None:
+                    older.fence()
+                async for response in self._answers(stream, opened, requests, opening):
+                    yield response
 
     async def _answers(
         self,
@@ -92,10 +94,11 @@ class IngestServicer(ingest_pb2_grpc.IngestServiceServicer):
 class _ScanStream:
     """One open stream: a reader answers scans in order, watchers report loops and the drain, all into one queue."""
 
-    def __init__(self, use_cases: UseCases, tenant: TenantId, session: SessionKey) -> None:
+    def __init__(self, use_cases: UseCases, tenant: TenantId, session: SessionKey, deleted: asyncio.Event) -> None:
         self.tenant = tenant
         self.session = session
         self._use_cases = use_cases
+        self._deleted = deleted
         self._fenced = asyncio.Event()
         self._handler: asyncio.Task[Any] = asyncio.current_task()  # type: ignore[assignment]  # made by its call
         self._answers: asyncio.Queue[pb.StreamScansResponse | None] = asyncio.Queue(maxsize=2 * CREDITS)
@@ -112,8 +115,9 @@ class _ScanStream:
     async def run(
         self, requests: AsyncIterator[pb.StreamScansRequest], opening: pb.Open
     ) -> AsyncIterator[pb.StreamScansResponse]:
-        """The answers, until the client is done, the service drains or another stream takes over."""
-        enders = [asyncio.create_task(work) for work in (self._read(requests), self._drain(), self._watch_fence())]
+        """The answers, until the client is done, the service drains, another stream takes over or the session goes."""
+        reasons = (self._read(requests), self._drain(), self._watch_fence(), self._watch_deletion())
+        enders = [asyncio.create_task(work) for work in reasons]
         extras = []
         if opening.watch_loop_closures:
             extras.append(asyncio.create_task(self._watch_loops(opening.loop_closures_after)))
@@ -189,6 +193,10 @@ class _ScanStream:
     async def _watch_fence(self) -> None:
         await self._fenced.wait()
         raise StreamFenced
+
+    async def _watch_deletion(self) -> None:
+        await self._deleted.wait()
+        raise NotFound(f"session {self.session.name!r} was deleted"[:300])
 
     async def _watch_loops(self, after: int) -> None:
         with suppress(Draining):

@@ -12,7 +12,7 @@ from service.grpc.tenancy import tenant_of
 
 
 class SessionServicer(session_pb2_grpc.SessionServiceServicer):
-    """Create, get, list and finish sessions."""
+    """Create, get, list, finish and delete sessions."""
 
     def __init__(self, use_cases: UseCases) -> None:
         """Answers from `use_cases`."""
@@ -49,3 +49,10 @@ class SessionServicer(session_pb2_grpc.SessionServiceServicer):
         """Finish a session."""
         view = await self._sessions.finish(tenant_of(context), names.session_key(request.name))
         return session_pb2.FinishSessionResponse(session=messages.session_message(view))
+
+    async def DeleteSession(
+        self, request: session_pb2.DeleteSessionRequest, context: Any
+    ) -> session_pb2.DeleteSessionResponse:
+        """Delete a session."""
+        await self._sessions.delete(tenant_of(context), names.session_key(request.name))
+        return session_pb2.DeleteSessionResponse()

@@ -52,6 +52,12 @@ async def get_session(key: SessionOf, cases: Cases, tenant: Tenant) -> Session:
     return Session.of(await cases.sessions.get(tenant, key))
 
 
+@router.delete("/{session_id}", status_code=204, dependencies=[allows(Scope.ADMIN)])
+async def delete_session(key: SessionOf, cases: Cases, tenant: Tenant) -> None:
+    """Delete a session with its scans, submaps and their loop closures; its streams end, its jobs are dropped."""
+    await cases.sessions.delete(tenant, key)
+
+
 @router.post("/{session_id}/scans", openapi_extra=CLOUD_BODY, tags=["scans"], dependencies=[allows(Scope.INGEST)])
 async def append_scan(
     key: SessionOf,
