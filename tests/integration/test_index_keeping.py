@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 
 import faiss
@@ -15,10 +14,10 @@ from service.application import UseCases, index_keeping, place_memory
 from service.application.index_keeping import IndexKeeper
 from service.application.place_memory import PlaceMemory
 from service.application.ports import VectorFilter
+from tests.support.campaigns import Campaign, sizes
 from tests.support.service_world import SESSION, TENANT, open_session, sqlite_world, submap
 
 SUBMAPS = 12
-MUTATIONS = int(os.environ.get("REVISIT_TEST_INDEX_MUTATIONS", "100"))
 
 
 @pytest.fixture
@@ -173,13 +172,18 @@ async def test_an_index_that_missed_changes_is_found_and_mended(context, keeper)
     assert found(context) == EVERY_ONE
 
 
-async def test_hundreds_of_random_damages_are_each_found(context, keeper):
-    rng = np.random.default_rng(2026)
-    for turn in range(MUTATIONS):
+@pytest.mark.parametrize("mutations", sizes("INDEX_MUTATIONS", 100, 500))
+async def test_hundreds_of_random_damages_are_each_found(context, keeper, mutations):
+    rng, campaign = np.random.default_rng(2026), Campaign("P5", mutations)
+    for turn in campaign:
         damage = DAMAGES[int(rng.integers(len(DAMAGES)))]
         damage(inner(context), rng)
         assert await keeper.audit() == 1, (turn, damage.__name__)
-    assert found(context) == EVERY_ONE
+        if turn % 20 == 0:
+            assert found(context) == EVERY_ONE, (turn, damage.__name__)
+    campaign.publish(
+        f"{campaign.done} of {campaign.done} damages of the index in memory found and mended, 0 wrong results"
+    )
 
 
 async def test_a_search_waits_for_a_map_that_is_forgotten_between_its_steps(context, keeper, monkeypatch):
