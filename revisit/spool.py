@@ -130,10 +130,11 @@ class Spool:
                 raise SpoolFull(f"the spool holds {self._pending_bytes} of {self._max_bytes} bytes")
             with self._transaction():
                 self._db.execute(
-                    "INSERT INTO scans (stamp_ns, pose, content_type, cloud) VALUES (?, ?, ?, ?)",
-                    (stamp_ns, json.dumps(pose), cloud.content_type, cloud.data),
+                    "INSERT INTO scans (id, stamp_ns, pose, content_type, cloud) VALUES (?, ?, ?, ?, ?)",
+                    (self._last_number + 1, stamp_ns, json.dumps(pose), cloud.content_type, cloud.data),
                 )
                 self._db.execute("UPDATE stream SET last_stamp_ns = ?", (stamp_ns,))
+            self._last_number += 1
             self._count(1, len(cloud.data))
 
     def after(self, number: int, timeout_s: float) -> SpooledScan | None:
@@ -217,8 +218,10 @@ class Spool:
 
     def _begin(self, session: str) -> None:
         """Bind an empty spool to `session`; count what it holds."""
-        pending = self._db.execute("SELECT count(*), coalesce(sum(length(cloud)), 0) FROM scans").fetchone()
-        self._pending, self._pending_bytes = int(pending[0]), int(pending[1])
+        query = "SELECT count(*), coalesce(sum(length(cloud)), 0), coalesce(max(id), 0) FROM scans"
+        self._pending, self._pending_bytes, last_number = map(int, self._db.execute(query).fetchone())
+        # SQLite would begin at 1 again once all scans were sent, and a connection that is open has seen those numbers.
+        self._last_number = last_number
         known = self._stream()[0]
         if session in ("", known):
             return

@@ -1,4 +1,4 @@
-"""A bad link: a TCP proxy that delays, throttles, cuts at a byte, goes silent, or leaves one end open."""
+"""A bad link: a TCP proxy that delays, throttles, cuts at a byte, goes silent or dark, or leaves one end open."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ import asyncio
 import contextlib
 import socket
 import struct
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
 CHUNK_BYTES = 65_536
+DARK_POLL_S = 0.01
 RESET = struct.pack("ii", 1, 0)
 """Lingering for no time: closing sends RST, as a link that breaks does sooner or later."""
 
@@ -35,21 +37,38 @@ WHOLE = Fault()
 
 
 class BadLink:
-    """Where clients connect to; `target` (host:port) and `fault` may change while it runs."""
+    """Where clients connect to; `target` (host:port), `fault` and `dark` may change while it runs.
+
+    While it is `dark` nothing passes in either direction, no connection comes about and nobody is told. What was sent
+    meanwhile arrives once it has healed, as TCP would send it again.
+    """
 
     def __init__(self, target: str, fault: Callable[[], Fault]) -> None:
         """`fault` is asked once for each connection."""
         self.target = target
         self.fault = fault
+        self.dark = False
         self.port = 0
         self.cuts = 0
         self.connections = 0
+        self._forgotten = 0
         self._under_way: set[asyncio.Task[None]] = set()
 
     @property
     def address(self) -> str:
         """host:port."""
         return f"127.0.0.1:{self.port}"
+
+    def heal(self, *, forgotten: bool) -> None:
+        """End the darkness; the connections of before are `forgotten`, as by a router: reset with their next byte."""
+        self._forgotten = self.connections if forgotten else 0
+        self.dark = False
+
+    async def passes(self, number: int = sys.maxsize) -> bool:
+        """Once it is not dark: whether connection `number` is still there."""
+        while self.dark:
+            await asyncio.sleep(DARK_POLL_S)
+        return number > self._forgotten
 
     def accept(self, client: asyncio.StreamReader, to_client: asyncio.StreamWriter) -> None:
         """Serve a connection. The loop itself would forget a task whose client has gone and whose service has not."""
@@ -59,8 +78,9 @@ class BadLink:
 
     async def connect(self, client: asyncio.StreamReader, to_client: asyncio.StreamWriter) -> None:
         """Serve one connection until both ends are done or the fault strikes."""
+        await self.passes()
         self.connections += 1
-        connection = _Connection(self.fault())
+        connection = _Connection(self, self.connections)
         host, _, port = self.target.rpartition(":")
         try:
             service, to_service = await asyncio.open_connection(host, int(port))
@@ -84,9 +104,11 @@ class BadLink:
 class _Connection:
     """Both directions of one connection."""
 
-    def __init__(self, fault: Fault) -> None:
-        self.fault = fault
+    def __init__(self, link: BadLink, number: int) -> None:
+        self.fault = link.fault()
         self.cut = False
+        self._link = link
+        self._number = number
         self._ended = asyncio.Event()
         self._passed = 0
 
@@ -100,9 +122,13 @@ class _Connection:
                 if not reading.done():
                     reading.cancel()
                     break
-                if not (chunk := reading.result()):
+                chunk = reading.result()
+                if not await self._link.passes(self._number):
+                    self._strike()
+                elif chunk:
+                    await self._pass(chunk, writer)
+                else:
                     break
-                await self._pass(chunk, writer)
             if writer.can_write_eof() and not self.cut:
                 writer.write_eof()
         except OSError:
@@ -120,10 +146,13 @@ class _Connection:
             chunk = chunk[: max(0, self.fault.silent_after - before)]
         if self.fault.cut_after is not None and self._passed >= self.fault.cut_after:
             chunk = chunk[: max(0, self.fault.cut_after - before)]
-            self.cut = True
-            self._ended.set()
+            self._strike()
         writer.write(chunk)
         await writer.drain()
+
+    def _strike(self) -> None:
+        self.cut = True
+        self._ended.set()
 
 
 def _reset(writer: asyncio.StreamWriter) -> None:

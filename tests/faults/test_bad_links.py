@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import random
+import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 
-from revisit import Client
-from tests.faults.history import History, Outcome
+from core.formats import KITTI
+from revisit import Client, Cloud
+from tests.faults.history import History, Kind, Operation, Outcome
 from tests.faults.proxy import WHOLE, BadLink, Fault, bad_link
-from tests.faults.robots import Poster, Scanner
+from tests.faults.robots import Crew, Poster, Scanner, body, content
 from tests.faults.survey import survey
 from tests.support.campaigns import Campaign, sizes
+from tests.support.figures import publish
 from tests.support.live_service import LiveService, live_service
-from tests.support.service_world import sqlite_world
+from tests.support.service_world import pose, sqlite_world
 
 SESSION = "maps/town/sessions/monday"
 CLIENTS = 6
@@ -138,3 +143,102 @@ def test_a_client_that_was_cut_off_recovers_when_the_link_does(service, folder):
     assert scanner.surprises == []
     found = survey(folder / "home")
     assert (found.against(history), found.committed) == ([], {"monday": 30})
+
+
+RECOVERED_WITHIN_S = 5.0
+POSTERS = 2
+STEP_M = 0.5
+
+
+class Driver:
+    """A robot that sends a scan now and then through its spool, whatever becomes of the link."""
+
+    def __init__(self, client: Client, session: str, spool: Path, history: History) -> None:
+        self.sent = 0
+        self.session = session
+        self._history = history
+        self._open: list[Operation] = []
+        self._opened = client.spooled_stream(session, spool)
+        self.stream = self._opened.__enter__()
+
+    def send(self) -> None:
+        self.sent += 1
+        self._open.append(self._history.invoke("driver", Kind.PUT, f"scan/{self.sent}", content(self.sent)))
+        self.stream.send(Cloud(body(self.sent), KITTI), pose(STEP_M * self.sent), self.sent)
+        time.sleep(0.05)
+
+    def close(self) -> None:
+        """Once all is acknowledged."""
+        self.stream.flush(timeout_s=60)
+        for operation in self._open:
+            self._history.settle(operation, Outcome.OK)
+        self._opened.__exit__(None, None, None)
+
+
+class Repeating:
+    """A robot that posts one submap after another, each until it is acknowledged."""
+
+    def __init__(self, number: int, address: str, history: History) -> None:
+        self.poster = Poster(f"poster{number}", SESSION, history)
+        self.posted = 0
+        self._number = number
+        self._address = address
+
+    def post(self) -> None:
+        # Every submap has a place of its own, by which its content is known.
+        place = 1 + self._number + POSTERS * self.posted
+        if self.poster.post(f"http://{self._address}", f"p{place}", place) is Outcome.OK:
+            self.posted += 1
+
+
+def seconds_until(condition: Callable[[], bool], timeout_s: float) -> float:
+    began_s = time.monotonic()
+    while not condition():
+        assert time.monotonic() - began_s < timeout_s, "no recovery"
+        time.sleep(0.01)
+    return time.monotonic() - began_s
+
+
+def recoveries_s(links: list[BadLink], driver: Driver, posters: list[Repeating], dark_s: float, forgotten: bool):
+    """Let the links be dark for so long; how long after that the stream and each poster got on, seconds."""
+    seconds_until(lambda: driver.stream.committed_seq >= 5 and all(p.posted >= 2 for p in posters), 30.0)
+    for link in links:
+        link.dark = True
+    time.sleep(dark_s)
+    committed, posted = driver.stream.committed_seq, [poster.posted for poster in posters]
+    assert driver.stream.state.pending >= dark_s
+    for link in links:
+        link.heal(forgotten=forgotten)
+    began_s = time.monotonic()
+    seconds_until(lambda: driver.stream.committed_seq > committed, 60.0)
+    stream_s = time.monotonic() - began_s
+    seconds_until(lambda: all(p.posted > before for p, before in zip(posters, posted, strict=True)), 60.0)
+    return stream_s, time.monotonic() - began_s
+
+
+@pytest.mark.parametrize("forgotten", [False, True])
+@pytest.mark.parametrize("dark_s", sizes("DARK_S", 3, 30))
+@pytest.mark.timeout(300)
+def test_a_link_that_was_dark_takes_nothing_and_is_used_again_at_once(service, folder, dark_s, forgotten):
+    """Dark in both directions; then what was held back arrives, or the connections of before are forgotten."""
+    history, crew = History(), Crew()
+    with (
+        bad_link(service.grpc) as grpc,
+        bad_link(service.http.removeprefix("http://")) as http,
+        Client.grpc(grpc.address) as client,
+    ):
+        driver = Driver(client, client.create_session("maps/town", "driven").name, folder / "spool", history)
+        posters = [Repeating(number, http.address, history) for number in range(POSTERS)]
+        for work in (driver.send, *(poster.post for poster in posters)):
+            crew.start(work)
+        stream_s, posts_s = recoveries_s([grpc, http], driver, posters, dark_s, forgotten)
+        crew.end()
+        driver.close()
+        stored = client.get_session(driver.session)
+    assert (stored.committed_seq, stored.travelled_m) == (driver.sent, pytest.approx(STEP_M * (driver.sent - 1)))
+    assert driver.stream.error is None and [poster.poster.surprises for poster in posters] == [[]] * POSTERS
+    assert survey(folder / "home").against(history) == []
+    assert max(stream_s, posts_s) <= RECOVERED_WITHIN_S
+    how = "connections forgotten" if forgotten else "connections kept"
+    recovered = f"the stream got on {stream_s:.2f} s, posts {posts_s:.2f} s after {dark_s} s of darkness, {how}"
+    publish("dark link", promise="P25", figure=f"0 of {driver.sent} scans lost or twice; {recovered}")

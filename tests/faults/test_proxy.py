@@ -108,6 +108,28 @@ def test_a_fault_can_end_while_the_link_lives(echo):
             assert client.recv(1) == b"a"
 
 
+@pytest.mark.parametrize("forgotten", [False, True])
+def test_a_dark_link_passes_nothing_until_it_has_healed(echo, forgotten):
+    with bad_link(target(echo)) as link, connected(link) as client:
+        client.sendall(b"a")
+        assert client.recv(1) == b"a"
+        link.dark = True
+        client.sendall(b"b")
+        client.settimeout(0.2)
+        with pytest.raises(TimeoutError):
+            client.recv(1)
+        with connected(link) as late:
+            late.sendall(b"c")
+            link.heal(forgotten=forgotten)
+            assert late.recv(1) == b"c"
+        client.settimeout(5)
+        if forgotten:
+            assert received(client) == (b"", True)
+        else:
+            assert client.recv(1) == b"b"
+        assert link.cuts == int(forgotten)
+
+
 def test_a_service_that_is_away_resets_its_clients(echo):
     # The reset may come before the connection is even reported as made.
     with bad_link("127.0.0.1:1") as link, pytest.raises(ConnectionResetError), connected(link) as client:

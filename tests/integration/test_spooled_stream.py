@@ -70,6 +70,14 @@ def test_what_is_sent_through_a_spool_arrives_once_in_order(client, session, tmp
     check_stored(client, session, 25)
 
 
+def test_what_is_sent_after_the_spool_ran_empty_arrives_too(client, session, tmp_path):
+    with client.spooled_stream(session, tmp_path / "spool") as stream:
+        for first, last in ((1, 5), (6, 6), (7, 12)):
+            drive(stream, first, last)
+            stream.flush(timeout_s=30)
+    check_stored(client, session, 12)
+
+
 def test_refused_scans_become_dead_letters_and_the_others_arrive(client, session, tmp_path):
     with client.spooled_stream(session, tmp_path / "spool") as stream:
         drive(stream, 1, 3)

@@ -56,6 +56,14 @@ def test_scans_come_back_in_order_as_they_were_put(spool):
     assert counts(spool) == (3, 30)
 
 
+def test_a_scan_that_comes_after_all_were_sent_is_behind_them(spool):
+    put(spool, 1, 2)
+    spool.committed(2)
+    put(spool, 3)
+    scan = spool.after(2, timeout_s=0.0)
+    assert scan is not None and scan.stamp_ns == 3
+
+
 def test_what_was_put_is_there_after_the_spool_is_opened_again(path):
     first = Spool(path, MONDAY)
     put(first, 1, 2)
