@@ -16,6 +16,7 @@ import structlog
 
 from core.errors import DataLoss
 from service.adapters.durable_files import (
+    NO_ROOM,
     TEMPORARY_PREFIX,
     durable_write,
     make_directories,
@@ -31,7 +32,6 @@ QUARANTINE = ".quarantine"
 """Damaged blobs are moved here, where nobody serves them and an operator can look at them."""
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}", re.ASCII)
-_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 log = structlog.get_logger(__name__)
 
@@ -125,7 +125,7 @@ class FileBlobStore:
         try:
             yield
         except OSError as error:
-            if error.errno in _NO_ROOM:
+            if error.errno in NO_ROOM:
                 self._on_full()
                 raise StorageFull from error
             if error.errno == errno.EIO:

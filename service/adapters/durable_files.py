@@ -6,7 +6,9 @@ no data but room: blocks of the disk that are given back when it fills up.
 
 from __future__ import annotations
 
+import errno
 import os
+import resource
 import secrets
 from pathlib import Path
 
@@ -14,6 +16,9 @@ from service.failpoints import failpoint
 
 TEMPORARY_PREFIX = "."
 """Of the names of files that are being written; a crash may leave one behind."""
+
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""What the kernel says where there is no room: on the disk, in a quota, or within the limit of a file's size."""
 
 
 def durable_write(path: Path, data: bytes) -> None:
@@ -73,6 +78,21 @@ def make_room(path: Path, size_bytes: int) -> None:
         raise
     finally:
         os.close(descriptor)
+
+
+def may_grow(path: Path, by_bytes: int) -> bool:
+    """Whether there is room for a file to become longer, within the limits and quotas of this process."""
+    limit_bytes, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
+    size_bytes = path.stat().st_size if path.exists() else 0
+    if limit_bytes != resource.RLIM_INFINITY and size_bytes + by_bytes > limit_bytes:
+        return False
+    trial = path.with_name(f"{TEMPORARY_PREFIX}trial")
+    try:
+        make_room(trial, by_bytes)
+    except OSError as error:
+        return error.errno not in NO_ROOM
+    trial.unlink(missing_ok=True)
+    return True
 
 
 def move_durably(path: Path, target: Path) -> None:

@@ -117,8 +117,9 @@ def wait_until_worked_off(url: str, timeout_s: float = 600.0) -> None:
 def test_on_a_disk_that_fails_now_and_then_every_answer_means_what_it_says(folder, ends):
     (folder / "workplace").mkdir()
     home, disk = folder / "home", FaultyDisk(folder / "home", folder / "workplace", seed=20)
-    # A worker that meets a failure ends too, and its jobs must not run out of attempts.
-    service = OnFaultyDisk(home, disk, workers=0 if ends == QUICK else 1, lease_s=2, max_attempts=1000)
+    # A worker that meets a failure ends too: its jobs must not run out of attempts, nor the queue out of room.
+    patience = {"lease_s": 2, "max_attempts": 1000, "max_queued_jobs": 10**6}
+    service = OnFaultyDisk(home, disk, workers=0 if ends == QUICK else 1, **patience)
     try:
         with Client(service.url) as client:
             client.create_session(client.create_map("town"), "monday")

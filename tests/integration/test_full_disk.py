@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import resource
 import subprocess
 import time
 from pathlib import Path
@@ -11,6 +13,7 @@ import pytest
 
 from core.formats import KITTI, encode_kitti
 from service.adapters.disk import Disk
+from service.adapters.durable_files import may_grow
 from service.application.errors import StorageFull
 from tests.support.processes import ServiceProcess
 from tests.support.service_world import cloud_points, open_session, sqlite_world, submap
@@ -100,6 +103,47 @@ def test_a_full_disk_refuses_data_serves_the_rest_and_heals_by_itself(tmp_path):
         assert service.terminate()[0] == 0
     finally:
         service.close()
+
+
+def wal_bytes(home: Path) -> int:
+    return (home / "revisit.db-wal").stat().st_size
+
+
+def test_files_that_may_not_grow_are_a_full_disk_and_no_broken_one(tmp_path):
+    home = tmp_path / "home"
+    service = ServiceProcess(home, workers=0, reserve_mb=RESERVE_MB)
+    unlimited = resource.prlimit(service.pid, resource.RLIMIT_FSIZE)
+    try:
+        with httpx.Client(base_url=service.url, timeout=10) as client:
+            client.post("/v1/maps", json={"map_id": "town"}).raise_for_status()
+            client.post("/v1/maps/town/sessions", json={"session_id": "monday"}).raise_for_status()
+            eventually((home / "reserve").exists)
+            assert post(client, 0).status_code == 202
+
+            resource.prlimit(service.pid, resource.RLIMIT_FSIZE, (wal_bytes(home) + 4096, unlimited[1]))
+            refused = post(client, 1)
+            assert (refused.status_code, refused.json()["reason"]) == (507, "STORAGE_FULL")
+            assert client.get(f"{SESSION}/submaps/s0").status_code == 200
+            assert client.get(f"{SESSION}/submaps/s1").status_code == 404
+            assert "storage full" in client.get("/readyz").json()["degraded"][0]
+
+            resource.prlimit(service.pid, resource.RLIMIT_FSIZE, unlimited)
+            assert eventually(lambda: post(client, 1).status_code == 202) < 5.0
+        assert service.terminate()[0] == 0
+    finally:
+        service.close()
+
+
+@pytest.mark.parametrize(("number", "grows"), [(errno.ENOSPC, False), (errno.EDQUOT, False), (errno.EIO, True)])
+def test_an_exhausted_quota_is_told_from_a_broken_disk(tmp_path, monkeypatch, number, grows):
+    assert may_grow(tmp_path / "log", 4096)
+
+    def refuse(descriptor, offset, size):
+        raise OSError(number, "")
+
+    monkeypatch.setattr("service.adapters.durable_files.os.posix_fallocate", refuse)
+    assert may_grow(tmp_path / "log", 4096) is grows
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.fixture

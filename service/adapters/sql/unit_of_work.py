@@ -23,7 +23,7 @@ from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.exc import DatabaseError
 
 from core.errors import DataLoss
-from service.adapters.durable_files import open_lock
+from service.adapters.durable_files import may_grow, open_lock
 from service.adapters.fail_stop import FailStop
 from service.adapters.leased_jobs import LeasedJobs
 from service.adapters.sql import tables
@@ -61,6 +61,12 @@ READER_PRAGMAS: dict[str, str | int] = {"query_only": 1, "busy_timeout": 5000, "
 
 FULL = ("SQLITE_FULL", "SQLITE_IOERR_SHMSIZE")
 """No room: in a file, or for the index of the WAL."""
+
+WRITE_FAILED = "SQLITE_IOERR_WRITE"
+"""A broken disk; or a quota or a limit on the size of files, which SQLite does not tell from it."""
+
+FRAME_BYTES = 4096 + 24
+"""What the WAL grows by, at least."""
 
 DAMAGED = ("SQLITE_CORRUPT", "SQLITE_NOTADB")
 
@@ -155,6 +161,7 @@ class SqlTransactions:
         require_pragmas(self._writer, WRITER_PRAGMAS | _checkpointing(checkpoints))
         require_pragmas(self._reader, READER_PRAGMAS)
         self._lock = WriterLock(path)
+        self._wal = path.with_name(f"{path.name}-wal")
         self._lease_ms = lease_ms
         self._fail_stop = fail_stop or FailStop()
         self._on_full = on_full
@@ -200,7 +207,7 @@ class SqlTransactions:
     def _refusal(self, error: DatabaseError) -> Exception:
         """What a failure of SQLite means to those who asked; an I/O error throws the switch."""
         name = str(getattr(error.orig, "sqlite_errorname", ""))
-        if name in FULL:
+        if name in FULL or (name == WRITE_FAILED and not may_grow(self._wal, FRAME_BYTES)):
             self._on_full()
             return StorageFull()
         if name in DAMAGED:
