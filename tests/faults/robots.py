@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import queue
+import sys
 import threading
+import traceback
 from collections.abc import Iterator
 from functools import lru_cache
 
@@ -206,4 +208,8 @@ class Crew:
         self.stop.set()
         for thread in self._threads:
             thread.join(timeout_s)
-            assert not thread.is_alive(), "a client hangs"
+            assert not thread.is_alive(), f"a client hangs:\n{_stack_of(thread)}"
+
+
+def _stack_of(thread: threading.Thread) -> str:
+    return "".join(traceback.format_stack(sys._current_frames()[thread.ident]))

@@ -11,6 +11,9 @@ import httpx
 import pytest
 
 from core.formats import KITTI, encode_kitti
+from revisit import Client, Cloud
+from revisit.errors import Unavailable
+from revisit.retry import RetryPolicy
 from service.adapters.blobs import FileBlobStore
 from service.adapters.fail_stop import FailStop
 from service.application.errors import StorageUncertain
@@ -18,7 +21,7 @@ from service.application.identity import TenantId
 from service.gateway import FAIL_STOP_S
 from tests.support.campaigns import Campaign, sizes
 from tests.support.processes import ServiceProcess
-from tests.support.service_world import cloud_points
+from tests.support.service_world import cloud_points, pose
 
 SESSION = "/v1/maps/town/sessions/monday"
 STORAGE_FAILED = 74
@@ -85,7 +88,7 @@ def fail_and_recover(service: ServiceProcess, stored_before: int) -> float:
     return ended_s
 
 
-def test_a_client_that_hangs_does_not_hold_up_the_end(tmp_path):
+def test_an_answer_over_grpc_goes_out_and_a_client_that_hangs_does_not_hold_up_the_end(tmp_path):
     service = ServiceProcess(tmp_path / "home", workers=0, drain_s=15, fail="blob.before_sync=eio@1")
     address = service.url.removeprefix("http://")
     host, port = address.split(":")
@@ -93,9 +96,11 @@ def test_a_client_that_hangs_does_not_hold_up_the_end(tmp_path):
     try:
         with socket.create_connection((host, int(port))) as hanging:
             hanging.sendall(half.encode())
-            _, refusal = post_until_refused(service)
+            with Client.grpc(service.grpc_target, retry=RetryPolicy(attempts=1)) as client:
+                session = client.create_session(client.create_map("town"), "monday")
+                with pytest.raises(Unavailable, match="STORAGE_UNCERTAIN"):
+                    client.post_submap(session, "s1", Cloud(encode_kitti(cloud_points(1, 300)), KITTI), pose(), 1)
             refused_at = time.monotonic()
-            assert refusal is not None and refusal.status_code == 503
             assert service.wait_until_it_ends() == STORAGE_FAILED
             assert time.monotonic() - refused_at < LATE_S
     finally:
