@@ -16,6 +16,8 @@ Array = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 
 MAX_K = 1000
+SMALLEST_TO_COMPACT = 64
+"""Fewer rows than this are not worth copying."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,7 @@ class PlaceIndex(Protocol):
 
 
 class _Metadata:
-    """The entries' fields as growing arrays, so that a filter is a few comparisons. Rows are never reordered."""
+    """The entries' fields as growing arrays, so that a filter is a few comparisons. Rows keep their order."""
 
     def __init__(self) -> None:
         self.rows: dict[int, int] = {}
@@ -107,6 +109,17 @@ class _Metadata:
         for identifier in known:
             self.alive[self.rows.pop(identifier)] = False
         return np.array(known, dtype=np.int64)
+
+    def compact(self) -> NDArray[np.intp] | None:
+        """Give removed rows back once they are most of all; which rows were kept, None where nothing has changed."""
+        if self.count < SMALLEST_TO_COMPACT or 2 * len(self.rows) > self.count:
+            return None
+        kept = np.flatnonzero(self.alive[: self.count])
+        self.ids, self.sessions, self.ordinals = self.ids[kept], self.sessions[kept], self.ordinals[kept]
+        self.positions, self.alive = self.positions[kept], self.alive[kept]
+        self.rows = {identifier: row for row, identifier in enumerate(self.ids.tolist())}
+        self.count = len(kept)
+        return kept
 
     def holds(self, entry: IndexEntry) -> bool:
         """Whether the entry is there with these fields."""
@@ -166,6 +179,9 @@ class ExactIndex:
     def remove(self, ids: Sequence[int]) -> None:
         """See PlaceIndex."""
         self._metadata.drop(ids)
+        kept = self._metadata.compact()
+        if kept is not None:
+            self._vectors = self._vectors[kept]
 
     def search(self, vector: Array, k: int, only: SearchFilter = SearchFilter()) -> list[Match]:
         """See PlaceIndex."""
@@ -207,6 +223,7 @@ class FaissIndex:
         known = self._metadata.drop(ids)
         if len(known):
             self._faiss.remove_ids(faiss.IDSelectorBatch(known))
+            self._metadata.compact()
 
     def search(self, vector: Array, k: int, only: SearchFilter = SearchFilter()) -> list[Match]:
         """See PlaceIndex."""

@@ -147,3 +147,16 @@ def test_one_bit_of_a_vector_makes_a_difference(index: PlaceIndex) -> None:
     # Of a unit vector along an axis: a bit that the norm does not see.
     other.view(np.uint32)[1, 5] ^= 1
     assert index.differing([entry(1), entry(2)], other) == [2]
+
+
+def test_places_that_come_and_go_take_no_more_room_and_change_no_answer(index: PlaceIndex) -> None:
+    vectors = random_vectors(1000)
+    for identifier in range(1000):
+        index.add([entry(identifier, session=identifier, x=float(identifier))], vectors[identifier : identifier + 1])
+        index.remove([identifier - 40])
+    assert len(index) == 40
+    assert len(index._metadata.ids) <= 256  # type: ignore[attr-defined]  # of either implementation
+    rows, query = np.arange(960, 1000), random_vectors(1, seed=3)[0]
+    assert [match.id for match in index.search(query, 5)] == brute_force(vectors, query, rows, 5)
+    assert [match.id for match in index.search(query, 5, SearchFilter(only_session=970))] == [970]
+    assert index.differing([entry(i, session=i, x=float(i)) for i in rows.tolist()], vectors[rows]) == []

@@ -19,6 +19,7 @@ LINKED = ("core", "revisit", "evaluation", "scripts", "docs", "proto", "docker")
 POWER_CUT = "tests/faults/test_power_cut.py::test_a_power_cut_takes_nothing_that_was_acknowledged[1000]"
 CRASH = "tests/faults/test_crash_points.py::"
 QUEUE = "tests/contract/test_job_queue.py::"
+DELETION = "tests/contract/api/test_api_session_deletion.py::"
 
 
 @dataclass(frozen=True)
@@ -202,6 +203,22 @@ SABOTAGES = (
         "a secret is written to the log",
         (Edit("service/redaction.py", "        text = pattern.sub(replacement, text)\n", "        pass\n"),),
         "tests/unit/service/test_redaction.py::test_no_way_into_the_log_lets_a_secret_through",
+    ),
+    Sabotage(
+        "what is deleted stays in the index",
+        (Edit("service/application/deletion.py", "    if submap.descriptor is not None:\n", "    if False:\n"),),
+        f"{DELETION}test_a_deleted_session_takes_its_submaps_and_loops_and_nothing_else",
+    ),
+    Sabotage(
+        "the jobs of what is deleted keep their places",
+        (
+            Edit(
+                "service/application/deletion.py",
+                "    if job is not None and job.state == OperationState.QUEUED:\n",
+                "    if False:\n",
+            ),
+        ),
+        f"{DELETION}test_the_waiting_jobs_of_a_deleted_session_are_dropped_at_once",
     ),
     Sabotage(
         "processes are forked",

@@ -1,7 +1,8 @@
 """A recogniser without a method, for tests of the service: a place looks like the cloud it was made of.
 
 The descriptor is the histogram of the points' heights (clouds of the same seed match, others do not). Clouds of
-special sizes misbehave: see the constants. REVISIT_FAKE_DELAY_S makes each description take that long.
+special sizes misbehave: see the constants. REVISIT_FAKE_DELAY_S makes each description take that long,
+REVISIT_FAKE_BUSY_S that much of a core.
 """
 
 from __future__ import annotations
@@ -30,6 +31,12 @@ SEGFAULTS = 672
 
 BINS = 64
 ACCEPTED_FROM = 0.98
+
+
+def _be_busy(cpu_s: float) -> None:
+    end_s = time.thread_time() + cpu_s
+    while time.thread_time() < end_s:
+        pass
 
 
 def _hang() -> None:
@@ -62,6 +69,7 @@ class FakeRecogniser:
     def describe(self, submap: Submap, config: PipelineConfig) -> SubmapDescription:
         """A description, or misbehaviour for clouds of the special sizes."""
         time.sleep(float(os.environ.get("REVISIT_FAKE_DELAY_S", "0")))
+        _be_busy(float(os.environ.get("REVISIT_FAKE_BUSY_S", "0")))
         if len(submap.points) == KILLS_THE_WORKER:
             os._exit(9)
         if len(submap.points) in MISCHIEF:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import queue
 
 import grpc
+import httpx
 import pytest
 
 from revisit import Client
@@ -25,11 +26,18 @@ def other(client, town):
     return client.create_session(town, "tuesday")
 
 
-def test_a_deleted_session_takes_its_submaps_and_loops_and_nothing_else(client, session, other, town):
+def searched(service, town):
+    """How many submaps a search in the index of `town` goes through."""
+    query = {"descriptor": [1.0] * 64, "model_version": "fake-1"}
+    return httpx.post(f"{service.http}/v1/{town}/submaps:search", json=query, trust_env=False).json()["searched"]
+
+
+def test_a_deleted_session_takes_its_submaps_and_loops_and_nothing_else(client, session, other, town, service):
     kept = post(client, other, "kept", 1)
     client.wait(kept, 20)
     client.wait(post(client, session, "gone", 1), 20)
     assert [loop.query.rpartition("/")[2] for loop in client.loop_closures(town)] == ["gone"]
+    assert searched(service, town) == 2
     client.delete(session)
     for name in (session.name, f"{session.name}/submaps/gone"):
         with pytest.raises(NotFound):
@@ -37,6 +45,7 @@ def test_a_deleted_session_takes_its_submaps_and_loops_and_nothing_else(client, 
     assert client.loop_closures(town, state=None) == []
     assert [found.name for found in client.list_sessions(town)] == [other.name]
     assert [hit.submap for hit in client.search(town, points=cloud_points(1))] == [kept.subject]
+    assert searched(service, town) == 1
     with pytest.raises(NotFound):
         client.delete(session)
 
