@@ -51,7 +51,8 @@ def delete_map(uow: UnitOfWork, record: MapRecord, at_ns: int) -> set[Blob]:
     of_map = {"map_id": record.map_id}
     doomed = _blobs_of_scans(uow, record.tenant, of_map)
     for submap in _every(uow.submaps, record.tenant, of_map):
-        _drop_job(uow, submap, at_ns)
+        if submap.descriptor is None:
+            _drop_job(uow, submap, at_ns)
         doomed |= blobs_of_submap(submap)
     for rows in (uow.loops, uow.submaps, uow.scans, uow.sessions, uow.maps):
         rows.delete(record.tenant, **of_map)
@@ -62,7 +63,8 @@ def _forget(uow: UnitOfWork, record: MapRecord, submap: SubmapRecord, at_ns: int
     """Take a submap out of the index or, where it is not there yet, out of the queue."""
     if submap.descriptor is not None:
         uow.changes.record_removed(submap.tenant, record.number, submap.number)
-    _drop_job(uow, submap, at_ns)
+    else:
+        _drop_job(uow, submap, at_ns)
 
 
 def _drop_job(uow: UnitOfWork, submap: SubmapRecord, at_ns: int) -> None:
