@@ -7,8 +7,10 @@ import queue
 import sys
 import threading
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from functools import lru_cache
+from typing import TypeVar
 
 import grpc
 import httpx
@@ -22,6 +24,8 @@ from service.status import STATUS
 from tests.faults.history import History, Kind, Operation, Outcome
 from tests.support.service_world import cloud_points, pose
 
+T = TypeVar("T")
+
 POINTS = 120
 TOO_FEW_POINTS = 50
 UNROTATED = geometry_pb2.Quaternion(w=1.0)
@@ -29,6 +33,9 @@ ONCE = RetryPolicy(attempts=1)
 _FRESH_CHANNEL = (("grpc.use_local_subchannel_pool", 1), ("grpc.enable_http_proxy", 0))
 """A new connection for every attempt, without waiting because an earlier one failed."""
 
+
+HANGS_AFTER_S = 95.0
+"""Beyond every deadline. A call of gRPC 1.85 whose connection is made just as the service ends may hang for ever."""
 
 EXPECTED = frozenset({409, 429, 503, 504})
 """Refusals, as HTTP names them, that a robot on a bad link may meet."""
@@ -51,6 +58,20 @@ def outcome_of(status: int) -> Outcome:
     if status == 202:
         return Outcome.OK
     return Outcome.FAIL if 400 <= status < 500 else Outcome.UNKNOWN
+
+
+def bounded(work: Callable[[], T]) -> T:
+    """The result of `work`, which is left where it hangs. Raises TimeoutError then."""
+    outcome: Future[T] = Future()
+
+    def run() -> None:
+        try:
+            outcome.set_result(work())
+        except BaseException as error:  # noqa: BLE001  # carried to whoever waits for it
+            outcome.set_exception(error)
+
+    threading.Thread(target=run, daemon=True).start()
+    return outcome.result(HANGS_AFTER_S)
 
 
 class Poster:
@@ -88,9 +109,15 @@ class Poster:
         """One attempt over gRPC at host:port."""
         operation = self._history.invoke(self.name, Kind.PUT, f"submap/{submap_id}", content(place, points))
         cloud = Cloud(body(place, points), KITTI)
-        try:
+
+        def post() -> None:
             with Client.grpc(target, retry=ONCE) as client:
                 client.post_submap(self._session, submap_id, cloud, pose(float(place)), place)
+
+        try:
+            bounded(post)
+        except TimeoutError:
+            return self._settle(operation, Outcome.UNKNOWN)
         except ApiError as error:
             status = _http_status(error)
             if status not in self._expected:
@@ -129,10 +156,16 @@ class Scanner:
         requests: queue.SimpleQueue[ingest_pb2.StreamScansRequest | None] = queue.SimpleQueue()
         requests.put(ingest_pb2.StreamScansRequest(open=ingest_pb2.Open(session=self._session)))
         resuming = self._history.invoke("scanner", Kind.RESUME, "stream")
-        try:
+
+        def talk() -> None:
             with grpc.insecure_channel(target, options=_FRESH_CHANNEL) as channel:
                 stub = ingest_pb2_grpc.IngestServiceStub(channel)
                 self._talk(stub.StreamScans(iter(requests.get, None), timeout=60), requests, resuming, until_seq)
+
+        try:
+            bounded(talk)
+        except TimeoutError:
+            return False
         except grpc.RpcError as error:
             if error.code() not in (grpc.StatusCode.UNAVAILABLE, grpc.StatusCode.ABORTED, grpc.StatusCode.CANCELLED):
                 self.surprises.append(f"{error.code()} {error.details()}")
@@ -203,7 +236,7 @@ class Crew:
         self._threads.append(threading.Thread(target=repeat, daemon=True))
         self._threads[-1].start()
 
-    def end(self, timeout_s: float = 60.0) -> None:
+    def end(self, timeout_s: float = 120.0) -> None:
         """Let every thread finish what it does."""
         self.stop.set()
         for thread in self._threads:
