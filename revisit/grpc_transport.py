@@ -13,6 +13,7 @@ from google.rpc import error_details_pb2, status_pb2  # type: ignore[import-unty
 from revisit.clouds import Cloud
 from revisit.credentials import Credentials
 from revisit.errors import ApiError, ErrorDetails, error_of, unreachable
+from revisit.grpc_answers import LOST_AFTER_S, Answers, LostCall, answer
 from revisit.resources import Json
 from revisit.retry import RetryPolicy
 from revisit.scan_stream import GrpcScanSink
@@ -136,7 +137,13 @@ class GrpcTransport:
         """See Transport."""
         request = submap_pb2.DownloadSubmapRequest(name=submap, format=f"DOWNLOAD_FORMAT_{file_format.upper()}")
         call = self._method(submap_pb2_grpc.SubmapServiceStub, "DownloadSubmap")
-        return self._run(lambda: b"".join(chunk.data for chunk in call(request, timeout=ANSWER_TIMEOUT_S)))
+        limit_s = ANSWER_TIMEOUT_S + LOST_AFTER_S
+
+        def whole() -> bytes:
+            chunks = Answers(call(request, timeout=ANSWER_TIMEOUT_S, metadata=self._metadata))
+            return b"".join(chunk.data for chunk in chunks.all(limit_s))
+
+        return self._run(whole)
 
     def search(self, map_name: str, query: Any, criteria: Json) -> Json:
         """See Transport."""
@@ -162,7 +169,7 @@ class GrpcTransport:
 
     def open_stream(self, session: str, journal: StreamJournal = Forgetful()) -> GrpcScanSink:
         """See Transport."""
-        call = self._method(ingest_pb2_grpc.IngestServiceStub, "StreamScans")
+        call = partial(self._method(ingest_pb2_grpc.IngestServiceStub, "StreamScans"), metadata=self._metadata)
         return GrpcScanSink(call, session, self._retry, lambda error: _api_error(error, self._address), journal)
 
     def close(self) -> None:
@@ -170,11 +177,12 @@ class GrpcTransport:
         self._channel.close()
 
     def _method(self, stub: Any, name: str) -> Callable[..., Any]:
-        return partial(getattr(stub(self._channel), name), metadata=self._metadata)
+        method: Callable[..., Any] = getattr(stub(self._channel), name)
+        return method
 
     def _answer(self, stub: Any, method: str, request: Any) -> Json:
-        call = self._method(stub, method)
-        return _json(self._run(lambda: call(request, timeout=ANSWER_TIMEOUT_S)))
+        called = self._method(stub, method)
+        return _json(self._run(lambda: answer(called, request, ANSWER_TIMEOUT_S, self._metadata)))
 
     def _part(self, field: str, stub: Any, method: str, request: Any) -> Json:
         part: Json = self._answer(stub, method, request)[field]
@@ -184,7 +192,7 @@ class GrpcTransport:
         def once() -> T:
             try:
                 return call()
-            except grpc.RpcError as error:
+            except (grpc.RpcError, LostCall) as error:
                 raise _api_error(error, self._address) from error
 
         return self._retry.run(once)
@@ -221,6 +229,8 @@ def _with_vector_prior(options: Json) -> Json:
 
 def _api_error(error: Any, address: str) -> ApiError:
     """The exception for a gRPC failure, from its google.rpc details where the service sent them."""
+    if isinstance(error, LostCall):
+        return unreachable(address, error)
     packed = dict(error.trailing_metadata() or ()).get(STATUS_DETAILS)
     if not isinstance(packed, bytes):
         # Calls of this client are not cancelled while somebody waits for them: the service ended before it answered.

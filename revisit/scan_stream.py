@@ -22,12 +22,16 @@ from google.protobuf.json_format import ParseDict
 from core.errors import RevisitError
 from revisit.clouds import Cloud
 from revisit.errors import ApiError, closed
+from revisit.grpc_answers import Answers, LostCall
 from revisit.resources import Json
 from revisit.retry import RetryPolicy
 from revisit.transport import Forgetful, StreamJournal
 from revisit.v1 import cloud_pb2, ingest_pb2
 
 GIVE_UP_AFTER_S = 120.0
+OPENED_WITHIN_S = 30.0
+"""A service opens a stream at once. Later it may be silent as long as the robot is; keep-alives watch the link."""
+
 DEFAULT_CREDITS = 32
 DEFAULT_WINDOW_BYTES = 8 * 2**20
 
@@ -158,7 +162,7 @@ class GrpcScanSink:
             except RevisitError as failure:
                 self._fail(failure)
                 return
-            except grpc.RpcError as rpc_error:
+            except (grpc.RpcError, LostCall) as rpc_error:
                 error = self._api_error(rpc_error)
                 if self._was_open():
                     failures, last_good = 0, time.monotonic()
@@ -181,7 +185,8 @@ class GrpcScanSink:
         if self._closing:
             self._requests.put(None)
         self._running_call = self._call(_until_none(self._requests))
-        for response in self._running_call:
+        answers = Answers(self._running_call)
+        while (response := answers.next(None if self._was_open() else OPENED_WITHIN_S)) is not None:
             with self._changed:
                 drained = self._handle(response)
                 self._transmit()
