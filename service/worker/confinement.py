@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import resource
 from contextlib import suppress
 from pathlib import Path
@@ -10,12 +11,20 @@ SACRIFICE = 500
 """Of -1000 to 1000: where memory runs out all the same, the kernel ends a worker before it ends the gateway."""
 
 
+NICENESS = 5
+"""Of -20 to 19: where all cores are busy with descriptions, the gateway, which somebody waits for, goes first. It is not
+more, since a worker also holds the writers' lock for a moment."""
+
+
 def confine(memory_bytes: int) -> None:
     """Bound this process's own memory: what goes beyond is a MemoryError, or the end of this process alone.
+
+    It yields to the gateway where they compete for a core.
 
     What counts is memory that the process may write to (RLIMIT_DATA). The address space is no measure: torch and Open3D
     reserve twice what they use. A core dump would write a customer's site to the disk, so there is none.
     """
+    os.setpriority(os.PRIO_PROCESS, 0, max(NICENESS, os.getpriority(os.PRIO_PROCESS, 0)))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
     limit = memory_bytes if hard == resource.RLIM_INFINITY else min(memory_bytes, hard)
