@@ -12,8 +12,10 @@ SACRIFICE = 500
 
 
 NICENESS = 5
-"""Of -20 to 19: where all cores are busy with descriptions, the gateway, which somebody waits for, goes first. It is not
-more, since a worker also holds the writers' lock for a moment."""
+"""Of -20 to 19: where all cores are busy with descriptions, the gateway goes first, since somebody waits for it.
+
+Not more: a worker also holds the lock of the writers for a moment.
+"""
 
 
 def confine(memory_bytes: int) -> None:
