@@ -15,6 +15,7 @@ from evaluation.datasets import FORMATS
 from evaluation.protocols.bench import run_recognition_bench
 from evaluation.protocols.programme import PROTOCOLS, Programme, RecordedDrive
 from evaluation.protocols.towns import DRIVES
+from revisit.cli.evaluating import given
 from revisit.cli.output import emit_json, emit_table, progress_bar, refuse, say
 
 
@@ -38,11 +39,8 @@ class Lengths:
 
     def of(self, programme: Programme) -> Programme:
         """The programme with these lengths."""
-        given = {name: value for name, value in asdict(self).items() if value is not None}
-        submap, loops = (
-            {name: value for name, value in given.items() if name in names}
-            for names in (("tau", "stride"), ("min_index_gap", "positive_radius_m"))
-        )
+        submap = given(tau=self.tau, stride=self.stride)
+        loops = given(min_index_gap=self.min_index_gap, positive_radius_m=self.positive_radius_m)
         return replace(programme, submap=replace(programme.submap, **submap), loops=replace(programme.loops, **loops))
 
 

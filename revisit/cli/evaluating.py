@@ -27,19 +27,17 @@ def options(
     jobs: int | None,
 ) -> EvaluationOptions:
     """The options that were given; the others keep their defaults."""
-    given: dict[str, Any] = {
-        "tau": tau,
-        "stride": stride,
-        "min_index_gap": min_index_gap,
-        "positive_radius": positive_radius,
-        "jobs": jobs,
-    }
-    chosen = {name: value for name, value in given.items() if value is not None}
+    chosen = given(tau=tau, stride=stride, min_index_gap=min_index_gap, positive_radius=positive_radius, jobs=jobs)
     try:
         perturbation = Perturbation(keep_beams, keep_points, rotate_seed)
     except ValueError as error:
         raise refuse(str(error)) from error
     return EvaluationOptions(perturbation=perturbation, ablation=ablation, scene_scale=scene_scale, **chosen)
+
+
+def given(**options: Any) -> dict[str, Any]:
+    """The options that were given."""
+    return {name: value for name, value in options.items() if value is not None}
 
 
 def evaluate_folder(folder: Path, file_format: str, chosen: EvaluationOptions, out: Path | None) -> None:
