@@ -19,7 +19,7 @@ from service.application.intake import Intake
 from service.application.loops import LoopState
 from service.application.operations import OperationState
 from service.application.ports import Repository, UnitOfWork
-from service.application.submaps import SubmapState
+from service.application.records import SubmapState
 from service.application.system import WORKER_SEEN_WITHIN_MS
 
 LATENCY_BUCKETS_S = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
@@ -73,6 +73,10 @@ class MemoryRepository(Generic[R]):
     def numbered(self, tenant: TenantId, numbers: Sequence[int]) -> dict[int, R]:
         """See `ports.Repository`."""
         return {row.number: row for row in self._matching(tenant, {}) if row.number in set(numbers)}
+
+    def distinct(self, tenant: TenantId, field: str, **equals: Scalar) -> set[Any]:
+        """See `ports.Repository`."""
+        return {getattr(row, field) for row in self._matching(tenant, equals)} - {None}
 
     def count(self, tenant: TenantId, **equals: Scalar) -> int:
         """See `ports.Repository`."""
@@ -195,9 +199,10 @@ class MemoryChangeLog:
         """See `ports.ChangeLog`."""
         return self._append(_Change(tenant, map_number, submap_number, described=True))
 
-    def record_removed(self, tenant: TenantId, map_number: int, submap_number: int) -> int:
+    def record_removed(self, tenant: TenantId, map_number: int, submap_numbers: Collection[int]) -> None:
         """See `ports.ChangeLog`."""
-        return self._append(_Change(tenant, map_number, submap_number, described=False))
+        for number in sorted(submap_numbers):
+            self._append(_Change(tenant, map_number, number, described=False))
 
     def since(self, tenant: TenantId, map_number: int, seq: int, limit: int | None = None) -> list[IndexChange]:
         """See `ports.ChangeLog`."""

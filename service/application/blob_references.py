@@ -23,15 +23,27 @@ BLOBS_PER_TURN = 200
 """A large map has a million blobs: robots and workers, who wait for the one writer, get their turn in between."""
 
 
+FIELDS = {
+    CLOUD_BLOB: "cloud_sha256",
+    SIGNATURE_BLOB: "signature_sha256",
+    NEURAL_MAP_BLOB: "neural_map_sha256",
+    MESH_BLOB: "mesh_sha256",
+}
+"""Where a submap's row names its blob of a kind."""
+
+
 def blobs_of_submap(record: SubmapRecord) -> set[Blob]:
     """The blobs that a submap's row names itself; the clouds of its scans belong to the scans."""
-    named = (
-        (CLOUD_BLOB, record.cloud_sha256),
-        (SIGNATURE_BLOB, record.signature_sha256),
-        (NEURAL_MAP_BLOB, record.neural_map_sha256),
-        (MESH_BLOB, record.mesh_sha256),
-    )
+    named = ((kind, getattr(record, field)) for kind, field in FIELDS.items())
     return {(kind, sha256) for kind, sha256 in named if sha256 is not None}
+
+
+def blobs_of_rows(uow: UnitOfWork, tenant: TenantId, **equals: str) -> set[Blob]:
+    """The blobs that scans and submaps name whose fields equal `equals`."""
+    named = {(CLOUD_BLOB, sha256) for sha256 in uow.scans.distinct(tenant, FIELDS[CLOUD_BLOB], **equals)}
+    for kind, field in FIELDS.items():
+        named |= {(kind, sha256) for sha256 in uow.submaps.distinct(tenant, field, **equals)}
+    return named
 
 
 async def collect_blobs_in_turns(context: Context, tenant: TenantId, doomed: Iterable[Blob]) -> None:
@@ -61,6 +73,5 @@ def is_referenced(uow: UnitOfWork, tenant: TenantId, kind: str, sha256: str) -> 
         return bool(uow.submaps.count(tenant, cloud_sha256=sha256) or uow.scans.count(tenant, cloud_sha256=sha256))
     if kind == QUERY_CLOUD_BLOB:
         return False
-    columns = {SIGNATURE_BLOB: "signature_sha256", NEURAL_MAP_BLOB: "neural_map_sha256", MESH_BLOB: "mesh_sha256"}
     # A kind that this version does not know is another version's: it stays.
-    return kind not in columns or uow.submaps.count(tenant, **{columns[kind]: sha256}) > 0
+    return kind not in FIELDS or uow.submaps.count(tenant, **{FIELDS[kind]: sha256}) > 0

@@ -14,8 +14,7 @@ from service.application.errors import NotFound
 from service.application.identity import SubmapKey, TenantId
 from service.application.operations import OperationKind, OperationState, OperationView, operation_view
 from service.application.ports import UnitOfWork
-from service.application.records import JobRecord, SubmapRecord
-from service.application.submaps import SubmapState
+from service.application.records import JobRecord, SubmapRecord, SubmapState
 
 
 class DeadLetters:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
@@ -69,6 +69,10 @@ class Repository(Protocol[R]):
 
     def numbered(self, tenant: TenantId, numbers: Sequence[int]) -> dict[int, R]:
         """The records of this tenant with these numbers (at most 1000), by number; missing ones are left out."""
+        ...
+
+    def distinct(self, tenant: TenantId, field: str, **equals: str | int | None) -> set[Any]:
+        """The values that a field has in the records that `find` would give; without None."""
         ...
 
     def count(self, tenant: TenantId, **equals: str | int | None) -> int:
@@ -206,8 +210,8 @@ class ChangeLog(Protocol):
         """The submap has a descriptor now; the change's sequence number."""
         ...
 
-    def record_removed(self, tenant: TenantId, map_number: int, submap_number: int) -> int:
-        """The submap is gone."""
+    def record_removed(self, tenant: TenantId, map_number: int, submap_numbers: Collection[int]) -> None:
+        """The submaps are gone; a change for each."""
         ...
 
     def since(self, tenant: TenantId, map_number: int, seq: int, limit: int | None = None) -> list[IndexChange]:

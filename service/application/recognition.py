@@ -38,7 +38,7 @@ from service.application.ports import (
     VectorFilter,
 )
 from service.application.poses import pose_matrix
-from service.application.records import JobRecord, MapRecord, SubmapRecord
+from service.application.records import JobRecord, MapRecord, SubmapRecord, SubmapState
 from service.application.search_answers import (
     Localization,
     LocalizedCandidate,
@@ -47,7 +47,7 @@ from service.application.search_answers import (
     search_result_to_json,
 )
 from service.application.submap_source import load_submap, submap_source
-from service.application.submaps import SubmapState, submap_key
+from service.application.submaps import submap_key
 from service.failpoints import failpoint
 
 log = structlog.get_logger(__name__)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,18 +39,10 @@ from service.application.operations import (
 from service.application.paging import Page, PageRequest, page_of
 from service.application.ports import UnitOfWork
 from service.application.poses import pose_matrix, pose_row, position_row
-from service.application.records import SessionRecord, SubmapRecord
+from service.application.records import SessionRecord, SubmapRecord, SubmapState
 from service.application.session_lookup import require_active, require_session
 from service.application.submap_source import SubmapSource, submap_source
 from service.failpoints import failpoint
-
-
-class SubmapState(StrEnum):
-    """How far a submap has come."""
-
-    QUEUED = "QUEUED"
-    DESCRIBED = "DESCRIBED"
-    FAILED = "FAILED"
 
 
 @dataclass(frozen=True)
@@ -321,7 +312,6 @@ __all__ = [
     "DownloadKind",
     "PostSubmap",
     "PostedSubmap",
-    "SubmapState",
     "SubmapView",
     "Submaps",
     "add_submap",

@@ -8,10 +8,10 @@ from service.application.context import Context
 from service.application.identity import RESERVED_SUBMAP_PREFIX, content_hash
 from service.application.ports import UnitOfWork
 from service.application.poses import pose_matrix, position_row
-from service.application.records import ScanRecord, SessionRecord, SubmapRecord
+from service.application.records import ScanRecord, SessionRecord, SubmapRecord, SubmapState
 from service.application.scan_windows import ScanRange, Window
 from service.application.submap_source import chosen_seqs
-from service.application.submaps import PostedSubmap, SubmapState, add_submap, posted_submap
+from service.application.submaps import PostedSubmap, add_submap, posted_submap
 
 
 def window_of(session: SessionRecord) -> Window:

@@ -72,6 +72,16 @@ def test_find_filters_pages_and_keeps_the_tenant(write, read):
     assert read(lambda uow: uow.maps.get(OTHER, "a")) is None
 
 
+def test_the_values_of_a_field_are_told_once_without_those_of_others(write, read):
+    *_, first, second, _ = write(fill)
+    write(lambda uow: uow.submaps.replace(replace(first, state="DESCRIBED", signature_sha256="s" * 64)))
+    assert read(lambda uow: uow.submaps.distinct(TENANT, "operation_id")) == {"op-1"}
+    assert read(lambda uow: uow.submaps.distinct(TENANT, "signature_sha256")) == {"s" * 64}
+    assert read(lambda uow: uow.submaps.distinct(TENANT, "number")) == {first.number, second.number}
+    assert read(lambda uow: uow.submaps.distinct(TENANT, "submap_id", map_id="town", state="QUEUED")) == {"b"}
+    assert read(lambda uow: uow.submaps.distinct(OTHER, "operation_id")) == set()
+
+
 def test_records_are_found_by_their_numbers_within_the_tenant(write, read):
     ours = write(lambda uow: uow.maps.add(a_map()))
     theirs = write(lambda uow: uow.maps.add(a_map(tenant=OTHER)))
@@ -135,12 +145,15 @@ def test_the_change_log_tells_additions_and_removals_in_order(write, read):
     *_, first, second, _ = write(fill)
     one = write(lambda uow: uow.changes.record_described(TENANT, 1, first.number))
     two = write(lambda uow: uow.changes.record_described(TENANT, 1, second.number))
-    three = write(lambda uow: uow.changes.record_removed(TENANT, 1, second.number))
+    write(lambda uow: uow.changes.record_removed(TENANT, 1, {second.number, first.number}))
+    write(lambda uow: uow.changes.record_removed(TENANT, 1, ()))
     changes = read(lambda uow: uow.changes.since(TENANT, 1, 0))
-    assert [change.seq for change in changes] == [one, two, three] == sorted({one, two, three})
+    three, four = (change.seq for change in changes[2:])
+    assert [change.seq for change in changes] == [one, two, three, four] == sorted({one, two, three, four})
+    assert [change.submap_number for change in changes[2:]] == [first.number, second.number]
     assert (changes[0].vector, changes[0].ordinal, changes[0].position_m) == (b"\x00\x00\x80?", 0, (0.1, 0.2, 0.3))
-    assert changes[2].vector is None
-    assert [change.seq for change in read(lambda uow: uow.changes.since(TENANT, 1, two))] == [three]
+    assert changes[2].vector is changes[3].vector is None
+    assert [change.seq for change in read(lambda uow: uow.changes.since(TENANT, 1, two))] == [three, four]
     assert [change.seq for change in read(lambda uow: uow.changes.since(TENANT, 1, one, limit=1))] == [two]
     assert read(lambda uow: uow.changes.since(TENANT, 2, 0)) == []
     assert read(lambda uow: uow.changes.since(OTHER, 1, 0)) == []
@@ -153,7 +166,7 @@ def test_a_submap_that_has_gone_appears_only_as_removed(write, read):
     def remove(uow):
         uow.loops.delete(TENANT, number=loop.number)
         uow.submaps.delete(TENANT, number=first.number)
-        uow.changes.record_removed(TENANT, 1, first.number)
+        uow.changes.record_removed(TENANT, 1, [first.number])
 
     write(remove)
     assert [change.vector for change in read(lambda uow: uow.changes.since(TENANT, 1, 0))] == [None, None]

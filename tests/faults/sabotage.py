@@ -206,7 +206,7 @@ SABOTAGES = (
     ),
     Sabotage(
         "what is deleted stays in the index",
-        (Edit("service/application/deletion.py", "    if submap.descriptor is not None:\n", "    if False:\n"),),
+        (Edit("service/application/deletion.py", ", described)\n", ", ())\n"),),
         f"{DELETION}test_a_deleted_session_takes_its_submaps_and_loops_and_nothing_else",
     ),
     Sabotage(
@@ -214,8 +214,8 @@ SABOTAGES = (
         (
             Edit(
                 "service/application/deletion.py",
-                "    if job is not None and job.state == OperationState.QUEUED:\n",
-                "    if False:\n",
+                "        if job is not None and job.state == OperationState.QUEUED:\n",
+                "        if False:\n",
             ),
         ),
         f"{DELETION}test_the_waiting_jobs_of_a_deleted_session_are_dropped_at_once",

@@ -50,7 +50,8 @@ class Fleet:
         self.history = History()
         self.crew = Crew()
         self.posters = [Poster(f"robot{number}", SESSION, self.history) for number in range(3)]
-        self.scanner = Scanner(SESSION, self.history)
+        # Workers that die all the time fall behind until their queue is full.
+        self.scanner = Scanner(SESSION, self.history, frozenset({"WORKERS_BUSY"}))
         self._http, self._grpc = http, grpc
 
     def start(self) -> None:

@@ -10,7 +10,7 @@ from service.application import SubmapKey
 from service.application.loops import LoopState
 from service.application.operations import OperationState
 from service.application.paging import PageRequest
-from service.application.submaps import SubmapState
+from service.application.records import SubmapState
 from tests.support.fake_recogniser import FakeRecogniser
 from tests.support.service_world import SESSION, TENANT, memory_world, open_session, sqlite_world, submap
 
@@ -145,7 +145,7 @@ async def test_a_match_deleted_during_verification_makes_no_loop(world):
             def delete(uow):
                 record = uow.submaps.get(TENANT, "town", "monday", "a")
                 uow.submaps.delete(TENANT, number=record.number)
-                uow.changes.record_removed(TENANT, 1, record.number)
+                uow.changes.record_removed(TENANT, 1, [record.number])
 
             world.context.transactions.write(delete).result()
             return super().verify(query, match, similarity, config)

@@ -24,9 +24,10 @@ from service.application.loops import LoopState
 from service.application.maps import CreateMap
 from service.application.operations import OperationState
 from service.application.paging import PageRequest
+from service.application.records import SubmapState
 from service.application.searches import LocalizeQuery, SearchCriteria
 from service.application.sessions import CreateSession, SessionState
-from service.application.submaps import DownloadKind, SubmapState
+from service.application.submaps import DownloadKind
 from tests.support.fake_recogniser import CANNOT_BE_DESCRIBED, RAISES, FakeRecogniser
 from tests.support.service_world import (
     SESSION,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, Generic, TypeVar
 
 from sqlalchemy import (
@@ -73,6 +73,12 @@ class SqlRepository(Generic[R]):
         where = and_(self._table.c.number.in_(numbers), self._table.c.tenant == tenant)
         rows = self._connection.execute(select(self._table).where(where))
         return {row.number: self._of(row) for row in rows}
+
+    def distinct(self, tenant: TenantId, field: str, **equals: Scalar) -> set[Any]:
+        """See `ports.Repository`."""
+        column = self._table.c[field]
+        query = select(column).where(self._matches(tenant, equals), column.is_not(None)).distinct()
+        return set(self._connection.execute(query).scalars())
 
     def count(self, tenant: TenantId, **equals: Scalar) -> int:
         """See `ports.Repository`."""
@@ -196,11 +202,15 @@ class SqlChangeLog:
 
     def record_described(self, tenant: TenantId, map_number: int, submap_number: int) -> int:
         """See `ports.ChangeLog`."""
-        return self._append(tenant, map_number, submap_number, "DESCRIBED")
+        return _insert(
+            self._connection, tables.index_changes, _change_row(tenant, map_number, submap_number, "DESCRIBED")
+        )
 
-    def record_removed(self, tenant: TenantId, map_number: int, submap_number: int) -> int:
+    def record_removed(self, tenant: TenantId, map_number: int, submap_numbers: Collection[int]) -> None:
         """See `ports.ChangeLog`."""
-        return self._append(tenant, map_number, submap_number, "REMOVED")
+        rows = [_change_row(tenant, map_number, number, "REMOVED") for number in sorted(submap_numbers)]
+        if rows:
+            self._connection.execute(insert(tables.index_changes), rows)
 
     def since(self, tenant: TenantId, map_number: int, seq: int, limit: int | None = None) -> list[IndexChange]:
         """See `ports.ChangeLog`."""
@@ -214,10 +224,6 @@ class SqlChangeLog:
             .limit(limit)
         )
         return [_change(row) for row in self._connection.execute(query)]
-
-    def _append(self, tenant: TenantId, map_number: int, submap_number: int, kind: str) -> int:
-        values = {"tenant": tenant, "map_number": map_number, "submap_number": submap_number, "kind": kind}
-        return _insert(self._connection, tables.index_changes, values)
 
 
 class SqlWorkerLog:
@@ -253,6 +259,10 @@ def _insert(connection: Connection, table: Table, values: dict[str, Any]) -> int
     """Insert a row; the number it was given."""
     statement = insert(table).values(values).returning(*table.primary_key.columns)
     return int(connection.execute(statement).scalar_one())
+
+
+def _change_row(tenant: TenantId, map_number: int, submap_number: int, kind: str) -> dict[str, Any]:
+    return {"tenant": tenant, "map_number": map_number, "submap_number": submap_number, "kind": kind}
 
 
 def _change(row: Row[Any]) -> IndexChange:
