@@ -23,6 +23,12 @@ BUSY_RETRY_S = 1.0
 QUEUE_RETRY_S = 5.0
 """When to come back where all places, or all places of the queue, are taken."""
 
+CROWDED_S = BUSY_RETRY_S
+"""For so long after a refusal for want of a place a tenant has a part of its places only: see `CROWDED_SHARE`."""
+
+CROWDED_SHARE = 0.25
+"""A burst may form a line. Where more keeps coming the line would never end, and each cloud wait for all before it."""
+
 RECOUNT_S = 0.05
 """A queue that seems to be full is counted again at most this often, so that finding it full costs next to nothing."""
 
@@ -93,6 +99,7 @@ class Intake:
         self._buckets: dict[tuple[str, ...], Bucket] = {}
         self._clouds: Counter[TenantId] = Counter()
         self._waiters: deque[_Waiter] = deque()
+        self._crowded_until_s: dict[TenantId, float] = {}
         self._streams: Counter[tuple[str, ...]] = Counter()
         self._waiting: dict[TenantId, int] = {}
         self._recounted_s: dict[TenantId, float] = {}
@@ -140,6 +147,7 @@ class Intake:
     def require_place(self, tenant: TenantId) -> None:
         """Raises WorkersBusy where no cloud more can be taken in now."""
         if not self._has_place(tenant):
+            self._crowded_until_s[tenant] = self._now_s() + CROWDED_S
             message = f"{self.clouds} clouds are being taken in; try again with the same id"
             raise WorkersBusy(message, retry_after_s=BUSY_RETRY_S)
 
@@ -179,8 +187,11 @@ class Intake:
                 del self._streams[key]
 
     def _has_place(self, tenant: TenantId) -> bool:
-        share = max(1, int(self.limits.clouds * self.limits.tenant_share))
-        return self.clouds < self.limits.clouds and self._clouds[tenant] < share
+        share = self.limits.tenant_share
+        if self._now_s() < self._crowded_until_s.get(tenant, 0.0):
+            share *= CROWDED_SHARE
+        most = max(1, int(self.limits.clouds * share))
+        return self.clouds < self.limits.clouds and self._clouds[tenant] < most
 
     async def _turn(self, tenant: TenantId) -> None:
         """Wait for a place; it is taken when this returns."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
-import os
 import signal
 import threading
 import time
@@ -21,7 +19,7 @@ from tests.faults.robots import body
 from tests.faults.survey import survey
 from tests.support.campaigns import Campaign, sizes
 from tests.support.fake_recogniser import NOWHERE
-from tests.support.processes import ServiceProcess, WorkerProcess
+from tests.support.processes import ServiceProcess, WorkerProcess, is_free
 from tests.support.service_world import pose
 
 SESSION = "maps/town/sessions/monday"
@@ -34,18 +32,6 @@ def until(condition: Callable[[], object], what: str, timeout_s: float = 60.0) -
     while not condition():
         assert time.monotonic() < deadline, what
         time.sleep(0.02)
-
-
-def is_free(lock: Path) -> bool:
-    """Whether nobody holds the lock of the writers."""
-    descriptor = os.open(lock, os.O_RDWR)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    finally:
-        os.close(descriptor)
-    return True
 
 
 def is_stopped(pid: int) -> bool:

@@ -12,7 +12,7 @@ import pytest
 
 from core.formats import KITTI, encode_kitti
 from tests.support.fake_recogniser import EATS_MEMORY, HANGS, HOLDS_EVERY_THREAD, SEGFAULTS
-from tests.support.processes import ServiceProcess, is_running
+from tests.support.processes import ServiceProcess, is_free, is_running
 from tests.support.service_world import cloud_points
 
 SESSION = "/v1/maps/town/sessions/monday"
@@ -103,6 +103,28 @@ def test_a_stopped_worker_is_replaced_and_its_late_result_has_no_effect(start):
     assert not is_running(stopped)
     silent = service.wait_for("worker_silent")
     assert silent["worker"] == ready["worker"]
+
+
+def test_a_worker_that_stops_while_it_holds_the_database_keeps_the_others_waiting_only_so_long(start, tmp_path):
+    service = start(lease_s=1.0, fail="merge.after_loops=sleep@1")
+    service.wait_for("worker_ready")
+    operation = post(service, "a", 1)
+    (stopped,) = service.worker_pids()
+    wait_until_kept(tmp_path / "home/revisit.db.writer")
+    os.kill(stopped, signal.SIGSTOP)
+    later = post(service, "b", 2)  # asserts that it is taken in
+    assert (ended(service, operation)["state"], ended(service, later)["state"]) == ("DONE", "DONE")
+    assert not is_running(stopped)
+    assert service.wait_for("worker_silent")["pid"] == stopped
+
+
+def wait_until_kept(lock, timeout_s=10.0):
+    """Until a process keeps the lock longer than a transaction takes."""
+    deadline, in_a_row = time.monotonic() + timeout_s, 0
+    while in_a_row < 10:
+        assert time.monotonic() < deadline
+        in_a_row = 0 if is_free(lock) else in_a_row + 1
+        time.sleep(0.02)
 
 
 def wait_until_running(service, operation, timeout_s=10.0):

@@ -1,59 +1,28 @@
 """How long a service with a large map takes from its start, after kill -9, until it is ready (P6).
 
 REVISIT_LOAD_SUBMAPS (100,000) of REVISIT_LOAD_DIMENSION (1024) values; it must be ready within REVISIT_LOAD_READY_S
-(5 s, the goal for a machine with nothing else to do). What is measured is printed as one JSON line: seconds on the
-clock, and seconds of processor time, which change less with what else runs on the machine.
+(5 s, the goal for a machine with nothing else to do). What is measured: seconds on the clock, and seconds of
+processor time, which change less with what else runs on the machine.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import time
-from dataclasses import asdict
 from pathlib import Path
 
 import httpx
-import numpy as np
 import pytest
-from sqlalchemy import insert
 
-from service.adapters.sql import tables
-from service.adapters.sql.migration import migrate
-from service.adapters.sql.unit_of_work import SqlTransactions
+from tests.support.figures import publish
+from tests.support.filled_store import fill
 from tests.support.processes import ServiceProcess
-from tests.support.records import TENANT, a_map, a_session, a_submap
 
 pytestmark = pytest.mark.slow
 
 SUBMAPS = int(os.environ.get("REVISIT_LOAD_SUBMAPS", "100000"))
 DIMENSION = int(os.environ.get("REVISIT_LOAD_DIMENSION", "1024"))
 READY_S = float(os.environ.get("REVISIT_LOAD_READY_S", "5"))
-PORTION = 2000
-
-
-def fill(home: Path) -> None:
-    """A map of described submaps with random unit descriptors."""
-    migrate(home / "revisit.db")
-    store = SqlTransactions(home / "revisit.db", checkpoints=True)
-    rng = np.random.default_rng(1)
-    number = store.write(lambda uow: (uow.maps.add(a_map()), uow.sessions.add(a_session()))[0].number).result()
-
-    def add(uow, first: int) -> None:
-        vectors = rng.normal(size=(PORTION, DIMENSION)).astype("<f4")
-        vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
-        ids = range(first, min(first + PORTION, SUBMAPS + 1))
-        rows = [
-            asdict(a_submap(f"s{each}", number=each, ordinal=each, state="DESCRIBED", descriptor=vector.tobytes()))
-            for each, vector in zip(ids, vectors, strict=False)
-        ]
-        change = {"tenant": TENANT, "map_number": number, "kind": "DESCRIBED"}
-        uow.connection.execute(insert(tables.submaps), rows)
-        uow.connection.execute(insert(tables.index_changes), [{**change, "submap_number": each} for each in ids])
-
-    for first in range(1, SUBMAPS + 1, PORTION):
-        store.write(lambda uow, first=first: add(uow, first)).result()
-    store.close()
 
 
 def processor_s(pid: int) -> float:
@@ -71,7 +40,7 @@ def wait_until_ready(url: str, timeout_s: float) -> None:
 
 
 def test_a_large_map_is_ready_soon_after_a_kill(tmp_path):
-    fill(tmp_path)
+    fill(tmp_path, SUBMAPS, DIMENSION)
     service = ServiceProcess(tmp_path, workers=0)
     try:
         wait_until_ready(service.url, 600)
@@ -86,6 +55,6 @@ def test_a_large_map_is_ready_soon_after_a_kill(tmp_path):
     finally:
         service.close()
     figures = {"submaps": SUBMAPS, "dimension": DIMENSION, "ready_s": ready_s, "processor_s": cpu_s}
-    print(json.dumps({**figures, "index_loaded_s": loaded["took_s"]}))
+    publish("ready", promise="P6", **figures, index_loaded_s=loaded["took_s"])
     assert answer.json()["searched"] == SUBMAPS
     assert ready_s <= READY_S
