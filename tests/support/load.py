@@ -68,7 +68,15 @@ class Sender(threading.Thread):
             due_s = max(due_s + self._every_s, time.monotonic() - self._every_s)
 
 
-def rest_call(service: ServiceProcess, cloud: bytes, key: str = "") -> Call:
+@dataclass(frozen=True)
+class Address:
+    """Where a service listens, for clients in another process than the one that has started it."""
+
+    url: str
+    grpc_target: str
+
+
+def rest_call(service: ServiceProcess | Address, cloud: bytes, key: str = "") -> Call:
     """Posts a quantised cloud over REST, on a connection of its own that stays open."""
     headers = {"content-type": QUANTISED, **({"authorization": f"Bearer {key}"} if key else {})}
     client = httpx.Client(base_url=service.url, timeout=30, trust_env=False, headers=headers)
@@ -84,7 +92,7 @@ def rest_call(service: ServiceProcess, cloud: bytes, key: str = "") -> Call:
     return call
 
 
-def grpc_call(service: ServiceProcess, cloud: bytes, key: str = "") -> Call:
+def grpc_call(service: ServiceProcess | Address, cloud: bytes, key: str = "") -> Call:
     """As `rest_call`, over gRPC."""
     client = Client.grpc(service.grpc_target, api_key=key or None, retry=RetryPolicy(attempts=1))
 
