@@ -30,6 +30,7 @@ from service.application.intake import Intake
 from service.application.origin import NoTracer, Tracer
 from service.application.ports import PlaceRecogniser
 from service.application.recognition import Recognition
+from service.application.retention import forget_answers
 from service.application.sweeping import sweep
 from service.application.system import WORKER_SEEN_WITHIN_MS
 from service.application.upkeep import Chore
@@ -48,6 +49,7 @@ TEND_DISK_EVERY_S = 0.5
 SWEEP_EVERY_S = 6 * 3600.0
 LOAD_INDEX_EVERY_S = 1.0
 AUDIT_INDEX_EVERY_S = 10.0
+FORGET_ANSWERS_EVERY_S = 60.0
 
 STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
@@ -90,11 +92,15 @@ def chores(settings: Settings, context: Context) -> tuple[Chore, ...]:
     async def audit_index() -> None:
         await keeper.audit()
 
+    async def forget() -> None:
+        await forget_answers(context, 3600.0 * settings.answers_kept_h)
+
     return (
         Chore("tend_disk", TEND_DISK_EVERY_S, tend_disk),
         Chore("sweep_blobs", SWEEP_EVERY_S, sweep_blobs),
         Chore("load_index", LOAD_INDEX_EVERY_S, keeper.load),
         Chore("audit_index", AUDIT_INDEX_EVERY_S, audit_index),
+        Chore("forget_answers", FORGET_ANSWERS_EVERY_S, forget),
     )
 
 

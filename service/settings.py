@@ -51,6 +51,11 @@ class Settings(AccessSettings):
     )
     max_streams: int = Field(default=256, ge=1, le=256, description="open streams of scans")
     streams_per_client: int = Field(default=8, ge=1, description="open streams of scans of one API key")
+    answers_kept_h: float = Field(
+        default=24.0,
+        gt=0,
+        description="hours for which the operation of a query by cloud can be read after its end, with the answer",
+    )
     jobs_per_worker: int = Field(default=500, ge=1, description="jobs after which a worker is replaced")
     job_timeout_s: float = Field(default=120.0, gt=0, description="a run of a job that takes longer is ended")
     worker_memory_mb: int = Field(

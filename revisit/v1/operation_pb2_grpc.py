@@ -62,7 +62,7 @@ class OperationServiceServicer:
     """
 
     def GetOperation(self, request, context):
-        """Get an operation.
+        """Get an operation. That of a query by cloud is forgotten a day after its end, or when the settings say.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

@@ -160,6 +160,14 @@ class MemoryJobs(MemoryRepository[JobRecord]):
         """See `ports.JobRepository`."""
         return [job for job in self._all() if job.state == "RUNNING" and job.lease_owner == owner]
 
+    def forget_answers(self, before_ns: int, limit: int) -> int:
+        """See `ports.JobRepository`."""
+        ended = [(job.finished_at_ns, job.number) for job in self._all() if job.priority == 0 and job.finished_at_ns]
+        old = [number for finished_at_ns, number in sorted(ended) if finished_at_ns < before_ns][:limit]
+        for number in old:
+            del self._rows.by_number[number]
+        return len(old)
+
     def oldest_queued_ns(self) -> int | None:
         """See `ports.JobRepository`."""
         return min((job.created_at_ns for job in self._all() if job.state == "QUEUED"), default=None)

@@ -143,6 +143,10 @@ class JobRepository(Repository[JobRecord], Protocol):
         """The running jobs of a worker."""
         ...
 
+    def forget_answers(self, before_ns: int, limit: int) -> int:
+        """Delete the first `limit` queries (jobs of priority 0), of all tenants, that ended before then; how many."""
+        ...
+
     def oldest_queued_ns(self) -> int | None:
         """When the longest waiting job of any tenant was made, nanoseconds since 1970; None where none waits."""
         ...

@@ -56,6 +56,26 @@ def test_a_job_for_which_a_client_waits_goes_before_older_ones(queue, write):
     assert [queue.claim().job.operation_id for _ in range(2)] == ["search", "op-1"]
 
 
+def test_queries_that_ended_long_ago_are_forgotten_and_nothing_else(queue, write, read):
+    ends = {"older": 10, "old": 20, "recent": 30}
+    for operation_id, finished_at_ns in ends.items():
+        queue.enqueue(operation_id, priority=0, tenant=f"of-{operation_id}")
+        lease = queue.claim()
+        write(lambda uow, lease=lease, at=finished_at_ns: uow.queue.complete(lease, {}, at))
+    queue.enqueue("described", priority=1)
+    queue.complete(queue.claim())  # ended before all others, but belongs to a submap
+    queue.enqueue("waiting", priority=0)
+    assert write(lambda uow: uow.jobs.forget_answers(30, 1)) == 1
+    assert read(lambda uow: {job.operation_id for job in uow.jobs.of_all_tenants()}) == {
+        "old", "recent", "described", "waiting"
+    }  # fmt: skip
+    assert write(lambda uow: uow.jobs.forget_answers(30, 10)) == 1
+    assert write(lambda uow: uow.jobs.forget_answers(30, 10)) == 0
+    assert read(lambda uow: {job.operation_id for job in uow.jobs.of_all_tenants()}) == {
+        "recent", "described", "waiting"
+    }  # fmt: skip
+
+
 def test_tenants_take_turns_however_many_jobs_one_of_them_has(queue):
     queue.enqueue(*(f"a{number}" for number in range(50)), tenant="anna")
     queue.enqueue("b0", "b1", tenant="bert")

@@ -10,6 +10,7 @@ from dataclasses import replace
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
+from sqlalchemy import event
 from sqlalchemy.exc import OperationalError
 
 from service.adapters.fail_stop import FailStop
@@ -141,6 +142,22 @@ def test_a_writer_that_does_not_get_its_turn_says_so_and_stores_nothing(database
     assert store.read(lambda uow: uow.maps.count(TENANT)).result() == 0
     store.close()
     other.close()
+
+
+def test_old_answers_are_found_without_looking_at_the_jobs_of_submaps(database):
+    store = SqlTransactions(database, checkpoints=True)
+    statements = []
+
+    def forget(uow):
+        event.listen(uow.connection, "before_cursor_execute", lambda *seen: statements.append(seen[2:4]))
+        uow.jobs.forget_answers(10, 5)
+        ((statement, parameters),) = statements.copy()
+        return [row.detail for row in uow.connection.exec_driver_sql(f"EXPLAIN QUERY PLAN {statement}", parameters)]
+
+    plan = store.write(forget).result()
+    assert any("ix_jobs_finished_at_ns" in step for step in plan)
+    assert not any(step.startswith("SCAN jobs") for step in plan)
+    store.close()
 
 
 def test_a_full_database_refuses_and_takes_writes_again_when_there_is_room(database):

@@ -25,6 +25,7 @@ from service.application.maps import CreateMap
 from service.application.operations import OperationState
 from service.application.paging import PageRequest
 from service.application.records import SubmapState
+from service.application.retention import forget_answers
 from service.application.searches import LocalizeQuery, SearchCriteria
 from service.application.sessions import CreateSession, SessionState
 from service.application.submaps import DownloadKind
@@ -234,28 +235,51 @@ async def test_a_worker_with_another_model_does_not_add_to_a_map(world):
     assert (operation.state, operation.failure.code) == (OperationState.FAILED, "DESCRIPTOR_MODEL_MISMATCH")
 
 
+async def answered(world, call):
+    """What a query by cloud is answered while the jobs are worked off."""
+    task = asyncio.create_task(call)
+    while not task.done():
+        await asyncio.sleep(0.01)
+        await asyncio.to_thread(world.work_off)
+    return await task
+
+
 async def test_a_cloud_is_searched_and_localised_without_being_stored(world):
     await open_session(world)
     await world.use_cases.submaps.post(TENANT, submap("a", 7))
     await world.use_cases.submaps.post(TENANT, submap("b", 8))
     world.work_off()
-
-    async def answered(call):
-        task = asyncio.create_task(call)
-        while not task.done():
-            await asyncio.sleep(0.01)
-            await asyncio.to_thread(world.work_off)
-        return await task
-
-    found = await answered(world.use_cases.searches.by_cloud(TENANT, "town", cloud(7), SearchCriteria(k=1)))
+    found = await answered(world, world.use_cases.searches.by_cloud(TENANT, "town", cloud(7), SearchCriteria(k=1)))
     assert found.hits[0].submap == key("a")
-    where = await answered(world.use_cases.searches.localize(TENANT, LocalizeQuery("town", cloud(7))))
+    where = await answered(world, world.use_cases.searches.localize(TENANT, LocalizeQuery("town", cloud(7))))
     assert where.best.submap == key("a") and len(where.candidates) == 2
     # The fake recogniser says 1 m ahead of the match, and the match was taken at x = 7 m.
     np.testing.assert_allclose(where.T_map_query, pose(8.0))
-    nowhere = await answered(world.use_cases.searches.localize(TENANT, LocalizeQuery("town", cloud(9))))
+    nowhere = await answered(world, world.use_cases.searches.localize(TENANT, LocalizeQuery("town", cloud(9))))
     assert nowhere.best is None and nowhere.T_map_query is None
     assert len((await world.use_cases.submaps.list(TENANT, SESSION, PageRequest())).items) == 2
+
+
+async def test_answers_are_forgotten_after_their_time_but_not_what_became_of_submaps(world):
+    await open_session(world)
+    posted = await world.use_cases.submaps.post(TENANT, submap("a", 7))
+    world.work_off()
+    for wait_ms in (0, 3_000_000):
+        world.clock.ms += wait_ms
+        await answered(world, world.use_cases.searches.localize(TENANT, LocalizeQuery("town", cloud(7))))
+
+    async def operations():
+        page = await world.use_cases.operations.list(TENANT, PageRequest())
+        return [operation.operation_id for operation in page.items]
+
+    _, first, second = await operations()
+    assert await forget_answers(world.context, 3600.0) == 0
+    world.clock.ms += 1_000_000
+    assert await forget_answers(world.context, 3600.0) == 1
+    assert await operations() == [posted.operation.operation_id, second]
+    with pytest.raises(NotFound):
+        await world.use_cases.operations.get(TENANT, first)
+    assert (await world.use_cases.submaps.post(TENANT, submap("a", 7))).replay
 
 
 async def test_a_search_by_cloud_that_is_refused_leaves_no_cloud_behind(tmp_path):

@@ -176,6 +176,13 @@ class SqlJobs(SqlRepository[JobRecord]):
         query = select(tables.jobs).where(tables.jobs.c.state == "RUNNING", tables.jobs.c.lease_owner == owner)
         return [self._of(row) for row in self._connection.execute(query)]
 
+    def forget_answers(self, before_ns: int, limit: int) -> int:
+        """See `ports.JobRepository`."""
+        jobs = tables.jobs.c
+        ended = and_(text("priority = 0"), jobs.finished_at_ns < before_ns)  # as the index has it, not a parameter
+        old = select(jobs.number).where(ended).order_by(jobs.finished_at_ns).limit(limit)
+        return self._connection.execute(delete(tables.jobs).where(jobs.number.in_(old))).rowcount
+
     def oldest_queued_ns(self) -> int | None:
         """See `ports.JobRepository`."""
         query = select(func.min(tables.jobs.c.created_at_ns)).where(tables.jobs.c.state == "QUEUED")

@@ -19,6 +19,7 @@ from sqlalchemy import (
     Table,
     Text,
     UniqueConstraint,
+    text,
 )
 from sqlalchemy.types import TypeDecorator
 
@@ -226,6 +227,7 @@ jobs = _numbered(
     _integer("finished_at_ns", nullable=True),
     Index(None, "state", "tenant", "priority"),
     Index(None, "tenant", "state"),
+    Index(None, "finished_at_ns", sqlite_where=text("priority = 0")),
 )
 
 index_changes = Table(

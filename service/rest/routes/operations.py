@@ -43,5 +43,5 @@ async def retry_operation(operation_id: Id, cases: Cases, tenant: Tenant) -> Ope
 
 @router.get("/{operation_id}", dependencies=[allows(Scope.INGEST, Scope.QUERY)])
 async def get_operation(operation_id: Id, cases: Cases, tenant: Tenant) -> Operation:
-    """Get an operation."""
+    """Get an operation. That of a query by cloud is forgotten a day after its end, or when the settings say."""
     return Operation.of(await cases.operations.get(tenant, operation_id))
