@@ -47,7 +47,7 @@ class Settings(AccessSettings):
         default=16,
         ge=1,
         description="clouds decoded and stored at the same time, a tenant at most three quarters of them and, while "
-        "posts of its are refused for that, a quarter as many; posts beyond are refused, streams wait",
+        "its posts come too fast, no more than there are cores; posts beyond are refused, streams wait",
     )
     max_streams: int = Field(default=256, ge=1, le=256, description="open streams of scans")
     streams_per_client: int = Field(default=8, ge=1, description="open streams of scans of one API key")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import os
 import threading
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -16,7 +15,7 @@ from typing import ParamSpec, TypeVar
 from core.config import PipelineConfig
 from service.application.errors import Draining, StorageFull, WorkersBusy
 from service.application.identity import TenantId
-from service.application.intake import QUEUE_RETRY_S, Intake
+from service.application.intake import DECODERS, QUEUE_RETRY_S, Intake
 from service.application.ports import BlobStore, Clock, DiskSpace, Transactions, UnitOfWork, VectorIndex
 from service.application.records import MapRecord
 from service.application.stream_endings import StreamEndings
@@ -24,7 +23,6 @@ from service.application.stream_endings import StreamEndings
 P = ParamSpec("P")
 T = TypeVar("T")
 
-DECODERS = max(2, os.cpu_count() or 2)
 """Clouds that are decoded at the same time: more threads than cores would only take the event loop's turns."""
 
 
@@ -150,6 +148,7 @@ class Context:
         if self.intake.queue_seems_full(tenant, most) and not self.intake.recounted_lately(tenant):
             self.intake.note_recount(tenant, await self.read(lambda uow: _waiting(uow, tenant)))
         if self.intake.queue_seems_full(tenant, most):
+            self.intake.note_crowd(tenant)
             raise _queue_is_full(most)
 
     def require_queue_space(self, uow: UnitOfWork, tenant: TenantId) -> None:

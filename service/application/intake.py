@@ -7,6 +7,7 @@ service answers, it does not swell. Points are the unit, for their number is wha
 from __future__ import annotations
 
 import asyncio
+import os
 import time
 from collections import Counter, deque
 from collections.abc import AsyncIterator, Callable, Iterator
@@ -23,11 +24,12 @@ BUSY_RETRY_S = 1.0
 QUEUE_RETRY_S = 5.0
 """When to come back where all places, or all places of the queue, are taken."""
 
-CROWDED_S = BUSY_RETRY_S
-"""For so long after a refusal for want of a place a tenant has a part of its places only: see `CROWDED_SHARE`."""
+CROWDED_S = 10.0
+"""A burst may form a line. Where more comes than can be taken in, for so long after the last refusal, a tenant has no
+more places than there are `DECODERS`: the line would never end, and each cloud wait for all before it."""
 
-CROWDED_SHARE = 0.25
-"""A burst may form a line. Where more keeps coming the line would never end, and each cloud wait for all before it."""
+DECODERS = max(2, os.cpu_count() or 2)
+"""Clouds that are decoded at the same time; the others wait for their turn."""
 
 RECOUNT_S = 0.05
 """A queue that seems to be full is counted again at most this often, so that finding it full costs next to nothing."""
@@ -144,10 +146,14 @@ class Intake:
         recounted_s = self._recounted_s.get(tenant)
         return recounted_s is not None and self._now_s() < recounted_s + RECOUNT_S
 
+    def note_crowd(self, tenant: TenantId) -> None:
+        """More of the tenant's clouds come than can be taken in, or worked off."""
+        self._crowded_until_s[tenant] = self._now_s() + CROWDED_S
+
     def require_place(self, tenant: TenantId) -> None:
         """Raises WorkersBusy where no cloud more can be taken in now."""
         if not self._has_place(tenant):
-            self._crowded_until_s[tenant] = self._now_s() + CROWDED_S
+            self.note_crowd(tenant)
             message = f"{self.clouds} clouds are being taken in; try again with the same id"
             raise WorkersBusy(message, retry_after_s=BUSY_RETRY_S)
 
@@ -187,10 +193,9 @@ class Intake:
                 del self._streams[key]
 
     def _has_place(self, tenant: TenantId) -> bool:
-        share = self.limits.tenant_share
+        most = max(1, int(self.limits.clouds * self.limits.tenant_share))
         if self._now_s() < self._crowded_until_s.get(tenant, 0.0):
-            share *= CROWDED_SHARE
-        most = max(1, int(self.limits.clouds * share))
+            most = min(most, DECODERS)
         return self.clouds < self.limits.clouds and self._clouds[tenant] < most
 
     async def _turn(self, tenant: TenantId) -> None:
