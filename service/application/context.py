@@ -23,8 +23,6 @@ from service.application.stream_endings import StreamEndings
 P = ParamSpec("P")
 T = TypeVar("T")
 
-"""Clouds that are decoded at the same time: more threads than cores would only take the event loop's turns."""
-
 
 @dataclass(frozen=True)
 class Policy:
@@ -132,15 +130,16 @@ class Context:
     async def taking_in(
         self, tenant: TenantId, *, patient: bool = False, queued: bool = True
     ) -> AsyncIterator[Callable[[int], None]]:
-        """A place for one cloud, which becomes a job if it is `queued`; call what is given with the number of points.
+        """A place for one cloud, which becomes a job if it is `queued`.
 
-        Raises RateLimited; WorkersBusy where the queue is full, or there is no place, unless `patient`.
+        Call what is given with the cloud's points once it is decoded. Raises RateLimited; WorkersBusy where the queue
+        is full, or there is no place, unless `patient`.
         """
         self.intake.require_points(tenant)
         if queued:
             await self.require_room(tenant)
-        async with self.intake.cloud(tenant, patient=patient):
-            yield lambda points: self.intake.spend(tenant, points)
+        async with self.intake.cloud(tenant, patient=patient) as decoded:
+            yield decoded
 
     async def require_room(self, tenant: TenantId) -> None:
         """As `require_queue_space`, before any work is done: with the jobs that what is being taken in will become."""

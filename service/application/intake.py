@@ -13,6 +13,7 @@ from collections import Counter, deque
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 
 from service.application.errors import RateLimited, WorkersBusy
 from service.application.identity import TenantId
@@ -24,12 +25,12 @@ BUSY_RETRY_S = 1.0
 QUEUE_RETRY_S = 5.0
 """When to come back where all places, or all places of the queue, are taken."""
 
-CROWDED_S = 10.0
-"""A burst may form a line. Where more comes than can be taken in, for so long after the last refusal, a tenant has no
-more places than there are `DECODERS`: the line would never end, and each cloud wait for all before it."""
-
 DECODERS = max(2, os.cpu_count() or 2)
-"""Clouds that are decoded at the same time; the others wait for their turn."""
+"""Clouds that are decoded at the same time: more threads than cores would only take the event loop's turns."""
+
+CROWDED_S = 10.0
+"""Clouds that come in a burst wait in line for a decoder. Where more keeps coming the line would never end, and each
+wait for all before it: for so long after a refusal a tenant has no more undecoded clouds than `DECODERS`."""
 
 RECOUNT_S = 0.05
 """A queue that seems to be full is counted again at most this often, so that finding it full costs next to nothing."""
@@ -85,6 +86,12 @@ class _Waiter:
     turn: asyncio.Future[None] = field(default_factory=lambda: asyncio.get_running_loop().create_future())
 
 
+@dataclass(eq=False)
+class _Place:
+    tenant: TenantId
+    decoded: bool = False
+
+
 class Intake:
     """The bounds and what is taken in now. All calls but `expect_waiting` come from the event loop."""
 
@@ -100,6 +107,7 @@ class Intake:
         self._now_s = now_s
         self._buckets: dict[tuple[str, ...], Bucket] = {}
         self._clouds: Counter[TenantId] = Counter()
+        self._undecoded: Counter[TenantId] = Counter()
         self._waiters: deque[_Waiter] = deque()
         self._crowded_until_s: dict[TenantId, float] = {}
         self._streams: Counter[tuple[str, ...]] = Counter()
@@ -158,21 +166,22 @@ class Intake:
             raise WorkersBusy(message, retry_after_s=BUSY_RETRY_S)
 
     @asynccontextmanager
-    async def cloud(self, tenant: TenantId, *, patient: bool = False) -> AsyncIterator[None]:
-        """A place for one cloud.
+    async def cloud(self, tenant: TenantId, *, patient: bool = False) -> AsyncIterator[Callable[[int], None]]:
+        """A place for one cloud, until it is stored; call what is given with its points once it is decoded.
 
-        Raises WorkersBusy where all of them, or the tenant's share of them, are taken. One that is `patient` waits for
-        its turn: a stream, of which there are few, and which holds back its client.
+        Raises WorkersBusy where all places, or the tenant's share of them, are taken. A cloud that is `patient` waits
+        for its turn: that of a stream, of which there are few, and which holds back its client.
         """
         if patient and not self._has_place(tenant):
             await self._turn(tenant)
         else:
             self.require_place(tenant)
-            self._clouds[tenant] += 1
+            self._enter(tenant)
+        place = _Place(tenant)
         try:
-            yield
+            yield partial(self._count, place)
         finally:
-            self._leave(tenant)
+            self._leave(place)
 
     @contextmanager
     def stream(self, tenant: TenantId, *, replaces: bool) -> Iterator[None]:
@@ -193,10 +202,11 @@ class Intake:
                 del self._streams[key]
 
     def _has_place(self, tenant: TenantId) -> bool:
-        most = max(1, int(self.limits.clouds * self.limits.tenant_share))
-        if self._now_s() < self._crowded_until_s.get(tenant, 0.0):
-            most = min(most, DECODERS)
-        return self.clouds < self.limits.clouds and self._clouds[tenant] < most
+        share = max(1, int(self.limits.clouds * self.limits.tenant_share))
+        if self.clouds >= self.limits.clouds or self._clouds[tenant] >= share:
+            return False
+        crowded = self._now_s() < self._crowded_until_s.get(tenant, 0.0)
+        return not crowded or self._undecoded[tenant] < DECODERS
 
     async def _turn(self, tenant: TenantId) -> None:
         """Wait for a place; it is taken when this returns."""
@@ -208,19 +218,36 @@ class Intake:
             if waiter in self._waiters:
                 self._waiters.remove(waiter)
             else:
-                self._leave(tenant)
+                self._leave(_Place(tenant))
             raise
 
-    def _leave(self, tenant: TenantId) -> None:
-        self._clouds[tenant] -= 1
-        if not self._clouds[tenant]:
-            del self._clouds[tenant]
-        for waiter in self._waiters:
+    def _enter(self, tenant: TenantId) -> None:
+        self._clouds[tenant] += 1
+        self._undecoded[tenant] += 1
+
+    def _count(self, place: _Place, points: int) -> None:
+        """The cloud is decoded: it is paid for, and the next one may wait for a decoder."""
+        self.spend(place.tenant, points)
+        self._step_out_of_line(place)
+        self._wake()
+
+    def _leave(self, place: _Place) -> None:
+        self._step_out_of_line(place)
+        self._clouds[place.tenant] -= 1
+        self._wake()
+
+    def _step_out_of_line(self, place: _Place) -> None:
+        if not place.decoded:
+            place.decoded = True
+            self._undecoded[place.tenant] -= 1
+
+    def _wake(self) -> None:
+        """Give each place that is free to whoever waits for it longest."""
+        for waiter in tuple(self._waiters):
             if self._has_place(waiter.tenant):
                 self._waiters.remove(waiter)
-                self._clouds[waiter.tenant] += 1
+                self._enter(waiter.tenant)
                 waiter.turn.set_result(None)
-                return
 
     def _buckets_of(self, tenant: TenantId) -> tuple[Bucket, ...]:
         """Of the service, the tenant and the client. There are as many as credentials, no client can make more."""

@@ -113,18 +113,22 @@ async def test_where_more_keeps_coming_the_line_of_the_tenant_is_short(clock, mo
     monkeypatch.setattr("service.application.intake.DECODERS", 3)
     bounded = intake(clock, clouds=16, tenant_share=0.75)
 
-    async def let_in(tenant):
-        """How many of 20 that come at once."""
+    async def let_in(tenant, *, decode=False):
+        """How many of 20 that come at once, each decoded at once or none of them."""
         async with AsyncExitStack() as places:
             for _ in range(20):
                 with suppress(WorkersBusy):
-                    await places.enter_async_context(bounded.cloud(tenant))
+                    decoded = await places.enter_async_context(bounded.cloud(tenant))
+                    if decode:
+                        decoded(1)
             return bounded.clouds
 
     assert await let_in("anna") == 12
     for _ in range(3):
         clock.now_s += 0.9 * CROWDED_S
         assert await let_in("anna") == 3
+    assert await let_in("anna", decode=True) == 12  # what is decoded and being stored is not in line
+    assert await let_in("anna") == 3
     assert await let_in("bert") == 12
     clock.now_s += 1.1 * CROWDED_S
     assert await let_in("anna") == 12
@@ -146,6 +150,25 @@ async def test_the_patient_wait_for_their_turn_in_order(clock):
     await asyncio.gather(*tasks)
     assert order == ["b1", "a1", "a2"]
     assert bounded.clouds == 0
+
+
+async def test_the_patient_go_on_where_those_before_them_are_decoded(clock, monkeypatch):
+    monkeypatch.setattr("service.application.intake.DECODERS", 1)
+    bounded = intake(clock, clouds=4, tenant_share=1.0)
+    bounded.note_crowd("anna")
+    entered = asyncio.Event()
+
+    async def take():
+        async with bounded.cloud("anna", patient=True):
+            entered.set()
+
+    async with bounded.cloud("anna") as decoded:
+        waiting = asyncio.create_task(take())
+        await asyncio.sleep(0)
+        assert (bounded.clouds, entered.is_set()) == (1, False)
+        decoded(1)
+        await waiting
+    assert entered.is_set() and bounded.clouds == 0
 
 
 async def test_who_gives_up_waiting_takes_no_place(clock):
