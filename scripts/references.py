@@ -10,6 +10,9 @@ from typing import Any, cast
 
 ROOT = Path(__file__).resolve().parent.parent
 
+OF_THE_MACHINE = {"workers": "one less than the cores, at least 1", "clouds_at_once": "four for each core"}
+"""Defaults of settings that are not the same everywhere."""
+
 ADVICE = {
     "MALFORMED_BODY": "Check that the bytes are what Content-Type says, and complete.",
     "EMPTY_CLOUD": "Send a cloud with more points; leave scans without returns out.",
@@ -90,13 +93,14 @@ def settings() -> str:
         ),
     ]
     for name, field in Settings.model_fields.items():
-        default = "depends on the machine or the method" if field.default_factory else f"`{field.default}`"
-        if name == "workers":
-            default = "one less than the cores, at least 1"
+        if name in OF_THE_MACHINE:
+            default = OF_THE_MACHINE[name]
         elif field.default_factory is not None:
             default = f"`{cast(Any, field.default_factory)()}`, of the [parameters](parameters.md)"
         elif field.default in (None, ""):
             default = "not set"
+        else:
+            default = f"`{field.default}`"
         bounds = ", ".join(_bound(bound) for bound in field.metadata)
         parts += [
             f"## REVISIT_{name.upper()}",

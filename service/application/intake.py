@@ -44,7 +44,7 @@ class IntakeLimits:
     tenant_points_per_s: float = 20e6
     client_points_per_s: float = 10e6
     burst_s: float = 10.0
-    clouds: int = 16
+    clouds: int = 4 * DECODERS
     """Clouds that are decoded and stored at the same time."""
     tenant_share: float = 0.75
     """Of those clouds: what one tenant may have of them, so that another finds a place."""
@@ -56,8 +56,8 @@ class IntakeLimits:
 class Bucket:
     """Points that may still come, refilled at `per_s` a second up to `most`.
 
-    A cloud is taken while there is any left and paid for once its points are counted, so the balance may be negative:
-    then nothing is taken until that is made up for.
+    A cloud is taken while there is any left, so the balance may be negative: then nothing is taken until that is made
+    up for.
     """
 
     per_s: float
@@ -88,7 +88,10 @@ class _Waiter:
 
 @dataclass(eq=False)
 class _Place:
+    """A cloud that is being taken in; `points` were paid for, at first as many as are expected."""
+
     tenant: TenantId
+    points: int
     decoded: bool = False
 
 
@@ -108,6 +111,7 @@ class Intake:
         self._buckets: dict[tuple[str, ...], Bucket] = {}
         self._clouds: Counter[TenantId] = Counter()
         self._undecoded: Counter[TenantId] = Counter()
+        self._last_points: dict[TenantId, int] = {}
         self._waiters: deque[_Waiter] = deque()
         self._crowded_until_s: dict[TenantId, float] = {}
         self._streams: Counter[tuple[str, ...]] = Counter()
@@ -169,18 +173,23 @@ class Intake:
     async def cloud(self, tenant: TenantId, *, patient: bool = False) -> AsyncIterator[Callable[[int], None]]:
         """A place for one cloud, until it is stored; call what is given with its points once it is decoded.
 
-        Raises WorkersBusy where all places, or the tenant's share of them, are taken. A cloud that is `patient` waits
-        for its turn: that of a stream, of which there are few, and which holds back its client.
+        It is paid for in advance, with as many points as the last one of the tenant had: else all that come before its
+        points are counted would find some left. Raises WorkersBusy where all places, or the tenant's share of them, are
+        taken. A cloud that is `patient` waits for its turn: that of a stream, of which there are few, and which holds
+        back its client.
         """
         if patient and not self._has_place(tenant):
             await self._turn(tenant)
         else:
             self.require_place(tenant)
             self._enter(tenant)
-        place = _Place(tenant)
+        place = _Place(tenant, self._last_points.get(tenant, 0))
+        self.spend(tenant, place.points)
         try:
             yield partial(self._count, place)
         finally:
+            if not place.decoded:
+                self._settle(place, 0)
             self._leave(place)
 
     @contextmanager
@@ -218,7 +227,7 @@ class Intake:
             if waiter in self._waiters:
                 self._waiters.remove(waiter)
             else:
-                self._leave(_Place(tenant))
+                self._leave(_Place(tenant, 0))
             raise
 
     def _enter(self, tenant: TenantId) -> None:
@@ -226,10 +235,17 @@ class Intake:
         self._undecoded[tenant] += 1
 
     def _count(self, place: _Place, points: int) -> None:
-        """The cloud is decoded: it is paid for, and the next one may wait for a decoder."""
-        self.spend(place.tenant, points)
+        """The cloud is decoded and has so many points: it is paid for, and the next one may wait for a decoder."""
+        self._settle(place, points)
+        self._last_points[place.tenant] = points
         self._step_out_of_line(place)
         self._wake()
+
+    def _settle(self, place: _Place, points: int) -> None:
+        now_s = self._now_s()
+        for bucket in self._buckets_of(place.tenant):
+            bucket.take(points - place.points, now_s)
+        place.points = points
 
     def _leave(self, place: _Place) -> None:
         self._step_out_of_line(place)

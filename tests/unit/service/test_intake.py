@@ -82,6 +82,25 @@ def test_a_call_without_points_costs_something(clock):
     assert wait_s(bounded) == pytest.approx(1.0)
 
 
+async def test_a_cloud_is_paid_for_as_the_last_one_was_until_its_points_are_counted(clock):
+    bounded = intake(clock, client_points_per_s=10_000)
+
+    async def take(points):
+        """The wait while a cloud is decoded, and after; None where it cannot be decoded."""
+        async with bounded.cloud("anna") as decoded:
+            meanwhile_s = wait_s(bounded)
+            if points is not None:
+                decoded(points)
+            return meanwhile_s, wait_s(bounded)
+
+    assert await take(19_000) == (0.0, 0.0)  # of the first one nothing is expected; the burst is used up
+    clock.now_s += 0.1
+    assert await take(4_000) == (pytest.approx(1.9), pytest.approx(0.4))
+    clock.now_s += 0.5
+    assert await take(None) == (pytest.approx(0.4), pytest.approx(0.4))
+    assert wait_s(bounded) == pytest.approx(0.0)  # but for the call it is paid back
+
+
 async def test_one_cloud_too_many_is_refused_until_one_is_done(clock):
     bounded = intake(clock, clouds=4, tenant_share=1.0)
     async with bounded.cloud("anna"), bounded.cloud("anna"), bounded.cloud("bert"):
