@@ -267,7 +267,8 @@ def _differing(
         raise BadField(f"vectors must be ({len(entries)}, {stored.shape[1]}), got {matrix.shape}", field="vectors")
     expected = _normalised(matrix, "vectors").view(np.uint32)
     # The last row counts where an id occurs twice: an id that was removed and added again.
-    rows = dict(zip(ids.tolist(), range(len(ids)), strict=True))
+    wanted = np.flatnonzero(np.isin(ids, np.array([entry.id for entry in entries], dtype=np.int64)))
+    rows = dict(zip(ids[wanted].tolist(), wanted.tolist(), strict=True))
     return [
         entry.id
         for entry, vector in zip(entries, expected, strict=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import os
 import signal
 import socket
@@ -87,6 +88,8 @@ class _Gateway:
         self._watch = asyncio.create_task(LoadMetrics(self._requests.registry, context.intake).watch(), name="load")
         metrics = self._metrics_server(context)
         tls = self._settings.tls_certificate is not None
+        # What the start has made stays. To look through it for garbage holds up every request by 70 to 90 ms.
+        gc.freeze()
         log.info(
             "listening", host=self._settings.host, http_port=http_port, grpc_port=grpc_port, tls=tls, pid=os.getpid()
         )

@@ -87,9 +87,9 @@ class MemoryRepository(Generic[R]):
         rows = self._rows.by_number.values()
         return sum(all(getattr(row, name) == value for name, value in equals.items()) for row in rows)
 
-    def of_all_tenants(self) -> list[R]:
+    def of_all_tenants(self, *, after: int = 0, limit: int | None = None) -> list[R]:
         """See `ports.Repository`."""
-        return [row for _, row in sorted(self._rows.by_number.items())]
+        return [row for number, row in sorted(self._rows.by_number.items()) if number > after][:limit]
 
     def replace(self, record: R) -> None:
         """See `ports.Repository`."""
@@ -134,10 +134,6 @@ class MemorySubmaps(MemoryRepository[SubmapRecord]):
     def last_number(self) -> int:
         """See `ports.SubmapRepository`."""
         return self._rows.last
-
-    def described(self, tenant: TenantId, map_id: str) -> list[int]:
-        """See `ports.SubmapRepository`."""
-        return [row.number for row in self.find(tenant, map_id=map_id, state="DESCRIBED")]
 
     def waiting_up_to(self, tenant: TenantId, map_id: str, number: int) -> int:
         """See `ports.SubmapRepository`."""

@@ -11,8 +11,11 @@ from service.application.place_memory import PlaceMemory
 from service.application.ports import IndexChange, UnitOfWork
 from service.application.records import MapRecord, SubmapRecord
 
-WINDOW = 1024
-"""Descriptors that one turn of the audit compares: tens of milliseconds of one core."""
+WINDOW = 256
+"""Descriptors that one turn of the audit compares: a few milliseconds, for requests wait meanwhile."""
+
+MAPS = 8
+"""Maps that one turn looks at, at most."""
 
 log = structlog.get_logger(__name__)
 
@@ -24,8 +27,8 @@ class IndexKeeper:
         """From now on the service is not ready, until `load` is done."""
         self._context = context
         self._memory = PlaceMemory(context.transactions, context.index)
-        self._next_map = 0
-        self._next_submap: dict[int, int] = {}
+        self._last_map = 0
+        self._last_submap: dict[int, int] = {}
         context.index_health.loading = True
 
     async def load(self) -> None:
@@ -44,37 +47,41 @@ class IndexKeeper:
         """Compare the next maps, until a window of descriptors is done; how many submaps differed and were mended."""
         if self._context.index_health.loading:
             return 0
-        maps = await self._context.read(lambda uow: uow.maps.of_all_tenants())
-        behind = [record for record in maps if record.number >= self._next_map]
+        maps = await self._context.read(lambda uow: uow.maps.of_all_tenants(after=self._last_map, limit=MAPS))
         drift = compared = 0
-        for record in [*behind, *maps[: len(maps) - len(behind)]]:
-            self._next_map = record.number + 1
+        for record in maps:
             found, looked_at = await self._context.compute(self._audit_map, record)
             drift, compared = drift + found, compared + looked_at
+            if record.number in self._last_submap:
+                return drift
+            self._last_map = record.number
             if compared >= WINDOW:
-                self._next_map = record.number if self._next_submap.get(record.number) else record.number + 1
-                break
+                return drift
+        if len(maps) < MAPS:
+            self._last_map = 0
         return drift
 
     def _audit_map(self, record: MapRecord) -> tuple[int, int]:
-        """The ids of a map and its next window of descriptors; how many submaps differed, how many were compared."""
+        """The next window of a map's submaps; how many differed, how many were compared."""
         tenant, number, index = record.tenant, record.number, self._context.index
         self._memory.catch_up(tenant, number)
         seq, held = index.numbers(number)
+        after = self._last_submap.pop(number, 0)
 
-        def load(uow: UnitOfWork) -> tuple[set[int], list[SubmapRecord]] | None:
+        def load(uow: UnitOfWork) -> list[SubmapRecord] | None:
             if uow.maps.get(tenant, record.map_id) is None:
                 return None
-            after, wanted = self._next_submap.get(number, 0), {"map_id": record.map_id, "state": "DESCRIBED"}
-            window = uow.submaps.find(tenant, after=after, limit=WINDOW, **wanted)
-            return set(uow.submaps.described(tenant, record.map_id)), window
+            return uow.submaps.find(tenant, after=after, limit=WINDOW, map_id=record.map_id, state="DESCRIBED")
 
-        stored = self._context.transactions.read(load).result()
-        if stored is None:
+        window = self._context.transactions.read(load).result()
+        if window is None:
             return 0, 0
-        live, window = stored
+        held = held[held > after]
+        if len(window) == WINDOW:
+            self._last_submap[number] = window[-1].number
+            held = held[held <= window[-1].number]
+        live = {submap.number for submap in window}
         suspects = (live ^ set(held.tolist())).union(index.differing(number, [_place(submap) for submap in window]))
-        self._next_submap[number] = window[-1].number if len(window) == WINDOW else 0
         # What has changed since the index was looked at differs rightly.
         newer = self._context.transactions.read(lambda uow: uow.changes.since(tenant, number, seq)).result()
         drift = suspects.difference(change.submap_number for change in newer)

@@ -83,8 +83,8 @@ class Repository(Protocol[R]):
         """How many records all tenants have together, for those who look after the service."""
         ...
 
-    def of_all_tenants(self) -> list[R]:
-        """Every record of every tenant, by number, for those who look after the service."""
+    def of_all_tenants(self, *, after: int = 0, limit: int | None = None) -> list[R]:
+        """As `find`, of every tenant, for those who look after the service."""
         ...
 
     def replace(self, record: R) -> None:
@@ -113,10 +113,6 @@ class SubmapRepository(Repository[SubmapRecord], Protocol):
 
     def last_number(self) -> int:
         """The last number that was given out, to whichever tenant, deleted since or not; 0 for none."""
-        ...
-
-    def described(self, tenant: TenantId, map_id: str) -> list[int]:
-        """The numbers of the described submaps of a map: what its index holds."""
         ...
 
     def waiting_up_to(self, tenant: TenantId, map_id: str, number: int) -> int:

@@ -67,6 +67,12 @@ def test_find_filters_pages_and_keeps_the_tenant(write, read):
     rest = read(lambda uow: uow.maps.find(TENANT, after=second.number))
     assert [record.map_id for record in rest] == ["c", "d", "e"]
     assert [r.map_id for r in read(lambda uow: uow.maps.find(TENANT, map_id="d"))] == ["d"]
+    everyone = [
+        read(lambda uow: uow.maps.of_all_tenants()),
+        read(lambda uow: uow.maps.of_all_tenants(after=second.number)),
+    ]
+    assert [[record.map_id for record in records] for records in everyone] == [list("abcdez"), list("cdez")]
+    assert [record.map_id for record in read(lambda uow: uow.maps.of_all_tenants(limit=2))] == ["a", "b"]
     assert read(lambda uow: uow.maps.count(TENANT)) == 5
     assert read(lambda uow: uow.maps.count(OTHER, map_id="a")) == 0
     assert read(lambda uow: uow.maps.get(OTHER, "a")) is None

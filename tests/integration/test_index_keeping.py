@@ -12,6 +12,7 @@ from core.index import FaissIndex
 from service.adapters.vector_index import PlaceVectorIndex
 from service.application import UseCases, index_keeping, place_memory
 from service.application.index_keeping import IndexKeeper
+from service.application.maps import CreateMap
 from service.application.place_memory import PlaceMemory
 from service.application.ports import VectorFilter
 from tests.support.campaigns import Campaign, sizes
@@ -104,6 +105,17 @@ async def test_a_window_at_a_time_every_descriptor_is_compared(context, keeper, 
     damage_vector(inner(context), np.random.default_rng(0), row=SUBMAPS - 1)
     assert [await keeper.audit() for _ in range(4)] == [0, 0, 1, 0]
     assert found(context) == EVERY_ONE
+
+
+async def test_a_few_maps_at_a_time_each_gets_its_turn(context, keeper, monkeypatch):
+    monkeypatch.setattr(index_keeping, "MAPS", 2)
+    for number in range(4):
+        await UseCases.over(context, "test").maps.create(TENANT, CreateMap(f"map{number}"))
+    seen, look = [], keeper._audit_map
+    monkeypatch.setattr(keeper, "_audit_map", lambda record: (seen.append(record.map_id), look(record))[1])
+    for _ in range(4):
+        assert await keeper.audit() == 0
+    assert seen == ["town", "map0", "map1", "map2", "map3", "town", "map0"]
 
 
 def inner(context) -> FaissIndex:

@@ -90,9 +90,11 @@ class SqlRepository(Generic[R]):
         where = and_(true(), *(self._table.c[name] == value for name, value in equals.items()))
         return int(self._connection.execute(select(func.count()).select_from(self._table).where(where)).scalar_one())
 
-    def of_all_tenants(self) -> list[R]:
+    def of_all_tenants(self, *, after: int = 0, limit: int | None = None) -> list[R]:
         """See `ports.Repository`."""
-        return [self._of(row) for row in self._connection.execute(select(self._table).order_by(self._table.c.number))]
+        number = self._table.c.number
+        query = select(self._table).where(number > after).order_by(number).limit(limit)
+        return [self._of(row) for row in self._connection.execute(query)]
 
     def replace(self, record: R) -> None:
         """See `ports.Repository`."""
@@ -138,11 +140,6 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
         # SQLite's own record of AUTOINCREMENT, which outlives the rows.
         query = text("SELECT seq FROM sqlite_sequence WHERE name = 'submaps'")
         return int(self._connection.execute(query).scalar() or 0)
-
-    def described(self, tenant: TenantId, map_id: str) -> list[int]:
-        """See `ports.SubmapRepository`."""
-        where = self._matches(tenant, {"state": "DESCRIBED", "map_id": map_id})
-        return list(self._connection.execute(select(tables.submaps.c.number).where(where)).scalars())
 
     def waiting_up_to(self, tenant: TenantId, map_id: str, number: int) -> int:
         """See `ports.SubmapRepository`."""
