@@ -87,12 +87,9 @@ class _Gateway:
         upkeep.start()
         self._watch = asyncio.create_task(LoadMetrics(self._requests.registry, context.intake).watch(), name="load")
         metrics = self._metrics_server(context)
-        tls = self._settings.tls_certificate is not None
         # What the start has made stays. To look through it for garbage holds up every request by 70 to 90 ms.
         gc.freeze()
-        log.info(
-            "listening", host=self._settings.host, http_port=http_port, grpc_port=grpc_port, tls=tls, pid=os.getpid()
-        )
+        self._announce(http_port, grpc_port)
         if self._settings.exposed and await use_cases.access.is_open():
             log.warning("open_to_everyone", hint="create an API key: `revisit keys create`")
         stopped = asyncio.create_task(stop.wait(), name="stop")
@@ -113,6 +110,11 @@ class _Gateway:
         await asyncio.to_thread(context.transactions.close)
         log.info("stopped", status=self._status)
         return self._status
+
+    def _announce(self, http_port: int, grpc_port: int) -> None:
+        settings = self._settings
+        tls = settings.tls_certificate is not None
+        log.info("listening", host=settings.host, http_port=http_port, grpc_port=grpc_port, tls=tls, pid=os.getpid())
 
     async def _drain(
         self,
