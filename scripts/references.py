@@ -10,7 +10,7 @@ from typing import Any, cast
 
 ROOT = Path(__file__).resolve().parent.parent
 
-OF_THE_MACHINE = {"workers": "one less than the cores, at least 1", "clouds_at_once": "four for each core"}
+OF_THE_MACHINE = {"workers": "one less than the cores, at least 1", "clouds_at_once": "four for each core, at least 8"}
 """Defaults of settings that are not the same everywhere."""
 
 ADVICE = {

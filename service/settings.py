@@ -11,7 +11,7 @@ from pydantic import Field
 from core.config import PipelineConfig
 from service.access_settings import AccessSettings
 from service.application.context import Policy
-from service.application.intake import DECODERS, IntakeLimits
+from service.application.intake import IntakeLimits
 
 
 class Settings(AccessSettings):
@@ -44,7 +44,7 @@ class Settings(AccessSettings):
     tenant_points_per_s: float = Field(default=20e6, gt=0, description="points a second that one tenant may send")
     client_points_per_s: float = Field(default=10e6, gt=0, description="points a second that one API key may send")
     clouds_at_once: int = Field(
-        default_factory=lambda: 4 * DECODERS,
+        default_factory=lambda: IntakeLimits().clouds,
         ge=1,
         description="clouds decoded and stored at the same time, a tenant at most three quarters of them; posts beyond "
         "are refused, streams wait. While a tenant's come too fast none waits for a core to be decoded",

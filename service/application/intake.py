@@ -88,11 +88,11 @@ class _Waiter:
 
 @dataclass(eq=False)
 class _Place:
-    """A cloud that is being taken in; `points` were paid for, at first as many as are expected."""
+    """A cloud that is being taken in; so many points are `expected` of it and paid for, until it is `settled`."""
 
     tenant: TenantId
-    points: int
-    decoded: bool = False
+    expected: int
+    settled: bool = False
 
 
 class Intake:
@@ -137,9 +137,7 @@ class Intake:
 
     def spend(self, tenant: TenantId, points: int) -> None:
         """Pay for a call that brought so many points."""
-        now_s = self._now_s()
-        for bucket in self._buckets_of(tenant):
-            bucket.take(points + CALL_POINTS, now_s)
+        self._pay(tenant, points + CALL_POINTS)
 
     def expect_waiting(self, tenant: TenantId, jobs: int) -> None:
         """So many jobs of the tenant wait from now on, with the one that is being added; from any thread."""
@@ -184,13 +182,13 @@ class Intake:
             self.require_place(tenant)
             self._enter(tenant)
         place = _Place(tenant, self._last_points.get(tenant, 0))
-        self.spend(tenant, place.points)
+        self.spend(tenant, place.expected)
         try:
             yield partial(self._count, place)
         finally:
-            if not place.decoded:
+            if not place.settled:
                 self._settle(place, 0)
-            self._leave(place)
+            self._leave(tenant)
 
     @contextmanager
     def stream(self, tenant: TenantId, *, replaces: bool) -> Iterator[None]:
@@ -227,7 +225,8 @@ class Intake:
             if waiter in self._waiters:
                 self._waiters.remove(waiter)
             else:
-                self._leave(_Place(tenant, 0))
+                self._undecoded[tenant] -= 1
+                self._leave(tenant)
             raise
 
     def _enter(self, tenant: TenantId) -> None:
@@ -235,27 +234,20 @@ class Intake:
         self._undecoded[tenant] += 1
 
     def _count(self, place: _Place, points: int) -> None:
-        """The cloud is decoded and has so many points: it is paid for, and the next one may wait for a decoder."""
-        self._settle(place, points)
+        """The cloud is decoded and has so many points: as many are expected of the next one."""
         self._last_points[place.tenant] = points
-        self._step_out_of_line(place)
-        self._wake()
+        self._settle(place, points)
 
     def _settle(self, place: _Place, points: int) -> None:
-        now_s = self._now_s()
-        for bucket in self._buckets_of(place.tenant):
-            bucket.take(points - place.points, now_s)
-        place.points = points
-
-    def _leave(self, place: _Place) -> None:
-        self._step_out_of_line(place)
-        self._clouds[place.tenant] -= 1
+        """Pay for what the cloud has brought, no more and no less; another one may wait for a decoder."""
+        place.settled = True
+        self._pay(place.tenant, points - place.expected)
+        self._undecoded[place.tenant] -= 1
         self._wake()
 
-    def _step_out_of_line(self, place: _Place) -> None:
-        if not place.decoded:
-            place.decoded = True
-            self._undecoded[place.tenant] -= 1
+    def _leave(self, tenant: TenantId) -> None:
+        self._clouds[tenant] -= 1
+        self._wake()
 
     def _wake(self) -> None:
         """Give each place that is free to whoever waits for it longest."""
@@ -264,6 +256,11 @@ class Intake:
                 self._waiters.remove(waiter)
                 self._enter(waiter.tenant)
                 waiter.turn.set_result(None)
+
+    def _pay(self, tenant: TenantId, points: int) -> None:
+        now_s = self._now_s()
+        for bucket in self._buckets_of(tenant):
+            bucket.take(points, now_s)
 
     def _buckets_of(self, tenant: TenantId) -> tuple[Bucket, ...]:
         """Of the service, the tenant and the client. There are as many as credentials, no client can make more."""
