@@ -27,7 +27,7 @@ MIN_SEQ_HELP = (
 )
 
 
-def _use_cases(request: Request) -> UseCases:
+async def _use_cases(request: Request) -> UseCases:
     use_cases: UseCases = request.app.state.use_cases
     return use_cases
 
@@ -37,7 +37,7 @@ async def _tenant() -> TenantId:
     return current_tenant()
 
 
-def _page(
+async def _page(
     page_size: Annotated[int, Query(ge=1, le=500)] = 50, page_token: Annotated[str, Query(max_length=200)] = ""
 ) -> PageRequest:
     return PageRequest(page_size, page_token)
@@ -58,11 +58,11 @@ async def _admitted_cloud(request: Request, cases: Cases, tenant: Tenant) -> Enc
 Cloud: TypeAlias = Annotated[EncodedCloud, Depends(_admitted_cloud)]
 
 
-def _session_key(map_id: Id, session_id: Id) -> SessionKey:
+async def _session_key(map_id: Id, session_id: Id) -> SessionKey:
     return SessionKey(map_id, session_id)
 
 
-def _submap_key(map_id: Id, session_id: Id, submap_id: Id) -> SubmapKey:
+async def _submap_key(map_id: Id, session_id: Id, submap_id: Id) -> SubmapKey:
     return SubmapKey(map_id, session_id, submap_id)
 
 
@@ -77,14 +77,14 @@ def pose(text: str, field: str) -> Matrix4:
     return se3.from_quaternion(numbers[3:], numbers[:3])
 
 
-def _pose_of_submap(
+async def _pose_of_submap(
     T_odom_submap: Annotated[str | None, Query(description=POSE_HELP, max_length=400)] = None,
     header: Annotated[str | None, Header(alias="T-Odom-Submap", description=POSE_HELP)] = None,
 ) -> Matrix4:
     return pose(_given(T_odom_submap, header, "T_odom_submap"), "T_odom_submap")
 
 
-def _pose_of_sensor(
+async def _pose_of_sensor(
     T_odom_sensor: Annotated[str | None, Query(description=POSE_HELP, max_length=400)] = None,
     header: Annotated[str | None, Header(alias="T-Odom-Sensor", description=POSE_HELP)] = None,
 ) -> Matrix4:
@@ -101,7 +101,7 @@ PoseOfSubmap: TypeAlias = Annotated[Matrix4, Depends(_pose_of_submap)]
 PoseOfSensor: TypeAlias = Annotated[Matrix4, Depends(_pose_of_sensor)]
 
 
-def prior_position(
+async def prior_position(
     prior_position_m: Annotated[str | None, Query(description="x,y,z in metres", max_length=200)] = None,
 ) -> tuple[float, float, float] | None:
     """The prior of a search by cloud. Raises BadField."""
@@ -115,7 +115,7 @@ Prior: TypeAlias = Annotated[tuple[float, float, float] | None, Depends(prior_po
 RadiusM: TypeAlias = Annotated[float | None, Query(gt=0, le=1e6, allow_inf_nan=False)]
 
 
-def criteria_of_query(
+async def criteria_of_query(
     prior: Prior,
     k: Annotated[int, Query(ge=1, le=100)] = 20,
     min_similarity: Annotated[float | None, Query(ge=-1, le=1, allow_inf_nan=False)] = None,
@@ -141,7 +141,7 @@ def criteria_of_body(body: SearchRequest) -> SearchCriteria:
     )
 
 
-def freshness_of_query(
+async def freshness_of_query(
     min_seq: Annotated[int, Query(ge=0, lt=2**63, description=MIN_SEQ_HELP)] = 0,
     min_seq_timeout_s: Annotated[float, Query(ge=0, le=MAX_WAIT_S, allow_inf_nan=False)] = DEFAULT_WAIT_S,
 ) -> Freshness:

@@ -147,7 +147,7 @@ SABOTAGES = (
     ),
     Sabotage(
         "a tenant sees the rows of others",
-        (Edit("service/adapters/sql/repositories.py", "and_(self._table.c.tenant == tenant, *(", "and_(*("),),
+        (Edit("service/adapters/sql/repositories.py", '{"tenant": tenant, **equals}', "dict(equals)"),),
         "tests/contract/test_transactions.py::test_find_filters_pages_and_keeps_the_tenant",
         quick=True,
     ),

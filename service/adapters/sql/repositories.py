@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from functools import cache
 from typing import Any, Generic, TypeVar
 
 from sqlalchemy import (
     ColumnElement,
     Connection,
+    Integer,
     Row,
+    Select,
     Table,
+    Update,
     and_,
+    bindparam,
     delete,
     func,
     insert,
@@ -22,6 +27,7 @@ from sqlalchemy import (
     update,
 )
 from sqlalchemy.exc import IntegrityError
+from sqlalchemy.sql.dml import ReturningInsert
 
 from service.adapters.sql import tables
 from service.application.errors import AlreadyExists, NotFound
@@ -58,15 +64,15 @@ class SqlRepository(Generic[R]):
 
     def get(self, tenant: TenantId, *key: str | int) -> R | None:
         """See `ports.Repository`."""
-        equals = dict(zip(self._key, key, strict=True))
-        row = self._connection.execute(select(self._table).where(self._matches(tenant, equals))).one_or_none()
+        asked = _of_tenant(tenant, dict(zip(self._key, key, strict=True)))
+        row = self._connection.execute(_finding(self._table, *_columns(asked)), asked).one_or_none()
         return None if row is None else self._of(row)
 
     def find(self, tenant: TenantId, *, after: int = 0, limit: int | None = None, **equals: Scalar) -> list[R]:
         """See `ports.Repository`."""
-        number = self._table.c.number
-        query = select(self._table).where(self._matches(tenant, equals), number > after).order_by(number).limit(limit)
-        return [self._of(row) for row in self._connection.execute(query)]
+        number, asked = self._table.c.number, _of_tenant(tenant, equals)
+        query = _finding(self._table, *_columns(asked)).where(number > after).order_by(number).limit(limit)
+        return [self._of(row) for row in self._connection.execute(query, asked)]
 
     def numbered(self, tenant: TenantId, numbers: Sequence[int]) -> dict[int, R]:
         """See `ports.Repository`."""
@@ -76,19 +82,18 @@ class SqlRepository(Generic[R]):
 
     def distinct(self, tenant: TenantId, field: str, **equals: Scalar) -> set[Any]:
         """See `ports.Repository`."""
-        column = self._table.c[field]
-        query = select(column).where(self._matches(tenant, equals), column.is_not(None)).distinct()
-        return set(self._connection.execute(query).scalars())
+        column, asked = self._table.c[field], _of_tenant(tenant, equals)
+        query = select(column).where(_equal(self._table, *_columns(asked)), column.is_not(None)).distinct()
+        return set(self._connection.execute(query, asked).scalars())
 
     def count(self, tenant: TenantId, **equals: Scalar) -> int:
         """See `ports.Repository`."""
-        query = select(func.count()).select_from(self._table).where(self._matches(tenant, equals))
-        return int(self._connection.execute(query).scalar_one())
+        asked = _of_tenant(tenant, equals)
+        return int(self._connection.execute(_counting(self._table, *_columns(asked)), asked).scalar_one())
 
     def count_of_all_tenants(self, **equals: Scalar) -> int:
         """See `ports.Repository`."""
-        where = and_(true(), *(self._table.c[name] == value for name, value in equals.items()))
-        return int(self._connection.execute(select(func.count()).select_from(self._table).where(where)).scalar_one())
+        return int(self._connection.execute(_counting(self._table, *_columns(equals)), equals).scalar_one())
 
     def of_all_tenants(self, *, after: int = 0, limit: int | None = None) -> list[R]:
         """See `ports.Repository`."""
@@ -99,16 +104,15 @@ class SqlRepository(Generic[R]):
     def replace(self, record: R) -> None:
         """See `ports.Repository`."""
         values = _values(record)
-        where = and_(self._table.c.number == values.pop("number"), self._table.c.tenant == values.pop("tenant"))
-        if self._connection.execute(update(self._table).where(where).values(values)).rowcount != 1:
+        row = {"its_number": values.pop("number"), "its_tenant": values.pop("tenant")}
+        if self._connection.execute(_replacing(self._table), {**values, **row}).rowcount != 1:
             raise NotFound
 
     def delete(self, tenant: TenantId, **equals: Scalar) -> int:
         """See `ports.Repository`."""
-        return self._connection.execute(delete(self._table).where(self._matches(tenant, equals))).rowcount
-
-    def _matches(self, tenant: TenantId, equals: dict[str, Any]) -> ColumnElement[bool]:
-        return and_(self._table.c.tenant == tenant, *(self._table.c[name] == value for name, value in equals.items()))
+        asked = _of_tenant(tenant, equals)
+        statement = delete(self._table).where(_equal(self._table, *_columns(asked)))
+        return self._connection.execute(statement, asked).rowcount
 
     def _of(self, row: Row[Any]) -> R:
         return self._record(**row._mapping)
@@ -119,16 +123,17 @@ class SqlScans(SqlRepository[ScanRecord]):
 
     def first_seq_from(self, tenant: TenantId, map_id: str, session_id: str, travelled_m: float) -> int | None:
         """See `ports.ScanRepository`."""
-        where = self._matches(tenant, {"map_id": map_id, "session_id": session_id})
-        query = select(func.min(tables.scans.c.seq)).where(where, tables.scans.c.travelled_m >= travelled_m)
-        first: int | None = self._connection.execute(query).scalar_one()
+        asked = _of_tenant(tenant, {"map_id": map_id, "session_id": session_id})
+        where = and_(_equal(tables.scans, *_columns(asked)), tables.scans.c.travelled_m >= travelled_m)
+        query = select(func.min(tables.scans.c.seq)).where(where)
+        first: int | None = self._connection.execute(query, asked).scalar_one()
         return first
 
     def with_seqs(self, tenant: TenantId, map_id: str, session_id: str, seqs: Sequence[int]) -> list[ScanRecord]:
         """See `ports.ScanRepository`."""
-        where = self._matches(tenant, {"map_id": map_id, "session_id": session_id})
-        seq = tables.scans.c.seq
-        rows = self._connection.execute(select(tables.scans).where(where, seq.in_(seqs)).order_by(seq))
+        seq, asked = tables.scans.c.seq, _of_tenant(tenant, {"map_id": map_id, "session_id": session_id})
+        query = _finding(tables.scans, *_columns(asked)).where(seq.in_(seqs)).order_by(seq)
+        rows = self._connection.execute(query, asked)
         return [self._of(row) for row in rows]
 
 
@@ -143,8 +148,9 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
 
     def waiting_up_to(self, tenant: TenantId, map_id: str, number: int) -> int:
         """See `ports.SubmapRepository`."""
-        where = and_(self._matches(tenant, {"state": "QUEUED", "map_id": map_id}), tables.submaps.c.number <= number)
-        return int(self._connection.execute(select(func.count()).select_from(tables.submaps).where(where)).scalar_one())
+        asked = _of_tenant(tenant, {"state": "QUEUED", "map_id": map_id})
+        query = _counting(tables.submaps, *_columns(asked)).where(tables.submaps.c.number <= number)
+        return int(self._connection.execute(query, asked).scalar_one())
 
 
 class SqlJobs(SqlRepository[JobRecord]):
@@ -152,21 +158,17 @@ class SqlJobs(SqlRepository[JobRecord]):
 
     def next_runnable(self, now: Instant, after: str = "") -> JobRecord | None:
         """See `ports.JobRepository`."""
-        jobs = tables.jobs.c
-        due = and_(jobs.state == "QUEUED", or_(jobs.lease_epoch != now.epoch, jobs.not_before_ms <= now.ms))
-        lost = and_(self._lost(now), jobs.attempts < jobs.max_attempts)
+        moment = {**_moment(now), "after": after}
         # One query per state: each walks the index of its state, whatever number of jobs have ended.
-        for turn in (jobs.tenant > after, jobs.tenant <= after):
-            first = [job for job in (self._first(and_(due, turn)), self._first(and_(lost, turn))) if job is not None]
-            if first:
+        for turn in (False, True):
+            rows = [self._connection.execute(_runnable(lost, turn), moment).first() for lost in (False, True)]
+            if first := [self._of(row) for row in rows if row is not None]:
                 return min(first, key=lambda job: (job.tenant, job.priority, job.number))
         return None
 
     def exhausted(self, now: Instant) -> list[JobRecord]:
         """See `ports.JobRepository`."""
-        jobs = tables.jobs.c
-        query = select(tables.jobs).where(self._lost(now), jobs.attempts >= jobs.max_attempts)
-        return [self._of(row) for row in self._connection.execute(query)]
+        return [self._of(row) for row in self._connection.execute(_exhausted(), _moment(now))]
 
     def leased_to(self, owner: str) -> list[JobRecord]:
         """See `ports.JobRepository`."""
@@ -185,16 +187,6 @@ class SqlJobs(SqlRepository[JobRecord]):
         query = select(func.min(tables.jobs.c.created_at_ns)).where(tables.jobs.c.state == "QUEUED")
         oldest: int | None = self._connection.execute(query).scalar_one()
         return oldest
-
-    def _first(self, where: ColumnElement[bool]) -> JobRecord | None:
-        jobs = tables.jobs.c
-        query = select(tables.jobs).where(where).order_by(jobs.tenant, jobs.priority, jobs.number)
-        row = self._connection.execute(query.limit(1)).first()
-        return None if row is None else self._of(row)
-
-    def _lost(self, now: Instant) -> ColumnElement[bool]:
-        jobs = tables.jobs.c
-        return and_(jobs.state == "RUNNING", or_(jobs.lease_epoch != now.epoch, jobs.lease_expires_ms <= now.ms))
 
 
 class SqlChangeLog:
@@ -218,16 +210,8 @@ class SqlChangeLog:
 
     def since(self, tenant: TenantId, map_number: int, seq: int, limit: int | None = None) -> list[IndexChange]:
         """See `ports.ChangeLog`."""
-        changes, submaps = tables.index_changes.c, tables.submaps.c
-        query = (
-            select(changes.seq, changes.kind, changes.submap_number, submaps.session_number, submaps.ordinal)
-            .add_columns(submaps.position_m, submaps.descriptor)
-            .outerjoin_from(tables.index_changes, tables.submaps, submaps.number == changes.submap_number)
-            .where(changes.tenant == tenant, changes.map_number == map_number, changes.seq > seq)
-            .order_by(changes.seq)
-            .limit(limit)
-        )
-        return [_change(row) for row in self._connection.execute(query)]
+        asked = {"its_tenant": tenant, "its_map": map_number, "after": seq, "most": -1 if limit is None else limit}
+        return [_change(row) for row in self._connection.execute(_changes_since(), asked)]
 
 
 class SqlWorkerLog:
@@ -261,8 +245,90 @@ def _values(record: Any) -> dict[str, Any]:
 
 def _insert(connection: Connection, table: Table, values: dict[str, Any]) -> int:
     """Insert a row; the number it was given."""
-    statement = insert(table).values(values).returning(*table.primary_key.columns)
-    return int(connection.execute(statement).scalar_one())
+    return int(connection.execute(_inserting(table), values).scalar_one())
+
+
+def _of_tenant(tenant: TenantId, equals: Mapping[str, Scalar]) -> dict[str, Scalar]:
+    """What the columns of a row must equal; no row of another tenant is ever looked at."""
+    return {"tenant": tenant, **equals}
+
+
+def _columns(asked: Mapping[str, Scalar]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The columns that are asked for: those that must equal a parameter of their name, and those that must be null."""
+    given = tuple(name for name, value in asked.items() if value is not None)
+    return given, tuple(name for name, value in asked.items() if value is None)
+
+
+# Statements are put together once: that takes as long as running them.
+
+
+@cache
+def _finding(table: Table, given: tuple[str, ...], absent: tuple[str, ...]) -> Select[Any]:
+    return select(table).where(_equal(table, given, absent))
+
+
+@cache
+def _counting(table: Table, given: tuple[str, ...], absent: tuple[str, ...]) -> Select[int]:
+    return select(func.count()).select_from(table).where(_equal(table, given, absent))
+
+
+@cache
+def _inserting(table: Table) -> ReturningInsert[Any]:
+    return insert(table).returning(*table.primary_key.columns)
+
+
+@cache
+def _replacing(table: Table) -> Update:
+    return update(table).where(table.c.number == bindparam("its_number"), table.c.tenant == bindparam("its_tenant"))
+
+
+@cache
+def _runnable(lost: bool, before: bool) -> Select[Any]:
+    """The next job that waits, or is `lost`, of the tenants that come after another one, or of it and those `before`.
+
+    Takes `_moment` and `after`.
+    """
+    jobs = tables.jobs.c
+    again = or_(jobs.lease_epoch != bindparam("epoch"), jobs.not_before_ms <= bindparam("now_ms"))
+    ready = and_(_lost(), jobs.attempts < jobs.max_attempts) if lost else and_(jobs.state == "QUEUED", again)
+    turn = jobs.tenant <= bindparam("after") if before else jobs.tenant > bindparam("after")
+    return select(tables.jobs).where(ready, turn).order_by(jobs.tenant, jobs.priority, jobs.number).limit(1)
+
+
+@cache
+def _exhausted() -> Select[Any]:
+    """The jobs that are lost for the last time. Takes `_moment`."""
+    return select(tables.jobs).where(_lost(), tables.jobs.c.attempts >= tables.jobs.c.max_attempts)
+
+
+def _lost() -> ColumnElement[bool]:
+    jobs = tables.jobs.c
+    expired = or_(jobs.lease_epoch != bindparam("epoch"), jobs.lease_expires_ms <= bindparam("now_ms"))
+    return and_(jobs.state == "RUNNING", expired)
+
+
+def _moment(now: Instant) -> dict[str, Any]:
+    return {"epoch": now.epoch, "now_ms": now.ms}
+
+
+@cache
+def _changes_since() -> Select[Any]:
+    """Takes `its_tenant`, `its_map`, `after` and `most`, which is negative where there is no limit."""
+    changes, submaps = tables.index_changes.c, tables.submaps.c
+    return (
+        select(changes.seq, changes.kind, changes.submap_number, submaps.session_number, submaps.ordinal)
+        .add_columns(submaps.position_m, submaps.descriptor)
+        .outerjoin_from(tables.index_changes, tables.submaps, submaps.number == changes.submap_number)
+        .where(changes.tenant == bindparam("its_tenant"), changes.map_number == bindparam("its_map"))
+        .where(changes.seq > bindparam("after"))
+        .order_by(changes.seq)
+        .limit(bindparam("most", type_=Integer))
+    )
+
+
+def _equal(table: Table, given: tuple[str, ...], absent: tuple[str, ...]) -> ColumnElement[bool]:
+    equal = (table.c[name] == bindparam(name) for name in given)
+    return and_(true(), *equal, *(table.c[name].is_(None) for name in absent))
 
 
 def _change_row(tenant: TenantId, map_number: int, submap_number: int, kind: str) -> dict[str, Any]:
