@@ -78,7 +78,7 @@ class Settings(AccessSettings):
     )
     log_level: str = Field(default="INFO", description="DEBUG, INFO, WARNING or ERROR")
     hash_tenants_in_logs: bool = Field(
-        default=False, description="log a hash (12 hex digits of SHA-256) in place of each tenant's name"
+        default=False, description="log a hash (12 hex digits of SHA-256) in place of each tenant's and caller's name"
     )
     fail: str = Field(
         default="",

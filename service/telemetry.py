@@ -14,7 +14,10 @@ from service.redaction import redacted
 
 
 def configure_logging(level: str, *, hash_tenants: bool = False) -> None:
-    """Log from `level` up; tenants by a hash of their name where asked for. Raises ValueError for an unknown level."""
+    """Log from `level` up; tenants and callers by hashes of their names where asked for.
+
+    Raises ValueError for an unknown level.
+    """
     number = logging.getLevelNamesMapping().get(level.upper())
     if number is None:
         raise ValueError(f"unknown log level {level!r}")
@@ -24,7 +27,7 @@ def configure_logging(level: str, *, hash_tenants: bool = False) -> None:
             structlog.processors.add_log_level,
             structlog.processors.TimeStamper(fmt="iso", utc=True),
             structlog.processors.format_exc_info,
-            *([_with_hashed_tenant] if hash_tenants else []),
+            *([_with_hashed_names] if hash_tenants else []),
             # On the finished line: a secret may be in any value, an exception's text too.
             structlog.processors.JSONRenderer(serializer=lambda entry, **how: redacted(json.dumps(entry, **how))),
         ],
@@ -38,10 +41,11 @@ def configure_logging(level: str, *, hash_tenants: bool = False) -> None:
     logging.basicConfig(level=max(number, logging.WARNING), handlers=[handler], force=True)
 
 
-def _with_hashed_tenant(_logger: object, _method: str, entry: EventDict) -> EventDict:
-    """The entry with a pseudonym in place of the tenant's name: the same in every line, so that they can be grouped."""
-    if "tenant" in entry:
-        entry["tenant"] = hashlib.sha256(str(entry["tenant"]).encode()).hexdigest()[:12]
+def _with_hashed_names(_logger: object, _method: str, entry: EventDict) -> EventDict:
+    """The entry with pseudonyms for its tenant and its caller: the same in every line, so that they can be grouped."""
+    for who in ("tenant", "caller"):
+        if who in entry:
+            entry[who] = hashlib.sha256(str(entry[who]).encode()).hexdigest()[:12]
     return entry
 
 

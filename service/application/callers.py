@@ -6,6 +6,8 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from enum import StrEnum
 
+import structlog
+
 from service.application.errors import PermissionDenied, Unauthenticated
 from service.application.identity import DEFAULT_TENANT, TenantId
 
@@ -43,8 +45,9 @@ _CALLER: ContextVar[Caller] = ContextVar("caller")
 
 
 def enter(caller: Caller) -> None:
-    """From here on this request is `caller`'s."""
+    """From here on this request is `caller`'s; each line of the log that it causes says so."""
     _CALLER.set(caller)
+    structlog.contextvars.bind_contextvars(tenant=caller.tenant, caller=caller.name)
 
 
 def current_tenant() -> TenantId:

@@ -10,7 +10,6 @@ from typing import Any, Generic, TypeVar
 from sqlalchemy import (
     ColumnElement,
     Connection,
-    Integer,
     Row,
     Select,
     Table,
@@ -210,8 +209,8 @@ class SqlChangeLog:
 
     def since(self, tenant: TenantId, map_number: int, seq: int, limit: int | None = None) -> list[IndexChange]:
         """See `ports.ChangeLog`."""
-        asked = {"its_tenant": tenant, "its_map": map_number, "after": seq, "most": -1 if limit is None else limit}
-        return [_change(row) for row in self._connection.execute(_changes_since(), asked)]
+        asked = {"its_tenant": tenant, "its_map": map_number, "after": seq}
+        return [_change(row) for row in self._connection.execute(_changes_since().limit(limit), asked)]
 
 
 class SqlWorkerLog:
@@ -313,7 +312,7 @@ def _moment(now: Instant) -> dict[str, Any]:
 
 @cache
 def _changes_since() -> Select[Any]:
-    """Takes `its_tenant`, `its_map`, `after` and `most`, which is negative where there is no limit."""
+    """Takes `its_tenant`, `its_map` and `after`."""
     changes, submaps = tables.index_changes.c, tables.submaps.c
     return (
         select(changes.seq, changes.kind, changes.submap_number, submaps.session_number, submaps.ordinal)
@@ -322,7 +321,6 @@ def _changes_since() -> Select[Any]:
         .where(changes.tenant == bindparam("its_tenant"), changes.map_number == bindparam("its_map"))
         .where(changes.seq > bindparam("after"))
         .order_by(changes.seq)
-        .limit(bindparam("most", type_=Integer))
     )
 
 

@@ -152,6 +152,15 @@ async def test_a_request_id_goes_from_the_client_to_the_log_of_the_worker_and_ba
 
 
 @pytest.mark.parametrize("transport", ["rest", "grpc"])
+async def test_the_log_says_whose_request_it_was(transport):
+    async with traced(NoTracer()) as made:
+        with structlog.testing.capture_logs(processors=[structlog.contextvars.merge_contextvars]) as lines:
+            await made.post(transport)
+    (request,) = (line for line in lines if line["event"] == "request")
+    assert (request["tenant"], request["caller"]) == (TENANT, "anyone")
+
+
+@pytest.mark.parametrize("transport", ["rest", "grpc"])
 async def test_a_request_id_that_could_forge_a_log_line_is_replaced(transport):
     async with traced(NoTracer()) as made:
         given = await made.post(transport, **{"x-request-id": "a b;c"})

@@ -32,11 +32,12 @@ def test_control_characters_cannot_break_or_colour_a_line(capsys, text):
     assert json.loads(theirs)["event"] == f"look: {text}"
 
 
-def test_tenants_are_named_by_a_hash_where_asked_for(capsys):
+@pytest.mark.parametrize("who", ["tenant", "caller"])
+def test_tenants_and_callers_are_named_by_a_hash_where_asked_for(capsys, who):
     configure_logging("INFO", hash_tenants=True)
-    for tenant in ("acme", "acme", "other"):
-        structlog.get_logger("test").info("posted", tenant=tenant)
-    first, second, other = (json.loads(line)["tenant"] for line in capsys.readouterr().err.splitlines())
+    for name in ("acme", "acme", "other"):
+        structlog.get_logger("test").info("posted", **{who: name})
+    first, second, other = (json.loads(line)[who] for line in capsys.readouterr().err.splitlines())
     # The first twelve digits of `printf acme | sha256sum`.
     assert first == second == "822b33ad87c1"
     assert other not in (first, "other")
