@@ -69,9 +69,7 @@ class SqlRepository(Generic[R]):
 
     def find(self, tenant: TenantId, *, after: int = 0, limit: int | None = None, **equals: Scalar) -> list[R]:
         """See `ports.Repository`."""
-        number, asked = self._table.c.number, _of_tenant(tenant, equals)
-        query = _finding(self._table, *_columns(asked)).where(number > after).order_by(number).limit(limit)
-        return [self._of(row) for row in self._connection.execute(query, asked)]
+        return self._found(_of_tenant(tenant, equals), after, limit)
 
     def numbered(self, tenant: TenantId, numbers: Sequence[int]) -> dict[int, R]:
         """See `ports.Repository`."""
@@ -96,9 +94,7 @@ class SqlRepository(Generic[R]):
 
     def of_all_tenants(self, *, after: int = 0, limit: int | None = None) -> list[R]:
         """See `ports.Repository`."""
-        number = self._table.c.number
-        query = select(self._table).where(number > after).order_by(number).limit(limit)
-        return [self._of(row) for row in self._connection.execute(query)]
+        return self._found({}, after, limit)
 
     def replace(self, record: R) -> None:
         """See `ports.Repository`."""
@@ -112,6 +108,11 @@ class SqlRepository(Generic[R]):
         asked = _of_tenant(tenant, equals)
         statement = delete(self._table).where(_equal(self._table, *_columns(asked)))
         return self._connection.execute(statement, asked).rowcount
+
+    def _found(self, asked: dict[str, Scalar], after: int, limit: int | None) -> list[R]:
+        number = self._table.c.number
+        query = _finding(self._table, *_columns(asked)).where(number > after).order_by(number).limit(limit)
+        return [self._of(row) for row in self._connection.execute(query, asked)]
 
     def _of(self, row: Row[Any]) -> R:
         return self._record(**row._mapping)
@@ -159,8 +160,8 @@ class SqlJobs(SqlRepository[JobRecord]):
         """See `ports.JobRepository`."""
         moment = {**_moment(now), "after": after}
         # One query per state: each walks the index of its state, whatever number of jobs have ended.
-        for turn in (False, True):
-            rows = [self._connection.execute(_runnable(lost, turn), moment).first() for lost in (False, True)]
+        for before in (False, True):
+            rows = [self._connection.execute(_runnable(lost, before), moment).first() for lost in (False, True)]
             if first := [self._of(row) for row in rows if row is not None]:
                 return min(first, key=lambda job: (job.tenant, job.priority, job.number))
         return None
