@@ -8,8 +8,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from core.config import ClusterConfig
-from core.surface import Surface
+from revisit.core.config import ClusterConfig
+from revisit.core.surface import Surface
 
 Array = NDArray[np.float32]
 

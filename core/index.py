@@ -10,7 +10,7 @@ import faiss
 import numpy as np
 from numpy.typing import NDArray
 
-from core.errors import BadField
+from revisit.core.errors import BadField
 
 Array = NDArray[np.float32]
 Flags = NDArray[np.bool_]

@@ -14,9 +14,9 @@ from importlib import resources
 import numpy as np
 from numpy.typing import NDArray
 
-from core.errors import DataLoss
-from core.implicit_map import DecoderWeights
-from core.vlad import Codebooks
+from revisit.core.descriptor.vlad import Codebooks
+from revisit.core.errors import DataLoss
+from revisit.core.implicit_map import DecoderWeights
 
 PACKAGED_FILE = "revisit-1.npz"
 
@@ -44,4 +44,4 @@ def load_bundle(data: bytes) -> ModelBundle:
 @lru_cache(maxsize=1)
 def load_packaged_models() -> ModelBundle:
     """The bundle that is shipped in core/weights: the one file the core reads, part of its own code."""
-    return load_bundle(resources.files("core").joinpath("weights", PACKAGED_FILE).read_bytes())
+    return load_bundle(resources.files("revisit.core").joinpath("weights", PACKAGED_FILE).read_bytes())

@@ -11,22 +11,23 @@ from typing import TypeVar
 
 import numpy as np
 
-from core import loop, se3
-from core.bev import BevFeatures, describe_bev
-from core.cluster_normals import describe_clusters
-from core.clusters import Clusters, segment_clusters
-from core.config import PipelineConfig, VerificationConfig
-from core.descriptor import PlaceDescriptor, PlaceFeatures, fuse
-from core.errors import DegenerateCloud
-from core.implicit_map import NeuralMap, fit_implicit_map
-from core.loop import RejectedLoop, VerifiedLoop
-from core.model_bundle import ModelBundle
-from core.saliency import weigh_clusters
-from core.scan import is_plane
-from core.signature import PlaceSignature, sign_place
-from core.spectra import describe_spectra
-from core.submap import Submap
-from core.surface import Surface, extract_surface, surface_from_points
+from revisit.core.bev import BevFeatures, describe_bev
+from revisit.core.clusters import Clusters, segment_clusters
+from revisit.core.config import PipelineConfig, VerificationConfig
+from revisit.core.descriptor.fusion import PlaceDescriptor, PlaceFeatures, fuse
+from revisit.core.errors import DegenerateCloud
+from revisit.core.geometry import se3
+from revisit.core.implicit_map import NeuralMap, fit_implicit_map
+from revisit.core.micro.cluster_normals import describe_clusters
+from revisit.core.micro.saliency import weigh_clusters
+from revisit.core.model_bundle import ModelBundle
+from revisit.core.place import PlaceSignature, sign_place
+from revisit.core.scan import is_plane
+from revisit.core.spectra import describe_spectra
+from revisit.core.submap import Submap
+from revisit.core.surface import Surface, extract_surface, surface_from_points
+from revisit.core.verification import verdict as loop
+from revisit.core.verification.verdict import RejectedLoop, VerifiedLoop
 
 Step = TypeVar("Step")
 

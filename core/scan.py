@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from core import se3
-from core.errors import BadField, DegenerateCloud, EmptyCloud, NonFinitePoints, OutOfRange
+from revisit.core.errors import BadField, DegenerateCloud, EmptyCloud, NonFinitePoints, OutOfRange
+from revisit.core.geometry import se3
 
 Points = NDArray[np.float32]
 

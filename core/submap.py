@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from core import se3
-from core.config import SubmapConfig
-from core.errors import EmptyCloud
-from core.scan import MIN_POINTS, Points, Scan
+from revisit.core.config import SubmapConfig
+from revisit.core.errors import EmptyCloud
+from revisit.core.geometry import se3
+from revisit.core.scan import MIN_POINTS, Points, Scan
 
 
 @dataclass(frozen=True)

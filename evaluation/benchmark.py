@@ -22,17 +22,17 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from core.config import PipelineConfig, SubmapConfig
-from core.implicit_map import NeuralMap
-from core.index import FaissIndex, IndexEntry, SearchFilter
-from core.model_bundle import ModelBundle, load_packaged_models
-from core.pipeline import DescribedPlace, describe, verify
-from core.scan import Scan
-from core.submap import Submap
-from evaluation.cutting import cut, load_submap
-from evaluation.datasets import KittiRecording
-from evaluation.perturbations import Perturbation
-from evaluation.simulator import HDL64, StreetGrid, build_city, drive, grid_drive, simulate
+from revisit.core.config import PipelineConfig, SubmapConfig
+from revisit.core.implicit_map import NeuralMap
+from revisit.core.index import FaissIndex, IndexEntry, SearchFilter
+from revisit.core.model_bundle import ModelBundle, load_packaged_models
+from revisit.core.pipeline import DescribedPlace, describe, verify
+from revisit.core.scan import Scan
+from revisit.core.submap import Submap
+from revisit.evaluation.cutting import cut, load_submap
+from revisit.evaluation.datasets import KittiRecording
+from revisit.evaluation.perturbations import Perturbation
+from revisit.evaluation.simulator import HDL64, StreetGrid, build_city, drive, grid_drive, simulate
 
 Result = TypeVar("Result")
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binom
 
-from core.config import BevConfig
+from revisit.core.config import BevConfig
 
 Floats = NDArray[np.float64]
 

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from core.config import SubmapConfig
-from core.errors import EmptyCloud, MalformedBody, RevisitError
-from core.scan import CloudReport, Scan
-from core.submap import Submap, SubmapBuilder
-from evaluation.datasets import Recording
-from evaluation.perturbations import Perturbation
+from revisit.core.config import SubmapConfig
+from revisit.core.errors import EmptyCloud, MalformedBody, RevisitError
+from revisit.core.scan import CloudReport, Scan
+from revisit.core.submap import Submap, SubmapBuilder
+from revisit.evaluation.datasets import Recording
+from revisit.evaluation.perturbations import Perturbation
 
 Window = tuple[int, ...]
 

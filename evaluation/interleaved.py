@@ -13,16 +13,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.index import ExactIndex, IndexEntry, Match, SearchFilter
-from evaluation.baselines import PlaceRecogniser, ScanContext
-from evaluation.cutting import Window, cut, load_submap
-from evaluation.datasets import Recording
-from evaluation.matching import QueryMatches, VerificationWork, pose_error, verify_all
-from evaluation.methods import Method, PipelineMethod
-from evaluation.perturbations import turned
-from evaluation.places import DescriptionWork, Place, describe_places, in_processes
-from evaluation.runner import EvaluationOptions
-from evaluation.scene import estimate_scene_scale
+from revisit.core.index import ExactIndex, IndexEntry, Match, SearchFilter
+from revisit.evaluation.baselines import PlaceRecogniser, ScanContext
+from revisit.evaluation.cutting import Window, cut, load_submap
+from revisit.evaluation.datasets import Recording
+from revisit.evaluation.matching import QueryMatches, VerificationWork, pose_error, verify_all
+from revisit.evaluation.methods import Method, PipelineMethod
+from revisit.evaluation.perturbations import turned
+from revisit.evaluation.places import DescriptionWork, Place, describe_places, in_processes
+from revisit.evaluation.runner import EvaluationOptions
+from revisit.evaluation.scene import estimate_scene_scale
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core import se3
-from core.config import LoopConfig
-from core.index import ExactIndex, IndexEntry, Match, SearchFilter
-from evaluation.methods import Method, Verdict
-from evaluation.places import Place, in_processes
+from revisit.core.config import LoopConfig
+from revisit.core.geometry import se3
+from revisit.core.index import ExactIndex, IndexEntry, Match, SearchFilter
+from revisit.evaluation.methods import Method, Verdict
+from revisit.evaluation.places import Place, in_processes
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from core import se3
-from core.config import PipelineConfig
-from core.submap import Submap
+from revisit.core.config import PipelineConfig
+from revisit.core.geometry import se3
+from revisit.core.submap import Submap
 
 
 @dataclass(frozen=True)
@@ -64,8 +64,8 @@ class PipelineMethod:
 
     def describe(self, submap: Submap, seed: int) -> Description:
         """The fused descriptor, the signature and the size of the neural map. Raises core.errors.RevisitError."""
-        from core.model_bundle import load_packaged_models
-        from core.pipeline import Ablation, describe
+        from revisit.core.model_bundle import load_packaged_models
+        from revisit.core.pipeline import Ablation, describe
 
         place = describe(submap, load_packaged_models(), self.config, seed, Ablation(self.ablation))
         neural_map_bytes = len(place.neural_map.to_blob()) if place.neural_map is not None else 0
@@ -73,9 +73,9 @@ class PipelineMethod:
 
     def verify(self, query: bytes, match: bytes, similarity: float) -> Verdict:
         """The verdict of core.pipeline.verify. Raises DataLoss for damaged signatures."""
-        from core.loop import RejectedLoop
-        from core.pipeline import verify
-        from core.signature import PlaceSignature
+        from revisit.core.pipeline import verify
+        from revisit.core.place import PlaceSignature
+        from revisit.core.verification.verdict import RejectedLoop
 
         pair = PlaceSignature.from_blob(query), PlaceSignature.from_blob(match)
         loop = verify(*pair, similarity, self.config.verification)

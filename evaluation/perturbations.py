@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core import se3
-from core.scan import Points
-from core.submap import Submap
+from revisit.core.geometry import se3
+from revisit.core.scan import Points
+from revisit.core.submap import Submap
 
 SOURCE_BEAMS = 64
 

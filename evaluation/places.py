@@ -13,13 +13,13 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from core import se3
-from core.config import SubmapConfig
-from core.errors import RevisitError
-from evaluation.cutting import Window, load_submap
-from evaluation.datasets import Recording
-from evaluation.methods import Description, Method
-from evaluation.perturbations import Perturbation, turned
+from revisit.core.config import SubmapConfig
+from revisit.core.errors import RevisitError
+from revisit.core.geometry import se3
+from revisit.evaluation.cutting import Window, load_submap
+from revisit.evaluation.datasets import Recording
+from revisit.evaluation.methods import Description, Method
+from revisit.evaluation.perturbations import Perturbation, turned
 
 Task = TypeVar("Task")
 Context = TypeVar("Context")

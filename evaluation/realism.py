@@ -1,6 +1,6 @@
 """How near the simulated scans are to recorded ones: ranges, density, and the shape of the surroundings of a return.
 
-`python -m evaluation.realism FOLDER [FOLDER ...]` prints one column a KITTI folder.
+`python -m revisit.evaluation.realism FOLDER [FOLDER ...]` prints one column a KITTI folder.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from core.scan import Scan
-from evaluation.datasets import Recording, open_recording
+from revisit.core.scan import Scan
+from revisit.evaluation.datasets import Recording, open_recording
 
 RANGE_EDGES_M = (0.0, 5.0, 10.0, 20.0, 40.0, 80.0)
 NEIGHBOURHOOD = 16

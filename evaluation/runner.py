@@ -13,17 +13,17 @@ from typing import Any
 
 import numpy as np
 
-from core.config import LoopConfig, PipelineConfig, SubmapConfig
-from core.index import Match
-from evaluation.cutting import cut
-from evaluation.datasets import Recording
-from evaluation.matching import QueryMatches, RankedCandidate, VerificationWork, search_online, verify_all
-from evaluation.methods import Method, PipelineMethod
-from evaluation.metrics import LoopProtocol
-from evaluation.perturbations import Perturbation
-from evaluation.places import DescriptionWork, Place, describe_places
-from evaluation.scene import estimate_scene_scale
-from evaluation.summary import summarise
+from revisit.core.config import LoopConfig, PipelineConfig, SubmapConfig
+from revisit.core.index import Match
+from revisit.evaluation.cutting import cut
+from revisit.evaluation.datasets import Recording
+from revisit.evaluation.matching import QueryMatches, RankedCandidate, VerificationWork, search_online, verify_all
+from revisit.evaluation.methods import Method, PipelineMethod
+from revisit.evaluation.metrics import LoopProtocol
+from revisit.evaluation.perturbations import Perturbation
+from revisit.evaluation.places import DescriptionWork, Place, describe_places
+from revisit.evaluation.scene import estimate_scene_scale
+from revisit.evaluation.summary import summarise
 
 Progress = Callable[[str, int, int], None]
 

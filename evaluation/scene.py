@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from core.errors import RevisitError
-from evaluation.datasets import Recording
+from revisit.core.errors import RevisitError
+from revisit.evaluation.datasets import Recording
 
 STREET_RANGE_M = 20.0
 SMALLEST_STREET_RANGE_M = 10.0

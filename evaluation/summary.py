@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from evaluation.calibration import CONFIDENCE, RATES, Threshold, calibrate, null_similarities
-from evaluation.matching import QueryMatches, pose_error
-from evaluation.metrics import (
+from revisit.evaluation.calibration import CONFIDENCE, RATES, Threshold, calibrate, null_similarities
+from revisit.evaluation.matching import QueryMatches, pose_error
+from revisit.evaluation.metrics import (
     Flags,
     LoopProtocol,
     Outcomes,
@@ -21,7 +21,7 @@ from evaluation.metrics import (
     recall_at,
     score_recognition,
 )
-from evaluation.places import Place
+from revisit.evaluation.places import Place
 
 _BYTES_PER_RAW_POINT = 12
 

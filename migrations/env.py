@@ -7,8 +7,8 @@ from pathlib import Path
 from alembic import context
 from sqlalchemy.engine import make_url
 
-from service.adapters.sql.tables import metadata
-from service.adapters.sql.unit_of_work import writer_engine
+from revisit.service.adapters.sql.tables import metadata
+from revisit.service.adapters.sql.unit_of_work import writer_engine
 
 
 def run() -> None:

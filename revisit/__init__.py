@@ -3,7 +3,7 @@
     client = Client()                                # REST on http://127.0.0.1:8080
     client = Client.grpc("127.0.0.1:8090")           # the same calls over gRPC
 
-Errors are `revisit.errors.ApiError`; transforms are (4, 4) matrices named T_target_source; lengths are metres.
+Errors are `revisit.sdk.errors.ApiError`; transforms are (4, 4) matrices named T_target_source; lengths are metres.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from revisit.client import Client as Client
-    from revisit.clouds import Cloud as Cloud
-    from revisit.errors import ApiError as ApiError
+    from revisit.sdk.client import Client as Client
+    from revisit.sdk.clouds import Cloud as Cloud
+    from revisit.sdk.errors import ApiError as ApiError
 
 __all__ = ["ApiError", "Client", "Cloud"]
 
-_HOMES = {"ApiError": "revisit.errors", "Client": "revisit.client", "Cloud": "revisit.clouds"}
+_HOMES = {"ApiError": "revisit.sdk.errors", "Client": "revisit.sdk.client", "Cloud": "revisit.sdk.clouds"}
 
 
 def __getattr__(name: str) -> Any:

@@ -29,7 +29,7 @@ def write_stubs(out: Path) -> None:
 
 def write_parameters(out: Path) -> None:
     """Write the reference of every parameter of the method, one table a section, under `out`."""
-    from core.config import PipelineConfig
+    from revisit.core.config import PipelineConfig
 
     lines = ["# Parameters", "", "Every parameter of the method, generated from `core/config.py` by `make docs`.", ""]
     lines += _section("pipeline", PipelineConfig())
@@ -41,8 +41,8 @@ def write_parameters(out: Path) -> None:
 
 def write_openapi(out: Path) -> None:
     """Write the OpenAPI document of the HTTP interface under `out`."""
-    from service.application import UseCases
-    from service.rest.app import create_app
+    from revisit.service.application import UseCases
+    from revisit.service.rest.app import create_app
 
     # The document depends on the routes alone; nothing calls a use case here.
     document = create_app(cast(UseCases, None)).openapi()

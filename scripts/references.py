@@ -55,8 +55,8 @@ ADVICE = {
 
 def errors() -> str:
     """docs/reference/errors.md."""
-    from core.errors import ErrorCode
-    from service.status import STATUS
+    from revisit.core.errors import ErrorCode
+    from revisit.service.status import STATUS
 
     meanings = dict(_meanings())
     parts = [
@@ -83,7 +83,7 @@ def errors() -> str:
 
 def settings() -> str:
     """docs/reference/settings.md."""
-    from service.settings import Settings
+    from revisit.service.settings import Settings
 
     parts = [
         "# Settings",
@@ -158,8 +158,8 @@ def interfaces() -> str:
 
 
 def _rest_parts() -> Iterator[str]:
-    from service.application import UseCases
-    from service.rest.app import create_app
+    from revisit.service.application import UseCases
+    from revisit.service.rest.app import create_app
 
     document = create_app(cast(UseCases, None)).openapi()
     for path, methods in document["paths"].items():
@@ -194,16 +194,16 @@ def _grpc_parts() -> Iterator[str]:
 
 def _meanings() -> Iterator[tuple[str, list[str]]]:
     """Each code with what the exceptions that carry it say by default."""
-    import core.errors
-    import service.application.errors
-    import service.grpc.servicers.ingest
-    import service.rest.errors
+    from revisit.core import errors as of_core
+    from revisit.service.application.contract import errors as of_service
+    from revisit.service.grpc.servicers import ingest
+    from revisit.service.rest import errors as of_rest
 
     found: dict[str, list[str]] = {}
-    modules = (core.errors, service.application.errors, service.rest.errors, service.grpc.servicers.ingest)
+    modules = (of_core, of_service, of_rest, ingest)
     for module in modules:
         for kind in vars(module).values():
-            if inspect.isclass(kind) and issubclass(kind, core.errors.RevisitError) and kind.__doc__:
+            if inspect.isclass(kind) and issubclass(kind, of_core.RevisitError) and kind.__doc__:
                 texts = found.setdefault(kind.code.value, [])
                 if kind.__module__ == module.__name__ and (text := " ".join(inspect.cleandoc(kind.__doc__).split())):
                     texts += [text] if kind.__name__ not in {"RevisitError", "Unavailable", "StaleLease"} else []

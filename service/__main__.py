@@ -1,4 +1,4 @@
-"""`python -m service serve | worker | seen | migrate`: settings come from REVISIT_* variables."""
+"""`python -m revisit.service serve | worker | seen | migrate`: settings come from REVISIT_* variables."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
-from service import ONE_THREAD
+from revisit.service import ONE_THREAD
 
 if TYPE_CHECKING:
-    from service.settings import Settings
+    from revisit.service.settings import Settings
 
 CONFIGURATION = 78
 """Exit status for settings that cannot be used (EX_CONFIG)."""
@@ -32,9 +32,9 @@ def main(arguments: list[str] | None = None) -> int:
     # Files are for this user only.
     os.umask(0o077)
     options = _parser().parse_args(arguments)
-    from service.failpoints import arm
-    from service.settings import Settings
-    from service.telemetry import configure_logging
+    from revisit.service.failpoints import arm
+    from revisit.service.settings import Settings
+    from revisit.service.telemetry import configure_logging
 
     try:
         settings = Settings()
@@ -49,7 +49,7 @@ def main(arguments: list[str] | None = None) -> int:
         return _refuse(f"REVISIT_FAIL: {error}")
     from alembic.util import CommandError
 
-    from service.adapters.filesystem import RemoteFileSystem
+    from revisit.service.adapters.filesystem import RemoteFileSystem
 
     try:
         return _run(options, settings)
@@ -61,7 +61,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _run(options: argparse.Namespace, settings: Settings) -> int:
     """Run the command that was asked for; the exit status. Raises CommandError for a database of another version."""
-    from service.adapters.sql.migration import current_revision, migrate
+    from revisit.service.adapters.sql.migration import current_revision, migrate
 
     if options.command == "migrate":
         migrate(settings.database, options.revision)
@@ -69,8 +69,8 @@ def _run(options: argparse.Namespace, settings: Settings) -> int:
     if options.command == "serve":
         return _serve(settings)
     if current_revision(settings.database) is None:
-        return _refuse(f"there is no database at {settings.database} yet: run `python -m service migrate` first")
-    from service.composition import run_worker, worker_seen
+        return _refuse(f"there is no database at {settings.database} yet: run `revisit migrate` first")
+    from revisit.service.composition import run_worker, worker_seen
 
     if options.command == "seen":
         return 0 if worker_seen(settings, options.id) else _refuse(f"worker {options.id} has not shown itself lately")
@@ -86,7 +86,7 @@ def _serve(settings: Settings) -> int:
             f"refusing to listen on {settings.host}, which others can reach, without {' and '.join(missing)}. "
             "Listen on 127.0.0.1, or set REVISIT_INSECURE_BIND=1 if you mean it."
         )
-    from service.gateway import serve
+    from revisit.service.gateway import serve
 
     try:
         return serve(settings)
@@ -107,8 +107,8 @@ def _missing_protection(settings: Settings) -> list[str]:
 def _has_live_key(settings: Settings) -> bool:
     if not settings.database.exists():
         return False
-    from service.adapters.sql.migration import migrate
-    from service.composition import offline_use_cases
+    from revisit.service.adapters.sql.migration import migrate
+    from revisit.service.composition import offline_use_cases
 
     migrate(settings.database)
     with offline_use_cases(settings) as use_cases:
@@ -122,7 +122,7 @@ def _named(finding: Any) -> str:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m service", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m revisit.service", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     commands.add_parser("serve", help="run the gateway (REST and gRPC) and its workers")
     worker = commands.add_parser("worker", help="run one more worker on this machine")

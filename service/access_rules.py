@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
-from service.access_settings import AccessSettings
-from service.application.access import AccessRules, CertificateGrant
-from service.application.callers import Scope
-from service.application.identity import TenantId, validated_id
+from revisit.service.access_settings import AccessSettings
+from revisit.service.application.access.admission import AccessRules, CertificateGrant
+from revisit.service.application.access.callers import Scope
+from revisit.service.application.contract.identity import TenantId, validated_id
 
 if TYPE_CHECKING:
-    from service.application.access_ports import TokenVerifier
+    from revisit.service.application.contract.access_ports import TokenVerifier
 
 
 class _Grant(BaseModel):
@@ -47,7 +47,7 @@ def _token_verifier(settings: AccessSettings) -> TokenVerifier | None:
     if settings.jwt_issuer is None or settings.jwt_audience is None or settings.jwt_keys is None:
         return None
     # Only where tokens are taken: the library is of no use otherwise.
-    from service.adapters.tokens import IssuerKeys, JwtVerifier, fetch_https, read_file
+    from revisit.service.adapters.tokens import IssuerKeys, JwtVerifier, fetch_https, read_file
 
     location = settings.jwt_keys
     keys = IssuerKeys(lambda: fetch_https(location) if "://" in location else read_file(Path(location)))

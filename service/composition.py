@@ -14,33 +14,33 @@ from typing import TYPE_CHECKING, cast
 
 import structlog
 
-from service import VERSION
-from service.access_rules import access_rules
-from service.adapters.blobs import FileBlobStore
-from service.adapters.clock import SystemClock
-from service.adapters.disk import Disk
-from service.adapters.fail_stop import FailStop
-from service.adapters.filesystem import require_local
-from service.adapters.sql.unit_of_work import SqlTransactions
-from service.adapters.vector_index import PlaceVectorIndex
-from service.application import Context, UseCases
-from service.application.callers import current_actor
-from service.application.index_keeping import IndexKeeper
-from service.application.intake import Intake
-from service.application.origin import NoTracer, Tracer
-from service.application.ports import PlaceRecogniser
-from service.application.recognition import Recognition
-from service.application.retention import forget_answers
-from service.application.sweeping import sweep
-from service.application.system import WORKER_SEEN_WITHIN_MS
-from service.application.upkeep import Chore
-from service.settings import Settings
-from service.worker.confinement import confine
-from service.worker.heartbeat import WorkerIdentity
-from service.worker.loop import Worker, WorkerLimits
+from revisit.service import VERSION
+from revisit.service.access_rules import access_rules
+from revisit.service.adapters.blobs import FileBlobStore
+from revisit.service.adapters.clock import SystemClock
+from revisit.service.adapters.disk import Disk
+from revisit.service.adapters.fail_stop import FailStop
+from revisit.service.adapters.filesystem import require_local
+from revisit.service.adapters.sql.unit_of_work import SqlTransactions
+from revisit.service.adapters.vector_index import PlaceVectorIndex
+from revisit.service.application import Context, UseCases
+from revisit.service.application.access.callers import current_actor
+from revisit.service.application.capacity.intake import Intake
+from revisit.service.application.contract.origin import NoTracer, Tracer
+from revisit.service.application.contract.ports import PlaceRecogniser
+from revisit.service.application.housekeeping.index_keeping import IndexKeeper
+from revisit.service.application.housekeeping.retention import forget_answers
+from revisit.service.application.housekeeping.sweeping import sweep
+from revisit.service.application.housekeeping.system import WORKER_SEEN_WITHIN_MS
+from revisit.service.application.housekeeping.upkeep import Chore
+from revisit.service.application.recognise.recognition import Recognition
+from revisit.service.settings import Settings
+from revisit.service.worker.confinement import confine
+from revisit.service.worker.heartbeat import WorkerIdentity
+from revisit.service.worker.loop import Worker, WorkerLimits
 
 if TYPE_CHECKING:
-    from core.index import PlaceIndex
+    from revisit.core.index import PlaceIndex
 
 STORAGE_FAILED = 74
 """Exit status after an I/O error of the storage (EX_IOERR): what was being committed is unknown until a restart."""
@@ -108,7 +108,7 @@ def build_tracer(settings: Settings, process: str) -> Tracer:
     """What makes spans, in a process that is `gateway` or `worker`."""
     if not settings.otlp_endpoint:
         return NoTracer()
-    from service.adapters.opentelemetry_tracer import otlp_tracer
+    from revisit.service.adapters.opentelemetry_tracer import otlp_tracer
 
     return otlp_tracer(settings.otlp_endpoint, process)
 
@@ -171,6 +171,6 @@ def load_recogniser(name: str) -> PlaceRecogniser:
 
 
 def _new_index(dimension: int) -> PlaceIndex:
-    from core.index import FaissIndex
+    from revisit.core.index import FaissIndex
 
     return FaissIndex(dimension)

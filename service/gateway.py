@@ -17,16 +17,16 @@ import structlog
 import uvicorn
 from prometheus_client import ProcessCollector
 
-from service.adapters.fail_stop import FailStop
-from service.adapters.sql.migration import migrate
-from service.application import Context, UseCases
-from service.application.upkeep import Upkeep
-from service.composition import STORAGE_FAILED, build_context, build_tracer, build_use_cases, chores
-from service.metrics import LoadMetrics, MetricsServer, RequestMetrics, StoreMetrics
-from service.settings import Settings
-from service.tls import grpc_credentials, http_context
-from service.worker.metrics import WorkerMetrics
-from service.worker.supervisor import WorkerSupervisor
+from revisit.service.adapters.fail_stop import FailStop
+from revisit.service.adapters.sql.migration import migrate
+from revisit.service.application import Context, UseCases
+from revisit.service.application.housekeeping.upkeep import Upkeep
+from revisit.service.composition import STORAGE_FAILED, build_context, build_tracer, build_use_cases, chores
+from revisit.service.metrics import LoadMetrics, MetricsServer, RequestMetrics, StoreMetrics
+from revisit.service.settings import Settings
+from revisit.service.tls import grpc_credentials, http_context
+from revisit.service.worker.metrics import WorkerMetrics
+from revisit.service.worker.supervisor import WorkerSupervisor
 
 if TYPE_CHECKING:
     import grpc.aio
@@ -159,8 +159,8 @@ class _Gateway:
         return server
 
     def _http_server(self, use_cases: UseCases) -> tuple[uvicorn.Server, int]:
-        from service.rest.app import create_app
-        from service.rest.slow_clients import uvicorn_limits
+        from revisit.service.rest.app import create_app
+        from revisit.service.rest.slow_clients import uvicorn_limits
 
         tls = http_context(self._settings)
         config = uvicorn.Config(
@@ -181,7 +181,7 @@ class _Gateway:
         return _ListeningServer(config, listener), listener.getsockname()[1]
 
     def _grpc_server(self, use_cases: UseCases) -> tuple[grpc.aio.Server, int]:
-        from service.grpc.server import create_server
+        from revisit.service.grpc.server import create_server
 
         server = create_server(
             use_cases, requests=self._requests, tracer=self._tracer, described=not self._settings.exposed

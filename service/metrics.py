@@ -13,14 +13,14 @@ from prometheus_client import CollectorRegistry, Gauge, Histogram, start_http_se
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from core.errors import RevisitError
-from service.application import Context
-from service.application.intake import Intake
-from service.application.loops import LoopState
-from service.application.operations import OperationState
-from service.application.ports import Repository, UnitOfWork
-from service.application.records import SubmapState
-from service.application.system import WORKER_SEEN_WITHIN_MS
+from revisit.core.errors import RevisitError
+from revisit.service.application import Context
+from revisit.service.application.capacity.intake import Intake
+from revisit.service.application.catalogue.loops import LoopState
+from revisit.service.application.contract.ports import Repository, UnitOfWork
+from revisit.service.application.contract.records import SubmapState
+from revisit.service.application.housekeeping.system import WORKER_SEEN_WITHIN_MS
+from revisit.service.application.query.operations import OperationState
 
 LATENCY_BUCKETS_S = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0)
 LAG_BUCKETS_S = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.25, 1.0)

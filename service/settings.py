@@ -8,10 +8,10 @@ from pathlib import Path
 
 from pydantic import Field
 
-from core.config import PipelineConfig
-from service.access_settings import AccessSettings
-from service.application.context import Policy
-from service.application.intake import IntakeLimits
+from revisit.core.config import PipelineConfig
+from revisit.service.access_settings import AccessSettings
+from revisit.service.application.capacity.intake import IntakeLimits
+from revisit.service.application.contract.context import Policy
 
 
 class Settings(AccessSettings):
@@ -32,7 +32,7 @@ class Settings(AccessSettings):
         default_factory=lambda: max(1, (os.cpu_count() or 2) - 1), ge=0, le=256, description="worker processes"
     )
     recogniser: str = Field(
-        default="service.adapters.core_recogniser:load_recogniser",
+        default="revisit.service.adapters.core_recogniser:load_recogniser",
         description="the function that loads the method of a worker, as module:function",
     )
     lease_s: float = Field(default=10.0, gt=0, description="a job is given to another worker after this silence")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from core.errors import ErrorCode
+from revisit.core.errors import ErrorCode
 
 ERROR_DOMAIN = "revisit"
 

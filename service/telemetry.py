@@ -10,7 +10,7 @@ import sys
 import structlog
 from structlog.typing import EventDict
 
-from service.redaction import redacted
+from revisit.service.redaction import redacted
 
 
 def configure_logging(level: str, *, hash_tenants: bool = False) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ssl
 from typing import TYPE_CHECKING
 
-from service.access_settings import AccessSettings
+from revisit.service.access_settings import AccessSettings
 
 if TYPE_CHECKING:
     import grpc

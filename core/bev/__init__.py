@@ -7,19 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from core.bev.keypoints import (
+from revisit.core.bev.keypoints import (
     context_histograms,
     describe_patches,
     detect_keypoints,
     dominant_orientations,
     reversed_patches,
 )
-from core.bev.layout import layout_spectrum
-from core.bev.log_gabor import OrientationMap, maximum_index_map
-from core.bev.projection import cluster_supported, project
-from core.clusters import Clusters
-from core.config import BevConfig
-from core.surface import Surface
+from revisit.core.bev.layout import layout_spectrum
+from revisit.core.bev.log_gabor import OrientationMap, maximum_index_map
+from revisit.core.bev.projection import cluster_supported, project
+from revisit.core.clusters import Clusters
+from revisit.core.config import BevConfig
+from revisit.core.surface import Surface
 
 Array = NDArray[np.float32]
 

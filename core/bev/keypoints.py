@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from core.bev.log_gabor import OrientationMap
-from core.config import BevConfig
+from revisit.core.bev.log_gabor import OrientationMap
+from revisit.core.config import BevConfig
 
 Array = NDArray[np.float32]
 Pixels = NDArray[np.int64]

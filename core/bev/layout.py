@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import fft
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from core.config import BevConfig
+from revisit.core.config import BevConfig
 
 Array = NDArray[np.float32]
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from core.config import BevConfig
+from revisit.core.config import BevConfig
 
 Array = NDArray[np.float32]
 

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from core.clusters import Clusters
-from core.config import BevConfig
-from core.surface import Surface
+from revisit.core.clusters import Clusters
+from revisit.core.config import BevConfig
+from revisit.core.surface import Surface
 
 Array = NDArray[np.float32]
 Flags = NDArray[np.bool_]

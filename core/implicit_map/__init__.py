@@ -11,8 +11,8 @@ fitting          all of it, for one submap
 settled, blob    the compact stored form
 """
 
-from core.implicit_map.decoder import DecoderWeights
-from core.implicit_map.fitting import fit_implicit_map
-from core.implicit_map.neural_map import NeuralMap
+from revisit.core.implicit_map.decoder import DecoderWeights
+from revisit.core.implicit_map.fitting import fit_implicit_map
+from revisit.core.implicit_map.neural_map import NeuralMap
 
 __all__ = ["DecoderWeights", "NeuralMap", "fit_implicit_map"]

@@ -12,7 +12,7 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from core.errors import DataLoss
+from revisit.core.errors import DataLoss
 
 MAGIC = b"RVNM\x01"
 _DIGEST_BYTES = 32

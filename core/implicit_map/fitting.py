@@ -9,16 +9,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from core.config import ImplicitMapConfig
-from core.implicit_map import voxel_hash
-from core.implicit_map.decoder import DecoderWeights, decode
-from core.implicit_map.neighbourhood import Neighbourhood, find_neighbourhood
-from core.implicit_map.neural_map import NeuralMap
-from core.implicit_map.neural_points import ElasticAccumulator, NeuralPoints
-from core.implicit_map.samples import draw_samples
-from core.implicit_map.settled import settle
-from core.implicit_map.visibility import count_seen_through
-from core.submap import Submap
+from revisit.core.config import ImplicitMapConfig
+from revisit.core.implicit_map import voxel_hash
+from revisit.core.implicit_map.decoder import DecoderWeights, decode
+from revisit.core.implicit_map.neighbourhood import Neighbourhood, find_neighbourhood
+from revisit.core.implicit_map.neural_map import NeuralMap
+from revisit.core.implicit_map.neural_points import ElasticAccumulator, NeuralPoints
+from revisit.core.implicit_map.samples import draw_samples
+from revisit.core.implicit_map.settled import settle
+from revisit.core.implicit_map.visibility import count_seen_through
+from revisit.core.submap import Submap
 
 Array = NDArray[np.float32]
 

@@ -11,9 +11,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from core.config import ImplicitMapConfig
-from core.implicit_map import voxel_hash
-from core.implicit_map.decoder import ENCODING_SIZE, orientations
+from revisit.core.config import ImplicitMapConfig
+from revisit.core.implicit_map import voxel_hash
+from revisit.core.implicit_map.decoder import ENCODING_SIZE, orientations
 
 Array = NDArray[np.float32]
 

@@ -9,14 +9,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from core import se3
-from core.config import ImplicitMapConfig
-from core.errors import DescriptorModelMismatch
-from core.implicit_map import blob, voxel_hash
-from core.implicit_map.decoder import DecoderWeights, decode
-from core.implicit_map.neighbourhood import Neighbourhood, find_neighbourhood
-from core.implicit_map.neural_points import NeuralPoints
-from core.implicit_map.settled import geometry, geometry_codes
+from revisit.core.config import ImplicitMapConfig
+from revisit.core.errors import DescriptorModelMismatch
+from revisit.core.geometry import se3
+from revisit.core.implicit_map import blob, voxel_hash
+from revisit.core.implicit_map.decoder import DecoderWeights, decode
+from revisit.core.implicit_map.neighbourhood import Neighbourhood, find_neighbourhood
+from revisit.core.implicit_map.neural_points import NeuralPoints
+from revisit.core.implicit_map.settled import geometry, geometry_codes
 
 Array = NDArray[np.float32]
 

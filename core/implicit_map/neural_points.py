@@ -13,7 +13,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from core.implicit_map import voxel_hash
+from revisit.core.implicit_map import voxel_hash
 
 Array = NDArray[np.float32]
 

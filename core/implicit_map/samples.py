@@ -8,9 +8,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from core.config import ImplicitMapConfig
-from core.implicit_map import voxel_hash
-from core.implicit_map.neural_points import NeuralPoints
+from revisit.core.config import ImplicitMapConfig
+from revisit.core.implicit_map import voxel_hash
+from revisit.core.implicit_map.neural_points import NeuralPoints
 
 Array = NDArray[np.float32]
 

@@ -10,8 +10,8 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from core import octahedral
-from core.implicit_map.neural_points import NeuralPoints
+from revisit.core.geometry import octahedral
+from revisit.core.implicit_map.neural_points import NeuralPoints
 
 Array = NDArray[np.float32]
 Codes = tuple[NDArray[np.int32], NDArray[np.uint8], NDArray[np.uint8]]

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from core.clusters import Clusters
-from core.config import SpectrumConfig
-from core.spectra.normal import normal_spectrum
-from core.spectra.plan import plan_spectrum
-from core.surface import Surface
+from revisit.core.clusters import Clusters
+from revisit.core.config import SpectrumConfig
+from revisit.core.spectra.normal import normal_spectrum
+from revisit.core.spectra.plan import plan_spectrum
+from revisit.core.surface import Surface
 
 Array = NDArray[np.float32]
 

@@ -9,10 +9,10 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from core.clusters import Clusters
-from core.config import SpectrumConfig
-from core.spectra.profile import bin_count, nearness, profile_spectrum
-from core.surface import Surface
+from revisit.core.clusters import Clusters
+from revisit.core.config import SpectrumConfig
+from revisit.core.spectra.profile import bin_count, nearness, profile_spectrum
+from revisit.core.surface import Surface
 
 Array = NDArray[np.float32]
 

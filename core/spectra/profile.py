@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from core.config import SpectrumConfig
+from revisit.core.config import SpectrumConfig
 
 Array = NDArray[np.float32]
 

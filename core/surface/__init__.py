@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from core.config import ImplicitMapConfig, SurfaceConfig
-from core.implicit_map import NeuralMap
-from core.implicit_map.fitting import accumulate
-from core.submap import Submap
-from core.surface.cells import cells_near_planes
-from core.surface.marching_cubes import case_table, edge_table, polygonise
+from revisit.core.config import ImplicitMapConfig, SurfaceConfig
+from revisit.core.implicit_map import NeuralMap
+from revisit.core.implicit_map.fitting import accumulate
+from revisit.core.submap import Submap
+from revisit.core.surface.cells import cells_near_planes
+from revisit.core.surface.marching_cubes import case_table, edge_table, polygonise
 
 Array = NDArray[np.float32]
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from core.se3 import from_yaw
 from revisit import Client
+from revisit.core.geometry.se3 import from_yaw
 
 client = Client.grpc()
 session = client.create_session(client.create_map("grpc-example"), "monday")

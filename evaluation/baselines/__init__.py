@@ -1,14 +1,14 @@
 """Other methods to compare with, re-implemented from their papers and run on the same submaps."""
 
-from evaluation.baselines.lidar_iris import LidarIris
-from evaluation.baselines.m2dp import M2dp
-from evaluation.baselines.ndt_histogram import NdtHistogram
-from evaluation.baselines.place_recogniser import Descriptor, PlaceRecogniser
-from evaluation.baselines.ring import Ring
-from evaluation.baselines.ring_plus_plus import RingPlusPlus
-from evaluation.baselines.scan_context import ScanContext
-from evaluation.baselines.solid import Solid
-from evaluation.baselines.triangles import Triangles
+from revisit.evaluation.baselines.lidar_iris import LidarIris
+from revisit.evaluation.baselines.m2dp import M2dp
+from revisit.evaluation.baselines.ndt_histogram import NdtHistogram
+from revisit.evaluation.baselines.place_recogniser import Descriptor, PlaceRecogniser
+from revisit.evaluation.baselines.ring import Ring
+from revisit.evaluation.baselines.ring_plus_plus import RingPlusPlus
+from revisit.evaluation.baselines.scan_context import ScanContext
+from revisit.evaluation.baselines.solid import Solid
+from revisit.evaluation.baselines.triangles import Triangles
 
 __all__ = [
     "ALL_BASELINES", "Descriptor", "LidarIris", "M2dp", "NdtHistogram", "PlaceRecogniser", "Ring", "RingPlusPlus",

@@ -10,7 +10,7 @@ import importlib
 import importlib.util
 from collections.abc import Iterable, Iterator
 
-from core.scan import Points
+from revisit.core.scan import Points
 
 NAME = "map-closures"
 PACKAGE = "map_closures"

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from core.scan import Points
+from revisit.core.scan import Points
 
 Descriptor = NDArray[Any]
 

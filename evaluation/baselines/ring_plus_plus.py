@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from core.scan import Points
-from evaluation.baselines.place_recogniser import Descriptor
+from revisit.core.scan import Points
+from revisit.evaluation.baselines.place_recogniser import Descriptor
 
 Floats = NDArray[np.float64]
 

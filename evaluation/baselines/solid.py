@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from core.scan import Points
-from evaluation.baselines.place_recogniser import Descriptor
+from revisit.core.scan import Points
+from revisit.evaluation.baselines.place_recogniser import Descriptor
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from core.scan import Points
-from evaluation.baselines.place_recogniser import Descriptor
+from revisit.core.scan import Points
+from revisit.evaluation.baselines.place_recogniser import Descriptor
 
 Floats = NDArray[np.float64]
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from core.errors import BadField
-from evaluation.datasets.cloud_folder import open_cloud_folder
-from evaluation.datasets.kitti import KittiRecording, write_kitti
-from evaluation.datasets.kitti360 import open_kitti360
-from evaluation.datasets.mulran import open_mulran
-from evaluation.datasets.nclt import open_nclt
-from evaluation.datasets.posed_clouds import PosedClouds
-from evaluation.datasets.recording import Recording
-from evaluation.datasets.ros_bag import open_bag
+from revisit.core.errors import BadField
+from revisit.evaluation.datasets.cloud_folder import open_cloud_folder
+from revisit.evaluation.datasets.kitti import KittiRecording, write_kitti
+from revisit.evaluation.datasets.kitti360 import open_kitti360
+from revisit.evaluation.datasets.mulran import open_mulran
+from revisit.evaluation.datasets.nclt import open_nclt
+from revisit.evaluation.datasets.posed_clouds import PosedClouds
+from revisit.evaluation.datasets.recording import Recording
+from revisit.evaluation.datasets.ros_bag import open_bag
 
 __all__ = [
     "FORMATS", "KittiRecording", "PosedClouds", "Recording", "open_bag", "open_cloud_folder", "open_kitti360",

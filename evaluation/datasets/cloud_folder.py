@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from core import se3
-from core.errors import BadField, MalformedBody
-from core.formats import decode_cloud, media_type_for_suffix
-from core.scan import Points
-from evaluation.datasets.number_rows import read_rows, read_words
-from evaluation.datasets.posed_clouds import PosedClouds, StampedPoses, Stamps, interpolated, posed
+from revisit.core.errors import BadField, MalformedBody
+from revisit.core.geometry import se3
+from revisit.core.scan import Points
+from revisit.evaluation.datasets.number_rows import read_rows, read_words
+from revisit.evaluation.datasets.posed_clouds import PosedClouds, StampedPoses, Stamps, interpolated, posed
+from revisit.formats import decode_cloud, media_type_for_suffix
 
 SCAN_PERIOD_NS = 100_000_000
 _SUFFIXES = (".pcd", ".ply", ".bin", ".npy")

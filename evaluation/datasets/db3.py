@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
-from core.errors import MalformedBody
-from evaluation.datasets.mcap import Message, Place
+from revisit.core.errors import MalformedBody
+from revisit.evaluation.datasets.mcap import Message, Place
 
 _MAGIC = b"SQLite format 3\0"
 _MESSAGES = (

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from core import se3
-from core.errors import BadField, MalformedBody
-from core.scan import Points, Scan
-from evaluation.datasets.number_rows import read_rows
+from revisit.core.errors import BadField, MalformedBody
+from revisit.core.geometry import se3
+from revisit.core.scan import Points, Scan
+from revisit.evaluation.datasets.number_rows import read_rows
 
 SCAN_PERIOD_S = 0.1
 _BYTES_PER_POINT = 16

@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from core import se3
-from core.errors import BadField, MalformedBody
-from evaluation.datasets.kitti import read_velodyne
-from evaluation.datasets.number_rows import keyed_matrix, read_rows
-from evaluation.datasets.posed_clouds import PosedClouds, Stamps, posed
+from revisit.core.errors import BadField, MalformedBody
+from revisit.core.geometry import se3
+from revisit.evaluation.datasets.kitti import read_velodyne
+from revisit.evaluation.datasets.number_rows import keyed_matrix, read_rows
+from revisit.evaluation.datasets.posed_clouds import PosedClouds, Stamps, posed
 
 SCAN_PERIOD_NS = 100_000_000
 

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from core.errors import MalformedBody, UnsupportedEncoding
-from core.formats.compression import decompress_zstd
+from revisit.core.errors import MalformedBody, UnsupportedEncoding
+from revisit.formats.compression import decompress_zstd
 
 MAGIC = b"\x89MCAP0\r\n"
 MAX_CHUNK_BYTES = 1 << 30

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from core import se3
-from evaluation.datasets.kitti import read_velodyne
-from evaluation.datasets.number_rows import read_rows, read_words
-from evaluation.datasets.posed_clouds import PosedClouds, StampedPoses, interpolated, named_scans
+from revisit.core.geometry import se3
+from revisit.evaluation.datasets.kitti import read_velodyne
+from revisit.evaluation.datasets.number_rows import read_rows, read_words
+from revisit.evaluation.datasets.posed_clouds import PosedClouds, StampedPoses, interpolated, named_scans
 
 # calib_base2ouster.txt of the data set: 1.7042, -0.021, 1.8047 m, roll 0.0001, pitch 0.0003, yaw 179.6654 degrees.
 T_BASE_OUSTER = (

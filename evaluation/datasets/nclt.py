@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from core import se3
-from core.errors import MalformedBody
-from core.scan import Points
-from evaluation.datasets.number_rows import read_rows
-from evaluation.datasets.posed_clouds import PosedClouds, StampedPoses, interpolated, named_scans
+from revisit.core.errors import MalformedBody
+from revisit.core.geometry import se3
+from revisit.core.scan import Points
+from revisit.evaluation.datasets.number_rows import read_rows
+from revisit.evaluation.datasets.posed_clouds import PosedClouds, StampedPoses, interpolated, named_scans
 
 _HIT = np.dtype([("xyz", "<u2", 3), ("intensity", "u1"), ("beam", "u1")])
 _UNIT_M, _OFFSET_M = 0.005, -100.0

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from core.errors import MalformedBody
+from revisit.core.errors import MalformedBody
 
 
 def read_rows(file: Path, width: int) -> NDArray[np.float64]:

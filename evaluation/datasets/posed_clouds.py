@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from core import se3
-from core.errors import BadField
-from core.scan import Points, Scan
+from revisit.core.errors import BadField
+from revisit.core.geometry import se3
+from revisit.core.scan import Points, Scan
 
 Stamps = NDArray[np.int64]
 CloudReader = Callable[[Path], Points]

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Protocol
 
-from core import se3
-from core.scan import Scan
+from revisit.core.geometry import se3
+from revisit.core.scan import Scan
 
 
 class Recording(Protocol):

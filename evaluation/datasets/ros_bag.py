@@ -9,13 +9,13 @@ from typing import Protocol
 
 import numpy as np
 
-from core import se3
-from core.errors import BadField
-from core.scan import Scan
-from evaluation.datasets.db3 import Db3File
-from evaluation.datasets.mcap import McapFile, Message, Place
-from evaluation.datasets.posed_clouds import StampedPoses, Stamps
-from evaluation.datasets.ros_messages import CLOUD_TYPES, POSE_TYPES, read_points, read_pose, read_stamp
+from revisit.core.errors import BadField
+from revisit.core.geometry import se3
+from revisit.core.scan import Scan
+from revisit.evaluation.datasets.db3 import Db3File
+from revisit.evaluation.datasets.mcap import McapFile, Message, Place
+from revisit.evaluation.datasets.posed_clouds import StampedPoses, Stamps
+from revisit.evaluation.datasets.ros_messages import CLOUD_TYPES, POSE_TYPES, read_points, read_pose, read_stamp
 
 
 class Bag(Protocol):

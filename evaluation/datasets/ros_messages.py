@@ -6,11 +6,11 @@ import struct
 
 import numpy as np
 
-from core import se3
-from core.errors import MalformedBody
-from core.formats.cloud import CloudLimits
-from core.formats.pointcloud2 import PackedCloud, PointField, decode_packed
-from core.scan import Points
+from revisit.core.errors import MalformedBody
+from revisit.core.geometry import se3
+from revisit.core.scan import Points
+from revisit.formats.cloud import CloudLimits
+from revisit.formats.pointcloud2 import PackedCloud, PointField, decode_packed
 
 CLOUD_TYPES = ("sensor_msgs/msg/PointCloud2",)
 POSE_TYPES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped")

@@ -8,9 +8,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core import se3
-from evaluation.simulator import OS1_64, SimulatedScan, StreetGrid, Trajectory, World, build_city, drive, simulate
-from evaluation.simulator.blocks import Floats
+from revisit.core.geometry import se3
+from revisit.evaluation.simulator import (
+    OS1_64,
+    SimulatedScan,
+    StreetGrid,
+    Trajectory,
+    World,
+    build_city,
+    drive,
+    simulate,
+)
+from revisit.evaluation.simulator.blocks import Floats
 
 # Crossings of the long drive: new streets, then two blocks again in the same direction, then five in reverse.
 PATROL = [

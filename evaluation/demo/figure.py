@@ -18,8 +18,8 @@ from mpl_toolkits.mplot3d import Axes3D  # type: ignore[import-untyped]  # matpl
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]  # as above
 from numpy.typing import NDArray
 
-from evaluation.demo.portrait import Portrait
-from evaluation.demo.truth import LoopReport, TrueSubmap
+from revisit.evaluation.demo.portrait import Portrait
+from revisit.evaluation.demo.truth import LoopReport, TrueSubmap
 
 Array = NDArray[np.float32]
 

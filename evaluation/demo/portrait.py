@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from core.config import PipelineConfig
-from core.model_bundle import load_packaged_models
-from core.pipeline import describe
-from core.scan import Scan
-from core.submap import Submap
+from revisit.core.config import PipelineConfig
+from revisit.core.model_bundle import load_packaged_models
+from revisit.core.pipeline import describe
+from revisit.core.scan import Scan
+from revisit.core.submap import Submap
 
 Array = NDArray[np.float32]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from core import se3
+from revisit.core.geometry import se3
 
 
 @dataclass(frozen=True)

@@ -9,16 +9,16 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from core.config import PipelineConfig
-from core.errors import RevisitError
-from core.model_bundle import load_packaged_models
-from evaluation.datasets import Recording
-from evaluation.methods import Method
-from evaluation.protocols.contest import Progress
-from evaluation.protocols.programme import Programme, run_programme
-from evaluation.protocols.trial import Trial
-from evaluation.report.failures import Failure, bev_image
-from evaluation.report.recognition import write_report
+from revisit.core.config import PipelineConfig
+from revisit.core.errors import RevisitError
+from revisit.core.model_bundle import load_packaged_models
+from revisit.evaluation.datasets import Recording
+from revisit.evaluation.methods import Method
+from revisit.evaluation.protocols.contest import Progress
+from revisit.evaluation.protocols.programme import Programme, run_programme
+from revisit.evaluation.protocols.trial import Trial
+from revisit.evaluation.report.failures import Failure, bev_image
+from revisit.evaluation.report.recognition import write_report
 
 
 def run_recognition_bench(

@@ -8,19 +8,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.config import SubmapConfig
-from core.errors import RevisitError
-from core.index import Match
-from evaluation.baselines import Descriptor, PlaceRecogniser
-from evaluation.cutting import Window, cut, load_submap
-from evaluation.datasets import Recording
-from evaluation.matching import QueryMatches, VerificationWork, pose_error, verify_all
-from evaluation.methods import Method
-from evaluation.metrics import LoopProtocol
-from evaluation.perturbations import Perturbation, turned
-from evaluation.places import DescriptionWork, Place, describe_place, in_processes
-from evaluation.protocols.question import Question
-from evaluation.protocols.trial import MethodOutcome, PoseErrors, Trial
+from revisit.core.config import SubmapConfig
+from revisit.core.errors import RevisitError
+from revisit.core.index import Match
+from revisit.evaluation.baselines import Descriptor, PlaceRecogniser
+from revisit.evaluation.cutting import Window, cut, load_submap
+from revisit.evaluation.datasets import Recording
+from revisit.evaluation.matching import QueryMatches, VerificationWork, pose_error, verify_all
+from revisit.evaluation.methods import Method
+from revisit.evaluation.metrics import LoopProtocol
+from revisit.evaluation.perturbations import Perturbation, turned
+from revisit.evaluation.places import DescriptionWork, Place, describe_place, in_processes
+from revisit.evaluation.protocols.question import Question
+from revisit.evaluation.protocols.trial import MethodOutcome, PoseErrors, Trial
 
 PRODUCT = "revisit descriptor"
 VERIFIED = "revisit verified"

@@ -7,8 +7,8 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluation.metrics import Floats
-from evaluation.protocols.trial import MethodOutcome, Trial
+from revisit.evaluation.metrics import Floats
+from revisit.evaluation.protocols.trial import MethodOutcome, Trial
 
 
 class Direction(StrEnum):

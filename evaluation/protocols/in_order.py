@@ -8,16 +8,16 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from core.config import SubmapConfig
-from core.errors import RevisitError
-from core.scan import Points
-from evaluation.baselines import map_closures
-from evaluation.cutting import Window, load_submap
-from evaluation.datasets import Recording
-from evaluation.perturbations import Perturbation
-from evaluation.protocols.contest import KEPT_CANDIDATES
-from evaluation.protocols.question import Question
-from evaluation.protocols.trial import MethodOutcome, Trial
+from revisit.core.config import SubmapConfig
+from revisit.core.errors import RevisitError
+from revisit.core.scan import Points
+from revisit.evaluation.baselines import map_closures
+from revisit.evaluation.cutting import Window, load_submap
+from revisit.evaluation.datasets import Recording
+from revisit.evaluation.perturbations import Perturbation
+from revisit.evaluation.protocols.contest import KEPT_CANDIDATES
+from revisit.evaluation.protocols.question import Question
+from revisit.evaluation.protocols.trial import MethodOutcome, Trial
 
 _NOTHING = np.zeros((0, 3), dtype=np.float32)
 

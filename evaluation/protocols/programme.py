@@ -10,18 +10,18 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Protocol
 
-from core.config import LoopConfig, PipelineConfig, SubmapConfig
-from core.descriptor import without_parts
-from core.model_bundle import load_packaged_models
-from evaluation.baselines import ALL_BASELINES, PlaceRecogniser
-from evaluation.datasets import PosedClouds, Recording, open_recording
-from evaluation.methods import Method, PipelineMethod
-from evaluation.metrics import LoopProtocol
-from evaluation.perturbations import Perturbation
-from evaluation.protocols.contest import Contest, Described, Progress, Side, Sides, describe_side, hold
-from evaluation.protocols.towns import DRIVES, SESSIONS
-from evaluation.protocols.trial import Trial
-from evaluation.scene import estimate_scene_scale
+from revisit.core.config import LoopConfig, PipelineConfig, SubmapConfig
+from revisit.core.descriptor.fusion import without_parts
+from revisit.core.model_bundle import load_packaged_models
+from revisit.evaluation.baselines import ALL_BASELINES, PlaceRecogniser
+from revisit.evaluation.datasets import PosedClouds, Recording, open_recording
+from revisit.evaluation.methods import Method, PipelineMethod
+from revisit.evaluation.metrics import LoopProtocol
+from revisit.evaluation.perturbations import Perturbation
+from revisit.evaluation.protocols.contest import Contest, Described, Progress, Side, Sides, describe_side, hold
+from revisit.evaluation.protocols.towns import DRIVES, SESSIONS
+from revisit.evaluation.protocols.trial import Trial
+from revisit.evaluation.scene import estimate_scene_scale
 
 ABLATIONS = ("no-implicit", "bev-only", "normals-only")
 PROTOCOLS = ("online", "rotation", "beams", "density", *ABLATIONS, "sessions")

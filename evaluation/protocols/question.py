@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evaluation.metrics import Flags, Floats, LoopProtocol, positive_pairs
+from revisit.evaluation.metrics import Flags, Floats, LoopProtocol, positive_pairs
 
 
 @dataclass(frozen=True)

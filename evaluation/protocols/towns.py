@@ -13,8 +13,8 @@ from pathlib import Path as Folder
 
 import numpy as np
 
-from evaluation.datasets import KittiRecording, write_kitti
-from evaluation.simulator import (
+from revisit.evaluation.datasets import KittiRecording, write_kitti
+from revisit.evaluation.simulator import (
     HDL32,
     HDL64,
     OS1_64,

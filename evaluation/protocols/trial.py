@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluation.metrics import (
+from revisit.evaluation.metrics import (
     LoopProtocol,
     Outcomes,
     RecognitionScores,
@@ -21,7 +21,7 @@ from evaluation.metrics import (
     recall_at,
     score_recognition,
 )
-from evaluation.protocols.question import Question
+from revisit.evaluation.protocols.question import Question
 
 
 @dataclass(frozen=True)

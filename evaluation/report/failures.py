@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from core.config import PipelineConfig
-from core.model_bundle import load_packaged_models
-from core.pipeline import describe
-from evaluation.cutting import Window, load_submap
-from evaluation.datasets import Recording
-from evaluation.perturbations import Perturbation
-from evaluation.protocols.trial import MethodOutcome, Trial, classified, judged
+from revisit.core.config import PipelineConfig
+from revisit.core.model_bundle import load_packaged_models
+from revisit.core.pipeline import describe
+from revisit.evaluation.cutting import Window, load_submap
+from revisit.evaluation.datasets import Recording
+from revisit.evaluation.perturbations import Perturbation
+from revisit.evaluation.protocols.trial import MethodOutcome, Trial, classified, judged
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from evaluation.metrics import precision_recall
-from evaluation.protocols.contest import PRODUCT, VERIFIED
-from evaluation.protocols.trial import Trial, classified, judged
+from revisit.evaluation.metrics import precision_recall
+from revisit.evaluation.protocols.contest import PRODUCT, VERIFIED
+from revisit.evaluation.protocols.trial import Trial, classified, judged
 
 _COLOURS = {"right": "tab:green", "wrong": "tab:red", "missed": "tab:orange", "no loop": "lightgrey"}
 

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluation.metrics import Interval, Outcomes, mean_auc
-from evaluation.protocols.contest import PRODUCT, VERIFIED
-from evaluation.protocols.directions import Direction, recall_by_direction
-from evaluation.protocols.programme import ABLATIONS
-from evaluation.protocols.trial import MethodOutcome, Scores, Trial, judged, scores
-from evaluation.report.document import Document
-from evaluation.report.failures import Failure, worst_failures
-from evaluation.report.pictures import draw_curves, draw_map, draw_pairs
+from revisit.evaluation.metrics import Interval, Outcomes, mean_auc
+from revisit.evaluation.protocols.contest import PRODUCT, VERIFIED
+from revisit.evaluation.protocols.directions import Direction, recall_by_direction
+from revisit.evaluation.protocols.programme import ABLATIONS
+from revisit.evaluation.protocols.trial import MethodOutcome, Scores, Trial, judged, scores
+from revisit.evaluation.report.document import Document
+from revisit.evaluation.report.failures import Failure, worst_failures
+from revisit.evaluation.report.pictures import draw_curves, draw_map, draw_pairs
 
 NAME = "recognition"
 FAILURES_SHOWN = 3

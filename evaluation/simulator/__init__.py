@@ -7,12 +7,12 @@ trajectory = drive(path, world.ground)               trajectories
 for scan in simulate(world, trajectory, HDL64, seed) lidar
 """
 
-from evaluation.simulator.changes import Changes, changed
-from evaluation.simulator.city import TownPlan, World, build_city
-from evaluation.simulator.lidar import SimulatedScan, simulate
-from evaluation.simulator.paths import Path, StreetGrid, streets_under
-from evaluation.simulator.sensors import HDL32, HDL64, OS1_64, SENSORS, VLP16, LidarModel
-from evaluation.simulator.trajectories import Trajectory, drive, grid_drive, kitti_path
+from revisit.evaluation.simulator.changes import Changes, changed
+from revisit.evaluation.simulator.city import TownPlan, World, build_city
+from revisit.evaluation.simulator.lidar import SimulatedScan, simulate
+from revisit.evaluation.simulator.paths import Path, StreetGrid, streets_under
+from revisit.evaluation.simulator.sensors import HDL32, HDL64, OS1_64, SENSORS, VLP16, LidarModel
+from revisit.evaluation.simulator.trajectories import Trajectory, drive, grid_drive, kitti_path
 
 __all__ = [
     "HDL32",

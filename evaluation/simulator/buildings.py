@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evaluation.simulator.blocks import Blocks, Material, block, joined
+from revisit.evaluation.simulator.blocks import Blocks, Material, block, joined
 
 FOUNDATION_M = 1.5
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from evaluation.simulator.blocks import Blocks, Floats, Material, block, joined
-from evaluation.simulator.city import World
+from revisit.evaluation.simulator.blocks import Blocks, Floats, Material, block, joined
+from revisit.evaluation.simulator.city import World
 
 
 @dataclass(frozen=True)

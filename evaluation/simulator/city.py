@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from evaluation.simulator import vegetation
-from evaluation.simulator.blocks import Blocks, Floats, Material, block, joined
-from evaluation.simulator.buildings import STYLES, Facade, build_house
-from evaluation.simulator.paths import Path
-from evaluation.simulator.traffic import ParkingSlots, Traffic, random_traffic
+from revisit.evaluation.simulator import vegetation
+from revisit.evaluation.simulator.blocks import Blocks, Floats, Material, block, joined
+from revisit.evaluation.simulator.buildings import STYLES, Facade, build_house
+from revisit.evaluation.simulator.paths import Path
+from revisit.evaluation.simulator.traffic import ParkingSlots, Traffic, random_traffic
 
 
 @dataclass(frozen=True)

@@ -9,13 +9,13 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
-from core import se3
-from core.scan import Points
-from evaluation.simulator.blocks import Blocks, Floats, joined
-from evaluation.simulator.city import World
-from evaluation.simulator.sensors import LidarModel
-from evaluation.simulator.traffic import PERSON, VEHICLES, VISIBLE_M, ParkedCars
-from evaluation.simulator.trajectories import Trajectory
+from revisit.core.geometry import se3
+from revisit.core.scan import Points
+from revisit.evaluation.simulator.blocks import Blocks, Floats, joined
+from revisit.evaluation.simulator.city import World
+from revisit.evaluation.simulator.sensors import LidarModel
+from revisit.evaluation.simulator.traffic import PERSON, VEHICLES, VISIBLE_M, ParkedCars
+from revisit.evaluation.simulator.trajectories import Trajectory
 
 NOSE_TO_TAIL_M = 4.5
 

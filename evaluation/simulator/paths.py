@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from evaluation.simulator.blocks import Floats
+from revisit.evaluation.simulator.blocks import Floats
 
 
 @dataclass(frozen=True)

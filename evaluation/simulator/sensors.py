@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluation.simulator.blocks import Floats, Material
+from revisit.evaluation.simulator.blocks import Floats, Material
 
 # Share of the light that comes back from a surface hit head-on; grazing hits return less (Lambert).
 REFLECTIVITY = {

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluation.simulator.blocks import Blocks, Floats, Material, block, joined
-from evaluation.simulator.paths import Path
+from revisit.evaluation.simulator.blocks import Blocks, Floats, Material, block, joined
+from revisit.evaluation.simulator.paths import Path
 
 
 def _car(length: float, width: float, height: float, bonnet: float) -> Blocks:

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from core import se3
-from evaluation.simulator.blocks import Floats
-from evaluation.simulator.city import Ground
-from evaluation.simulator.paths import Path, StreetGrid
+from revisit.core.geometry import se3
+from revisit.evaluation.simulator.blocks import Floats
+from revisit.evaluation.simulator.city import Ground
+from revisit.evaluation.simulator.paths import Path, StreetGrid
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluation.simulator.blocks import Blocks, Floats, Material, block, joined
+from revisit.evaluation.simulator.blocks import Blocks, Floats, Material, block, joined
 
 Triangles = NDArray[np.float32]
 

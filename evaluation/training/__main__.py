@@ -1,5 +1,5 @@
-"""`python -m evaluation.training`: train the shipped models. See `evaluation.training.command`."""
+"""`python -m revisit.evaluation.training`: train the shipped models. See `evaluation.training.command`."""
 
-from evaluation.training.command import main
+from revisit.evaluation.training.command import main
 
 main()

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from core.bev import reversed_patches
-from core.cluster_normals import ClusterStatistics
-from core.config import FusionConfig
-from core.descriptor import with_reversed
-from core.spectra import PlaceSpectra
-from core.vlad import Codebooks, aggregate, project_locally
+from revisit.core.bev import reversed_patches
+from revisit.core.config import FusionConfig
+from revisit.core.descriptor.fusion import with_reversed
+from revisit.core.descriptor.vlad import Codebooks, aggregate, project_locally
+from revisit.core.micro.cluster_normals import ClusterStatistics
+from revisit.core.spectra import PlaceSpectra
 
 Array = NDArray[np.float32]
 
@@ -92,7 +92,7 @@ def k_means(features: Array, count: int, rng: np.random.Generator, rounds: int =
 
 
 def random_folds(size: int, folded: int, rng: np.random.Generator, places: int = 4) -> Array:
-    """Signed places (places, size) for `core.vlad.fold`; every one of the `folded` places occurs."""
+    """Signed places (places, size) for `core.descriptor.vlad.fold`; every one of the `folded` places occurs."""
     order = np.stack([rng.permutation(np.arange(size) % folded) for _ in range(places)])
     return np.asarray((order + 1) * rng.choice((-1.0, 1.0), order.shape), dtype=np.float32)
 

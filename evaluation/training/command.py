@@ -14,20 +14,20 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from core.bev import describe_bev
-from core.cluster_normals import describe_clusters
-from core.clusters import segment_clusters
-from core.config import PipelineConfig
-from core.implicit_map import DecoderWeights, fit_implicit_map
-from core.model_bundle import load_bundle
-from core.saliency import weigh_clusters
-from core.spectra import describe_spectra
-from core.submap import Submap
-from core.surface import extract_surface
-from core.vlad import Codebooks
-from evaluation.training.codebooks import Features, train_codebooks
-from evaluation.training.corpus import TRAINING_SEED, training_places
-from evaluation.training.decoder import initial_decoder, train_decoder, training_set
+from revisit.core.bev import describe_bev
+from revisit.core.clusters import segment_clusters
+from revisit.core.config import PipelineConfig
+from revisit.core.descriptor.vlad import Codebooks
+from revisit.core.implicit_map import DecoderWeights, fit_implicit_map
+from revisit.core.micro.cluster_normals import describe_clusters
+from revisit.core.micro.saliency import weigh_clusters
+from revisit.core.model_bundle import load_bundle
+from revisit.core.spectra import describe_spectra
+from revisit.core.submap import Submap
+from revisit.core.surface import extract_surface
+from revisit.evaluation.training.codebooks import Features, train_codebooks
+from revisit.evaluation.training.corpus import TRAINING_SEED, training_places
+from revisit.evaluation.training.decoder import initial_decoder, train_decoder, training_set
 
 DECODER_PLACES_EACH = 4
 DECODER_WIDTH = 32
@@ -35,7 +35,7 @@ DECODER_WIDTH = 32
 
 def main() -> None:
     """Train what is asked for and write the weights and the report."""
-    parser = argparse.ArgumentParser(prog="python -m evaluation.training", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m revisit.evaluation.training", description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("core/weights/revisit-1.npz"))
     parser.add_argument("--report", type=Path, default=Path("docs/reference/training.md"))
     parser.add_argument("--districts", type=int, default=24, help="simulated towns for the codebooks")
@@ -46,7 +46,12 @@ def main() -> None:
     options = parser.parse_args()
     torch.set_num_threads(1)
     started, config = time.monotonic(), PipelineConfig()
-    report = ["# Training of the shipped models", "", "By `python -m evaluation.training`, on simulated data only.", ""]
+    report = [
+        "# Training of the shipped models",
+        "",
+        "By `python -m revisit.evaluation.training`, on simulated data only.",
+        "",
+    ]
     if options.keep_decoder:
         decoder = _kept_decoder(options.out)
         report.append("- decoder: kept")

@@ -13,11 +13,11 @@ from itertools import islice
 
 import numpy as np
 
-from core.config import SubmapConfig
-from core.scan import Scan
-from core.submap import Submap
-from evaluation.perturbations import keep_beams, turned
-from evaluation.simulator import SENSORS, StreetGrid, TownPlan, build_city, drive, grid_drive, simulate
+from revisit.core.config import SubmapConfig
+from revisit.core.scan import Scan
+from revisit.core.submap import Submap
+from revisit.evaluation.perturbations import keep_beams, turned
+from revisit.evaluation.simulator import SENSORS, StreetGrid, TownPlan, build_city, drive, grid_drive, simulate
 
 TRAINING_SEED = 9_000
 WINDOW_SCANS = 7

@@ -14,14 +14,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from core.config import ImplicitMapConfig
-from core.implicit_map import voxel_hash
-from core.implicit_map.decoder import ENCODING_SIZE, DecoderWeights
-from core.implicit_map.fitting import accumulate, fit_features, predict, sdf_loss, without_dynamic_points
-from core.implicit_map.neighbourhood import Neighbourhood, find_neighbourhood
-from core.implicit_map.samples import draw_samples
-from core.implicit_map.settled import settle
-from core.submap import Submap
+from revisit.core.config import ImplicitMapConfig
+from revisit.core.implicit_map import voxel_hash
+from revisit.core.implicit_map.decoder import ENCODING_SIZE, DecoderWeights
+from revisit.core.implicit_map.fitting import accumulate, fit_features, predict, sdf_loss, without_dynamic_points
+from revisit.core.implicit_map.neighbourhood import Neighbourhood, find_neighbourhood
+from revisit.core.implicit_map.samples import draw_samples
+from revisit.core.implicit_map.settled import settle
+from revisit.core.submap import Submap
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ def keys_create(
 ) -> None:
     """Make a key (for ingest and query by default) and show it, once. The first one ends the time without keys."""
     from revisit.cli import guarding
-    from service.application.api_keys import CreateKey
+    from revisit.service.application.access.api_keys import CreateKey
 
     lifetime_s = None if expires_days is None else expires_days * guarding.DAY_S
     guarding.create(home, CreateKey(tenant, tuple(scope or ("ingest", "query")), label, lifetime_s), json)

@@ -34,8 +34,8 @@ GRPC = "127.0.0.1:8090"
 
 def run() -> None:
     """Run a command; what the service refuses is told in one line, with exit status 1."""
-    from core.errors import RevisitError
-    from revisit.errors import ApiError
+    from revisit.core.errors import RevisitError
+    from revisit.sdk.errors import ApiError
 
     try:
         app()
@@ -99,8 +99,8 @@ def ingest(
     json: Json = False,
 ) -> None:
     """Stream a recording; run it again to resume."""
-    from evaluation.datasets import open_recording
     from revisit.cli import ingesting
+    from revisit.evaluation.datasets import open_recording
 
     recording = open_recording(folder, file_format)
     target = ingesting.Target(grpc, map_id, session_id or recording.name, scene_scale)
@@ -178,8 +178,8 @@ def demo(
     json: Annotated[bool, typer.Option("--json", help="Print the exit status as JSON at the end.")] = False,
 ) -> None:
     """Start a service, drive two simulated robots through a town, compare the loops with the truth."""
+    from revisit.cli.demo import run_demo
     from revisit.cli.output import emit_json
-    from revisit.demo import run_demo
 
     status = run_demo(picture, seed=seed)
     if json:

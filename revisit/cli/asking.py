@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
-from core.formats import media_type_for_suffix
 from revisit.cli.output import emit_json, emit_table, refuse, say
-from revisit.client import Client
-from revisit.clouds import Cloud
+from revisit.formats import media_type_for_suffix
+from revisit.sdk.client import Client
+from revisit.sdk.clouds import Cloud
 
 
 def query(http: str, map_id: str, cloud: Path | None, submap: str, k: int, as_json: bool) -> None:

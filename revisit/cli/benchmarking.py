@@ -10,13 +10,13 @@ from typing import Any
 import typer
 from rich.progress import Progress, TaskID
 
-from evaluation import benchmark
-from evaluation.datasets import FORMATS
-from evaluation.protocols.bench import run_recognition_bench
-from evaluation.protocols.programme import PROTOCOLS, Programme, RecordedDrive
-from evaluation.protocols.towns import DRIVES
 from revisit.cli.evaluating import given
 from revisit.cli.output import emit_json, emit_table, progress_bar, refuse, say
+from revisit.evaluation import benchmark
+from revisit.evaluation.datasets import FORMATS
+from revisit.evaluation.protocols.bench import run_recognition_bench
+from revisit.evaluation.protocols.programme import PROTOCOLS, Programme, RecordedDrive
+from revisit.evaluation.protocols.towns import DRIVES
 
 
 @dataclass(frozen=True)

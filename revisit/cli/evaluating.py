@@ -8,10 +8,10 @@ from typing import Any
 
 from rich.progress import Progress, TaskID
 
-from evaluation.datasets import FORMATS, open_recording
-from evaluation.perturbations import Perturbation
-from evaluation.runner import EvaluationOptions, evaluate
 from revisit.cli.output import emit_table, progress_bar, refuse, say
+from revisit.evaluation.datasets import FORMATS, open_recording
+from revisit.evaluation.perturbations import Perturbation
+from revisit.evaluation.runner import EvaluationOptions, evaluate
 
 
 def options(

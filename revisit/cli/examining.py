@@ -10,12 +10,12 @@ from pathlib import Path
 
 import typer
 
-from core.errors import RevisitError
 from revisit.cli.output import emit_json, emit_table
-from revisit.client import Client
-from revisit.errors import ApiError
-from revisit.retry import RetryPolicy
-from service.adapters.examination import Finding, examine
+from revisit.core.errors import RevisitError
+from revisit.sdk.client import Client
+from revisit.sdk.errors import ApiError
+from revisit.sdk.retry import RetryPolicy
+from revisit.service.adapters.examination import Finding, examine
 
 LIBRARIES = ("numpy", "torch", "faiss-cpu", "opencv-python-headless", "fastapi", "grpcio", "protobuf", "sqlalchemy")
 
@@ -55,13 +55,13 @@ def _checked(check: str, examine: Callable[[], str]) -> Finding:
 
 
 def _models() -> str:
-    from core.model_bundle import load_packaged_models
+    from revisit.core.model_bundle import load_packaged_models
 
     return load_packaged_models().version
 
 
 def _data(home: Path | None, full: bool) -> list[Finding]:
-    from service.settings import Settings
+    from revisit.service.settings import Settings
 
     return examine(Settings(home=home).home if home else Settings().home, full=full)
 

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from core import se3
-from core.se3 import Matrix4
 from revisit.cli.output import emit_json, refuse, say
-from revisit.client import Client
-from revisit.resources import LoopClosure, Submap
+from revisit.core.geometry import se3
+from revisit.core.geometry.se3 import Matrix4
+from revisit.sdk.client import Client
+from revisit.sdk.resources import LoopClosure, Submap
 
 ODOMETRY_INFORMATION = np.diag([100.0, 100.0, 100.0, 1000.0, 1000.0, 1000.0])
 """Assumed, as odometry comes without covariance: 0.1 m and 1.8 degrees between two submaps."""

@@ -14,9 +14,9 @@ from typing import Any
 import typer
 
 from revisit.cli.output import emit_json, emit_table, refuse, say
-from service.application import UseCases
-from service.application.access_ports import AuditRecord, KeyRecord
-from service.application.api_keys import CreateKey, NewKey
+from revisit.service.application import UseCases
+from revisit.service.application.access.api_keys import CreateKey, NewKey
+from revisit.service.application.contract.access_ports import AuditRecord, KeyRecord
 
 DAY_S = 86400.0
 HOUR_S = 3600.0
@@ -89,9 +89,9 @@ def _service(home: Path | None) -> Iterator[UseCases]:
     """The use cases on the database, which is made where it is missing. Raises typer.Exit where it does not fit."""
     from alembic.util import CommandError
 
-    from service.adapters.sql.migration import migrate
-    from service.composition import offline_use_cases
-    from service.settings import Settings
+    from revisit.service.adapters.sql.migration import migrate
+    from revisit.service.composition import offline_use_cases
+    from revisit.service.settings import Settings
 
     # Files are for this user only.
     os.umask(0o077)

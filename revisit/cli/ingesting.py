@@ -7,14 +7,14 @@ from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from core.errors import RevisitError
-from evaluation.datasets import Recording
 from revisit.cli.output import emit_json, emit_table, progress_bar, refuse
-from revisit.client import Client, ScanStream
-from revisit.errors import NotFound
-from revisit.resources import Session, Submap
-from revisit.spool import SpoolFull
-from revisit.spooled_stream import SpooledStream
+from revisit.core.errors import RevisitError
+from revisit.evaluation.datasets import Recording
+from revisit.sdk.client import Client, ScanStream
+from revisit.sdk.errors import NotFound
+from revisit.sdk.resources import Session, Submap
+from revisit.sdk.spool import SpoolFull
+from revisit.sdk.spooled_stream import SpooledStream
 
 POLL_S = 1.0
 

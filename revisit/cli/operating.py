@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict
 
 from revisit.cli.output import emit_json, emit_table, refuse
-from revisit.client import Client
-from revisit.resources import Operation
+from revisit.sdk.client import Client
+from revisit.sdk.resources import Operation
 
 STATES = ("QUEUED", "RUNNING", "DONE", "FAILED", "ALL")
 

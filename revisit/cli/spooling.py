@@ -6,8 +6,8 @@ from dataclasses import asdict
 from pathlib import Path
 
 from revisit.cli.output import emit_json, emit_table
-from revisit.client import Client
-from revisit.spool import Spool
+from revisit.sdk.client import Client
+from revisit.sdk.spool import Spool
 
 
 def show(file: Path, send_to: str | None, as_json: bool) -> None:

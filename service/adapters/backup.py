@@ -17,11 +17,11 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from core.errors import DataLoss
-from service.adapters.blobs import blob_path, nothing_deleted, read_verified
-from service.adapters.durable_files import durable_write, make_directories, move_durably, write_later_synced
-from service.adapters.sql.blob_rows import named_blobs, open_to_read
-from service.adapters.sql.migration import current_revision, known_revisions
+from revisit.core.errors import DataLoss
+from revisit.service.adapters.blobs import blob_path, nothing_deleted, read_verified
+from revisit.service.adapters.durable_files import durable_write, make_directories, move_durably, write_later_synced
+from revisit.service.adapters.sql.blob_rows import named_blobs, open_to_read
+from revisit.service.adapters.sql.migration import current_revision, known_revisions
 
 FORMAT = 1
 DATABASE = "revisit.db"

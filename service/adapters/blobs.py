@@ -14,8 +14,8 @@ from pathlib import Path
 
 import structlog
 
-from core.errors import DataLoss
-from service.adapters.durable_files import (
+from revisit.core.errors import DataLoss
+from revisit.service.adapters.durable_files import (
     NO_ROOM,
     TEMPORARY_PREFIX,
     durable_write,
@@ -23,10 +23,10 @@ from service.adapters.durable_files import (
     move_durably,
     sync_directory,
 )
-from service.adapters.fail_stop import FailStop
-from service.application.errors import StorageFull, StorageUncertain
-from service.application.identity import TenantId
-from service.application.ports import StoredBlob
+from revisit.service.adapters.fail_stop import FailStop
+from revisit.service.application.contract.errors import StorageFull, StorageUncertain
+from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.ports import StoredBlob
 
 QUARANTINE = ".quarantine"
 """Damaged blobs are moved here, where nobody serves them and an operator can look at them."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from service.application.ports import Instant
+from revisit.service.application.contract.ports import Instant
 
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 

@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from core import se3
-from core.config import PipelineConfig
-from core.errors import RevisitError
-from core.loop import LoopMeasurement, RejectedLoop, VerifiedLoop
-from core.model_bundle import ModelBundle, load_packaged_models
-from core.pipeline import DescribedPlace, describe, verify
-from core.scan import Scan
-from core.signature import PlaceSignature
-from core.submap import Submap
-from service.application.ports import LoopVerdict, Mesh, SubmapDescription
+from revisit.core.config import PipelineConfig
+from revisit.core.errors import RevisitError
+from revisit.core.geometry import se3
+from revisit.core.model_bundle import ModelBundle, load_packaged_models
+from revisit.core.pipeline import DescribedPlace, describe, verify
+from revisit.core.place import PlaceSignature
+from revisit.core.scan import Scan
+from revisit.core.submap import Submap
+from revisit.core.verification.verdict import LoopMeasurement, RejectedLoop, VerifiedLoop
+from revisit.service.application.contract.ports import LoopVerdict, Mesh, SubmapDescription
 
 
 class CoreRecogniser:

@@ -12,7 +12,7 @@ import resource
 import secrets
 from pathlib import Path
 
-from service.failpoints import failpoint
+from revisit.service.failpoints import failpoint
 
 TEMPORARY_PREFIX = "."
 """Of the names of files that are being written; a crash may leave one behind."""

@@ -9,13 +9,13 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from core.errors import DataLoss
-from service.adapters.blobs import QUARANTINE, FileBlobStore, blob_path, read_verified
-from service.adapters.filesystem import MOUNTS, RemoteFileSystem, filesystem_type, require_local
-from service.adapters.sql.blob_rows import named_blobs, open_to_read
-from service.adapters.sql.migration import current_revision, known_revisions, newest_revision
-from service.application.ports import StoredBlob
-from service.application.system import WAL_ALARM_BYTES
+from revisit.core.errors import DataLoss
+from revisit.service.adapters.blobs import QUARANTINE, FileBlobStore, blob_path, read_verified
+from revisit.service.adapters.filesystem import MOUNTS, RemoteFileSystem, filesystem_type, require_local
+from revisit.service.adapters.sql.blob_rows import named_blobs, open_to_read
+from revisit.service.adapters.sql.migration import current_revision, known_revisions, newest_revision
+from revisit.service.application.contract.ports import StoredBlob
+from revisit.service.application.housekeeping.system import WAL_ALARM_BYTES
 
 SAMPLE = 200
 """Blobs that are read where not all are asked for."""

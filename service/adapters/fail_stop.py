@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import structlog
 
-from service.application.errors import StorageUncertain
+from revisit.service.application.contract.errors import StorageUncertain
 
 log = structlog.get_logger(__name__)
 

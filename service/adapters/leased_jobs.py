@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from core.errors import ErrorCode
-from service.application.errors import StaleLease
-from service.application.ports import Instant, JobRepository, Lease
-from service.application.records import JobRecord
+from revisit.core.errors import ErrorCode
+from revisit.service.application.contract.errors import StaleLease
+from revisit.service.application.contract.ports import Instant, JobRepository, Lease
+from revisit.service.application.contract.records import JobRecord
 
 RETRY_DELAY_MS = 500
 

@@ -10,13 +10,13 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
-from core.errors import DataLoss
-from service.adapters.leased_jobs import LeasedJobs
-from service.adapters.memory_access import MemoryAuditTrail, MemoryKeyRing
-from service.application.errors import AlreadyExists, NotFound
-from service.application.identity import TenantId
-from service.application.ports import IndexChange, Instant, StoredBlob, UnitOfWork
-from service.application.records import (
+from revisit.core.errors import DataLoss
+from revisit.service.adapters.leased_jobs import LeasedJobs
+from revisit.service.adapters.memory_access import MemoryAuditTrail, MemoryKeyRing
+from revisit.service.application.contract.errors import AlreadyExists, NotFound
+from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.ports import IndexChange, Instant, StoredBlob, UnitOfWork
+from revisit.service.application.contract.records import (
     JobRecord,
     LoopRecord,
     MapRecord,

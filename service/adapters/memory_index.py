@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from core.errors import BadField
-from service.application.ports import IndexChange, VectorFilter, VectorMatch
+from revisit.core.errors import BadField
+from revisit.service.application.contract.ports import IndexChange, VectorFilter, VectorMatch
 
 
 class MemoryVectorIndex:

@@ -12,8 +12,8 @@ from opentelemetry.sdk.trace import SpanProcessor, TracerProvider
 from opentelemetry.sdk.trace.export import BatchSpanProcessor
 from opentelemetry.trace.propagation.tracecontext import TraceContextTextMapPropagator
 
-from service import VERSION
-from service.application.origin import Role, Span
+from revisit.service import VERSION
+from revisit.service.application.contract.origin import Role, Span
 
 CLOSE_WITHIN_MS = 2_000
 _KINDS = {Role.REQUEST: trace.SpanKind.SERVER, Role.JOB: trace.SpanKind.CONSUMER}

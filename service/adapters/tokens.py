@@ -12,10 +12,10 @@ import httpx
 import jwt
 import structlog
 
-from core.errors import RevisitError
-from service.application.access_ports import TokenClaims
-from service.application.errors import Unauthenticated
-from service.application.identity import TenantId, validated_id
+from revisit.core.errors import RevisitError
+from revisit.service.application.contract.access_ports import TokenClaims
+from revisit.service.application.contract.errors import Unauthenticated
+from revisit.service.application.contract.identity import TenantId, validated_id
 
 ALGORITHMS = ("RS256", "ES256", "EdDSA")
 """Signatures by a private key: a secret that both sides know could be made out of the public key."""

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from core.errors import BadField
-from service.application.ports import IndexChange, VectorFilter, VectorMatch
+from revisit.core.errors import BadField
+from revisit.service.application.contract.ports import IndexChange, VectorFilter, VectorMatch
 
 if TYPE_CHECKING:
-    from core.index import IndexEntry, PlaceIndex, SearchFilter
+    from revisit.core.index import IndexEntry, PlaceIndex, SearchFilter
 
 MakeIndex = Callable[[int], "PlaceIndex"]
 """An empty index for descriptors of the given dimension."""
@@ -113,7 +113,7 @@ class PlaceVectorIndex:
 
 
 def _entries(changes: Sequence[IndexChange]) -> tuple[list[IndexEntry], NDArray[np.float32]]:
-    from core.index import IndexEntry
+    from revisit.core.index import IndexEntry
 
     vectors = np.stack([np.frombuffer(change.vector or b"", dtype="<f4") for change in changes])
     entries = [
@@ -129,7 +129,7 @@ def _entries(changes: Sequence[IndexChange]) -> tuple[list[IndexEntry], NDArray[
 
 
 def _search_filter(where: VectorFilter) -> SearchFilter:
-    from core.index import SearchFilter
+    from revisit.core.index import SearchFilter
 
     near = None if where.near_session is None else (where.near_session, where.near_ordinal, where.min_gap)
     return SearchFilter(

@@ -8,21 +8,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from service.application.access import Access, AccessRules
-from service.application.api_keys import ApiKeys
-from service.application.audit import AuditLog
-from service.application.context import Context, Policy
-from service.application.dead_letters import DeadLetters
-from service.application.identity import DEFAULT_TENANT, SessionKey, SubmapKey, TenantId
-from service.application.loops import Loops
-from service.application.maps import Maps
-from service.application.operations import Operations
-from service.application.robots import Robots
-from service.application.scans import Scans
-from service.application.searches import Searches
-from service.application.sessions import Sessions
-from service.application.submaps import Submaps
-from service.application.system import System
+from revisit.service.application.access.admission import Access, AccessRules
+from revisit.service.application.access.api_keys import ApiKeys
+from revisit.service.application.access.audit import AuditLog
+from revisit.service.application.catalogue.loops import Loops
+from revisit.service.application.catalogue.maps import Maps
+from revisit.service.application.catalogue.robots import Robots
+from revisit.service.application.catalogue.sessions import Sessions
+from revisit.service.application.catalogue.submaps import Submaps
+from revisit.service.application.contract.context import Context, Policy
+from revisit.service.application.contract.identity import DEFAULT_TENANT, SessionKey, SubmapKey, TenantId
+from revisit.service.application.housekeeping.dead_letters import DeadLetters
+from revisit.service.application.housekeeping.system import System
+from revisit.service.application.ingest.scans import Scans
+from revisit.service.application.query.operations import Operations
+from revisit.service.application.query.searches import Searches
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,11 @@ from typing import Any
 
 from google.protobuf.descriptor import ServiceDescriptor
 
-from core.errors import RevisitError
-from service.application import UseCases
-from service.application.access import STREAM_RECHECK_S, Credential
-from service.application.callers import Scope, enter
-from service.application.errors import PermissionDenied, TooManyFailures, Unauthenticated
+from revisit.core.errors import RevisitError
+from revisit.service.application import UseCases
+from revisit.service.application.access.admission import STREAM_RECHECK_S, Credential
+from revisit.service.application.access.callers import Scope, enter
+from revisit.service.application.contract.errors import PermissionDenied, TooManyFailures, Unauthenticated
 
 _INGEST = frozenset({Scope.INGEST})
 _QUERY = frozenset({Scope.QUERY})

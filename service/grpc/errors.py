@@ -16,11 +16,11 @@ from google.protobuf.duration_pb2 import Duration
 from google.protobuf.message import DecodeError, Message
 from google.rpc import error_details_pb2, status_pb2  # type: ignore[import-untyped]  # ships no types
 
-from core.errors import MalformedBody, RevisitError
-from service.application.origin import current_origin
-from service.grpc.access import Gate
-from service.grpc.origin import OWN_METHODS, REQUEST_ID
-from service.status import ERROR_DOMAIN, STATUS, retry_after_s
+from revisit.core.errors import MalformedBody, RevisitError
+from revisit.service.application.contract.origin import current_origin
+from revisit.service.grpc.access import Gate
+from revisit.service.grpc.origin import OWN_METHODS, REQUEST_ID
+from revisit.service.status import ERROR_DOMAIN, STATUS, retry_after_s
 
 STATUS_DETAILS = "grpc-status-details-bin"
 MAX_MESSAGE_CHARACTERS = 800

@@ -8,11 +8,29 @@ from typing import Any
 import numpy as np
 from google.protobuf.struct_pb2 import Struct
 
-from core import se3
-from core.errors import BadField, BadTransform, EmptyCloud, MalformedBody
-from core.formats import POINTCLOUD2, Encoding, PackedCloud, PointField
-from core.scan import CloudReport
-from core.se3 import Matrix4
+from revisit.core.errors import BadField, BadTransform, EmptyCloud, MalformedBody
+from revisit.core.geometry import se3
+from revisit.core.geometry.se3 import Matrix4
+from revisit.core.scan import CloudReport
+from revisit.formats import POINTCLOUD2, Encoding, PackedCloud, PointField
+from revisit.service.application.catalogue.loops import LoopClosureView, LoopState
+from revisit.service.application.catalogue.maps import MapView
+from revisit.service.application.catalogue.paging import PageRequest
+from revisit.service.application.catalogue.robots import RobotView
+from revisit.service.application.catalogue.sessions import SessionView
+from revisit.service.application.catalogue.submaps import PostedSubmap, SubmapView
+from revisit.service.application.housekeeping.system import ServiceStatus
+from revisit.service.application.ingest.clouds import EncodedCloud
+from revisit.service.application.query.freshness import DEFAULT_WAIT_S, Freshness
+from revisit.service.application.query.operations import OperationFailure, OperationState, OperationView
+from revisit.service.application.query.searches import (
+    Localization,
+    LocalizedCandidate,
+    SearchCriteria,
+    SearchHit,
+    SearchResult,
+)
+from revisit.service.grpc import names
 from revisit.v1 import (
     cloud_pb2,
     geometry_pb2,
@@ -24,18 +42,6 @@ from revisit.v1 import (
     submap_pb2,
     system_pb2,
 )
-from service.application.clouds import EncodedCloud
-from service.application.freshness import DEFAULT_WAIT_S, Freshness
-from service.application.loops import LoopClosureView, LoopState
-from service.application.maps import MapView
-from service.application.operations import OperationFailure, OperationState, OperationView
-from service.application.paging import PageRequest
-from service.application.robots import RobotView
-from service.application.searches import Localization, LocalizedCandidate, SearchCriteria, SearchHit, SearchResult
-from service.application.sessions import SessionView
-from service.application.submaps import PostedSubmap, SubmapView
-from service.application.system import ServiceStatus
-from service.grpc import names
 
 DEFAULT_PAGE_SIZE = 50
 _INT64_MAX = 2**63

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from core.errors import BadField
-from service.application import SessionKey, SubmapKey
+from revisit.core.errors import BadField
+from revisit.service.application import SessionKey, SubmapKey
 
 
 def segments(name: str, pattern: str, field: str) -> list[str]:

@@ -12,7 +12,7 @@ from typing import Any
 import grpc
 import structlog
 
-from service.application.origin import Origin, Role, Tracer, originating, validated_traceparent
+from revisit.service.application.contract.origin import Origin, Role, Tracer, originating, validated_traceparent
 
 REQUEST_ID = "x-request-id"
 

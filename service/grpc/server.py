@@ -9,6 +9,22 @@ import grpc
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 from grpc_reflection.v1alpha import reflection
 
+from revisit.service.application import UseCases
+from revisit.service.application.contract.origin import NoTracer, Tracer
+from revisit.service.grpc.access import Gate, require_declared_scopes
+from revisit.service.grpc.errors import ErrorInterceptor
+from revisit.service.grpc.origin import CallOrigin
+from revisit.service.grpc.servicers.health import HealthServicer
+from revisit.service.grpc.servicers.ingest import IngestServicer
+from revisit.service.grpc.servicers.loops import LoopClosureServicer
+from revisit.service.grpc.servicers.maps import MapServicer
+from revisit.service.grpc.servicers.operations import OperationServicer
+from revisit.service.grpc.servicers.robots import RobotServicer
+from revisit.service.grpc.servicers.sessions import SessionServicer
+from revisit.service.grpc.servicers.submaps import SubmapServicer
+from revisit.service.grpc.servicers.system import SystemServicer
+from revisit.service.grpc.timing import CallTimer
+from revisit.service.metrics import RequestMetrics
 from revisit.v1 import (
     ingest_pb2,
     ingest_pb2_grpc,
@@ -27,22 +43,6 @@ from revisit.v1 import (
     system_pb2,
     system_pb2_grpc,
 )
-from service.application import UseCases
-from service.application.origin import NoTracer, Tracer
-from service.grpc.access import Gate, require_declared_scopes
-from service.grpc.errors import ErrorInterceptor
-from service.grpc.origin import CallOrigin
-from service.grpc.servicers.health import HealthServicer
-from service.grpc.servicers.ingest import IngestServicer
-from service.grpc.servicers.loops import LoopClosureServicer
-from service.grpc.servicers.maps import MapServicer
-from service.grpc.servicers.operations import OperationServicer
-from service.grpc.servicers.robots import RobotServicer
-from service.grpc.servicers.sessions import SessionServicer
-from service.grpc.servicers.submaps import SubmapServicer
-from service.grpc.servicers.system import SystemServicer
-from service.grpc.timing import CallTimer
-from service.metrics import RequestMetrics
 
 MAX_MESSAGE_BYTES = 16 * 2**20
 MAX_METADATA_BYTES = 16 * 2**10

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from service.application import TenantId
-from service.application.callers import current_tenant
+from revisit.service.application import TenantId
+from revisit.service.application.access.callers import current_tenant
 
 
 def tenant_of(_context: Any) -> TenantId:

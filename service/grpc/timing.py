@@ -8,7 +8,7 @@ from typing import Any
 
 import grpc
 
-from service.metrics import RequestMetrics
+from revisit.service.metrics import RequestMetrics
 
 
 class CallTimer(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  # not generic at run time

@@ -12,9 +12,9 @@ from fastapi.security import SecurityScopes
 from starlette.requests import Request
 from starlette.routing import BaseRoute
 
-from service.application.access import Credential
-from service.application.callers import Scope, enter
-from service.rest.origin import call_of
+from revisit.service.application.access.admission import Credential
+from revisit.service.application.access.callers import Scope, enter
+from revisit.service.rest.origin import call_of
 
 SCHEME = "bearer"
 

@@ -6,17 +6,17 @@ from typing import Any
 
 from fastapi import FastAPI
 
-from service.application import UseCases
-from service.application.origin import NoTracer, Tracer
-from service.metrics import RequestMetrics
-from service.rest.access import describe_access, require_declared_scopes
-from service.rest.errors import PROBLEM_JSON, install_error_handlers
-from service.rest.limits import HttpLimits
-from service.rest.middleware import BodyLimit, HostGuard, OriginGuard, RequestEnvelope, RequestTimer
-from service.rest.origin import RequestOrigin
-from service.rest.routes import loops, maps, operations, robots, searches, sessions, submaps, system
-from service.rest.schemas import Problem
-from service.status import STATUS
+from revisit.service.application import UseCases
+from revisit.service.application.contract.origin import NoTracer, Tracer
+from revisit.service.metrics import RequestMetrics
+from revisit.service.rest.access import describe_access, require_declared_scopes
+from revisit.service.rest.errors import PROBLEM_JSON, install_error_handlers
+from revisit.service.rest.limits import HttpLimits
+from revisit.service.rest.middleware import BodyLimit, HostGuard, OriginGuard, RequestEnvelope, RequestTimer
+from revisit.service.rest.origin import RequestOrigin
+from revisit.service.rest.routes import loops, maps, operations, robots, searches, sessions, submaps, system
+from revisit.service.rest.schemas import Problem
+from revisit.service.status import STATUS
 
 API_VERSION = "1"
 

@@ -11,12 +11,12 @@ from fastapi import Depends
 from pydantic import BaseModel, ValidationError
 from starlette.requests import ClientDisconnect, Request
 
-from core.errors import BadField, MalformedBody, TooLarge, UnsupportedEncoding
-from core.formats import MEDIA_TYPES
-from core.formats.compression import decode_content
-from service.application.clouds import EncodedCloud
-from service.rest.errors import bad_field
-from service.rest.limits import HttpLimits
+from revisit.core.errors import BadField, MalformedBody, TooLarge, UnsupportedEncoding
+from revisit.formats import MEDIA_TYPES
+from revisit.formats.compression import decode_content
+from revisit.service.application.ingest.clouds import EncodedCloud
+from revisit.service.rest.errors import bad_field
+from revisit.service.rest.limits import HttpLimits
 
 SchemaT = TypeVar("SchemaT", bound=BaseModel)
 

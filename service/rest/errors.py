@@ -14,8 +14,8 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
 
-from core.errors import BadField, ErrorCode, RevisitError
-from service.status import STATUS, retry_after_s
+from revisit.core.errors import BadField, ErrorCode, RevisitError
+from revisit.service.status import STATUS, retry_after_s
 
 PROBLEM_JSON = "application/problem+json"
 MAX_DETAIL_CHARACTERS = 800

@@ -1,4 +1,4 @@
-"""What the HTTP side accepts at most; `core.formats.CloudLimits` bounds what a body decompresses to."""
+"""What the HTTP side accepts at most; `revisit.formats.CloudLimits` bounds what a body decompresses to."""
 
 from __future__ import annotations
 

@@ -11,12 +11,12 @@ import uuid
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from core.errors import MalformedBody, RevisitError, TooLarge
-from service.application.errors import DeadlineExceeded, WorkersBusy
-from service.metrics import RequestMetrics
-from service.rest.errors import ForeignOrigin, UnknownHost, problem, unexpected
-from service.rest.limits import HttpLimits
-from service.rest.origin import call_of
+from revisit.core.errors import MalformedBody, RevisitError, TooLarge
+from revisit.service.application.contract.errors import DeadlineExceeded, WorkersBusy
+from revisit.service.metrics import RequestMetrics
+from revisit.service.rest.errors import ForeignOrigin, UnknownHost, problem, unexpected
+from revisit.service.rest.limits import HttpLimits
+from revisit.service.rest.origin import call_of
 
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}", re.ASCII)
 _PORT = re.compile(r":[0-9]*$", re.ASCII)

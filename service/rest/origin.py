@@ -8,7 +8,7 @@ import structlog
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.application.origin import Origin, Role, Tracer, originating, validated_traceparent
+from revisit.service.application.contract.origin import Origin, Role, Tracer, originating, validated_traceparent
 
 PROBES = ("/livez", "/readyz")
 

@@ -8,17 +8,17 @@ from fastapi import Depends, Header, Path, Query
 from starlette.requests import Request
 from starlette.responses import Response
 
-from core import se3
-from core.errors import BadField
-from core.se3 import Matrix4
-from service.application import SessionKey, SubmapKey, TenantId, UseCases
-from service.application.callers import current_tenant
-from service.application.clouds import EncodedCloud
-from service.application.freshness import DEFAULT_WAIT_S, MAX_WAIT_S, Freshness
-from service.application.paging import PageRequest
-from service.application.searches import SearchCriteria
-from service.rest.bodies import cloud_body, parse_numbers
-from service.rest.schemas import SearchRequest
+from revisit.core.errors import BadField
+from revisit.core.geometry import se3
+from revisit.core.geometry.se3 import Matrix4
+from revisit.service.application import SessionKey, SubmapKey, TenantId, UseCases
+from revisit.service.application.access.callers import current_tenant
+from revisit.service.application.catalogue.paging import PageRequest
+from revisit.service.application.ingest.clouds import EncodedCloud
+from revisit.service.application.query.freshness import DEFAULT_WAIT_S, MAX_WAIT_S, Freshness
+from revisit.service.application.query.searches import SearchCriteria
+from revisit.service.rest.bodies import cloud_body, parse_numbers
+from revisit.service.rest.schemas import SearchRequest
 
 POSE_HELP = "x,y,z,qx,qy,qz,qw: translation in metres and unit quaternion."
 

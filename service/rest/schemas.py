@@ -7,19 +7,19 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from core import se3
-from core.scan import CloudReport
-from core.se3 import Matrix4
-from service.application.freshness import DEFAULT_WAIT_S, MAX_WAIT_S
-from service.application.loops import LoopClosureView
-from service.application.maps import MAX_SCENE_SCALE, MIN_SCENE_SCALE, CreateMap, MapView
-from service.application.operations import OperationFailure, OperationView
-from service.application.robots import CreateRobot, RobotView
-from service.application.scans import ScanAck
-from service.application.searches import Localization, LocalizedCandidate, SearchHit, SearchResult
-from service.application.sessions import SessionView
-from service.application.submaps import PostedSubmap, SubmapView
-from service.application.system import ServiceStatus
+from revisit.core.geometry import se3
+from revisit.core.geometry.se3 import Matrix4
+from revisit.core.scan import CloudReport
+from revisit.service.application.catalogue.loops import LoopClosureView
+from revisit.service.application.catalogue.maps import MAX_SCENE_SCALE, MIN_SCENE_SCALE, CreateMap, MapView
+from revisit.service.application.catalogue.robots import CreateRobot, RobotView
+from revisit.service.application.catalogue.sessions import SessionView
+from revisit.service.application.catalogue.submaps import PostedSubmap, SubmapView
+from revisit.service.application.housekeeping.system import ServiceStatus
+from revisit.service.application.ingest.scans import ScanAck
+from revisit.service.application.query.freshness import DEFAULT_WAIT_S, MAX_WAIT_S
+from revisit.service.application.query.operations import OperationFailure, OperationView
+from revisit.service.application.query.searches import Localization, LocalizedCandidate, SearchHit, SearchResult
 
 Id = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$", examples=["yard-3"])]
 DisplayName = Annotated[str, Field(max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")]

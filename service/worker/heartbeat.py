@@ -11,12 +11,12 @@ from typing import Self
 
 import structlog
 
-from core.errors import RevisitError
-from service.application.context import Context
-from service.application.errors import StaleLease
-from service.application.ports import Lease, UnitOfWork
-from service.application.recognition import Recognition
-from service.application.records import WorkerRecord
+from revisit.core.errors import RevisitError
+from revisit.service.application.contract.context import Context
+from revisit.service.application.contract.errors import StaleLease
+from revisit.service.application.contract.ports import Lease, UnitOfWork
+from revisit.service.application.contract.records import WorkerRecord
+from revisit.service.application.recognise.recognition import Recognition
 
 BEATS_PER_LEASE = 5
 """So that a lease outlives four lost beats: every 2 s for a lease of 10 s."""

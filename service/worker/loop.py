@@ -9,16 +9,16 @@ from dataclasses import dataclass
 
 import structlog
 
-from core.errors import ErrorCode
-from service.application.context import Context
-from service.application.dead_letters import mark_subject_failed
-from service.application.errors import Unavailable
-from service.application.origin import NoTracer, Origin, Role, Tracer, originating
-from service.application.ports import Lease, UnitOfWork
-from service.application.recognition import Recognition
-from service.application.records import JobRecord
-from service.worker.confinement import resident_bytes
-from service.worker.heartbeat import Heartbeat, WorkerIdentity
+from revisit.core.errors import ErrorCode
+from revisit.service.application.contract.context import Context
+from revisit.service.application.contract.errors import Unavailable
+from revisit.service.application.contract.origin import NoTracer, Origin, Role, Tracer, originating
+from revisit.service.application.contract.ports import Lease, UnitOfWork
+from revisit.service.application.contract.records import JobRecord
+from revisit.service.application.housekeeping.dead_letters import mark_subject_failed
+from revisit.service.application.recognise.recognition import Recognition
+from revisit.service.worker.confinement import resident_bytes
+from revisit.service.worker.heartbeat import Heartbeat, WorkerIdentity
 
 IDLE_POLL_S = 0.1
 

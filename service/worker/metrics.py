@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from prometheus_client.core import CounterMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from service.worker.supervisor import WorkerSupervisor
+from revisit.service.worker.supervisor import WorkerSupervisor
 
 
 class WorkerMetrics(Collector):

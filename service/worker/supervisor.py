@@ -15,11 +15,12 @@ from pathlib import Path
 
 import structlog
 
-from service import ONE_THREAD
-from service.application.context import Context
-from service.application.errors import Unavailable
-from service.application.ports import Instant, UnitOfWork
-from service.worker.heartbeat import OVERTIME
+import revisit
+from revisit.service import ONE_THREAD
+from revisit.service.application.contract.context import Context
+from revisit.service.application.contract.errors import Unavailable
+from revisit.service.application.contract.ports import Instant, UnitOfWork
+from revisit.service.worker.heartbeat import OVERTIME
 
 RESPAWN_S = (0.1, 2.0)
 STEADY_S = 30.0
@@ -96,7 +97,7 @@ class WorkerSupervisor:
         worker_id = f"worker-{secrets.token_hex(4)}"
         arguments = ("worker", "--id", worker_id, "--parent", str(os.getpid()))
         process = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", "service", *arguments, env=_environment(), stdin=asyncio.subprocess.DEVNULL
+            sys.executable, "-m", "revisit.service", *arguments, env=_environment(), stdin=asyncio.subprocess.DEVNULL
         )
         self._processes.add(process)
         log.info("worker_started", worker=worker_id, pid=process.pid)
@@ -179,8 +180,8 @@ def _bury(uow: UnitOfWork, worker_id: str, now: Instant, reason: str) -> int:
 
 
 def _environment() -> dict[str, str]:
-    """The gateway's environment, in which `service` can be found from any directory."""
-    root = str(Path(__file__).resolve().parents[2])
+    """The gateway's environment, in which `revisit` can be found from any directory."""
+    root = str(Path(revisit.__file__).resolve().parents[1])
     path = os.environ.get("PYTHONPATH")
     return {
         **os.environ,

@@ -64,7 +64,7 @@ def test_pins_satisfy_the_requirements():
         assert pin is None or requirement.specifier.contains(pin), text
 
 
-@pytest.mark.parametrize("gateway", ["service.rest.app", "service.grpc.server"])
+@pytest.mark.parametrize("gateway", ["revisit.service.rest.app", "revisit.service.grpc.server"])
 def test_the_gateway_imports_no_heavy_library(gateway):
     if importlib.util.find_spec(gateway.rpartition(".")[0]) is None or importlib.util.find_spec(gateway) is None:
         pytest.fail(f"{gateway} does not exist")

@@ -9,8 +9,8 @@ from typing import Any
 from fastapi.dependencies.models import Dependant
 from fastapi.routing import APIRoute
 
-from service.rest.access import every_route
-from service.rest.app import create_app
+from revisit.service.rest.access import every_route
+from revisit.service.rest.app import create_app
 from tests.support.service_world import memory_world
 
 

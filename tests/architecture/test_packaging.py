@@ -7,7 +7,8 @@ from pathlib import Path
 
 from setuptools import find_namespace_packages
 
-from service.adapters.sql.migration import MIGRATIONS
+import revisit
+from revisit.service.adapters.sql.migration import MIGRATIONS
 
 ROOT = Path(__file__).resolve().parents[2]
 SETUPTOOLS = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
@@ -19,17 +20,12 @@ def installed_folders() -> set[str]:
 
 
 def test_every_migration_is_installed_where_the_service_looks_for_it():
-    # The service looks beside its own package, where an installer puts all packages of one project.
-    assert MIGRATIONS == ROOT / "migrations"
-    folders = {path.parent.relative_to(ROOT).as_posix() for path in MIGRATIONS.rglob("*.py")}
-    assert folders == {"migrations", "migrations/versions"} and folders <= installed_folders()
+    assert MIGRATIONS.samefile(ROOT / "migrations")
+    assert {"revisit/migrations", "revisit/migrations/versions"} <= installed_folders()
+    installed = Path(revisit.__file__).parent / "migrations"
+    assert installed.samefile(MIGRATIONS)
 
 
-def test_nothing_but_the_program_is_installed():
-    assert {folder.partition("/")[0] for folder in installed_folders()} == {
-        "core",
-        "service",
-        "revisit",
-        "evaluation",
-        "migrations",
-    }
+def test_nothing_is_installed_beside_the_name_revisit():
+    assert {folder.partition("/")[0] for folder in installed_folders()} == {"revisit"}
+    assert {"revisit/core", "revisit/service", "revisit/evaluation", "revisit/sdk", "revisit/v1"} <= installed_folders()

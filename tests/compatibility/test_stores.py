@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from service.application import SubmapKey
-from service.application.search_answers import SearchCriteria
+from revisit.service.application import SubmapKey
+from revisit.service.application.query.search_answers import SearchCriteria
 from tests.compatibility.write import STORES, write_store
 from tests.faults.drive import POSTED, undisturbed
 from tests.faults.history import History

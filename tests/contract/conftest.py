@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from service.adapters.memory import MemoryTransactions
-from service.adapters.sql.migration import migrate
-from service.adapters.sql.unit_of_work import SqlTransactions
+from revisit.service.adapters.memory import MemoryTransactions
+from revisit.service.adapters.sql.migration import migrate
+from revisit.service.adapters.sql.unit_of_work import SqlTransactions
 
 
 @pytest.fixture(params=["memory", "sqlite"])

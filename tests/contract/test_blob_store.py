@@ -6,10 +6,10 @@ import hashlib
 
 import pytest
 
-from core.errors import DataLoss
-from service.adapters.blobs import FileBlobStore
-from service.adapters.memory import MemoryBlobStore
-from service.application.identity import TenantId
+from revisit.core.errors import DataLoss
+from revisit.service.adapters.blobs import FileBlobStore
+from revisit.service.adapters.memory import MemoryBlobStore
+from revisit.service.application.contract.identity import TenantId
 
 TENANT, OTHER = TenantId("default"), TenantId("other")
 
@@ -67,7 +67,7 @@ def test_a_failed_write_leaves_nothing_behind(tmp_path, monkeypatch):
     def full(descriptor):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("service.adapters.durable_files.os.fsync", full)
+    monkeypatch.setattr("revisit.service.adapters.durable_files.os.fsync", full)
     with pytest.raises(Exception) as refused:
         blobs.put(TENANT, "cloud", b"points")
     assert refused.value.code == "STORAGE_FULL"

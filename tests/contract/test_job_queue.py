@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from service.application.errors import StaleLease
-from service.application.ports import Instant
+from revisit.service.application.contract.errors import StaleLease
+from revisit.service.application.contract.ports import Instant
 from tests.support.records import TENANT, a_job
 
 LEASE_MS = 10_000

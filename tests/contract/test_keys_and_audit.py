@@ -8,13 +8,13 @@ from dataclasses import replace
 
 import pytest
 
-from service.adapters.sql.migration import migrate
-from service.adapters.sql.unit_of_work import SqlTransactions
-from service.application import audit
-from service.application.access_ports import KeyRecord
-from service.application.audit import NOTHING_BEFORE, AuditEntry, judge
-from service.application.errors import AlreadyExists, NotFound
-from service.application.identity import TenantId
+from revisit.service.adapters.sql.migration import migrate
+from revisit.service.adapters.sql.unit_of_work import SqlTransactions
+from revisit.service.application.access import audit
+from revisit.service.application.access.audit import NOTHING_BEFORE, AuditEntry, judge
+from revisit.service.application.contract.access_ports import KeyRecord
+from revisit.service.application.contract.errors import AlreadyExists, NotFound
+from revisit.service.application.contract.identity import TenantId
 
 KEY = KeyRecord(TenantId("acme"), "abcdefabcdef", "robot 7", ("ingest", "query"), "0" * 64, 5, None, None)
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from core.errors import BadField
-from core.index import ExactIndex, FaissIndex, IndexEntry, PlaceIndex, SearchFilter
+from revisit.core.errors import BadField
+from revisit.core.index import ExactIndex, FaissIndex, IndexEntry, PlaceIndex, SearchFilter
 
 DIMENSION = 16
 

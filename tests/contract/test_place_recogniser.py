@@ -7,12 +7,12 @@ import json
 import numpy as np
 import pytest
 
-from core import se3
-from core.config import PipelineConfig
-from core.errors import DataLoss
-from core.scan import Scan
-from core.submap import Submap
-from service.adapters.core_recogniser import load_recogniser
+from revisit.core.config import PipelineConfig
+from revisit.core.errors import DataLoss
+from revisit.core.geometry import se3
+from revisit.core.scan import Scan
+from revisit.core.submap import Submap
+from revisit.service.adapters.core_recogniser import load_recogniser
 from tests.support.fake_recogniser import FakeRecogniser
 
 CONFIG = PipelineConfig()

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from service.application.errors import AlreadyExists, NotFound
-from service.application.identity import TenantId
-from service.application.records import WorkerRecord
+from revisit.service.application.contract.errors import AlreadyExists, NotFound
+from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.records import WorkerRecord
 from tests.support.records import TENANT, a_loop, a_map, a_robot, a_scan, a_session, a_submap
 
 OTHER = TenantId("other")

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core.errors import BadField
-from core.index import ExactIndex, FaissIndex
-from service.adapters.memory_index import MemoryVectorIndex
-from service.adapters.vector_index import PlaceVectorIndex
-from service.application.ports import IndexChange, VectorFilter
+from revisit.core.errors import BadField
+from revisit.core.index import ExactIndex, FaissIndex
+from revisit.service.adapters.memory_index import MemoryVectorIndex
+from revisit.service.adapters.vector_index import PlaceVectorIndex
+from revisit.service.application.contract.ports import IndexChange, VectorFilter
 
 ANY = VectorFilter()
 MAP = 5

@@ -12,7 +12,7 @@ import grpc
 import httpx
 import pytest
 
-from service.application.submaps import PostSubmap
+from revisit.service.application.catalogue.submaps import PostSubmap
 from tests.support.live_service import LiveService, live_service
 from tests.support.service_world import SESSION, TENANT, SubmapKey, cloud, open_session, pose, sqlite_world
 

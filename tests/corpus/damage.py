@@ -6,14 +6,14 @@ import random
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from core.formats import decode_content
+from revisit.formats import decode_content
+from revisit.service.application.ingest.clouds import MAX_SUBMAP_POINTS, EncodedCloud, accept_cloud
+from revisit.service.grpc import messages, names
+from revisit.service.grpc.errors import _parse
+from revisit.service.rest.bodies import parse_json
+from revisit.service.rest.limits import HttpLimits
+from revisit.service.rest.schemas import CreateMapRequest
 from revisit.v1 import submap_pb2
-from service.application.clouds import MAX_SUBMAP_POINTS, EncodedCloud, accept_cloud
-from service.grpc import messages, names
-from service.grpc.errors import _parse
-from service.rest.bodies import parse_json
-from service.rest.limits import HttpLimits
-from service.rest.schemas import CreateMapRequest
 from tests.corpus.rows import CloudToSend, cases
 from tests.corpus.sending import cloud_message, transform
 from tests.corpus.write import body_of

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from core.formats import KITTI, NPY, PCD, PLY, POINTCLOUD2, QUANTISED
+from revisit.formats import KITTI, NPY, PCD, PLY, POINTCLOUD2, QUANTISED
 from tests.corpus.clouds import SUFFIXES
 from tests.corpus.write import body_of
 

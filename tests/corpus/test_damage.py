@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import pytest
 
-from core.errors import DataLoss, ErrorCode, RevisitError
-from service.status import STATUS
+from revisit.core.errors import DataLoss, ErrorCode, RevisitError
+from revisit.service.status import STATUS
 from tests.corpus.damage import Sound, cuts, flips, sound_files
 from tests.corpus.rows import CloudToSend
 from tests.corpus.sending import Answer, grpc_cloud, rest_cloud

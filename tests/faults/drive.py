@@ -14,8 +14,8 @@ import sys
 from collections.abc import Awaitable
 from pathlib import Path
 
-from service.application import SessionKey, SubmapKey
-from service.application.errors import NotFound, SessionFinished
+from revisit.service.application import SessionKey, SubmapKey
+from revisit.service.application.contract.errors import NotFound, SessionFinished
 from tests.faults.history import History, Kind, Outcome
 from tests.support.fake_recogniser import CANNOT_BE_DESCRIBED
 from tests.support.service_world import TENANT, World, cloud_points, open_session, scan, sqlite_world, submap

@@ -15,12 +15,12 @@ from typing import TypeVar
 import grpc
 import httpx
 
-from core.errors import ErrorCode
-from core.formats import KITTI, encode_kitti
 from revisit import ApiError, Client, Cloud
-from revisit.retry import RetryPolicy
+from revisit.core.errors import ErrorCode
+from revisit.formats import KITTI, encode_kitti
+from revisit.sdk.retry import RetryPolicy
+from revisit.service.status import STATUS
 from revisit.v1 import cloud_pb2, geometry_pb2, ingest_pb2, ingest_pb2_grpc
-from service.status import STATUS
 from tests.faults.history import History, Kind, Operation, Outcome
 from tests.support.service_world import cloud_points, pose
 

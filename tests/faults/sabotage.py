@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-COPIED = ("service", "migrations", "tests", "pyproject.toml")
-LINKED = ("core", "revisit", "evaluation", "scripts", "docs", "proto", "docker")
+COPIED = ("service", "revisit", "migrations", "tests", "pyproject.toml")
+LINKED = ("core", "evaluation", "scripts", "docs", "proto", "docker")
 
 POWER_CUT = "tests/faults/test_power_cut.py::test_a_power_cut_takes_nothing_that_was_acknowledged[1000]"
 CRASH = "tests/faults/test_crash_points.py::"
@@ -66,7 +66,7 @@ SABOTAGES = (
     ),
     Sabotage(
         "a query does not wait for what it must rest on",
-        (Edit("service/application/freshness.py", "min_seq == 0:\n", "min_seq >= 0:\n"),),
+        (Edit("service/application/query/freshness.py", "min_seq == 0:\n", "min_seq >= 0:\n"),),
         "tests/contract/api/test_api_read_your_writes.py::test_a_query_waits_for_what_its_own_client_has_posted",
         quick=True,
     ),
@@ -90,7 +90,7 @@ SABOTAGES = (
         "a described submap does not enter the index",
         (
             Edit(
-                "service/application/description_commit.py",
+                "service/application/recognise/description_commit.py",
                 "        uow.changes.record_described(row.tenant, self.task.map.number, row.number)\n",
                 "",
             ),
@@ -101,7 +101,7 @@ SABOTAGES = (
         "a repeated request runs its job again",
         (
             Edit(
-                "service/application/submaps.py",
+                "service/application/catalogue/submaps.py",
                 "        if known is not None:\n            return known\n        # A delete",
                 "        if known is not None:\n"
                 "            job = uow.jobs.get(row.tenant, known.operation.operation_id)\n"
@@ -109,7 +109,7 @@ SABOTAGES = (
                 "            return known\n        # A delete",
             ),
             Edit(
-                "service/application/submaps.py",
+                "service/application/catalogue/submaps.py",
                 "        if known is not None:\n            return known\n        await",
                 "        await",
             ),
@@ -118,7 +118,7 @@ SABOTAGES = (
     ),
     Sabotage(
         "other content is taken under a used id",
-        (Edit("service/application/submaps.py", "if known.content_hash != row.content_hash:", "if False:"),),
+        (Edit("service/application/catalogue/submaps.py", "if known.content_hash != row.content_hash:", "if False:"),),
         "tests/integration/test_use_cases.py::"
         "test_a_repeated_post_gives_the_first_answer_and_another_content_is_refused",
         quick=True,
@@ -153,7 +153,11 @@ SABOTAGES = (
     ),
     Sabotage(
         "any number of hits may be asked for",
-        (Edit("service/application/search_answers.py", "if not 1 <= criteria.k <= MAX_K:", "if criteria.k < 1:"),),
+        (
+            Edit(
+                "service/application/query/search_answers.py", "if not 1 <= criteria.k <= MAX_K:", "if criteria.k < 1:"
+            ),
+        ),
         "tests/contract/api/test_api_bad_input.py::test_k_out_of_1_to_100_is_refused",
     ),
     Sabotage(
@@ -165,7 +169,7 @@ SABOTAGES = (
         "a gap in a stream is taken",
         (
             Edit(
-                "service/application/scans.py",
+                "service/application/ingest/scans.py",
                 "        raise SequenceGap(session.committed_seq + 1, seq)\n",
                 "        pass\n",
             ),
@@ -187,7 +191,7 @@ SABOTAGES = (
         "a key that has expired opens",
         (
             Edit(
-                "service/application/api_keys.py",
+                "service/application/access/api_keys.py",
                 "    if record.expires_at_ns is not None and record.expires_at_ns <= now_ns:\n",
                 "    if False:\n",
             ),
@@ -206,14 +210,14 @@ SABOTAGES = (
     ),
     Sabotage(
         "what is deleted stays in the index",
-        (Edit("service/application/deletion.py", ", described)\n", ", ())\n"),),
+        (Edit("service/application/catalogue/deletion.py", ", described)\n", ", ())\n"),),
         f"{DELETION}test_a_deleted_session_takes_its_submaps_and_loops_and_nothing_else",
     ),
     Sabotage(
         "the jobs of what is deleted keep their places",
         (
             Edit(
-                "service/application/deletion.py",
+                "service/application/catalogue/deletion.py",
                 "        if job is not None and job.state == OperationState.QUEUED:\n",
                 "        if False:\n",
             ),
@@ -250,7 +254,7 @@ def sabotaged_copy(sabotage: Sabotage, folder: Path) -> Path:
     for name in COPIED:
         source = ROOT / name
         if source.is_dir():
-            shutil.copytree(source, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+            shutil.copytree(source, folder / name, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
         else:
             shutil.copy(source, folder / name)
     for name in LINKED:

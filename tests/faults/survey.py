@@ -11,14 +11,14 @@ from pathlib import Path
 
 from sqlalchemy import Connection, Engine
 
-from core.errors import DataLoss
-from service.adapters.blobs import FileBlobStore
-from service.adapters.sql.unit_of_work import SqlUnitOfWork, writer_engine
-from service.application.blob_references import blobs_of_submap
-from service.application.clouds import CLOUD_BLOB, unpack_cloud
-from service.application.identity import TenantId
-from service.application.ports import BlobStore, UnitOfWork
-from service.application.records import JobRecord, MapRecord, ScanRecord, SessionRecord, SubmapRecord
+from revisit.core.errors import DataLoss
+from revisit.service.adapters.blobs import FileBlobStore
+from revisit.service.adapters.sql.unit_of_work import SqlUnitOfWork, writer_engine
+from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.ports import BlobStore, UnitOfWork
+from revisit.service.application.contract.records import JobRecord, MapRecord, ScanRecord, SessionRecord, SubmapRecord
+from revisit.service.application.housekeeping.blob_references import blobs_of_submap
+from revisit.service.application.ingest.clouds import CLOUD_BLOB, unpack_cloud
 from tests.faults.history import History, Stored, sequence_violations, violations
 from tests.support.records import TENANT
 

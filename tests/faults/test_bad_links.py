@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from core.formats import KITTI
 from revisit import Client, Cloud
+from revisit.formats import KITTI
 from tests.faults.history import History, Kind, Operation, Outcome
 from tests.faults.proxy import WHOLE, BadLink, Fault, bad_link
 from tests.faults.robots import Crew, Poster, Scanner, body, content

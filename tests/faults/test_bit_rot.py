@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from core.errors import DataLoss
-from service.adapters.blobs import FileBlobStore
-from service.application import SubmapKey
-from service.application.blob_references import NEURAL_MAP_BLOB, blobs_of_submap
-from service.application.clouds import CLOUD_BLOB
-from service.application.downloads import DownloadKind
-from service.application.meshes import MESH_BLOB
+from revisit.core.errors import DataLoss
+from revisit.service.adapters.blobs import FileBlobStore
+from revisit.service.application import SubmapKey
+from revisit.service.application.housekeeping.blob_references import NEURAL_MAP_BLOB, blobs_of_submap
+from revisit.service.application.ingest.clouds import CLOUD_BLOB
+from revisit.service.application.query.downloads import DownloadKind
+from revisit.service.application.recognise.meshes import MESH_BLOB
 from tests.support.campaigns import Campaign, sizes
 from tests.support.service_world import SESSION, TENANT, World, open_session, sqlite_world, submap
 

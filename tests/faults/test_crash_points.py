@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from service.failpoints import POINTS, arm
+from revisit.service.failpoints import POINTS, arm
 from tests.faults.drive import DEGENERATE, undisturbed
 from tests.faults.history import History
 from tests.faults.survey import survey

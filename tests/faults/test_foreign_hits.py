@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.errors import RevisitError
-from service.application import SubmapKey
-from service.application.identity import TenantId
-from service.application.search_answers import SearchCriteria
+from revisit.core.errors import RevisitError
+from revisit.service.application import SubmapKey
+from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.query.search_answers import SearchCriteria
 from tests.support.campaigns import Campaign, sizes
 from tests.support.fake_recogniser import BINS
 from tests.support.service_world import SESSION, World, open_session, sqlite_world, submap

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core.formats import KITTI
 from revisit import Client, Cloud
-from revisit.resources import Operation
+from revisit.formats import KITTI
+from revisit.sdk.resources import Operation
 from tests.faults.robots import body
 from tests.faults.survey import survey
 from tests.support.campaigns import Campaign, sizes

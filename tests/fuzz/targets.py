@@ -11,18 +11,18 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from core import signature
-from core.errors import DataLoss, RevisitError
-from core.formats import MEDIA_TYPES, CloudLimits, PackedCloud, decode_cloud, decode_content
-from core.implicit_map import blob
-from core.scan import validate_cloud
-from core.signature import PlaceSignature
-from service.application.clouds import unpack_cloud
-from service.application.meshes import unpack_mesh
-from service.application.paging import PageRequest
-from service.rest.bodies import parse_json
-from service.rest.limits import HttpLimits
-from service.rest.schemas import CreateMapRequest, SearchRequest
+from revisit.core import place as signature
+from revisit.core.errors import DataLoss, RevisitError
+from revisit.core.implicit_map import blob
+from revisit.core.place import PlaceSignature
+from revisit.core.scan import validate_cloud
+from revisit.formats import MEDIA_TYPES, CloudLimits, PackedCloud, decode_cloud, decode_content
+from revisit.service.application.catalogue.paging import PageRequest
+from revisit.service.application.ingest.clouds import unpack_cloud
+from revisit.service.application.recognise.meshes import unpack_mesh
+from revisit.service.rest.bodies import parse_json
+from revisit.service.rest.limits import HttpLimits
+from revisit.service.rest.schemas import CreateMapRequest, SearchRequest
 
 LIMITS = CloudLimits(max_decoded_bytes=2**20, max_points=20_000)
 DIGEST_BYTES = 16

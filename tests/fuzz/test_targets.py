@@ -13,13 +13,13 @@ import zstandard
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from core import signature
-from core.errors import DataLoss
-from core.formats import MEDIA_TYPES
-from core.implicit_map import blob
-from service.application.clouds import StoredCloud, pack_cloud
-from service.application.meshes import pack_mesh
-from service.application.ports import Mesh
+from revisit.core import place as signature
+from revisit.core.errors import DataLoss
+from revisit.core.implicit_map import blob
+from revisit.formats import MEDIA_TYPES
+from revisit.service.application.contract.ports import Mesh
+from revisit.service.application.ingest.clouds import StoredCloud, pack_cloud
+from revisit.service.application.recognise.meshes import pack_mesh
 from tests.fuzz.targets import FILES, TARGETS, refusing
 from tests.support.campaigns import Campaign
 from tests.support.cloud_files import records, valid_files

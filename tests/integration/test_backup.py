@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from core.errors import DataLoss
 from revisit.cli.app import app
-from service.adapters import backup
-from service.adapters.backup import BackupRefused, make_backup, restore_backup
-from service.adapters.examination import examine, scrub
-from service.application.downloads import DownloadKind
+from revisit.core.errors import DataLoss
+from revisit.service.adapters import backup
+from revisit.service.adapters.backup import BackupRefused, make_backup, restore_backup
+from revisit.service.adapters.examination import examine, scrub
+from revisit.service.application.query.downloads import DownloadKind
 from tests.support.service_world import TENANT, open_session, sqlite_world, submap
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from service.application.blob_references import blobs_of_submap
+from revisit.service.application.housekeeping.blob_references import blobs_of_submap
 from tests.support.service_world import SESSION, TENANT, open_session, sqlite_world, submap
 
 

@@ -10,9 +10,9 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from sqlalchemy.exc import OperationalError
 
-from service.adapters.sql.migration import migrate
-from service.adapters.sql.unit_of_work import SqlTransactions, WriterLock
-from service.application.errors import AlreadyExists, StorageFull
+from revisit.service.adapters.sql.migration import migrate
+from revisit.service.adapters.sql.unit_of_work import SqlTransactions, WriterLock
+from revisit.service.application.contract.errors import AlreadyExists, StorageFull
 from tests.support.records import TENANT, a_map
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from revisit import Client
-from revisit.retry import RetryPolicy
+from revisit.sdk.retry import RetryPolicy
 from tests.support.http2 import CANCEL, GOAWAY, OPENING, PING, RST_STREAM, SETTINGS, call_headers, frame, frames
 from tests.support.processes import ServiceProcess
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from service.adapters.memory_index import MemoryVectorIndex
-from service.application import place_memory
-from service.application.place_memory import PlaceMemory
-from service.application.ports import VectorFilter
+from revisit.service.adapters.memory_index import MemoryVectorIndex
+from revisit.service.application.contract.ports import VectorFilter
+from revisit.service.application.recognise import place_memory
+from revisit.service.application.recognise.place_memory import PlaceMemory
 from tests.support.service_world import TENANT, open_session, sqlite_world, submap
 
 

@@ -8,13 +8,15 @@ import faiss
 import numpy as np
 import pytest
 
-from core.index import FaissIndex
-from service.adapters.vector_index import PlaceVectorIndex
-from service.application import UseCases, index_keeping, place_memory
-from service.application.index_keeping import IndexKeeper
-from service.application.maps import CreateMap
-from service.application.place_memory import PlaceMemory
-from service.application.ports import VectorFilter
+from revisit.core.index import FaissIndex
+from revisit.service.adapters.vector_index import PlaceVectorIndex
+from revisit.service.application import UseCases
+from revisit.service.application.catalogue.maps import CreateMap
+from revisit.service.application.contract.ports import VectorFilter
+from revisit.service.application.housekeeping import index_keeping
+from revisit.service.application.housekeeping.index_keeping import IndexKeeper
+from revisit.service.application.recognise import place_memory
+from revisit.service.application.recognise.place_memory import PlaceMemory
 from tests.support.campaigns import Campaign, sizes
 from tests.support.service_world import SESSION, TENANT, open_session, sqlite_world, submap
 

@@ -10,7 +10,7 @@ import time
 import httpx
 import pytest
 
-from core.formats import KITTI, encode_kitti
+from revisit.formats import KITTI, encode_kitti
 from tests.support.fake_recogniser import KILLS_THE_WORKER
 from tests.support.processes import ROOT, ServiceProcess, is_running
 from tests.support.service_world import cloud_points
@@ -115,7 +115,7 @@ def test_a_worker_that_is_still_loading_does_not_delay_the_end(tmp_path):
 
 def test_an_address_that_others_can_reach_ends_the_start_with_78_and_a_message(tmp_path):
     environment = {**os.environ, "REVISIT_HOME": str(tmp_path), "REVISIT_HOST": "0.0.0.0"}
-    command = [sys.executable, "-m", "service", "serve"]
+    command = [sys.executable, "-m", "revisit.service", "serve"]
     ended = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=30, check=False)
     assert ended.returncode == 78 and "REVISIT_INSECURE_BIND=1" in ended.stderr
     assert list(tmp_path.iterdir()) == []

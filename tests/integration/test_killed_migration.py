@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from service.adapters.sql.migration import migrate
+from revisit.service.adapters.sql.migration import migrate
 from tests.support.campaigns import Campaign
 from tests.support.processes import ROOT
 
@@ -22,7 +22,7 @@ import os, shutil, signal, sys
 from pathlib import Path
 from sqlalchemy import event
 from sqlalchemy.engine import Engine
-from service.adapters.sql.migration import migrate
+from revisit.service.adapters.sql.migration import migrate
 
 old, home, every = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])
 
@@ -116,7 +116,7 @@ def test_a_database_of_a_newer_version_is_refused_with_a_message_and_left_alone(
     connection.close()
     before = content(tmp_path / "revisit.db")
     environment = {**os.environ, "REVISIT_HOME": str(tmp_path), "REVISIT_HTTP_PORT": "0", "REVISIT_GRPC_PORT": "0"}
-    command = [sys.executable, "-m", "service", "serve"]
+    command = [sys.executable, "-m", "revisit.service", "serve"]
     ended = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120, check=False)
     assert ended.returncode == 78
     assert "does not fit this version" in ended.stderr

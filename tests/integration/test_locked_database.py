@@ -8,8 +8,8 @@ import time
 import pytest
 
 from revisit import ApiError, Client
-from revisit.retry import RetryPolicy
-from service.adapters.sql import unit_of_work
+from revisit.sdk.retry import RetryPolicy
+from revisit.service.adapters.sql import unit_of_work
 from tests.support.live_service import live_service
 from tests.support.service_world import cloud_points, pose, sqlite_world
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import pytest
 
-from service.adapters.disk import Disk
-from service.application import UseCases
-from service.application.system import WAL_ALARM_BYTES
+from revisit.service.adapters.disk import Disk
+from revisit.service.application import UseCases
+from revisit.service.application.housekeeping.system import WAL_ALARM_BYTES
 from tests.support.service_world import memory_world
 
 

@@ -6,8 +6,8 @@ import sqlite3
 
 import pytest
 
-from service.adapters.sql.migration import current_revision, migrate
-from service.adapters.sql.unit_of_work import SqlTransactions
+from revisit.service.adapters.sql.migration import current_revision, migrate
+from revisit.service.adapters.sql.unit_of_work import SqlTransactions
 from tests.contract.test_transactions import fill
 
 

@@ -7,8 +7,8 @@ import random
 
 import pytest
 
-from service.application.loops import LoopState
-from service.application.paging import PageRequest
+from revisit.service.application.catalogue.loops import LoopState
+from revisit.service.application.catalogue.paging import PageRequest
 from tests.support.campaigns import Campaign, sizes
 from tests.support.service_world import TENANT, World, memory_world, open_session, submap
 

@@ -12,9 +12,9 @@ import grpc
 import httpx
 import pytest
 
-from service.application.api_keys import CreateKey, parse_key
-from service.grpc import server as grpc_server
-from service.rest.app import create_app
+from revisit.service.application.access.api_keys import CreateKey, parse_key
+from revisit.service.grpc import server as grpc_server
+from revisit.service.rest.app import create_app
 from tests.support.campaigns import Campaign, sizes
 from tests.support.credentials import ALL_SCOPES, ended
 from tests.support.processes import ServiceProcess

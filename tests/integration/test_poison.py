@@ -10,7 +10,7 @@ from datetime import datetime
 import httpx
 import pytest
 
-from core.formats import KITTI, encode_kitti
+from revisit.formats import KITTI, encode_kitti
 from tests.support.fake_recogniser import EATS_MEMORY, HANGS, HOLDS_EVERY_THREAD, SEGFAULTS
 from tests.support.processes import ServiceProcess, is_free, is_running
 from tests.support.service_world import cloud_points

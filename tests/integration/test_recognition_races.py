@@ -6,11 +6,11 @@ import threading
 
 import pytest
 
-from service.application import SubmapKey
-from service.application.loops import LoopState
-from service.application.operations import OperationState
-from service.application.paging import PageRequest
-from service.application.records import SubmapState
+from revisit.service.application import SubmapKey
+from revisit.service.application.catalogue.loops import LoopState
+from revisit.service.application.catalogue.paging import PageRequest
+from revisit.service.application.contract.records import SubmapState
+from revisit.service.application.query.operations import OperationState
 from tests.support.fake_recogniser import FakeRecogniser
 from tests.support.service_world import SESSION, TENANT, memory_world, open_session, sqlite_world, submap
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from revisit import Client
-from revisit.retry import RetryPolicy
+from revisit.sdk.retry import RetryPolicy
 from tests.support.figures import publish
 from tests.support.http2 import PREFACE
 from tests.support.processes import ServiceProcess

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core.formats import NPY, encode_npy
 from revisit import ApiError, Client, Cloud
-from revisit.retry import RetryPolicy
-from revisit.spool import Spool, SpoolDisagrees
+from revisit.formats import NPY, encode_npy
+from revisit.sdk.retry import RetryPolicy
+from revisit.sdk.spool import Spool, SpoolDisagrees
 from tests.support.live_service import live_service
 from tests.support.processes import ServiceProcess
 from tests.support.service_world import cloud_points, pose
@@ -47,7 +47,7 @@ def session(client, request):
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch):
     """Reconnect at once: these tests wait for it."""
-    monkeypatch.setattr("revisit.client.RECONNECT", RetryPolicy(attempts=1, base_s=0.01, cap_s=0.1))
+    monkeypatch.setattr("revisit.sdk.client.RECONNECT", RetryPolicy(attempts=1, base_s=0.01, cap_s=0.1))
 
 
 def drive(stream, first, last):
@@ -151,7 +151,7 @@ def real_service(tmp_path):
 ROBOT = """
 import sys
 from revisit import Client
-from revisit.retry import RetryPolicy
+from revisit.sdk.retry import RetryPolicy
 from tests.support.service_world import cloud_points, pose
 target, session, spool = sys.argv[1:]
 with Client.grpc(target, retry=RetryPolicy(base_s=0.05)) as client, client.spooled_stream(session, spool) as stream:

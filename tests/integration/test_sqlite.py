@@ -13,11 +13,11 @@ from alembic.migration import MigrationContext
 from sqlalchemy import event
 from sqlalchemy.exc import OperationalError
 
-from service.adapters.fail_stop import FailStop
-from service.adapters.sql import tables
-from service.adapters.sql.migration import current_revision, migrate
-from service.adapters.sql.unit_of_work import SqlTransactions, reader_engine, writer_engine
-from service.application.errors import StorageFull, StorageUncertain
+from revisit.service.adapters.fail_stop import FailStop
+from revisit.service.adapters.sql import tables
+from revisit.service.adapters.sql.migration import current_revision, migrate
+from revisit.service.adapters.sql.unit_of_work import SqlTransactions, reader_engine, writer_engine
+from revisit.service.application.contract.errors import StorageFull, StorageUncertain
 from tests.contract.test_transactions import fill
 from tests.support.records import TENANT, a_map, a_session
 
@@ -125,7 +125,7 @@ def test_a_read_sees_one_snapshot_while_others_write(database):
 
 
 def test_a_writer_that_does_not_get_its_turn_says_so_and_stores_nothing(database, monkeypatch):
-    monkeypatch.setattr("service.adapters.sql.unit_of_work.LOCK_TIMEOUT_S", 0.1)
+    monkeypatch.setattr("revisit.service.adapters.sql.unit_of_work.LOCK_TIMEOUT_S", 0.1)
     store, other = SqlTransactions(database, checkpoints=True), SqlTransactions(database, checkpoints=False)
     entered, leave = threading.Event(), threading.Event()
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from revisit import Client
-from revisit.retry import RetryPolicy
+from revisit.sdk.retry import RetryPolicy
 from tests.support.processes import ServiceProcess
 from tests.support.service_world import cloud_points, pose
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from service.adapters.blobs import nothing_deleted
-from service.application.identity import TenantId
-from service.application.sweeping import MIN_AGE_S, sweep
+from revisit.service.adapters.blobs import nothing_deleted
+from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.housekeeping.sweeping import MIN_AGE_S, sweep
 from tests.support.service_world import TENANT, open_session, sqlite_world, submap
 
 OTHER = TenantId("other")

@@ -11,8 +11,8 @@ import pytest
 import trustme
 
 from revisit import Client
-from revisit.errors import ApiError, PermissionDenied, Unauthenticated
-from revisit.retry import RetryPolicy
+from revisit.sdk.errors import ApiError, PermissionDenied, Unauthenticated
+from revisit.sdk.retry import RetryPolicy
 from tests.support.processes import ServiceProcess
 
 ONCE = RetryPolicy(attempts=1)

@@ -8,10 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.errors import BadField, BadTransform, DataLoss, DescriptorModelMismatch, EmptyCloud, RevisitError
-from service.application import SessionKey, SubmapKey, TenantId, blob_references
-from service.application.clouds import CLOUD_BLOB, QUERY_CLOUD_BLOB
-from service.application.errors import (
+from revisit.core.errors import BadField, BadTransform, DataLoss, DescriptorModelMismatch, EmptyCloud, RevisitError
+from revisit.service.application import SessionKey, SubmapKey, TenantId
+from revisit.service.application.catalogue.loops import LoopState
+from revisit.service.application.catalogue.maps import CreateMap
+from revisit.service.application.catalogue.paging import PageRequest
+from revisit.service.application.catalogue.sessions import CreateSession, SessionState
+from revisit.service.application.catalogue.submaps import DownloadKind
+from revisit.service.application.contract.errors import (
     AlreadyExists,
     Draining,
     NotFound,
@@ -20,15 +24,12 @@ from service.application.errors import (
     SessionFinished,
     WorkersBusy,
 )
-from service.application.loops import LoopState
-from service.application.maps import CreateMap
-from service.application.operations import OperationState
-from service.application.paging import PageRequest
-from service.application.records import SubmapState
-from service.application.retention import forget_answers
-from service.application.searches import LocalizeQuery, SearchCriteria
-from service.application.sessions import CreateSession, SessionState
-from service.application.submaps import DownloadKind
+from revisit.service.application.contract.records import SubmapState
+from revisit.service.application.housekeeping import blob_references
+from revisit.service.application.housekeeping.retention import forget_answers
+from revisit.service.application.ingest.clouds import CLOUD_BLOB, QUERY_CLOUD_BLOB
+from revisit.service.application.query.operations import OperationState
+from revisit.service.application.query.searches import LocalizeQuery, SearchCriteria
 from tests.support.fake_recogniser import CANNOT_BE_DESCRIBED, RAISES, FakeRecogniser
 from tests.support.service_world import (
     SESSION,

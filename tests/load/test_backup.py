@@ -14,7 +14,7 @@ import threading
 
 import pytest
 
-from core.formats import encode_quantised
+from revisit.formats import encode_quantised
 from tests.support.figures import publish
 from tests.support.filled_store import fill
 from tests.support.load import CALLS, OK, Sender, Tally, run_for

@@ -12,9 +12,9 @@ import threading
 
 import pytest
 
-from core.formats import encode_quantised
 from revisit import Client
-from service.application.intake import CALL_POINTS
+from revisit.formats import encode_quantised
+from revisit.service.application.capacity.intake import CALL_POINTS
 from tests.support.credentials import a_key
 from tests.support.figures import publish
 from tests.support.load import CALLS, OK, Address, Sender, Tally, run_for

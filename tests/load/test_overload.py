@@ -13,8 +13,8 @@ import threading
 import httpx
 import pytest
 
-from core.formats import encode_quantised
-from service.application.intake import CALL_POINTS
+from revisit.formats import encode_quantised
+from revisit.service.application.capacity.intake import CALL_POINTS
 from tests.support.figures import publish
 from tests.support.load import CALLS, OK, Sender, Served, Tally, Watch, run_for
 from tests.support.processes import ServiceProcess

@@ -20,8 +20,8 @@ import httpx
 import numpy as np
 import pytest
 
-from core.formats import encode_quantised
 from revisit import Client
+from revisit.formats import encode_quantised
 from tests.support.figures import publish
 from tests.support.load import CALLS, OK, SESSION, Call, Sender, Tally, rss_mib, run_for
 from tests.support.processes import ServiceProcess

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core import se3
-from core.descriptor import PlaceDescriptor
-from core.errors import DescriptorModelMismatch
+from revisit.core.descriptor.fusion import PlaceDescriptor
+from revisit.core.errors import DescriptorModelMismatch
+from revisit.core.geometry import se3
 from tests.support.yards import moved, recognised, yard
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core.errors import BadField, BadTransform, DegenerateCloud, EmptyCloud, NonFinitePoints, OutOfRange
-from core.scan import Scan, validate_cloud
+from revisit.core.errors import BadField, BadTransform, DegenerateCloud, EmptyCloud, NonFinitePoints, OutOfRange
+from revisit.core.scan import Scan, validate_cloud
 
 
 def room(count: int) -> np.ndarray:

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core import se3
-from core.errors import BadTransform
+from revisit.core.errors import BadTransform
+from revisit.core.geometry import se3
 
 metres = st.floats(-1000, 1000)
 angles = st.floats(-1.8, 1.8)  # |phi| <= 3.12 < pi: the logarithm is unique

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core import se3
-from core.config import SubmapConfig
-from core.scan import Scan
-from core.submap import Submap, SubmapBuilder, next_window_start
+from revisit.core.config import SubmapConfig
+from revisit.core.geometry import se3
+from revisit.core.scan import Scan
+from revisit.core.submap import Submap, SubmapBuilder, next_window_start
 
 CONFIG = SubmapConfig(tau=10.0, stride=5.0, max_range=80.0, min_range=1.0)
 

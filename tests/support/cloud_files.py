@@ -6,7 +6,7 @@ import struct
 
 import numpy as np
 
-from core import formats
+from revisit import formats
 
 
 def lzf_compress(data: bytes) -> bytes:

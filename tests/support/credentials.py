@@ -8,7 +8,7 @@ from typing import Any
 
 import grpc
 
-from service.application.api_keys import CreateKey, NewKey
+from revisit.service.application.access.api_keys import CreateKey, NewKey
 from tests.support.service_world import World
 
 ALL_SCOPES = ("ingest", "query", "admin")

@@ -16,10 +16,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from core.config import PipelineConfig
-from core.errors import DegenerateCloud
-from core.submap import Submap
-from service.application.ports import LoopVerdict, Mesh, SubmapDescription
+from revisit.core.config import PipelineConfig
+from revisit.core.errors import DegenerateCloud
+from revisit.core.submap import Submap
+from revisit.service.application.contract.ports import LoopVerdict, Mesh, SubmapDescription
 
 KILLS_THE_WORKER = 666
 RAISES = 667

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from sqlalchemy import insert
 
-from service.adapters.blobs import FileBlobStore
-from service.adapters.sql import tables
-from service.adapters.sql.migration import migrate
-from service.adapters.sql.unit_of_work import SqlTransactions
-from service.application.clouds import CLOUD_BLOB
+from revisit.service.adapters.blobs import FileBlobStore
+from revisit.service.adapters.sql import tables
+from revisit.service.adapters.sql.migration import migrate
+from revisit.service.adapters.sql.unit_of_work import SqlTransactions
+from revisit.service.application.ingest.clouds import CLOUD_BLOB
 from tests.support.records import TENANT, a_map, a_session, a_submap
 
 PORTION = 2000

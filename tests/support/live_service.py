@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import uvicorn
 
-from service.grpc.server import create_server
-from service.rest.app import create_app
-from service.rest.slow_clients import uvicorn_limits
+from revisit.service.grpc.server import create_server
+from revisit.service.rest.app import create_app
+from revisit.service.rest.slow_clients import uvicorn_limits
 from tests.support.service_world import World, memory_world
 
 

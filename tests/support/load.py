@@ -13,9 +13,9 @@ import httpx
 import numpy as np
 from prometheus_client.parser import text_string_to_metric_families
 
-from core.formats import QUANTISED
 from revisit import ApiError, Client, Cloud
-from revisit.retry import RetryPolicy
+from revisit.formats import QUANTISED
+from revisit.sdk.retry import RetryPolicy
 from tests.support.processes import ServiceProcess
 from tests.support.service_world import pose
 

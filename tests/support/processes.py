@@ -41,7 +41,7 @@ class _Logging:
     def start(self) -> None:
         """Start it (again)."""
         self._process = subprocess.Popen(
-            [*self.launcher, sys.executable, "-m", "service", *self.command],
+            [*self.launcher, sys.executable, "-m", "revisit.service", *self.command],
             cwd=ROOT,
             env=self._environment,
             stderr=subprocess.PIPE,
@@ -87,7 +87,7 @@ class _Logging:
 
 
 class ServiceProcess(_Logging):
-    """`python -m service serve` on free ports, with its workers."""
+    """`python -m revisit.service serve` on free ports, with its workers."""
 
     command = ("serve",)
 
@@ -123,7 +123,7 @@ class ServiceProcess(_Logging):
 
 
 class WorkerProcess(_Logging):
-    """`python -m service worker` beside a service of the same `home`, which does not watch over it."""
+    """`python -m revisit.service worker` beside a service of the same `home`, which does not watch over it."""
 
     command = ("worker",)
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from service.application.identity import TenantId
-from service.application.records import (
+from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.records import (
     JobRecord,
     LoopRecord,
     MapRecord,

@@ -13,14 +13,14 @@ from typing import Any
 import httpx
 import numpy as np
 
-from core.errors import RevisitError
-from core.formats import NPY, encode_npy
-from service.adapters.memory_index import MemoryVectorIndex
-from service.application import SessionKey, SubmapKey, UseCases
-from service.application.maps import CreateMap
-from service.application.paging import PageRequest
-from service.application.searches import SearchCriteria
-from service.application.sessions import CreateSession
+from revisit.core.errors import RevisitError
+from revisit.formats import NPY, encode_npy
+from revisit.service.adapters.memory_index import MemoryVectorIndex
+from revisit.service.application import SessionKey, SubmapKey, UseCases
+from revisit.service.application.catalogue.maps import CreateMap
+from revisit.service.application.catalogue.paging import PageRequest
+from revisit.service.application.catalogue.sessions import CreateSession
+from revisit.service.application.query.searches import SearchCriteria
 from tests.support.live_service import live_service
 from tests.support.service_world import TENANT, World, cloud_points, memory_world, scan, sqlite_world, submap
 

@@ -9,20 +9,20 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from core.config import PipelineConfig
-from core.formats import DecodedCloud
-from service.adapters.blobs import FileBlobStore
-from service.adapters.memory import MemoryBlobStore, MemoryTransactions
-from service.adapters.memory_index import MemoryVectorIndex
-from service.adapters.sql.migration import migrate
-from service.adapters.sql.unit_of_work import SqlTransactions
-from service.application import DEFAULT_TENANT, Context, Policy, SessionKey, SubmapKey, UseCases
-from service.application.maps import CreateMap
-from service.application.ports import Instant, PlaceRecogniser
-from service.application.recognition import Recognition
-from service.application.scans import AppendScan
-from service.application.sessions import CreateSession
-from service.application.submaps import PostSubmap
+from revisit.core.config import PipelineConfig
+from revisit.formats import DecodedCloud
+from revisit.service.adapters.blobs import FileBlobStore
+from revisit.service.adapters.memory import MemoryBlobStore, MemoryTransactions
+from revisit.service.adapters.memory_index import MemoryVectorIndex
+from revisit.service.adapters.sql.migration import migrate
+from revisit.service.adapters.sql.unit_of_work import SqlTransactions
+from revisit.service.application import DEFAULT_TENANT, Context, Policy, SessionKey, SubmapKey, UseCases
+from revisit.service.application.catalogue.maps import CreateMap
+from revisit.service.application.catalogue.sessions import CreateSession
+from revisit.service.application.catalogue.submaps import PostSubmap
+from revisit.service.application.contract.ports import Instant, PlaceRecogniser
+from revisit.service.application.ingest.scans import AppendScan
+from revisit.service.application.recognise.recognition import Recognition
 from tests.support.fake_recogniser import FakeRecogniser
 
 TENANT = DEFAULT_TENANT

@@ -7,17 +7,17 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from core import se3
-from core.bev import describe_bev
-from core.cluster_normals import describe_clusters
-from core.clusters import segment_clusters
-from core.config import PipelineConfig
-from core.descriptor import PlaceDescriptor, PlaceFeatures, fuse
-from core.model_bundle import load_packaged_models
-from core.saliency import weigh_clusters
-from core.signature import PlaceSignature, sign_place
-from core.spectra import describe_spectra
-from core.surface import Surface
+from revisit.core.bev import describe_bev
+from revisit.core.clusters import segment_clusters
+from revisit.core.config import PipelineConfig
+from revisit.core.descriptor.fusion import PlaceDescriptor, PlaceFeatures, fuse
+from revisit.core.geometry import se3
+from revisit.core.micro.cluster_normals import describe_clusters
+from revisit.core.micro.saliency import weigh_clusters
+from revisit.core.model_bundle import load_packaged_models
+from revisit.core.place import PlaceSignature, sign_place
+from revisit.core.spectra import describe_spectra
+from revisit.core.surface import Surface
 
 RESOLUTION = 0.4
 CONFIG = PipelineConfig()

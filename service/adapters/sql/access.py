@@ -7,9 +7,9 @@ import dataclasses
 from sqlalchemy import Connection, insert, literal_column, select, text, update
 from sqlalchemy.exc import IntegrityError
 
-from service.adapters.sql.access_tables import api_keys, audit_log
-from service.application.access_ports import AuditRecord, KeyRecord
-from service.application.errors import AlreadyExists, NotFound
+from revisit.service.adapters.sql.access_tables import api_keys, audit_log
+from revisit.service.application.contract.access_ports import AuditRecord, KeyRecord
+from revisit.service.application.contract.errors import AlreadyExists, NotFound
 
 
 class SqlKeyRing:

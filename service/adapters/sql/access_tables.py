@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from sqlalchemy import JSON, BigInteger, Column, Integer, String, Table, UniqueConstraint
 
-from service.adapters.sql.tables import JsonTuple, metadata
+from revisit.service.adapters.sql.tables import JsonTuple, metadata
 
 api_keys = Table(
     "api_keys",

@@ -6,11 +6,11 @@ import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
 
-from service.application.blob_references import NEURAL_MAP_BLOB, SIGNATURE_BLOB
-from service.application.clouds import CLOUD_BLOB
-from service.application.identity import TenantId
-from service.application.meshes import MESH_BLOB
-from service.application.ports import StoredBlob
+from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.ports import StoredBlob
+from revisit.service.application.housekeeping.blob_references import NEURAL_MAP_BLOB, SIGNATURE_BLOB
+from revisit.service.application.ingest.clouds import CLOUD_BLOB
+from revisit.service.application.recognise.meshes import MESH_BLOB
 
 COLUMNS = (
     ("scans", CLOUD_BLOB, "cloud_sha256"),

@@ -9,8 +9,8 @@ from alembic import command
 from alembic.config import Config
 from alembic.script import ScriptDirectory
 
-from service.adapters.filesystem import require_local
-from service.adapters.sql.unit_of_work import WriterLock
+from revisit.service.adapters.filesystem import require_local
+from revisit.service.adapters.sql.unit_of_work import WriterLock
 
 MIGRATIONS = Path(__file__).resolve().parents[3] / "migrations"
 

@@ -28,11 +28,11 @@ from sqlalchemy import (
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.sql.dml import ReturningInsert
 
-from service.adapters.sql import tables
-from service.application.errors import AlreadyExists, NotFound
-from service.application.identity import TenantId
-from service.application.ports import IndexChange, Instant
-from service.application.records import JobRecord, ScanRecord, SubmapRecord, WorkerRecord
+from revisit.service.adapters.sql import tables
+from revisit.service.application.contract.errors import AlreadyExists, NotFound
+from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.ports import IndexChange, Instant
+from revisit.service.application.contract.records import JobRecord, ScanRecord, SubmapRecord, WorkerRecord
 
 R = TypeVar("R")
 

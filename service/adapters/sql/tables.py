@@ -1,4 +1,4 @@
-"""Tables: one per record of `service.application.records`, a column per field. migrations/ creates the same schema."""
+"""Tables: one per record of `contract.records`, a column per field. migrations/ creates the same schema."""
 
 from __future__ import annotations
 

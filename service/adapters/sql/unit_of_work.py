@@ -22,17 +22,24 @@ from typing import Any, TypeVar
 from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.exc import DatabaseError
 
-from core.errors import DataLoss
-from service.adapters.durable_files import may_grow, open_lock
-from service.adapters.fail_stop import FailStop
-from service.adapters.leased_jobs import LeasedJobs
-from service.adapters.sql import tables
-from service.adapters.sql.access import SqlAuditTrail, SqlKeyRing
-from service.adapters.sql.group_commit import GroupCommitter
-from service.adapters.sql.repositories import SqlChangeLog, SqlJobs, SqlRepository, SqlScans, SqlSubmaps, SqlWorkerLog
-from service.application.errors import StorageFull, StorageUncertain
-from service.application.ports import UnitOfWork
-from service.application.records import (
+from revisit.core.errors import DataLoss
+from revisit.service.adapters.durable_files import may_grow, open_lock
+from revisit.service.adapters.fail_stop import FailStop
+from revisit.service.adapters.leased_jobs import LeasedJobs
+from revisit.service.adapters.sql import tables
+from revisit.service.adapters.sql.access import SqlAuditTrail, SqlKeyRing
+from revisit.service.adapters.sql.group_commit import GroupCommitter
+from revisit.service.adapters.sql.repositories import (
+    SqlChangeLog,
+    SqlJobs,
+    SqlRepository,
+    SqlScans,
+    SqlSubmaps,
+    SqlWorkerLog,
+)
+from revisit.service.application.contract.errors import StorageFull, StorageUncertain
+from revisit.service.application.contract.ports import UnitOfWork
+from revisit.service.application.contract.records import (
     JobRecord,
     LoopRecord,
     MapRecord,
@@ -41,7 +48,7 @@ from service.application.records import (
     SessionRecord,
     SubmapRecord,
 )
-from service.failpoints import failpoint
+from revisit.service.failpoints import failpoint
 
 T = TypeVar("T")
 

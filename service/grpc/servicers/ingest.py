@@ -7,15 +7,15 @@ from collections.abc import AsyncIterator
 from contextlib import suppress
 from typing import Any
 
-from core.errors import ErrorCode, RevisitError
+from revisit.core.errors import ErrorCode, RevisitError
+from revisit.service.application import SessionKey, TenantId, UseCases
+from revisit.service.application.contract.errors import Draining, NotFound
+from revisit.service.application.ingest.scans import AppendScan, OpenedStream, ResumePoint, ScanAck
+from revisit.service.grpc import messages, names
+from revisit.service.grpc.tenancy import tenant_of
+from revisit.service.status import STATUS, retry_after_s
 from revisit.v1 import ingest_pb2 as pb
 from revisit.v1 import ingest_pb2_grpc
-from service.application import SessionKey, TenantId, UseCases
-from service.application.errors import Draining, NotFound
-from service.application.scans import AppendScan, OpenedStream, ResumePoint, ScanAck
-from service.grpc import messages, names
-from service.grpc.tenancy import tenant_of
-from service.status import STATUS, retry_after_s
 
 CREDITS = 32
 """Scans a client may have unanswered. What it sends beyond them waits in its own socket: one scan is read at a time."""

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from core.errors import BadField
+from revisit.core.errors import BadField
+from revisit.service.application import TenantId, UseCases
+from revisit.service.application.query.searches import LocalizeQuery, SearchResult
+from revisit.service.grpc import messages, names
+from revisit.service.grpc.tenancy import tenant_of
 from revisit.v1 import loop_closure_pb2 as pb
 from revisit.v1 import loop_closure_pb2_grpc
-from service.application import TenantId, UseCases
-from service.application.searches import LocalizeQuery, SearchResult
-from service.grpc import messages, names
-from service.grpc.tenancy import tenant_of
 
 
 class LoopClosureServicer(loop_closure_pb2_grpc.LoopClosureServiceServicer):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+from revisit.service.application import UseCases
+from revisit.service.application.catalogue.maps import CreateMap
+from revisit.service.grpc import messages, names
+from revisit.service.grpc.tenancy import tenant_of
 from revisit.v1 import map_pb2, map_pb2_grpc
-from service.application import UseCases
-from service.application.maps import CreateMap
-from service.grpc import messages, names
-from service.grpc.tenancy import tenant_of
 
 
 class MapServicer(map_pb2_grpc.MapServiceServicer):

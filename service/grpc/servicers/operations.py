@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from core.errors import BadField
+from revisit.core.errors import BadField
+from revisit.service.application import UseCases
+from revisit.service.grpc import messages, names
+from revisit.service.grpc.tenancy import tenant_of
 from revisit.v1 import operation_pb2 as pb
 from revisit.v1 import operation_pb2_grpc
-from service.application import UseCases
-from service.grpc import messages, names
-from service.grpc.tenancy import tenant_of
 
 DEFAULT_WAIT_S = 30.0
 MAX_WAIT_S = 60.0

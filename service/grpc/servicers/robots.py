@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+from revisit.service.application import UseCases
+from revisit.service.application.catalogue.robots import CreateRobot
+from revisit.service.grpc import messages, names
+from revisit.service.grpc.tenancy import tenant_of
 from revisit.v1 import robot_pb2, robot_pb2_grpc
-from service.application import UseCases
-from service.application.robots import CreateRobot
-from service.grpc import messages, names
-from service.grpc.tenancy import tenant_of
 
 
 class RobotServicer(robot_pb2_grpc.RobotServiceServicer):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+from revisit.service.application import UseCases
+from revisit.service.application.catalogue.sessions import CreateSession
+from revisit.service.grpc import messages, names
+from revisit.service.grpc.tenancy import tenant_of
 from revisit.v1 import session_pb2, session_pb2_grpc
-from service.application import UseCases
-from service.application.sessions import CreateSession
-from service.grpc import messages, names
-from service.grpc.tenancy import tenant_of
 
 
 class SessionServicer(session_pb2_grpc.SessionServiceServicer):

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from typing import Any
 
-from core.errors import BadField
+from revisit.core.errors import BadField
+from revisit.service.application import SubmapKey, UseCases
+from revisit.service.application.catalogue.submaps import DownloadKind, PostSubmap
+from revisit.service.grpc import messages, names
+from revisit.service.grpc.tenancy import tenant_of
 from revisit.v1 import submap_pb2, submap_pb2_grpc
-from service.application import SubmapKey, UseCases
-from service.application.submaps import DownloadKind, PostSubmap
-from service.grpc import messages, names
-from service.grpc.tenancy import tenant_of
 
 CHUNK_BYTES = 2**20
 

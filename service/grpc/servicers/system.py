@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from revisit.service.application import UseCases
+from revisit.service.grpc import messages
+from revisit.service.grpc.tenancy import tenant_of
 from revisit.v1 import system_pb2, system_pb2_grpc
-from service.application import UseCases
-from service.grpc import messages
-from service.grpc.tenancy import tenant_of
 
 
 class SystemServicer(system_pb2_grpc.SystemServiceServicer):

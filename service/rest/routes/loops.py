@@ -6,11 +6,11 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 
-from service.application.callers import Scope
-from service.application.loops import LoopState
-from service.rest.access import allows
-from service.rest.parameters import Cases, Fresh, Id, Paging, Tenant
-from service.rest.schemas import LoopClosure, LoopClosurePage
+from revisit.service.application.access.callers import Scope
+from revisit.service.application.catalogue.loops import LoopState
+from revisit.service.rest.access import allows
+from revisit.service.rest.parameters import Cases, Fresh, Id, Paging, Tenant
+from revisit.service.rest.schemas import LoopClosure, LoopClosurePage
 
 router = APIRouter(prefix="/v1/maps/{map_id}/loopClosures", tags=["loop closures"])
 

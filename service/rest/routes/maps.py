@@ -6,11 +6,11 @@ from typing import Annotated
 
 from fastapi import APIRouter, Response
 
-from service.application.callers import Scope
-from service.rest.access import allows
-from service.rest.bodies import describe_json, json_body
-from service.rest.parameters import Cases, Id, Paging, Tenant, mark_replay
-from service.rest.schemas import CreateMapRequest, Map, MapPage
+from revisit.service.application.access.callers import Scope
+from revisit.service.rest.access import allows
+from revisit.service.rest.bodies import describe_json, json_body
+from revisit.service.rest.parameters import Cases, Id, Paging, Tenant, mark_replay
+from revisit.service.rest.schemas import CreateMapRequest, Map, MapPage
 
 router = APIRouter(prefix="/v1/maps", tags=["maps"])
 

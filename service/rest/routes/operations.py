@@ -6,11 +6,11 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 
-from service.application.callers import Scope
-from service.application.operations import OperationState
-from service.rest.access import allows
-from service.rest.parameters import Cases, Id, Paging, Tenant
-from service.rest.schemas import Operation, OperationPage
+from revisit.service.application.access.callers import Scope
+from revisit.service.application.query.operations import OperationState
+from revisit.service.rest.access import allows
+from revisit.service.rest.parameters import Cases, Id, Paging, Tenant
+from revisit.service.rest.schemas import Operation, OperationPage
 
 router = APIRouter(prefix="/v1/operations", tags=["operations"])
 

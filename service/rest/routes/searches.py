@@ -8,15 +8,33 @@ import numpy as np
 from fastapi import APIRouter, Depends, Query
 from starlette.requests import Request
 
-from core.errors import BadField
-from service.application import UseCases
-from service.application.callers import Scope
-from service.application.identity import SubmapKey, TenantId
-from service.application.searches import Freshness, LocalizeQuery, SearchCriteria, SearchResult
-from service.rest.access import allows
-from service.rest.bodies import CLOUD_BODY, CLOUD_CONTENT, cloud_body, json_bytes, limits_of, media_type, parse_json
-from service.rest.parameters import Cases, Cloud, Fresh, Id, Prior, RadiusM, Tenant, criteria_of_body, criteria_of_query
-from service.rest.schemas import LocalizeAnswer, SearchAnswer, SearchRequest
+from revisit.core.errors import BadField
+from revisit.service.application import UseCases
+from revisit.service.application.access.callers import Scope
+from revisit.service.application.contract.identity import SubmapKey, TenantId
+from revisit.service.application.query.searches import Freshness, LocalizeQuery, SearchCriteria, SearchResult
+from revisit.service.rest.access import allows
+from revisit.service.rest.bodies import (
+    CLOUD_BODY,
+    CLOUD_CONTENT,
+    cloud_body,
+    json_bytes,
+    limits_of,
+    media_type,
+    parse_json,
+)
+from revisit.service.rest.parameters import (
+    Cases,
+    Cloud,
+    Fresh,
+    Id,
+    Prior,
+    RadiusM,
+    Tenant,
+    criteria_of_body,
+    criteria_of_query,
+)
+from revisit.service.rest.schemas import LocalizeAnswer, SearchAnswer, SearchRequest
 
 router = APIRouter(prefix="/v1/maps", tags=["searches"])
 

@@ -6,13 +6,23 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Response
 
-from service.application.callers import Scope
-from service.application.scans import AppendScan
-from service.application.sessions import CreateSession
-from service.rest.access import allows
-from service.rest.bodies import CLOUD_BODY, describe_json, json_body
-from service.rest.parameters import Cases, Cloud, Id, Paging, PoseOfSensor, SessionOf, StampNs, Tenant, mark_replay
-from service.rest.schemas import Ack, CreateSessionRequest, Session, SessionPage
+from revisit.service.application.access.callers import Scope
+from revisit.service.application.catalogue.sessions import CreateSession
+from revisit.service.application.ingest.scans import AppendScan
+from revisit.service.rest.access import allows
+from revisit.service.rest.bodies import CLOUD_BODY, describe_json, json_body
+from revisit.service.rest.parameters import (
+    Cases,
+    Cloud,
+    Id,
+    Paging,
+    PoseOfSensor,
+    SessionOf,
+    StampNs,
+    Tenant,
+    mark_replay,
+)
+from revisit.service.rest.schemas import Ack, CreateSessionRequest, Session, SessionPage
 
 router = APIRouter(prefix="/v1/maps/{map_id}/sessions", tags=["sessions"])
 

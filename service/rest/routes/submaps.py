@@ -7,13 +7,13 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query, Response
 
-from service.application.callers import Scope
-from service.application.downloads import MEDIA_TYPES
-from service.application.identity import SubmapKey
-from service.application.submaps import DownloadKind, PostSubmap
-from service.rest.access import allows
-from service.rest.bodies import ANY_BINARY, CLOUD_BODY
-from service.rest.parameters import (
+from revisit.service.application.access.callers import Scope
+from revisit.service.application.catalogue.submaps import DownloadKind, PostSubmap
+from revisit.service.application.contract.identity import SubmapKey
+from revisit.service.application.query.downloads import MEDIA_TYPES
+from revisit.service.rest.access import allows
+from revisit.service.rest.bodies import ANY_BINARY, CLOUD_BODY
+from revisit.service.rest.parameters import (
     Cases,
     Cloud,
     Paging,
@@ -24,7 +24,7 @@ from service.rest.parameters import (
     Tenant,
     mark_replay,
 )
-from service.rest.schemas import Posted, Submap, SubmapPage
+from revisit.service.rest.schemas import Posted, Submap, SubmapPage
 
 router = APIRouter(prefix="/v1/maps/{map_id}/sessions/{session_id}/submaps", tags=["submaps"])
 

@@ -7,10 +7,10 @@ from pathlib import Path
 from fastapi import APIRouter, Response
 from fastapi.responses import FileResponse, JSONResponse
 
-from service.application.callers import Scope
-from service.rest.access import PUBLIC, allows
-from service.rest.parameters import Cases, Tenant
-from service.rest.schemas import Status
+from revisit.service.application.access.callers import Scope
+from revisit.service.rest.access import PUBLIC, allows
+from revisit.service.rest.parameters import Cases, Tenant
+from revisit.service.rest.schemas import Status
 
 WEB = Path(__file__).resolve().parents[2] / "web"
 

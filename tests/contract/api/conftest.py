@@ -9,7 +9,7 @@ import httpx
 import pytest
 
 from revisit import Client
-from revisit.retry import RetryPolicy
+from revisit.sdk.retry import RetryPolicy
 from tests.support.credentials import a_key
 from tests.support.live_service import live_service
 from tests.support.service_world import memory_world, sqlite_world

@@ -8,11 +8,11 @@ import grpc
 import pytest
 from fastapi import FastAPI
 
-from service.application.callers import Scope
-from service.grpc import access as grpc_access
-from service.grpc import server as grpc_server
-from service.rest.access import allows, every_route, require_declared_scopes, scopes_of
-from service.rest.app import create_app
+from revisit.service.application.access.callers import Scope
+from revisit.service.grpc import access as grpc_access
+from revisit.service.grpc import server as grpc_server
+from revisit.service.rest.access import allows, every_route, require_declared_scopes, scopes_of
+from revisit.service.rest.app import create_app
 from tests.support.credentials import a_key, bearer, ended
 from tests.support.service_world import memory_world
 

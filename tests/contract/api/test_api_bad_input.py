@@ -8,8 +8,8 @@ import struct
 import numpy as np
 import pytest
 
-from core.formats import KITTI, NPY, PCD, PLY, POINTCLOUD2, QUANTISED, encode_kitti, encode_npy, encode_quantised
 from revisit import ApiError, Cloud
+from revisit.formats import KITTI, NPY, PCD, PLY, POINTCLOUD2, QUANTISED, encode_kitti, encode_npy, encode_quantised
 from tests.support.service_world import cloud_points, pose
 
 GOOD = cloud_points(1)
@@ -214,7 +214,7 @@ def test_a_foreign_page_token_is_refused(client):
 
 
 def _page_of_maps(client, token):
-    from revisit.rest_transport import RestTransport
+    from revisit.sdk.rest_transport import RestTransport
 
     transport = client._transport
     if isinstance(transport, RestTransport):

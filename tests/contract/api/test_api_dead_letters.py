@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from core.errors import BadField, DegenerateCloud
 from revisit.cli.app import app
-from revisit.errors import ApiError, OperationFailed
-from service.application.errors import NotFound, WorkersBusy
-from service.application.identity import SubmapKey
-from service.application.operations import OperationKind, new_job
-from service.application.search_answers import SearchCriteria, criteria_to_json
+from revisit.core.errors import BadField, DegenerateCloud
+from revisit.sdk.errors import ApiError, OperationFailed
+from revisit.service.application.contract.errors import NotFound, WorkersBusy
+from revisit.service.application.contract.identity import SubmapKey
+from revisit.service.application.query.operations import OperationKind, new_job
+from revisit.service.application.query.search_answers import SearchCriteria, criteria_to_json
 from tests.support.fake_recogniser import CANNOT_BE_DESCRIBED, FakeRecogniser
 from tests.support.service_world import SESSION, TENANT, cloud_points, memory_world, open_session, submap
 

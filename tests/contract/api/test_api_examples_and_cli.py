@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from evaluation.datasets import write_kitti
 from revisit import Client
 from revisit.cli.app import app
+from revisit.evaluation.datasets import write_kitti
 from tests.support.service_world import cloud_points, pose
 
 ROOT = Path(__file__).resolve().parents[3]

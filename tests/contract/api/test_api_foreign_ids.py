@@ -11,11 +11,11 @@ import pytest
 from google.protobuf.descriptor import FieldDescriptor
 from google.protobuf.message_factory import GetMessageClass
 
-from core.formats import QUANTISED, encode_quantised
 from revisit import Client
-from revisit.retry import RetryPolicy
-from service.grpc import server as grpc_server
-from service.rest.app import create_app
+from revisit.formats import QUANTISED, encode_quantised
+from revisit.sdk.retry import RetryPolicy
+from revisit.service.grpc import server as grpc_server
+from revisit.service.rest.app import create_app
 from tests.support.credentials import a_key, bearer
 from tests.support.live_service import live_service
 from tests.support.service_world import cloud_points, memory_world

@@ -9,11 +9,11 @@ from google.rpc import error_details_pb2, status_pb2
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 from grpc_reflection.v1alpha import reflection_pb2, reflection_pb2_grpc
 
-from core.errors import ErrorCode, RevisitError
+from revisit.core.errors import ErrorCode, RevisitError
+from revisit.service.grpc.errors import code_of, rpc_status
+from revisit.service.grpc.server import MAX_MESSAGE_BYTES
+from revisit.service.status import STATUS
 from revisit.v1 import map_pb2, map_pb2_grpc
-from service.grpc.errors import code_of, rpc_status
-from service.grpc.server import MAX_MESSAGE_BYTES
-from service.status import STATUS
 
 CREATE_MAP = "/revisit.v1.MapService/CreateMap"
 

@@ -13,9 +13,9 @@ from google.protobuf.message_factory import GetMessageClass
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from core.errors import ErrorCode
-from service.grpc.server import MAX_MESSAGE_BYTES
-from service.status import STATUS
+from revisit.core.errors import ErrorCode
+from revisit.service.grpc.server import MAX_MESSAGE_BYTES
+from revisit.service.status import STATUS
 from tests.corpus.rows import UNROTATED, CloudToSend
 from tests.corpus.sending import METHODS, cloud_message, grpc_reason, transform
 from tests.support.cloud_files import records, valid_files

@@ -13,11 +13,11 @@ import pytest
 import structlog
 import zstandard
 
-from core.errors import ErrorCode, RevisitError
-from core.formats import QUANTISED, encode_quantised
-from service.rest.errors import problem
-from service.rest.routes.system import WEB
-from service.status import STATUS
+from revisit.core.errors import ErrorCode, RevisitError
+from revisit.formats import QUANTISED, encode_quantised
+from revisit.service.rest.errors import problem
+from revisit.service.rest.routes.system import WEB
+from revisit.service.status import STATUS
 from tests.support.service_world import cloud_points
 
 MIB = 2**20

@@ -11,12 +11,12 @@ import grpc
 import httpx
 import pytest
 
+from revisit.service.application.access.api_keys import CreateKey, caller_of_key, parse_key
+from revisit.service.application.catalogue.maps import CreateMap
+from revisit.service.application.contract.errors import StorageFull, Unauthenticated
+from revisit.service.grpc import access as grpc_access
+from revisit.service.grpc import server as grpc_server
 from revisit.v1 import loop_closure_pb2, map_pb2, map_pb2_grpc
-from service.application.api_keys import CreateKey, caller_of_key, parse_key
-from service.application.errors import StorageFull, Unauthenticated
-from service.application.maps import CreateMap
-from service.grpc import access as grpc_access
-from service.grpc import server as grpc_server
 from tests.support.credentials import a_key, bearer, ended
 from tests.support.live_service import live_service
 from tests.support.service_world import memory_world
@@ -158,7 +158,7 @@ async def test_an_unknown_id_costs_the_same_comparison_as_a_wrong_secret(monkeyp
         compared.append((type(stored), len(stored), shown))
         return hmac.compare_digest(stored, shown)
 
-    monkeypatch.setattr("service.application.api_keys.hmac", SimpleNamespace(compare_digest=spied))
+    monkeypatch.setattr("revisit.service.application.access.api_keys.hmac", SimpleNamespace(compare_digest=spied))
     for known in (made.record, None):
         with pytest.raises(Unauthenticated):
             caller_of_key(known, wrong, 0)
@@ -181,7 +181,7 @@ class CountingGate(grpc_access.Gate):
 
 @pytest.mark.parametrize("cause", ["revoked", "expired"])
 async def test_a_stream_ends_soon_after_its_key_is_gone(monkeypatch, cause):
-    monkeypatch.setattr("service.grpc.server.Gate", CountingGate)
+    monkeypatch.setattr("revisit.service.grpc.server.Gate", CountingGate)
     monkeypatch.setattr(CountingGate, "admitted", 0)
     assert grpc_access.STREAM_RECHECK_S <= 15  # seconds: half of what is promised
     world = memory_world()

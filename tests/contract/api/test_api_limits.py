@@ -12,10 +12,10 @@ import httpx
 import pytest
 import uvicorn
 
-from core.formats import QUANTISED, encode_quantised
-from service.rest.app import create_app
-from service.rest.limits import HttpLimits
-from service.rest.slow_clients import HEAD_BYTES, DeadlineProtocol, uvicorn_limits
+from revisit.formats import QUANTISED, encode_quantised
+from revisit.service.rest.app import create_app
+from revisit.service.rest.limits import HttpLimits
+from revisit.service.rest.slow_clients import HEAD_BYTES, DeadlineProtocol, uvicorn_limits
 from tests.support.service_world import cloud_points, memory_world
 
 SHORT_S = 0.4

@@ -5,9 +5,9 @@ from __future__ import annotations
 import httpx
 import pytest
 
-from core.errors import ErrorCode
-from service.application.errors import Unavailable
-from service.metrics import MetricsServer, RequestMetrics, StoreMetrics
+from revisit.core.errors import ErrorCode
+from revisit.service.application.contract.errors import Unavailable
+from revisit.service.metrics import MetricsServer, RequestMetrics, StoreMetrics
 from tests.support.service_world import TENANT, memory_world, open_session, submap
 
 

@@ -21,8 +21,8 @@ from schemathesis.specs.openapi.checks import (
     status_code_conformance,
 )
 
-from core.formats import MEDIA_TYPES
 from revisit import Client
+from revisit.formats import MEDIA_TYPES
 from tests.support.cloud_files import records, valid_files
 from tests.support.service_world import cloud_points, pose
 

@@ -13,12 +13,12 @@ import httpx
 import pytest
 from google.rpc import error_details_pb2, status_pb2
 
-from core.formats import QUANTISED, encode_quantised
 from revisit import ApiError, Client, Cloud
-from revisit.retry import RetryPolicy
+from revisit.formats import QUANTISED, encode_quantised
+from revisit.sdk.retry import RetryPolicy
+from revisit.service.application.capacity import intake
+from revisit.service.application.capacity.intake import CALL_POINTS, IntakeLimits
 from revisit.v1 import cloud_pb2, geometry_pb2, ingest_pb2, ingest_pb2_grpc
-from service.application import intake
-from service.application.intake import CALL_POINTS, IntakeLimits
 from tests.support.live_service import live_service
 from tests.support.service_world import cloud_points, pose
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from revisit import Client
-from revisit.errors import DeadlineExceeded, InvalidArgument
+from revisit.sdk.errors import DeadlineExceeded, InvalidArgument
 from tests.support.campaigns import Campaign, sizes
 from tests.support.fake_recogniser import CANNOT_BE_DESCRIBED
 from tests.support.live_service import live_service

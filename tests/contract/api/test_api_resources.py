@@ -7,8 +7,8 @@ import io
 import numpy as np
 import pytest
 
-from core import se3
-from revisit.errors import AlreadyExists, NotFound
+from revisit.core.geometry import se3
+from revisit.sdk.errors import AlreadyExists, NotFound
 from tests.support.service_world import cloud_points, pose
 
 EXACT = {"rtol": 0, "atol": 1e-12}

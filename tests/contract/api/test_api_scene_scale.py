@@ -9,14 +9,14 @@ import itertools
 import numpy as np
 import pytest
 
-from core.errors import BadField, DescriptorModelMismatch
-from revisit.errors import ApiError
-from service.application.clouds import DecodedCloud
-from service.application.errors import AlreadyExists
-from service.application.identity import SubmapKey, content_hash
-from service.application.maps import CreateMap
-from service.application.searches import SearchCriteria
-from service.application.sessions import CreateSession
+from revisit.core.errors import BadField, DescriptorModelMismatch
+from revisit.sdk.errors import ApiError
+from revisit.service.application.catalogue.maps import CreateMap
+from revisit.service.application.catalogue.sessions import CreateSession
+from revisit.service.application.contract.errors import AlreadyExists
+from revisit.service.application.contract.identity import SubmapKey, content_hash
+from revisit.service.application.ingest.clouds import DecodedCloud
+from revisit.service.application.query.searches import SearchCriteria
 from tests.support.fake_recogniser import FakeRecogniser
 from tests.support.service_world import SESSION, TENANT, cloud_points, memory_world, submap
 

@@ -9,9 +9,9 @@ import httpx
 import pytest
 
 from revisit import Client
-from revisit.errors import NotFound
+from revisit.sdk.errors import NotFound
+from revisit.service.application.access.callers import Scope
 from revisit.v1 import ingest_pb2, ingest_pb2_grpc
-from service.application.callers import Scope
 from tests.support.credentials import a_key, bearer
 from tests.support.service_world import cloud_points, pose
 

@@ -9,9 +9,9 @@ import grpc
 import numpy as np
 import pytest
 
-from core.formats import NPY, QUANTISED, encode_npy, encode_quantised
 from revisit import ApiError, Client, Cloud
-from revisit.retry import RetryPolicy
+from revisit.formats import NPY, QUANTISED, encode_npy, encode_quantised
+from revisit.sdk.retry import RetryPolicy
 from revisit.v1 import cloud_pb2, geometry_pb2, ingest_pb2, ingest_pb2_grpc
 from tests.support.service_world import cloud_points, pose
 
@@ -286,8 +286,8 @@ class ConnectionLost(grpc.RpcError):
 
 
 def test_the_sdk_resumes_after_lost_connections_without_losing_or_repeating_a_scan(service, session):
-    from revisit.grpc_transport import _api_error
-    from revisit.scan_stream import GrpcScanSink
+    from revisit.sdk.grpc_transport import _api_error
+    from revisit.sdk.scan_stream import GrpcScanSink
 
     with grpc.insecure_channel(service.grpc) as channel:
         proxy = CuttingProxy(ingest_pb2_grpc.IngestServiceStub(channel).StreamScans, answers_per_connection=7)

@@ -13,14 +13,14 @@ import structlog
 from opentelemetry.sdk.trace.export import SimpleSpanProcessor
 from opentelemetry.sdk.trace.export.in_memory_span_exporter import InMemorySpanExporter
 
-from core.formats import KITTI, encode_kitti
+from revisit.formats import KITTI, encode_kitti
+from revisit.service.adapters.opentelemetry_tracer import OpenTelemetryTracer
+from revisit.service.application.contract.origin import NoTracer, validated_traceparent
+from revisit.service.grpc.server import create_server
+from revisit.service.rest.app import create_app
+from revisit.service.worker.heartbeat import WorkerIdentity
+from revisit.service.worker.loop import Worker, WorkerLimits
 from revisit.v1 import cloud_pb2, geometry_pb2, submap_pb2, submap_pb2_grpc
-from service.adapters.opentelemetry_tracer import OpenTelemetryTracer
-from service.application.origin import NoTracer, validated_traceparent
-from service.grpc.server import create_server
-from service.rest.app import create_app
-from service.worker.heartbeat import WorkerIdentity
-from service.worker.loop import Worker, WorkerLimits
 from tests.support.fake_recogniser import CANNOT_BE_DESCRIBED
 from tests.support.service_world import TENANT, cloud_points, memory_world, open_session
 

@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from core import se3
-from core.config import SubmapConfig
-from core.scan import Scan
-from core.submap import Submap
+from revisit.core.config import SubmapConfig
+from revisit.core.geometry import se3
+from revisit.core.scan import Scan
+from revisit.core.submap import Submap
 
 Shape = Callable[[np.ndarray, np.ndarray], np.ndarray]
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from core.bev import describe_bev, reversed_patches
-from core.bev.keypoints import context_histograms, describe_patches, dominant_orientations
-from core.bev.log_gabor import OrientationMap
-from core.bev.projection import cluster_supported, normalise, project
-from core.clusters import Clusters
-from core.config import BevConfig
-from core.surface import Surface
+from revisit.core.bev import describe_bev, reversed_patches
+from revisit.core.bev.keypoints import context_histograms, describe_patches, dominant_orientations
+from revisit.core.bev.log_gabor import OrientationMap
+from revisit.core.bev.projection import cluster_supported, normalise, project
+from revisit.core.clusters import Clusters
+from revisit.core.config import BevConfig
+from revisit.core.surface import Surface
 
 
 def surface_of(occupied: list[tuple[int, int, int]], vertices: list[tuple[float, float, float]]) -> Surface:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core.cluster_normals import angular_histogram, describe_clusters, regional_means, sphere_regions
-from core.clusters import Clusters
-from core.config import MicroConfig
-from core.saliency import Saliency, weigh_clusters
-from core.surface import Surface
+from revisit.core.clusters import Clusters
+from revisit.core.config import MicroConfig
+from revisit.core.micro.cluster_normals import angular_histogram, describe_clusters, regional_means, sphere_regions
+from revisit.core.micro.saliency import Saliency, weigh_clusters
+from revisit.core.surface import Surface
 
 
 def two_walls() -> tuple[Surface, Clusters]:

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 import torch
 
-from core.config import ImplicitMapConfig, SurfaceConfig
-from core.errors import DataLoss, DescriptorModelMismatch
-from core.implicit_map import DecoderWeights, NeuralMap, fit_implicit_map, voxel_hash
-from core.implicit_map.decoder import orientations
-from core.implicit_map.fitting import sdf_loss
-from core.implicit_map.neural_points import ElasticAccumulator
-from core.implicit_map.samples import draw_samples
-from core.model_bundle import load_packaged_models
-from core.submap import Submap
-from core.surface import extract_surface
+from revisit.core.config import ImplicitMapConfig, SurfaceConfig
+from revisit.core.errors import DataLoss, DescriptorModelMismatch
+from revisit.core.implicit_map import DecoderWeights, NeuralMap, fit_implicit_map, voxel_hash
+from revisit.core.implicit_map.decoder import orientations
+from revisit.core.implicit_map.fitting import sdf_loss
+from revisit.core.implicit_map.neural_points import ElasticAccumulator
+from revisit.core.implicit_map.samples import draw_samples
+from revisit.core.model_bundle import load_packaged_models
+from revisit.core.submap import Submap
+from revisit.core.surface import extract_surface
 
 CONFIG = ImplicitMapConfig()
 SENSOR_HEIGHT = 1.7

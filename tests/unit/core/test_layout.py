@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter, rotate, shift
 
-from core.bev.layout import layout_spectrum
-from core.config import BevConfig
+from revisit.core.bev.layout import layout_spectrum
+from revisit.core.config import BevConfig
 
 CONFIG = BevConfig()
 

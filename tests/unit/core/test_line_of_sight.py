@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from core.config import VerificationConfig
-from core.line_of_sight import seen_through
+from revisit.core.config import VerificationConfig
+from revisit.core.verification.line_of_sight import seen_through
 
 CONFIG = VerificationConfig()
 

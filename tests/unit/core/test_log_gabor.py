@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core.bev.log_gabor import filter_bank, maximum_index_map
-from core.config import BevConfig
+from revisit.core.bev.log_gabor import filter_bank, maximum_index_map
+from revisit.core.config import BevConfig
 
 
 def test_each_filter_peaks_at_its_wavelength_and_direction() -> None:

@@ -8,10 +8,10 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from core import se3
-from core.errors import DescriptorModelMismatch
-from core.loop import RejectedLoop, RejectionReason, VerifiedLoop, loop_score, verify
-from core.signature import PlaceSignature
+from revisit.core.errors import DescriptorModelMismatch
+from revisit.core.geometry import se3
+from revisit.core.place import PlaceSignature
+from revisit.core.verification.verdict import RejectedLoop, RejectionReason, VerifiedLoop, loop_score, verify
 from tests.support.yards import CONFIG, moved, recognised, signature_of_points, thinned, yard
 
 VERIFICATION = CONFIG.verification

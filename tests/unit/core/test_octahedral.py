@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core import octahedral
+from revisit.core.geometry import octahedral
 
 
 @pytest.mark.parametrize("steps", [63, 127])

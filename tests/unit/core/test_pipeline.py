@@ -8,16 +8,16 @@ from functools import cache
 import numpy as np
 import pytest
 
-from core import se3
-from core.config import PipelineConfig
-from core.descriptor import without_parts
-from core.errors import DegenerateCloud, DescriptorModelMismatch
-from core.loop import RejectedLoop, VerifiedLoop
-from core.model_bundle import load_packaged_models
-from core.pipeline import Ablation, DescribedPlace, describe, verify
-from core.scan import Scan
-from core.submap import Submap
-from core.vlad import folded_size
+from revisit.core.config import PipelineConfig
+from revisit.core.descriptor.fusion import without_parts
+from revisit.core.descriptor.vlad import folded_size
+from revisit.core.errors import DegenerateCloud, DescriptorModelMismatch
+from revisit.core.geometry import se3
+from revisit.core.model_bundle import load_packaged_models
+from revisit.core.pipeline import Ablation, DescribedPlace, describe, verify
+from revisit.core.scan import Scan
+from revisit.core.submap import Submap
+from revisit.core.verification.verdict import RejectedLoop, VerifiedLoop
 
 CONFIG = PipelineConfig()
 

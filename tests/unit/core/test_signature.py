@@ -8,8 +8,8 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from core.errors import DataLoss
-from core.signature import PlaceSignature
+from revisit.core.errors import DataLoss
+from revisit.core.place import PlaceSignature
 from tests.support.yards import recognised, yard
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core import se3
-from core.clusters import Clusters
-from core.config import SpectrumConfig
-from core.spectra import PlaceSpectra, describe_spectra
-from core.spectra.profile import spectrum_size
-from core.surface import Surface
+from revisit.core.clusters import Clusters
+from revisit.core.config import SpectrumConfig
+from revisit.core.geometry import se3
+from revisit.core.spectra import PlaceSpectra, describe_spectra
+from revisit.core.spectra.profile import spectrum_size
+from revisit.core.surface import Surface
 
 CONFIG = SpectrumConfig()
 AMPLITUDES = CONFIG.frequencies * (CONFIG.harmonics + 1)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core import se3
-from core.config import SubmapConfig
-from core.errors import EmptyCloud
-from core.scan import Scan
-from core.submap import Submap
+from revisit.core.config import SubmapConfig
+from revisit.core.errors import EmptyCloud
+from revisit.core.geometry import se3
+from revisit.core.scan import Scan
+from revisit.core.submap import Submap
 
 
 def test_a_tilted_submap_is_turned_upright_and_keeps_its_place_in_the_odometry_frame():

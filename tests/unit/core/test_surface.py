@@ -6,10 +6,10 @@ from collections import Counter
 
 import numpy as np
 
-from core.clusters import euclidean_clusters, find_ground, segment_clusters
-from core.config import ClusterConfig, ImplicitMapConfig, SurfaceConfig
-from core.surface import Surface, surface_from_points
-from core.surface.marching_cubes import CORNERS, case_table, edge_table, polygonise
+from revisit.core.clusters import euclidean_clusters, find_ground, segment_clusters
+from revisit.core.config import ClusterConfig, ImplicitMapConfig, SurfaceConfig
+from revisit.core.surface import Surface, surface_from_points
+from revisit.core.surface.marching_cubes import CORNERS, case_table, edge_table, polygonise
 
 
 def cells_of_a_box(size: int) -> tuple[np.ndarray, np.ndarray]:

@@ -8,9 +8,11 @@ from pathlib import Path
 import pytest
 import typer
 
-from core.errors import ErrorCode
-from core.loop import RejectionReason
 from revisit.cli.app import app
+from revisit.core.errors import ErrorCode
+from revisit.core.verification.verdict import RejectionReason
+from revisit.service.rest.app import create_app
+from revisit.service.settings import Settings
 from revisit.v1 import (
     ingest_pb2,
     loop_closure_pb2,
@@ -21,8 +23,6 @@ from revisit.v1 import (
     submap_pb2,
     system_pb2,
 )
-from service.rest.app import create_app
-from service.settings import Settings
 
 ROOT = Path(__file__).resolve().parents[3]
 DOCS = ROOT / "docs"

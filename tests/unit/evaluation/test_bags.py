@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import zstandard
 
-from core import se3
-from core.errors import BadField, MalformedBody, UnsupportedEncoding
-from evaluation.datasets import open_bag
+from revisit.core.errors import BadField, MalformedBody, UnsupportedEncoding
+from revisit.core.geometry import se3
+from revisit.evaluation.datasets import open_bag
 
 MAGIC = b"\x89MCAP0\r\n"
 COUNT = 120

@@ -7,8 +7,8 @@ import functools
 import numpy as np
 import pytest
 
-from core import se3
-from evaluation.baselines import (
+from revisit.core.geometry import se3
+from revisit.evaluation.baselines import (
     ALL_BASELINES,
     LidarIris,
     M2dp,

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from evaluation import benchmark
-from evaluation.benchmark import Metric
-from evaluation.protocols.programme import Programme, RecordedDrive
 from revisit.cli import benchmarking
 from revisit.cli.app import app
+from revisit.evaluation import benchmark
+from revisit.evaluation.benchmark import Metric
+from revisit.evaluation.protocols.programme import Programme, RecordedDrive
 
 GOOD = Metric("surface_error_median", 0.05, "m", "up", 0.1)
 SHOWN = Metric("describe", 0.4, "CPU s", "up", np.inf)

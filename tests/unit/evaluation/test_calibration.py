@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from evaluation.calibration import (
+from revisit.evaluation.calibration import (
     NullSimilarities,
     Threshold,
     TooFewPlaces,
@@ -13,11 +13,11 @@ from evaluation.calibration import (
     null_similarities,
     places_needed,
 )
-from evaluation.matching import QueryMatches
-from evaluation.methods import Description
-from evaluation.metrics import LoopProtocol
-from evaluation.places import Place
-from evaluation.summary import summarise
+from revisit.evaluation.matching import QueryMatches
+from revisit.evaluation.methods import Description
+from revisit.evaluation.metrics import LoopProtocol
+from revisit.evaluation.places import Place
+from revisit.evaluation.summary import summarise
 
 
 def along_a_line(*metres):

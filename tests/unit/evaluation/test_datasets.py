@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core import se3
-from core.errors import BadField, BadTransform, MalformedBody
-from evaluation.datasets import KittiRecording, write_kitti
+from revisit.core.errors import BadField, BadTransform, MalformedBody
+from revisit.core.geometry import se3
+from revisit.evaluation.datasets import KittiRecording, write_kitti
 
 
 def cloud(seed: int, count: int = 150) -> np.ndarray:

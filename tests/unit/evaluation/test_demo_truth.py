@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core import se3
-from evaluation.demo import FoundLoop, Targets, TrueSubmap, compare
-from evaluation.demo.drive import demo_drives, drifting
+from revisit.core.geometry import se3
+from revisit.evaluation.demo import FoundLoop, Targets, TrueSubmap, compare
+from revisit.evaluation.demo.drive import demo_drives, drifting
 
 TARGETS = Targets(gap=2)
 

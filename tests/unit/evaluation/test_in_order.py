@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core import se3
-from core.config import SubmapConfig
-from evaluation.baselines import map_closures
-from evaluation.datasets import KittiRecording, write_kitti
-from evaluation.metrics import LoopProtocol
-from evaluation.protocols.in_order import outcome_of, with_map_closures
-from evaluation.protocols.question import Question
-from evaluation.protocols.trial import Trial
+from revisit.core.config import SubmapConfig
+from revisit.core.geometry import se3
+from revisit.evaluation.baselines import map_closures
+from revisit.evaluation.datasets import KittiRecording, write_kitti
+from revisit.evaluation.metrics import LoopProtocol
+from revisit.evaluation.protocols.in_order import outcome_of, with_map_closures
+from revisit.evaluation.protocols.question import Question
+from revisit.evaluation.protocols.trial import Trial
 
 LOOPS = LoopProtocol(positive_radius_m=10.0, min_index_gap=3)
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core import se3
-from evaluation.matching import nearness
+from revisit.core.geometry import se3
+from revisit.evaluation.matching import nearness
 
 
 @pytest.mark.parametrize(("distance", "expected"), [(0.0, 1.0), (10.0, 16 / 17), (20.0, 0.5), (40.0, 1 / 17)])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from evaluation.metrics import (
+from revisit.evaluation.metrics import (
     LoopProtocol,
     Outcomes,
     area_under_curve,

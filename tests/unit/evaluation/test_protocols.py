@@ -10,27 +10,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core import se3
-from core.config import SubmapConfig
-from core.submap import Submap
-from evaluation.baselines import ScanContext, Solid
-from evaluation.datasets import write_kitti
-from evaluation.methods import Description, PipelineMethod, Verdict
-from evaluation.metrics import LoopProtocol, Outcomes
-from evaluation.protocols.bench import run_recognition_bench
-from evaluation.protocols.contest import PRODUCT, VERIFIED
-from evaluation.protocols.directions import Direction, directions, recall_by_direction
-from evaluation.protocols.programme import ABLATIONS, PROTOCOLS, Programme, RecordedDrive, run_programme
-from evaluation.protocols.question import Question
-from evaluation.protocols.towns import DRIVES, SESSIONS, TEST_SEEDS, SimulatedDrive
-from evaluation.protocols.trial import MethodOutcome, Trial, classified, scores
-from evaluation.report.document import Document
-from evaluation.report.failures import Failure, worst_failures
-from evaluation.report.recognition import write_report
-from evaluation.simulator import VLP16, Changes, build_city, changed
-from evaluation.simulator import Path as Way
-from evaluation.simulator.blocks import Material
-from evaluation.training.corpus import TRAINING_SEED
+from revisit.core.config import SubmapConfig
+from revisit.core.geometry import se3
+from revisit.core.submap import Submap
+from revisit.evaluation.baselines import ScanContext, Solid
+from revisit.evaluation.datasets import write_kitti
+from revisit.evaluation.methods import Description, PipelineMethod, Verdict
+from revisit.evaluation.metrics import LoopProtocol, Outcomes
+from revisit.evaluation.protocols.bench import run_recognition_bench
+from revisit.evaluation.protocols.contest import PRODUCT, VERIFIED
+from revisit.evaluation.protocols.directions import Direction, directions, recall_by_direction
+from revisit.evaluation.protocols.programme import ABLATIONS, PROTOCOLS, Programme, RecordedDrive, run_programme
+from revisit.evaluation.protocols.question import Question
+from revisit.evaluation.protocols.towns import DRIVES, SESSIONS, TEST_SEEDS, SimulatedDrive
+from revisit.evaluation.protocols.trial import MethodOutcome, Trial, classified, scores
+from revisit.evaluation.report.document import Document
+from revisit.evaluation.report.failures import Failure, worst_failures
+from revisit.evaluation.report.recognition import write_report
+from revisit.evaluation.simulator import VLP16, Changes, build_city, changed
+from revisit.evaluation.simulator import Path as Way
+from revisit.evaluation.simulator.blocks import Material
+from revisit.evaluation.training.corpus import TRAINING_SEED
 
 RADIUS_M = 40.0
 PER_LAP = 60

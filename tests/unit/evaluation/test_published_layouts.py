@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core import se3
-from core.errors import BadField, BadTransform, MalformedBody
-from core.formats import pcd, ply
-from evaluation.datasets import open_cloud_folder, open_kitti360, open_mulran, open_nclt, open_recording
+from revisit.core.errors import BadField, BadTransform, MalformedBody
+from revisit.core.geometry import se3
+from revisit.evaluation.datasets import open_cloud_folder, open_kitti360, open_mulran, open_nclt, open_recording
+from revisit.formats import pcd, ply
 
 COUNT = 150
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluation.datasets import KittiRecording
-from evaluation.interleaved import evaluate_interleaved
-from evaluation.runner import EvaluationOptions
+from revisit.evaluation.datasets import KittiRecording
+from revisit.evaluation.interleaved import evaluate_interleaved
+from revisit.evaluation.runner import EvaluationOptions
 
 pytestmark = [
     pytest.mark.real_data,

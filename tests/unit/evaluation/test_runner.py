@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core import se3
-from core.errors import DegenerateCloud
-from core.submap import Submap
-from evaluation.cutting import cut
-from evaluation.datasets import KittiRecording, write_kitti
-from evaluation.interleaved import evaluate_interleaved
-from evaluation.methods import Description, Verdict
-from evaluation.perturbations import Perturbation, keep_beams
-from evaluation.runner import EvaluationOptions, evaluate
+from revisit.core.errors import DegenerateCloud
+from revisit.core.geometry import se3
+from revisit.core.submap import Submap
+from revisit.evaluation.cutting import cut
+from revisit.evaluation.datasets import KittiRecording, write_kitti
+from revisit.evaluation.interleaved import evaluate_interleaved
+from revisit.evaluation.methods import Description, Verdict
+from revisit.evaluation.perturbations import Perturbation, keep_beams
+from revisit.evaluation.runner import EvaluationOptions, evaluate
 
 RADIUS_M = 40.0
 LAPS = 2

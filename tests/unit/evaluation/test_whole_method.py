@@ -7,10 +7,10 @@ from pathlib import Path as File
 
 import pytest
 
-from evaluation.datasets import KittiRecording, write_kitti
-from evaluation.perturbations import Perturbation
-from evaluation.runner import EvaluationOptions, evaluate
-from evaluation.simulator import OS1_64, Path, build_city, drive, simulate
+from revisit.evaluation.datasets import KittiRecording, write_kitti
+from revisit.evaluation.perturbations import Perturbation
+from revisit.evaluation.runner import EvaluationOptions, evaluate
+from revisit.evaluation.simulator import OS1_64, Path, build_city, drive, simulate
 
 
 @pytest.mark.slow

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 import zstandard
 
-from core import formats
-from core.errors import BadField, MalformedBody, RevisitError, TooLarge, UnsupportedEncoding
-from core.formats import KITTI, NPY, PCD, PLY, POINTCLOUD2, QUANTISED, CloudLimits, decode_cloud
-from core.scan import validate_cloud
+from revisit import formats
+from revisit.core.errors import BadField, MalformedBody, RevisitError, TooLarge, UnsupportedEncoding
+from revisit.core.scan import validate_cloud
+from revisit.formats import KITTI, NPY, PCD, PLY, POINTCLOUD2, QUANTISED, CloudLimits, decode_cloud
 
 
 def refused(error: type[RevisitError], data: bytes, media_type: str, **options: object) -> None:

@@ -8,9 +8,9 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from core.errors import MalformedBody, RevisitError
-from core.formats import decode_cloud
-from core.formats.cloud import DecodedCloud
+from revisit.core.errors import MalformedBody, RevisitError
+from revisit.formats import decode_cloud
+from revisit.formats.cloud import DecodedCloud
 
 FLIPS = 1000
 

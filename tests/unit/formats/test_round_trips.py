@@ -7,8 +7,8 @@ import struct
 import numpy as np
 import pytest
 
-from core import formats
-from core.errors import BadField, OutOfRange
+from revisit import formats
+from revisit.core.errors import BadField, OutOfRange
 
 
 def test_every_format_gives_the_same_points_and_intensities(valid_file, make):

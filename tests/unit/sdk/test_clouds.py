@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core.formats import NPY, QUANTISED, decode_cloud
-from revisit.clouds import Cloud, encoded
+from revisit.formats import NPY, QUANTISED, decode_cloud
+from revisit.sdk.clouds import Cloud, encoded
 
 POINTS = np.random.default_rng(1).uniform(-50, 50, (500, 3)).astype(np.float32)
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core import se3
 from revisit.cli.exporting import ODOMETRY_INFORMATION, Graph, as_g2o
-from revisit.resources import LoopClosure, Submap
+from revisit.core.geometry import se3
+from revisit.sdk.resources import LoopClosure, Submap
 
 # The query stands 2 m ahead of the match, turned left by 90 degrees.
 T_MATCH_QUERY = se3.from_quaternion((0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)), (2.0, 0.0, 0.0))

@@ -7,13 +7,13 @@ import threading
 import grpc
 import pytest
 
-from revisit import grpc_answers, scan_stream
-from revisit.clouds import Cloud
-from revisit.errors import Unavailable, unreachable
-from revisit.grpc_answers import Answers, LostCall, answer
-from revisit.grpc_transport import GrpcTransport, _api_error
-from revisit.retry import RetryPolicy
-from revisit.scan_stream import GrpcScanSink
+from revisit.sdk import grpc_answers, scan_stream
+from revisit.sdk.clouds import Cloud
+from revisit.sdk.errors import Unavailable, unreachable
+from revisit.sdk.grpc_answers import Answers, LostCall, answer
+from revisit.sdk.grpc_transport import GrpcTransport, _api_error
+from revisit.sdk.retry import RetryPolicy
+from revisit.sdk.scan_stream import GrpcScanSink
 from revisit.v1 import ingest_pb2
 
 ONCE = RetryPolicy(attempts=1)
@@ -60,7 +60,7 @@ def test_the_client_tells_a_lost_call_like_a_service_that_cannot_be_reached(monk
     def lost(*_):
         raise LostCall(95.0)
 
-    monkeypatch.setattr("revisit.grpc_transport.answer", lost)
+    monkeypatch.setattr("revisit.sdk.grpc_transport.answer", lost)
     transport = GrpcTransport("127.0.0.1:1", ONCE)
     try:
         with pytest.raises(Unavailable) as failure:

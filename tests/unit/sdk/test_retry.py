@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from revisit.errors import ApiError, ErrorDetails, error_of
-from revisit.retry import RetryPolicy
+from revisit.sdk.errors import ApiError, ErrorDetails, error_of
+from revisit.sdk.retry import RetryPolicy
 
 
 class Service:

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from revisit.clouds import Cloud
-from revisit.spool import Spool, SpoolDisagrees, SpoolFull, SpoolUnusable
+from revisit.sdk.clouds import Cloud
+from revisit.sdk.spool import Spool, SpoolDisagrees, SpoolFull, SpoolUnusable
 
 ROOT = Path(__file__).resolve().parents[3]
 POSE = {"translation": {"x": 1.0, "y": 0.0, "z": 0.0}, "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
@@ -79,7 +79,8 @@ def test_what_was_put_is_there_after_the_spool_is_opened_again(path):
 
 def test_a_process_that_is_killed_leaves_every_scan_it_has_put(path):
     script = (
-        "import os, sys; from pathlib import Path; from revisit.clouds import Cloud; from revisit.spool import Spool\n"
+        "import os, sys; from pathlib import Path; from revisit.sdk.clouds import Cloud\n"
+        "from revisit.sdk.spool import Spool\n"
         f"spool = Spool(Path(sys.argv[1]), {MONDAY!r})\n"
         "for stamp in range(1, 8):\n"
         "    spool.append(Cloud(bytes(1000), 'a/b'), {}, stamp)\n"

@@ -5,8 +5,8 @@ from __future__ import annotations
 import grpc
 import pytest
 
-from revisit.errors import ApiError, Unavailable
-from revisit.grpc_transport import _api_error
+from revisit.sdk.errors import ApiError, Unavailable
+from revisit.sdk.grpc_transport import _api_error
 
 
 class Failure:

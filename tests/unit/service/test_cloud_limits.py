@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core.errors import TooLarge
-from core.formats import DecodedCloud
-from service.application.clouds import MAX_SCAN_POINTS, MAX_SUBMAP_POINTS, accept_cloud
+from revisit.core.errors import TooLarge
+from revisit.formats import DecodedCloud
+from revisit.service.application.ingest.clouds import MAX_SCAN_POINTS, MAX_SUBMAP_POINTS, accept_cloud
 
 
 def test_the_limits_are_those_of_the_documentation():

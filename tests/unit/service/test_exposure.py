@@ -9,11 +9,10 @@ import logging
 import pytest
 import structlog
 
-import service.gateway
-from service.__main__ import main
-from service.application.api_keys import CreateKey
-from service.composition import offline_use_cases
-from service.settings import Settings
+from revisit.service.__main__ import main
+from revisit.service.application.access.api_keys import CreateKey
+from revisit.service.composition import offline_use_cases
+from revisit.service.settings import Settings
 
 ADDRESSES = {"127.0.0.1": False, "::1": False, "localhost": False, "0.0.0.0": True, "::": True, "192.0.2.7": True}
 
@@ -23,14 +22,14 @@ def served(monkeypatch, tmp_path):
     """A home, and what would have been served there."""
     monkeypatch.setenv("REVISIT_HOME", str(tmp_path))
     calls = []
-    monkeypatch.setattr(service.gateway, "serve", lambda settings: calls.append(settings) or 0)
+    monkeypatch.setattr("revisit.service.gateway.serve", lambda settings: calls.append(settings) or 0)
     yield calls
     structlog.reset_defaults()
     logging.basicConfig(force=True, handlers=[logging.NullHandler()])
 
 
 def make_key():
-    from service.adapters.sql.migration import migrate
+    from revisit.service.adapters.sql.migration import migrate
 
     migrate(Settings().database)
     with offline_use_cases(Settings()) as use_cases:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from service import failpoints
-from service.failpoints import FailpointReached, arm, failpoint
+from revisit.service import failpoints
+from revisit.service.failpoints import FailpointReached, arm, failpoint
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -84,7 +84,7 @@ def test_what_does_not_exist_cannot_be_armed(specification, message):
 
 def test_the_service_does_not_start_with_a_failpoint_that_does_not_exist(tmp_path):
     environment = {"REVISIT_FAIL": "nowhere=kill", "REVISIT_HOME": str(tmp_path / "home"), "PATH": ""}
-    command = [sys.executable, "-m", "service", "serve"]
+    command = [sys.executable, "-m", "revisit.service", "serve"]
     ended = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=60, check=False)
     assert ended.returncode == 78
     assert "REVISIT_FAIL: there is no failpoint 'nowhere'" in ended.stderr

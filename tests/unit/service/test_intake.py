@@ -7,8 +7,8 @@ from contextlib import AsyncExitStack, ExitStack, suppress
 
 import pytest
 
-from service.application.errors import RateLimited, WorkersBusy
-from service.application.intake import CALL_POINTS, CROWDED_S, Intake, IntakeLimits
+from revisit.service.application.capacity.intake import CALL_POINTS, CROWDED_S, Intake, IntakeLimits
+from revisit.service.application.contract.errors import RateLimited, WorkersBusy
 
 
 class Clock:
@@ -129,7 +129,7 @@ async def test_one_tenant_leaves_a_place_for_another(clock):
 
 
 async def test_where_more_keeps_coming_the_line_of_the_tenant_is_short(clock, monkeypatch):
-    monkeypatch.setattr("service.application.intake.DECODERS", 3)
+    monkeypatch.setattr("revisit.service.application.capacity.intake.DECODERS", 3)
     bounded = intake(clock, clouds=16, tenant_share=0.75)
 
     async def let_in(tenant, *, decode=False):
@@ -172,7 +172,7 @@ async def test_the_patient_wait_for_their_turn_in_order(clock):
 
 
 async def test_the_patient_go_on_where_those_before_them_are_decoded(clock, monkeypatch):
-    monkeypatch.setattr("service.application.intake.DECODERS", 1)
+    monkeypatch.setattr("revisit.service.application.capacity.intake.DECODERS", 1)
     bounded = intake(clock, clouds=4, tenant_share=1.0)
     bounded.note_crowd("anna")
     entered = asyncio.Event()

@@ -8,7 +8,7 @@ import logging
 import pytest
 import structlog
 
-from service.telemetry import configure_logging
+from revisit.service.telemetry import configure_logging
 
 
 @pytest.fixture(autouse=True)

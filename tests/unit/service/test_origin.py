@@ -6,7 +6,7 @@ import contextvars
 
 import structlog
 
-from service.application.origin import Origin, current_origin, originating
+from revisit.service.application.contract.origin import Origin, current_origin, originating
 
 
 def test_work_has_the_innermost_origin_and_the_outer_one_afterwards() -> None:

@@ -10,9 +10,9 @@ import secrets
 import pytest
 import structlog
 
-from service.application.api_keys import parse_key
-from service.redaction import redacted
-from service.telemetry import configure_logging
+from revisit.service.application.access.api_keys import parse_key
+from revisit.service.redaction import redacted
+from revisit.service.telemetry import configure_logging
 from tests.support.credentials import a_key
 from tests.support.service_world import memory_world
 

@@ -6,10 +6,10 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.config import SubmapConfig
-from core.scan import CloudReport, Scan
-from core.submap import SubmapBuilder
-from service.application.scan_windows import ScanRange, Window, advance, remainder
+from revisit.core.config import SubmapConfig
+from revisit.core.scan import CloudReport, Scan
+from revisit.core.submap import SubmapBuilder
+from revisit.service.application.ingest.scan_windows import ScanRange, Window, advance, remainder
 
 STEPS_M = st.lists(st.one_of(st.just(0.0), st.floats(0.01, 3.0), st.floats(8.0, 40.0)), min_size=1, max_size=60)
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from pydantic import ValidationError
 
-from service.application import Policy
-from service.application.identity import content_hash, validated_id
-from service.settings import Settings
+from revisit.service.application import Policy
+from revisit.service.application.contract.identity import content_hash, validated_id
+from revisit.service.settings import Settings
 from tests.support.records import a_map
 
 

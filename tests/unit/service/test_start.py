@@ -11,12 +11,12 @@ import pytest
 import structlog
 from alembic.script import ScriptDirectory
 
-from service.__main__ import main
-from service.adapters.sql.migration import MIGRATIONS, current_revision
-from service.application.records import WorkerRecord
-from service.composition import build_context
-from service.settings import Settings
-from service.telemetry import configure_logging
+from revisit.service.__main__ import main
+from revisit.service.adapters.sql.migration import MIGRATIONS, current_revision
+from revisit.service.application.contract.records import WorkerRecord
+from revisit.service.composition import build_context
+from revisit.service.settings import Settings
+from revisit.service.telemetry import configure_logging
 
 
 @pytest.fixture(autouse=True)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import grpc
 
-from core.errors import ErrorCode
-from service.status import STATUS
+from revisit.core.errors import ErrorCode
+from revisit.service.status import STATUS
 
 
 def test_the_table_answers_for_every_code_and_no_other():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-from service.application.submap_source import MAX_SCANS, chosen_seqs
+from revisit.service.application.ingest.submap_source import MAX_SCANS, chosen_seqs
 
 
 def test_all_scans_of_a_window_are_chosen_up_to_the_limit():

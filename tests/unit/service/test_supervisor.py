@@ -6,8 +6,8 @@ import asyncio
 
 import pytest
 
-from service.worker import supervisor
-from service.worker.supervisor import WorkerSupervisor
+from revisit.service.worker import supervisor
+from revisit.service.worker.supervisor import WorkerSupervisor
 from tests.support.service_world import memory_world
 
 

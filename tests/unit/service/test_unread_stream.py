@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 
+from revisit.service.grpc.servicers import ingest
 from revisit.v1 import ingest_pb2
-from service.grpc.servicers import ingest
 from tests.support.service_world import SESSION, TENANT, memory_world, open_session
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core.errors import EmptyCloud
-from service import ONE_THREAD
-from service.adapters import core_recogniser
-from service.worker.supervisor import _environment
+from revisit.core.errors import EmptyCloud
+from revisit.service import ONE_THREAD
+from revisit.service.adapters import core_recogniser
+from revisit.service.worker.supervisor import _environment
 from tests.support.fake_recogniser import FakeRecogniser
 
 

@@ -9,9 +9,9 @@ import threading
 
 import pytest
 
-from service import ONE_THREAD
-from service.worker.heartbeat import WorkerIdentity
-from service.worker.loop import Worker, WorkerLimits
+from revisit.service import ONE_THREAD
+from revisit.service.worker.heartbeat import WorkerIdentity
+from revisit.service.worker.loop import Worker, WorkerLimits
 from tests.support.processes import ROOT
 from tests.support.service_world import TENANT, memory_world, open_session, submap
 
@@ -58,7 +58,7 @@ def test_a_confined_process_meets_a_memory_error_leaves_no_core_dump_and_goes_be
 import os, resource
 from pathlib import Path
 import numpy as np
-from service.worker.confinement import confine, resident_bytes
+from revisit.service.worker.confinement import confine, resident_bytes
 confine(300 * 2**20)
 kept = np.ones(2**24)  # 128 MiB
 assert 128 * 2**20 < resident_bytes() < 300 * 2**20

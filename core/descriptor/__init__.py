@@ -1,0 +1,1 @@
+"""The fused place descriptor: VLAD aggregation and fusion (paper III-D, III-E, Eq. 13-15)."""

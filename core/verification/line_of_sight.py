@@ -1,0 +1,53 @@
+"""Free space as evidence against an alignment: what one place has looked through cannot stand there in the other.
+
+A signature holds surface points, not rays; but whoever saw a surface in a direction saw nothing before it
+(docs/decisions/0018).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.config import VerificationConfig
+
+Array64 = NDArray[np.float64]
+
+_LOWEST_DEG, _ROWS = -60.0, 40
+
+
+def seen_through(points: Array64, seen: Array64, config: VerificationConfig) -> tuple[int, int]:
+    """How many of `points` (n, 3) the surface points `seen` (m, 3) contradict, and of how many they tell anything.
+
+    Both are in the frame of the place that saw `seen`, whose origin is where it was seen from. A point is contradicted
+    where everything seen in its direction and next to it lies farther by more than `sight_margin`; it is confirmed
+    where that lies at its range, and hidden, which tells nothing, where something stands before it.
+    """
+    image, where, distance = _range_image(seen, config), _direction(points, config), np.linalg.norm(points, axis=1)
+    inside = np.isfinite(image[where]) & (distance > config.sight_near) & (distance < config.sight_far)
+    behind = _with_neighbours(image)[where] - distance
+    through = inside & (behind > config.sight_margin)
+    confirmed = inside & (np.abs(behind) <= config.sight_margin)
+    return int(through.sum()), int(through.sum() + confirmed.sum())
+
+
+def _range_image(points: Array64, config: VerificationConfig) -> Array64:
+    """The nearest range (columns, rows) in metres by azimuth and elevation; infinite where nothing was seen."""
+    image = np.full((round(360.0 / config.sight_angle), _ROWS), np.inf)
+    np.minimum.at(image, _direction(points, config), np.linalg.norm(points, axis=1))
+    return image
+
+
+def _direction(points: Array64, config: VerificationConfig) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    columns = round(360.0 / config.sight_angle)
+    azimuth = np.degrees(np.arctan2(points[:, 1], points[:, 0])) + 180.0
+    elevation = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
+    row = np.floor((elevation - _LOWEST_DEG) / config.sight_angle).astype(np.int64)
+    return (azimuth / config.sight_angle).astype(np.int64) % columns, np.clip(row, 0, _ROWS - 1)
+
+
+def _with_neighbours(image: Array64) -> Array64:
+    """The smallest value of each pixel and its eight neighbours; azimuth goes round."""
+    around = np.minimum(np.minimum(np.roll(image, 1, axis=0), image), np.roll(image, -1, axis=0))
+    padded = np.pad(around, ((0, 0), (1, 1)), constant_values=np.inf)
+    return np.asarray(np.minimum(np.minimum(padded[:, :-2], around), padded[:, 2:]))

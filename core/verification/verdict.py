@@ -1,0 +1,166 @@
+"""Verdicts on loop candidates: gates from cheap to dear, one score, a pose with covariance (paper III-E, end)."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.config import VerificationConfig
+from revisit.core.errors import DescriptorModelMismatch
+from revisit.core.geometry import se3
+from revisit.core.place import PlaceSignature
+from revisit.core.verification.alignment import (
+    PlanarFit,
+    Registration,
+    correlate_images,
+    fit_plane_motion,
+    lift,
+    observability,
+    register,
+)
+
+__all__ = ["LoopMeasurement", "RejectedLoop", "RejectionReason", "VerifiedLoop", "verify"]
+
+
+class RejectionReason(StrEnum):
+    """Why a candidate is not a loop."""
+
+    DEGENERATE_PLACE = "DEGENERATE_PLACE"
+    NO_COMMON_REGION = "NO_COMMON_REGION"
+    DEGENERATE_ALIGNMENT = "DEGENERATE_ALIGNMENT"
+    IMPLAUSIBLE_TILT = "IMPLAUSIBLE_TILT"
+    LOW_OVERLAP = "LOW_OVERLAP"
+    SEEN_THROUGH = "SEEN_THROUGH"
+    LOW_SCORE = "LOW_SCORE"
+
+
+@dataclass(frozen=True)
+class LoopMeasurement:
+    """The evidence for a loop.
+
+    similarity of the descriptors; inliers and inlier_ratio of the keypoint correspondences; overlap 0..1 of the
+    surfaces; contrast, how much of it is lost a few metres aside; seen_through 0..1, how much of what stands in one
+    place the other has looked through; rmse_m of the point-to-plane residuals; score 0..1 (`loop_score`);
+    T_match_query (4, 4) maps points of the query submap's frame into the match submap's frame; covariance (6, 6) of its
+    tangent (x, y, z, rx, ry, rz), metres and radians, in the match frame.
+    """
+
+    similarity: float
+    inliers: int
+    inlier_ratio: float
+    overlap: float
+    contrast: float
+    seen_through: float
+    rmse_m: float
+    score: float
+    T_match_query: se3.Matrix4
+    covariance: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class VerifiedLoop:
+    """The two submaps show the same place."""
+
+    measurement: LoopMeasurement
+
+
+@dataclass(frozen=True)
+class RejectedLoop:
+    """The candidate is not accepted; the measurement is there where the geometry was looked at."""
+
+    reason: RejectionReason
+    measurement: LoopMeasurement | None = None
+
+
+def verify(
+    query: PlaceSignature, match: PlaceSignature, similarity: float, config: VerificationConfig
+) -> VerifiedLoop | RejectedLoop:
+    """Whether two submaps show the same place, and how they lie to each other.
+
+    Nothing in it is random.
+    Raises DescriptorModelMismatch where the signatures come from different codebooks or scene scales.
+    """
+    if query.model != match.model or abs(query.scene_scale - match.scene_scale) > 1e-6:
+        raise DescriptorModelMismatch
+    if is_degenerate(query, config) or is_degenerate(match, config):
+        return RejectedLoop(RejectionReason.DEGENERATE_PLACE)
+    fit = fit_plane_motion(query, match, config)
+    starts = [fit] if fit.inliers >= config.sure_inliers else [fit, *correlate_images(query, match, config)]
+    enough = max(config.min_common, config.min_common_share * min(query.standing, match.standing))
+    best = register([lift(start, query, match) for start in starts[: config.starts]], query, match, config)
+    measurement = _unlevelled(_measure(fit, best, similarity, config), query, match)
+    reason = _rejection(measurement, best, enough, config)
+    return VerifiedLoop(measurement) if reason is None else RejectedLoop(reason, measurement)
+
+
+def is_degenerate(place: PlaceSignature, config: VerificationConfig) -> bool:
+    """Whether a place cannot be verified: too little stands on its ground, or what stands there is one line or wall."""
+    standing = place.points[: place.standing].astype(np.float64)
+    if len(standing) < config.min_standing:
+        return True
+    spread = np.sqrt(np.clip(np.linalg.eigvalsh(np.cov(standing[:, :2].T)), 0.0, None))
+    return bool(spread[0] < config.min_spread)
+
+
+def loop_score(contrast: float, seen_through: float, rmse_m: float) -> float:
+    """Evidence to 0..1 by logistic regression on real and simulated submaps (docs/decisions/0018)."""
+    features = (1.0, contrast, seen_through, max(rmse_m, _SHARPEST_RMSE_M))
+    logit = float(np.dot(_SCORE_WEIGHTS, features))
+    return float(1.0 / (1.0 + np.exp(-np.clip(logit, -30.0, 30.0))))
+
+
+_SCORE_WEIGHTS = (16.7, 19.2, -29.7, -150.0)
+_SHARPEST_RMSE_M = 0.09  # cleaner surfaces, such as simulated ones, are no better evidence
+
+
+def _measure(
+    fit: PlanarFit, registration: Registration, similarity: float, config: VerificationConfig
+) -> LoopMeasurement:
+    ratio = fit.inliers / max(fit.correspondences, 1)
+    score = loop_score(registration.contrast, registration.seen_through, registration.rmse_m)
+    # neighbouring residuals are not independent, so the information counts one point in `correlated_points`
+    variance = max(registration.rmse_m, config.min_sigma) ** 2 * config.correlated_points
+    covariance = variance * np.linalg.inv(registration.information + 1e-6 * np.eye(6))
+    return LoopMeasurement(
+        similarity, fit.inliers, ratio, registration.overlap, registration.contrast,
+        registration.seen_through, registration.rmse_m, score,
+        registration.T_match_query, 0.5 * (covariance + covariance.T),
+    )  # fmt: skip
+
+
+def _unlevelled(measurement: LoopMeasurement, query: PlaceSignature, match: PlaceSignature) -> LoopMeasurement:
+    """The measurement between the submap frames instead of the levelled, scaled ones."""
+    T_submap_level, scale = np.linalg.inv(match.T_level_submap), match.scene_scale
+    turn = se3.from_rotation_translation(T_submap_level[:3, :3] / scale, T_submap_level[:3, 3])
+    adjoint = se3.adjoint(turn) @ np.diag([*[scale] * 3, *[1.0] * 3])
+    return dataclasses.replace(
+        measurement,
+        T_match_query=T_submap_level @ measurement.T_match_query @ query.T_level_submap,
+        rmse_m=measurement.rmse_m * scale,
+        covariance=adjoint @ measurement.covariance @ adjoint.T,
+    )
+
+
+def _rejection(
+    measurement: LoopMeasurement, registration: Registration, enough: float, config: VerificationConfig
+) -> RejectionReason | None:
+    tilt = float(np.arccos(np.clip(registration.T_match_query[2, 2], -1.0, 1.0)))
+    if registration.common < enough:
+        return RejectionReason.NO_COMMON_REGION
+    if observability(registration.information, config.lever) < config.min_observability:
+        return RejectionReason.DEGENERATE_ALIGNMENT
+    if tilt > np.radians(config.max_tilt):
+        return RejectionReason.IMPLAUSIBLE_TILT
+    if measurement.overlap < config.min_overlap:
+        return RejectionReason.LOW_OVERLAP
+    if measurement.contrast < config.min_contrast:
+        return RejectionReason.DEGENERATE_ALIGNMENT
+    if measurement.seen_through > config.max_seen_through:
+        return RejectionReason.SEEN_THROUGH
+    if measurement.score < config.min_score:
+        return RejectionReason.LOW_SCORE
+    return None

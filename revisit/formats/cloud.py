@@ -1,0 +1,119 @@
+"""What every parser returns, and how much it may be asked to take."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.errors import BadField, MalformedBody, TooLarge
+
+Points = NDArray[np.float32]
+Intensity = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class CloudLimits:
+    """How large a body and the cloud inside it may be (docs: limits; reliability section b)."""
+
+    max_body_bytes: int = 32 * 2**20
+    max_decoded_bytes: int = 64 * 2**20
+    max_ratio: int = 100
+    max_points: int = 2_000_000
+
+
+DEFAULT_LIMITS = CloudLimits()
+
+
+@dataclass(frozen=True)
+class DecodedCloud:
+    """A parsed, not yet validated cloud: points (n, 3) float32 metres, sensor frame; intensity (n,) float32 or None.
+
+    Points may be NaN or infinite; `core.scan.validate_cloud` decides about them.
+    """
+
+    points: Points
+    intensity: Intensity | None = None
+
+    @classmethod
+    def from_columns(
+        cls, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], intensity: NDArray[Any] | None
+    ) -> DecodedCloud:
+        """A cloud of four (n,) numeric columns of any type and byte order; float64 beyond float32 becomes infinite."""
+        points = np.empty((len(x), 3), dtype=np.float32)
+        with np.errstate(over="ignore", invalid="ignore"):
+            points[:, 0], points[:, 1], points[:, 2] = x, y, z
+            return cls(points, None if intensity is None else intensity.astype(np.float32))
+
+
+@dataclass(frozen=True)
+class Column:
+    """One scalar field of a point record: its name, numpy type code (`<f4`) and byte offset in the record."""
+
+    name: str
+    dtype: str
+    offset: int
+
+
+INTENSITY_NAMES = ("intensity", "scalar_intensity", "i", "reflectivity", "reflectance")
+
+
+def required_columns(columns: dict[str, Column]) -> tuple[list[Column], Column | None]:
+    """The x, y and z columns, and the intensity column where there is one.
+
+    Raises BadField where a coordinate is missing, is not float32 or float64, or the three types differ.
+    """
+    missing = [name for name in "xyz" if name not in columns]
+    if missing:
+        raise BadField(f"the cloud has no field {' and no field '.join(missing)}", field="points")
+    coordinates = [columns[name] for name in "xyz"]
+    kinds = {column.dtype.lstrip("<>|=") for column in coordinates}
+    if len(kinds) != 1 or not kinds <= {"f4", "f8"}:
+        raise BadField("x, y and z must be all float32 or all float64", field="points")
+    intensity = next((columns[name] for name in columns if name.lower() in INTENSITY_NAMES), None)
+    return coordinates, intensity
+
+
+def cloud_from_records(body: memoryview, count: int, stride: int, columns: dict[str, Column]) -> DecodedCloud:
+    """The cloud in `count` packed records of `stride` bytes; `body` must hold exactly those (checked by the caller)."""
+    coordinates, intensity = required_columns(columns)
+    wanted = [*coordinates, *([intensity] if intensity else [])]
+    record = np.dtype(
+        {
+            "names": [column.name for column in wanted],
+            "formats": [column.dtype for column in wanted],
+            "offsets": [column.offset for column in wanted],
+            "itemsize": stride,
+        }
+    )
+    records = np.frombuffer(body, dtype=record, count=count)
+    x, y, z = (records[column.name] for column in coordinates)
+    return DecodedCloud.from_columns(x, y, z, records[intensity.name] if intensity else None)
+
+
+def require_exact_size(declared: int, present: int, count: int, limits: CloudLimits) -> None:
+    """Refuse a body that does not hold exactly what its header declares, then one with too many points.
+
+    Python integers, so that nothing overflows, and before anything is allocated. Raises MalformedBody, TooLarge.
+    """
+    if declared != present:
+        raise MalformedBody(f"the header declares {declared} bytes of points, the body holds {present}")
+    require_point_count(count, limits)
+
+
+def require_point_count(count: int, limits: CloudLimits) -> None:
+    """Raises TooLarge above the permitted number of points."""
+    if count > limits.max_points:
+        raise TooLarge(f"a cloud may have {limits.max_points} points, got {count}", field="points")
+
+
+def checked_for_writing(points: NDArray[np.floating], intensity: NDArray[np.floating] | None) -> DecodedCloud:
+    """`points` (n, 3) and `intensity` (n,) as little-endian float32. Raises BadField for other shapes."""
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise BadField(f"points must be (n, 3), got {points.shape}", field="points")
+    if intensity is not None and intensity.shape != (len(points),):
+        raise BadField(f"intensity must be ({len(points)},), got {intensity.shape}", field="intensity")
+    values = None if intensity is None else np.ascontiguousarray(intensity, dtype="<f4")
+    return DecodedCloud(np.ascontiguousarray(points, dtype="<f4"), values)

@@ -1,0 +1,191 @@
+"""PCD (Point Cloud Library): `DATA ascii`, `binary` and `binary_compressed`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.errors import MalformedBody, TooLarge
+from revisit.formats import ascii_rows
+from revisit.formats.cloud import (
+    CloudLimits,
+    Column,
+    DecodedCloud,
+    checked_for_writing,
+    cloud_from_records,
+    require_exact_size,
+    require_point_count,
+    required_columns,
+)
+from revisit.formats.text_header import field_name, natural, read_header
+
+MAX_FIELDS = 256
+MAX_STRIDE_BYTES = 65_536
+PADDING = "_"
+
+_KEYWORDS = {"VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA"}
+_REQUIRED = _KEYWORDS - {"VERSION", "COUNT", "VIEWPOINT"}
+_SIZES = {"F": {4, 8}, "I": {1, 2, 4, 8}, "U": {1, 2, 4, 8}}
+
+
+@dataclass(frozen=True)
+class _Field:
+    name: str
+    kind: str
+    size: int
+    count: int
+
+    @property
+    def dtype(self) -> str:
+        return f"<{self.kind.lower()}{self.size}"
+
+
+@dataclass(frozen=True)
+class _Header:
+    fields: tuple[_Field, ...]
+    points: int
+    encoding: str
+
+    @property
+    def stride(self) -> int:
+        return sum(field.size * field.count for field in self.fields)
+
+
+def decode(data: bytes, limits: CloudLimits) -> DecodedCloud:
+    """The x, y, z and intensity fields of a PCD file.
+
+    The file must hold exactly what its header declares. Raises MalformedBody, BadField, TooLarge.
+    """
+    header, start = _read_header(data)
+    if header.encoding == "ascii":
+        return _decode_ascii(header, data[start:], limits)
+    body = memoryview(data)[start:]
+    if header.encoding == "binary":
+        require_exact_size(header.points * header.stride, len(body), header.points, limits)
+        return cloud_from_records(body, header.points, header.stride, _interleaved(header))
+    return _decode_compressed(header, body, limits)
+
+
+def encode(points: NDArray[np.floating], intensity: NDArray[np.floating] | None = None) -> bytes:
+    """A binary PCD file of float32 points (n, 3) in metres and, where given, intensity (n,)."""
+    cloud = checked_for_writing(points, intensity)
+    names = ["x", "y", "z"] + ([] if cloud.intensity is None else ["intensity"])
+    values = cloud.points if cloud.intensity is None else np.column_stack([cloud.points, cloud.intensity])
+    header = [
+        "# .PCD v0.7 - Point Cloud Data file format",
+        "VERSION 0.7",
+        f"FIELDS {' '.join(names)}",
+        f"SIZE {' '.join(['4'] * len(names))}",
+        f"TYPE {' '.join(['F'] * len(names))}",
+        f"COUNT {' '.join(['1'] * len(names))}",
+        f"WIDTH {len(values)}",
+        "HEIGHT 1",
+        "VIEWPOINT 0 0 0 1 0 0 0",
+        f"POINTS {len(values)}",
+        "DATA binary",
+        "",
+    ]
+    return "\n".join(header).encode("ascii") + values.astype("<f4").tobytes()
+
+
+def _read_header(data: bytes) -> tuple[_Header, int]:
+    lines, start = read_header(data, "DATA")
+    entries: dict[str, list[str]] = {}
+    for words in lines:
+        if not words or words[0].startswith("#"):
+            continue
+        if words[0] not in _KEYWORDS or words[0] in entries:
+            raise MalformedBody(f"a PCD header may not hold {words[0][:40]!r} here")
+        entries[words[0]] = words[1:]
+    if missing := _REQUIRED - entries.keys():
+        raise MalformedBody(f"the PCD header lacks {', '.join(sorted(missing))}")
+    encoding = entries["DATA"]
+    if len(encoding) != 1 or encoding[0] not in {"ascii", "binary", "binary_compressed"}:
+        raise MalformedBody("DATA must be ascii, binary or binary_compressed")
+    return _Header(_read_fields(entries), _read_count(entries), encoding[0]), start
+
+
+def _read_count(entries: dict[str, list[str]]) -> int:
+    values = []
+    for keyword in ("WIDTH", "HEIGHT", "POINTS"):
+        if len(entries[keyword]) != 1:
+            raise MalformedBody(f"{keyword} must be one number")
+        values.append(natural(entries[keyword][0], keyword))
+    width, height, points = values
+    if width * height != points:
+        raise MalformedBody(f"WIDTH x HEIGHT is {width * height}, POINTS is {points}")
+    return points
+
+
+def _read_fields(entries: dict[str, list[str]]) -> tuple[_Field, ...]:
+    names, kinds = entries["FIELDS"], entries["TYPE"]
+    sizes, counts = entries["SIZE"], entries.get("COUNT", ["1"] * len(names))
+    if not 0 < len(names) <= MAX_FIELDS or not len(names) == len(kinds) == len(sizes) == len(counts):
+        raise MalformedBody(f"FIELDS, SIZE, TYPE and COUNT must have the same length, 1 to {MAX_FIELDS}")
+    fields = tuple(
+        _Field(field_name(name), kind, natural(size, "SIZE"), natural(count, "COUNT"))
+        for name, kind, size, count in zip(names, kinds, sizes, counts, strict=True)
+    )
+    for field in fields:
+        if field.size not in _SIZES.get(field.kind, set()) or not 0 < field.count <= MAX_STRIDE_BYTES:
+            raise MalformedBody(f"field {field.name} has an impossible TYPE, SIZE or COUNT")
+    named = [field.name for field in fields if field.name != PADDING]
+    if len(named) != len(set(named)):
+        raise MalformedBody("FIELDS names a field twice")
+    if sum(field.size * field.count for field in fields) > MAX_STRIDE_BYTES:
+        raise MalformedBody(f"a point may have {MAX_STRIDE_BYTES} bytes")
+    return fields
+
+
+def _interleaved(header: _Header) -> dict[str, Column]:
+    """The scalar columns with their offsets within one point."""
+    columns, offset = {}, 0
+    for field in header.fields:
+        if field.count == 1:
+            columns[field.name] = Column(field.name, field.dtype, offset)
+        offset += field.size * field.count
+    return columns
+
+
+def _decode_ascii(header: _Header, body: bytes, limits: CloudLimits) -> DecodedCloud:
+    per_row = sum(field.count for field in header.fields)
+    if header.points * per_row * 2 > len(body) + 1:
+        raise MalformedBody(f"{len(body)} bytes cannot hold {header.points} rows of {per_row} numbers")
+    require_point_count(header.points, limits)
+    positions, position = {}, 0
+    for field in header.fields:
+        positions[field.name] = position
+        position += field.count
+    coordinates, intensity = required_columns(_interleaved(header))
+    wanted = [positions[column.name] for column in [*coordinates, *([intensity] if intensity else [])]]
+    values = ascii_rows.parse_rows(body, header.points, per_row, wanted)
+    return DecodedCloud.from_columns(values[:, 0], values[:, 1], values[:, 2], values[:, 3] if intensity else None)
+
+
+def _decode_compressed(header: _Header, body: memoryview, limits: CloudLimits) -> DecodedCloud:
+    """`binary_compressed`: two uint32 sizes, then LZF of the fields one after another."""
+    from revisit.formats import lzf  # numba takes 0.7 s to import, and few files need it
+
+    if len(body) < 8:
+        raise MalformedBody("the compressed body lacks its sizes")
+    packed, unpacked = (int(size) for size in np.frombuffer(body[:8], dtype="<u4"))
+    if unpacked != header.points * header.stride or packed != len(body) - 8:
+        raise MalformedBody("the compressed sizes disagree with the header or with the body")
+    require_point_count(header.points, limits)
+    if unpacked > limits.max_decoded_bytes:
+        raise TooLarge(f"a body may decode to {limits.max_decoded_bytes} bytes, this one declares {unpacked}")
+    coordinates, intensity = required_columns(_interleaved(header))
+    content = lzf.decompress(body[8:], unpacked)
+    starts, start = {}, 0
+    for field in header.fields:
+        starts[field.name] = start
+        start += field.size * field.count * header.points
+    x, y, z = (_column(content, starts, column, header.points) for column in coordinates)
+    reflected = _column(content, starts, intensity, header.points) if intensity else None
+    return DecodedCloud.from_columns(x, y, z, reflected)
+
+
+def _column(content: memoryview, starts: dict[str, int], column: Column, count: int) -> NDArray[np.generic]:
+    return np.frombuffer(content, dtype=column.dtype, count=count, offset=starts[column.name])

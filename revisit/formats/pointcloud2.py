@@ -1,0 +1,190 @@
+r"""Packed clouds, `application/vnd.revisit.pointcloud2`: sensor_msgs/PointCloud2 without a middleware.
+
+    offset  type   meaning (little-endian)
+    0       8s     magic "\x89RVPC2\r\n"
+    8       u32    width
+    12      u32    height
+    16      u32    point_step: bytes a point, 1 to 65535
+    20      u16    number of fields, 1 to 64
+    22      u8     1 where the data is big-endian, else 0
+    23      u8     encoding of the data: 0 raw, 1 quantised (`revisit.formats.quantised`)
+    24             the fields, 40 bytes each:
+                     32s name, ASCII, padded with NUL;  u32 offset;  u8 datatype;  u8 0;  u16 count
+    24 + 40 f      raw: width x height x point_step bytes (row_step = width x point_step)
+                   quantised: one quantised cloud of width x height points
+
+Datatypes are those of sensor_msgs/PointField: 1 INT8, 2 UINT8, 3 INT16, 4 UINT16, 5 INT32, 6 UINT32, 7 FLOAT32,
+8 FLOAT64. The same `PackedCloud` is what the gRPC message of that name carries, so a cloud has one meaning everywhere.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.errors import MalformedBody, UnsupportedEncoding
+from revisit.formats import quantised
+from revisit.formats.cloud import (
+    CloudLimits,
+    Column,
+    DecodedCloud,
+    checked_for_writing,
+    cloud_from_records,
+    require_exact_size,
+)
+
+MAGIC = b"\x89RVPC2\r\n"
+MAX_FIELDS = 64
+MAX_POINT_STEP = 65_535
+
+_HEADER = struct.Struct("<8sIIIHBB")
+_FIELD = struct.Struct("<32sIBBH")
+_NAME = re.compile(rb"([A-Za-z_][A-Za-z0-9_.\-]{0,31})\x00*")
+
+
+class FieldType(IntEnum):
+    """Datatypes of sensor_msgs/PointField."""
+
+    INT8 = 1
+    UINT8 = 2
+    INT16 = 3
+    UINT16 = 4
+    INT32 = 5
+    UINT32 = 6
+    FLOAT32 = 7
+    FLOAT64 = 8
+
+
+class Encoding(IntEnum):
+    """How the data of a packed cloud is written."""
+
+    RAW = 0
+    QUANTISED = 1
+
+
+_CODES = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
+
+
+@dataclass(frozen=True)
+class PointField:
+    """One field of a point: `count` values of `datatype` (1..8, sensor_msgs/PointField) at byte `offset`."""
+
+    name: str
+    offset: int
+    datatype: int
+    count: int = 1
+
+    @property
+    def code(self) -> str:
+        """The numpy type code without byte order, `f4`. Raises MalformedBody for an unknown datatype."""
+        if not 1 <= self.datatype <= len(_CODES):
+            raise MalformedBody(f"field {self.name} has the unknown datatype {self.datatype}")
+        return _CODES[self.datatype - 1]
+
+    @property
+    def end(self) -> int:
+        """The first byte after the field."""
+        return self.offset + int(self.code[1]) * self.count
+
+
+@dataclass(frozen=True)
+class PackedCloud:
+    """A cloud as it travels: where the fields lie in each point, and the bytes of all points."""
+
+    fields: tuple[PointField, ...]
+    point_step: int
+    width: int
+    data: bytes
+    height: int = 1
+    big_endian: bool = False
+    encoding: int = Encoding.RAW
+
+    def to_bytes(self) -> bytes:
+        """The body of media type `application/vnd.revisit.pointcloud2`."""
+        header = _HEADER.pack(
+            MAGIC, self.width, self.height, self.point_step, len(self.fields), self.big_endian, self.encoding
+        )
+        fields = [_FIELD.pack(f.name.encode("ascii"), f.offset, f.datatype, 0, f.count) for f in self.fields]
+        return b"".join([header, *fields, self.data])
+
+    @classmethod
+    def from_bytes(cls, body: bytes) -> PackedCloud:
+        """The packed cloud in such a body. Raises MalformedBody."""
+        if len(body) < _HEADER.size or not body.startswith(MAGIC):
+            raise MalformedBody("the body is not a packed cloud")
+        _, width, height, point_step, field_count, big_endian, encoding = _HEADER.unpack_from(body)
+        start = _HEADER.size + field_count * _FIELD.size
+        if field_count > MAX_FIELDS or start > len(body) or big_endian > 1:
+            raise MalformedBody("the header of the packed cloud is damaged")
+        fields = tuple(_read_field(body, _HEADER.size + index * _FIELD.size) for index in range(field_count))
+        return cls(fields, point_step, width, body[start:], height, bool(big_endian), encoding)
+
+
+def decode_packed(packed: PackedCloud, limits: CloudLimits) -> DecodedCloud:
+    """The x, y, z and intensity fields of a packed cloud.
+
+    Raises MalformedBody, BadField where a coordinate is missing or no float, UnsupportedEncoding, TooLarge.
+    """
+    count = packed.width * packed.height
+    if packed.encoding == Encoding.QUANTISED:
+        cloud = quantised.decode(packed.data, limits)
+        if len(cloud.points) != count:
+            raise MalformedBody(f"the header declares {count} points, the data holds {len(cloud.points)}")
+        return cloud
+    if packed.encoding != Encoding.RAW:
+        raise UnsupportedEncoding(f"encoding {packed.encoding} of a packed cloud is not known", field="encoding")
+    columns = _columns(packed)
+    require_exact_size(count * packed.point_step, len(packed.data), count, limits)
+    return cloud_from_records(memoryview(packed.data), count, packed.point_step, columns)
+
+
+def pack(
+    points: NDArray[np.floating], intensity: NDArray[np.floating] | None = None, encoding: Encoding = Encoding.RAW
+) -> PackedCloud:
+    """A packed cloud of points (n, 3) in metres and, where given, intensity (n,), as float32 or quantised."""
+    cloud = checked_for_writing(points, intensity)
+    names = ["x", "y", "z"] + ([] if cloud.intensity is None else ["intensity"])
+    fields = tuple(PointField(name, 4 * index, FieldType.FLOAT32) for index, name in enumerate(names))
+    if encoding == Encoding.QUANTISED:
+        data = quantised.encode(cloud.points, cloud.intensity)
+    else:
+        values = cloud.points if cloud.intensity is None else np.column_stack([cloud.points, cloud.intensity])
+        data = values.astype("<f4").tobytes()
+    return PackedCloud(fields, 4 * len(names), len(cloud.points), data, encoding=encoding)
+
+
+def decode(data: bytes, limits: CloudLimits) -> DecodedCloud:
+    """The cloud in a body of this media type. Raises what `decode_packed` raises."""
+    return decode_packed(PackedCloud.from_bytes(data), limits)
+
+
+def encode(points: NDArray[np.floating], intensity: NDArray[np.floating] | None = None) -> bytes:
+    """A raw float32 body of this media type."""
+    return pack(points, intensity).to_bytes()
+
+
+def _read_field(body: bytes, start: int) -> PointField:
+    name, offset, datatype, padding, count = _FIELD.unpack_from(body, start)
+    match = _NAME.fullmatch(name)
+    if match is None or padding:
+        raise MalformedBody("a field of the packed cloud has an unusable name")
+    return PointField(match[1].decode("ascii"), offset, datatype, count)
+
+
+def _columns(packed: PackedCloud) -> dict[str, Column]:
+    if not 0 < packed.point_step <= MAX_POINT_STEP or not 0 < len(packed.fields) <= MAX_FIELDS:
+        raise MalformedBody("a packed cloud needs 1 to 64 fields and a point_step of 1 to 65535 bytes")
+    if min(packed.width, packed.height) < 0:
+        raise MalformedBody("width and height may not be negative")
+    order = ">" if packed.big_endian else "<"
+    columns: dict[str, Column] = {}
+    for field in packed.fields:
+        if field.name in columns or field.count < 1 or field.offset < 0 or field.end > packed.point_step:
+            raise MalformedBody(f"field {field.name[:40]} appears twice or lies outside of the point")
+        columns[field.name] = Column(field.name, order + field.code, field.offset)
+    return columns

@@ -1,0 +1,101 @@
+"""Quantised clouds, `application/vnd.revisit.quantised`: 1 mm integers, differences, byte planes, zstd.
+
+    offset  type   meaning (little-endian)
+    0       4s     magic "RVQ1"
+    4       u32    number of points n
+    8       f32    step of a coordinate in metres (0.001)
+    12      f32    step of an intensity; 0 where the cloud has none
+    16             one zstd frame of n x 12 bytes, or n x 14 with intensity
+
+The frame holds the x column, then y, then z, then intensity. A column is the zigzag-coded difference to the point
+before (uint32; uint16 for intensity, modulo 2^16), stored as byte planes: all lowest bytes first, all highest last.
+Coordinates are round(value / step) in int32. Lossy: half a step, 0.5 mm. Non-finite points cannot be written.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import Any
+
+import numpy as np
+import zstandard
+from numpy.typing import NDArray
+
+from revisit.core.errors import BadField, MalformedBody, OutOfRange
+from revisit.formats.cloud import CloudLimits, DecodedCloud, checked_for_writing, require_point_count
+from revisit.formats.compression import decompress_zstd
+
+MAGIC = b"RVQ1"
+STEP_M = 0.001
+MAX_COORDINATE_M = 10_000.0
+ZSTD_LEVEL = 3
+
+_HEADER = struct.Struct("<4sIff")
+
+
+def encode(points: NDArray[np.floating], intensity: NDArray[np.floating] | None = None) -> bytes:
+    """Quantise finite points (n, 3) in metres and, where given, non-negative intensity (n,).
+
+    Raises BadField for non-finite numbers or negative intensities, OutOfRange beyond 10 km.
+    """
+    cloud = checked_for_writing(points, intensity)
+    if not np.isfinite(cloud.points).all():
+        raise BadField("non-finite points cannot be quantised", field="points")
+    if cloud.points.size and float(np.abs(cloud.points).max()) > MAX_COORDINATE_M:
+        raise OutOfRange(field="points")
+    grid = np.rint(cloud.points.astype(np.float64) / STEP_M).astype(np.int64)
+    columns = [_planes(_zigzag(np.diff(column, prepend=0)).astype("<u4")) for column in grid.T]
+    intensity_step = 0.0
+    if cloud.intensity is not None:
+        intensity_step, levels = _quantise_intensity(cloud.intensity)
+        difference = np.diff(levels, prepend=0).astype(np.int16).astype(np.int64)
+        columns.append(_planes(_zigzag(difference).astype("<u2")))
+    header = _HEADER.pack(MAGIC, len(grid), STEP_M, intensity_step)
+    return header + zstandard.ZstdCompressor(ZSTD_LEVEL, write_checksum=True).compress(b"".join(columns))
+
+
+def decode(data: bytes, limits: CloudLimits) -> DecodedCloud:
+    """The points on their grid. Raises MalformedBody, TooLarge."""
+    if len(data) < _HEADER.size or not data.startswith(MAGIC):
+        raise MalformedBody("the body is not a quantised cloud")
+    _, count, step, intensity_step = _HEADER.unpack_from(data)
+    if not 0.0 < step <= 1.0 or not (math.isfinite(intensity_step) and intensity_step >= 0.0):
+        raise MalformedBody("a quantised cloud has an impossible step")
+    require_point_count(count, limits)
+    size = count * (14 if intensity_step else 12)
+    content = memoryview(decompress_zstd(data[_HEADER.size :], size))
+    if len(content) != size:
+        raise MalformedBody(f"{count} quantised points need {size} bytes, the frame holds {len(content)}")
+    # The header's step is float32; the grid is meant in exact steps such as 0.001.
+    exact = round(step, 9)
+    x, y, z = (_column(content[4 * count * axis :], count, "<u4") * exact for axis in range(3))
+    if not intensity_step:
+        return DecodedCloud.from_columns(x, y, z, None)
+    levels = _column(content[12 * count :], count, "<u2") & 0xFFFF
+    return DecodedCloud.from_columns(x, y, z, levels * intensity_step)
+
+
+def _quantise_intensity(intensity: NDArray[np.float32]) -> tuple[float, NDArray[np.int64]]:
+    if not np.isfinite(intensity).all() or (intensity < 0).any():
+        raise BadField("an intensity must be finite and not negative to be quantised", field="intensity")
+    largest = float(intensity.max(initial=0.0))
+    step = float(np.float32(largest / 65_535)) if largest > 1e-30 else 1.0
+    return step, np.clip(np.rint(intensity.astype(np.float64) / step), 0, 65_535).astype(np.int64)
+
+
+def _zigzag(signed: NDArray[np.int64]) -> NDArray[np.int64]:
+    return np.where(signed >= 0, 2 * signed, -2 * signed - 1)
+
+
+def _planes(column: NDArray[Any]) -> bytes:
+    """The bytes of `column`, all lowest bytes first."""
+    return column.view(np.uint8).reshape(len(column), column.itemsize).T.tobytes()
+
+
+def _column(content: memoryview, count: int, dtype: str) -> NDArray[np.int64]:
+    """The running sum of the zigzag-coded column at the start of `content`: int64, so that nothing overflows."""
+    width = np.dtype(dtype).itemsize
+    planes = np.frombuffer(content, dtype=np.uint8, count=count * width).reshape(width, count)
+    coded = np.ascontiguousarray(planes.T).view(dtype).reshape(count).astype(np.int64)
+    return np.cumsum(np.where(coded & 1, -(coded >> 1) - 1, coded >> 1))

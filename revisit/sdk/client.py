@@ -1,0 +1,362 @@
+"""The client: methods named as the resources, over REST or gRPC alike."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Self
+
+from revisit.core.errors import RevisitError
+from revisit.sdk.clouds import PointsLike, encoded
+from revisit.sdk.credentials import Credentials
+from revisit.sdk.errors import ErrorDetails, InvalidArgument, OperationFailed
+from revisit.sdk.resources import (
+    Json,
+    Localization,
+    LoopClosure,
+    Map,
+    Operation,
+    Robot,
+    SearchHit,
+    Session,
+    Status,
+    Submap,
+    pose_json,
+)
+from revisit.sdk.retry import RetryPolicy
+from revisit.sdk.spool import DEFAULT_MAX_BYTES, Spool
+from revisit.sdk.spooled_stream import RECONNECT, SpooledStream
+from revisit.sdk.transport import ScanSink, Transport
+
+DEFAULT_HTTP = "http://127.0.0.1:8080"
+DEFAULT_GRPC = "127.0.0.1:8090"
+MAX_WAIT_S = 60.0
+
+
+class Client:
+    """A connection to the service. Resources are named as in the API: `maps/yard/sessions/monday`.
+
+    Creates are idempotent: the same id with the same content answers again. Retryable errors are retried. Every call
+    raises `revisit.sdk.errors.ApiError`.
+    """
+
+    def __init__(
+        self,
+        http: str | None = None,
+        *,
+        api_key: str | None = None,
+        ca: str | Path | None = None,
+        transport: Transport | None = None,
+        retry: RetryPolicy = RetryPolicy(),
+    ) -> None:
+        """Over REST at the URL `http`, by default $REVISIT_URL or port 8080 here; unless another transport is given.
+
+        `api_key`, by default $REVISIT_API_KEY; `ca`, by default $REVISIT_CA: a PEM file of the authorities to trust.
+        """
+        if transport is None:
+            from revisit.sdk.rest_transport import RestTransport
+
+            credentials = Credentials.given(api_key, ca)
+            transport = RestTransport(http or os.environ.get("REVISIT_URL", DEFAULT_HTTP), retry, credentials)
+        self._transport: Transport = transport
+
+    @classmethod
+    def grpc(
+        cls,
+        address: str | None = None,
+        *,
+        api_key: str | None = None,
+        ca: str | Path | None = None,
+        retry: RetryPolicy = RetryPolicy(),
+    ) -> Self:
+        """A client over gRPC at host:port, by default $REVISIT_GRPC or port 8090 here; `grpcs://host:port` for TLS.
+
+        Credentials as for REST; a client certificate from $REVISIT_CERTIFICATE and $REVISIT_CERTIFICATE_KEY.
+        """
+        from revisit.sdk.grpc_transport import GrpcTransport
+
+        address = address or os.environ.get("REVISIT_GRPC", DEFAULT_GRPC)
+        return cls(transport=GrpcTransport(address, retry, Credentials.given(api_key, ca)))
+
+    def create_map(
+        self,
+        map_id: str,
+        *,
+        display_name: str = "",
+        tau_m: float | None = None,
+        stride_m: float | None = None,
+        min_index_gap: int | None = None,
+        scene_scale: float | None = None,
+    ) -> Map:
+        """Create a map; what is None is as the service is configured.
+
+        `scene_scale` is the size of the scene compared with a street, e.g. 0.25 for rooms; it cannot be changed later.
+        """
+        overrides = {
+            "tau_m": tau_m,
+            "stride_m": stride_m,
+            "min_index_gap": min_index_gap,
+            "scene_scale": scene_scale,
+        }
+        fields = {"display_name": display_name, **_given(overrides)}
+        return Map.parse(self._transport.create("", "maps", map_id, fields))
+
+    def get_map(self, name: str) -> Map:
+        """Get `maps/{map}`."""
+        return Map.parse(self._transport.get(name))
+
+    def list_maps(self) -> list[Map]:
+        """All maps, oldest first."""
+        return [Map.parse(item) for item in self._transport.list("", "maps", {})]
+
+    def delete(self, resource: str | Map | Session | Submap) -> None:
+        """Delete a map, a session or a submap, with everything in it."""
+        self._transport.delete(_name(resource))
+
+    def create_robot(self, robot_id: str, *, display_name: str = "") -> Robot:
+        """Create a robot."""
+        return Robot.parse(self._transport.create("", "robots", robot_id, {"display_name": display_name}))
+
+    def get_robot(self, name: str) -> Robot:
+        """Get `robots/{robot}`."""
+        return Robot.parse(self._transport.get(name))
+
+    def list_robots(self) -> list[Robot]:
+        """All robots, oldest first."""
+        return [Robot.parse(item) for item in self._transport.list("", "robots", {})]
+
+    def create_session(self, map_: str | Map, session_id: str, *, robot: str | Robot | None = None) -> Session:
+        """Create a session in a map."""
+        fields = {} if robot is None else {"robot": _name(robot)}
+        return Session.parse(self._transport.create(_name(map_), "sessions", session_id, fields))
+
+    def get_session(self, name: str) -> Session:
+        """Get `maps/{map}/sessions/{session}`."""
+        return Session.parse(self._transport.get(name))
+
+    def list_sessions(self, map_: str | Map) -> list[Session]:
+        """The sessions of a map, oldest first."""
+        return [Session.parse(item) for item in self._transport.list(_name(map_), "sessions", {})]
+
+    def finish_session(self, session: str | Session) -> Session:
+        """Finish a session; the scans of its last, shorter window become a submap."""
+        return Session.parse(self._transport.finish_session(_name(session)))
+
+    def post_submap(
+        self, session: str | Session, submap_id: str, points: PointsLike, T_odom_submap: Any, stamp_ns: int
+    ) -> Operation:
+        """Store a submap, (n, 3) or (n, 4) points in its own frame; the operation that describes it."""
+        pose = _pose(T_odom_submap, "T_odom_submap")
+        answer = self._transport.post_submap(_name(session), submap_id, pose, stamp_ns, encoded(points))
+        return replace(Operation.parse(answer["operation"]), seq=int(answer["submap"]["seq"]))
+
+    def get_submap(self, name: str, *, full: bool = False) -> Submap:
+        """Get `maps/{map}/sessions/{session}/submaps/{submap}`; with its descriptor where `full`."""
+        return Submap.parse(self._transport.get(name, full=full))
+
+    def list_submaps(self, session: str | Session) -> list[Submap]:
+        """The submaps of a session in their order."""
+        return [Submap.parse(item) for item in self._transport.list(_name(session), "submaps", {})]
+
+    def download(self, submap: str | Submap, file_format: str = "ply") -> bytes:
+        """A submap as a file: pcd, ply, npy, mesh, neural or descriptor."""
+        return self._transport.download(_name(submap), file_format)
+
+    @contextmanager
+    def spooled_stream(
+        self,
+        session: str | Session,
+        spool: Path | str,
+        *,
+        max_bytes: int = DEFAULT_MAX_BYTES,
+        full_wait_s: float = 0.0,
+    ) -> Iterator[SpooledStream]:
+        """A stream by way of the file `spool` on this machine's disk; needs no connection to be opened.
+
+        `send` returns once the scan is on that disk; a full spool refuses it after `full_wait_s` with
+        `SpoolFull`. On leaving, what was not acknowledged stays in the file, for the next stream on it.
+        """
+        name = _name(session)
+        stream = SpooledStream(self._transport, name, Spool(Path(spool), name, max_bytes), full_wait_s, RECONNECT)
+        try:
+            yield stream
+        finally:
+            stream.close()
+
+    @contextmanager
+    def stream(self, session: str | Session) -> Iterator[ScanStream]:
+        """A stream of scans; on leaving, every scan was answered. Resumes by itself after a disconnect.
+
+        It keeps what is not acknowledged in memory; `spooled_stream` keeps it on disk.
+        """
+        stream = ScanStream(self._transport.open_stream(_name(session)))
+        try:
+            yield stream
+            stream.flush()
+        finally:
+            stream.close()
+
+    def search(
+        self,
+        map_: str | Map,
+        *,
+        submap: str | Submap | None = None,
+        points: PointsLike | None = None,
+        descriptor: Sequence[float] | None = None,
+        model_version: str = "",
+        k: int = 20,
+        **criteria: Any,
+    ) -> list[SearchHit]:
+        """The submaps most like a submap, a cloud or a descriptor (give one), most similar first.
+
+        `criteria`: min_similarity, exclude_session, only_session (a session, its name or id), min_index_gap,
+        prior_position_m with radius_m. `min_seq` (of an operation, a submap or a stream): the answer sees every submap
+        up to it, or `DeadlineExceeded` is raised after `min_seq_timeout_s` (10 by default).
+        """
+        for field in ("exclude_session", "only_session"):
+            if criteria.get(field) is not None:
+                criteria[field] = _session_name(map_, criteria[field])
+        query: Any = {"vector": [float(v) for v in descriptor or ()], "model_version": model_version}
+        if submap is not None:
+            query = _name(submap)
+        elif points is not None:
+            query = encoded(points)
+        answer = self._transport.search(_name(map_), query, {"k": k, **_given(criteria)})
+        return [SearchHit.parse(hit) for hit in answer["hits"]]
+
+    def localize(
+        self,
+        map_: str | Map,
+        points: PointsLike,
+        *,
+        prior_position_m: Sequence[float] | None = None,
+        radius_m: float | None = None,
+        candidates: int = 10,
+        **freshness: Any,
+    ) -> Localization:
+        """Where in the map a cloud was taken; `best` is None where the place is unknown.
+
+        `freshness`: min_seq with min_seq_timeout_s, as in `search`.
+        """
+        options = {"prior_position_m": prior_position_m, "radius_m": radius_m, "candidates": candidates, **freshness}
+        return Localization.parse(self._transport.localize(_name(map_), encoded(points), _given(options)))
+
+    def loop_closures(
+        self, map_: str | Map, *, state: str | None = None, session: str | Session | None = None, **freshness: Any
+    ) -> list[LoopClosure]:
+        """The loop closures of a map, oldest first; `state` ACCEPTED or REJECTED, `session` of the query submap.
+
+        `freshness`: min_seq with min_seq_timeout_s, as in `search`.
+        """
+        filters = _given({"state": state, "session": None if session is None else _name(session), **freshness})
+        return [LoopClosure.parse(item) for item in self._transport.list(_name(map_), "loopClosures", filters)]
+
+    def get_loop_closure(self, name: str) -> LoopClosure:
+        """Get `maps/{map}/loopClosures/{loop_closure}` with its evidence."""
+        return LoopClosure.parse(self._transport.get(name))
+
+    def get_operation(self, name: str) -> Operation:
+        """Get `operations/{operation}`."""
+        return Operation.parse(self._transport.get(name))
+
+    def list_operations(self, *, state: str | None = None) -> list[Operation]:
+        """The operations, oldest first; `state` QUEUED, RUNNING, DONE or FAILED."""
+        return [Operation.parse(item) for item in self._transport.list("", "operations", _given({"state": state}))]
+
+    def retry_operation(self, operation: str | Operation) -> Operation:
+        """Queue a failed description again; an operation that has not failed is left as it is."""
+        return Operation.parse(self._transport.retry_operation(_name(operation)))
+
+    def wait(self, operation: str | Operation, timeout_s: float = 300.0) -> Operation:
+        """The operation once it is DONE. Raises OperationFailed; TimeoutError after `timeout_s`."""
+        deadline = time.monotonic() + timeout_s
+        while True:
+            left_s = max(0.0, deadline - time.monotonic())
+            current = Operation.parse(self._transport.wait_operation(_name(operation), min(left_s, MAX_WAIT_S)))
+            if current.state == "FAILED":
+                details = ErrorDetails("UNKNOWN", current.failure_reason or "", current.failure_message or "")
+                raise OperationFailed(details)
+            if current.done:
+                return current
+            if left_s == 0.0:
+                raise TimeoutError(f"{current.name} is {current.state} after {timeout_s:g} s")
+
+    def status(self) -> Status:
+        """What the service is doing."""
+        return Status.parse(self._transport.status())
+
+    def close(self) -> None:
+        """Let go of the connections."""
+        self._transport.close()
+
+    def __enter__(self) -> Self:
+        """The client itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Let go of the connections."""
+        self.close()
+
+
+class ScanStream:
+    """The open stream of a session."""
+
+    def __init__(self, sink: ScanSink) -> None:
+        self._sink = sink
+
+    @property
+    def committed_seq(self) -> int:
+        """The last scan that is stored durably: an ingest that starts again goes on behind it."""
+        return self._sink.committed_seq
+
+    @property
+    def submaps(self) -> list[str]:
+        """Names of the submaps that the scans completed so far."""
+        return self._sink.submaps
+
+    @property
+    def submap_seq(self) -> int:
+        """The `seq` of the last submap that the scans completed, 0 for none: a query's `min_seq`."""
+        return self._sink.submap_seq
+
+    @property
+    def rejected(self) -> list[tuple[int, str]]:
+        """Scans that were refused and left out: number and reason."""
+        return self._sink.rejected
+
+    def send(self, points: PointsLike, T_odom_sensor: Any, stamp_ns: int) -> None:
+        """Send the next scan; waits while the service has enough to do."""
+        self._sink.send(encoded(points), _pose(T_odom_sensor, "T_odom_sensor"), stamp_ns)
+
+    def flush(self) -> None:
+        """Wait until every scan was answered."""
+        self._sink.flush()
+
+    def close(self) -> None:
+        """Let go of the stream."""
+        self._sink.close()
+
+
+def _name(resource: Any) -> str:
+    return resource if isinstance(resource, str) else str(resource.name)
+
+
+def _session_name(map_: Any, session: Any) -> str:
+    name = _name(session)
+    return name if "/" in name else f"{_name(map_)}/sessions/{name}"
+
+
+def _given(values: Json) -> Json:
+    return {key: value for key, value in values.items() if value is not None}
+
+
+def _pose(transform: Any, field: str) -> Json:
+    try:
+        return pose_json(transform)
+    except RevisitError as error:
+        details = ErrorDetails("INVALID_ARGUMENT", error.code.value, error.message, field=field)
+        raise InvalidArgument(details) from error

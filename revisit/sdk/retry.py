@@ -1,0 +1,41 @@
+"""Repeat what is retryable, after full-jitter pauses. Safe for every call: creates carry client-chosen ids."""
+
+from __future__ import annotations
+
+import random
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeVar
+
+from revisit.sdk.errors import ApiError
+
+T = TypeVar("T")
+
+WAITED_FOR = "SEQ_NOT_REACHED"
+"""The service has waited as long as the caller allowed: only the caller knows whether to wait longer."""
+
+
+@dataclass(frozen=True)
+class RetryPolicy:
+    """At most `attempts` calls; pauses uniform in 0..min(cap_s, base_s * 2^n), never shorter than the server asks."""
+
+    attempts: int = 5
+    base_s: float = 0.2
+    cap_s: float = 5.0
+
+    def pause_s(self, failures: int, asked_s: float | None = None) -> float:
+        """The pause after the n-th failure, n from 1, seconds."""
+        jitter_s = random.uniform(0.0, min(self.cap_s, self.base_s * 2.0 ** min(failures, 30)))
+        return max(asked_s or 0.0, jitter_s)
+
+    def run(self, call: Callable[[], T]) -> T:
+        """The result of `call`. Raises its last ApiError."""
+        for failures in range(1, self.attempts):
+            try:
+                return call()
+            except ApiError as error:
+                if not error.retryable or error.reason == WAITED_FOR:
+                    raise
+                time.sleep(self.pause_s(failures, error.retry_after_s))
+        return call()

@@ -1,0 +1,1 @@
+"""Who may do what: admission, API keys, callers, the audit log."""

@@ -1,0 +1,143 @@
+"""Admission: a credential becomes a caller, or is refused, before a request is even read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import structlog
+
+from revisit.core.errors import RevisitError
+from revisit.service.application.access import audit
+from revisit.service.application.access.api_keys import caller_of_key, parse_key
+from revisit.service.application.access.audit import AuditEntry, AuditLog
+from revisit.service.application.access.callers import ANYONE, Caller, Scope
+from revisit.service.application.access.failed_attempts import FailedAttempts
+from revisit.service.application.contract.access_ports import TokenVerifier
+from revisit.service.application.contract.context import Context
+from revisit.service.application.contract.errors import PermissionDenied, TooManyFailures, Unauthenticated
+from revisit.service.application.contract.identity import TenantId
+from revisit.service.redaction import redacted
+
+MAX_CREDENTIAL_CHARACTERS = 8192
+STREAM_RECHECK_S = 10.0
+"""How often the credential of an open stream is verified again."""
+
+_log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True)
+class Credential:
+    """What a client shows: a bearer token; the names in its verified certificate; and the address it calls from."""
+
+    bearer: str | None = None
+    certificate_names: tuple[str, ...] = ()
+    address: str = ""
+
+
+@dataclass(frozen=True)
+class CertificateGrant:
+    """What a name in a client certificate stands for."""
+
+    tenant: TenantId
+    scopes: frozenset[Scope]
+
+
+@dataclass(frozen=True)
+class AccessRules:
+    """How this installation recognises callers.
+
+    Unless `required`, anyone is admitted as long as no key was ever created, no tokens are taken and no certificates
+    are mapped. A credential that is shown is verified in any case.
+    """
+
+    required: bool = False
+    tokens: TokenVerifier | None = None
+    certificates: Mapping[str, CertificateGrant] = field(default_factory=dict)
+
+
+class Access:
+    """Admits callers, counts and writes down whom it refuses."""
+
+    def __init__(self, context: Context, rules: AccessRules) -> None:
+        """Keys are looked up through `context`."""
+        self._context = context
+        self._rules = rules
+        self._audit = AuditLog(context)
+        self._failed = FailedAttempts()
+
+    async def admit(
+        self, credential: Credential, scopes: frozenset[Scope], call: str, path: str | None = None
+    ) -> Caller:
+        """The caller, who has one of `scopes`; for the audit log, `call` is the route or RPC that is asked for.
+
+        `path` is what the client wrote to get there. It is noted of callers that are known: strangers write all kinds
+        of things, their key for example.
+
+        Raises Unauthenticated, PermissionDenied, TooManyFailures; for administration, what storing the row raises.
+        """
+        caller: Caller | None = None
+        try:
+            caller = await self.identify(credential)
+            caller.require_any(scopes)
+        except (Unauthenticated, PermissionDenied) as error:
+            await self._note_refusal(error, caller, credential, call if caller is None else path or call)
+            raise
+        if scopes == {Scope.ADMIN}:
+            await self._audit.note(AuditEntry(caller.tenant, caller.name, "admin_call", _subject(path or call), {}))
+        return caller
+
+    async def identify(self, credential: Credential) -> Caller:
+        """Whose credential this is. Raises Unauthenticated."""
+        if credential.bearer is not None:
+            return await self._of_bearer(credential.bearer)
+        for name in credential.certificate_names:
+            if name in self._rules.certificates:
+                grant = self._rules.certificates[name]
+                return Caller(grant.tenant, audit.printable(f"certificate {name}"), grant.scopes)
+        if await self.is_open():
+            return ANYONE
+        raise Unauthenticated("send an API key: `Authorization: Bearer rv_...`")
+
+    async def is_open(self) -> bool:
+        """Whether anyone is admitted without a credential."""
+        rules = self._rules
+        if rules.required or rules.tokens is not None or rules.certificates:
+            return False
+        return await self._context.read(lambda uow: uow.keys.is_empty())
+
+    async def _of_bearer(self, text: str) -> Caller:
+        shown = parse_key(text)
+        if shown is not None:
+            record = await self._context.read(lambda uow: uow.keys.get(shown.key_id))
+            return caller_of_key(record, shown, self._context.clock.wall_ns())
+        if self._rules.tokens is None or len(text) > MAX_CREDENTIAL_CHARACTERS:
+            raise Unauthenticated
+        now_s = self._context.clock.wall_ns() / 1e9
+        claims = await self._context.compute(self._rules.tokens.verify, text, now_s)
+        scopes = frozenset(scope for scope in Scope if scope.value in claims.scopes)
+        return Caller(claims.tenant, audit.printable(f"token {claims.subject}"), scopes)
+
+    async def _note_refusal(
+        self, error: RevisitError, caller: Caller | None, credential: Credential, call: str
+    ) -> None:
+        """Write a refusal down while there are not too many; raises TooManyFailures where strangers go beyond that."""
+        wait_s = self._failed.count(credential.address, self._context.clock.instant().ms)
+        if wait_s > 0.0:
+            if caller is None:
+                raise TooManyFailures(retry_after_s=wait_s) from error
+            return
+        tenant, actor = (caller.tenant, caller.name) if caller is not None else ("", "unknown")
+        detail = {"address": credential.address, "reason": error.message}
+        if over_budget := self._failed.take_over_budget():
+            detail["over_budget_before"] = str(over_budget)
+        try:
+            await self._audit.note(AuditEntry(tenant, actor, "refused", _subject(call), detail))
+        except RevisitError as failure:
+            # Refusing comes first: a full disk must not change the answer.
+            _log.error("refusal_not_in_audit_log", reason=failure.code.value)
+
+
+def _subject(asked: str) -> str:
+    """What was asked for, as the audit log keeps it."""
+    return audit.printable(redacted(asked))

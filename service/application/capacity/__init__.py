@@ -1,0 +1,1 @@
+"""How much is accepted: rate limits, quotas, clouds in flight."""

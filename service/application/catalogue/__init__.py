@@ -1,0 +1,1 @@
+"""The resources: maps, robots, sessions, submaps, loop closures; listing and deleting them."""

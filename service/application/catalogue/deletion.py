@@ -1,0 +1,62 @@
+"""Deleting: the rows of a submap, session or map in one transaction, then the blobs that no row names any more.
+
+A crash in between leaves blobs that the next sweep finds; it never leaves a part of the rows. The one writer is held
+meanwhile, so rows are read and changed by the set, not one by one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.ports import UnitOfWork
+from revisit.service.application.contract.records import MapRecord, SessionRecord, SubmapRecord, SubmapState
+from revisit.service.application.housekeeping.blob_references import Blob, blobs_of_rows, blobs_of_submap
+from revisit.service.application.query.operations import SUBMAP_DELETED, OperationState
+
+
+def delete_submap(uow: UnitOfWork, record: MapRecord, submap: SubmapRecord, at_ns: int) -> set[Blob]:
+    """Delete a submap of a map with its loop closures; its blobs, which other rows may name too."""
+    uow.loops.delete(submap.tenant, query_number=submap.number)
+    uow.loops.delete(submap.tenant, match_number=submap.number)
+    _forget(uow, record, at_ns, number=submap.number)
+    uow.submaps.delete(submap.tenant, number=submap.number)
+    return blobs_of_submap(submap)
+
+
+def delete_session(uow: UnitOfWork, record: MapRecord, session: SessionRecord, at_ns: int) -> set[Blob]:
+    """Delete a session of a map with its scans, its submaps and their loop closures; their blobs."""
+    tenant, of_session = session.tenant, {"map_id": session.map_id, "session_id": session.session_id}
+    doomed = blobs_of_rows(uow, tenant, **of_session)
+    _forget(uow, record, at_ns, **of_session)
+    for side in ("query_session_id", "match_session_id"):
+        uow.loops.delete(tenant, map_id=session.map_id, **{side: session.session_id})
+    for rows in (uow.submaps, uow.scans, uow.sessions):
+        rows.delete(tenant, **of_session)
+    return doomed
+
+
+def delete_map(uow: UnitOfWork, record: MapRecord, at_ns: int) -> set[Blob]:
+    """Delete a map with everything in it; its blobs. Its index is for the caller to drop."""
+    of_map = {"map_id": record.map_id}
+    doomed = blobs_of_rows(uow, record.tenant, **of_map)
+    _drop_jobs(uow, record.tenant, at_ns, **of_map)
+    for rows in (uow.loops, uow.submaps, uow.scans, uow.sessions, uow.maps):
+        rows.delete(record.tenant, **of_map)
+    return doomed
+
+
+def _forget(uow: UnitOfWork, record: MapRecord, at_ns: int, **submaps: str | int) -> None:
+    """Take submaps of a map out of the index or, where they are not there yet, out of the queue."""
+    described = uow.submaps.distinct(record.tenant, "number", state=SubmapState.DESCRIBED.value, **submaps)
+    uow.changes.record_removed(record.tenant, record.number, described)
+    _drop_jobs(uow, record.tenant, at_ns, **submaps)
+
+
+def _drop_jobs(uow: UnitOfWork, tenant: TenantId, at_ns: int, **submaps: str | int) -> None:
+    """End the jobs that wait to describe submaps; one that runs notices by itself."""
+    done = OperationState.DONE.value
+    for operation_id in uow.submaps.distinct(tenant, "operation_id", state=SubmapState.QUEUED.value, **submaps):
+        job = uow.jobs.get(tenant, operation_id)
+        if job is not None and job.state == OperationState.QUEUED:
+            uow.jobs.replace(replace(job, state=done, result=SUBMAP_DELETED, finished_at_ns=at_ns))

@@ -1,0 +1,173 @@
+"""Maps: the places a fleet shares; every session, submap and loop closure belongs to one."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from revisit.core.errors import BadField
+from revisit.service.application.access import audit
+from revisit.service.application.catalogue.deletion import delete_map
+from revisit.service.application.catalogue.paging import Page, PageRequest, page_of
+from revisit.service.application.contract.context import Context
+from revisit.service.application.contract.errors import AlreadyExists, NotFound
+from revisit.service.application.contract.identity import TenantId, content_hash, validated_id, validated_label
+from revisit.service.application.contract.ports import UnitOfWork
+from revisit.service.application.contract.records import MapRecord
+from revisit.service.application.housekeeping.blob_references import Blob, collect_blobs_in_turns
+from revisit.service.failpoints import failpoint
+
+MIN_SCENE_SCALE = 0.01
+MAX_SCENE_SCALE = 10.0
+
+
+@dataclass(frozen=True)
+class CreateMap:
+    """A new map. `tau_m`, `stride_m` and `min_index_gap` override the service's configuration where given.
+
+    `scene_scale` is the size of its scene compared with a street, e.g. 0.25 for rooms; it cannot be changed later.
+    """
+
+    map_id: str
+    display_name: str = ""
+    tau_m: float | None = None
+    stride_m: float | None = None
+    min_index_gap: int | None = None
+    scene_scale: float = 1.0
+
+
+@dataclass(frozen=True)
+class MapView:
+    """A map as clients see it; `tau_m`, `stride_m` and `min_index_gap` are the values in force."""
+
+    map_id: str
+    display_name: str
+    tau_m: float
+    stride_m: float
+    min_index_gap: int
+    scene_scale: float
+    session_count: int
+    submap_count: int
+    created_at_ns: int
+
+
+@dataclass(frozen=True)
+class CreatedMap:
+    """The map, and whether an earlier identical request had created it."""
+
+    map: MapView
+    replay: bool
+
+
+class Maps:
+    """Create, get, list and delete maps."""
+
+    def __init__(self, context: Context) -> None:
+        """All calls use `context`."""
+        self._context = context
+
+    async def create(self, tenant: TenantId, command: CreateMap) -> CreatedMap:
+        """Create a map. Raises BadField; AlreadyExists where the id is taken by other content; Draining."""
+        self._context.admit()
+        record = self._record(tenant, command)
+
+        def add(uow: UnitOfWork) -> CreatedMap:
+            known = uow.maps.get(tenant, command.map_id)
+            if known is None:
+                return CreatedMap(self._view(uow, uow.maps.add(record)), replay=False)
+            if known.content_hash != record.content_hash:
+                raise AlreadyExists(f"map {command.map_id} exists with other content")
+            return CreatedMap(self._view(uow, known), replay=True)
+
+        return await self._context.write(add)
+
+    async def get(self, tenant: TenantId, map_id: str) -> MapView:
+        """Raises NotFound."""
+        return await self._context.read(lambda uow: self._view(uow, require_map(uow, tenant, map_id)))
+
+    async def list(self, tenant: TenantId, page: PageRequest) -> Page[MapView]:
+        """The tenant's maps, oldest first."""
+
+        def load(uow: UnitOfWork) -> Page[MapView]:
+            records = uow.maps.find(tenant, after=page.after, limit=page.size + 1)
+            return page_of(records, page, lambda record: self._view(uow, record))
+
+        return await self._context.read(load)
+
+    async def delete(self, tenant: TenantId, map_id: str) -> None:
+        """Delete a map with everything in it. Raises NotFound, Draining."""
+        self._context.admit()
+
+        entry, at_ns = audit.noted(tenant, "map_deleted", f"maps/{map_id}"), self._context.clock.wall_ns()
+
+        def remove(uow: UnitOfWork) -> tuple[int, set[Blob]]:
+            record = require_map(uow, tenant, map_id)
+            audit.append(uow, at_ns, entry)
+            return record.number, delete_map(uow, record, at_ns)
+
+        number, doomed = await self._context.write(remove)
+        failpoint("delete.after_rows")
+        self._context.stream_endings.end(tenant, map_id)
+        self._context.index.drop(number)
+        await collect_blobs_in_turns(self._context, tenant, doomed)
+
+    def _record(self, tenant: TenantId, command: CreateMap) -> MapRecord:
+        validated_id(command.map_id, "map_id")
+        validated_label(command.display_name, "display_name")
+        _validate_window(command)
+        content = (command.display_name, command.tau_m, command.stride_m, command.min_index_gap)
+        # Left out where it is 1, so that creates of before there were scales can be repeated.
+        scale = () if command.scene_scale == 1.0 else (command.scene_scale,)
+        return MapRecord(
+            tenant=tenant,
+            map_id=command.map_id,
+            content_hash=content_hash((*content, *scale)),
+            display_name=command.display_name,
+            tau_m=command.tau_m,
+            stride_m=command.stride_m,
+            min_index_gap=command.min_index_gap,
+            scene_scale=command.scene_scale,
+            model_version=None,
+            created_at_ns=self._context.clock.wall_ns(),
+        )
+
+    def _view(self, uow: UnitOfWork, record: MapRecord) -> MapView:
+        config = self._context.policy.for_map(record)
+        return MapView(
+            map_id=record.map_id,
+            display_name=record.display_name,
+            tau_m=config.submap.tau,
+            stride_m=config.submap.stride,
+            min_index_gap=config.loop.min_index_gap,
+            scene_scale=config.scene_scale,
+            session_count=uow.sessions.count(record.tenant, map_id=record.map_id),
+            submap_count=uow.submaps.count(record.tenant, map_id=record.map_id),
+            created_at_ns=record.created_at_ns,
+        )
+
+
+def require_map(uow: UnitOfWork, tenant: TenantId, map_id: str) -> MapRecord:
+    """The map. Raises NotFound."""
+    record = uow.maps.get(tenant, map_id)
+    if record is None:
+        raise NotFound(f"there is no map {map_id!r}"[:200])
+    return record
+
+
+def model_for_map(record: MapRecord, model_version: str) -> str:
+    """The version of the descriptors that the model makes for a map.
+
+    Its scale is part of it: descriptors of different scales must not be compared, like those of different models.
+    """
+    scale = record.scene_scale
+    return model_version if scale == 1.0 else f"{model_version}@scale-{scale:g}"
+
+
+def _validate_window(command: CreateMap) -> None:
+    for field, value in (("tau_m", command.tau_m), ("stride_m", command.stride_m)):
+        if value is not None and not (math.isfinite(value) and 0.1 <= value <= 1000.0):
+            raise BadField(f"{field} must be in 0.1..1000 metres", field=field)
+    if command.min_index_gap is not None and not 0 <= command.min_index_gap <= 100_000:
+        raise BadField("min_index_gap must be in 0..100000", field="min_index_gap")
+    if not MIN_SCENE_SCALE <= command.scene_scale <= MAX_SCENE_SCALE:
+        raise BadField(f"scene_scale must be in {MIN_SCENE_SCALE:g}..{MAX_SCENE_SCALE:g}", field="scene_scale")

@@ -1,0 +1,1 @@
+"""What all use cases share: names, records, errors, and the ports to the outside."""

@@ -1,0 +1,128 @@
+"""What the service refuses, beyond what the core refuses: the same codes, the same base class."""
+
+from __future__ import annotations
+
+from revisit.core.errors import ErrorCode, RevisitError
+
+
+class NotFound(RevisitError):
+    """There is no such resource (or it belongs to another tenant)."""
+
+    code = ErrorCode.NOT_FOUND
+
+
+class AlreadyExists(RevisitError):
+    """The id is taken by a resource with other content."""
+
+    code = ErrorCode.ALREADY_EXISTS
+
+
+class SessionFinished(RevisitError):
+    """The session is finished and takes no more scans or submaps."""
+
+    code = ErrorCode.SESSION_FINISHED
+
+
+class SequenceGap(RevisitError):
+    """The scan does not follow the last committed one."""
+
+    code = ErrorCode.SEQ_GAP
+
+    def __init__(self, expected: int, got: int) -> None:
+        """`expected` is the sequence number the session can take next."""
+        super().__init__(f"expected seq {expected}, got {got}", field="seq")
+        self.expected = expected
+
+
+class NotReady(RevisitError):
+    """The submap is not described yet: wait for its operation."""
+
+    code = ErrorCode.NOT_READY
+
+
+class DeadlineExceeded(RevisitError):
+    """The answer took longer than the time allowed for it."""
+
+    code = ErrorCode.DEADLINE_EXCEEDED
+
+
+class SeqNotReached(RevisitError):
+    """Submaps up to `min_seq` are not described yet, after the time allowed for waiting."""
+
+    code = ErrorCode.SEQ_NOT_REACHED
+
+
+class Unavailable(RevisitError):
+    """The service cannot do this now: try again after `retry_after_s`."""
+
+    code = ErrorCode.WORKERS_BUSY
+
+    def __init__(self, message: str | None = None, *, retry_after_s: float = 1.0) -> None:
+        """`retry_after_s` is a hint for the client, seconds."""
+        super().__init__(message)
+        self.retry_after_s = retry_after_s
+
+
+class WorkersBusy(Unavailable):
+    """Too many jobs are waiting: try again later with the same id."""
+
+    code = ErrorCode.WORKERS_BUSY
+
+
+class RateLimited(Unavailable):
+    """More comes from this client, or for its tenant, than its quota: try again later with the same id."""
+
+    code = ErrorCode.RATE
+
+
+class Draining(Unavailable):
+    """The service is shutting down: try again with the same id."""
+
+    code = ErrorCode.DRAINING
+
+
+class StorageUncertain(Unavailable):
+    """The store failed while committing: the change may or may not be stored, so repeat it with the same id."""
+
+    code = ErrorCode.STORAGE_UNCERTAIN
+
+
+class StorageFull(RevisitError):
+    """The disk is full: nothing was stored."""
+
+    code = ErrorCode.STORAGE_FULL
+
+
+class Unauthenticated(RevisitError):
+    """The credential is missing or not valid."""
+
+    code = ErrorCode.UNAUTHENTICATED
+
+
+class RevokedKey(Unauthenticated):
+    """The key was revoked or has expired."""
+
+
+class PermissionDenied(RevisitError):
+    """The credential does not reach so far."""
+
+    code = ErrorCode.PERMISSION_DENIED
+
+
+class TooManyFailures(Unavailable):
+    """Too many failed attempts to authenticate: check the credential before you try again."""
+
+    code = ErrorCode.RATE
+
+
+class StaleLease(RevisitError):
+    """Another worker holds this job by now: the result is refused."""
+
+    code = ErrorCode.INTERNAL
+
+
+def error_of(code: str, message: str) -> RevisitError:
+    """The error that a worker wrote down, to be raised again for the client who waits."""
+    error = RevisitError(message)
+    error.code = ErrorCode(code)
+    return error

@@ -1,0 +1,192 @@
+"""Rows: what the database keeps of each noun. Every record belongs to a tenant and has a `number`.
+
+Numbers are given out by the store when a record is added (0 before), grow with every add, and are never used twice,
+so they order lists, page them and stand for a record in the vector index. Poses are 16 floats, row-major.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+from revisit.service.application.contract.identity import TenantId
+
+Pose = tuple[float, ...]
+
+
+class SubmapState(StrEnum):
+    """How far a submap has come."""
+
+    QUEUED = "QUEUED"
+    DESCRIBED = "DESCRIBED"
+    FAILED = "FAILED"
+
+
+@dataclass(frozen=True)
+class MapRecord:
+    """A map; None stands for "as the service is configured"; `model_version` is that of its descriptors, if any.
+
+    `scene_scale` is the size of its scene compared with a street (docs/decisions/0009); it never changes.
+    """
+
+    tenant: TenantId
+    map_id: str
+    content_hash: str
+    display_name: str
+    tau_m: float | None
+    stride_m: float | None
+    min_index_gap: int | None
+    model_version: str | None
+    created_at_ns: int
+    scene_scale: float = 1.0
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class RobotRecord:
+    """A robot."""
+
+    tenant: TenantId
+    robot_id: str
+    content_hash: str
+    display_name: str
+    created_at_ns: int
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class SessionRecord:
+    """A session and where its current window of scans stands (see `scan_windows`)."""
+
+    tenant: TenantId
+    map_id: str
+    session_id: str
+    content_hash: str
+    robot_id: str | None
+    state: str
+    committed_seq: int
+    next_ordinal: int
+    travelled_m: float
+    window_start_m: float
+    window_first_seq: int
+    emitted_to_m: float | None
+    created_at_ns: int
+    finished_at_ns: int | None
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class ScanRecord:
+    """A scan: its pose, how far the session had travelled, and the blob of its cloud."""
+
+    tenant: TenantId
+    map_id: str
+    session_id: str
+    seq: int
+    stamp_ns: int
+    T_odom_sensor: Pose
+    travelled_m: float
+    point_count: int
+    cloud_sha256: str
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class SubmapRecord:
+    """A submap: one cloud blob, or the scans first_seq..last_seq; and what a worker found out about it."""
+
+    tenant: TenantId
+    map_id: str
+    session_id: str
+    submap_id: str
+    content_hash: str
+    state: str
+    ordinal: int
+    session_number: int
+    T_odom_submap: Pose
+    position_m: tuple[float, float, float]
+    stamp_ns: int
+    cloud_sha256: str | None
+    first_seq: int | None
+    last_seq: int | None
+    scan_count: int
+    point_count: int
+    operation_id: str
+    flags: tuple[str, ...]
+    created_at_ns: int
+    model_version: str | None = None
+    descriptor: bytes | None = None
+    signature_sha256: str | None = None
+    neural_map_sha256: str | None = None
+    neural_map_bytes: int | None = None
+    mesh_sha256: str | None = None
+    failure_code: str | None = None
+    failure_message: str | None = None
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class LoopRecord:
+    """A loop closure between two submaps, accepted or rejected, with its evidence."""
+
+    tenant: TenantId
+    map_id: str
+    loop_id: str
+    query_number: int
+    match_number: int
+    query_session_id: str
+    query_submap_id: str
+    match_session_id: str
+    match_submap_id: str
+    state: str
+    reason: str | None
+    similarity: float
+    score: float
+    T_match_query: Pose | None
+    evidence: dict[str, Any]
+    created_at_ns: int
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class JobRecord:
+    """A leased job, which clients see as an operation.
+
+    Jobs of `priority` 0, for which a client waits, go before those of 1. `lease_token` grows with every claim: only
+    the holder of the newest may complete the job (fencing). Lease times count on the monotonic clock of one boot of
+    the machine, named by `lease_epoch`. `request_id` and `traceparent` (W3C) name the request that the job came from.
+    """
+
+    tenant: TenantId
+    operation_id: str
+    kind: str
+    state: str
+    subject: str
+    payload: dict[str, Any]
+    attempts: int
+    max_attempts: int
+    created_at_ns: int
+    priority: int = 1
+    lease_owner: str | None = None
+    lease_token: int = 0
+    lease_epoch: str = ""
+    not_before_ms: int = 0
+    lease_expires_ms: int = 0
+    request_id: str | None = None
+    traceparent: str | None = None
+    result: dict[str, Any] | None = None
+    failure_code: str | None = None
+    failure_message: str | None = None
+    finished_at_ns: int | None = None
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class WorkerRecord:
+    """A worker process and when it last showed itself, on the monotonic clock of `epoch`."""
+
+    worker_id: str
+    model_version: str
+    epoch: str
+    seen_ms: int

@@ -1,0 +1,74 @@
+"""Dead letters: operations that have failed for good. They are kept with their reason until somebody queues them again.
+
+There is no second list beside the operations: `Operations.list` with the state FAILED is the list of dead letters, an
+operation's `failure` the reason, and here is the way back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from revisit.core.errors import BadField
+from revisit.service.application.contract.context import Context
+from revisit.service.application.contract.errors import NotFound
+from revisit.service.application.contract.identity import SubmapKey, TenantId
+from revisit.service.application.contract.ports import UnitOfWork
+from revisit.service.application.contract.records import JobRecord, SubmapRecord, SubmapState
+from revisit.service.application.query.operations import OperationKind, OperationState, OperationView, operation_view
+
+
+class DeadLetters:
+    """Queue failed operations again."""
+
+    def __init__(self, context: Context) -> None:
+        """All calls use `context`."""
+        self._context = context
+
+    async def retry(self, tenant: TenantId, operation_id: str) -> OperationView:
+        """Queue a failed description again, with as many attempts as a new one; one that has not failed is left alone.
+
+        Raises NotFound, also where its submap was deleted; BadField for a search, whose cloud is not kept;
+        WorkersBusy, Draining.
+        """
+        self._context.admit()
+        return await self._context.write(lambda uow: self._retry(uow, tenant, operation_id))
+
+    def _retry(self, uow: UnitOfWork, tenant: TenantId, operation_id: str) -> OperationView:
+        job = uow.jobs.get(tenant, operation_id)
+        if job is None:
+            raise NotFound(f"there is no operation {operation_id!r}"[:200])
+        if job.state != OperationState.FAILED:
+            return operation_view(job)
+        if job.kind != OperationKind.DESCRIBE_SUBMAP:
+            raise BadField("the cloud of a search is not kept: ask again instead", field="name")
+        submap = _subject(uow, job)
+        if submap is None:
+            raise NotFound(f"the submap of operation {operation_id} was deleted")
+        self._context.require_queue_space(uow, tenant)
+        queued = replace(
+            job,
+            state=OperationState.QUEUED.value,
+            max_attempts=job.attempts + self._context.policy.max_attempts,
+            not_before_ms=0,
+            failure_code=None,
+            failure_message=None,
+            finished_at_ns=None,
+        )
+        uow.jobs.replace(queued)
+        uow.submaps.replace(replace(submap, state=SubmapState.QUEUED.value, failure_code=None, failure_message=None))
+        return operation_view(queued)
+
+
+def mark_subject_failed(uow: UnitOfWork, job: JobRecord, code: str, message: str) -> None:
+    """Say on the submap itself that its description has failed for good."""
+    submap = _subject(uow, job) if job.kind == OperationKind.DESCRIBE_SUBMAP else None
+    if submap is not None:
+        failed = SubmapState.FAILED.value
+        uow.submaps.replace(replace(submap, state=failed, failure_code=code, failure_message=message))
+
+
+def _subject(uow: UnitOfWork, job: JobRecord) -> SubmapRecord | None:
+    """The submap that a job describes, unless it was deleted (and maybe posted again, with a job of its own)."""
+    key = SubmapKey(**job.payload)
+    submap = uow.submaps.get(job.tenant, key.map_id, key.session_id, key.submap_id)
+    return submap if submap is not None and submap.operation_id == job.operation_id else None

@@ -1,0 +1,55 @@
+"""What the gateway does beside answering: chores, each in its own rhythm, for as long as it runs."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+
+import structlog
+
+from revisit.core.errors import RevisitError
+
+log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True)
+class Chore:
+    """Work that is done at the start and again `every_s` seconds after it has ended."""
+
+    name: str
+    every_s: float
+    work: Callable[[], Awaitable[None]]
+
+
+class Upkeep:
+    """Runs chores until it is stopped; one that fails is tried again in its next turn."""
+
+    def __init__(self, chores: Sequence[Chore]) -> None:
+        """Nothing runs before `start`."""
+        self._chores = chores
+        self._tasks: list[asyncio.Task[None]] = []
+
+    def start(self) -> None:
+        """Begin; returns at once."""
+        self._tasks = [asyncio.create_task(_repeat(chore), name=chore.name) for chore in self._chores]
+
+    async def stop(self) -> None:
+        """End every chore where it stands."""
+        for task in self._tasks:
+            task.cancel()
+        for task in self._tasks:
+            with suppress(asyncio.CancelledError):
+                await task
+
+
+async def _repeat(chore: Chore) -> None:
+    while True:
+        try:
+            await chore.work()
+        except RevisitError as error:
+            log.warning("chore_failed", chore=chore.name, reason=error.message)
+        except Exception:  # a defect in one chore must not end the gateway
+            log.exception("chore_crashed", chore=chore.name)
+        await asyncio.sleep(chore.every_s)

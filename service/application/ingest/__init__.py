@@ -1,0 +1,1 @@
+"""From scans and clouds to stored submaps."""

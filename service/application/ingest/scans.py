@@ -1,0 +1,214 @@
+"""Scans: a stream of posed sweeps that the service cuts into submaps."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from revisit.core.errors import BadField
+from revisit.core.geometry.se3 import Matrix4
+from revisit.core.scan import CloudReport, Scan
+from revisit.service.application.catalogue.maps import require_map
+from revisit.service.application.catalogue.session_lookup import require_active, require_session
+from revisit.service.application.catalogue.submaps import PostedSubmap
+from revisit.service.application.contract.context import Context
+from revisit.service.application.contract.errors import NotFound, SequenceGap
+from revisit.service.application.contract.identity import SessionKey, TenantId
+from revisit.service.application.contract.ports import UnitOfWork
+from revisit.service.application.contract.poses import pose_matrix, pose_row
+from revisit.service.application.contract.records import ScanRecord, SessionRecord
+from revisit.service.application.ingest.clouds import CLOUD_BLOB, MAX_SCAN_POINTS, CloudInput, accept_cloud, pack_cloud
+from revisit.service.application.ingest.scan_windows import Window, advance
+from revisit.service.application.ingest.window_submaps import add_window_submap, window_of
+from revisit.service.failpoints import failpoint
+
+
+@dataclass(frozen=True)
+class AppendScan:
+    """The scan with client sequence number `seq` (1, 2, 3, ...), taken from `T_odom_sensor` (4, 4)."""
+
+    session: SessionKey
+    seq: int
+    stamp_ns: int
+    T_odom_sensor: Matrix4
+    cloud: CloudInput
+
+
+@dataclass(frozen=True)
+class ScanAck:
+    """The scan is durable. `committed_seq` is the last durable one; `submap` is the one that this scan completed.
+
+    A scan at or below `committed_seq` is acknowledged and ignored (`replay`).
+    """
+
+    committed_seq: int
+    replay: bool
+    report: CloudReport | None
+    submap: PostedSubmap | None
+
+
+@dataclass(frozen=True)
+class ResumePoint:
+    """What a client remembers of a session: the token of an earlier stream, if any, and what was acknowledged."""
+
+    token: str = ""
+    acknowledged_seq: int = 0
+
+
+@dataclass(frozen=True)
+class OpenedStream:
+    """Where a client resumes: the next scan to send is `committed_seq + 1`.
+
+    `resume_token` names this session and no other that may get its name later.
+    """
+
+    session: SessionKey
+    committed_seq: int
+    resume_token: str
+
+
+@dataclass(frozen=True)
+class _Accepted:
+    """A scan that passed validation, and its cloud to store."""
+
+    seq: int
+    scan: Scan
+    packed: bytes
+    report: CloudReport
+
+
+class Scans:
+    """Open a session's stream and append scans to it."""
+
+    def __init__(self, context: Context) -> None:
+        """All calls use `context`."""
+        self._context = context
+
+    async def open(self, tenant: TenantId, session: SessionKey, resume: ResumePoint = ResumePoint()) -> OpenedStream:
+        """Where the session stands.
+
+        Raises NotFound, also where the token is another session's; SequenceGap where fewer scans are stored than were
+        acknowledged (an older backup was restored); SessionFinished, Draining.
+        """
+        self._context.admit()
+        record = await self._context.read(lambda uow: require_session(uow, tenant, session))
+        token = f"{record.number:x}-{record.created_at_ns:x}"
+        if resume.token not in ("", token):
+            raise NotFound("the resume token is of another session")
+        if resume.acknowledged_seq > record.committed_seq:
+            raise SequenceGap(record.committed_seq + 1, resume.acknowledged_seq + 1)
+        require_active(record)
+        return OpenedStream(session, record.committed_seq, token)
+
+    def ending(self, tenant: TenantId, session: SessionKey) -> AbstractContextManager[asyncio.Event]:
+        """Set once the session was deleted; to be entered before `open`."""
+        return self._context.stream_endings.watched(tenant, session)
+
+    def place_for_stream(self, tenant: TenantId, *, replaces: bool) -> AbstractContextManager[None]:
+        """A place for one more stream; one that `replaces` another, which ends, gets that one's. Raises RateLimited."""
+        return self._context.intake.stream(tenant, replaces=replaces)
+
+    async def append(self, tenant: TenantId, command: AppendScan, *, patient: bool = False) -> ScanAck:
+        """Store one scan durably; returns after the commit. One that is `patient` waits for its turn.
+
+        Raises what decoding and validation raise, NotFound, SessionFinished, SequenceGap(expected), WorkersBusy,
+        RateLimited, Draining, StorageFull, StorageUncertain.
+        """
+        self._context.admit_data()
+        if command.seq < 1 or command.seq >= 2**63:
+            raise BadField("seq counts from 1", field="seq")
+        session = await self._context.read(lambda uow: require_session(uow, tenant, command.session))
+        if _is_replay(session, command.seq):
+            return ScanAck(session.committed_seq, replay=True, report=None, submap=None)
+        async with self._context.taking_in(tenant, patient=patient, queued=False) as spend:
+            return await self._store(tenant, command, spend)
+
+    async def _store(self, tenant: TenantId, command: AppendScan, spend: Callable[[int], None]) -> ScanAck:
+        accepted = await self._context.decode(_accept, command)
+        spend(len(accepted.scan.points))
+        await self._context.compute(self._context.blobs.put, tenant, CLOUD_BLOB, accepted.packed)
+        failpoint("ingest.after_blob")
+        ack = await self._context.write(lambda uow: self._insert(uow, tenant, command.session, accepted))
+        failpoint("ingest.after_commit")
+        return ack
+
+    def _insert(self, uow: UnitOfWork, tenant: TenantId, key: SessionKey, accepted: _Accepted) -> ScanAck:
+        session = require_session(uow, tenant, key)
+        if _is_replay(session, accepted.seq):
+            return ScanAck(session.committed_seq, replay=True, report=None, submap=None)
+        last = uow.scans.get(session.tenant, session.map_id, session.session_id, session.committed_seq)
+        step_m = _step_m(last, accepted.scan)
+        sha256 = hashlib.sha256(accepted.packed).hexdigest()
+        # A delete may have collected the same content meanwhile (see blob_references.collect_blobs).
+        if not self._context.blobs.exists(tenant, CLOUD_BLOB, sha256):
+            self._context.blobs.put(tenant, CLOUD_BLOB, accepted.packed)
+        uow.scans.add(_row(session, accepted, session.travelled_m + step_m, sha256))
+        submap = self._advance(uow, session, accepted.seq, step_m)
+        return ScanAck(accepted.seq, replay=False, report=accepted.report, submap=submap)
+
+    def _advance(self, uow: UnitOfWork, session: SessionRecord, seq: int, step_m: float) -> PostedSubmap | None:
+        """Move the session's window on; the submap that is complete now, if one is."""
+        config = self._context.policy.for_map(require_map(uow, session.tenant, session.map_id)).submap
+        stored = (session.tenant, session.map_id, session.session_id)
+        window, finished = advance(
+            window_of(session), seq, step_m, config, lambda start_m: uow.scans.first_seq_from(*stored, start_m)
+        )
+        moved = _with_window(replace(session, committed_seq=seq), window)
+        if finished is None:
+            uow.sessions.replace(moved)
+            return None
+        return add_window_submap(uow, self._context, moved, finished)[0]
+
+
+def _accept(command: AppendScan) -> _Accepted:
+    cloud, report = accept_cloud(command.cloud, MAX_SCAN_POINTS)
+    scan = Scan.validated(cloud.points, command.T_odom_sensor, command.stamp_ns)
+    return _Accepted(command.seq, scan, pack_cloud(cloud), report)
+
+
+def _is_replay(session: SessionRecord, seq: int) -> bool:
+    """Whether the scan is durable already. Raises SequenceGap where it is not the next one; SessionFinished."""
+    if seq <= session.committed_seq:
+        return True
+    require_active(session)
+    if seq != session.committed_seq + 1:
+        raise SequenceGap(session.committed_seq + 1, seq)
+    return False
+
+
+def _step_m(last: ScanRecord | None, scan: Scan) -> float:
+    """How far the sensor moved since the last stored scan, metres. Raises BadField where time went backwards."""
+    if last is None:
+        return 0.0
+    if scan.stamp_ns < last.stamp_ns:
+        raise BadField(f"stamp_ns lies before that of the last stored scan, {last.stamp_ns}", field="stamp_ns")
+    return float(np.linalg.norm(scan.T_odom_sensor[:3, 3] - pose_matrix(last.T_odom_sensor)[:3, 3]))
+
+
+def _row(session: SessionRecord, accepted: _Accepted, travelled_m: float, sha256: str) -> ScanRecord:
+    return ScanRecord(
+        tenant=session.tenant,
+        map_id=session.map_id,
+        session_id=session.session_id,
+        seq=accepted.seq,
+        stamp_ns=accepted.scan.stamp_ns,
+        T_odom_sensor=pose_row(accepted.scan.T_odom_sensor),
+        travelled_m=travelled_m,
+        point_count=len(accepted.scan.points),
+        cloud_sha256=sha256,
+    )
+
+
+def _with_window(session: SessionRecord, window: Window) -> SessionRecord:
+    return replace(
+        session,
+        window_first_seq=window.first_seq,
+        window_start_m=window.start_m,
+        travelled_m=window.travelled_m,
+        emitted_to_m=window.emitted_to_m,
+    )

@@ -1,0 +1,72 @@
+"""What a submap is made of: one posted cloud, or the scans of a window; and putting it together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from revisit.core.config import SubmapConfig
+from revisit.core.scan import CloudReport, Scan
+from revisit.core.submap import Submap
+from revisit.service.application.catalogue.maps import require_map
+from revisit.service.application.contract.context import Context
+from revisit.service.application.contract.ports import BlobStore, UnitOfWork
+from revisit.service.application.contract.poses import pose_matrix
+from revisit.service.application.contract.records import Pose, SubmapRecord
+from revisit.service.application.ingest.clouds import CLOUD_BLOB, unpack_cloud
+
+MAX_SCANS = 400
+"""A window of a robot that stood still can hold any number of scans: at most this many, evenly spread, are used."""
+
+
+@dataclass(frozen=True)
+class PosedCloud:
+    """A stored cloud and where it was taken from."""
+
+    cloud_sha256: str
+    T_odom_sensor: Pose
+    stamp_ns: int
+
+
+@dataclass(frozen=True)
+class SubmapSource:
+    """The clouds of a submap in time order; `posted`: one cloud that was accumulated elsewhere."""
+
+    clouds: tuple[PosedCloud, ...]
+    posted: bool
+    config: SubmapConfig
+
+
+def submap_source(uow: UnitOfWork, context: Context, record: SubmapRecord) -> SubmapSource:
+    """The source of a stored submap."""
+    config = context.policy.for_map(require_map(uow, record.tenant, record.map_id)).submap
+    if record.first_seq is None or record.last_seq is None:
+        posted = PosedCloud(str(record.cloud_sha256), record.T_odom_submap, record.stamp_ns)
+        return SubmapSource((posted,), posted=True, config=config)
+    seqs = chosen_seqs(record.first_seq, record.last_seq)
+    scans = uow.scans.with_seqs(record.tenant, record.map_id, record.session_id, seqs)
+    clouds = (PosedCloud(scan.cloud_sha256, scan.T_odom_sensor, scan.stamp_ns) for scan in scans)
+    return SubmapSource(tuple(clouds), posted=False, config=config)
+
+
+def chosen_seqs(first: int, last: int) -> list[int]:
+    """The numbers first..last of a window's scans; of more than MAX_SCANS so many, evenly spread, with both ends.
+
+    Stored scans have no gaps, so what is not chosen need not be read.
+    """
+    if last - first < MAX_SCANS:
+        return list(range(first, last + 1))
+    return [first + round(index * (last - first) / (MAX_SCANS - 1)) for index in range(MAX_SCANS)]
+
+
+def load_submap(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) -> Submap:
+    """The submap with its points. Raises DataLoss."""
+    scans = [
+        Scan(
+            unpack_cloud(blobs.get(record.tenant, CLOUD_BLOB, cloud.cloud_sha256)).points,
+            pose_matrix(cloud.T_odom_sensor),
+            cloud.stamp_ns,
+            CloudReport(0, "degenerate_plane" in record.flags),
+        )
+        for cloud in source.clouds
+    ]
+    return Submap.from_cloud(scans[0], source.config) if source.posted else Submap.from_scans(scans, source.config)

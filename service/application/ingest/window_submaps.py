@@ -1,0 +1,57 @@
+"""From a window of stored scans to a submap's row."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from revisit.service.application.catalogue.submaps import PostedSubmap, add_submap, posted_submap
+from revisit.service.application.contract.context import Context
+from revisit.service.application.contract.identity import RESERVED_SUBMAP_PREFIX, content_hash
+from revisit.service.application.contract.ports import UnitOfWork
+from revisit.service.application.contract.poses import pose_matrix, position_row
+from revisit.service.application.contract.records import ScanRecord, SessionRecord, SubmapRecord, SubmapState
+from revisit.service.application.ingest.scan_windows import ScanRange, Window
+from revisit.service.application.ingest.submap_source import chosen_seqs
+
+
+def window_of(session: SessionRecord) -> Window:
+    """The window that a session's row holds."""
+    return Window(session.window_first_seq, session.window_start_m, session.travelled_m, session.emitted_to_m)
+
+
+def add_window_submap(
+    uow: UnitOfWork, context: Context, session: SessionRecord, scans: ScanRange
+) -> tuple[PostedSubmap, SessionRecord]:
+    """Add the submap of the stored `scans` and its job, in the caller's transaction. Raises WorkersBusy."""
+    seqs = chosen_seqs(scans.first, scans.last)
+    stored = uow.scans.with_seqs(session.tenant, session.map_id, session.session_id, seqs)
+    row = _row(context, session, stored, scans)
+    added, counted = add_submap(uow, context, session, row)
+    return posted_submap(uow, added, replay=False, report=None), counted
+
+
+def _row(context: Context, session: SessionRecord, stored: list[ScanRecord], scans: ScanRange) -> SubmapRecord:
+    """As `core.submap.Submap.from_scans`: the frame of the middle scan, the mean of the positions."""
+    middle = stored[len(stored) // 2]
+    positions = np.array([pose_matrix(scan.T_odom_sensor)[:3, 3] for scan in stored])
+    return SubmapRecord(
+        tenant=session.tenant,
+        map_id=session.map_id,
+        session_id=session.session_id,
+        submap_id=f"{RESERVED_SUBMAP_PREFIX}{scans.first}-{scans.last}",
+        content_hash=content_hash([scans.first, scans.last]),
+        state=SubmapState.QUEUED.value,
+        ordinal=0,
+        session_number=0,
+        T_odom_submap=middle.T_odom_sensor,
+        position_m=position_row(positions.mean(axis=0)),
+        stamp_ns=middle.stamp_ns,
+        cloud_sha256=None,
+        first_seq=scans.first,
+        last_seq=scans.last,
+        scan_count=len(stored),
+        point_count=sum(scan.point_count for scan in stored),
+        operation_id="",
+        flags=(),
+        created_at_ns=context.clock.wall_ns(),
+    )

@@ -1,0 +1,94 @@
+"""A submap as a file."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from revisit.core.errors import UnsupportedEncoding
+from revisit.formats import NPY, PCD, PLY, encode_npy, encode_pcd, encode_ply, encode_ply_mesh
+from revisit.service.application.contract.errors import NotFound, NotReady
+from revisit.service.application.contract.ports import BlobStore
+from revisit.service.application.contract.records import SubmapRecord
+from revisit.service.application.housekeeping.blob_references import NEURAL_MAP_BLOB
+from revisit.service.application.ingest.clouds import CLOUD_BLOB, StoredCloud, unpack_cloud
+from revisit.service.application.ingest.submap_source import SubmapSource, load_submap
+from revisit.service.application.recognise.meshes import MESH_BLOB, unpack_mesh
+
+
+class DownloadKind(StrEnum):
+    """What of a submap can be downloaded."""
+
+    MESH = "mesh"
+    POINTS = "points"
+    NEURAL = "neural"
+    DESCRIPTOR = "descriptor"
+
+
+FORMATS = {
+    DownloadKind.MESH: ("ply",),
+    DownloadKind.POINTS: ("pcd", "ply", "npy"),
+    DownloadKind.NEURAL: ("rvn",),
+    DownloadKind.DESCRIPTOR: ("npy",),
+}
+"""The formats of each kind; the first is the default."""
+
+MEDIA_TYPES = {
+    "ply": PLY,
+    "pcd": PCD,
+    "npy": NPY,
+    "rvn": "application/vnd.revisit.neural-map",
+}
+
+
+@dataclass(frozen=True)
+class Download:
+    """A file: its bytes, media type and a name to save it under."""
+
+    data: bytes
+    media_type: str
+    filename: str
+
+
+def render_download(
+    blobs: BlobStore, record: SubmapRecord, source: SubmapSource, kind: DownloadKind, file_format: str | None
+) -> Download:
+    """The file. Raises UnsupportedEncoding, NotReady, NotFound, DataLoss."""
+    extension = file_format or FORMATS[kind][0]
+    if extension not in FORMATS[kind]:
+        raise UnsupportedEncoding(f"{kind.value} can be had as {' or '.join(FORMATS[kind])}", field="format")
+    data = _rendered(blobs, record, source, kind, extension)
+    return Download(data, MEDIA_TYPES[extension], f"{record.session_id}-{record.submap_id}-{kind.value}.{extension}")
+
+
+def _rendered(
+    blobs: BlobStore, record: SubmapRecord, source: SubmapSource, kind: DownloadKind, extension: str
+) -> bytes:
+    if kind is DownloadKind.POINTS:
+        return _points_file(_points(blobs, record, source), extension)
+    if record.descriptor is None:
+        raise NotReady
+    if kind is DownloadKind.DESCRIPTOR:
+        buffer = io.BytesIO()
+        np.save(buffer, np.frombuffer(record.descriptor, dtype="<f4"), allow_pickle=False)
+        return buffer.getvalue()
+    if kind is DownloadKind.MESH:
+        mesh = unpack_mesh(blobs.get(record.tenant, MESH_BLOB, str(record.mesh_sha256)))
+        return encode_ply_mesh(mesh.vertices, mesh.normals, mesh.faces)
+    if record.neural_map_sha256 is None:
+        raise NotFound("this submap was described without a neural map")
+    return blobs.get(record.tenant, NEURAL_MAP_BLOB, record.neural_map_sha256)
+
+
+def _points(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) -> StoredCloud:
+    if source.posted:
+        return unpack_cloud(blobs.get(record.tenant, CLOUD_BLOB, source.clouds[0].cloud_sha256))
+    return StoredCloud(load_submap(blobs, record, source).points, None)
+
+
+def _points_file(cloud: StoredCloud, extension: str) -> bytes:
+    encode = {"pcd": encode_pcd, "ply": encode_ply, "npy": encode_npy}[extension]
+    return encode(cloud.points, cloud.intensity)

@@ -1,0 +1,159 @@
+"""What a search asks and answers, and both as JSON: a worker writes the answer into the operation."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from revisit.core.errors import BadField
+from revisit.core.geometry.se3 import Matrix4
+from revisit.service.application.contract.identity import SubmapKey
+from revisit.service.application.contract.poses import pose_matrix, pose_row
+
+MAX_K = 100
+MAX_RADIUS_M = 1e6
+
+
+@dataclass(frozen=True)
+class SearchCriteria:
+    """What a hit must satisfy. All optional but `k` (1 to 100).
+
+    `min_index_gap` applies to submaps of the query's own session; `prior_position_m` with `radius_m` keeps hits whose
+    position (in their session's odometry frame) is near.
+    """
+
+    k: int = 20
+    min_similarity: float | None = None
+    exclude_session: str | None = None
+    only_session: str | None = None
+    min_index_gap: int | None = None
+    prior_position_m: tuple[float, float, float] | None = None
+    radius_m: float | None = None
+
+
+@dataclass(frozen=True)
+class SearchHit:
+    """A submap and its cosine similarity to the query."""
+
+    submap: SubmapKey
+    similarity: float
+    position_m: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class SearchResult:
+    """Hits, most similar first (ties: older submap first); `searched` is how many submaps the map's index held."""
+
+    hits: tuple[SearchHit, ...]
+    searched: int
+
+
+@dataclass(frozen=True)
+class LocalizedCandidate:
+    """One submap that was compared: accepted with a transform, or rejected for a reason."""
+
+    submap: SubmapKey
+    accepted: bool
+    reason: str | None
+    similarity: float
+    score: float
+    T_match_query: Matrix4 | None
+    evidence: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Localization:
+    """The best verified candidate, if any, and all that were compared.
+
+    `T_map_query` (4, 4) is the cloud's pose in the odometry frame of the best candidate's session.
+    """
+
+    best: LocalizedCandidate | None
+    T_map_query: Matrix4 | None
+    candidates: tuple[LocalizedCandidate, ...]
+
+
+def validated_criteria(criteria: SearchCriteria) -> SearchCriteria:
+    """`criteria` if they can be searched for. Raises BadField."""
+    if not 1 <= criteria.k <= MAX_K:
+        raise BadField(f"k must be in 1..{MAX_K}", field="k")
+    if (criteria.prior_position_m is None) != (criteria.radius_m is None):
+        raise BadField("a prior position and a radius go together", field="radius_m")
+    if criteria.radius_m is not None and not 0.0 < criteria.radius_m <= MAX_RADIUS_M:
+        raise BadField(f"radius_m must be in 0..{MAX_RADIUS_M:g}, without 0", field="radius_m")
+    if criteria.prior_position_m is not None and not all(math.isfinite(value) for value in criteria.prior_position_m):
+        raise BadField("the prior position must be finite", field="prior_position_m")
+    if criteria.min_similarity is not None and not -1.0 <= criteria.min_similarity <= 1.0:
+        raise BadField("min_similarity must be in -1..1", field="min_similarity")
+    if criteria.min_index_gap is not None and criteria.min_index_gap < 0:
+        raise BadField("min_index_gap must not be negative", field="min_index_gap")
+    return criteria
+
+
+def criteria_to_json(criteria: SearchCriteria) -> dict[str, Any]:
+    """For a job's payload."""
+    return asdict(criteria)
+
+
+def criteria_from_json(data: dict[str, Any]) -> SearchCriteria:
+    """The inverse of `criteria_to_json`."""
+    prior = data["prior_position_m"]
+    return SearchCriteria(**{**data, "prior_position_m": None if prior is None else tuple(prior)})
+
+
+def search_result_to_json(result: SearchResult) -> dict[str, Any]:
+    """For an operation's result."""
+    return asdict(result)
+
+
+def search_result_from_json(data: dict[str, Any]) -> SearchResult:
+    """The inverse of `search_result_to_json`."""
+    hits = (SearchHit(SubmapKey(**hit["submap"]), hit["similarity"], tuple(hit["position_m"])) for hit in data["hits"])
+    return SearchResult(tuple(hits), data["searched"])
+
+
+def localization_to_json(localization: Localization) -> dict[str, Any]:
+    """For an operation's result; the best candidate is named by its place in the list."""
+    best = localization.best
+    return {
+        "best": None if best is None else localization.candidates.index(best),
+        "T_map_query": None if localization.T_map_query is None else pose_row(localization.T_map_query),
+        "candidates": [_candidate_to_json(candidate) for candidate in localization.candidates],
+    }
+
+
+def localization_from_json(data: dict[str, Any]) -> Localization:
+    """The inverse of `localization_to_json`."""
+    candidates = tuple(_candidate_from_json(candidate) for candidate in data["candidates"])
+    return Localization(
+        best=None if data["best"] is None else candidates[data["best"]],
+        T_map_query=None if data["T_map_query"] is None else pose_matrix(tuple(data["T_map_query"])),
+        candidates=candidates,
+    )
+
+
+def _candidate_to_json(candidate: LocalizedCandidate) -> dict[str, Any]:
+    pose = None if candidate.T_match_query is None else pose_row(candidate.T_match_query)
+    return {
+        "submap": asdict(candidate.submap),
+        "accepted": candidate.accepted,
+        "reason": candidate.reason,
+        "similarity": candidate.similarity,
+        "score": candidate.score,
+        "T_match_query": pose,
+        "evidence": candidate.evidence,
+    }
+
+
+def _candidate_from_json(data: dict[str, Any]) -> LocalizedCandidate:
+    pose = data["T_match_query"]
+    return LocalizedCandidate(
+        submap=SubmapKey(**data["submap"]),
+        accepted=data["accepted"],
+        reason=data["reason"],
+        similarity=data["similarity"],
+        score=data["score"],
+        T_match_query=None if pose is None else pose_matrix(tuple(pose)),
+        evidence=data["evidence"],
+    )

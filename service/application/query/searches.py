@@ -1,0 +1,194 @@
+"""Searches: which submaps look like this one, and where in the map a cloud was taken."""
+
+from __future__ import annotations
+
+import math
+import secrets
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.errors import BadField, DescriptorModelMismatch
+from revisit.service.application.catalogue.maps import require_map
+from revisit.service.application.catalogue.submaps import require_submap
+from revisit.service.application.contract.context import Context
+from revisit.service.application.contract.errors import DeadlineExceeded, NotReady, error_of
+from revisit.service.application.contract.identity import SubmapKey, TenantId
+from revisit.service.application.contract.ports import UnitOfWork, VectorFilter
+from revisit.service.application.contract.records import MapRecord, SubmapRecord
+from revisit.service.application.ingest.clouds import (
+    MAX_SUBMAP_POINTS,
+    QUERY_CLOUD_BLOB,
+    QUERY_NONCE_BYTES,
+    CloudInput,
+    accept_cloud,
+    pack_cloud,
+)
+from revisit.service.application.query.freshness import Freshness, await_freshness
+from revisit.service.application.query.operations import OperationKind, Operations, new_job
+from revisit.service.application.query.search_answers import (
+    Localization,
+    LocalizedCandidate,
+    SearchCriteria,
+    SearchHit,
+    SearchResult,
+    criteria_to_json,
+    localization_from_json,
+    search_result_from_json,
+    validated_criteria,
+)
+from revisit.service.application.recognise.place_memory import PlaceMemory, vector_filter
+
+
+@dataclass(frozen=True)
+class LocalizeQuery:
+    """Where was this cloud taken? `prior_position_m` and `radius_m` (metres) narrow the search."""
+
+    map_id: str
+    cloud: CloudInput
+    prior_position_m: tuple[float, float, float] | None = None
+    radius_m: float | None = None
+    candidates: int = 10
+
+
+class Searches:
+    """Search by submap, by descriptor or by cloud; localise."""
+
+    def __init__(self, context: Context, operations: Operations) -> None:
+        """`operations` waits for the workers' answers."""
+        self._context = context
+        self._operations = operations
+        self._memory = PlaceMemory(context.transactions, context.index)
+
+    async def by_submap(
+        self, tenant: TenantId, key: SubmapKey, criteria: SearchCriteria, fresh: Freshness = Freshness()
+    ) -> SearchResult:
+        """The submaps most like a described one, which is never its own hit.
+
+        Raises NotFound, NotReady, BadField, SeqNotReached where `fresh` was not reached.
+        """
+        validated_criteria(criteria)
+        await await_freshness(self._context, tenant, key.map_id, fresh)
+
+        def load(uow: UnitOfWork) -> tuple[MapRecord, SubmapRecord, VectorFilter]:
+            record = require_submap(uow, tenant, key)
+            if record.descriptor is None:
+                raise NotReady
+            where = vector_filter(uow, tenant, key.map_id, criteria, record)
+            return require_map(uow, tenant, key.map_id), record, where
+
+        map_record, record, where = await self._context.read(load)
+        vector = np.frombuffer(record.descriptor or b"", dtype="<f4")
+        return await self._context.compute(self._memory.search, map_record, vector, criteria, where)
+
+    async def by_descriptor(
+        self,
+        tenant: TenantId,
+        map_id: str,
+        vector: NDArray[np.float32],
+        model_version: str,
+        criteria: SearchCriteria,
+        fresh: Freshness = Freshness(),
+    ) -> SearchResult:
+        """The submaps nearest to a descriptor (d,), once normalised. Raises as `by_submap`, DescriptorModelMismatch."""
+        validated_criteria(criteria)
+        unit = _unit(vector)
+        await await_freshness(self._context, tenant, map_id, fresh)
+
+        def load(uow: UnitOfWork) -> tuple[MapRecord, VectorFilter]:
+            return require_map(uow, tenant, map_id), vector_filter(uow, tenant, map_id, criteria, None)
+
+        map_record, where = await self._context.read(load)
+        if map_record.model_version not in (None, model_version):
+            raise DescriptorModelMismatch(f"map {map_id} was described by model {map_record.model_version}")
+        return await self._context.compute(self._memory.search, map_record, unit, criteria, where)
+
+    async def by_cloud(
+        self,
+        tenant: TenantId,
+        map_id: str,
+        cloud: CloudInput,
+        criteria: SearchCriteria,
+        fresh: Freshness = Freshness(),
+        timeout_s: float = 30.0,
+    ) -> SearchResult:
+        """Describe a cloud in a worker, store no submap, search.
+
+        Raises DeadlineExceeded, WorkersBusy, NotFound, SeqNotReached, ...
+        """
+        payload = {"map_id": map_id, "criteria": criteria_to_json(validated_criteria(criteria))}
+        await await_freshness(self._context, tenant, map_id, fresh)
+        answer = await self._ask(tenant, OperationKind.SEARCH_CLOUD, payload, cloud, timeout_s)
+        return search_result_from_json(answer)
+
+    async def localize(
+        self, tenant: TenantId, query: LocalizeQuery, fresh: Freshness = Freshness(), timeout_s: float = 30.0
+    ) -> Localization:
+        """Describe a cloud in a worker, search, verify. No match is a result. Raises as `by_cloud`."""
+        prior, radius = query.prior_position_m, query.radius_m
+        criteria = validated_criteria(SearchCriteria(k=query.candidates, prior_position_m=prior, radius_m=radius))
+        payload = {"map_id": query.map_id, "criteria": criteria_to_json(criteria)}
+        await await_freshness(self._context, tenant, query.map_id, fresh)
+        answer = await self._ask(tenant, OperationKind.LOCALIZE, payload, query.cloud, timeout_s)
+        return localization_from_json(answer)
+
+    async def _ask(
+        self, tenant: TenantId, kind: OperationKind, payload: dict[str, Any], cloud: CloudInput, timeout_s: float
+    ) -> dict[str, Any]:
+        """Queue the cloud for a worker and wait for the answer. Raises what the worker met, DeadlineExceeded."""
+        self._context.admit_data()
+        await self._context.read(lambda uow: require_map(uow, tenant, payload["map_id"]))
+        blobs = self._context.blobs
+        async with self._context.taking_in(tenant) as spend:
+            packed, points = await self._context.decode(_accept, cloud)
+            spend(points)
+            sha256 = await self._context.compute(blobs.put, tenant, QUERY_CLOUD_BLOB, packed)
+        subject = f"maps/{payload['map_id']}"
+        job = new_job(self._context, tenant, kind, subject, {**payload, "cloud_sha256": sha256})
+
+        def enqueue(uow: UnitOfWork) -> None:
+            self._context.require_queue_space(uow, tenant)
+            uow.queue.enqueue(job)
+
+        try:
+            await self._context.write(enqueue)
+            operation = await self._operations.wait(tenant, job.operation_id, timeout_s)
+        finally:
+            await self._context.compute(blobs.delete, tenant, QUERY_CLOUD_BLOB, sha256)
+        if operation.failure is not None:
+            raise error_of(operation.failure.code, operation.failure.message)
+        if operation.result is None:
+            self._context.admit()
+            raise DeadlineExceeded(f"no worker answered within {timeout_s:g} s; see operation {job.operation_id}")
+        return operation.result
+
+
+def _accept(cloud: CloudInput) -> tuple[bytes, int]:
+    """The packed cloud behind a nonce, and how many points it has.
+
+    With a nonce the same cloud asked twice is two blobs, each deleted with its own answer.
+    """
+    accepted, _ = accept_cloud(cloud, MAX_SUBMAP_POINTS)
+    return secrets.token_bytes(QUERY_NONCE_BYTES) + pack_cloud(accepted), len(accepted.points)
+
+
+__all__ = [
+    "Freshness",
+    "Localization",
+    "LocalizeQuery",
+    "LocalizedCandidate",
+    "SearchCriteria",
+    "SearchHit",
+    "SearchResult",
+    "Searches",
+]
+
+
+def _unit(vector: NDArray[np.float32]) -> NDArray[np.float32]:
+    """`vector` with norm 1. Raises BadField where it has none."""
+    norm = float(np.linalg.norm(vector.astype(np.float64)))
+    if not (math.isfinite(norm) and norm > 0.0):
+        raise BadField("a descriptor must be finite and not zero", field="descriptor")
+    return (vector / norm).astype(np.float32)

@@ -1,0 +1,1 @@
+"""What a worker does: describe a submap, recall, verify, commit."""

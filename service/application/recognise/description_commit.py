@@ -1,0 +1,138 @@
+"""The one transaction that ends a description: the submap, its loops, its place in the index and its job, together."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, replace
+from typing import Any
+
+from revisit.core.errors import DescriptorModelMismatch
+from revisit.service.application.catalogue.loops import LoopState
+from revisit.service.application.catalogue.maps import require_map
+from revisit.service.application.catalogue.submaps import submap_key
+from revisit.service.application.contract.context import Context
+from revisit.service.application.contract.ports import (
+    IndexChange,
+    Lease,
+    LoopVerdict,
+    SubmapDescription,
+    UnitOfWork,
+    VectorFilter,
+)
+from revisit.service.application.contract.poses import pose_row
+from revisit.service.application.contract.records import LoopRecord, MapRecord, SubmapRecord
+from revisit.service.application.ingest.submap_source import SubmapSource
+from revisit.service.application.query.operations import SUBMAP_DELETED
+from revisit.service.application.recognise.place_memory import RecalledPlace
+from revisit.service.failpoints import failpoint
+
+
+@dataclass(frozen=True)
+class DescriptionTask:
+    """A submap to describe, as the database holds it."""
+
+    submap: SubmapRecord
+    source: SubmapSource
+    map: MapRecord
+
+
+@dataclass(frozen=True)
+class JudgedPlace:
+    """A recalled place and what geometry says about it."""
+
+    place: RecalledPlace
+    verdict: LoopVerdict
+
+
+@dataclass(frozen=True)
+class StoredDescription:
+    """A description whose blobs are durable, and the row that names them."""
+
+    row: SubmapRecord
+    description: SubmapDescription
+    blobs: tuple[tuple[str, bytes], ...]
+
+
+@dataclass(frozen=True)
+class DescriptionCommit:
+    """The one transaction that ends a description."""
+
+    context: Context
+    lease: Lease
+    task: DescriptionTask
+    described: StoredDescription
+    judged: list[JudgedPlace]
+    where: VectorFilter
+    seq: int
+
+    def __call__(self, uow: UnitOfWork) -> bool:
+        """Commit, or change nothing and return False where a possible match came in since change `seq`.
+
+        Raises StaleLease where another worker holds the job.
+        """
+        tenant, map_record = self.task.map.tenant, self.task.map
+        # A late run must not trip over the rows of the run that overtook it.
+        uow.queue.require(self.lease)
+        newer = uow.changes.since(tenant, map_record.number, self.seq)
+        if any(_may_match(change, self.where) for change in newer):
+            return False
+        if not uow.submaps.count(tenant, number=self.task.submap.number):
+            self._end(uow, SUBMAP_DELETED)
+            return True
+        self._store_submap(uow)
+        failpoint("merge.after_submap")
+        present = [item for item in self.judged if uow.submaps.count(tenant, number=item.place.submap.number)]
+        for item in present:
+            uow.loops.add(self._loop(item))
+        failpoint("merge.after_loops")
+        accepted = sum(item.verdict.accepted for item in present)
+        timings = {stage: round(seconds, 4) for stage, seconds in self.described.description.timings_s.items()}
+        result = {"submap": submap_key(self.task.submap).name, "loops_accepted": accepted}
+        self._end(uow, {**result, "loops_rejected": len(present) - accepted, "timings_s": timings})
+        return True
+
+    def _store_submap(self, uow: UnitOfWork) -> None:
+        row, blobs = self.described.row, self.context.blobs
+        for kind, data in self.described.blobs:
+            # A delete may have collected the same content meanwhile (see blob_references.collect_blobs).
+            if not blobs.exists(row.tenant, kind, hashlib.sha256(data).hexdigest()):
+                blobs.put(row.tenant, kind, data)
+        uow.submaps.replace(row)
+        uow.changes.record_described(row.tenant, self.task.map.number, row.number)
+        current = require_map(uow, row.tenant, row.map_id)
+        if current.model_version is None:
+            uow.maps.replace(replace(current, model_version=self.described.row.model_version))
+        elif current.model_version != self.described.row.model_version:
+            raise DescriptorModelMismatch(f"map {row.map_id} was described by model {current.model_version}")
+
+    def _end(self, uow: UnitOfWork, result: dict[str, Any]) -> None:
+        uow.queue.complete(self.lease, result, self.context.clock.wall_ns())
+
+    def _loop(self, item: JudgedPlace) -> LoopRecord:
+        query, match, verdict = self.task.submap, item.place.submap, item.verdict
+        return LoopRecord(
+            tenant=query.tenant,
+            map_id=query.map_id,
+            loop_id=f"loop-{query.number}-{match.number}",
+            query_number=query.number,
+            match_number=match.number,
+            query_session_id=query.session_id,
+            query_submap_id=query.submap_id,
+            match_session_id=match.session_id,
+            match_submap_id=match.submap_id,
+            state=(LoopState.ACCEPTED if verdict.accepted else LoopState.REJECTED).value,
+            reason=verdict.reason,
+            similarity=item.place.similarity,
+            score=verdict.score,
+            T_match_query=None if verdict.T_match_query is None else pose_row(verdict.T_match_query),
+            evidence={**verdict.evidence, "model_version": self.described.row.model_version},
+            created_at_ns=self.context.clock.wall_ns(),
+        )
+
+
+def _may_match(change: IndexChange, where: VectorFilter) -> bool:
+    """Whether a change brought in a submap that the loop filter lets through."""
+    if change.vector is None or change.submap_number == where.exclude_submap:
+        return False
+    near = abs(change.ordinal - where.near_ordinal) < where.min_gap
+    return not (change.session_number == where.near_session and near)

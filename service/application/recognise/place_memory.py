@@ -1,0 +1,122 @@
+"""Place memory: a map's vector index kept up with the database, and its hits as submaps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.service.application.catalogue.submaps import submap_key
+from revisit.service.application.contract.errors import NotFound
+from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.ports import (
+    IndexChange,
+    Transactions,
+    UnitOfWork,
+    VectorFilter,
+    VectorIndex,
+    VectorMatch,
+)
+from revisit.service.application.contract.records import MapRecord, SubmapRecord
+from revisit.service.application.query.search_answers import SearchCriteria, SearchHit, SearchResult
+from revisit.service.failpoints import failpoint
+
+PORTION = 4096
+"""Changes that are read at a time: a large map is loaded without holding all its descriptors twice."""
+
+
+@dataclass(frozen=True)
+class RecalledPlace:
+    """A submap of the map and its cosine similarity to the query."""
+
+    submap: SubmapRecord
+    similarity: float
+
+
+@dataclass(frozen=True)
+class Recall:
+    """The places most like the query, as of change `seq` of the map's index."""
+
+    places: tuple[RecalledPlace, ...]
+    seq: int
+
+
+class PlaceMemory:
+    """Searches that see every submap described before they began. Calls block: use them beside the event loop."""
+
+    def __init__(self, transactions: Transactions, index: VectorIndex) -> None:
+        """`index` is this process's own cache."""
+        self._transactions = transactions
+        self._index = index
+
+    def recall(self, map_record: MapRecord, vector: NDArray[np.float32], k: int, where: VectorFilter) -> Recall:
+        """The k places most like `vector` (d,). Raises BadField for another dimension."""
+        tenant, number = map_record.tenant, map_record.number
+        while True:
+            seq = self.catch_up(tenant, number)
+            matches = self._index.search(number, vector, k, where) if self._index.size(number) else []
+            if self._index.seq(number) >= seq:
+                break  # else the map was forgotten in between, to be loaded again
+        return Recall(self._transactions.read(lambda uow: _places(uow, tenant, matches)).result(), seq)
+
+    def catch_up(self, tenant: TenantId, number: int) -> int:
+        """Apply what the database has and the index has not, in portions; the last change that was read."""
+        while True:
+            before = self._index.seq(number)
+            changes = self._transactions.read(partial(_changes, tenant=tenant, number=number, seq=before)).result()
+            failpoint("index.before_apply")
+            self._index.apply(number, changes, before)
+            failpoint("index.after_apply")
+            if len(changes) < PORTION:
+                return changes[-1].seq if changes else before
+
+    def search(
+        self, map_record: MapRecord, vector: NDArray[np.float32], criteria: SearchCriteria, where: VectorFilter
+    ) -> SearchResult:
+        """The answer to a client's search."""
+        recall = self.recall(map_record, vector, criteria.k, where)
+        floor = -1.0 if criteria.min_similarity is None else criteria.min_similarity
+        hits = (
+            SearchHit(submap_key(place.submap), place.similarity, place.submap.position_m)
+            for place in recall.places
+            if place.similarity >= floor
+        )
+        return SearchResult(tuple(hits), self._index.size(map_record.number))
+
+
+def _changes(uow: UnitOfWork, tenant: TenantId, number: int, seq: int) -> list[IndexChange]:
+    return uow.changes.since(tenant, number, seq, PORTION)
+
+
+def vector_filter(
+    uow: UnitOfWork, tenant: TenantId, map_id: str, criteria: SearchCriteria, query: SubmapRecord | None
+) -> VectorFilter:
+    """The filter of a client's search; `query` is the stored submap that asks, if one does. Raises NotFound."""
+    return VectorFilter(
+        exclude_submap=None if query is None else query.number,
+        exclude_session=_session_number(uow, tenant, map_id, criteria.exclude_session),
+        only_session=_session_number(uow, tenant, map_id, criteria.only_session),
+        near_session=None if query is None else query.session_number,
+        near_ordinal=0 if query is None else query.ordinal,
+        min_gap=criteria.min_index_gap or 0,
+        position_m=criteria.prior_position_m,
+        radius_m=criteria.radius_m,
+    )
+
+
+def _session_number(uow: UnitOfWork, tenant: TenantId, map_id: str, session_id: str | None) -> int | None:
+    if session_id is None:
+        return None
+    session = uow.sessions.get(tenant, map_id, session_id)
+    if session is None:
+        raise NotFound(f"there is no session {session_id!r} in map {map_id!r}"[:300])
+    return session.number
+
+
+def _places(uow: UnitOfWork, tenant: TenantId, matches: list[VectorMatch]) -> tuple[RecalledPlace, ...]:
+    """The submaps behind the matches; one that was deleted a moment ago is left out."""
+    submaps = uow.submaps.numbered(tenant, [match.submap_number for match in matches])
+    present = (match for match in matches if match.submap_number in submaps)
+    return tuple(RecalledPlace(submaps[match.submap_number], match.similarity) for match in present)

@@ -1,0 +1,262 @@
+"""Recognition: what a worker does with a job. Describe a submap and close its loops; search by cloud; localise.
+
+A described submap, its loop closures, its place in the index and the end of its job are one transaction, which also
+checks the fencing token and that no submap entered the index since the search: so a loop between two submaps that two
+workers describe at the same time is found by the one that commits second.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import structlog
+
+from revisit.core.config import PipelineConfig
+from revisit.core.errors import DataLoss, DescriptorModelMismatch, ErrorCode, RevisitError
+from revisit.core.scan import Scan
+from revisit.core.submap import Submap
+from revisit.service.application.catalogue.maps import model_for_map, require_map
+from revisit.service.application.catalogue.submaps import submap_key
+from revisit.service.application.contract.context import Context
+from revisit.service.application.contract.errors import StaleLease, StorageFull, Unavailable
+from revisit.service.application.contract.identity import SubmapKey
+from revisit.service.application.contract.origin import current_origin
+from revisit.service.application.contract.ports import (
+    Lease,
+    LoopVerdict,
+    PlaceRecogniser,
+    SubmapDescription,
+    UnitOfWork,
+    VectorFilter,
+)
+from revisit.service.application.contract.poses import pose_matrix
+from revisit.service.application.contract.records import JobRecord, MapRecord, SubmapRecord, SubmapState
+from revisit.service.application.housekeeping.blob_references import NEURAL_MAP_BLOB, SIGNATURE_BLOB
+from revisit.service.application.housekeeping.dead_letters import mark_subject_failed
+from revisit.service.application.ingest.clouds import QUERY_CLOUD_BLOB, QUERY_NONCE_BYTES, unpack_cloud
+from revisit.service.application.ingest.submap_source import load_submap, submap_source
+from revisit.service.application.query.operations import SUBMAP_DELETED, OperationKind
+from revisit.service.application.query.search_answers import (
+    Localization,
+    LocalizedCandidate,
+    criteria_from_json,
+    localization_to_json,
+    search_result_to_json,
+)
+from revisit.service.application.recognise.description_commit import (
+    DescriptionCommit,
+    DescriptionTask,
+    JudgedPlace,
+    StoredDescription,
+)
+from revisit.service.application.recognise.meshes import MESH_BLOB, pack_mesh
+from revisit.service.application.recognise.place_memory import PlaceMemory, RecalledPlace, vector_filter
+from revisit.service.failpoints import failpoint
+
+log = structlog.get_logger(__name__)
+
+
+class Recognition:
+    """Runs leased jobs in a worker process; all calls block."""
+
+    def __init__(self, context: Context, recogniser: PlaceRecogniser) -> None:
+        """`recogniser` is the method; `context.index` is this worker's own cache."""
+        self._context = context
+        self._recogniser = recogniser
+        self._memory = PlaceMemory(context.transactions, context.index)
+
+    def run(self, lease: Lease) -> None:
+        """Run a job and commit its end, good or bad. Raises only what storage raises while the end is committed."""
+        kinds = {
+            OperationKind.DESCRIBE_SUBMAP: self._describe_submap,
+            OperationKind.SEARCH_CLOUD: self._search_cloud,
+            OperationKind.LOCALIZE: self._localize,
+        }
+        try:
+            failpoint("job.after_claim")
+            kinds[OperationKind(lease.job.kind)](lease)
+            failpoint("job.after_commit")
+        except StaleLease:
+            log.warning("result_refused", operation=lease.job.operation_id, token=lease.job.lease_token)
+        except RevisitError as error:
+            self._fail(lease, error.code, error.message, retry=isinstance(error, Unavailable | StorageFull))
+        except MemoryError:
+            self.fail(lease, "the job needs more memory than a worker may take")
+        except Exception as error:  # whatever the method raises must not end the worker
+            log.exception("job_crashed", operation=lease.job.operation_id)
+            self.fail(lease, f"{type(error).__name__}: {error}"[:500])
+
+    def fail(self, lease: Lease, message: str) -> None:
+        """End this run of a job: back to the queue, or failed for good after its last attempt."""
+        self._fail(lease, ErrorCode.INTERNAL, message, retry=True)
+
+    def _fail(self, lease: Lease, code: ErrorCode, message: str, *, retry: bool) -> None:
+        clock = self._context.clock
+
+        def end(uow: UnitOfWork) -> None:
+            if uow.queue.fail(lease, code, message, clock.instant(), clock.wall_ns(), retry=retry):
+                mark_subject_failed(uow, lease.job, code, message)
+
+        failpoint("job.before_failure")
+        current_origin().span.fail(f"{code}: {message}")
+        log.warning("job_failed", operation=lease.job.operation_id, code=code, reason=message, retry=retry)
+        try:
+            self._context.transactions.write(end).result()
+        except StaleLease:
+            log.warning("failure_refused", operation=lease.job.operation_id, token=lease.job.lease_token)
+
+    def _complete(self, lease: Lease, result: dict[str, Any]) -> None:
+        finished_at_ns = self._context.clock.wall_ns()
+        self._context.transactions.write(lambda uow: uow.queue.complete(lease, result, finished_at_ns)).result()
+
+    # -- describing a submap
+
+    def _describe_submap(self, lease: Lease) -> None:
+        task = self._context.transactions.read(lambda uow: self._task(uow, lease.job)).result()
+        if task is None:
+            self._complete(lease, SUBMAP_DELETED)
+            return
+        self._require_same_model(task.map)
+        config = self._context.policy.for_map(task.map)
+        submap = load_submap(self._context.blobs, task.submap, task.source)
+        described = self._store(task, self._recogniser.describe(submap, config))
+        self._close_loops(lease, task, described, config)
+
+    def _task(self, uow: UnitOfWork, job: JobRecord) -> DescriptionTask | None:
+        key = SubmapKey(**job.payload)
+        submap = uow.submaps.get(job.tenant, key.map_id, key.session_id, key.submap_id)
+        if submap is None or submap.operation_id != job.operation_id:
+            return None
+        return DescriptionTask(
+            submap, submap_source(uow, self._context, submap), require_map(uow, job.tenant, key.map_id)
+        )
+
+    def _store(self, task: DescriptionTask, description: SubmapDescription) -> StoredDescription:
+        """Make the blobs of a description durable before any row names them."""
+        submap = task.submap
+        blobs = [(SIGNATURE_BLOB, description.signature), (MESH_BLOB, pack_mesh(description.mesh))]
+        if description.neural_map is not None:
+            blobs.append((NEURAL_MAP_BLOB, description.neural_map))
+        failpoint("job.after_description")
+        sha256 = {kind: self._context.blobs.put(submap.tenant, kind, data) for kind, data in blobs}
+        failpoint("job.after_blobs")
+        row = replace(
+            submap,
+            state=SubmapState.DESCRIBED.value,
+            flags=tuple(dict.fromkeys((*submap.flags, *description.flags))),
+            model_version=model_for_map(task.map, self._recogniser.model_version),
+            descriptor=np.asarray(description.descriptor, dtype="<f4").tobytes(),
+            signature_sha256=sha256[SIGNATURE_BLOB],
+            mesh_sha256=sha256[MESH_BLOB],
+            neural_map_sha256=sha256.get(NEURAL_MAP_BLOB),
+            neural_map_bytes=None if description.neural_map is None else len(description.neural_map),
+        )
+        return StoredDescription(row, description, tuple(blobs))
+
+    def _close_loops(
+        self, lease: Lease, task: DescriptionTask, described: StoredDescription, config: PipelineConfig
+    ) -> None:
+        """Search, verify and commit; again where the map has grown meanwhile, verifying only what is new.
+
+        Every repetition means that another worker has committed, so together the workers always get on.
+        """
+        where = _loop_filter(task.submap, config)
+        judged: dict[int, JudgedPlace] = {}
+        while True:
+            recall = self._memory.recall(task.map, described.description.descriptor, config.loop.candidates, where)
+            for place in recall.places:
+                if place.submap.number not in judged:
+                    judged[place.submap.number] = self._judge(described.description.signature, place, config)
+            kept = [judged[place.submap.number] for place in recall.places]
+            commit = DescriptionCommit(self._context, lease, task, described, kept, where, recall.seq)
+            failpoint("job.before_commit")
+            if self._context.transactions.write(commit).result():
+                return
+
+    def _judge(self, signature: bytes, place: RecalledPlace, config: PipelineConfig) -> JudgedPlace:
+        submap = place.submap
+        try:
+            blob = self._context.blobs.get(submap.tenant, SIGNATURE_BLOB, str(submap.signature_sha256))
+            verdict = self._recogniser.verify(signature, blob, place.similarity, config)
+        except DataLoss as error:
+            log.error("signature_lost", submap=submap_key(submap).name, reason=error.message)
+            verdict = LoopVerdict(False, "SIGNATURE_LOST", 0.0, None, {"message": error.message})
+        return JudgedPlace(place, verdict)
+
+    def _require_same_model(self, record: MapRecord) -> None:
+        own = model_for_map(record, self._recogniser.model_version)
+        if record.model_version not in (None, own):
+            raise DescriptorModelMismatch(
+                f"map {record.map_id} was described by model {record.model_version}, this worker has {own}"
+            )
+
+    # -- searching by cloud
+
+    def _search_cloud(self, lease: Lease) -> None:
+        map_record, where = self._query(lease)
+        description = self._describe_query(lease, map_record)
+        criteria = criteria_from_json(lease.job.payload["criteria"])
+        result = self._memory.search(map_record, description.descriptor, criteria, where)
+        self._complete(lease, search_result_to_json(result))
+
+    def _localize(self, lease: Lease) -> None:
+        map_record, where = self._query(lease)
+        description = self._describe_query(lease, map_record)
+        config = self._context.policy.for_map(map_record)
+        k = criteria_from_json(lease.job.payload["criteria"]).k
+        recall = self._memory.recall(map_record, description.descriptor, k, where)
+        judged = [self._judge(description.signature, place, config) for place in recall.places]
+        self._complete(lease, localization_to_json(_localization(judged)))
+
+    def _query(self, lease: Lease) -> tuple[MapRecord, VectorFilter]:
+        tenant, map_id = lease.job.tenant, str(lease.job.payload["map_id"])
+        criteria = criteria_from_json(lease.job.payload["criteria"])
+
+        def load(uow: UnitOfWork) -> tuple[MapRecord, VectorFilter]:
+            return require_map(uow, tenant, map_id), vector_filter(uow, tenant, map_id, criteria, None)
+
+        return self._context.transactions.read(load).result()
+
+    def _describe_query(self, lease: Lease, map_record: MapRecord) -> SubmapDescription:
+        self._require_same_model(map_record)
+        sha256 = str(lease.job.payload["cloud_sha256"])
+        blob = self._context.blobs.get(lease.job.tenant, QUERY_CLOUD_BLOB, sha256)
+        cloud = unpack_cloud(blob[QUERY_NONCE_BYTES:])
+        config = self._context.policy.for_map(map_record)
+        submap = Submap.from_cloud(Scan.validated(cloud.points, np.eye(4), 0), config.submap)
+        return self._recogniser.describe(submap, config)
+
+
+def _loop_filter(submap: SubmapRecord, config: PipelineConfig) -> VectorFilter:
+    """Any submap of the map but itself and its neighbours in its own session (paper IV-B)."""
+    return VectorFilter(
+        exclude_submap=submap.number,
+        near_session=submap.session_number,
+        near_ordinal=submap.ordinal,
+        min_gap=config.loop.min_index_gap,
+    )
+
+
+def _localization(judged: list[JudgedPlace]) -> Localization:
+    candidates = [
+        LocalizedCandidate(
+            submap=submap_key(item.place.submap),
+            accepted=item.verdict.accepted,
+            reason=item.verdict.reason,
+            similarity=item.place.similarity,
+            score=item.verdict.score,
+            T_match_query=item.verdict.T_match_query,
+            evidence=item.verdict.evidence,
+        )
+        for item in judged
+    ]
+    accepted = [index for index, candidate in enumerate(candidates) if candidate.accepted]
+    if not accepted:
+        return Localization(None, None, tuple(candidates))
+    best = max(accepted, key=lambda index: (candidates[index].score, -index))
+    T_match_query = candidates[best].T_match_query
+    T_map_match = pose_matrix(judged[best].place.submap.T_odom_submap)
+    T_map_query = None if T_match_query is None else T_map_match @ T_match_query
+    return Localization(candidates[best], T_map_query, tuple(candidates))
