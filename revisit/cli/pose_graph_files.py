@@ -1,32 +1,20 @@
-"""export: submap poses and accepted loops in files that other tools read."""
+"""Submap poses and loop closures in files that other tools read: g2o, TUM and CSV."""
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 
-from revisit.cli.output import emit_json, refuse, say
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
-from revisit.sdk.client import Client
 from revisit.sdk.resources import LoopClosure, Submap
 
 ODOMETRY_INFORMATION = np.diag([100.0, 100.0, 100.0, 1000.0, 1000.0, 1000.0])
 """Assumed, as odometry comes without covariance: 0.1 m and 1.8 degrees between two submaps."""
-
-
-@dataclass(frozen=True)
-class Selection:
-    """What to export: a map, or one session of it."""
-
-    map_id: str
-    session_id: str
 
 
 @dataclass(frozen=True)
@@ -35,26 +23,6 @@ class Graph:
 
     tracks: list[list[Submap]]
     loops: list[LoopClosure]
-
-
-def export(http: str, selection: Selection, file_format: str, out: Path | None, as_json: bool) -> None:
-    """Write the selection as `file_format`, to stdout or a file."""
-    writers: dict[str, Callable[[Graph], str]] = {"g2o": as_g2o, "tum": as_tum, "csv": as_csv}
-    if file_format not in writers:
-        raise refuse("--format is g2o, tum or csv")
-    if file_format == "tum" and not selection.session_id:
-        raise refuse("a tum file holds one trajectory: give --session")
-    graph = _read(http, selection)
-    text = writers[file_format](graph)
-    if out is None:
-        say(text.rstrip("\n"))
-        return
-    out.write_text(text)
-    summary = {"file": str(out), "submaps": sum(map(len, graph.tracks)), "loops": len(graph.loops)}
-    if as_json:
-        emit_json(summary)
-    else:
-        say(f"{out}: {summary['submaps']} submaps, {summary['loops']} loops")
 
 
 def as_g2o(graph: Graph) -> str:
@@ -90,19 +58,6 @@ def as_csv(graph: Graph) -> str:
         pose = [] if loop.T_match_query is None else _numbers(loop.T_match_query).split()
         writer.writerow([loop.query, loop.match, loop.similarity, loop.score, *pose])
     return buffer.getvalue()
-
-
-def _read(http: str, selection: Selection) -> Graph:
-    map_name = f"maps/{selection.map_id}"
-    with Client(http) as client:
-        if selection.session_id:
-            names = [f"{map_name}/sessions/{selection.session_id}"]
-        else:
-            names = [session.name for session in client.list_sessions(map_name)]
-        tracks = [client.list_submaps(name) for name in names]
-        loops = client.loop_closures(map_name, state="ACCEPTED")
-    chosen = {submap.name for track in tracks for submap in track}
-    return Graph(tracks, [loop for loop in loops if {loop.query, loop.match} <= chosen])
 
 
 def _edge(first: int, second: int, T_first_second: Matrix4, information: np.ndarray) -> str:

@@ -1,4 +1,4 @@
-"""`revisit demo`: a service on this machine, two simulated robots, and a count of what was found against the truth."""
+"""The run of the demo: a service on this machine, two simulated robots, and the loops against the truth."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
+from revisit.cli.demo.report import show
 from revisit.core.config import PipelineConfig, SubmapConfig
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap, SubmapBuilder
@@ -39,7 +39,6 @@ MAP = "demo-town"
 STREAMED = SubmapConfig(tau=10.0, stride=10.0)
 START_S = 90.0
 WORK_S = 900.0
-SHOWN_LOOPS = 12
 
 
 @dataclass(frozen=True)
@@ -197,50 +196,11 @@ def accepted_loops(client: Client) -> list[FoundLoop]:
     return [FoundLoop(loop.query, loop.match, loop.T_match_query) for loop in loops if loop.T_match_query is not None]
 
 
-def show(report: LoopReport, console: Console) -> None:
-    """Print some loops with their errors, then the figures against their targets."""
-    table = Table(title=f"{len(report.loops)} accepted loop closures, some of them")
-    for heading in ("query", "match", "truly apart", "position error", "rotation error"):
-        table.add_column(heading, justify="left" if heading in ("query", "match") else "right")
-    step = max(1, len(report.loops) // SHOWN_LOOPS)
-    for judged in report.loops[::step][:SHOWN_LOOPS]:
-        table.add_row(
-            _short(judged.loop.query), _short(judged.loop.match), f"{judged.distance_m:.1f} m",
-            f"{judged.error_m:.2f} m", f"{judged.error_deg:.2f} deg",
-        )  # fmt: skip
-    console.print(table)
-    console.print(_figures(report))
-
-
-def _figures(report: LoopReport) -> Table:
-    targets = report.targets
-    table = Table(title="Against the known truth")
-    for heading in ("figure", "value", "target", ""):
-        table.add_column(heading)
-    share = f"{report.revisits_found} of {report.revisits} ({100 * report.found_share:.1f} %)"
-    pose = f"{report.median_m:.2f} m, {report.median_deg:.2f} deg"
-    rows = [
-        (f"true revisits found (within {targets.revisit_m:.0f} m of an earlier pass)", share,
-         f">= {100 * targets.found:.0f} %", report.found_share >= targets.found),
-        ("false loops accepted", str(report.false_loops), "0", report.false_loops == 0),
-        ("median pose error", pose, f"<= {targets.median_m} m, {targets.median_deg} deg",
-         report.median_m <= targets.median_m and report.median_deg <= targets.median_deg),
-    ]  # fmt: skip
-    for name, value, target, good in rows:
-        table.add_row(name, value, target, "[green]reached[/]" if good else "[red]missed[/]")
-    return table
-
-
 def _figure(patrol: DemoDrive, visitor: DemoDrive, truth: dict[str, TrueSubmap], report: LoopReport) -> DemoFigure:
     ways = {drive.robot: drive.trajectory.T_world_sensor for drive in (patrol, visitor)}
     builder = SubmapBuilder(STREAMED)
     window = next(window for window in map(builder.add, _odometry_scans(visitor)) if window is not None)
     return DemoFigure(ways, truth, report, portray(window, PipelineConfig()))
-
-
-def _short(name: str) -> str:
-    parts = name.split("/")
-    return f"{parts[3]}/{parts[5]}" if len(parts) > 5 else name
 
 
 def _progress(console: Console) -> Progress:

@@ -1,4 +1,4 @@
-"""doctor: whether everything is here that the product needs, and whether it answers."""
+"""`revisit doctor`: whether everything is here that the product needs, and whether it answers."""
 
 from __future__ import annotations
 
@@ -7,21 +7,37 @@ from collections.abc import Callable
 from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from revisit.cli.extras import needs
+from revisit.cli.offline import data_folder
+from revisit.cli.options import GRPC, HTTP, Grpc, Home, Http, Json
 from revisit.cli.output import emit_json, emit_table
 from revisit.core.errors import RevisitError
-from revisit.sdk.client import Client
 from revisit.sdk.errors import ApiError
-from revisit.sdk.retry import RetryPolicy
-from revisit.service.adapters.examination import Finding, examine
+
+if TYPE_CHECKING:
+    from revisit.sdk.client import Client
+    from revisit.service.adapters.examination import Finding
 
 LIBRARIES = ("numpy", "torch", "faiss-cpu", "opencv-python-headless", "fastapi", "grpcio", "protobuf", "sqlalchemy")
 
 
-def doctor(home: Path | None, http: str, grpc: str, as_json: bool, full: bool = False) -> None:
-    """Run every check; exit status 1 where one failed. `full` reads every blob instead of a sample."""
+@needs("service")
+def doctor(
+    home: Home = None,
+    http: Http = HTTP,
+    grpc: Grpc = GRPC,
+    full: Annotated[bool, typer.Option("--full", help="Read every blob instead of 200 of them.")] = False,
+    json: Json = False,
+) -> None:
+    """Check versions, the models, the data folder and whether the service answers."""
+    from revisit.sdk.client import Client
+    from revisit.sdk.retry import RetryPolicy
+    from revisit.service.adapters.examination import Finding
+
     once = RetryPolicy(attempts=1)
     findings = [
         Finding("python", True, platform.python_version()),
@@ -31,7 +47,7 @@ def doctor(home: Path | None, http: str, grpc: str, as_json: bool, full: bool = 
         _checked("REST", lambda: _answer(Client(http, retry=once))),
         _checked("gRPC", lambda: _answer(Client.grpc(grpc, retry=once))),
     ]
-    if as_json:
+    if json:
         emit_json([asdict(finding) for finding in findings])
     else:
         marks = {True: "ok", False: "FAILED", None: "-"}
@@ -41,6 +57,8 @@ def doctor(home: Path | None, http: str, grpc: str, as_json: bool, full: bool = 
 
 
 def _library(name: str) -> Finding:
+    from revisit.service.adapters.examination import Finding
+
     try:
         return Finding(name, True, metadata.version(name))
     except metadata.PackageNotFoundError:
@@ -48,6 +66,8 @@ def _library(name: str) -> Finding:
 
 
 def _checked(check: str, examine: Callable[[], str]) -> Finding:
+    from revisit.service.adapters.examination import Finding
+
     try:
         return Finding(check, True, examine())
     except (ApiError, RevisitError, OSError, ImportError, ValueError, RuntimeError) as error:
@@ -61,9 +81,9 @@ def _models() -> str:
 
 
 def _data(home: Path | None, full: bool) -> list[Finding]:
-    from revisit.service.settings import Settings
+    from revisit.service.adapters.examination import examine
 
-    return examine(Settings(home=home).home if home else Settings().home, full=full)
+    return examine(data_folder(home), full=full)
 
 
 def _answer(client: Client) -> str:

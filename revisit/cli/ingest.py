@@ -1,4 +1,4 @@
-"""ingest: stream a recording into a session; a second run goes on where the first one ended."""
+"""`revisit ingest`: stream a recording into a session; a second run goes on where the first one ended."""
 
 from __future__ import annotations
 
@@ -6,15 +6,21 @@ import time
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
+import typer
+
+from revisit.cli.extras import needs
+from revisit.cli.options import GRPC, RECORDINGS, Grpc, Json, MapName
 from revisit.cli.output import emit_json, emit_table, progress_bar, refuse
 from revisit.core.errors import RevisitError
-from revisit.evaluation.datasets import Recording
-from revisit.sdk.client import Client, ScanStream
 from revisit.sdk.errors import NotFound
-from revisit.sdk.resources import Session, Submap
-from revisit.sdk.spool import SpoolFull
-from revisit.sdk.spooled_stream import SpooledStream
+
+if TYPE_CHECKING:
+    from revisit.evaluation.datasets import Recording
+    from revisit.sdk.client import Client, ScanStream
+    from revisit.sdk.resources import Session, Submap
+    from revisit.sdk.spooled_stream import SpooledStream
 
 POLL_S = 1.0
 
@@ -62,12 +68,44 @@ class Extent:
     wait: bool = True
 
 
-def ingest(recording: Recording, target: Target, extent: Extent, as_json: bool) -> None:
+@needs("evaluation")
+def ingest(
+    folder: Annotated[Path, typer.Argument(exists=True, help="The recording.")],
+    map_id: MapName = "default",
+    session_id: Annotated[str, typer.Option("--session", help="Id of the session; the folder's name by default.")] = "",
+    file_format: Annotated[str, typer.Option("--format", help=RECORDINGS)] = "kitti",
+    scene_scale: Annotated[
+        float | None, typer.Option(min=0.01, max=10.0, help="Size of a new map's scene compared with a street.")
+    ] = None,
+    grpc: Grpc = GRPC,
+    limit: Annotated[int | None, typer.Option(min=1, help="Send at most so many scans.")] = None,
+    spool: Annotated[
+        Path | None, typer.Option(help="File that keeps scans on this machine until they are stored.")
+    ] = None,
+    wait: Annotated[bool, typer.Option(help="Wait until every submap is described.")] = True,
+    finish: Annotated[bool, typer.Option(help="Finish the session after the last scan.")] = True,
+    json: Json = False,
+) -> None:
+    """Stream a recording; run it again to resume."""
+    from revisit.evaluation.datasets import open_recording
+
+    recording = open_recording(folder, file_format)
+    target = Target(grpc, map_id, session_id or recording.name, scene_scale)
+    try:
+        _transfer(recording, target, Extent(limit, spool, finish, wait), json)
+    except KeyboardInterrupt as error:
+        typer.echo("revisit: interrupted; the same command goes on where this one ended", err=True)
+        raise typer.Exit(130) from error
+
+
+def _transfer(recording: Recording, target: Target, extent: Extent, as_json: bool) -> None:
     """Send the scans that the service does not have, finish the session, wait for its submaps, report."""
+    from revisit.sdk.client import Client
+
     count = min(len(recording), extent.limit or len(recording))
     started = time.monotonic()
     with Client.grpc(target.grpc) as client:
-        session = open_session(client, target)
+        session = _open_session(client, target)
         if session.state == "ACTIVE":
             sent = _send(client, session, recording, count, extent.spool, as_json)
             session = client.finish_session(session) if extent.finish else client.get_session(session.name)
@@ -95,7 +133,7 @@ def ingest(recording: Recording, target: Target, extent: Extent, as_json: bool) 
         emit_table("Ingested", ("what", "value"), asdict(done).items())
 
 
-def open_session(client: Client, target: Target) -> Session:
+def _open_session(client: Client, target: Target) -> Session:
     """The session, created with its map where they do not exist.
 
     Exits where the map has another scale than was asked for.
@@ -115,6 +153,8 @@ def open_session(client: Client, target: Target) -> Session:
 
 def _send(client: Client, session: Session, recording: Recording, count: int, spool: Path | None, quiet: bool) -> Sent:
     """Stream the scans behind the last one that the service, or the spool, has."""
+    from revisit.sdk.spool import SpoolFull
+
     sent, unusable = 0, 0
     with progress_bar(quiet) as bar, _opened(client, session, spool) as stream:
         refused_before, behind_ns = len(stream.rejected), _last_stamp_ns(client, session, stream)
@@ -149,6 +189,8 @@ def _opened(
 
 def _last_stamp_ns(client: Client, session: Session, stream: ScanStream | SpooledStream) -> int:
     """When the last scan was taken that needs no sending, -1 where there is none."""
+    from revisit.sdk.spooled_stream import SpooledStream
+
     spooled_ns = stream.state.last_stamp_ns if isinstance(stream, SpooledStream) else None
     stamp_ns = client.get_session(session.name).committed_stamp_ns if spooled_ns is None else spooled_ns
     return -1 if stamp_ns is None else stamp_ns

@@ -1,4 +1,4 @@
-"""backup, restore, scrub: looking after a data folder."""
+"""`revisit backup`, `restore` and `scrub`: looking after a data folder."""
 
 from __future__ import annotations
 
@@ -8,10 +8,13 @@ from typing import Annotated
 
 import typer
 
-Home = Annotated[Path | None, typer.Option(help="Directory of the database and the blobs.")]
-Json = Annotated[bool, typer.Option("--json", help="Answer as JSON.")]
+from revisit.cli.extras import needs
+from revisit.cli.offline import data_folder
+from revisit.cli.options import Home, Json
+from revisit.cli.output import emit_json
 
 
+@needs("service")
 def backup(
     out: Annotated[Path, typer.Argument(help="The folder to make.")], home: Home = None, json: Json = False
 ) -> None:
@@ -19,13 +22,14 @@ def backup(
     from revisit.service import VERSION
     from revisit.service.adapters.backup import make_backup
 
-    manifest = make_backup(_home(home), out, VERSION)
+    manifest = make_backup(data_folder(home), out, VERSION)
     size_mb = manifest.blob_bytes / 2**20
     text = f"{out}: schema {manifest.revision}, {manifest.blobs} blobs of {size_mb:.1f} MiB"
     _tell(text, asdict(manifest), json)
     _report("lost before this backup", manifest.lost)
 
 
+@needs("service")
 def restore(
     archive: Annotated[Path, typer.Argument(exists=True, file_okay=False, help="A backup.")],
     home: Home = None,
@@ -34,16 +38,17 @@ def restore(
     """Make a new data folder out of a backup, after checking every hash of it; all of it or nothing."""
     from revisit.service.adapters.backup import restore_backup
 
-    target = _home(home)
+    target = data_folder(home)
     manifest = restore_backup(archive, target)
     _tell(f"{target}: as of {manifest.created_at}, {manifest.blobs} blobs", asdict(manifest), json)
 
 
+@needs("service")
 def scrub(home: Home = None, json: Json = False) -> None:
     """Read every blob and page, move damaged blobs aside; exit status 1 where anything is damaged or missing."""
     from revisit.service.adapters import examination
 
-    found = examination.scrub(_home(home))
+    found = examination.scrub(data_folder(home))
     _tell(f"{found.checked} blobs read, database {found.database}", asdict(found), json)
     _report("damaged, moved aside", found.damaged)
     _report("missing", found.missing)
@@ -51,15 +56,7 @@ def scrub(home: Home = None, json: Json = False) -> None:
         raise typer.Exit(1)
 
 
-def _home(home: Path | None) -> Path:
-    from revisit.service.settings import Settings
-
-    return Settings(home=home).home if home else Settings().home
-
-
 def _tell(text: str, data: dict[str, object], as_json: bool) -> None:
-    from revisit.cli.output import emit_json
-
     if as_json:
         emit_json(data)
     else:

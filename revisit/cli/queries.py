@@ -1,35 +1,59 @@
-"""query and loops: questions to a running service."""
+"""`revisit query` and `loops`: what a running service knows of a place."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
+import typer
+
+from revisit.cli.options import HTTP, Http, Json, MapName
 from revisit.cli.output import emit_json, emit_table, refuse, say
-from revisit.formats import media_type_for_suffix
-from revisit.sdk.client import Client
-from revisit.sdk.clouds import Cloud
+
+if TYPE_CHECKING:
+    from revisit.sdk.client import Client
 
 
-def query(http: str, map_id: str, cloud: Path | None, submap: str, k: int, as_json: bool) -> None:
-    """Localise a cloud file, or search by a submap."""
+def query(
+    cloud: Annotated[
+        Path | None, typer.Argument(exists=True, dir_okay=False, help="A .bin, .pcd, .ply or .npy.")
+    ] = None,
+    map_id: MapName = "default",
+    submap: Annotated[str, typer.Option(help="Search by SESSION/SUBMAP instead of localising a cloud.")] = "",
+    k: Annotated[int, typer.Option(min=1, max=100, help="How many to compare or to show.")] = 10,
+    http: Http = HTTP,
+    json: Json = False,
+) -> None:
+    """Say where a cloud was taken, or which submaps look like a submap."""
+    from revisit.sdk.client import Client
+
     if (cloud is None) == (not submap):
         raise refuse("give either a cloud file or --submap SESSION/SUBMAP")
     with Client(http) as client:
         if cloud is not None:
-            _localize(client, map_id, cloud, k, as_json)
+            _localize(client, map_id, cloud, k, json)
         else:
-            _search(client, map_id, submap, k, as_json)
+            _search(client, map_id, submap, k, json)
 
 
-def loops(http: str, map_id: str, state: str, session_id: str, as_json: bool) -> None:
+def loops(
+    map_id: MapName = "default",
+    state: Annotated[str, typer.Option(help="ACCEPTED, REJECTED or ALL.")] = "ACCEPTED",
+    session_id: Annotated[str, typer.Option("--session", help="Only those found by this session.")] = "",
+    http: Http = HTTP,
+    json: Json = False,
+) -> None:
     """List the loop closures of a map."""
+    from revisit.sdk.client import Client
+
+    state = state.upper()
     if state not in ("ACCEPTED", "REJECTED", "ALL"):
         raise refuse("--state is ACCEPTED, REJECTED or ALL")
     with Client(http) as client:
         session = f"maps/{map_id}/sessions/{session_id}" if session_id else None
         found = client.loop_closures(f"maps/{map_id}", state=None if state == "ALL" else state, session=session)
-    if as_json:
+    if json:
         emit_json([asdict(loop) for loop in found])
         return
     rows = [
@@ -43,6 +67,9 @@ def loops(http: str, map_id: str, state: str, session_id: str, as_json: bool) ->
 
 
 def _localize(client: Client, map_id: str, cloud: Path, k: int, as_json: bool) -> None:
+    from revisit.formats import media_type_for_suffix
+    from revisit.sdk.clouds import Cloud
+
     encoded = Cloud(cloud.read_bytes(), media_type_for_suffix(cloud.suffix))
     found = client.localize(f"maps/{map_id}", encoded, candidates=k)
     if as_json:
