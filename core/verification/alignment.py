@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
-from revisit.core.place import PlaceSignature
+from revisit.core.place import Place
 from revisit.core.verification.line_of_sight import seen_through
 
 Array = NDArray[np.float32]
@@ -54,7 +54,7 @@ class Registration:
     seen_through: float
 
 
-def correspond(query: PlaceSignature, match: PlaceSignature, limit: int) -> tuple[NDArray[np.int64], Array64]:
+def correspond(query: Place, match: Place, limit: int) -> tuple[NDArray[np.int64], Array64]:
     """Pairs of keypoints (p, 2) whose patches are most alike, seen from either side, and the yaw (p,) each implies.
 
     At most `limit`, most alike first.
@@ -73,7 +73,7 @@ def correspond(query: PlaceSignature, match: PlaceSignature, limit: int) -> tupl
     return pairs, yaw + np.pi * (turned > direct)[pairs[:, 0], pairs[:, 1]]
 
 
-def fit_plane_motion(query: PlaceSignature, match: PlaceSignature, config: VerificationConfig) -> PlanarFit:
+def fit_plane_motion(query: Place, match: Place, config: VerificationConfig) -> PlanarFit:
     """The SE(2) pose that most correspondences agree with.
 
     Every two correspondences of compatible distance and yaw are tried, so nothing is random; the best pose is then
@@ -94,15 +94,15 @@ def fit_plane_motion(query: PlaceSignature, match: PlaceSignature, config: Verif
     return PlanarFit(yaw, translation, distinct, len(pairs))
 
 
-def correlate_images(query: PlaceSignature, match: PlaceSignature, config: VerificationConfig) -> list[PlanarFit]:
+def correlate_images(query: Place, match: Place, config: VerificationConfig) -> list[PlanarFit]:
     """SE(2) poses by phase correlation of coarse BEV images, most similar first.
 
     The yaw comes from the amplitude spectra, which do not depend on the translation; then the translation by
     correlation, for both directions of the yaw.
     """
     pixel = config.correlation_pixel
-    match_image = _raster(match.points[: match.standing, :2].astype(np.float64), pixel)
-    query_points = query.points[: query.standing, :2].astype(np.float64)
+    match_image = _raster(match.points[: match.standing_count, :2].astype(np.float64), pixel)
+    query_points = query.points[: query.standing_count, :2].astype(np.float64)
     match_spectrum = fft.fft2(match_image)
     turns = _spectrum_turns(_polar_amplitude(fft.fft2(_raster(query_points, pixel))), _polar_amplitude(match_spectrum))
     fits = []
@@ -118,7 +118,7 @@ def correlate_images(query: PlaceSignature, match: PlaceSignature, config: Verif
     return [PlanarFit(float(yaw), translation, 0, 0) for _, yaw, translation in fits]
 
 
-def lift(fit: PlanarFit, query: PlaceSignature, match: PlaceSignature) -> se3.Matrix4:
+def lift(fit: PlanarFit, query: Place, match: Place) -> se3.Matrix4:
     """The planar pose as a transform, z by the median difference of the lowest points of the cells both have seen."""
     T_match_query = se3.from_yaw(fit.yaw, (*fit.translation, 0.0))
     heights = _lowest(match.points.astype(np.float64)), _lowest(se3.apply(T_match_query, query.points))
@@ -128,9 +128,7 @@ def lift(fit: PlanarFit, query: PlaceSignature, match: PlaceSignature) -> se3.Ma
     return T_match_query
 
 
-def register(
-    starts: Sequence[se3.Matrix4], query: PlaceSignature, match: PlaceSignature, config: VerificationConfig
-) -> Registration:
+def register(starts: Sequence[se3.Matrix4], query: Place, match: Place, config: VerificationConfig) -> Registration:
     """Point-to-plane ICP from coarse to fine, and what the result is worth.
 
     All starts are approached with few points; only the one on which most of them agree is refined, and not even that
@@ -151,7 +149,7 @@ def register(
 
 
 def _approach(
-    T_start: se3.Matrix4, query: PlaceSignature, match: PlaceSignature, tree: cKDTree, config: VerificationConfig
+    T_start: se3.Matrix4, query: Place, match: Place, tree: cKDTree, config: VerificationConfig
 ) -> tuple[se3.Matrix4, float]:
     """A coarsely refined start and the share of the points used that then lie on the other surface, facing alike."""
     share, reach = config.coarse_share, config.coarse_distance
@@ -165,8 +163,8 @@ def _approach(
 
 def _iterate(
     T_match_query: se3.Matrix4,
-    query: PlaceSignature,
-    match: PlaceSignature,
+    query: Place,
+    match: Place,
     tree: cKDTree,
     share: int,
     reach: float,
@@ -300,7 +298,7 @@ def _icp_step(
     T_match_query: se3.Matrix4,
     source: Array64,
     source_normals: Array64,
-    match: PlaceSignature,
+    match: Place,
     tree: cKDTree,
     distance: float,
 ) -> Array64 | None:
@@ -324,18 +322,18 @@ def _icp_step(
 
 
 def _assess(
-    T_match_query: se3.Matrix4, query: PlaceSignature, match: PlaceSignature, tree: cKDTree, config: VerificationConfig
+    T_match_query: se3.Matrix4, query: Place, match: Place, tree: cKDTree, config: VerificationConfig
 ) -> Registration:
     moved = se3.apply(T_match_query, query.points)
     moved_normals = query.normals @ T_match_query[:3, :3].T
     match_points, match_normals = match.points.astype(np.float64), match.normals.astype(np.float64)
     forward, residuals, rows = _on_surface(moved, moved_normals, match_points, match_normals, tree, config)
     backward, _, _ = _on_surface(match_points, match_normals, moved, moved_normals, cKDTree(moved), config)
-    seen_query = _in_region(moved[: query.standing], match_points)
-    seen_match = _in_region(match_points[: match.standing], moved)
+    seen_query = _in_region(moved[: query.standing_count], match_points)
+    seen_match = _in_region(match_points[: match.standing_count], moved)
     overlap = 0.5 * (
-        _share(forward[: query.standing] & seen_query, seen_query)
-        + _share(backward[: match.standing] & seen_match, seen_match)
+        _share(forward[: query.standing_count] & seen_query, seen_query)
+        + _share(backward[: match.standing_count] & seen_match, seen_match)
     )
     normals = match_normals[rows]
     jacobian = np.concatenate([normals, np.cross(moved[forward], normals)], axis=1)
@@ -346,16 +344,16 @@ def _assess(
 
 def _contrast(
     registration: Registration,
-    query: PlaceSignature,
-    match: PlaceSignature,
+    query: Place,
+    match: Place,
     tree: cKDTree,
     config: VerificationConfig,
 ) -> float:
     """The overlap of the standing query surface, less the largest one at a pose moved along the weakest direction."""
     weakest = np.linalg.eigh(registration.information[:2, :2])[1][:, 0]
     T = registration.T_match_query
-    moved = se3.apply(T, query.points[: query.standing])
-    normals = query.normals[: query.standing] @ T[:3, :3].T
+    moved = se3.apply(T, query.points[: query.standing_count])
+    normals = query.normals[: query.standing_count] @ T[:3, :3].T
     points, point_normals = match.points.astype(np.float64), match.normals.astype(np.float64)
 
     def overlap(shift_m: float) -> float:
@@ -367,12 +365,10 @@ def _contrast(
     return overlap(0.0) - max(overlap(sign * shift) for shift in config.contrast_shifts for sign in (-1.0, 1.0))
 
 
-def _seen_through(
-    T_match_query: se3.Matrix4, query: PlaceSignature, match: PlaceSignature, config: VerificationConfig
-) -> float:
+def _seen_through(T_match_query: se3.Matrix4, query: Place, match: Place, config: VerificationConfig) -> float:
     """The share of what stands in either place, where the other tells anything of it, that the other looked through."""
-    moved = se3.apply(T_match_query, query.points[: query.standing])
-    back = se3.apply(se3.inverse(T_match_query), match.points[: match.standing])
+    moved = se3.apply(T_match_query, query.points[: query.standing_count])
+    back = se3.apply(se3.inverse(T_match_query), match.points[: match.standing_count])
     by_match = seen_through(moved, match.points.astype(np.float64), config)
     by_query = seen_through(back, query.points.astype(np.float64), config)
     return (by_match[0] + by_query[0]) / max(by_match[1] + by_query[1], 1)

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from revisit.core.config import VerificationConfig
 from revisit.core.errors import DescriptorModelMismatch
 from revisit.core.geometry import se3
-from revisit.core.place import PlaceSignature
+from revisit.core.geometry.level_frame import motion_between_submaps
+from revisit.core.place import Place
 from revisit.core.verification.alignment import (
     PlanarFit,
     Registration,
@@ -76,30 +77,28 @@ class RejectedLoop:
     measurement: LoopMeasurement | None = None
 
 
-def verify(
-    query: PlaceSignature, match: PlaceSignature, similarity: float, config: VerificationConfig
-) -> VerifiedLoop | RejectedLoop:
+def verify(query: Place, match: Place, similarity: float, config: VerificationConfig) -> VerifiedLoop | RejectedLoop:
     """Whether two submaps show the same place, and how they lie to each other.
 
     Nothing in it is random.
-    Raises DescriptorModelMismatch where the signatures come from different codebooks or scene scales.
+    Raises DescriptorModelMismatch where the places come from different codebooks or scene scales.
     """
-    if query.model != match.model or abs(query.scene_scale - match.scene_scale) > 1e-6:
+    if query.model != match.model or abs(query.frame.scale - match.frame.scale) > 1e-6:
         raise DescriptorModelMismatch
     if is_degenerate(query, config) or is_degenerate(match, config):
         return RejectedLoop(RejectionReason.DEGENERATE_PLACE)
     fit = fit_plane_motion(query, match, config)
     starts = [fit] if fit.inliers >= config.sure_inliers else [fit, *correlate_images(query, match, config)]
-    enough = max(config.min_common, config.min_common_share * min(query.standing, match.standing))
+    enough = max(config.min_common, config.min_common_share * min(query.standing_count, match.standing_count))
     best = register([lift(start, query, match) for start in starts[: config.starts]], query, match, config)
     measurement = _unlevelled(_measure(fit, best, similarity, config), query, match)
     reason = _rejection(measurement, best, enough, config)
     return VerifiedLoop(measurement) if reason is None else RejectedLoop(reason, measurement)
 
 
-def is_degenerate(place: PlaceSignature, config: VerificationConfig) -> bool:
+def is_degenerate(place: Place, config: VerificationConfig) -> bool:
     """Whether a place cannot be verified: too little stands on its ground, or what stands there is one line or wall."""
-    standing = place.points[: place.standing].astype(np.float64)
+    standing = place.points[: place.standing_count].astype(np.float64)
     if len(standing) < config.min_standing:
         return True
     spread = np.sqrt(np.clip(np.linalg.eigvalsh(np.cov(standing[:, :2].T)), 0.0, None))
@@ -132,16 +131,13 @@ def _measure(
     )  # fmt: skip
 
 
-def _unlevelled(measurement: LoopMeasurement, query: PlaceSignature, match: PlaceSignature) -> LoopMeasurement:
+def _unlevelled(measurement: LoopMeasurement, query: Place, match: Place) -> LoopMeasurement:
     """The measurement between the submap frames instead of the levelled, scaled ones."""
-    T_submap_level, scale = np.linalg.inv(match.T_level_submap), match.scene_scale
-    turn = se3.from_rotation_translation(T_submap_level[:3, :3] / scale, T_submap_level[:3, 3])
-    adjoint = se3.adjoint(turn) @ np.diag([*[scale] * 3, *[1.0] * 3])
     return dataclasses.replace(
         measurement,
-        T_match_query=T_submap_level @ measurement.T_match_query @ query.T_level_submap,
-        rmse_m=measurement.rmse_m * scale,
-        covariance=adjoint @ measurement.covariance @ adjoint.T,
+        T_match_query=motion_between_submaps(measurement.T_match_query, query.frame, match.frame),
+        rmse_m=measurement.rmse_m * match.frame.scale,
+        covariance=match.frame.covariance_to_submap(measurement.covariance),
     )
 
 

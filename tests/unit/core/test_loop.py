@@ -10,16 +10,17 @@ import pytest
 
 from revisit.core.errors import DescriptorModelMismatch
 from revisit.core.geometry import se3
-from revisit.core.place import PlaceSignature
+from revisit.core.geometry.level_frame import LevelFrame
+from revisit.core.place import Place
 from revisit.core.verification.verdict import RejectedLoop, RejectionReason, VerifiedLoop, loop_score, verify
-from tests.support.yards import CONFIG, moved, recognised, signature_of_points, thinned, yard
+from tests.support.yards import CONFIG, moved, place_of_points, recognised, thinned, yard
 
 VERIFICATION = CONFIG.verification
 
 
 @lru_cache(maxsize=8)
-def place(seed: int) -> PlaceSignature:
-    """The signature of a yard."""
+def place(seed: int) -> Place:
+    """The place of a yard."""
     return recognised(yard(seed))[1]
 
 
@@ -35,12 +36,13 @@ def test_a_revisit_is_verified_and_aligned_from_every_heading(yaw_deg: float) ->
 
 
 def test_the_answer_is_between_the_submap_frames_not_the_levelled_ones() -> None:
-    T_level_submap = se3.exp([0.0, 0.0, 0.0, 0.05, -0.03, 0.0])
+    T_submap_upright = se3.exp([0.1, 0.0, 0.0, 0.05, -0.03, 0.0])
     plain = verify(place(1), place(1), 1.0, VERIFICATION)
-    tilted = verify(replace(place(1), T_level_submap=T_level_submap), place(1), 1.0, VERIFICATION)
+    leaning = replace(place(1), frame=LevelFrame.from_upright(T_submap_upright, 1.0))
+    tilted = verify(leaning, place(1), 1.0, VERIFICATION)
     assert isinstance(plain, VerifiedLoop)
     assert isinstance(tilted, VerifiedLoop)
-    expected = plain.measurement.T_match_query @ T_level_submap
+    expected = plain.measurement.T_match_query @ se3.inverse(T_submap_upright)
     np.testing.assert_allclose(tilted.measurement.T_match_query, expected, atol=1e-12)
 
 
@@ -67,34 +69,34 @@ def test_the_covariance_is_symmetric_and_positive() -> None:
     assert np.linalg.eigvalsh(covariance)[0] > 0.0
 
 
-def test_signatures_of_different_codebooks_are_never_compared() -> None:
+def test_places_of_different_codebooks_are_never_compared() -> None:
     with pytest.raises(DescriptorModelMismatch):
         verify(place(1), replace(place(1), model="another"), 0.9, VERIFICATION)
 
 
-def wall(length_m: float) -> PlaceSignature:
+def wall(length_m: float) -> Place:
     """One straight wall facing +y, seen from the origin."""
     x, z = np.meshgrid(np.arange(-length_m / 2, length_m / 2, 0.5), np.arange(-1.5, 4.0, 0.5))
     points = np.stack([x.ravel(), np.full(x.size, 5.0), z.ravel()], axis=1)
-    return signature_of_points(points, np.tile([0.0, -1.0, 0.0], (len(points), 1)))
+    return place_of_points(points, np.tile([0.0, -1.0, 0.0], (len(points), 1)))
 
 
-def corridor() -> PlaceSignature:
+def corridor() -> Place:
     """Two parallel walls of 60 m."""
     one = wall(60.0)
     other = one.points * np.array([1, -1, 1], np.float32)
     points = np.concatenate([one.points, other])
-    return signature_of_points(points, np.concatenate([one.normals, -one.normals]))
+    return place_of_points(points, np.concatenate([one.normals, -one.normals]))
 
 
-def hedges(seed: int) -> PlaceSignature:
+def hedges(seed: int) -> Place:
     """Two rough hedges of 60 m along a street; every seed sees other leaves of them."""
     rng = np.random.default_rng(seed)
     points = np.column_stack([rng.uniform(-30, 30, 2000), rng.normal(5.0, 0.1, 2000), rng.uniform(-1.5, 1.0, 2000)])
     normals = np.column_stack([rng.normal(0, 0.3, 2000), np.full(2000, -1.0), rng.normal(0, 0.2, 2000)])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     side = np.where(rng.random(2000) < 0.5, 1.0, -1.0)[:, None] * [0, 1, 0] + [1, 0, 1]
-    return signature_of_points(points * side, normals * side)
+    return place_of_points(points * side, normals * side)
 
 
 def test_one_wall_is_a_degenerate_place() -> None:
@@ -104,7 +106,7 @@ def test_one_wall_is_a_degenerate_place() -> None:
 
 
 def test_a_place_on_which_nothing_stands_is_degenerate() -> None:
-    verdict = verify(replace(place(1), standing=0), place(1), 1.0, VERIFICATION)
+    verdict = verify(replace(place(1), standing_count=0), place(1), 1.0, VERIFICATION)
     assert verdict == RejectedLoop(RejectionReason.DEGENERATE_PLACE)
 
 
