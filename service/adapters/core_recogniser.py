@@ -15,7 +15,7 @@ from revisit.core.pipeline import DescribedPlace, describe, verify
 from revisit.core.place import Place
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
-from revisit.core.verification.verdict import LoopMeasurement, RejectedLoop, VerifiedLoop
+from revisit.core.verification import LoopMeasurement, RejectedLoop, VerifiedLoop
 from revisit.service.application.contract.ports import LoopVerdict, Mesh, SubmapDescription
 
 

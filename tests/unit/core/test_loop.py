@@ -12,7 +12,7 @@ from revisit.core.errors import DescriptorModelMismatch
 from revisit.core.geometry import se3
 from revisit.core.geometry.level_frame import LevelFrame
 from revisit.core.place import Place
-from revisit.core.verification.verdict import RejectedLoop, RejectionReason, VerifiedLoop, loop_score, verify
+from revisit.core.verification import RejectedLoop, RejectionReason, VerifiedLoop, loop_score, verify
 from tests.support.yards import CONFIG, moved, place_of_points, recognised, thinned, yard
 
 VERIFICATION = CONFIG.verification
