@@ -6,6 +6,7 @@ import hashlib
 import json
 import struct
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import zstandard
@@ -51,6 +52,15 @@ class Place:
     standing_count: int
     model: str
     frame: LevelFrame = field(default_factory=LevelFrame)
+
+    @cached_property
+    def content_digest(self) -> bytes:
+        """A SHA-256 of where the surface and the keypoints lie, in centimetres of the level frame.
+
+        It depends on nothing but the stored geometry: not on the session, the codebook or how the blob is compressed.
+        """
+        levels = _centimetres(self.points).tobytes() + _centimetres(self.keypoints).tobytes()
+        return hashlib.sha256(levels).digest()
 
     def to_blob(self) -> bytes:
         """The place as bytes: magic, header, zstd body, truncated SHA-256 over all of it."""

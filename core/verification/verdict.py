@@ -74,8 +74,21 @@ class RejectedLoop:
 def verify(query: Place, match: Place, similarity: float, config: VerificationConfig) -> VerifiedLoop | RejectedLoop:
     """Whether two submaps show the same place, and how they lie to each other.
 
-    Nothing in it is random.
-    Raises DescriptorModelMismatch where the places come from different codebooks or scene scales.
+    Nothing in it is random, and the answer does not depend on which place is the query: `verify(b, a)` has the verdict,
+    reason and evidence of `verify(a, b)`, and the inverse pose. Raises DescriptorModelMismatch where the places come
+    from different codebooks or scene scales.
+    """
+    if query.content_digest <= match.content_digest:
+        return _verify_in_order(query, match, similarity, config)
+    return _inverted(_verify_in_order(match, query, similarity, config))
+
+
+def _verify_in_order(
+    query: Place, match: Place, similarity: float, config: VerificationConfig
+) -> VerifiedLoop | RejectedLoop:
+    """The verdict on two places in the order of their content digests.
+
+    Registration is not symmetric: its small differences would decide close cases (docs/decisions/0061).
     """
     if query.model != match.model or abs(query.frame.scale - match.frame.scale) > 1e-6:
         raise DescriptorModelMismatch
@@ -139,6 +152,20 @@ def _unlevelled(measurement: LoopMeasurement, query: Place, match: Place) -> Loo
         rmse_m=measurement.rmse_m * match.frame.scale,
         covariance=match.frame.covariance_to_submap(measurement.covariance),
     )
+
+
+def _inverted(verdict: VerifiedLoop | RejectedLoop) -> VerifiedLoop | RejectedLoop:
+    """The same verdict with query and match exchanged."""
+    measurement = verdict.measurement
+    if measurement is None:
+        return verdict
+    T_query_match = se3.inverse(measurement.T_match_query)
+    adjoint = se3.adjoint(T_query_match)
+    covariance = adjoint @ measurement.covariance @ adjoint.T
+    exchanged = dataclasses.replace(
+        measurement, T_match_query=T_query_match, covariance=0.5 * (covariance + covariance.T)
+    )
+    return dataclasses.replace(verdict, measurement=exchanged)
 
 
 def _rejection(
