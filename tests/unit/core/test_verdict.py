@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
+import os
+import subprocess
+import sys
+from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,8 +17,13 @@ import pytest
 from revisit.core.errors import DescriptorModelMismatch
 from revisit.core.geometry import se3
 from revisit.core.geometry.level_frame import LevelFrame
+from revisit.core.model_bundle import load_packaged_models
+from revisit.core.pipeline import describe
 from revisit.core.place import Place
 from revisit.core.verification import RejectedLoop, RejectionReason, VerifiedLoop, loop_score, verify
+from revisit.evaluation.cutting import cut, load_submap
+from revisit.evaluation.datasets import KittiRecording
+from revisit.evaluation.perturbations import Perturbation, turned
 from tests.support.yards import CONFIG, moved, place_of_points, recognised, thinned, yard
 
 VERIFICATION = CONFIG.verification
@@ -59,6 +70,84 @@ def test_verification_gives_the_same_answer_twice() -> None:
     assert second.measurement is not None
     np.testing.assert_array_equal(first.measurement.T_match_query, second.measurement.T_match_query)
     assert first.measurement.score == second.measurement.score
+
+
+def rectified(seed: int, scale: float = 0.25) -> LevelFrame:
+    """A tilted level frame of a small scene."""
+    return LevelFrame.from_upright(se3.exp(np.random.default_rng(seed).uniform(-0.3, 0.3, 6)), scale)
+
+
+def visit(seed: int, yaw_deg: float, share: float) -> Place:
+    """A yard seen from elsewhere, thinned, in a tilted frame and at a scale."""
+    T_new_old = se3.from_yaw(np.radians(yaw_deg), (3.0, -2.0, 0.3))
+    seen = recognised(thinned(moved(yard(seed), T_new_old), share, seed=seed))[1]
+    return replace(seen, frame=rectified(seed))
+
+
+PAIRS = {
+    "a revisit": (lambda: visit(1, 75.0, 0.7), lambda: visit(1, -20.0, 0.9)),
+    "a sparse revisit": (lambda: visit(2, 170.0, 0.1), lambda: visit(2, 0.0, 0.9)),
+    "other places": (lambda: visit(3, 10.0, 0.8), lambda: visit(4, 30.0, 0.8)),
+    "hedges": (lambda: hedges(1), lambda: hedges(2)),
+    "a degenerate place": (lambda: visit(1, 0.0, 0.7), lambda: replace(wall(60.0), frame=rectified(9))),
+}
+
+
+def assert_exchanged(one: VerifiedLoop | RejectedLoop, other: VerifiedLoop | RejectedLoop) -> None:
+    """Both verdicts say the same, seen from either place: all numbers are equal, pose and covariance are turned."""
+    assert type(one) is type(other)
+    assert getattr(one, "reason", None) == getattr(other, "reason", None)
+    a, b = one.measurement, other.measurement
+    if a is None or b is None:
+        assert a is b
+        return
+    for name in ("similarity", "inliers", "inlier_ratio", "overlap", "contrast", "seen_through", "rmse_m", "score"):
+        assert getattr(a, name) == getattr(b, name), name
+    np.testing.assert_allclose(a.T_match_query, se3.inverse(b.T_match_query), rtol=0, atol=1e-12)
+    adjoint = se3.adjoint(a.T_match_query)
+    np.testing.assert_allclose(a.covariance, adjoint @ b.covariance @ adjoint.T, rtol=1e-6, atol=1e-15)
+
+
+@pytest.mark.parametrize("pair", PAIRS.values(), ids=PAIRS)
+def test_a_verdict_does_not_depend_on_which_place_is_the_query(
+    pair: tuple[Callable[[], Place], Callable[[], Place]],
+) -> None:
+    one, other = pair[0](), pair[1]()
+    assert_exchanged(verify(one, other, 0.7, VERIFICATION), verify(other, one, 0.7, VERIFICATION))
+
+
+def test_the_order_of_two_places_survives_storing_them() -> None:
+    for one in (place(1), visit(2, 30.0, 0.5)):
+        assert Place.from_blob(one.to_blob()).content_digest == one.content_digest
+    assert place(1).content_digest != place(2).content_digest
+
+
+def test_a_place_and_its_copy_in_another_frame_are_aligned_the_same_from_either_side() -> None:
+    # Equal content has equal digests: then no order exists, and none is needed.
+    copy = replace(place(1), frame=LevelFrame.from_upright(se3.exp([1.0, 2.0, 0.0, 0.1, 0.0, 2.0]), 1.0))
+    one, other = verify(place(1), copy, 1.0, VERIFICATION), verify(copy, place(1), 1.0, VERIFICATION)
+    assert isinstance(one, VerifiedLoop)
+    assert_exchanged(one, other)
+
+
+@pytest.mark.real_data
+@pytest.mark.slow
+@pytest.mark.skipif("REVISIT_DATA" not in os.environ, reason="REVISIT_DATA names no folder of real recordings")
+def test_verdicts_on_real_submaps_do_not_depend_on_which_is_the_query(tmp_path: Path) -> None:
+    script = Path(os.environ["REVISIT_DATA"]) / "unpack.py"
+    subprocess.run([sys.executable, script, "kitti00_head", tmp_path], check=True, stdout=subprocess.DEVNULL)
+    recording, config = KittiRecording(tmp_path), replace(CONFIG.submap, tau=10.0, stride=10.0)
+    windows = cut(recording, config, range(0, len(recording), 2))[2:7]
+    submaps = [load_submap(recording, window, config, Perturbation())[0] for window in windows]
+    models = load_packaged_models()
+    places = [describe(turned(submap, 0.7 * k), models, CONFIG).place for k, submap in enumerate(submaps)]
+    verdicts = {}
+    for a, b in itertools.permutations(range(len(places)), 2):
+        verdicts[a, b] = verify(places[a], places[b], 0.5, VERIFICATION)
+    for a, b in itertools.combinations(range(len(places)), 2):
+        assert_exchanged(verdicts[a, b], verdicts[b, a])
+    # Neighbouring submaps of a street share enough to be loops, so that not all of these verdicts are rejections.
+    assert sum(isinstance(verdict, VerifiedLoop) for verdict in verdicts.values()) >= 6
 
 
 def test_the_covariance_is_symmetric_and_positive() -> None:
