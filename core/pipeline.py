@@ -17,11 +17,12 @@ from revisit.core.config import PipelineConfig, VerificationConfig
 from revisit.core.descriptor.fusion import PlaceDescriptor, PlaceFeatures, fuse
 from revisit.core.errors import DegenerateCloud
 from revisit.core.geometry import se3
+from revisit.core.geometry.level_frame import LevelFrame
 from revisit.core.implicit_map import NeuralMap, fit_implicit_map
 from revisit.core.micro.cluster_normals import describe_clusters
 from revisit.core.micro.saliency import weigh_clusters
 from revisit.core.model_bundle import ModelBundle
-from revisit.core.place import PlaceSignature, sign_place
+from revisit.core.place import Place, extract_place
 from revisit.core.scan import is_plane
 from revisit.core.spectra import describe_spectra
 from revisit.core.submap import Submap
@@ -45,18 +46,18 @@ class Ablation(StrEnum):
 class DescribedPlace:
     """What one submap becomes.
 
-    Surface, clusters, BEV and neural map are in the frame of the map: the submap turned upright and divided by the
-    scene scale; `T_submap_map` (4, 4) maps it back, a similarity where that scale is not 1.
+    Surface, clusters, BEV and neural map are in the level frame `frame`: the submap turned upright and divided by the
+    scene scale.
     `flags` name what was noticed ("degenerate_plane"); `timings_s` the seconds of each step.
     """
 
     descriptor: PlaceDescriptor
-    signature: PlaceSignature
+    place: Place
     neural_map: NeuralMap | None
     surface: Surface
     clusters: Clusters
     bev: BevFeatures
-    T_submap_map: se3.Matrix4
+    frame: LevelFrame
     flags: tuple[str, ...]
     timings_s: dict[str, float]
 
@@ -70,7 +71,7 @@ def describe(
     """
     rng, clock = np.random.default_rng(seed), _StopWatch()
     level = submap.levelled()
-    T_submap_map = se3.inverse(submap.T_odom_submap) @ level.T_odom_submap @ np.diag([*[config.scene_scale] * 3, 1.0])
+    frame = LevelFrame.from_upright(se3.inverse(submap.T_odom_submap) @ level.T_odom_submap, config.scene_scale)
     level = _divided(level, config.scene_scale)
     fusion = _ablated(config, ablation).fusion
     field, surface = _surface(level, models, config, rng, ablation, clock)  # III-B, III-C
@@ -80,20 +81,17 @@ def describe(
     micro = clock("micro", lambda: describe_clusters(surface, clusters, bev.keypoints, saliency, config.micro, rng))
     spectra = clock("spectra", lambda: describe_spectra(surface, clusters, config.spectra))
     features = PlaceFeatures(bev, micro, spectra)
-    field = field and dataclasses.replace(field, T_submap_map=T_submap_map)
+    field = field and dataclasses.replace(field, frame=frame)
     descriptor = clock("fusion", lambda: fuse(features, models.codebooks, fusion, models.version))  # Eq. 13-14
     if not descriptor.vector.any():
         raise DegenerateCloud("nothing in the submap's bird's-eye view tells it from other places", field="points")
-    signature = clock("signature", lambda: sign_place(surface, clusters, bev, models.codebooks, config.verification))
-    T_level_submap = np.asarray(np.linalg.inv(T_submap_map), dtype=np.float64)
-    signature = dataclasses.replace(signature, T_level_submap=T_level_submap)
+    place = clock("place", lambda: extract_place(surface, clusters, bev, models.codebooks, config.verification))
+    place = dataclasses.replace(place, frame=frame)
     flags = ("degenerate_plane",) if is_plane(submap.points) else ()
-    return DescribedPlace(descriptor, signature, field, surface, clusters, bev, T_submap_map, flags, clock.seconds)
+    return DescribedPlace(descriptor, place, field, surface, clusters, bev, frame, flags, clock.seconds)
 
 
-def verify(
-    query: PlaceSignature, match: PlaceSignature, similarity: float, config: VerificationConfig
-) -> VerifiedLoop | RejectedLoop:
+def verify(query: Place, match: Place, similarity: float, config: VerificationConfig) -> VerifiedLoop | RejectedLoop:
     """Whether two places are the same and how they align: SE(2) start, ICP, gates (paper III-E, end).
 
     `T_match_query` of the answer maps the frame of the query submap into that of the match submap.

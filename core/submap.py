@@ -49,12 +49,12 @@ class Submap:
             return self
         # a sensor that hangs upside down may be turned about any horizontal axis
         direction = axis / sine if sine >= 1e-6 else np.array([1.0, 0.0, 0.0])
-        T_level_submap = se3.exp(np.concatenate([np.zeros(3), direction * np.arctan2(sine, cosine)]))
+        T_upright_submap = se3.exp(np.concatenate([np.zeros(3), direction * np.arctan2(sine, cosine)]))
         return replace(
             self,
-            points=se3.apply(T_level_submap, self.points).astype(np.float32),
-            origins=se3.apply(T_level_submap, self.origins).astype(np.float32),
-            T_odom_submap=self.T_odom_submap @ se3.inverse(T_level_submap),
+            points=se3.apply(T_upright_submap, self.points).astype(np.float32),
+            origins=se3.apply(T_upright_submap, self.origins).astype(np.float32),
+            T_odom_submap=self.T_odom_submap @ se3.inverse(T_upright_submap),
         )
 
     @classmethod

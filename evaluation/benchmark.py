@@ -61,13 +61,13 @@ def measure() -> list[Metric]:
     first, second = _two_visits()
     models, config = load_packaged_models(), PipelineConfig()
     describe(first, models, config)
-    place, describe_s = _best_of(3, lambda: describe(first, models, config))
+    described, describe_s = _best_of(3, lambda: describe(first, models, config))
     other = describe(second, models, config)
-    similarity = place.descriptor.similarity(other.descriptor)
-    _, verify_s = _best_of(3, lambda: verify(other.signature, place.signature, similarity, config.verification))
-    query_p99_s = _query_p99_seconds(len(place.descriptor.vector))
+    similarity = described.descriptor.similarity(other.descriptor)
+    _, verify_s = _best_of(3, lambda: verify(other.place, described.place, similarity, config.verification))
+    query_p99_s = _query_p99_seconds(len(described.descriptor.vector))
     return [
-        *_quality(first, place),
+        *_quality(first, described),
         *_real_quality(models, config),
         Metric("describe", describe_s, "CPU s", "up", np.inf),
         Metric("describe_ratio", describe_s / unit_s, "reference work", "up", 0.35),
@@ -100,13 +100,13 @@ def run(baseline: Path = BASELINE, update: bool = False) -> tuple[list[Metric], 
     return metrics, compare(metrics, json.loads(baseline.read_text()))
 
 
-def _quality(submap: Submap, place: DescribedPlace) -> list[Metric]:
-    distance = _distances(submap, place)
+def _quality(submap: Submap, described: DescribedPlace) -> list[Metric]:
+    distance = _distances(submap, described)
     return [
         Metric("surface_error_median", float(np.median(distance)), "m", "up", 0.1),
         Metric("surface_error_p90", float(np.percentile(distance, 90)), "m", "up", 0.1),
-        Metric("neural_map_share", _map_share(submap, place), "of the raw float32 cloud", "up", 0.1),
-        Metric("signature", len(place.signature.to_blob()) / 1e3, "kB", "up", 0.1),
+        Metric("neural_map_share", _map_share(submap, described), "of the raw float32 cloud", "up", 0.1),
+        Metric("signature", len(described.place.to_blob()) / 1e3, "kB", "up", 0.1),
     ]
 
 

@@ -7,11 +7,11 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from revisit.core.config import ImplicitMapConfig
-from revisit.core.errors import DescriptorModelMismatch
-from revisit.core.geometry import se3
+from revisit.core.errors import BadTransform, DataLoss, DescriptorModelMismatch
+from revisit.core.geometry.level_frame import LevelFrame
 from revisit.core.implicit_map import blob, voxel_hash
 from revisit.core.implicit_map.decoder import DecoderWeights, decode
 from revisit.core.implicit_map.neighbourhood import Neighbourhood, find_neighbourhood
@@ -28,8 +28,8 @@ _CHUNK = 65_536
 class NeuralMap:
     """Neural points (n of them), their latent features (n, F) float32 and the decoder they were fitted with.
 
-    Everything in the frame of the map, metres; `T_submap_map` (4, 4) maps it into the frame of the submap. `stamps_ns`
-    (s,) int64 are the times of the scans that `points.created` and `points.updated` count.
+    Everything in the level frame `frame`, lengths in metres divided by the scene scale. `stamps_ns` (s,) int64 are the
+    times of the scans that `points.created` and `points.updated` count.
     """
 
     points: NeuralPoints
@@ -37,7 +37,7 @@ class NeuralMap:
     stamps_ns: NDArray[np.int64]
     decoder: DecoderWeights
     config: ImplicitMapConfig
-    T_submap_map: se3.Matrix4 = field(default_factory=lambda: np.eye(4))
+    frame: LevelFrame = field(default_factory=LevelFrame)
 
     def to_blob(self) -> bytes:
         """The compact stored form (docs/decisions/0002): features rounded to multiples of FEATURE_STEP."""
@@ -47,7 +47,7 @@ class NeuralMap:
         header = {
             "count": len(self.points), "features": int(features.shape[1]), "resolution": self.config.resolution,
             "decoder": self.decoder.digest, "stamps_ns": [int(stamp) for stamp in self.stamps_ns],
-            "T_submap_map": self.T_submap_map.ravel().tolist(),
+            "T_submap_map": self.frame.similarity.ravel().tolist(),
         }  # fmt: skip
         sections = [
             *(blob.to_varint(np.diff(voxels[order, axis], prepend=0)) for axis in range(3)),
@@ -76,7 +76,7 @@ class NeuralMap:
         quantised = np.frombuffer(parts[6], np.int8).reshape(int(header["features"]), count).T
         return cls(
             points, np.ascontiguousarray(quantised * np.float32(FEATURE_STEP)), stamps, decoder,
-            replace(config, resolution=resolution), np.reshape(header["T_submap_map"], (4, 4)),
+            replace(config, resolution=resolution), _frame(header["T_submap_map"]),
         )  # fmt: skip
 
     @cached_property
@@ -127,3 +127,10 @@ class NeuralMap:
         blended = np.einsum("mk,mka->ma", near.weights, self.points.normals[near.indices])
         length = np.linalg.norm(blended, axis=1, keepdims=True)
         return np.asarray(blended / np.maximum(length, 1e-9), dtype=np.float32)
+
+
+def _frame(numbers: ArrayLike) -> LevelFrame:
+    try:
+        return LevelFrame.from_similarity(np.reshape(np.asarray(numbers, dtype=np.float64), (4, 4)))
+    except (BadTransform, TypeError, ValueError) as error:
+        raise DataLoss("the level frame of the neural map is no similarity") from error

@@ -10,7 +10,7 @@ import typer
 
 from revisit.cli.app import app
 from revisit.core.errors import ErrorCode
-from revisit.core.verification.verdict import RejectionReason
+from revisit.core.verification import RejectionReason
 from revisit.service.rest.app import create_app
 from revisit.service.settings import Settings
 from revisit.v1 import (
