@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from revisit.service.adapters.memory import MemoryTransactions
-from revisit.service.adapters.sql.migration import migrate
-from revisit.service.adapters.sql.unit_of_work import SqlTransactions
+from revisit.service.adapters.sqlite.migration import migrate
+from revisit.service.adapters.sqlite.transactions import SqliteTransactions
 
 
 @pytest.fixture(params=["memory", "sqlite"])
@@ -15,7 +15,7 @@ def transactions(request, tmp_path):
         yield MemoryTransactions(lease_ms=10_000)
         return
     migrate(tmp_path / "test.db")
-    store = SqlTransactions(tmp_path / "test.db", checkpoints=True, lease_ms=10_000)
+    store = SqliteTransactions(tmp_path / "test.db", checkpoints=True, lease_ms=10_000)
     yield store
     store.close()
 

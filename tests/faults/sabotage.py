@@ -48,19 +48,19 @@ class DoesNotFit(AssertionError):
 SABOTAGES = (
     Sabotage(
         "a commit does not wait for the disk",
-        (Edit("service/adapters/sql/unit_of_work.py", '"synchronous": 2,', '"synchronous": 1,'),),
+        (Edit("service/adapters/sqlite/connections.py", '"synchronous": 2,', '"synchronous": 1,'),),
         POWER_CUT,
     ),
     Sabotage(
         "the client is told before the commit",
         (
             Edit(
-                "service/adapters/sql/group_commit.py",
+                "service/adapters/sqlite/group_commit.py",
                 "                    outcomes.append(_attempt(connection, write))\n",
                 "                    outcomes.append(_attempt(connection, write))\n"
                 "                    outcomes[-1].tell()\n                    time.sleep(0.05)\n",
             ),
-            Edit("service/adapters/sql/group_commit.py", "            outcome.tell()\n", "            pass\n"),
+            Edit("service/adapters/sqlite/group_commit.py", "            outcome.tell()\n", "            pass\n"),
         ),
         f"{CRASH}test_an_undisturbed_drive_leaves_nothing_to_complain_about",
     ),
@@ -72,14 +72,14 @@ SABOTAGES = (
     ),
     Sabotage(
         "a blob is not synced",
-        (Edit("service/adapters/durable_files.py", "            os.fsync(file.fileno())\n", ""),),
+        (Edit("service/adapters/files/durable_files.py", "            os.fsync(file.fileno())\n", ""),),
         POWER_CUT,
     ),
     Sabotage(
         "the directory of a blob is not synced",
         (
             Edit(
-                "service/adapters/durable_files.py",
+                "service/adapters/files/durable_files.py",
                 'failpoint("blob.before_directory_sync")\n    sync_directory(path.parent)\n',
                 'failpoint("blob.before_directory_sync")\n',
             ),
@@ -147,7 +147,7 @@ SABOTAGES = (
     ),
     Sabotage(
         "a tenant sees the rows of others",
-        (Edit("service/adapters/sql/repositories.py", '{"tenant": tenant, **equals}', "dict(equals)"),),
+        (Edit("service/adapters/sql/statements.py", '{"tenant": tenant, **equals}', "dict(equals)"),),
         "tests/contract/test_transactions.py::test_find_filters_pages_and_keeps_the_tenant",
         quick=True,
     ),
@@ -178,12 +178,12 @@ SABOTAGES = (
     ),
     Sabotage(
         "a damaged file is served",
-        (Edit("service/adapters/blobs.py", "if hashlib.sha256(data).hexdigest() != sha256:", "if False:"),),
+        (Edit("service/adapters/files/blobs.py", "if hashlib.sha256(data).hexdigest() != sha256:", "if False:"),),
         "tests/contract/test_blob_store.py::test_a_damaged_file_is_refused",
     ),
     Sabotage(
         "after a failed sync the service goes on",
-        (Edit("service/adapters/fail_stop.py", "        if self._tripped:\n", "        if False:\n"),),
+        (Edit("service/adapters/files/fail_stop.py", "        if self._tripped:\n", "        if False:\n"),),
         "tests/integration/test_failing_disk.py::"
         "test_after_a_failed_sync_nothing_is_written_even_if_the_disk_seems_well_again",
     ),

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from revisit.service.adapters.disk import Disk
+from revisit.service.adapters.files.disk import Disk
 from revisit.service.application import UseCases
 from revisit.service.application.housekeeping.system import WAL_ALARM_BYTES
 from tests.support.service_world import memory_world

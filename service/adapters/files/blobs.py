@@ -15,7 +15,7 @@ from pathlib import Path
 import structlog
 
 from revisit.core.errors import DataLoss
-from revisit.service.adapters.durable_files import (
+from revisit.service.adapters.files.durable_files import (
     NO_ROOM,
     TEMPORARY_PREFIX,
     durable_write,
@@ -23,7 +23,7 @@ from revisit.service.adapters.durable_files import (
     move_durably,
     sync_directory,
 )
-from revisit.service.adapters.fail_stop import FailStop
+from revisit.service.adapters.files.fail_stop import FailStop
 from revisit.service.application.contract.errors import StorageFull, StorageUncertain
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.ports import StoredBlob

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import structlog
 
-from revisit.service.adapters.durable_files import make_room
+from revisit.service.adapters.files.durable_files import make_room
 
 FLOOR_SHARE = 4
 """The disk counts as full where less than a quarter of the reserve is free beside it."""

@@ -10,10 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from revisit.core.errors import DataLoss
-from revisit.service.adapters.blobs import QUARANTINE, FileBlobStore, blob_path, read_verified
-from revisit.service.adapters.filesystem import MOUNTS, RemoteFileSystem, filesystem_type, require_local
-from revisit.service.adapters.sql.blob_rows import named_blobs, open_to_read
-from revisit.service.adapters.sql.migration import current_revision, known_revisions, newest_revision
+from revisit.service.adapters.files.blobs import QUARANTINE, FileBlobStore, blob_path, read_verified
+from revisit.service.adapters.files.filesystem import MOUNTS, RemoteFileSystem, filesystem_type, require_local
+from revisit.service.adapters.sqlite.blob_rows import named_blobs
+from revisit.service.adapters.sqlite.connections import open_to_read, write_ahead_log
+from revisit.service.adapters.sqlite.migration import current_revision, known_revisions, newest_revision
 from revisit.service.application.contract.ports import StoredBlob
 from revisit.service.application.housekeeping.system import WAL_ALARM_BYTES
 
@@ -118,7 +119,7 @@ def _references(rows: sqlite3.Connection) -> Finding:
 
 
 def _wal(database: Path) -> Finding:
-    wal = database.with_name(f"{database.name}-wal")
+    wal = write_ahead_log(database)
     size_bytes = wal.stat().st_size if wal.exists() else 0
     return Finding("WAL", size_bytes <= WAL_ALARM_BYTES, f"{size_bytes / 2**20:.1f} MiB")
 

@@ -18,10 +18,16 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from revisit.core.errors import DataLoss
-from revisit.service.adapters.blobs import blob_path, nothing_deleted, read_verified
-from revisit.service.adapters.durable_files import durable_write, make_directories, move_durably, write_later_synced
-from revisit.service.adapters.sql.blob_rows import named_blobs, open_to_read
-from revisit.service.adapters.sql.migration import current_revision, known_revisions
+from revisit.service.adapters.files.blobs import blob_path, nothing_deleted, read_verified
+from revisit.service.adapters.files.durable_files import (
+    durable_write,
+    make_directories,
+    move_durably,
+    write_later_synced,
+)
+from revisit.service.adapters.sqlite.blob_rows import named_blobs
+from revisit.service.adapters.sqlite.connections import open_to_read
+from revisit.service.adapters.sqlite.migration import current_revision, known_revisions
 
 FORMAT = 1
 DATABASE = "revisit.db"
