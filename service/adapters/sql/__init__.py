@@ -2,5 +2,5 @@
 
 Nothing here knows which database runs the statements. What standard SQL leaves open is asked of
 `engine.DatabaseEngine`. Connections, transactions, locks, errors, migrations and backups belong to the package of the
-engine (`adapters.sqlite`).
+engine, which stands beside this one.
 """

@@ -11,10 +11,10 @@ from sqlalchemy.exc import IntegrityError
 class DatabaseEngine(Protocol):
     """A database engine, as the repositories see it.
 
-    The package of an engine also implements `ports.Transactions`, and its transactions keep three promises that the
-    repositories rely on. A write transaction is serialisable: what it has read does not change before it commits. Text
-    is ordered by code point, as Python orders it. A refused statement (IntegrityError) is passed on to the caller, who
-    ends the transaction, or the savepoint that the work has for itself.
+    The package of an engine also implements `ports.Transactions` and brings the schema up to date. The repositories
+    rely on it for four things. A write transaction is serialisable: what it has read does not change before it commits.
+    A number that a table has given to a row is never given to another, even where the row is gone. Text is ordered by
+    code point, as Python orders it. A statement that is refused (IntegrityError) ends the work that sent it.
     """
 
     def last_number(self, connection: Connection, table: Table) -> int:
