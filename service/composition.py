@@ -21,6 +21,7 @@ from revisit.service.adapters.files.blobs import FileBlobStore
 from revisit.service.adapters.files.disk import Disk
 from revisit.service.adapters.files.fail_stop import FailStop
 from revisit.service.adapters.files.filesystem import require_local
+from revisit.service.adapters.sqlite.connections import write_ahead_log
 from revisit.service.adapters.sqlite.transactions import SqliteTransactions
 from revisit.service.adapters.vector_index import PlaceVectorIndex
 from revisit.service.application import Context, UseCases
@@ -76,7 +77,7 @@ def build_context(settings: Settings, *, gateway: bool, fail_stop: FailStop | No
 
 def build_disk(settings: Settings) -> Disk:
     """The disk of the data with its reserve."""
-    return Disk(settings.home, settings.reserve_mb * 2**20)
+    return Disk(settings.home, settings.reserve_mb * 2**20, write_ahead_log(settings.database))
 
 
 def chores(settings: Settings, context: Context) -> tuple[Chore, ...]:

@@ -1,4 +1,4 @@
-"""Repositories in memory, over the rows of one transaction."""
+"""Repositories in memory over the rows of one transaction."""
 
 from __future__ import annotations
 
