@@ -247,7 +247,7 @@ def localize_message(result: Localization) -> loop_closure_pb2.LocalizeResponse:
     """The best verified candidate, if any, and all that were compared."""
     return loop_closure_pb2.LocalizeResponse(
         best=None if result.best is None else _candidate(result.best),
-        t_map_query=transform(result.T_map_query),
+        t_map_query=transform(result.T_odom_query),
         candidates=[_candidate(candidate) for candidate in result.candidates],
     )
 

@@ -415,7 +415,7 @@ class LocalizeAnswer(Answer):
         """From a use case's result."""
         return cls(
             best=None if result.best is None else Candidate.of(result.best),
-            t_map_query=Transform.maybe(result.T_map_query),
+            t_map_query=Transform.maybe(result.T_odom_query),
             candidates=[Candidate.of(candidate) for candidate in result.candidates],
         )
 
