@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
-from revisit.core.errors import BadField
 from revisit.service.application.access import audit
 from revisit.service.application.catalogue.deletion import delete_map
 from revisit.service.application.catalogue.paging import Page, PageRequest, page_of
+from revisit.service.application.contract import limits
 from revisit.service.application.contract.context import Context
 from revisit.service.application.contract.errors import AlreadyExists, NotFound
 from revisit.service.application.contract.identity import TenantId, content_hash, validated_id, validated_label
@@ -17,8 +16,8 @@ from revisit.service.application.contract.records import MapRecord
 from revisit.service.application.housekeeping.blob_references import Blob, collect_blobs_in_turns
 from revisit.service.failpoints import failpoint
 
-MIN_SCENE_SCALE = 0.01
-MAX_SCENE_SCALE = 10.0
+MIN_SCENE_SCALE = limits.SCENE_SCALE.least
+MAX_SCENE_SCALE = limits.SCENE_SCALE.most
 
 
 @dataclass(frozen=True)
@@ -164,10 +163,10 @@ def model_for_map(record: MapRecord, model_version: str) -> str:
 
 
 def _validate_window(command: CreateMap) -> None:
-    for field, value in (("tau_m", command.tau_m), ("stride_m", command.stride_m)):
-        if value is not None and not (math.isfinite(value) and 0.1 <= value <= 1000.0):
-            raise BadField(f"{field} must be in 0.1..1000 metres", field=field)
-    if command.min_index_gap is not None and not 0 <= command.min_index_gap <= 100_000:
-        raise BadField("min_index_gap must be in 0..100000", field="min_index_gap")
-    if not MIN_SCENE_SCALE <= command.scene_scale <= MAX_SCENE_SCALE:
-        raise BadField(f"scene_scale must be in {MIN_SCENE_SCALE:g}..{MAX_SCENE_SCALE:g}", field="scene_scale")
+    if command.tau_m is not None:
+        limits.TAU_M.validated(command.tau_m, "tau_m")
+    if command.stride_m is not None:
+        limits.STRIDE_M.validated(command.stride_m, "stride_m")
+    if command.min_index_gap is not None:
+        limits.MIN_INDEX_GAP.validated(command.min_index_gap, "min_index_gap")
+    limits.SCENE_SCALE.validated(command.scene_scale, "scene_scale")
