@@ -255,9 +255,9 @@ async def test_a_cloud_is_searched_and_localised_without_being_stored(world):
     where = await answered(world, world.use_cases.searches.localize(TENANT, LocalizeQuery("town", cloud(7))))
     assert where.best.submap == key("a") and len(where.candidates) == 2
     # The fake recogniser says 1 m ahead of the match, and the match was taken at x = 7 m.
-    np.testing.assert_allclose(where.T_map_query, pose(8.0))
+    np.testing.assert_allclose(where.T_odom_query, pose(8.0))
     nowhere = await answered(world, world.use_cases.searches.localize(TENANT, LocalizeQuery("town", cloud(9))))
-    assert nowhere.best is None and nowhere.T_map_query is None
+    assert nowhere.best is None and nowhere.T_odom_query is None
     assert len((await world.use_cases.submaps.list(TENANT, SESSION, PageRequest())).items) == 2
 
 

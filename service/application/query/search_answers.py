@@ -8,7 +8,7 @@ from typing import Any
 from revisit.core.errors import BadField
 from revisit.core.geometry.se3 import Matrix4
 from revisit.service.application.contract import limits
-from revisit.service.application.contract.identity import SubmapKey
+from revisit.service.application.contract.identity import SessionKey, SubmapKey
 from revisit.service.application.contract.poses import pose_matrix, pose_row
 
 
@@ -63,11 +63,12 @@ class LocalizedCandidate:
 class Localization:
     """The best verified candidate, if any, and all that were compared.
 
-    `T_map_query` (4, 4) is the cloud's pose in the odometry frame of the best candidate's session.
+    `T_odom_query` (4, 4) is the cloud's pose in the odometry frame of `session`, the best candidate's session.
     """
 
     best: LocalizedCandidate | None
-    T_map_query: Matrix4 | None
+    T_odom_query: Matrix4 | None
+    session: SessionKey | None
     candidates: tuple[LocalizedCandidate, ...]
 
 
@@ -114,7 +115,7 @@ def localization_to_json(localization: Localization) -> dict[str, Any]:
     best = localization.best
     return {
         "best": None if best is None else localization.candidates.index(best),
-        "T_map_query": None if localization.T_map_query is None else pose_row(localization.T_map_query),
+        "T_odom_query": None if localization.T_odom_query is None else pose_row(localization.T_odom_query),
         "candidates": [_candidate_to_json(candidate) for candidate in localization.candidates],
     }
 
@@ -124,7 +125,8 @@ def localization_from_json(data: dict[str, Any]) -> Localization:
     candidates = tuple(_candidate_from_json(candidate) for candidate in data["candidates"])
     return Localization(
         best=None if data["best"] is None else candidates[data["best"]],
-        T_map_query=None if data["T_map_query"] is None else pose_matrix(tuple(data["T_map_query"])),
+        T_odom_query=None if data["T_odom_query"] is None else pose_matrix(tuple(data["T_odom_query"])),
+        session=None if data["best"] is None else candidates[data["best"]].submap.session,
         candidates=candidates,
     )
 
