@@ -6,7 +6,7 @@ import os
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -19,6 +19,7 @@ from revisit.sdk.resources import (
     Json,
     Localization,
     LoopClosure,
+    LoopPolicy,
     Map,
     Operation,
     Robot,
@@ -93,6 +94,7 @@ class Client:
         stride_m: float | None = None,
         min_index_gap: int | None = None,
         scene_scale: float | None = None,
+        loop_policy: LoopPolicy = LoopPolicy(),
     ) -> Map:
         """Create a map; what is None is as the service is configured.
 
@@ -105,6 +107,7 @@ class Client:
             "stride_m": stride_m,
             "min_index_gap": min_index_gap,
             "scene_scale": scene_scale,
+            "loop_policy": {name: value for name, value in asdict(loop_policy).items() if value is not None} or None,
         }
         return Map.of(self._transport.create("maps", request_of(map_pb2.CreateMapRequest, fields)))
 

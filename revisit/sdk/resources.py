@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, Self
 
 import numpy as np
@@ -34,8 +34,27 @@ def pose_json(T_target_source: Any) -> Json:
 
 
 @dataclass(frozen=True)
+class LoopPolicy:
+    """Which loop closures are accepted; None stands for the value of the service.
+
+    `candidates`: submaps that are verified for each new one. A candidate is accepted with a score of at least
+    `min_score` and an overlap of at least `min_overlap`, where at most `max_seen_through` of it was looked through.
+    """
+
+    candidates: int | None = None
+    min_score: float | None = None
+    min_overlap: float | None = None
+    max_seen_through: float | None = None
+
+    @classmethod
+    def of(cls, message: map_pb2.LoopPolicy) -> Self:
+        """From its message."""
+        return cls(**{item.name: _optional(message, item.name) for item in fields(cls)})
+
+
+@dataclass(frozen=True)
 class Map:
-    """A map; `scene_scale` is the size of its scene compared with a street."""
+    """A map; `scene_scale` is the size of its scene compared with a street, `loop_policy` has the values in force."""
 
     name: str
     display_name: str
@@ -46,6 +65,7 @@ class Map:
     session_count: int
     submap_count: int
     created_at_ns: int
+    loop_policy: LoopPolicy = LoopPolicy()
 
     @classmethod
     def of(cls, message: map_pb2.Map) -> Self:
@@ -60,6 +80,7 @@ class Map:
             session_count=message.session_count,
             submap_count=message.submap_count,
             created_at_ns=message.created_at_ns,
+            loop_policy=LoopPolicy.of(message.loop_policy),
         )
 
 

@@ -13,6 +13,7 @@ from revisit.service.application.catalogue.maps import CreateMap
 from revisit.service.application.catalogue.robots import CreateRobot
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.limits import Range
+from revisit.service.application.contract.loop_policy import LoopPolicy
 from revisit.service.application.query.freshness import DEFAULT_WAIT_S
 from revisit.service.application.query.searches import SearchCriteria
 
@@ -37,8 +38,21 @@ class Request(BaseModel):
     model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False, frozen=True)
 
 
+class LoopPolicyRequest(Request):
+    """What a map overrides of the service's rules for loop closures; what is not given is as the service has it.
+
+    `candidates`: submaps that are verified for each new one. A candidate is accepted with a score of at least
+    `min_score` and an overlap of at least `min_overlap`, where at most `max_seen_through` of it was looked through.
+    """
+
+    candidates: Annotated[int, Field(**bounds(limits.LOOP_CANDIDATES))] | None = None
+    min_score: Annotated[float, Field(**bounds(limits.MIN_SCORE))] | None = None
+    min_overlap: Annotated[float, Field(**bounds(limits.MIN_OVERLAP))] | None = None
+    max_seen_through: Annotated[float, Field(**bounds(limits.MAX_SEEN_THROUGH))] | None = None
+
+
 class CreateMapRequest(Request):
-    """A new map; `tau_m`, `stride_m` and `min_index_gap` override the service's configuration where given.
+    """A new map; `tau_m`, `stride_m`, `min_index_gap` and `loop_policy` override the service's settings where given.
 
     `scene_scale` is the size of its scene compared with a street, e.g. 0.25 for rooms; it cannot be changed later.
     """
@@ -49,10 +63,12 @@ class CreateMapRequest(Request):
     stride_m: Annotated[float, Field(**bounds(limits.STRIDE_M))] | None = None
     min_index_gap: Annotated[int, Field(**bounds(limits.MIN_INDEX_GAP))] | None = None
     scene_scale: Annotated[float, Field(**bounds(limits.SCENE_SCALE))] = 1.0
+    loop_policy: LoopPolicyRequest = LoopPolicyRequest()
 
     def command(self) -> CreateMap:
         """What the use case takes."""
-        return CreateMap(**self.model_dump())
+        own = self.model_dump(exclude={"loop_policy"})
+        return CreateMap(**own, loop_policy=LoopPolicy(**self.loop_policy.model_dump()))
 
 
 class CreateRobotRequest(Request):

@@ -7,6 +7,7 @@ constructor, REST renders it with `json_form`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import asdict
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -41,6 +42,7 @@ def of_map(view: MapView) -> Fields:
         "session_count": view.session_count,
         "submap_count": view.submap_count,
         "created_at_ns": view.created_at_ns,
+        "loop_policy": asdict(view.loop_policy),
     }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from revisit.service.application.catalogue.sessions import CreateSession
 from revisit.service.application.catalogue.submaps import DownloadKind, PostSubmap
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.identity import SessionKey
+from revisit.service.application.contract.loop_policy import LoopPolicy
 from revisit.service.application.ingest.clouds import EncodedCloud
 from revisit.service.application.ingest.scans import AppendScan
 from revisit.service.application.query.freshness import DEFAULT_WAIT_S, Freshness
@@ -57,7 +59,8 @@ def create_map(request: map_pb2.CreateMapRequest) -> CreateMap:
     """The new map; what is absent is as the service is configured."""
     overrides = ("tau_m", "stride_m", "min_index_gap", "scene_scale")
     given = {field: getattr(request, field) for field in overrides if request.HasField(field)}
-    return CreateMap(request.map_id, request.display_name, **given)
+    policy = LoopPolicy(**{field.name: _optional(request.loop_policy, field.name) for field in fields(LoopPolicy)})
+    return CreateMap(request.map_id, request.display_name, **given, loop_policy=policy)
 
 
 def create_session(request: session_pb2.CreateSessionRequest) -> CreateSession:
@@ -167,15 +170,15 @@ def _pose(message: Any, field: str) -> Matrix4:
 
 
 def _packed_bytes(message: cloud_pb2.PackedCloud) -> bytes:
-    fields = tuple(PointField(f.name, f.offset, f.datatype, f.count) for f in message.fields)
+    point_fields = tuple(PointField(f.name, f.offset, f.datatype, f.count) for f in message.fields)
     quantised = message.encoding == cloud_pb2.PackedCloud.QUANTISED
     encoding = Encoding.QUANTISED if quantised else Encoding.RAW
     if not quantised and message.encoding > cloud_pb2.PackedCloud.RAW:
         raise BadField("the encoding of the packed cloud is unknown", field="encoding")
-    if any(not field.name.isascii() or len(field.name) > 32 for field in fields):
+    if any(not field.name.isascii() or len(field.name) > 32 for field in point_fields):
         raise MalformedBody("names of fields are at most 32 ASCII characters")
     packed = PackedCloud(
-        fields, message.point_stride, message.width, message.data, message.height, message.big_endian, encoding
+        point_fields, message.point_stride, message.width, message.data, message.height, message.big_endian, encoding
     )
     try:
         return packed.to_bytes()

@@ -86,6 +86,10 @@ maps = _numbered(
     _real("stride_m", nullable=True),
     _integer("min_index_gap", nullable=True),
     Column("scene_scale", Float, nullable=False, server_default="1.0"),
+    _integer("loop_candidates", nullable=True),
+    _real("min_score", nullable=True),
+    _real("min_overlap", nullable=True),
+    _real("max_seen_through", nullable=True),
     _text("model_version", length=128, nullable=True),
     _integer("created_at_ns"),
 )

@@ -63,13 +63,17 @@ class LocalizedCandidate:
 class Localization:
     """The best verified candidate, if any, and all that were compared.
 
-    `T_odom_query` (4, 4) is the cloud's pose in the odometry frame of `session`, the best candidate's session.
+    `T_odom_query` (4, 4) maps points of the cloud into the odometry frame of `session`.
     """
 
     best: LocalizedCandidate | None
     T_odom_query: Matrix4 | None
-    session: SessionKey | None
     candidates: tuple[LocalizedCandidate, ...]
+
+    @property
+    def session(self) -> SessionKey | None:
+        """The session of the best candidate."""
+        return None if self.best is None else self.best.submap.session
 
 
 def validated_criteria(criteria: SearchCriteria) -> SearchCriteria:
@@ -126,7 +130,6 @@ def localization_from_json(data: dict[str, Any]) -> Localization:
     return Localization(
         best=None if data["best"] is None else candidates[data["best"]],
         T_odom_query=None if data["T_odom_query"] is None else pose_matrix(tuple(data["T_odom_query"])),
-        session=None if data["best"] is None else candidates[data["best"]].submap.session,
         candidates=candidates,
     )
 

@@ -254,9 +254,9 @@ def _localization(judged: list[JudgedPlace]) -> Localization:
     ]
     accepted = [index for index, candidate in enumerate(candidates) if candidate.accepted]
     if not accepted:
-        return Localization(None, None, None, tuple(candidates))
+        return Localization(None, None, tuple(candidates))
     best = max(accepted, key=lambda index: (candidates[index].score, -index))
     T_match_query = candidates[best].T_match_query
     T_odom_match = pose_matrix(judged[best].place.submap.T_odom_submap)
     T_odom_query = None if T_match_query is None else T_odom_match @ T_match_query
-    return Localization(candidates[best], T_odom_query, candidates[best].submap.session, tuple(candidates))
+    return Localization(candidates[best], T_odom_query, tuple(candidates))
