@@ -86,6 +86,25 @@ def test_every_parameter_that_a_rejection_names_exists():
     assert {name for name in named if f"| {name} |" not in parameters and f"| `{name}` |" not in parameters} == set()
 
 
+def test_every_promise_names_tests_and_all_of_them_exist():
+    rows = re.findall(r"^\| (P\d+) \|[^|]*\|([^|]*)\|", (DOCS / "reference/reliability.md").read_text(), re.MULTILINE)
+    assert [promise for promise, _ in rows] == [f"P{number}" for number in range(1, 33)]
+    named = {promise: re.findall(r"`([\w/]+(?:\.py|/))`", tests) for promise, tests in rows}
+    assert [promise for promise, tests in named.items() if not tests] == []
+    missing = [
+        (promise, test) for promise, tests in named.items() for test in tests if not tests_in(ROOT / "tests" / test)
+    ]
+    assert missing == []
+
+
+def tests_in(path: Path) -> list[str]:
+    """The names of the tests of a file or folder; none where there is no such file."""
+    files = [path] if path.is_file() else path.rglob("test_*.py")
+    return [
+        name for file in files for name in re.findall(r"^(?:async )?def (test_\w+)", file.read_text(), re.MULTILINE)
+    ]
+
+
 @pytest.mark.parametrize("page", sorted(DOCS.rglob("*.md")), ids=lambda page: page.name)
 def test_every_link_to_a_file_leads_to_one(page):
     links = re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text())
