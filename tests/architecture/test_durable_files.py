@@ -1,4 +1,4 @@
-"""Files are made by service/adapters/durable_files.py and nowhere else in the service."""
+"""Files are made by service/adapters/files/durable_files.py and nowhere else in the service."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 
 from tests.support.sources import calls, modules
 
-HOME = "service/adapters/durable_files.py"
+HOME = "service/adapters/files/durable_files.py"
 MAKERS = {
     "write_bytes", "write_text", "touch", "mknod", "mkstemp", "NamedTemporaryFile", "TemporaryFile", "copyfile",
     "copytree", "copy2",
@@ -35,7 +35,7 @@ def _writes(modes: list[ast.expr], keywords: list[ast.keyword]) -> bool:
 
 ALLOWED = {
     # Opens directories, to lock them.
-    "service/adapters/blobs.py": {"os.open"},
+    "service/adapters/files/blobs.py": {"os.open"},
     # Tells the kernel something; no file.
     "service/worker/confinement.py": {"Path('/proc/self/oom_score_adj').write_text"},
 }

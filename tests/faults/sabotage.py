@@ -33,7 +33,7 @@ QUEUE = "tests/contract/test_job_queue.py::"
 DELETION = "tests/contract/api/test_api_session_deletion.py::"
 
 SERVICE = "revisit.service."
-STORE = "revisit.service.adapters.sql."
+ADAPTERS = "revisit.service.adapters."
 USE_CASES = "revisit.service.application."
 
 Patch = Callable[[Any], Any]
@@ -154,12 +154,15 @@ class DoesNotFit(AssertionError):
 SABOTAGES = (
     Sabotage(
         "a commit does not wait for the disk",
-        {f"{STORE}unit_of_work:WRITER_PRAGMAS": lambda pragmas: {**pragmas, "synchronous": 1}},
+        {f"{ADAPTERS}sqlite.connections:WRITER_PRAGMAS": lambda pragmas: {**pragmas, "synchronous": 1}},
         POWER_CUT,
     ),
     Sabotage(
         "the client is told before the commit",
-        {f"{STORE}group_commit:_attempt": _tell_at_once, f"{STORE}group_commit:_Outcome.tell": _tell_once},
+        {
+            f"{ADAPTERS}sqlite.group_commit:_attempt": _tell_at_once,
+            f"{ADAPTERS}sqlite.group_commit:_Outcome.tell": _tell_once,
+        },
         f"{CRASH}test_an_undisturbed_drive_leaves_nothing_to_complain_about",
     ),
     Sabotage(
@@ -175,12 +178,12 @@ SABOTAGES = (
     Sabotage("a blob is not synced", {"os:fsync": _skip_files}, POWER_CUT),
     Sabotage(
         "the directory of a blob is not synced",
-        {f"{SERVICE}adapters.durable_files:durable_write": _skip_directory},
+        {f"{ADAPTERS}files.durable_files:durable_write": _skip_directory},
         POWER_CUT,
     ),
     Sabotage(
         "a described submap does not enter the index",
-        {f"{STORE}repositories:SqlChangeLog.record_described": nothing},
+        {f"{ADAPTERS}sql.change_log:SqlChangeLog.record_described": nothing},
         f"{CRASH}test_an_undisturbed_drive_leaves_nothing_to_complain_about",
     ),
     Sabotage(
@@ -202,18 +205,18 @@ SABOTAGES = (
     ),
     Sabotage(
         "a late result is taken",
-        {f"{SERVICE}adapters.leased_jobs:LeasedJobs._held": _newest_lease},
+        {f"{ADAPTERS}leased_jobs:LeasedJobs._held": _newest_lease},
         f"{QUEUE}test_a_late_result_is_refused_by_its_token",
         quick=True,
     ),
     Sabotage(
         "the attempt is counted after the run",
-        {f"{SERVICE}adapters.leased_jobs:LeasedJobs.claim": _uncounted},
+        {f"{ADAPTERS}leased_jobs:LeasedJobs.claim": _uncounted},
         f"{QUEUE}test_the_attempt_is_counted_before_the_run",
     ),
     Sabotage(
         "a tenant sees the rows of others",
-        {f"{STORE}repositories:_of_tenant": lambda _of_tenant: lambda _tenant, equals: dict(equals)},
+        {f"{ADAPTERS}sql.statements:of_tenant": lambda _of_tenant: lambda _tenant, equals: dict(equals)},
         "tests/contract/test_transactions.py::test_find_filters_pages_and_keeps_the_tenant",
         quick=True,
     ),
@@ -243,7 +246,7 @@ SABOTAGES = (
     Sabotage(
         "a damaged file is served",
         {
-            f"{SERVICE}adapters.blobs:read_verified": partial(
+            f"{ADAPTERS}files.blobs:read_verified": partial(
                 _suppressing, error="BlobDamaged", otherwise=lambda path: path.read_bytes()
             )
         },
@@ -251,7 +254,7 @@ SABOTAGES = (
     ),
     Sabotage(
         "after a failed sync the service goes on",
-        {f"{SERVICE}adapters.fail_stop:FailStop.require_sound": nothing},
+        {f"{ADAPTERS}files.fail_stop:FailStop.require_sound": nothing},
         "tests/integration/test_failing_disk.py::"
         "test_after_a_failed_sync_nothing_is_written_even_if_the_disk_seems_well_again",
     ),
@@ -273,8 +276,8 @@ SABOTAGES = (
     Sabotage(
         "what is deleted stays in the index",
         {
-            f"{STORE}repositories:SqlChangeLog.record_removed": nothing,
-            f"{SERVICE}adapters.memory:MemoryChangeLog.record_removed": nothing,
+            f"{ADAPTERS}sql.change_log:SqlChangeLog.record_removed": nothing,
+            f"{ADAPTERS}memory.repositories:MemoryChangeLog.record_removed": nothing,
         },
         f"{DELETION}test_a_deleted_session_takes_its_submaps_and_loops_and_nothing_else",
     ),

@@ -13,8 +13,8 @@ from revisit import Client, Cloud
 from revisit.formats import KITTI, encode_kitti
 from revisit.sdk.errors import Unavailable
 from revisit.sdk.retry import RetryPolicy
-from revisit.service.adapters.blobs import FileBlobStore
-from revisit.service.adapters.fail_stop import FailStop
+from revisit.service.adapters.files.blobs import FileBlobStore
+from revisit.service.adapters.files.fail_stop import FailStop
 from revisit.service.application.contract.errors import StorageUncertain
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.gateway import FAIL_STOP_S
@@ -116,7 +116,7 @@ def test_after_a_failed_sync_nothing_is_written_even_if_the_disk_seems_well_agai
         raise OSError(5, "Input/output error")
 
     with monkeypatch.context() as failing:
-        failing.setattr("revisit.service.adapters.durable_files.os.fsync", broken)
+        failing.setattr("revisit.service.adapters.files.durable_files.os.fsync", broken)
         with pytest.raises(StorageUncertain):
             blobs.put(TenantId("default"), "cloud", b"points")
     with pytest.raises(StorageUncertain, match="restarting"):

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from revisit.service.adapters.disk import Disk
-from revisit.service.adapters.durable_files import may_grow
+from revisit.service.adapters.files.disk import Disk
+from revisit.service.adapters.files.durable_files import may_grow
 from revisit.service.application.contract.errors import StorageFull
 from tests.support.processes import ServiceProcess
 from tests.support.service_world import open_session, sqlite_world, submap
@@ -111,7 +111,7 @@ def test_an_exhausted_quota_is_told_from_a_broken_disk(tmp_path, monkeypatch, nu
     def refuse(descriptor, offset, size):
         raise OSError(number, "")
 
-    monkeypatch.setattr("revisit.service.adapters.durable_files.os.posix_fallocate", refuse)
+    monkeypatch.setattr("revisit.service.adapters.files.durable_files.os.posix_fallocate", refuse)
     assert may_grow(tmp_path / "log", 4096) is grows
     assert list(tmp_path.iterdir()) == []
 

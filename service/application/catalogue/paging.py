@@ -10,11 +10,10 @@ from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
 from revisit.core.errors import BadField
+from revisit.service.application.contract import limits
 
 T = TypeVar("T")
 N = TypeVar("N", bound="Numbered")
-
-MAX_PAGE_SIZE = 500
 
 
 @dataclass(frozen=True)
@@ -26,8 +25,7 @@ class PageRequest:
 
     def __post_init__(self) -> None:
         """Raises BadField for a size out of bounds."""
-        if not 1 <= self.size <= MAX_PAGE_SIZE:
-            raise BadField(f"page_size must be in 1..{MAX_PAGE_SIZE}", field="page_size")
+        limits.PAGE_SIZE.validated(self.size, "page_size")
 
     @property
     def after(self) -> int:

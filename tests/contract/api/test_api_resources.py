@@ -110,7 +110,7 @@ def test_a_cloud_is_localised_in_the_map_it_was_taken_in(client, session, town):
     assert found.best is not None
     assert found.best.submap == f"{session.name}/submaps/a"
     # The fake recogniser aligns with 1 m along x; the submap stands at 1 m.
-    np.testing.assert_allclose(found.T_map_query, pose(2.0), **EXACT)
+    np.testing.assert_allclose(found.T_odom_query, pose(2.0), **EXACT)
 
 
 def test_an_unknown_place_is_an_answer_and_no_error(client, session, town):

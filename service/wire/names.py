@@ -54,3 +54,11 @@ def session_id_in(map_name: str, name: str, field: str) -> str | None:
     if f"maps/{key.map_id}" != map_name:
         raise BadField(f"{field} must be a session of {map_name}", field=field)
     return key.session_id
+
+
+def submap_key_in(map_name: str, name: str, field: str) -> SubmapKey:
+    """The key of a submap, which must be of the map. Raises BadField."""
+    key = submap_key(name, field)
+    if f"maps/{key.map_id}" != map_name:
+        raise BadField(f"{field} must be a submap of {map_name}", field=field)
+    return key
