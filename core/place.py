@@ -18,6 +18,7 @@ from revisit.core.descriptor.vlad import Codebooks, project_locally
 from revisit.core.errors import BadTransform, DataLoss
 from revisit.core.geometry import octahedral
 from revisit.core.geometry.level_frame import LevelFrame
+from revisit.core.geometry.voxel_keys import voxel_keys
 from revisit.core.surface import Surface
 
 Array = NDArray[np.float32]
@@ -109,8 +110,7 @@ def _spread_rows(points: Array, chosen: NDArray[np.bool_], spacing: float, limit
     rows = np.flatnonzero(chosen)
     near = rows[np.abs(points[rows]).max(axis=1) < 300.0]
     cubes = np.floor(points[near] / spacing).astype(np.int64)
-    keys = ((cubes[:, 0] + 2**20) << 42) | ((cubes[:, 1] + 2**20) << 21) | (cubes[:, 2] + 2**20)
-    _, first = np.unique(keys, return_index=True)
+    _, first = np.unique(voxel_keys(cubes), return_index=True)
     spread = near[first]
     if len(spread) <= limit:
         return np.asarray(spread)

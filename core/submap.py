@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.config import SubmapConfig
-from revisit.core.errors import EmptyCloud
+from revisit.core.errors import BadField, EmptyCloud
 from revisit.core.geometry import se3
 from revisit.core.scan import MIN_POINTS, Points, Scan
 
@@ -23,6 +23,7 @@ class Submap:
     origins (s, 3) float32, where each scan was taken from; stamps_ns (s,) int64;
     T_odom_submap the pose of the middle scan;
     position (3,) float64 the mean position of the scans in the odometry frame.
+    Raises BadField where the arrays do not fit together.
     """
 
     points: Points
@@ -31,6 +32,14 @@ class Submap:
     stamps_ns: NDArray[np.int64]
     T_odom_submap: se3.Matrix4
     position: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        if len(self.scan_index) != len(self.points) or len(self.stamps_ns) != len(self.origins):
+            raise BadField("a submap needs a scan index a point and a time stamp an origin", field="points")
+        if len(self.scan_index) and not 0 <= self.scan_index[0] <= self.scan_index[-1] < len(self.origins):
+            raise BadField("a point of the submap belongs to no scan", field="points")
+        if (self.scan_index[1:] < self.scan_index[:-1]).any():
+            raise BadField("the points of a submap must be in the order of their scans", field="points")
 
     @property
     def scan_count(self) -> int:

@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-ENCODING_SIZE = 9
+from revisit.core.kernels.neighbour_blend import ENCODING_SIZE
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 from revisit.core.config import ImplicitMapConfig
 from revisit.core.implicit_map import voxel_hash
-from revisit.core.implicit_map.decoder import ENCODING_SIZE, DecoderWeights
+from revisit.core.implicit_map.decoder import DecoderWeights
 from revisit.core.implicit_map.fitting import accumulate, fit_features, predict, sdf_loss, without_dynamic_points
 from revisit.core.implicit_map.neighbourhood import Neighbourhood, find_neighbourhood
 from revisit.core.implicit_map.samples import draw_samples
 from revisit.core.implicit_map.settled import settle
+from revisit.core.kernels.neighbour_blend import ENCODING_SIZE
 from revisit.core.submap import Submap
 
 
