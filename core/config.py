@@ -31,9 +31,6 @@ class ImplicitMapConfig:
     """Elastic neural points, decoder, samples and fitting (paper III-B)."""
 
     resolution: float = parameter(0.4, "m", "PIN-SLAM", "edge of a neural-point voxel, also mesh voxel and BEV pixel")
-    eviction_distance: float = parameter(
-        0.7, "m", "paper III-B 3", "a stored neural point farther than this from a new return is replaced"
-    )
     neighbours: int = parameter(6, "points", "paper Eq. 3, K", "neural points blended for one query")
     search_rings: int = parameter(2, "voxels", "own", "neighbours are sought among the voxels within this distance")
     weight_power: float = parameter(1.0, "1", "paper Eq. 3", "power of the inverse distance weight")

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.config import ImplicitMapConfig
-from revisit.core.implicit_map import voxel_hash
 from revisit.core.implicit_map.decoder import orientations
+from revisit.core.kernels.nearest_points import nearest_points
 from revisit.core.kernels.neighbour_blend import blend_neighbours
+from revisit.core.kernels.voxel_table import VoxelTable
 
 Array = NDArray[np.float32]
 
@@ -38,11 +39,11 @@ class Neighbourhood:
 
 
 def find_neighbourhood(
-    queries: Array, positions: Array, normals: Array, slots: NDArray[np.int32], config: ImplicitMapConfig
+    queries: Array, positions: Array, normals: Array, table: VoxelTable, config: ImplicitMapConfig
 ) -> Neighbourhood:
     """The neighbourhood of `queries` (m, 3) among neural points at `positions` (n, 3) with `normals` (n, 3)."""
-    indices, squared = voxel_hash.nearest(
-        queries, positions, slots, config.resolution, config.neighbours, config.search_rings
+    indices, squared = nearest_points(
+        queries, positions, table, config.resolution, config.neighbours, config.search_rings
     )
     weights, encoding, plane = blend_neighbours(
         queries, positions, orientations(normals), indices, squared, config.weight_power, config.resolution

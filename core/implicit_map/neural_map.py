@@ -12,11 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from revisit.core.config import ImplicitMapConfig
 from revisit.core.errors import BadTransform, DataLoss, DescriptorModelMismatch
 from revisit.core.geometry.level_frame import LevelFrame
-from revisit.core.implicit_map import blob, voxel_hash
+from revisit.core.implicit_map import blob
 from revisit.core.implicit_map.decoder import DecoderWeights, decode
 from revisit.core.implicit_map.neighbourhood import Neighbourhood, find_neighbourhood
 from revisit.core.implicit_map.neural_points import NeuralPoints
 from revisit.core.implicit_map.settled import geometry, geometry_codes
+from revisit.core.kernels.voxel_table import VoxelTable, table_of, voxels_of
 
 Array = NDArray[np.float32]
 
@@ -69,9 +70,9 @@ class NeuralMap:
         octahedral = np.frombuffer(parts[3], np.uint8).reshape(2, count).T
         codes = (voxels.astype(np.int32), octahedral, np.frombuffer(parts[4], np.uint8))
         positions, normals = geometry(codes, resolution)
-        hits = np.frombuffer(parts[5], np.uint8).astype(np.int16)
+        hits = np.frombuffer(parts[5], np.uint8).astype(np.int32)
         stamps = np.asarray(header["stamps_ns"], dtype=np.int64)
-        created, updated = np.zeros(count, np.int16), np.full(count, len(stamps) - 1, np.int16)
+        created, updated = np.zeros(count, np.int32), np.full(count, len(stamps) - 1, np.int32)
         points = NeuralPoints(positions, normals, created, updated, hits, hits.astype(np.float32))
         quantised = np.frombuffer(parts[6], np.int8).reshape(int(header["features"]), count).T
         return cls(
@@ -80,14 +81,14 @@ class NeuralMap:
         )  # fmt: skip
 
     @cached_property
-    def slots(self) -> NDArray[np.int32]:
-        """The voxel hash of the neural points."""
-        return np.asarray(voxel_hash.build_table(self.points.positions, self.config.resolution))
+    def table(self) -> VoxelTable:
+        """The neural points by voxel."""
+        return table_of(voxels_of(self.points.positions, self.config.resolution))
 
     def neighbourhood(self, queries: Array) -> Neighbourhood:
         """The K nearest neural points of `queries` (m, 3) with their weights (paper Eq. 2-4)."""
         cloud = np.ascontiguousarray(queries, dtype=np.float32)
-        return find_neighbourhood(cloud, self.points.positions, self.points.normals, self.slots, self.config)
+        return find_neighbourhood(cloud, self.points.positions, self.points.normals, self.table, self.config)
 
     def sdf(self, queries: Array) -> tuple[Array, Array]:
         """Signed distances (m,) metres of `queries` (m, 3), positive in free space, cut at the truncation (Eq. 5).

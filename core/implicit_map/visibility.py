@@ -12,13 +12,13 @@ Array = NDArray[np.float32]
 
 def count_seen_through(
     positions: Array, points: Array, scan_index: NDArray[np.int32], origins: Array
-) -> NDArray[np.int16]:
+) -> NDArray[np.int32]:
     """How many scans measured farther returns in the direction of each of `positions` (n, 3), all around it.
 
     `points` (m, 3) were taken from `origins` (s, 3), in the order of their `scan_index` (m,) 0..s-1; everything in the
     frame of the map.
     """
-    counts = np.zeros(len(positions), dtype=np.int16)
+    counts = np.zeros(len(positions), dtype=np.int32)
     bounds = np.searchsorted(scan_index, np.arange(len(origins) + 1))
     for scan, origin in enumerate(origins):
         image = range_image(points[bounds[scan] : bounds[scan + 1]], origin)

@@ -37,7 +37,7 @@ def range_image(points: Array, origin: Array) -> Array:
 
 
 @numba.njit(cache=True)
-def mark_seen_through(positions: Array, origin: Array, image: Array, counts: NDArray[np.int16]) -> None:
+def mark_seen_through(positions: Array, origin: Array, image: Array, counts: NDArray[np.int32]) -> None:
     """Count the scan where all returns in the 3 x 3 pixels around a position are beyond it, and at least two exist."""
     for i in range(len(positions)):
         row, column, distance = _pixel(
