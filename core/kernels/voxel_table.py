@@ -27,8 +27,8 @@ class VoxelTable(NamedTuple):
 
 
 def empty_slots(rows: int) -> NDArray[np.int32]:
-    """The slots of a table for so many rows: at most a quarter of them are used, up to 2^24 slots."""
-    bits = min(max(MIN_BITS, (4 * rows - 1).bit_length()), MAX_BITS)
+    """The slots of a table for so many rows: at least as many, but no fewer than 2^20 and no more than 2^24."""
+    bits = min(max(MIN_BITS, (rows - 1).bit_length()), MAX_BITS)
     return np.full(1 << bits, -1, dtype=np.int32)
 
 
