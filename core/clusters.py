@@ -11,6 +11,7 @@ from revisit.core.config import ClusterConfig
 from revisit.core.geometry.voxel_keys import voxel_keys
 from revisit.core.kernels.cluster_joins import join_cells
 from revisit.core.kernels.voxel_table import table_of
+from revisit.core.stages import stage
 from revisit.core.surface import Surface
 
 Array = NDArray[np.float32]
@@ -29,6 +30,7 @@ class Clusters:
     ground: NDArray[np.bool_]
 
 
+@stage("clusters")
 def segment_clusters(surface: Surface, config: ClusterConfig) -> Clusters:
     """Remove the ground, join vertices nearer than the radius, keep the parts that are large enough (paper III-C)."""
     ground = find_ground(surface, config)

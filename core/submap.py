@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from revisit.core.config import SubmapConfig
 from revisit.core.errors import BadField, EmptyCloud
 from revisit.core.geometry import se3
+from revisit.core.geometry.level_frame import LevelFrame
 from revisit.core.scan import MIN_POINTS, Points, Scan
 
 
@@ -65,6 +66,16 @@ class Submap:
             origins=se3.apply(T_upright_submap, self.origins).astype(np.float32),
             T_odom_submap=self.T_odom_submap @ se3.inverse(T_upright_submap),
         )
+
+    def in_level_frame(self, scene_scale: float) -> tuple[Submap, LevelFrame]:
+        """The submap turned upright and with every length divided by `scene_scale`, and the frame it is in then."""
+        upright = self.levelled()
+        T_submap_upright = se3.inverse(self.T_odom_submap) @ upright.T_odom_submap
+        frame = LevelFrame.from_upright(T_submap_upright, scene_scale)
+        if scene_scale == 1.0:
+            return upright, frame
+        factor = np.float32(1.0 / scene_scale)
+        return replace(upright, points=upright.points * factor, origins=upright.origins * factor), frame
 
     @classmethod
     def from_scans(cls, scans: list[Scan], config: SubmapConfig) -> Submap:

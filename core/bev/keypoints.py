@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from revisit.core.bev.log_gabor import OrientationMap
-from revisit.core.config import BevConfig
+from revisit.core.config import BevConfig, KeypointSource
 from revisit.core.kernels.patch_histograms import patch_histograms
 
 Array = NDArray[np.float32]
@@ -22,7 +22,7 @@ def detect_keypoints(image: Array, orientation_map: OrientationMap, config: BevC
     `min_keypoints` corners is filled up with the local maxima of the filter amplitude.
     """
     canvas = image * 255.0
-    if config.keypoint_source == "mim":
+    if config.keypoint_source is KeypointSource.MIM:
         canvas = orientation_map.index * (255.0 / orientation_map.orientations)
     detector = cv2.FastFeatureDetector.create(threshold=config.fast_threshold, nonmaxSuppression=True)
     corners = detector.detect(np.ascontiguousarray(canvas, dtype=np.uint8))

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from revisit.core.config import ImplicitMapConfig
+from revisit.core.config import ImplicitMapConfig, Loss
 from revisit.core.implicit_map.decoder import DecoderWeights, decode
 from revisit.core.implicit_map.neighbourhood import Neighbourhood, find_neighbourhood
 from revisit.core.implicit_map.neural_map import NeuralMap
@@ -18,11 +18,13 @@ from revisit.core.implicit_map.samples import draw_samples
 from revisit.core.implicit_map.settled import settle
 from revisit.core.implicit_map.visibility import count_seen_through
 from revisit.core.kernels.voxel_table import table_of, voxels_of
+from revisit.core.stages import stage
 from revisit.core.submap import Submap
 
 Array = NDArray[np.float32]
 
 
+@stage("implicit_map")
 def fit_implicit_map(
     submap: Submap, decoder: DecoderWeights, config: ImplicitMapConfig, rng: np.random.Generator
 ) -> NeuralMap:
@@ -32,7 +34,7 @@ def fit_implicit_map(
     samples = draw_samples(submap.points, submap.origins[submap.scan_index], points, table, config, rng)
     near = find_neighbourhood(samples.positions, points.positions, points.normals, table, config)
     features, fitted = fit_features(near, samples.labels, len(points), decoder, config, rng)
-    return NeuralMap(points, features, submap.stamps_ns, fitted, config)
+    return NeuralMap(points, features, submap.stamps_ns, fitted, config, adapted=config.update_decoder)
 
 
 def accumulate(submap: Submap, config: ImplicitMapConfig) -> NeuralPoints:
@@ -104,9 +106,9 @@ def predict(parameters: list[Tensor], features: Tensor, near: Neighbourhood) -> 
 def sdf_loss(predicted: Tensor, labels: Tensor, config: ImplicitMapConfig) -> Tensor:
     """Mean loss of predicted against labelled signed distances, both (m,) metres.
 
-    "l1" is the regression of the paper (III-B 5), "bce" the cross entropy of occupancy sigmoids (PIN-SLAM).
+    `Loss` says which losses there are.
     """
-    if config.loss == "l1":
+    if config.loss is Loss.L1:
         return (predicted.clamp(-config.truncation, config.truncation) - labels).abs().mean()
     return torch.nn.functional.binary_cross_entropy_with_logits(
         predicted / config.loss_scale, torch.sigmoid(labels / config.loss_scale)

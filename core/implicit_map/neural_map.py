@@ -30,7 +30,8 @@ class NeuralMap:
     """Neural points (n of them), their latent features (n, F) float32 and the decoder they were fitted with.
 
     Everything in the level frame `frame`, lengths in metres divided by the scene scale. `stamps_ns` (s,) int64 are the
-    times of the scans that `points.created` and `points.updated` count.
+    times of the scans that `points.created` and `points.updated` count. `adapted` says that the decoder was fitted to
+    this map too, and so is stored with it.
     """
 
     points: NeuralPoints
@@ -39,6 +40,7 @@ class NeuralMap:
     decoder: DecoderWeights
     config: ImplicitMapConfig
     frame: LevelFrame = field(default_factory=LevelFrame)
+    adapted: bool = False
 
     def to_blob(self) -> bytes:
         """The compact stored form (docs/decisions/0002): features rounded to multiples of FEATURE_STEP."""
@@ -57,12 +59,21 @@ class NeuralMap:
             np.clip(self.points.hits[order], 0, 255).astype(np.uint8).tobytes(),
             features.T.tobytes(),
         ]
+        if self.adapted:
+            header["layers"] = [list(matrix.shape) for matrix in self.decoder.matrices]
+            sections.append(self.decoder.to_bytes())
         return blob.pack(header, sections)
 
     @classmethod
     def from_blob(cls, data: bytes, decoder: DecoderWeights, config: ImplicitMapConfig) -> NeuralMap:
-        """The map in `data`. Raises DataLoss for damage, DescriptorModelMismatch for a map of another decoder."""
+        """The map in `data`: with the decoder it brings, or else with `decoder`, to which it must have been fitted.
+
+        Raises DataLoss for damage, DescriptorModelMismatch for a map of another decoder.
+        """
         header, parts = blob.unpack(data)
+        layers = header.get("layers")
+        if layers is not None:
+            decoder = DecoderWeights.from_bytes(parts[7], layers)
         if header["decoder"] != decoder.digest:
             raise DescriptorModelMismatch("the neural map was fitted with another decoder")
         count, resolution = int(header["count"]), float(header["resolution"])
@@ -78,6 +89,7 @@ class NeuralMap:
         return cls(
             points, np.ascontiguousarray(quantised * np.float32(FEATURE_STEP)), stamps, decoder,
             replace(config, resolution=resolution), _frame(header["T_submap_map"]),
+            layers is not None,
         )  # fmt: skip
 
     @cached_property

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.clusters import Clusters
-from revisit.core.config import MicroConfig
+from revisit.core.config import Evaluation, MicroConfig
 from revisit.core.kernels.column_histograms import ANGLE_BINS, LATITUDE_BANDS, REGIONS, SECTORS, column_histograms
 from revisit.core.micro.saliency import Saliency
+from revisit.core.stages import stage
 from revisit.core.surface import Surface
 
 Array = NDArray[np.float32]
@@ -33,6 +34,7 @@ def histogram_size(config: MicroConfig) -> int:
     return ANGLE_BINS * config.distance_bins * config.height_bins
 
 
+@stage("micro")
 def describe_clusters(
     surface: Surface,
     clusters: Clusters,
@@ -48,7 +50,7 @@ def describe_clusters(
     pairs of regions count. "cluster": the literal III-C, one evaluation over the whole cluster, scaled into the unit
     sphere, of n_m random pairs, n_m growing with s_m.
     """
-    if config.evaluation == "keypoint":
+    if config.evaluation is Evaluation.KEYPOINT:
         counts, weights = _at_keypoints(surface, clusters, keypoints, saliency, config)
     else:
         counts, weights = _of_whole_clusters(surface, clusters, saliency, config, rng)

@@ -14,6 +14,7 @@ from revisit.core.geometry.voxel_keys import voxel_keys
 from revisit.core.implicit_map import NeuralMap
 from revisit.core.implicit_map.fitting import accumulate
 from revisit.core.kernels.marching_cubes import polygonise
+from revisit.core.stages import stage
 from revisit.core.submap import Submap
 from revisit.core.surface.cells import cells_near_planes
 from revisit.core.surface.marching_cubes import case_table, edge_table
@@ -40,6 +41,7 @@ class Surface:
     resolution: float
 
 
+@stage("surface")
 def extract_surface(neural_map: NeuralMap, config: SurfaceConfig) -> Surface:
     """Marching cubes on the voxel corners around the neural points, where the field was observed (paper III-C).
 
@@ -63,6 +65,7 @@ def extract_surface(neural_map: NeuralMap, config: SurfaceConfig) -> Surface:
     )
 
 
+@stage("surface")
 def surface_from_points(submap: Submap, map_config: ImplicitMapConfig, config: SurfaceConfig) -> Surface:
     """The ablation without the implicit map: voxel counts and normals by PCA of each neighbourhood (paper IV-D)."""
     points = accumulate(submap, map_config)

@@ -1,4 +1,4 @@
-"""The method of `core` behind the recogniser port. Only worker processes import it: it brings torch and Open3D."""
+"""The method of `core` behind the recogniser port. Only worker processes import it: it brings torch."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from revisit.core.model_bundle import ModelBundle, load_packaged_models
 from revisit.core.pipeline import DescribedPlace, describe, verify
 from revisit.core.place import Place
 from revisit.core.scan import Scan
+from revisit.core.stages import stage_times
 from revisit.core.submap import Submap
 from revisit.core.verification.verdict import LoopMeasurement, RejectedLoop, VerifiedLoop
 from revisit.service.application.contract.ports import LoopVerdict, Mesh, SubmapDescription
@@ -33,14 +34,15 @@ class CoreRecogniser:
 
     def describe(self, submap: Submap, config: PipelineConfig) -> SubmapDescription:
         """See `ports.PlaceRecogniser`."""
-        described = describe(submap, self._models, config)
+        with stage_times() as timings_s:
+            described = describe(submap, self._models, config)
         return SubmapDescription(
             descriptor=described.descriptor.vector,
             signature=described.place.to_blob(),
-            neural_map=None if described.neural_map is None else described.neural_map.to_blob(),
+            neural_map=described.neural_map.to_blob(),
             mesh=_mesh(described),
             flags=described.flags,
-            timings_s=described.timings_s,
+            timings_s=timings_s,
         )
 
     def verify(self, query: bytes, match: bytes, similarity: float, config: PipelineConfig) -> LoopVerdict:
