@@ -16,6 +16,7 @@ from revisit.core.model_bundle import ModelBundle, load_packaged_models
 from revisit.core.pipeline import DescribedPlace, describe, verify
 from revisit.core.place import Place
 from revisit.core.scan import Scan
+from revisit.core.stages import stage_times
 from revisit.core.submap import Submap
 from revisit.core.verification import LoopMeasurement, RejectedLoop, VerifiedLoop
 from revisit.service.application.contract.ports import LoopVerdict, Mesh, SubmapDescription
@@ -40,14 +41,15 @@ class CoreRecogniser:
 
     def describe(self, submap: Submap, config: PipelineConfig) -> SubmapDescription:
         """See `ports.PlaceRecogniser`."""
-        described = describe(submap, self._models, config)
+        with stage_times() as timings_s:
+            described = describe(submap, self._models, config)
         return SubmapDescription(
             descriptor=described.descriptor.vector,
             signature=described.place.to_blob(),
-            neural_map=None if described.neural_map is None else described.neural_map.to_blob(),
+            neural_map=described.neural_map.to_blob(),
             mesh=_mesh(described),
             flags=described.flags,
-            timings_s=described.timings_s,
+            timings_s=timings_s,
         )
 
     def verify(self, query: bytes, match: bytes, similarity: float, config: PipelineConfig) -> LoopVerdict:
