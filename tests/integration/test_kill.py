@@ -67,14 +67,14 @@ def test_an_unfinished_window_of_scans_survives_a_kill(service):
     open_session(service)
     with httpx.Client(base_url=service.url, timeout=10) as client:
         for seq in range(1, 9):
-            assert post_scan(client, seq).json()["committed_seq"] == seq
+            assert post_scan(client, seq).json()["committed_seq"] == str(seq)
     service.kill()
     service.start()
     with httpx.Client(base_url=service.url, timeout=10) as client:
-        assert client.get(SESSION).json()["committed_seq"] == 8
-        assert post_scan(client, 8).json()["committed_seq"] == 8
+        assert client.get(SESSION).json()["committed_seq"] == "8"
+        assert post_scan(client, 8).json()["committed_seq"] == "8"
         for seq in range(9, 17):
-            assert post_scan(client, seq).json()["committed_seq"] == seq
+            assert post_scan(client, seq).json()["committed_seq"] == str(seq)
     assert [submap["submap_id"] for submap in wait_until_worked_off(service)] == ["scans-1-11", "scans-6-16"]
 
 
