@@ -54,8 +54,8 @@ bench: $(STAMP) ## the declared metrics against the committed baseline
 proto: $(STAMP) ## Python stubs out of proto/
 	$(PYTHON) scripts/generated_files.py write proto
 
-docs: $(STAMP) ## the reference pages and openapi.json
-	$(PYTHON) scripts/generated_files.py write parameters openapi references
+docs: $(STAMP) ## the reference pages, openapi.json and the index of the decisions
+	$(PYTHON) scripts/generated_files.py write parameters openapi references decisions
 
 format: $(STAMP) ## lay out the code
 	$(BIN)/ruff format .

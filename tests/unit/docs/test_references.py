@@ -1,4 +1,4 @@
-"""The documentation is complete: every name a user can meet has its heading, and every link leads somewhere."""
+"""The documentation is complete: every name a user can meet has its heading, and guides name what exists."""
 
 from __future__ import annotations
 
@@ -84,13 +84,6 @@ def test_every_parameter_that_a_rejection_names_exists():
     parameters = (DOCS / "reference/parameters.md").read_text()
     assert named
     assert {name for name in named if f"| {name} |" not in parameters and f"| `{name}` |" not in parameters} == set()
-
-
-@pytest.mark.parametrize("page", sorted(DOCS.rglob("*.md")), ids=lambda page: page.name)
-def test_every_link_to_a_file_leads_to_one(page):
-    links = re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text())
-    broken = [link for link in links if "://" not in link and not (page.parent / link).exists()]
-    assert broken == []
 
 
 @pytest.mark.parametrize("page", sorted((DOCS / "how-to").glob("*.md")) + sorted((DOCS / "tutorial").glob("*.md")))
