@@ -241,7 +241,9 @@ def _start(trajectories: tuple[Trajectory, ...], keys: dict[Node, int], componen
     return values
 
 
-def _between(first: int, second: int, T_first_second: se3.Matrix4, noise: object) -> gtsam.NonlinearFactor:
+def _between(
+    first: int, second: int, T_first_second: se3.Matrix4, noise: gtsam.noiseModel.Base
+) -> gtsam.NonlinearFactor:
     return gtsam.BetweenFactorPose3(first, second, gtsam.Pose3(T_first_second), noise)
 
 
