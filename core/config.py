@@ -189,9 +189,11 @@ class LoopConfig:
 class VerificationConfig:
     """Geometric verification of a candidate (paper III-E, end)."""
 
-    spacing: float = parameter(0.8, "m", "own", "edge of the cubes of which the signature keeps one surface point each")
-    standing_points: int = parameter(2500, "points", "own", "most surface points off the ground in a signature")
-    ground_points: int = parameter(800, "points", "own", "most ground points in a signature")
+    spacing: float = parameter(
+        0.8, "m", "own", "edge of the cubes of which a stored place keeps one surface point each"
+    )
+    standing_points: int = parameter(2500, "points", "own", "most surface points off the ground in a stored place")
+    ground_points: int = parameter(800, "points", "own", "most ground points in a stored place")
     min_standing: int = parameter(100, "points", "own", "a place with fewer points off the ground is degenerate")
     min_spread: float = parameter(0.5, "m", "own", "smallest horizontal standard deviation of a place that is no line")
     correspondences: int = parameter(160, "pairs", "own", "most similar pairs of keypoints that vote for a pose")

@@ -11,8 +11,9 @@ import pytest
 from revisit.core.config import PipelineConfig
 from revisit.core.descriptor.fusion import without_parts
 from revisit.core.descriptor.vlad import folded_size
-from revisit.core.errors import DegenerateCloud, DescriptorModelMismatch
+from revisit.core.errors import DataLoss, DegenerateCloud, DescriptorModelMismatch
 from revisit.core.geometry import se3
+from revisit.core.implicit_map import NeuralMap, blob
 from revisit.core.model_bundle import load_packaged_models
 from revisit.core.pipeline import Ablation, DescribedPlace, describe, verify
 from revisit.core.scan import Scan
@@ -137,6 +138,16 @@ def test_the_neural_map_knows_the_frame_of_its_submap(seen_from):
     place, submap = seen_from(1, turn)
     in_map = place.neural_map.frame.points_to_level(submap.points[::50])
     assert np.median(np.abs(place.neural_map.sdf(in_map.astype(np.float32))[0])) < 0.03
+
+
+def test_a_stored_neural_map_whose_frame_is_no_similarity_is_refused(seen_from):
+    field = seen_from(1)[0].neural_map
+    header, sections = blob.unpack(field.to_blob())
+    assert header["T_submap_map"] == field.frame.similarity.ravel().tolist()
+    for numbers in (np.zeros(16).tolist(), np.diag([1.0, 2.0, 1.0, 1.0]).ravel().tolist(), [1.0]):
+        header["T_submap_map"] = numbers
+        with pytest.raises(DataLoss, match="level frame"):
+            NeuralMap.from_blob(blob.pack(header, sections), field.decoder, field.config)
 
 
 def test_a_room_described_at_its_scale_is_aligned_in_metres(seen_from):
