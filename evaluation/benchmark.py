@@ -132,21 +132,21 @@ def _real_quality(models: ModelBundle, config: PipelineConfig) -> list[Metric]:
     ]
 
 
-def _distances(submap: Submap, place: DescribedPlace) -> NDArray[np.float32]:
+def _distances(submap: Submap, described: DescribedPlace) -> NDArray[np.float32]:
     """Distances (n,) in metres of a sample of the returns to the surface of the neural map."""
-    field = _field(place)
+    field = _field(described)
     sample = submap.levelled().points[:: max(1, len(submap.points) // 40_000)]
     return np.abs(field.sdf(sample)[0])
 
 
-def _map_share(submap: Submap, place: DescribedPlace) -> float:
-    return len(_field(place).to_blob()) / (12 * len(submap.points))
+def _map_share(submap: Submap, described: DescribedPlace) -> float:
+    return len(_field(described).to_blob()) / (12 * len(submap.points))
 
 
-def _field(place: DescribedPlace) -> NeuralMap:
-    if place.neural_map is None:
+def _field(described: DescribedPlace) -> NeuralMap:
+    if described.neural_map is None:
         raise ValueError("the benchmark describes with the implicit map")
-    return place.neural_map
+    return described.neural_map
 
 
 def _two_visits() -> tuple[Submap, Submap]:

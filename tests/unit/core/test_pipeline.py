@@ -119,9 +119,9 @@ def test_leaving_parts_out_afterwards_is_the_same_as_describing_without_them(see
 
 def test_a_floor_without_walls_is_flagged_and_never_a_loop(make_drive, shapes):
     floor = make_drive(lambda _: [shapes["ground"]()], scans=3)
-    place = describe(floor, load_packaged_models(), CONFIG)
-    assert place.flags == ("degenerate_plane",)
-    assert isinstance(verify(place.place, place.place, 1.0, CONFIG.verification), RejectedLoop)
+    described = describe(floor, load_packaged_models(), CONFIG)
+    assert described.flags == ("degenerate_plane",)
+    assert isinstance(verify(described.place, described.place, 1.0, CONFIG.verification), RejectedLoop)
 
 
 def test_walls_beyond_the_birds_eye_view_are_refused_instead_of_described_by_zeros():
@@ -135,9 +135,9 @@ def test_walls_beyond_the_birds_eye_view_are_refused_instead_of_described_by_zer
 
 def test_the_neural_map_knows_the_frame_of_its_submap(seen_from):
     turn = se3.exp([0, 0, 0, 0.2, 0, 0])
-    place, submap = seen_from(1, turn)
-    in_map = place.neural_map.frame.points_to_level(submap.points[::50])
-    assert np.median(np.abs(place.neural_map.sdf(in_map.astype(np.float32))[0])) < 0.03
+    described, submap = seen_from(1, turn)
+    in_map = described.neural_map.frame.points_to_level(submap.points[::50])
+    assert np.median(np.abs(described.neural_map.sdf(in_map.astype(np.float32))[0])) < 0.03
 
 
 def test_a_stored_neural_map_whose_frame_is_no_similarity_is_refused(seen_from):

@@ -44,7 +44,9 @@ def test_the_stored_frame_is_the_inverse_of_the_similarity_and_returns_within_ro
     assert restored.scale == pytest.approx(0.25, rel=1e-12)
 
 
-@pytest.mark.parametrize("matrix", [np.zeros((3, 4)), np.diag([1.0, 2.0, 1.0, 0.0])[:3], np.eye(2), "turned"])
+@pytest.mark.parametrize(
+    "matrix", [np.zeros((3, 4)), np.diag([1.0, 2.0, 1.0, 0.0])[:3], 1e-200 * np.eye(3, 4), np.eye(2), "turned"]
+)
 def test_a_stored_frame_that_is_no_similarity_is_refused(matrix: object) -> None:
     header = {"keypoints": 0, "size": 0, "points": 0, "standing": 0, "model": "m"}
     rows = matrix.tolist() if isinstance(matrix, np.ndarray) else matrix
