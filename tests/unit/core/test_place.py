@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import hashlib
-import json
-import struct
 from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 import pytest
-import zstandard
 
 from revisit.core.errors import DataLoss
 from revisit.core.geometry import se3
 from revisit.core.geometry.level_frame import LevelFrame
-from revisit.core.place import MAGIC, Place
+from revisit.core.place import CONTAINER, Place
 from tests.support.yards import recognised, yard
 
 
@@ -37,7 +34,7 @@ def test_a_place_survives_its_blob_bit_by_bit() -> None:
 def test_the_stored_frame_is_the_inverse_of_the_similarity_and_returns_within_rounding() -> None:
     frame = LevelFrame.from_upright(se3.exp([1.0, 2.0, 3.0, 0.1, -0.2, 0.05]), 0.25)
     blob = replace(stored(), frame=frame).to_blob()
-    header = header_of(blob)
+    header, _ = CONTAINER.unpack(blob)
     np.testing.assert_array_equal(header["T_level_submap"], np.linalg.inv(frame.similarity)[:3])
     restored = Place.from_blob(blob).frame
     np.testing.assert_allclose(restored.similarity, frame.similarity, atol=1e-12)
@@ -51,21 +48,7 @@ def test_a_stored_frame_that_is_no_similarity_is_refused(matrix: object) -> None
     header = {"keypoints": 0, "size": 0, "points": 0, "standing": 0, "model": "m"}
     rows = matrix.tolist() if isinstance(matrix, np.ndarray) else matrix
     with pytest.raises(DataLoss, match="level frame"):
-        Place.from_blob(blob_of(header | {"T_level_submap": rows}))
-
-
-def header_of(blob: bytes) -> dict[str, object]:
-    """The JSON header of a stored place."""
-    size = int.from_bytes(blob[len(MAGIC) : len(MAGIC) + 4], "little")
-    start = len(MAGIC) + 8
-    return json.loads(blob[start : start + size])
-
-
-def blob_of(header: dict[str, object]) -> bytes:
-    """A stored place with this header, without content, and a valid checksum."""
-    head, body = json.dumps(header).encode(), zstandard.compress(b"")
-    content = MAGIC + struct.pack("<II", len(head), len(body)) + head + body
-    return content + hashlib.sha256(content).digest()[:16]
+        Place.from_blob(CONTAINER.pack(header | {"T_level_submap": rows}, b""))
 
 
 def test_a_place_fits_into_40_kilobytes() -> None:
