@@ -11,7 +11,8 @@ The modules in the order of the paper:
     saliency                keypoints weigh and schedule the clusters              III-E, Eq. 10-12
     vlad, descriptor        aggregation and fusion                                 III-D, III-E, Eq. 13-15
     index                   nearest descriptors                                    III-E, Eq. 15
-    alignment, loop         SE(2) start, ICP, verdict                              III-E
+    place                   what is kept of a submap for verification              III-E
+    verification            correspondences, start, registration, verdict          III-E
     pipeline                the steps above, in order
 
 Nothing here knows a network, a database, a clock or a file.
