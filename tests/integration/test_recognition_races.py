@@ -12,7 +12,7 @@ from revisit.service.application.catalogue.paging import PageRequest
 from revisit.service.application.contract.records import SubmapState
 from revisit.service.application.query.operations import OperationState
 from tests.support.fake_recogniser import FakeRecogniser
-from tests.support.service_world import SESSION, TENANT, memory_world, open_session, sqlite_world, submap
+from tests.support.service_world import SESSION, TENANT, memory_world, open_session, posted, sqlite_world, submap
 
 
 @pytest.fixture(params=["memory", "sqlite"])
@@ -40,10 +40,8 @@ async def accepted(world):
 
 
 async def test_two_workers_that_describe_both_sides_of_a_loop_at_once_find_it_once(world):
-    await open_session(world)
     # b keeps a and c apart: neighbours are no candidates.
-    for submap_id, place in [("a", 1), ("b", 2), ("c", 1)]:
-        await world.use_cases.submaps.post(TENANT, submap(submap_id, place))
+    await posted(world, a=1, b=2, c=1)
     barrier = threading.Barrier(2)
 
     class Together(FakeRecogniser):
@@ -63,9 +61,7 @@ async def test_two_workers_that_describe_both_sides_of_a_loop_at_once_find_it_on
 
 async def test_the_loop_is_found_when_the_match_is_committed_after_the_search(world):
     """The interleaving itself, forced: c has searched and verifies, a is committed, c comes to commit."""
-    await open_session(world)
-    for submap_id, place in [("old", 3), ("a", 1), ("b", 2), ("c", 1)]:
-        await world.use_cases.submaps.post(TENANT, submap(submap_id, place))
+    await posted(world, old=3, a=1, b=2, c=1)
     lease_old, lease_a, _, lease_c = (world.claim(f"w{number}") for number in range(4))
     world.worker().run(lease_old)
     similarities = []
@@ -134,9 +130,7 @@ async def test_a_submap_deleted_while_it_is_described_stays_deleted(world):
 
 
 async def test_a_match_deleted_during_verification_makes_no_loop(world):
-    await open_session(world)
-    for submap_id, place in [("a", 1), ("b", 2), ("c", 1)]:
-        await world.use_cases.submaps.post(TENANT, submap(submap_id, place))
+    await posted(world, a=1, b=2, c=1)
     for _ in range(2):
         world.worker().run(world.claim())
 
