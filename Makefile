@@ -54,8 +54,8 @@ bench: $(STAMP) ## measure the product and compare with the committed baseline
 proto: $(STAMP) ## write the Python stubs of proto/
 	$(PYTHON) scripts/generated_files.py write proto
 
-docs: $(STAMP) ## write the generated reference pages and openapi.json
-	$(PYTHON) scripts/generated_files.py write parameters openapi references
+docs: $(STAMP) ## write the reference pages, openapi.json and the index of the decisions
+	$(PYTHON) scripts/generated_files.py write parameters openapi references decisions
 
 format: $(STAMP) ## format the code
 	$(BIN)/ruff format .

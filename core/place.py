@@ -3,32 +3,30 @@
 from __future__ import annotations
 
 import hashlib
-import json
-import struct
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-import zstandard
 from numpy.typing import NDArray
 
 from revisit.core.bev import BevFeatures
 from revisit.core.clusters import Clusters
 from revisit.core.config import VerificationConfig
+from revisit.core.container import Container
 from revisit.core.descriptor.vlad import Codebooks, project_locally
 from revisit.core.errors import BadTransform, DataLoss
 from revisit.core.geometry import octahedral
 from revisit.core.geometry.level_frame import LevelFrame
+from revisit.core.geometry.voxel_keys import voxel_keys
+from revisit.core.stages import stage
 from revisit.core.surface import Surface
 
 Array = NDArray[np.float32]
 
-MAGIC = b"RVPS\x01"
+CONTAINER = Container(b"RVPS\x01", "stored place", level=9, max_body_bytes=4_000_000, digest_bytes=16, body_length=True)
 CENTIMETRE = 0.01
-_DIGEST_BYTES = 16
 _NORMAL_STEPS = 127
 _MAX_ROWS = 100_000
-_MAX_BODY_BYTES = 4_000_000
 
 
 @dataclass(frozen=True)
@@ -70,15 +68,12 @@ class Place:
             "standing": self.standing_count, "model": self.model,
             "T_level_submap": np.linalg.inv(self.frame.similarity)[:3].tolist(),
         }  # fmt: skip
-        head = json.dumps(header, separators=(",", ":")).encode()
-        body = zstandard.ZstdCompressor(level=9).compress(b"".join(sections))
-        content = MAGIC + struct.pack("<II", len(head), len(body)) + head + body
-        return content + hashlib.sha256(content).digest()[:_DIGEST_BYTES]
+        return CONTAINER.pack(header, b"".join(sections))
 
     @classmethod
     def from_blob(cls, blob: bytes) -> Place:
         """The inverse of `to_blob`. Raises DataLoss for anything that `to_blob` did not write."""
-        header, body = _open(blob)
+        header, body = CONTAINER.unpack(blob)
         count, size, rows, standing = (_bounded(header, name) for name in ("keypoints", "size", "points", "standing"))
         lengths = [6 * count, size + count * size, 8 * rows]
         model = header.get("model")
@@ -91,6 +86,7 @@ class Place:
         return cls(keypoints, orientations, descriptors, parity, points, normals, standing, model, _frame(header))
 
 
+@stage("place")
 def extract_place(
     surface: Surface,
     clusters: Clusters,
@@ -119,8 +115,7 @@ def _spread_rows(points: Array, chosen: NDArray[np.bool_], spacing: float, limit
     rows = np.flatnonzero(chosen)
     near = rows[np.abs(points[rows]).max(axis=1) < 300.0]
     cubes = np.floor(points[near] / spacing).astype(np.int64)
-    keys = ((cubes[:, 0] + 2**20) << 42) | ((cubes[:, 1] + 2**20) << 21) | (cubes[:, 2] + 2**20)
-    _, first = np.unique(keys, return_index=True)
+    _, first = np.unique(voxel_keys(cubes), return_index=True)
     spread = near[first]
     if len(spread) <= limit:
         return np.asarray(spread)
@@ -170,27 +165,6 @@ def _centimetres(positions: Array) -> NDArray[np.int16]:
 
 def _metres(levels: NDArray[np.int16]) -> Array:
     return np.asarray(levels * np.float32(CENTIMETRE), dtype=np.float32)
-
-
-def _open(blob: bytes) -> tuple[dict[str, object], bytes]:
-    """Header and decompressed body of a blob whose checksum fits."""
-    start = len(MAGIC) + 8
-    if len(blob) < start + _DIGEST_BYTES or blob[: len(MAGIC)] != MAGIC:
-        raise DataLoss("not a stored place of this version")
-    content, digest = blob[:-_DIGEST_BYTES], blob[-_DIGEST_BYTES:]
-    if hashlib.sha256(content).digest()[:_DIGEST_BYTES] != digest:
-        raise DataLoss("the checksum of the place does not fit")
-    head_size, body_size = struct.unpack_from("<II", blob, len(MAGIC))
-    if start + head_size + body_size != len(content):
-        raise DataLoss("the place is cut short or has bytes too many")
-    try:
-        header = json.loads(content[start : start + head_size])
-        body = zstandard.ZstdDecompressor().decompress(content[start + head_size :], max_output_size=_MAX_BODY_BYTES)
-    except (ValueError, zstandard.ZstdError) as error:
-        raise DataLoss("the place cannot be read") from error
-    if not isinstance(header, dict):
-        raise DataLoss("the header of the place is not an object")
-    return header, body
 
 
 def _frame(header: dict[str, object]) -> LevelFrame:

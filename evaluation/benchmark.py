@@ -23,7 +23,6 @@ import torch
 from numpy.typing import NDArray
 
 from revisit.core.config import PipelineConfig, SubmapConfig
-from revisit.core.implicit_map import NeuralMap
 from revisit.core.index import FaissIndex, IndexEntry, SearchFilter
 from revisit.core.model_bundle import ModelBundle, load_packaged_models
 from revisit.core.pipeline import DescribedPlace, describe, verify
@@ -134,19 +133,12 @@ def _real_quality(models: ModelBundle, config: PipelineConfig) -> list[Metric]:
 
 def _distances(submap: Submap, place: DescribedPlace) -> NDArray[np.float32]:
     """Distances (n,) in metres of a sample of the returns to the surface of the neural map."""
-    field = _field(place)
     sample = submap.levelled().points[:: max(1, len(submap.points) // 40_000)]
-    return np.abs(field.sdf(sample)[0])
+    return np.abs(place.neural_map.sdf(sample)[0])
 
 
 def _map_share(submap: Submap, place: DescribedPlace) -> float:
-    return len(_field(place).to_blob()) / (12 * len(submap.points))
-
-
-def _field(place: DescribedPlace) -> NeuralMap:
-    if place.neural_map is None:
-        raise ValueError("the benchmark describes with the implicit map")
-    return place.neural_map
+    return len(place.neural_map.to_blob()) / (12 * len(submap.points))
 
 
 def _two_visits() -> tuple[Submap, Submap]:

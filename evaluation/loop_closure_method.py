@@ -65,12 +65,15 @@ class RevisitMethod:
     def describe(self, submap: Submap, seed: int) -> Description:
         """The fused descriptor, the place and the size of the neural map. Raises core.errors.RevisitError."""
         from revisit.core.model_bundle import load_packaged_models
-        from revisit.core.pipeline import Ablation, describe
+        from revisit.core.pipeline import DescribedPlace
+        from revisit.core.stages import stage_times
+        from revisit.evaluation.ablation import Ablation, describe_ablated
 
-        described = describe(submap, load_packaged_models(), self.config, seed, Ablation(self.ablation))
-        neural_map_bytes = len(described.neural_map.to_blob()) if described.neural_map is not None else 0
+        with stage_times() as seconds:
+            described = describe_ablated(submap, load_packaged_models(), self.config, seed, Ablation(self.ablation))
+        neural_map_bytes = len(described.neural_map.to_blob()) if isinstance(described, DescribedPlace) else 0
         vector, place = described.descriptor.vector, described.place.to_blob()
-        return Description(vector, place, neural_map_bytes, dict(described.timings_s))
+        return Description(vector, place, neural_map_bytes, seconds)
 
     def verify(self, query: bytes, match: bytes, similarity: float) -> Verdict:
         """The verdict of core.pipeline.verify. Raises DataLoss for damaged places."""

@@ -77,11 +77,11 @@ def _localize(client: Client, map_id: str, cloud: Path, k: int, as_json: bool) -
         return
     rows = [(_short(c.submap), c.accepted, c.reason, c.similarity, c.score) for c in found.candidates]
     emit_table("Compared", ("submap", "accepted", "reason", "similarity", "score"), rows)
-    if found.best is None or found.T_map_query is None:
+    if found.best is None or found.T_odom_query is None:
         say("This place is not in the map.")
         return
-    x, y, z = found.T_map_query[:3, 3]
-    say(f"Taken at x {x:.2f} m, y {y:.2f} m, z {z:.2f} m in the odometry frame of {_short(found.best.submap)}.")
+    x, y, z = found.T_odom_query[:3, 3]
+    say(f"Taken at x {x:.2f} m, y {y:.2f} m, z {z:.2f} m in the odometry frame of {_short(found.session or '')}.")
 
 
 def _search(client: Client, map_id: str, submap: str, k: int, as_json: bool) -> None:

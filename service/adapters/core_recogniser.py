@@ -1,22 +1,30 @@
-"""The method of `core` behind the recogniser port. Only worker processes import it: it brings torch and Open3D."""
+"""The method of `core` behind the recogniser port. Only worker processes import it: it brings torch."""
 
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import json
 from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
-from revisit.core.config import PipelineConfig
+from revisit.core.config import PipelineConfig, VerificationConfig
 from revisit.core.errors import RevisitError
 from revisit.core.model_bundle import ModelBundle, load_packaged_models
 from revisit.core.pipeline import DescribedPlace, describe, verify
 from revisit.core.place import Place
 from revisit.core.scan import Scan
+from revisit.core.stages import stage_times
 from revisit.core.submap import Submap
 from revisit.core.verification import LoopMeasurement, RejectedLoop, VerifiedLoop
 from revisit.service.application.contract.ports import LoopVerdict, Mesh, SubmapDescription
+
+SETTABLE = ("min_score", "min_overlap", "max_seen_through")
+"""The thresholds that an operator may set (see `contract.loop_policy`): written beside each verdict."""
+
+VERSION_DIGITS = 12
 
 
 class CoreRecogniser:
@@ -33,14 +41,15 @@ class CoreRecogniser:
 
     def describe(self, submap: Submap, config: PipelineConfig) -> SubmapDescription:
         """See `ports.PlaceRecogniser`."""
-        described = describe(submap, self._models, config)
+        with stage_times() as timings_s:
+            described = describe(submap, self._models, config)
         return SubmapDescription(
             descriptor=described.descriptor.vector,
             signature=described.place.to_blob(),
-            neural_map=None if described.neural_map is None else described.neural_map.to_blob(),
+            neural_map=described.neural_map.to_blob(),
             mesh=_mesh(described),
             flags=described.flags,
-            timings_s=described.timings_s,
+            timings_s=timings_s,
         )
 
     def verify(self, query: bytes, match: bytes, similarity: float, config: PipelineConfig) -> LoopVerdict:
@@ -99,7 +108,15 @@ def _evidence(verdict: VerifiedLoop | RejectedLoop, config: PipelineConfig) -> d
     """What was measured and against which thresholds, as JSON."""
     measurement: LoopMeasurement | None = verdict.measurement
     measured = {} if measurement is None else _as_json(measurement)
-    return {"measurement": measured, "thresholds": _as_json(config.verification)}
+    return {"measurement": measured, **_thresholds(config.verification)}
+
+
+def _thresholds(rules: VerificationConfig) -> dict[str, Any]:
+    """Which rules gave the verdict: those that an operator sets, others that are not the default, and a hash of all."""
+    values, defaults = _as_json(rules), _as_json(VerificationConfig())
+    told = {name: value for name, value in values.items() if name in SETTABLE or value != defaults[name]}
+    digest = hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+    return {"thresholds": told, "thresholds_version": digest[:VERSION_DIGITS]}
 
 
 def _as_json(record: Any) -> dict[str, Any]:
