@@ -21,7 +21,7 @@ from revisit.service.application.access.admission import Access, AccessRules
 from revisit.service.application.access.api_keys import ApiKeys
 from revisit.service.application.access.audit import AuditLog
 from revisit.service.application.capacity.admission import Admission
-from revisit.service.application.capacity.backlog import Backlog, JobPosting
+from revisit.service.application.capacity.backlog import JobPosting
 from revisit.service.application.catalogue.blob_references import BlobCollector
 from revisit.service.application.catalogue.maps import Maps
 from revisit.service.application.catalogue.robots import Robots
@@ -63,7 +63,7 @@ class UseCases:
     def over(cls, of: Installation, version: str, rules: AccessRules = AccessRules()) -> UseCases:
         """All use cases of an installation; `version` is the product's."""
         storage, clock, policy, streams, decoder = of.storage, of.clock, of.policy, of.open_streams, of.decoder
-        backlog = Backlog(storage, of.in_flight, policy.max_queued_jobs)
+        backlog = of.backlog
         admission = Admission(of.stopping, of.disk, of.in_flight, backlog)
         jobs, collector = JobPosting(backlog, clock, policy), BlobCollector(storage)
         operations, audit = Operations(storage, admission), AuditLog(storage, clock)

@@ -6,6 +6,7 @@ import threading
 from dataclasses import dataclass, field
 from functools import cached_property
 
+from revisit.service.application.capacity.backlog import Backlog
 from revisit.service.application.capacity.in_flight import DECODERS, InFlight
 from revisit.service.application.contract.blobs import BlobStore
 from revisit.service.application.contract.clock import Clock
@@ -47,6 +48,11 @@ class Installation:
     def memory(self) -> PlaceMemory:
         """Searches in the index."""
         return PlaceMemory(self.transactions, self.index)
+
+    @cached_property
+    def backlog(self) -> Backlog:
+        """The limit of waiting jobs."""
+        return Backlog(self.storage, self.in_flight, self.policy.max_queued_jobs)
 
     def recognition(self, recogniser: PlaceRecogniser) -> Recognition:
         """What a worker does with a job; `recogniser` is the method, and the index this worker's own cache."""

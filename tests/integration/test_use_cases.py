@@ -147,7 +147,7 @@ async def test_nothing_of_a_tenant_is_there_for_another(world):
         cases.submaps.get(OTHER, key("a")),
         cases.submaps.delete(OTHER, key("a")),
         cases.submaps.download(OTHER, key("a"), DownloadKind.POINTS),
-        cases.submaps.post(OTHER, submap("b", 1)),
+        cases.posting.post(OTHER, submap("b", 1)),
         cases.scans.open(OTHER, SESSION),
         cases.scans.append(OTHER, scan(1, 0.0)),
         cases.searches.by_submap(OTHER, key("a"), SearchCriteria()),

@@ -16,7 +16,7 @@ from google.rpc import error_details_pb2, status_pb2
 from revisit import ApiError, Client, Cloud
 from revisit.formats import QUANTISED, encode_quantised
 from revisit.sdk.retry import RetryPolicy
-from revisit.service.application.capacity import intake
+from revisit.service.application.capacity import backlog
 from revisit.service.application.capacity.in_flight import CALL_POINTS, CapacityLimits
 from revisit.v1 import cloud_pb2, geometry_pb2, ingest_pb2, ingest_pb2_grpc
 from tests.support.live_service import live_service
@@ -38,13 +38,13 @@ def service():
 @pytest.fixture
 def limits(service, monkeypatch):
     """Bounds for one test; buckets start full."""
-    taking = service.world.context.in_flight
+    in_flight, jobs = service.world.context.in_flight, service.world.context.backlog
 
     def of(**bounds):
-        monkeypatch.setattr(taking, "limits", CapacityLimits(**bounds))
-        monkeypatch.setattr(taking, "_buckets", {})
-        monkeypatch.setattr(taking, "_waiting", {})
-        monkeypatch.setattr(taking, "_recounted_s", {})
+        monkeypatch.setattr(in_flight, "limits", CapacityLimits(**bounds))
+        monkeypatch.setattr(in_flight, "_buckets", {})
+        monkeypatch.setattr(jobs, "_waiting", {})
+        monkeypatch.setattr(jobs, "_recounted_s", {})
 
     of()
     yield of
@@ -82,7 +82,7 @@ def test_points_beyond_a_quota_are_refused_with_the_time_to_come_back(client, se
 
 
 def test_a_full_queue_refuses_one_more_job_on_either_transport(client, session, service, limits, monkeypatch):
-    monkeypatch.setattr(intake, "RECOUNT_S", 60.0)
+    monkeypatch.setattr(backlog, "RECOUNT_S", 60.0)
     queued = service.world.context.transactions.read(lambda uow: uow.jobs.count("default", state="QUEUED")).result()
     for number in range(5 - queued):
         post(client, session, number)
@@ -96,14 +96,14 @@ def test_a_full_queue_refuses_one_more_job_on_either_transport(client, session, 
     service.world.work_off()
     with pytest.raises(ApiError, match="WORKERS_BUSY"):
         post(client, session, 9)
-    monkeypatch.setattr(intake, "RECOUNT_S", 0.0)
+    monkeypatch.setattr(backlog, "RECOUNT_S", 0.0)
     post(client, session, 9)
 
 
 def test_a_stream_goes_on_where_the_queue_is_full(service, limits):
     with Client.grpc(service.grpc, retry=ONCE) as client:
         session = client.create_session(client.create_map("streaming"), "s")
-        service.world.context.in_flight.note_recount("default", 5)
+        service.world.context.backlog._waiting["default"] = 5
         with client.stream(session) as stream:
             stream.send(cloud_points(1, POINTS), pose(), 1)
         assert stream.committed_seq == 1

@@ -129,7 +129,7 @@ async def test_one_tenant_leaves_a_place_for_another(clock):
 
 
 async def test_where_more_keeps_coming_the_line_of_the_tenant_is_short(clock, monkeypatch):
-    monkeypatch.setattr("revisit.service.application.capacity.intake.DECODERS", 3)
+    monkeypatch.setattr("revisit.service.application.capacity.in_flight.DECODERS", 3)
     bounded = intake(clock, clouds=16, tenant_share=0.75)
 
     async def let_in(tenant, *, decode=False):
@@ -172,7 +172,7 @@ async def test_the_patient_wait_for_their_turn_in_order(clock):
 
 
 async def test_the_patient_go_on_where_those_before_them_are_decoded(clock, monkeypatch):
-    monkeypatch.setattr("revisit.service.application.capacity.intake.DECODERS", 1)
+    monkeypatch.setattr("revisit.service.application.capacity.in_flight.DECODERS", 1)
     bounded = intake(clock, clouds=4, tenant_share=1.0)
     bounded.note_overload("anna")
     entered = asyncio.Event()
@@ -228,26 +228,3 @@ def test_streams_are_bounded_for_a_client_and_for_all(clock):
     assert bounded.streams == 0
     with bounded.reserve_stream("anna", replaces=False):
         assert bounded.streams == 1
-
-
-def test_a_queue_is_full_with_what_is_being_taken_in(clock):
-    bounded = intake(clock, clouds=4, tenant_share=1.0)
-    bounded.expect_waiting("anna", 3)
-
-    async def seems_full():
-        async with bounded.reserve_cloud("anna"):
-            return [bounded.queue_seems_full("anna", most) for most in (5, 4)]
-
-    assert asyncio.run(seems_full()) == [False, True]
-    assert not bounded.queue_seems_full("anna", 4)
-    assert not bounded.queue_seems_full("bert", 1)
-
-
-def test_a_queue_is_counted_again_at_most_twenty_times_a_second(clock):
-    bounded = intake(clock)
-    assert not bounded.recounted_lately("anna")
-    bounded.note_recount("anna", 7)
-    assert bounded.recounted_lately("anna") and not bounded.recounted_lately("bert")
-    clock.now_s += 0.051
-    assert not bounded.recounted_lately("anna")
-    assert bounded.queue_seems_full("anna", 7) and not bounded.queue_seems_full("anna", 8)
