@@ -15,7 +15,7 @@ from revisit.core.errors import RevisitError
 from revisit.sdk.client import Client
 from revisit.sdk.errors import ApiError
 from revisit.sdk.retry import RetryPolicy
-from revisit.service.adapters.examination import Finding, examine
+from revisit.service.adapters.sqlite.examination import Finding, examine
 
 LIBRARIES = ("numpy", "torch", "faiss-cpu", "opencv-python-headless", "fastapi", "grpcio", "protobuf", "sqlalchemy")
 

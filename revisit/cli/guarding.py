@@ -89,7 +89,7 @@ def _service(home: Path | None) -> Iterator[UseCases]:
     """The use cases on the database, which is made where it is missing. Raises typer.Exit where it does not fit."""
     from alembic.util import CommandError
 
-    from revisit.service.adapters.sql.migration import migrate
+    from revisit.service.adapters.sqlite.migration import migrate
     from revisit.service.composition import offline_use_cases
     from revisit.service.settings import Settings
 

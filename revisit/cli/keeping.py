@@ -17,7 +17,7 @@ def backup(
 ) -> None:
     """Back up the data folder into a new folder, while the service runs; exit status 1 where a blob is lost."""
     from revisit.service import VERSION
-    from revisit.service.adapters.backup import make_backup
+    from revisit.service.adapters.sqlite.backup import make_backup
 
     manifest = make_backup(_home(home), out, VERSION)
     size_mb = manifest.blob_bytes / 2**20
@@ -32,7 +32,7 @@ def restore(
     json: Json = False,
 ) -> None:
     """Make a new data folder out of a backup, after checking every hash of it; all of it or nothing."""
-    from revisit.service.adapters.backup import restore_backup
+    from revisit.service.adapters.sqlite.backup import restore_backup
 
     target = _home(home)
     manifest = restore_backup(archive, target)
@@ -41,7 +41,7 @@ def restore(
 
 def scrub(home: Home = None, json: Json = False) -> None:
     """Read every blob and page, move damaged blobs aside; exit status 1 where anything is damaged or missing."""
-    from revisit.service.adapters import examination
+    from revisit.service.adapters.sqlite import examination
 
     found = examination.scrub(_home(home))
     _tell(f"{found.checked} blobs read, database {found.database}", asdict(found), json)

@@ -1,4 +1,4 @@
-"""The method of `core` behind the recogniser port. Only worker processes import it: it brings torch and Open3D."""
+"""The method of `core` behind the recogniser port. Only worker processes import it: it brings torch."""
 
 from __future__ import annotations
 

@@ -6,7 +6,7 @@ import sqlite3
 
 import pytest
 
-from revisit.service.adapters.sql.migration import migrate
+from revisit.service.adapters.sqlite.migration import migrate
 
 
 @pytest.fixture

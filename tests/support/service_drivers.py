@@ -15,7 +15,7 @@ import numpy as np
 
 from revisit.core.errors import RevisitError
 from revisit.formats import NPY, encode_npy
-from revisit.service.adapters.memory_index import MemoryVectorIndex
+from revisit.service.adapters.memory import MemoryVectorIndex
 from revisit.service.application import SessionKey, SubmapKey, UseCases
 from revisit.service.application.catalogue.maps import CreateMap
 from revisit.service.application.catalogue.paging import PageRequest

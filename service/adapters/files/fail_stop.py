@@ -17,10 +17,10 @@ log = structlog.get_logger(__name__)
 
 
 class FailStop:
-    """The switch that every store of a process shares: thrown once, never back."""
+    """The switch that all stores of a process share: tripped once, never reset."""
 
     def __init__(self, stop: Callable[[], None] = lambda: None) -> None:
-        """`stop` is called once, from whichever thread met the error: it should end the process soon."""
+        """`stop` is called once, in the thread that met the error. It should end the process soon."""
         self._stop = stop
         self._lock = threading.Lock()
         self._tripped = False

@@ -1,4 +1,4 @@
-"""Which file system a directory is on: SQLite's locks and syncs are not to be trusted over a network."""
+"""The file system of a folder: locks and syncs cannot be trusted over a network."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MOUNTS = Path("/proc/self/mounts")
 
 
 class RemoteFileSystem(RuntimeError):
-    """The data folder is on another machine, where a commit is not what it must be."""
+    """The data folder is on another machine, where a commit may not be durable."""
 
 
 def require_local(folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""Bringing a database to the schema of this version."""
+"""Bringing a SQLite file to the schema of this version."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ from pathlib import Path
 from alembic import command
 from alembic.config import Config
 from alembic.script import ScriptDirectory
+from sqlalchemy import Connection
 
-from revisit.service.adapters.filesystem import require_local
-from revisit.service.adapters.sql.unit_of_work import WriterLock
+from revisit.service.adapters.files.filesystem import require_local
+from revisit.service.adapters.sqlite.connections import writer_engine
+from revisit.service.adapters.sqlite.writer_lock import WriterLock
 
 MIGRATIONS = Path(__file__).resolve().parents[3] / "migrations"
 
@@ -22,24 +24,12 @@ def migrate(database: Path, revision: str = "head") -> None:
     """
     require_local(database.parent)
     database.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-    config = alembic_config(database)
     lock = WriterLock(database)
     try:
         with lock.held():
-            if revision == "head" or current_revision(database) is None:
-                command.upgrade(config, revision)
-            else:
-                command.downgrade(config, revision)
+            _migrate(database, revision)
     finally:
         lock.close()
-
-
-def alembic_config(database: Path) -> Config:
-    """Alembic's configuration for the file, without an ini file."""
-    config = Config()
-    config.set_main_option("script_location", str(MIGRATIONS))
-    config.set_main_option("sqlalchemy.url", f"sqlite:///{database}")
-    return config
 
 
 def known_revisions() -> frozenset[str]:
@@ -65,3 +55,24 @@ def current_revision(database: Path) -> str | None:
     finally:
         connection.close()
     return None if row is None else str(row[0])
+
+
+def _migrate(database: Path, revision: str) -> None:
+    """Run the migrations on a writer's connection, in one transaction: SQLite can roll back changes of the schema."""
+    upwards = revision == "head" or current_revision(database) is None
+    engine = writer_engine(database, checkpoints=True)
+    try:
+        with engine.connect() as connection:
+            config = _configuration(connection)
+            (command.upgrade if upwards else command.downgrade)(config, revision)
+    finally:
+        engine.dispose()
+
+
+def _configuration(connection: Connection) -> Config:
+    """Alembic's configuration, without an ini file."""
+    # Batch mode: what SQLite's ALTER TABLE cannot change is changed in a copy of the table.
+    options = {"connection": connection, "render_as_batch": True, "transactional_ddl": True}
+    config = Config(attributes={"options": options})
+    config.set_main_option("script_location", str(MIGRATIONS))
+    return config

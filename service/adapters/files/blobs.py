@@ -15,7 +15,7 @@ from pathlib import Path
 import structlog
 
 from revisit.core.errors import DataLoss
-from revisit.service.adapters.durable_files import (
+from revisit.service.adapters.files.durable_files import (
     NO_ROOM,
     TEMPORARY_PREFIX,
     durable_write,
@@ -23,13 +23,13 @@ from revisit.service.adapters.durable_files import (
     move_durably,
     sync_directory,
 )
-from revisit.service.adapters.fail_stop import FailStop
+from revisit.service.adapters.files.fail_stop import FailStop
 from revisit.service.application.contract.errors import StorageFull, StorageUncertain
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.ports import StoredBlob
 
 QUARANTINE = ".quarantine"
-"""Damaged blobs are moved here, where nobody serves them and an operator can look at them."""
+"""The folder of damaged blobs: nothing in it is served, an operator can look at it."""
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}", re.ASCII)
 
@@ -37,7 +37,7 @@ log = structlog.get_logger(__name__)
 
 
 class BlobDamaged(DataLoss):
-    """The bytes of a blob are not those that it was named after."""
+    """The bytes of a blob do not have the hash in its name."""
 
 
 class FileBlobStore:
@@ -48,7 +48,7 @@ class FileBlobStore:
     ) -> None:
         """Blobs live below `root`, which is made where it is missing.
 
-        `fail_stop` is thrown where the disk fails to write; `on_full` is called where it has no room.
+        An I/O error of the disk trips `fail_stop`; `on_full` is called where the disk is full.
         """
         self._root = root
         self._fail_stop = fail_stop or FailStop()
@@ -83,13 +83,13 @@ class FileBlobStore:
         return self._path(tenant, kind, sha256).exists()
 
     def delete(self, tenant: TenantId, kind: str, sha256: str) -> None:
-        """See `ports.BlobStore`. While a backup runs the file stays, for the next sweep to collect."""
+        """See `ports.BlobStore`. While a backup runs the file stays; the next sweep deletes it."""
         with deleting(self._root) as may_delete:
             if may_delete:
                 self._path(tenant, kind, sha256).unlink(missing_ok=True)
 
     def stored(self, older_than_s: float) -> Iterator[StoredBlob]:
-        """See `ports.BlobStore`. Files that a crash left half written are removed on the way."""
+        """See `ports.BlobStore`. Deletes the temporary files of interrupted writes that it meets."""
         latest = time.time() - older_than_s
         for path in self._root.glob("*/*/??/*"):
             try:
@@ -104,7 +104,7 @@ class FileBlobStore:
                 yield StoredBlob(TenantId(tenant), kind, sha256)
 
     def quarantined(self) -> int:
-        """How many damaged blobs lie aside."""
+        """How many damaged blobs are in quarantine."""
         folder = self._root / QUARANTINE
         return sum(1 for _ in folder.iterdir()) if folder.is_dir() else 0
 
@@ -112,7 +112,7 @@ class FileBlobStore:
         return blob_path(self._root, StoredBlob(tenant, kind, sha256))
 
     def _quarantine(self, path: Path, tenant: TenantId, kind: str) -> None:
-        """Move a damaged blob out of the way: the next `put` of its content makes it whole again."""
+        """Move a damaged blob away: the next `put` of its content then writes it anew."""
         log.error("blob_damaged", tenant=tenant, kind=kind, sha256=path.name)
         try:
             make_directories(self._root / QUARANTINE, self._root)
@@ -166,7 +166,7 @@ def deleting(root: Path) -> Iterator[bool]:
 
 @contextmanager
 def nothing_deleted(root: Path) -> Iterator[None]:
-    """Within the block no blob below `root` is deleted by any process; waits for deletions under way."""
+    """No process deletes a blob below `root` within the block. Waits for running deletions first."""
     lock = os.open(root, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX)

@@ -1,8 +1,8 @@
-"""Backups: one consistent cut of the database, and every blob that its rows name, while the service runs.
+"""Backups: one snapshot of the database, and every blob that its rows refer to, while the service runs.
 
-The database is copied by SQLite's own backup (a copied file would lack what is still in the WAL). Blobs never change,
-and nobody deletes one while a backup runs, so those that the copied rows name are there. Every blob is read and checked
-against its name; a folder is a backup only once it has its name, and it gets that last.
+SQLite's backup API copies the database (a copied file would lack what is still in the write-ahead log). Blobs never
+change and none is deleted while a backup runs, so every blob of the copied rows is there. Each is checked against the
+hash in its name. The folder gets its final name last: an interrupted backup never looks like a complete one.
 """
 
 from __future__ import annotations
@@ -18,10 +18,16 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from revisit.core.errors import DataLoss
-from revisit.service.adapters.blobs import blob_path, nothing_deleted, read_verified
-from revisit.service.adapters.durable_files import durable_write, make_directories, move_durably, write_later_synced
-from revisit.service.adapters.sql.blob_rows import named_blobs, open_to_read
-from revisit.service.adapters.sql.migration import current_revision, known_revisions
+from revisit.service.adapters.files.blobs import blob_path, nothing_deleted, read_verified
+from revisit.service.adapters.files.durable_files import (
+    durable_write,
+    make_directories,
+    move_durably,
+    write_later_synced,
+)
+from revisit.service.adapters.sqlite.blob_rows import named_blobs
+from revisit.service.adapters.sqlite.connections import open_to_read
+from revisit.service.adapters.sqlite.migration import current_revision, known_revisions
 
 FORMAT = 1
 DATABASE = "revisit.db"
@@ -31,7 +37,7 @@ MANIFEST = "manifest.json"
 
 @dataclass(frozen=True)
 class Manifest:
-    """What a backup holds. `lost` are the blobs that were missing or damaged already when it was made."""
+    """The contents of a backup. `lost`: the blobs that were missing or damaged when it was made."""
 
     format: int
     version: str
@@ -44,7 +50,7 @@ class Manifest:
 
 
 class BackupRefused(DataLoss):
-    """The backup is damaged, incomplete or of another kind: nothing was restored."""
+    """The backup is damaged, incomplete or of an unknown format: nothing was restored."""
 
 
 def make_backup(home: Path, out: Path, version: str) -> Manifest:
@@ -129,15 +135,15 @@ def _check_database(database: Path, manifest: Manifest) -> None:
 
 
 def _copy_database(database: Path, target: Path) -> None:
-    """Copy one snapshot, in one step, so that writers meanwhile neither change nor restart it."""
+    """Copy one snapshot in one step, which writers cannot change or restart."""
     with closing(open_to_read(database)) as source, closing(sqlite3.connect(target)) as copy:
         source.backup(copy)
-        # Of one file, whoever reads it.
+        # Without a write-ahead log the backup is one file.
         copy.execute("PRAGMA journal_mode=DELETE")
 
 
 def _copy_blobs(rows: sqlite3.Connection, source: Path, target: Path) -> tuple[int, int, tuple[str, ...]]:
-    """Copy what the rows name: how many, how many bytes, and which are missing or damaged."""
+    """Copy the blobs of the rows; how many, how many bytes, and the addresses of missing and damaged ones."""
     count, size_bytes, lost = 0, 0, []
     for blob in named_blobs(rows):
         try:
@@ -158,14 +164,14 @@ def _copy_file(source: Path, target: Path) -> None:
 
 
 def _emptied(folder: Path) -> Path:
-    """The folder, new; what an attempt that was cut short has left there goes."""
+    """The folder, empty: what an interrupted attempt left in it is deleted."""
     shutil.rmtree(folder, ignore_errors=True)
     make_directories(folder, folder.parent)
     return folder
 
 
 def _give_name(partial: Path, target: Path) -> None:
-    """Make everything durable at once, then the name."""
+    """Sync all files at once, then rename."""
     os.sync()
     move_durably(partial, target)
 

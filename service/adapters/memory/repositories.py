@@ -1,34 +1,23 @@
-"""The store in memory: the same contracts without a disk, for tests and for reading what a transaction means."""
+"""Repositories in memory over the rows of one transaction."""
 
 from __future__ import annotations
 
 import dataclasses
-import hashlib
-import threading
-from collections.abc import Callable, Collection, Iterator, Sequence
-from concurrent.futures import Future
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
-from revisit.core.errors import DataLoss
-from revisit.service.adapters.leased_jobs import LeasedJobs
-from revisit.service.adapters.memory_access import MemoryAuditTrail, MemoryKeyRing
 from revisit.service.application.contract.errors import AlreadyExists, NotFound
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.ports import IndexChange, Instant, StoredBlob, UnitOfWork
+from revisit.service.application.contract.ports import IndexChange, Instant
 from revisit.service.application.contract.records import (
     JobRecord,
-    LoopRecord,
-    MapRecord,
-    RobotRecord,
     ScanRecord,
-    SessionRecord,
     SubmapRecord,
     WorkerRecord,
 )
 
 R = TypeVar("R")
-T = TypeVar("T")
 
 Scalar = str | int | None
 
@@ -254,99 +243,3 @@ class MemoryWorkerLog:
         kept = {number: row for number, row in self._rows.by_number.items() if row.worker_id != worker_id}
         self._rows.by_number.clear()
         self._rows.by_number.update(kept)
-
-
-_TABLES = ("maps", "robots", "sessions", "scans", "submaps", "loops", "jobs", "changes", "workers", "keys", "audit")
-
-
-class MemoryUnitOfWork:
-    """`ports.UnitOfWork` over a copy of every table."""
-
-    def __init__(self, tables: dict[str, Rows], lease_ms: int) -> None:
-        """Changes `tables` in place."""
-        self.maps: MemoryRepository[MapRecord] = MemoryRepository(tables["maps"], ("map_id",))
-        self.robots: MemoryRepository[RobotRecord] = MemoryRepository(tables["robots"], ("robot_id",))
-        self.sessions: MemoryRepository[SessionRecord] = MemoryRepository(tables["sessions"], ("map_id", "session_id"))
-        self.scans = MemoryScans(tables["scans"], ("map_id", "session_id", "seq"))
-        self.submaps = MemorySubmaps(tables["submaps"], ("map_id", "session_id", "submap_id"))
-        self.loops: MemoryRepository[LoopRecord] = MemoryRepository(tables["loops"], ("map_id", "loop_id"))
-        self.jobs = MemoryJobs(tables["jobs"], ("operation_id",))
-        self.queue = LeasedJobs(self.jobs, lease_ms)
-        self.changes = MemoryChangeLog(tables["changes"], tables["submaps"])
-        self.workers = MemoryWorkerLog(tables["workers"])
-        self.keys = MemoryKeyRing(tables["keys"].by_number)
-        self.audit = MemoryAuditTrail(tables["audit"].by_number)
-
-
-class MemoryTransactions:
-    """`ports.Transactions` without a disk: a transaction works on a copy, which replaces the original at the end."""
-
-    def __init__(self, lease_ms: int = 10_000) -> None:
-        """Begins empty."""
-        self._tables = {name: Rows() for name in _TABLES}
-        self._lease_ms = lease_ms
-        self._lock = threading.Lock()
-
-    def write(self, work: Callable[[UnitOfWork], T], *, alone: bool = False) -> Future[T]:
-        """See `ports.Transactions`."""
-        return _settled(lambda: self._write(work))
-
-    def read(self, work: Callable[[UnitOfWork], T]) -> Future[T]:
-        """See `ports.Transactions`."""
-        with self._lock:
-            snapshot = self._copy()
-        return _settled(lambda: work(MemoryUnitOfWork(snapshot, self._lease_ms)))
-
-    def close(self) -> None:
-        """See `ports.Transactions`."""
-
-    def _write(self, work: Callable[[UnitOfWork], T]) -> T:
-        with self._lock:
-            tables = self._copy()
-            result = work(MemoryUnitOfWork(tables, self._lease_ms))
-            self._tables = tables
-            return result
-
-    def _copy(self) -> dict[str, Rows]:
-        return {name: rows.copy() for name, rows in self._tables.items()}
-
-
-class MemoryBlobStore:
-    """`ports.BlobStore` without a disk."""
-
-    def __init__(self) -> None:
-        """Begins empty."""
-        self._blobs: dict[tuple[TenantId, str, str], bytes] = {}
-
-    def put(self, tenant: TenantId, kind: str, data: bytes) -> str:
-        """See `ports.BlobStore`."""
-        sha256 = hashlib.sha256(data).hexdigest()
-        self._blobs[tenant, kind, sha256] = data
-        return sha256
-
-    def get(self, tenant: TenantId, kind: str, sha256: str) -> bytes:
-        """See `ports.BlobStore`."""
-        if (tenant, kind, sha256) not in self._blobs:
-            raise DataLoss(f"the {kind} {sha256[:12]} is missing")
-        return self._blobs[tenant, kind, sha256]
-
-    def exists(self, tenant: TenantId, kind: str, sha256: str) -> bool:
-        """See `ports.BlobStore`."""
-        return (tenant, kind, sha256) in self._blobs
-
-    def delete(self, tenant: TenantId, kind: str, sha256: str) -> None:
-        """See `ports.BlobStore`."""
-        self._blobs.pop((tenant, kind, sha256), None)
-
-    def stored(self, older_than_s: float) -> Iterator[StoredBlob]:
-        """See `ports.BlobStore`; ages are not kept, so every blob counts as old enough."""
-        return iter([StoredBlob(*address) for address in self._blobs])
-
-
-def _settled(work: Callable[[], T]) -> Future[T]:
-    future: Future[T] = Future()
-    try:
-        future.set_result(work())
-    except Exception as error:  # noqa: BLE001  # a future carries whatever the work raised
-        future.set_exception(error)
-    return future

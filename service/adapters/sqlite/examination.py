@@ -1,4 +1,4 @@
-"""The data folder under examination: whether what the rows name is there and is what was stored."""
+"""Checks of a data folder: the database, and whether every blob that a row refers to is there and undamaged."""
 
 from __future__ import annotations
 
@@ -10,24 +10,25 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from revisit.core.errors import DataLoss
-from revisit.service.adapters.blobs import QUARANTINE, FileBlobStore, blob_path, read_verified
-from revisit.service.adapters.filesystem import MOUNTS, RemoteFileSystem, filesystem_type, require_local
-from revisit.service.adapters.sql.blob_rows import named_blobs, open_to_read
-from revisit.service.adapters.sql.migration import current_revision, known_revisions, newest_revision
+from revisit.service.adapters.files.blobs import QUARANTINE, FileBlobStore, blob_path, read_verified
+from revisit.service.adapters.files.filesystem import MOUNTS, RemoteFileSystem, filesystem_type, require_local
+from revisit.service.adapters.sqlite.blob_rows import named_blobs
+from revisit.service.adapters.sqlite.connections import open_to_read, write_ahead_log
+from revisit.service.adapters.sqlite.migration import current_revision, known_revisions, newest_revision
 from revisit.service.application.contract.ports import StoredBlob
 from revisit.service.application.housekeeping.system import WAL_ALARM_BYTES
 
 SAMPLE = 200
-"""Blobs that are read where not all are asked for."""
+"""How many blobs a check reads that is not asked to read all."""
 
 FIXED_SQLITE = (3, 51, 3)
 BACKPORTS = ((3, 44, 6), (3, 50, 7))
-"""SQLite without the fault by which two connections that write or checkpoint at one instant damage the WAL."""
+"""The first SQLite versions in which two connections cannot damage the write-ahead log (the WAL-reset fault)."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One check. `ok` is None where it does not apply."""
+    """The result of one check. `ok` is None where the check does not apply."""
 
     check: str
     ok: bool | None
@@ -35,7 +36,7 @@ class Finding:
 
 
 def examine(home: Path, *, full: bool) -> list[Finding]:
-    """Look at a data folder, whether or not the service runs, and change nothing. `full`: read every blob."""
+    """Check a data folder, whether or not the service runs, and change nothing. `full`: read every blob."""
     database = home / "revisit.db"
     findings = [_sqlite_library(), _file_system(home)]
     if not database.exists():
@@ -53,7 +54,7 @@ def examine(home: Path, *, full: bool) -> list[Finding]:
 
 @dataclass(frozen=True)
 class Scrubbed:
-    """What a scrub found: how many blobs it read, which it moved aside, which are missing; the database's verdict."""
+    """The result of a scrub: blobs read, blobs moved to quarantine, blobs missing; SQLite's integrity verdict."""
 
     checked: int
     damaged: tuple[str, ...]
@@ -62,9 +63,9 @@ class Scrubbed:
 
 
 def scrub(home: Path) -> Scrubbed:
-    """Read every blob that a row names and every page of the database; the service may run.
+    """Read every blob that a row refers to and every page of the database; the service may run.
 
-    A damaged blob is moved aside: whoever asks for it gets DATA_LOSS, and posting the same content again mends it.
+    A damaged blob is moved to quarantine: requests for it get DATA_LOSS until the same content is posted again.
     Raises OSError, sqlite3.Error.
     """
     store = FileBlobStore(home / "blobs")
@@ -118,7 +119,7 @@ def _references(rows: sqlite3.Connection) -> Finding:
 
 
 def _wal(database: Path) -> Finding:
-    wal = database.with_name(f"{database.name}-wal")
+    wal = write_ahead_log(database)
     size_bytes = wal.stat().st_size if wal.exists() else 0
     return Finding("WAL", size_bytes <= WAL_ALARM_BYTES, f"{size_bytes / 2**20:.1f} MiB")
 

@@ -1,7 +1,7 @@
 """Files that survive a power cut: the only place of the service that makes files (tests/architecture holds it to that).
 
-A file is written beside its place, synced, renamed, and its directory synced, in this order. What `make_room` keeps is
-no data but room: blocks of the disk that are given back when it fills up.
+A file is written under a temporary name, synced, renamed, and its directory synced, in this order. `make_room` stores
+no data: it reserves blocks of the disk, which are released when the disk fills up.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from pathlib import Path
 from revisit.service.failpoints import failpoint
 
 TEMPORARY_PREFIX = "."
-"""Of the names of files that are being written; a crash may leave one behind."""
+"""Begins the name of a file that is being written; a crash may leave one behind."""
 
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""What the kernel says where there is no room: on the disk, in a quota, or within the limit of a file's size."""
+"""The kernel's errors for no space: on the disk, in a quota, or within the limit of a file's size."""
 
 
 def durable_write(path: Path, data: bytes) -> None:
@@ -44,7 +44,7 @@ def durable_write(path: Path, data: bytes) -> None:
 
 
 def write_later_synced(path: Path, data: bytes) -> None:
-    """Make a new file that survives a power cut only after an `os.sync`: for many files of which all or none count."""
+    """Write a new file that survives a power cut only after `os.sync`; for many files that only count together."""
     with open(path, "xb", opener=_private) as file:
         file.write(data)
 
@@ -69,7 +69,7 @@ def sync_directory(path: Path) -> None:
 
 
 def make_room(path: Path, size_bytes: int) -> None:
-    """Take `size_bytes` of the disk for a file that holds nothing. Raises OSError; then there is no such file."""
+    """Reserve `size_bytes` of the disk in an empty file. Raises OSError; then there is no such file."""
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o600)
     try:
         os.posix_fallocate(descriptor, 0, size_bytes)
@@ -81,7 +81,7 @@ def make_room(path: Path, size_bytes: int) -> None:
 
 
 def may_grow(path: Path, by_bytes: int) -> bool:
-    """Whether there is room for a file to become longer, within the limits and quotas of this process."""
+    """Whether a file may become longer by `by_bytes`, within the free space, limits and quotas of this process."""
     limit_bytes, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
     size_bytes = path.stat().st_size if path.exists() else 0
     if limit_bytes != resource.RLIM_INFINITY and size_bytes + by_bytes > limit_bytes:
@@ -103,7 +103,7 @@ def move_durably(path: Path, target: Path) -> None:
 
 
 def open_lock(path: Path) -> int:
-    """The descriptor of a file to be locked with `flock`, which is made where it is missing; close it after use."""
+    """Open (or make) a file to be locked with `flock`; the descriptor, which the caller closes."""
     return os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
 
 

@@ -1,4 +1,4 @@
-"""Group commit: writes that wait while one is synced to the disk share the next transaction and its one fsync."""
+"""Group commit: writes that wait while another is synced to disk share the next transaction and its one fsync."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ T = TypeVar("T")
 
 MAX_GROUP = 64
 MAX_GROUP_S = 0.005
-"""A group takes no further member once it has this many, or once its work has taken this long. It waits for none."""
+"""A group is closed at this many members or after this long, whichever is first. It never waits for a member."""
 
 
 @dataclass(frozen=True)
 class _Write(Generic[T]):
-    """Work that wants to be committed; `alone` in a transaction of its own."""
+    """Work to be committed; `alone`: in a transaction of its own."""
 
     work: Callable[[Connection], T]
     alone: bool
@@ -32,14 +32,14 @@ class _Write(Generic[T]):
 
 @dataclass(frozen=True)
 class _Outcome:
-    """What a member's work returned or raised, to be told once the group is committed."""
+    """What a member's work returned or raised; it is told after the commit of the group."""
 
     write: _Write[Any]
     value: Any = None
     error: BaseException | None = None
 
     def tell(self) -> None:
-        """Settle the future."""
+        """Complete the future."""
         if self.error is None:
             self.write.future.set_result(self.value)
         else:
@@ -47,14 +47,15 @@ class _Outcome:
 
 
 class GroupCommitter:
-    """One thread that runs writes in the order in which they came and answers each after its commit.
+    """One thread that runs writes in the order of their arrival and answers each after its commit.
 
     Every member of a group runs in a savepoint: what it raises undoes its own changes only. Nobody is answered before
-    the commit, for even an error may rest on the changes of an earlier member; where the commit fails, all are told so.
+    the commit, because even an error may depend on the changes of an earlier member. If the commit fails, all members
+    fail with it.
     """
 
     def __init__(self, transaction: Callable[[], AbstractContextManager[Connection]]) -> None:
-        """`transaction` begins one and commits it at the end of its block, durably."""
+        """`transaction` begins a transaction and commits it durably at the end of its block."""
         self._transaction = transaction
         self._queue: queue.SimpleQueue[_Write[Any] | None] = queue.SimpleQueue()
         self._waiting: _Write[Any] | None = None
@@ -64,9 +65,9 @@ class GroupCommitter:
         self._thread.start()
 
     def submit(self, work: Callable[[Connection], T], *, alone: bool) -> Future[T]:
-        """Commit `work`; `alone`, where it must see committed rows only."""
+        """Commit `work`; `alone`: it sees committed rows only."""
         write = _Write(work, alone)
-        # Nobody can take it back: a client that goes away does not undo what it has asked for.
+        # It cannot be cancelled: a client that disconnects does not undo its request.
         write.future.set_running_or_notify_cancel()
         with self._submitting:
             if self._closed:
@@ -75,7 +76,7 @@ class GroupCommitter:
         return write.future
 
     def close(self) -> None:
-        """Finish what is queued and end the thread."""
+        """Commit what is queued and end the thread."""
         with self._submitting:
             if not self._closed:
                 self._queue.put(None)
@@ -104,7 +105,7 @@ class GroupCommitter:
             outcome.tell()
 
     def _group(self, first: _Write[Any]) -> Iterator[_Write[Any]]:
-        """`first` and those that wait behind it and may share its transaction."""
+        """`first` and the writes queued behind it that may share its transaction."""
         yield first
         deadline = time.monotonic() + MAX_GROUP_S
         for _ in range(0 if first.alone else MAX_GROUP - 1):
@@ -124,11 +125,11 @@ class GroupCommitter:
 
 
 def _attempt(connection: Connection, write: _Write[Any]) -> _Outcome:
-    """Run one member in a savepoint. Raises what the database itself raises: the whole transaction is lost then."""
+    """Run one member in a savepoint. Raises errors of the database itself: they end the whole transaction."""
     connection.exec_driver_sql("SAVEPOINT member")
     try:
         outcome = _Outcome(write, value=write.work(connection))
-    except BaseException as error:  # carried to whoever waits for it
+    except BaseException as error:  # the future carries it
         if isinstance(error, DatabaseError) and not isinstance(error, IntegrityError):
             raise
         connection.exec_driver_sql("ROLLBACK TO member")
