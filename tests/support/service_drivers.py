@@ -184,7 +184,7 @@ class RestDriver:
     def sessions(self, map_id: str) -> dict[str, tuple[int, bool]]:
         """See `UseCaseDriver`."""
         listed = self._list(f"/maps/{map_id}/sessions", "sessions")
-        return {s["name"].rpartition("/")[2]: (s["committed_seq"], s["state"] == "FINISHED") for s in listed}
+        return {s["name"].rpartition("/")[2]: (int(s["committed_seq"]), s["state"] == "FINISHED") for s in listed}
 
     def submaps(self, session: SessionKey) -> dict[str, str]:
         """See `UseCaseDriver`."""
