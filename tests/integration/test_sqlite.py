@@ -64,6 +64,19 @@ def test_the_migration_makes_the_schema_of_the_tables(database):
     engine.dispose()
 
 
+def test_the_migrations_make_what_the_tables_cannot_say(database):
+    """A number is never given out twice, and some indexes hold some rows only."""
+    connection = sqlite3.connect(database)
+    made = dict(connection.execute("SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL"))
+    connection.close()
+    keyed_by_text = {table.name for table in tables.metadata.sorted_tables if "AUTOINCREMENT" not in made[table.name]}
+    assert keyed_by_text == {"workers"}
+    indexes = [index for table in tables.metadata.sorted_tables for index in table.indexes]
+    wanted = {index.name: index.info.get("where") for index in indexes}
+    assert {name: made[name].partition(" WHERE ")[2] or None for name in wanted} == wanted
+    assert "priority = 0" in wanted.values()
+
+
 def test_the_writer_is_durable_and_one_process_checkpoints(database):
     def pragma(engine, name):
         with engine.connect() as connection:

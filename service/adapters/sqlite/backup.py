@@ -26,11 +26,10 @@ from revisit.service.adapters.files.durable_files import (
     write_later_synced,
 )
 from revisit.service.adapters.sqlite.blob_rows import named_blobs
-from revisit.service.adapters.sqlite.connections import open_to_read
+from revisit.service.adapters.sqlite.connections import DATABASE, open_to_read
 from revisit.service.adapters.sqlite.migration import current_revision, known_revisions
 
 FORMAT = 1
-DATABASE = "revisit.db"
 BLOBS = "blobs"
 MANIFEST = "manifest.json"
 

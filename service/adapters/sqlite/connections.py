@@ -8,6 +8,9 @@ from typing import Any
 
 from sqlalchemy import Connection, Engine, create_engine, event
 
+DATABASE = "revisit.db"
+"""The name of the database file in the data folder."""
+
 READERS = 2
 
 WRITER_PRAGMAS: dict[str, str | int] = {

@@ -13,7 +13,7 @@ from revisit.core.errors import DataLoss
 from revisit.service.adapters.files.blobs import QUARANTINE, FileBlobStore, blob_path, read_verified
 from revisit.service.adapters.files.filesystem import MOUNTS, RemoteFileSystem, filesystem_type, require_local
 from revisit.service.adapters.sqlite.blob_rows import named_blobs
-from revisit.service.adapters.sqlite.connections import open_to_read, write_ahead_log
+from revisit.service.adapters.sqlite.connections import DATABASE, open_to_read, write_ahead_log
 from revisit.service.adapters.sqlite.migration import current_revision, known_revisions, newest_revision
 from revisit.service.application.contract.blobs import StoredBlob
 from revisit.service.application.housekeeping.system import WAL_ALARM_BYTES
@@ -37,7 +37,7 @@ class Finding:
 
 def examine(home: Path, *, full: bool) -> list[Finding]:
     """Check a data folder, whether or not the service runs, and change nothing. `full`: read every blob."""
-    database = home / "revisit.db"
+    database = home / DATABASE
     findings = [_sqlite_library(), _file_system(home)]
     if not database.exists():
         return [*findings, Finding("database", None, f"{database} does not exist yet")]
@@ -71,7 +71,7 @@ def scrub(home: Path) -> Scrubbed:
     store = FileBlobStore(home / "blobs")
     damaged: list[str] = []
     missing: list[str] = []
-    with closing(open_to_read(home / "revisit.db")) as rows:
+    with closing(open_to_read(home / DATABASE)) as rows:
         (verdict,) = rows.execute("PRAGMA integrity_check(1)").fetchone()
         blobs = list(named_blobs(rows))
     for blob in blobs:
