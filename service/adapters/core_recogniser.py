@@ -12,13 +12,13 @@ import numpy as np
 
 from revisit.core.config import PipelineConfig, VerificationConfig
 from revisit.core.errors import RevisitError
-from revisit.core.geometry import se3
 from revisit.core.model_bundle import ModelBundle, load_packaged_models
 from revisit.core.pipeline import DescribedPlace, describe, verify
-from revisit.core.place import PlaceSignature
+from revisit.core.place import Place
 from revisit.core.scan import Scan
+from revisit.core.stages import stage_times
 from revisit.core.submap import Submap
-from revisit.core.verification.verdict import LoopMeasurement, RejectedLoop, VerifiedLoop
+from revisit.core.verification import LoopMeasurement, RejectedLoop, VerifiedLoop
 from revisit.service.application.contract.recogniser import LoopVerdict, Mesh, SubmapDescription
 
 SETTABLE = ("min_score", "min_overlap", "max_seen_through")
@@ -41,20 +41,21 @@ class CoreRecogniser:
 
     def describe(self, submap: Submap, config: PipelineConfig) -> SubmapDescription:
         """See `PlaceRecogniser`."""
-        place = describe(submap, self._models, config)
+        with stage_times() as timings_s:
+            described = describe(submap, self._models, config)
         return SubmapDescription(
-            descriptor=place.descriptor.vector,
-            signature=place.signature.to_blob(),
-            neural_map=None if place.neural_map is None else place.neural_map.to_blob(),
-            mesh=_mesh(place),
-            flags=place.flags,
-            timings_s=place.timings_s,
+            descriptor=described.descriptor.vector,
+            signature=described.place.to_blob(),
+            neural_map=described.neural_map.to_blob(),
+            mesh=_mesh(described),
+            flags=described.flags,
+            timings_s=timings_s,
         )
 
     def verify(self, query: bytes, match: bytes, similarity: float, config: PipelineConfig) -> LoopVerdict:
         """See `PlaceRecogniser`."""
-        signatures = PlaceSignature.from_blob(query), PlaceSignature.from_blob(match)
-        verdict = verify(*signatures, similarity, config.verification)
+        places = Place.from_blob(query), Place.from_blob(match)
+        verdict = verify(*places, similarity, config.verification)
         evidence = _evidence(verdict, config)
         if isinstance(verdict, VerifiedLoop):
             measured = verdict.measurement
@@ -95,12 +96,12 @@ def _made_up_yard(config: PipelineConfig) -> Submap:
     return Submap.from_cloud(Scan.validated(points, np.eye(4), 0), config.submap)
 
 
-def _mesh(place: DescribedPlace) -> Mesh:
-    """The surface, which the method sees levelled and scaled, in the frame of the submap."""
-    normals = place.surface.normals @ place.T_submap_map[:3, :3].T
+def _mesh(described: DescribedPlace) -> Mesh:
+    """The surface in the frame of the submap."""
+    normals = described.frame.normals_to_submap(described.surface.normals)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    vertices = se3.apply(place.T_submap_map, place.surface.vertices)
-    return Mesh(vertices.astype(np.float32), normals.astype(np.float32), place.surface.faces)
+    vertices = described.frame.points_to_submap(described.surface.vertices)
+    return Mesh(vertices.astype(np.float32), normals.astype(np.float32), described.surface.faces)
 
 
 def _evidence(verdict: VerifiedLoop | RejectedLoop, config: PipelineConfig) -> dict[str, Any]:

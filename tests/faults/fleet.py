@@ -1,4 +1,4 @@
-"""Robots that post and stream while a service is killed, drained or has a bad disk, and what must then hold."""
+"""Robots that post and stream while a service is killed, drained or has a bad disk, and what must be true then."""
 
 from __future__ import annotations
 
@@ -101,11 +101,10 @@ class Fleet:
     def require_kept(self, home: Path) -> Survey:
         """End the service. All that was acknowledged is in `home`, once, no answer was a surprise: what is there."""
         self.service.close()
-        clients = (*(robot.poster for robot in self.robots), self.scanner)
-        assert [problem for client in clients for problem in client.surprises] == []
-        found = survey(home)
-        assert found.against(self.history) == []
-        assert found.committed["monday"] >= self.scanner.committed_seq
+        found, clients = survey(home), (*(robot.poster for robot in self.robots), self.scanner)
+        wrong = found.against(self.history) + [problem for client in clients for problem in client.surprises]
+        assert not wrong, wrong
+        assert found.committed["monday"] >= self.scanner.committed_seq, found.committed
         return found
 
     def _stream(self) -> None:

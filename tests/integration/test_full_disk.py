@@ -62,7 +62,7 @@ def test_a_full_disk_refuses_data_serves_the_rest_and_heals_by_itself(tmp_path):
         disk = Path(f"/proc/{town.service.pid}/root") / (tmp_path / "home").relative_to("/")
         eventually((disk / "reserve").exists)
         assert [post(town, number) for number in range(5)] == [202] * 5
-        eventually(lambda: town.http.get("/v1/status").json()["indexed_submaps"] == 5)
+        eventually(lambda: town.http.get("/v1/status").json()["indexed_submaps"] == "5")
 
         filler = fill(disk)
         eventually(lambda: post(town, 99) == 507)

@@ -24,7 +24,7 @@ def test_an_unfinished_window_of_scans_survives_a_kill(town):
         assert town.append(seq) == seq
     town.service.kill()
     town.service.start()
-    assert town.http.get(f"/v1/{SESSION}").json()["committed_seq"] == 8
+    assert town.http.get(f"/v1/{SESSION}").json()["committed_seq"] == "8"
     assert town.append(8) == 8
     for seq in range(9, 17):
         assert town.append(seq) == seq

@@ -33,7 +33,7 @@ class PageRequest:
         if not self.token:
             return 0
         try:
-            text = base64.urlsafe_b64decode(self.token.encode("ascii")).decode("ascii")
+            text = base64.b64decode(self.token.encode("ascii"), altchars=b"-_", validate=True).decode("ascii")
         except (UnicodeError, binascii.Error) as error:
             raise BadField("page_token was not given out by this service", field="page_token") from error
         if not re.fullmatch(r"after:[0-9]{1,18}", text, re.ASCII):

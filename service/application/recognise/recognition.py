@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import structlog
 
+from revisit.core.candidates import candidate_policy
 from revisit.core.config import PipelineConfig
 from revisit.core.errors import DataLoss, DescriptorModelMismatch, ErrorCode, RevisitError
 from revisit.core.scan import Scan
@@ -251,11 +252,12 @@ def _queried(uow: UnitOfWork, job: JobRecord) -> tuple[MapRecord, VectorFilter]:
 
 def _loop_filter(submap: SubmapRecord, config: PipelineConfig) -> VectorFilter:
     """Any submap of the map but itself and its neighbours in its own session (paper IV-B)."""
+    policy = candidate_policy(submap.session_number, submap.ordinal, config.loop)
     return VectorFilter(
         exclude_submap=submap.number,
-        near_session=submap.session_number,
-        near_ordinal=submap.ordinal,
-        min_gap=config.loop.min_index_gap,
+        near_session=policy.session,
+        near_ordinal=policy.ordinal,
+        min_gap=policy.min_gap,
     )
 
 

@@ -1,4 +1,4 @@
-"""The documentation is complete: every name a user can meet has its heading, and every link leads somewhere."""
+"""The documentation is complete: every name a user can meet has its heading, and guides name what exists."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import typer
 
 from revisit.cli.app import app
 from revisit.core.errors import ErrorCode
-from revisit.core.verification.verdict import RejectionReason
+from revisit.core.verification import RejectionReason
 from revisit.service.rest.app import create_app
 from revisit.service.settings import Settings
 from revisit.v1 import (
@@ -98,13 +98,6 @@ def has_tests(path: Path) -> bool:
     """Whether there is such a file, or folder of files, with tests in it."""
     files = path.rglob("test_*.py") if path.is_dir() else [path]
     return any(re.search(r"^(?:async )?def test_", file.read_text(), re.MULTILINE) for file in files if file.exists())
-
-
-@pytest.mark.parametrize("page", sorted(DOCS.rglob("*.md")), ids=lambda page: page.name)
-def test_every_link_to_a_file_leads_to_one(page):
-    links = re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text())
-    broken = [link for link in links if "://" not in link and not (page.parent / link).exists()]
-    assert broken == []
 
 
 @pytest.mark.parametrize("page", sorted((DOCS / "how-to").glob("*.md")) + sorted((DOCS / "tutorial").glob("*.md")))
