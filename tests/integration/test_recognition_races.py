@@ -7,10 +7,8 @@ import threading
 import pytest
 
 from revisit.service.application import SubmapKey
-from revisit.service.application.catalogue.loops import LoopState
 from revisit.service.application.catalogue.paging import PageRequest
-from revisit.service.application.contract.records import SubmapState
-from revisit.service.application.query.operations import OperationState
+from revisit.service.application.contract.states import LoopState, OperationState, SubmapState
 from tests.support.fake_recogniser import FakeRecogniser
 from tests.support.service_world import SESSION, TENANT, memory_world, open_session, posted, sqlite_world, submap
 
@@ -81,7 +79,7 @@ async def test_the_loop_is_found_when_the_match_is_committed_after_the_search(wo
 
 async def test_a_worker_that_lost_its_lease_changes_nothing(world):
     await open_session(world)
-    posted = await world.use_cases.submaps.post(TENANT, submap("a", 1))
+    posted = await world.use_cases.posting.post(TENANT, submap("a", 1))
     slow = Halting()
     late = world.claim("slow")
     thread = threading.Thread(target=world.worker(slow).run, args=(late,))
@@ -101,7 +99,7 @@ async def test_a_worker_that_lost_its_lease_changes_nothing(world):
 
 async def test_a_late_failure_does_not_undo_a_success(world):
     await open_session(world)
-    posted = await world.use_cases.submaps.post(TENANT, submap("a", 1))
+    posted = await world.use_cases.posting.post(TENANT, submap("a", 1))
 
     class Fails(FakeRecogniser):
         def describe(self, given, config):
@@ -117,7 +115,7 @@ async def test_a_late_failure_does_not_undo_a_success(world):
 
 async def test_a_submap_deleted_while_it_is_described_stays_deleted(world):
     await open_session(world)
-    posted = await world.use_cases.submaps.post(TENANT, submap("a", 1))
+    posted = await world.use_cases.posting.post(TENANT, submap("a", 1))
     slow = Halting()
     thread = threading.Thread(target=world.worker(slow).run, args=(world.claim(),))
     thread.start()
