@@ -19,9 +19,9 @@ from prometheus_client import ProcessCollector
 
 from revisit.service.adapters.files.fail_stop import FailStop
 from revisit.service.adapters.sqlite.migration import migrate
-from revisit.service.application import Context, UseCases
+from revisit.service.application import Installation, UseCases
 from revisit.service.application.housekeeping.upkeep import Upkeep
-from revisit.service.composition import STORAGE_FAILED, build_context, build_tracer, build_use_cases, chores
+from revisit.service.composition import STORAGE_FAILED, build_installation, build_tracer, build_use_cases, chores
 from revisit.service.metrics import LoadMetrics, MetricsServer, RequestMetrics, StoreMetrics
 from revisit.service.settings import Settings
 from revisit.service.tls import grpc_credentials, http_context
@@ -73,9 +73,13 @@ class _Gateway:
     async def run(self) -> int:
         """Serve until told to stop, then drain; the exit status."""
         stop = self._stop_signal()
-        context = build_context(self._settings, gateway=True, fail_stop=FailStop(self._failing_disk_ends(stop)))
-        use_cases = build_use_cases(context, self._settings)
-        supervisor = WorkerSupervisor(context, self._settings.workers)
+        installation = build_installation(
+            self._settings, gateway=True, fail_stop=FailStop(self._failing_disk_ends(stop))
+        )
+        use_cases = build_use_cases(installation, self._settings)
+        supervisor = WorkerSupervisor(
+            installation.storage, installation.clock, installation.policy.lease_ms, self._settings.workers
+        )
         self._requests.registry.register(WorkerMetrics(supervisor))
         ProcessCollector(namespace="revisit", registry=self._requests.registry)
         http, http_port = self._http_server(use_cases)
@@ -83,10 +87,12 @@ class _Gateway:
         await rpc.start()
         serving = asyncio.create_task(http.serve(), name="http")
         supervisor.start()
-        upkeep = Upkeep(chores(self._settings, context))
+        upkeep = Upkeep(chores(self._settings, installation))
         upkeep.start()
-        self._watch = asyncio.create_task(LoadMetrics(self._requests.registry, context.intake).watch(), name="load")
-        metrics = self._metrics_server(context)
+        self._watch = asyncio.create_task(
+            LoadMetrics(self._requests.registry, installation.in_flight).watch(), name="load"
+        )
+        metrics = self._metrics_server(installation)
         # What the start has made stays. To look through it for garbage holds up every request by 70 to 90 ms.
         gc.freeze()
         self._announce(http_port, grpc_port)
@@ -107,7 +113,7 @@ class _Gateway:
         if metrics is not None:
             await asyncio.to_thread(metrics.close)
         await asyncio.to_thread(self._tracer.close)
-        await asyncio.to_thread(context.transactions.close)
+        await asyncio.to_thread(installation.transactions.close)
         log.info("stopped", status=self._status)
         return self._status
 
@@ -149,12 +155,12 @@ class _Gateway:
             asyncio.get_running_loop().add_signal_handler(number, stop.set)
         return stop
 
-    def _metrics_server(self, context: Context) -> MetricsServer | None:
+    def _metrics_server(self, installation: Installation) -> MetricsServer | None:
         """`/metrics` on a port of its own, on loopback, where the settings ask for it."""
         port = self._settings.metrics_port
         if port is None:
             return None
-        server = MetricsServer(self._requests, StoreMetrics(context), port)
+        server = MetricsServer(self._requests, StoreMetrics(installation), port)
         log.info("metrics_listening", port=server.port)
         return server
 
