@@ -225,6 +225,7 @@ OUT_OF_BOUNDS = {
     **{f"pages of {size}": ("page_size", lambda c, m, size=size: pages_of(c, size)) for size in (-1, 501)},
     "similarity 1.5": ("min_similarity", lambda c, m: by_descriptor(c, m, min_similarity=1.5)),
     "gap 1000001": ("min_index_gap", lambda c, m: by_descriptor(c, m, min_index_gap=1_000_001)),
+    "101 candidates": ("candidates", lambda c, m: c.localize(m, GOOD, candidates=101)),
     "tau_m 0.05": ("tau_m", lambda c, m: c.create_map("short", tau_m=0.05)),
     "a name of 257 characters": ("display_name", lambda c, m: c.create_map("long", display_name="x" * 257)),
     "waiting 61 s": ("min_seq_timeout_s", lambda c, m: c.loop_closures(m, min_seq=1, min_seq_timeout_s=61.0)),
