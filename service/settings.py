@@ -47,7 +47,7 @@ class Settings(AccessSettings):
     clouds_at_once: int = Field(
         default_factory=lambda: CapacityLimits().clouds,
         ge=1,
-        description="clouds in flight (received, not yet stored), of one tenant at most three quarters of them; further "
+        description="clouds in flight (received, not yet stored), a tenant at most three quarters of them; further "
         "posts are refused, streams wait",
     )
     max_streams: int = Field(default=256, ge=1, le=256, description="open streams of scans")
