@@ -47,8 +47,8 @@ class Settings(AccessSettings):
     clouds_at_once: int = Field(
         default_factory=lambda: CapacityLimits().clouds,
         ge=1,
-        description="clouds decoded and stored at the same time, a tenant at most three quarters of them; posts beyond "
-        "are refused, streams wait. While a tenant's come too fast none waits for a core to be decoded",
+        description="clouds in flight (received, not yet stored), a tenant at most three quarters of them; further "
+        "posts are refused, streams wait",
     )
     max_streams: int = Field(default=256, ge=1, le=256, description="open streams of scans")
     streams_per_client: int = Field(default=8, ge=1, description="open streams of scans of one API key")

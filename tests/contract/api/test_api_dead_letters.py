@@ -11,10 +11,10 @@ from typer.testing import CliRunner
 from revisit.cli.app import app
 from revisit.core.errors import BadField, DegenerateCloud
 from revisit.sdk.errors import ApiError, OperationFailed
+from revisit.service.application.capacity.backlog import JobPosting
 from revisit.service.application.contract.errors import NotFound, WorkersBusy
 from revisit.service.application.contract.identity import SubmapKey
 from revisit.service.application.contract.states import OperationKind
-from revisit.service.application.query.operations import new_job
 from revisit.service.application.query.search_answers import SearchCriteria, criteria_to_json
 from tests.support.fake_recogniser import CANNOT_BE_DESCRIBED, FakeRecogniser
 from tests.support.service_world import SESSION, TENANT, cloud_points, memory_world, open_session, submap
@@ -113,8 +113,10 @@ async def test_the_failed_description_of_a_deleted_submap_cannot_be_queued_again
 async def test_a_failed_search_cannot_be_queued_again(world):
     # Its cloud was never stored, so it fails at once.
     payload = {"map_id": "town", "criteria": criteria_to_json(SearchCriteria()), "cloud_sha256": "0" * 64}
-    job = new_job(world.context, TENANT, OperationKind.LOCALIZE, "maps/town", payload)
-    world.context.transactions.write(lambda uow: uow.queue.enqueue(job)).result()
+    jobs = JobPosting(world.context.backlog, world.clock, world.context.policy)
+    job = world.context.transactions.write(
+        lambda uow: jobs.post(uow, TENANT, OperationKind.LOCALIZE, "maps/town", payload)
+    ).result()
     world.work_off()
     with pytest.raises(BadField, match="ask again"):
         await world.use_cases.dead_letters.retry(TENANT, job.operation_id)
