@@ -119,6 +119,6 @@ def view_features(
 
 def _pack(decoder: DecoderWeights, books: Codebooks, config: PipelineConfig) -> bytes:
     buffer = io.BytesIO()
-    arrays = {**decoder.to_arrays(), **books.to_arrays(), TRAINED_WITH: training_record(config)}
-    np.savez_compressed(buffer, allow_pickle=False, **arrays)
+    arrays = {**decoder.to_arrays(), **books.to_arrays()}
+    np.savez_compressed(buffer, allow_pickle=False, **arrays, **{TRAINED_WITH: training_record(config)})
     return buffer.getvalue()
