@@ -98,7 +98,7 @@ def decode(parameters: list[Tensor], features: Tensor, encoding: Tensor, plane_d
     for layer in range(0, len(parameters) - 2, 2):
         hidden = torch.relu(torch.nn.functional.linear(hidden, parameters[layer], parameters[layer + 1]))
     correction = torch.nn.functional.linear(hidden, parameters[-2], parameters[-1])
-    return plane_distance + correction[:, 0]
+    return plane_distance + correction[:, 0]  # Eq. 5
 
 
 def orientations(normals: NDArray[np.float32]) -> NDArray[np.float32]:
