@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +50,15 @@ class Place:
     standing_count: int
     model: str
     frame: LevelFrame = field(default_factory=LevelFrame)
+
+    @cached_property
+    def content_digest(self) -> bytes:
+        """A SHA-256 of where the surface and the keypoints lie, in centimetres of the level frame.
+
+        It depends on nothing but the stored geometry: not on the session, the codebook or how the blob is compressed.
+        """
+        levels = _centimetres(self.points).tobytes() + _centimetres(self.keypoints).tobytes()
+        return hashlib.sha256(levels).digest()
 
     def to_blob(self) -> bytes:
         """The place as bytes: magic, header, zstd body, truncated SHA-256 over all of it."""

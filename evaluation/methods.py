@@ -79,7 +79,7 @@ class PipelineMethod:
         """The verdict of core.pipeline.verify. Raises DataLoss for damaged signatures."""
         from revisit.core.pipeline import verify
         from revisit.core.place import Place
-        from revisit.core.verification.verdict import RejectedLoop
+        from revisit.core.verification import RejectedLoop
 
         pair = Place.from_blob(query), Place.from_blob(match)
         loop = verify(*pair, similarity, self.config.verification)

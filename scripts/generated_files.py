@@ -4,6 +4,7 @@ proto        revisit/v1/*_pb2*         out of proto/revisit/v1
 parameters   docs/reference/parameters.md   out of core/config.py
 openapi      docs/reference/openapi.json    out of service.rest
 references   docs/reference/{errors,settings,cli,rest-and-grpc}.md   out of the code they describe
+decisions    docs/decisions/README.md   out of the decisions' own lines
 """
 
 from __future__ import annotations
@@ -63,11 +64,19 @@ def write_references(out: Path) -> None:
         _write(out / f"docs/reference/{name}.md", page())
 
 
+def write_decisions(out: Path) -> None:
+    """Write the index of the decisions under `out`."""
+    from scripts import decisions
+
+    _write(out / decisions.FOLDER / "README.md", decisions.index(ROOT))
+
+
 GENERATORS: dict[str, Callable[[Path], None]] = {
     "proto": write_stubs,
     "parameters": write_parameters,
     "openapi": write_openapi,
     "references": write_references,
+    "decisions": write_decisions,
 }
 
 

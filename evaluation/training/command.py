@@ -10,9 +10,11 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from revisit.core.bev import describe_bev
 from revisit.core.clusters import segment_clusters
@@ -119,6 +121,7 @@ def view_features(
 
 def _pack(decoder: DecoderWeights, books: Codebooks, config: PipelineConfig) -> bytes:
     buffer = io.BytesIO()
-    arrays = {**decoder.to_arrays(), **books.to_arrays()}
-    np.savez_compressed(buffer, allow_pickle=False, **arrays, **{TRAINED_WITH: training_record(config)})
+    arrays: dict[str, NDArray[Any]] = {**decoder.to_arrays(), **books.to_arrays()}
+    arrays[TRAINED_WITH] = training_record(config)
+    np.savez_compressed(buffer, allow_pickle=False, **arrays)
     return buffer.getvalue()

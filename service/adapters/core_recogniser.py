@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import json
 from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
-from revisit.core.config import PipelineConfig
+from revisit.core.config import PipelineConfig, VerificationConfig
 from revisit.core.errors import RevisitError
 from revisit.core.model_bundle import ModelBundle, load_packaged_models
 from revisit.core.pipeline import DescribedPlace, describe, verify
@@ -16,8 +18,13 @@ from revisit.core.place import Place
 from revisit.core.scan import Scan
 from revisit.core.stages import stage_times
 from revisit.core.submap import Submap
-from revisit.core.verification.verdict import LoopMeasurement, RejectedLoop, VerifiedLoop
+from revisit.core.verification import LoopMeasurement, RejectedLoop, VerifiedLoop
 from revisit.service.application.contract.ports import LoopVerdict, Mesh, SubmapDescription
+
+SETTABLE = ("min_score", "min_overlap", "max_seen_through")
+"""The thresholds that an operator may set (see `contract.loop_policy`): written beside each verdict."""
+
+VERSION_DIGITS = 12
 
 
 class CoreRecogniser:
@@ -101,7 +108,15 @@ def _evidence(verdict: VerifiedLoop | RejectedLoop, config: PipelineConfig) -> d
     """What was measured and against which thresholds, as JSON."""
     measurement: LoopMeasurement | None = verdict.measurement
     measured = {} if measurement is None else _as_json(measurement)
-    return {"measurement": measured, "thresholds": _as_json(config.verification)}
+    return {"measurement": measured, **_thresholds(config.verification)}
+
+
+def _thresholds(rules: VerificationConfig) -> dict[str, Any]:
+    """Which rules gave the verdict: those that an operator sets, others that are not the default, and a hash of all."""
+    values, defaults = _as_json(rules), _as_json(VerificationConfig())
+    told = {name: value for name, value in values.items() if name in SETTABLE or value != defaults[name]}
+    digest = hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+    return {"thresholds": told, "thresholds_version": digest[:VERSION_DIGITS]}
 
 
 def _as_json(record: Any) -> dict[str, Any]:

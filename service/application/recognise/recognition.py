@@ -259,6 +259,6 @@ def _localization(judged: list[JudgedPlace]) -> Localization:
         return Localization(None, None, tuple(candidates))
     best = max(accepted, key=lambda index: (candidates[index].score, -index))
     T_match_query = candidates[best].T_match_query
-    T_map_match = pose_matrix(judged[best].place.submap.T_odom_submap)
-    T_map_query = None if T_match_query is None else T_map_match @ T_match_query
-    return Localization(candidates[best], T_map_query, tuple(candidates))
+    T_odom_match = pose_matrix(judged[best].place.submap.T_odom_submap)
+    T_odom_query = None if T_match_query is None else T_odom_match @ T_match_query
+    return Localization(candidates[best], T_odom_query, tuple(candidates))

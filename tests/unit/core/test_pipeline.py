@@ -17,7 +17,7 @@ from revisit.core.model_bundle import load_packaged_models
 from revisit.core.pipeline import DescribedPlace, DescribedSurface, describe, verify
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
-from revisit.core.verification.verdict import RejectedLoop, VerifiedLoop
+from revisit.core.verification import RejectedLoop, VerifiedLoop
 from revisit.evaluation.ablation import Ablation, describe_ablated
 
 CONFIG = PipelineConfig()
