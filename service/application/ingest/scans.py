@@ -13,6 +13,7 @@ import numpy as np
 
 from revisit.core.errors import BadField
 from revisit.core.geometry.se3 import Matrix4
+from revisit.core.config import SubmapConfig
 from revisit.core.scan import CloudReport, Scan
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.capacity.backlog import JobPosting
@@ -34,6 +35,9 @@ from revisit.service.application.ingest.scan_windows import Window, advance, win
 from revisit.service.application.ingest.submap_posting import PostedSubmap
 from revisit.service.application.ingest.window_submaps import add_window_submap
 from revisit.service.failpoints import failpoint
+
+SESSIONS_REMEMBERED = 4096
+"""Sessions whose window rules are kept in memory, about 1 kB each."""
 
 
 @dataclass(frozen=True)
@@ -113,6 +117,7 @@ class Scans:
         self._streams = streams
         self._clock = clock
         self._policy = policy
+        self._window_configs: dict[int, SubmapConfig] = {}
 
     async def open(self, tenant: TenantId, session: SessionKey, resume: ResumePoint = ResumePoint()) -> OpenedStream:
         """Where the session stands.
@@ -175,7 +180,7 @@ class Scans:
 
     def _advance(self, uow: UnitOfWork, session: SessionRecord, seq: int, step_m: float) -> PostedSubmap | None:
         """Move the session's window on; the submap that is complete now, if one is."""
-        config = self._policy.for_map(require_map(uow, session.tenant, session.map_id)).submap
+        config = self._window_config(uow, session)
         first_seq_from = partial(uow.scans.first_seq_from, session.tenant, session.map_id, session.session_id)
         window, finished = advance(window_of(session), seq, step_m, config, first_seq_from)
         moved = _with_window(replace(session, committed_seq=seq), window)
@@ -183,6 +188,16 @@ class Scans:
             uow.sessions.replace(moved)
             return None
         return add_window_submap(uow, self._jobs, moved, finished, self._clock.wall_ns())[0]
+
+
+    def _window_config(self, uow: UnitOfWork, session: SessionRecord) -> SubmapConfig:
+        """How the session's scans are cut into submaps: rules of its map, which never change, so they are read once."""
+        if session.number not in self._window_configs:
+            if len(self._window_configs) == SESSIONS_REMEMBERED:
+                self._window_configs.clear()
+            config = self._policy.for_map(require_map(uow, session.tenant, session.map_id)).submap
+            self._window_configs[session.number] = config
+        return self._window_configs[session.number]
 
 
 def _accept(command: AppendScan) -> _Accepted:
