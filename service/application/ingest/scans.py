@@ -11,9 +11,9 @@ from functools import partial
 
 import numpy as np
 
+from revisit.core.config import SubmapConfig
 from revisit.core.errors import BadField
 from revisit.core.geometry.se3 import Matrix4
-from revisit.core.config import SubmapConfig
 from revisit.core.scan import CloudReport, Scan
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.capacity.backlog import JobPosting
@@ -188,7 +188,6 @@ class Scans:
             uow.sessions.replace(moved)
             return None
         return add_window_submap(uow, self._jobs, moved, finished, self._clock.wall_ns())[0]
-
 
     def _window_config(self, uow: UnitOfWork, session: SessionRecord) -> SubmapConfig:
         """How the session's scans are cut into submaps: rules of its map, which never change, so they are read once."""
