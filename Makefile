@@ -14,53 +14,53 @@ STAMP := .venv/.set-up
 
 .PHONY: help setup demo run test test-all lint types generated check bench proto docs format clean
 
-help: ## this list
+help: ## list these commands
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "make %-10s %s\n", $$1, $$2}'
 
 $(STAMP): pyproject.toml constraints.txt scripts/setup.sh
 	@scripts/setup.sh
 	@touch $(STAMP)
 
-setup: $(STAMP) ## a virtual environment with everything; the other commands do this themselves
+setup: $(STAMP) ## install everything into .venv (the other commands do so themselves)
 
-demo: $(STAMP) ## a simulated robot drives through a city; its loops are found and drawn
+demo: $(STAMP) ## drive two simulated robots through a town; show and draw the loops that the service finds
 	$(BIN)/revisit demo
 
-run: $(STAMP) ## the service on this machine: HTTP, gRPC and workers
+run: $(STAMP) ## run the service on this machine: HTTP, gRPC and workers
 	$(BIN)/revisit serve
 
-test: $(STAMP) ## the tests, without the slow ones
+test: $(STAMP) ## run the tests, without the slow ones
 	$(PYTHON) -m pytest tests -m "not slow" -n 2 --dist loadfile
 
-test-all: $(STAMP) ## every test
+test-all: $(STAMP) ## run every test
 	$(PYTHON) -m pytest tests --timeout 7200
 
-lint: $(STAMP) ## style, docstrings, import contracts, proto style
+lint: $(STAMP) ## check style, docstrings, import contracts and the protocol files
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports --no-logo
 	$(BIN)/buf lint proto
 
-types: $(STAMP) ## mypy --strict
+types: $(STAMP) ## check types: mypy --strict
 	$(BIN)/mypy
 
-generated: $(STAMP) ## are the committed generated files up to date?
+generated: $(STAMP) ## check that the committed generated files are up to date
 	$(PYTHON) scripts/generated_files.py check
 
-check: lint types generated test ## everything a change must pass
+check: lint types generated test ## run everything that a change must pass
 
-bench: $(STAMP) ## the declared metrics against the committed baseline
+bench: $(STAMP) ## measure the product and compare with the committed baseline
 	$(BIN)/revisit bench
 
-proto: $(STAMP) ## Python stubs out of proto/
+proto: $(STAMP) ## write the Python stubs of proto/
 	$(PYTHON) scripts/generated_files.py write proto
 
-docs: $(STAMP) ## the reference pages, openapi.json and the index of the decisions
+docs: $(STAMP) ## write the reference pages, openapi.json and the index of the decisions
 	$(PYTHON) scripts/generated_files.py write parameters openapi references decisions
 
-format: $(STAMP) ## lay out the code
+format: $(STAMP) ## format the code
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-clean: ## remove the environment and everything that is made again
+clean: ## remove .venv and everything else that can be made again
 	rm -rf .venv build dist out *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.config import ClusterConfig
+from revisit.core.geometry.voxel_keys import voxel_keys
+from revisit.core.kernels.cluster_joins import join_cells
+from revisit.core.kernels.voxel_table import table_of
+from revisit.core.stages import stage
 from revisit.core.surface import Surface
 
 Array = NDArray[np.float32]
@@ -27,6 +30,7 @@ class Clusters:
     ground: NDArray[np.bool_]
 
 
+@stage("clusters")
 def segment_clusters(surface: Surface, config: ClusterConfig) -> Clusters:
     """Remove the ground, join vertices nearer than the radius, keep the parts that are large enough (paper III-C)."""
     ground = find_ground(surface, config)
@@ -53,10 +57,8 @@ def find_ground(surface: Surface, config: ClusterConfig) -> NDArray[np.bool_]:
     if len(vertices) == 0:
         return np.zeros(0, dtype=bool)
     columns = np.floor(vertices[:, :2] / config.ground_cell).astype(np.int64)
-    columns -= columns.min(axis=0)
-    shape = columns.max(axis=0) + 1
-    cell = columns[:, 0] * shape[1] + columns[:, 1]
-    lowest, highest = np.full(shape.prod(), np.inf), np.full(shape.prod(), -np.inf)
+    occupied, cell = np.unique(voxel_keys(columns), return_inverse=True)
+    lowest, highest = np.full(len(occupied), np.inf), np.full(len(occupied), -np.inf)
     np.minimum.at(lowest, cell, vertices[:, 2])
     np.maximum.at(highest, cell, vertices[:, 2])
     level = np.abs(surface.normals[:, 2]) > config.ground_cosine
@@ -83,63 +85,12 @@ def euclidean_clusters(points: Array, radius: float) -> NDArray[np.int64]:
     """
     edge = radius / np.sqrt(3.0)
     cells = np.floor(points / edge).astype(np.int64)
-    cells -= cells.min(axis=0)
-    extent = cells.max(axis=0) + 1
-    keys = (cells[:, 0] * extent[1] + cells[:, 1]) * extent[2] + cells[:, 2]
+    keys = voxel_keys(cells)
     order = np.argsort(keys, kind="stable")
-    unique, starts, inverse = np.unique(keys[order], return_index=True, return_inverse=True)
-    roots = _join_cells(points[order], unique, np.append(starts, len(points)), extent, radius)
+    _, starts, inverse = np.unique(keys[order], return_index=True, return_inverse=True)
+    occupied = table_of(cells[order[starts]].astype(np.int32))
+    roots = join_cells(points[order], np.append(starts, len(points)), occupied, radius)
     _, parts = np.unique(roots, return_inverse=True)
     labels = np.empty(len(points), dtype=np.int64)
     labels[order] = parts[inverse]
     return labels
-
-
-@numba.njit(cache=True)
-def _join_cells(
-    points: Array, keys: NDArray[np.int64], starts: NDArray[np.int64], extent: NDArray[np.int64], radius: float
-) -> NDArray[np.int64]:
-    """The root cell (c,) of every occupied cell; `keys` (c,) ascending, `starts` (c + 1,) rows of `points`."""
-    parent = np.arange(len(keys))
-    limit = radius * radius
-    for cell in range(len(keys)):
-        z = keys[cell] % extent[2]
-        y = keys[cell] // extent[2] % extent[1]
-        x = keys[cell] // (extent[2] * extent[1])
-        for dx in range(3):
-            for dy in range(-2, 3):
-                for dz in range(-2, 3):
-                    if (dx, dy, dz) <= (0, 0, 0):
-                        continue
-                    if x + dx >= extent[0] or not 0 <= y + dy < extent[1] or not 0 <= z + dz < extent[2]:
-                        continue
-                    key = ((x + dx) * extent[1] + y + dy) * extent[2] + z + dz
-                    other = np.searchsorted(keys, key)
-                    if other == len(keys) or keys[other] != key:
-                        continue
-                    a, b = _root(parent, cell), _root(parent, other)
-                    if a != b and _touch(points, starts, cell, other, limit):
-                        parent[max(a, b)] = min(a, b)
-    for cell in range(len(keys)):
-        parent[cell] = _root(parent, cell)
-    return parent
-
-
-@numba.njit(cache=True)
-def _root(parent: NDArray[np.int64], cell: int) -> int:
-    while parent[cell] != cell:
-        parent[cell] = parent[parent[cell]]
-        cell = parent[cell]
-    return cell
-
-
-@numba.njit(cache=True)
-def _touch(points: Array, starts: NDArray[np.int64], a: int, b: int, limit: float) -> bool:
-    for i in range(starts[a], starts[a + 1]):
-        for j in range(starts[b], starts[b + 1]):
-            gap = 0.0
-            for k in range(3):
-                gap += (points[i, k] - points[j, k]) ** 2
-            if gap < limit:
-                return True
-    return False

@@ -7,128 +7,272 @@ A source names the paper's section or equation, another work, or "own" (then doc
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from enum import StrEnum
+from typing import Any, ClassVar, NoReturn
+
+import numpy as np
+
+from revisit.core.errors import BadField
+
+PROFILE_BINS = 256
+"""Bins of the transform of a profile along a heading."""
+MAX_IMAGE_PX = 4096
+"""Most pixels along an edge of the BEV image."""
+MAX_VOXEL = 2**30
+"""Voxel indices stay below, so that they and their neighbours fit into 32 bits."""
 
 
-def parameter(default: Any, unit: str, source: str, meaning: str) -> Any:
-    """A dataclass field with its unit, source and meaning."""
-    return dataclasses.field(default=default, metadata={"unit": unit, "source": source, "meaning": meaning})
+def parameter(
+    default: Any, unit: str, source: str, meaning: str, *, low: float | None = None, high: float = math.inf
+) -> Any:
+    """A dataclass field with its unit, source and meaning.
+
+    Numbers must be finite and lie in [low, high]; without `low` they must be greater than 0.
+    """
+    about = {"unit": unit, "source": source, "meaning": meaning, "low": low, "high": high}
+    return dataclasses.field(default=default, metadata=about)
+
+
+class Section:
+    """Parameters that belong together, each checked once: when the section is made."""
+
+    section: ClassVar[str]
+
+    def __post_init__(self) -> None:
+        for one in dataclasses.fields(self):  # type: ignore[arg-type]
+            value = _checked(f"{self.section}.{one.name}", getattr(self, one.name), one.default, one.metadata)
+            object.__setattr__(self, one.name, value)
+
+    def refuse(self, name: str, reason: str) -> NoReturn:
+        """Raise BadField for the parameter `name` of this section."""
+        raise BadField(f"{self.section}.{name} {reason}", field=f"{self.section}.{name}")
+
+
+def _checked(name: str, value: Any, default: Any, about: Mapping[str, Any]) -> Any:
+    """The value of a parameter of the kind of its default. Raises BadField."""
+    if isinstance(default, StrEnum):
+        return _choice(name, value, type(default))
+    if isinstance(default, tuple):
+        if not isinstance(value, tuple | list) or not value:
+            raise BadField(f"{name} must be a list of numbers, got {value!r}", field=name)
+        return tuple(_checked(name, item, default[0], about) for item in value)
+    kind: type = type(default)
+    fits = isinstance(value, int | float | np.integer | np.floating) if kind is float else isinstance(value, kind)
+    if not fits or isinstance(value, bool) is not (kind is bool):
+        raise BadField(f"{name} must be of type {kind.__name__}, got {value!r}", field=name)
+    if kind is not bool:
+        _check_range(name, value, about["low"], about["high"])
+    return value
+
+
+def _choice(name: str, value: Any, choices: type[StrEnum]) -> StrEnum:
+    try:
+        return choices(value)
+    except ValueError as error:
+        raise BadField(f"{name} must be one of {', '.join(choices)}, got {value!r}", field=name) from error
+
+
+def _check_range(name: str, value: float, low: float | None, high: float) -> None:
+    above = value > 0 if low is None else value >= low
+    if not (math.isfinite(value) and above and value <= high):
+        least = "greater than 0" if low is None else f"at least {low:g}"
+        most = "" if high == math.inf else f" and at most {high:g}"
+        raise BadField(f"{name} must be {least}{most}, got {value!r}", field=name)
+
+
+class Loss(StrEnum):
+    """The regression of the paper (III-B 5), or the cross entropy of occupancy sigmoids (PIN-SLAM)."""
+
+    L1 = "l1"
+    BCE = "bce"
+
+
+class Normalisation(StrEnum):
+    """eta of Eq. 9: how the summed evidence of a column becomes intensity."""
+
+    LOG = "log"
+    LINEAR = "linear"
+    BINARY = "binary"
+
+
+class KeypointSource(StrEnum):
+    """Where corners are sought: on the BEV image, or on the maximum index map as the paper says (III-D)."""
+
+    IMAGE = "image"
+    MIM = "mim"
+
+
+class Evaluation(StrEnum):
+    """Where psi is evaluated: at each keypoint (paper Fig. 2b), or over each whole cluster (paper III-C)."""
+
+    KEYPOINT = "keypoint"
+    CLUSTER = "cluster"
 
 
 @dataclass(frozen=True)
-class SubmapConfig:
+class SubmapConfig(Section):
     """How scans become submaps (paper III-A)."""
+
+    section: ClassVar[str] = "submap"
 
     tau: float = parameter(10.0, "m", "paper III-A, tau_n", "travelled distance covered by one submap")
     stride: float = parameter(5.0, "m", "own", "travelled distance between the starts of two submaps")
     max_range: float = parameter(80.0, "m", "PIN-SLAM", "returns beyond this range are not used")
-    min_range: float = parameter(1.0, "m", "own", "returns nearer than this hit the robot itself")
+    min_range: float = parameter(1.0, "m", "own", "returns nearer than this hit the robot itself", low=0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.min_range >= self.max_range:
+            self.refuse("min_range", f"must be less than max_range, {self.max_range:g}")
 
 
 @dataclass(frozen=True)
-class ImplicitMapConfig:
+class ImplicitMapConfig(Section):
     """Elastic neural points, decoder, samples and fitting (paper III-B)."""
 
+    section: ClassVar[str] = "implicit_map"
+
     resolution: float = parameter(0.4, "m", "PIN-SLAM", "edge of a neural-point voxel, also mesh voxel and BEV pixel")
-    eviction_distance: float = parameter(
-        0.7, "m", "paper III-B 3", "a stored neural point farther than this from a new return is replaced"
+    neighbours: int = parameter(6, "points", "paper Eq. 3, K", "neural points blended for one query", high=64)
+    search_rings: int = parameter(
+        2, "voxels", "own", "neighbours are sought among the voxels within this distance", high=8
     )
-    neighbours: int = parameter(6, "points", "paper Eq. 3, K", "neural points blended for one query")
-    search_rings: int = parameter(2, "voxels", "own", "neighbours are sought among the voxels within this distance")
-    weight_power: float = parameter(1.0, "1", "paper Eq. 3", "power of the inverse distance weight")
-    feature_size: int = parameter(8, "1", "paper III-B, F", "latent features of a neural point")
+    weight_power: float = parameter(1.0, "1", "paper Eq. 3", "power of the inverse distance weight", low=0)
+    feature_size: int = parameter(8, "1", "paper III-B, F", "latent features of a neural point", high=256)
     truncation: float = parameter(0.6, "m", "method notes", "signed distances are cut at this value")
     rays_per_point: int = parameter(1, "rays", "own", "returns a neural point contributes to the training set")
-    near_samples: int = parameter(4, "samples/ray", "method notes", "samples around the return")
-    near_sigma: float = parameter(0.25, "m", "method notes", "standard deviation of the near samples along the ray")
-    front_samples: int = parameter(2, "samples/ray", "method notes", "samples in the free space before the return")
+    near_samples: int = parameter(4, "samples/ray", "method notes", "samples around the return", low=0)
+    near_sigma: float = parameter(
+        0.25, "m", "method notes", "standard deviation of the near samples along the ray", low=0
+    )
+    front_samples: int = parameter(
+        2, "samples/ray", "method notes", "samples in the free space before the return", low=0
+    )
     front_reach: float = parameter(2.0, "m", "own", "free-space samples lie within this distance before the return")
-    behind_samples: int = parameter(1, "samples/ray", "method notes", "samples behind the return")
+    behind_samples: int = parameter(1, "samples/ray", "method notes", "samples behind the return", low=0)
     behind_reach: float = parameter(0.6, "m", "method notes", "samples behind lie within this distance")
-    loss: str = parameter("bce", "bce or l1", "PIN-SLAM", "loss on the signed distance")
+    loss: Loss = parameter(Loss.BCE, "bce or l1", "PIN-SLAM", "loss on the signed distance")
     loss_scale: float = parameter(0.08, "m", "PIN-SLAM", "scale of the sigmoid of the bce loss")
-    feature_decay: float = parameter(0.01, "1", "own", "weight of the squared latent features in the loss")
-    steps: int = parameter(10, "steps", "paper III-B 5", "gradient steps a submap")
+    feature_decay: float = parameter(0.01, "1", "own", "weight of the squared latent features in the loss", low=0)
+    steps: int = parameter(10, "steps", "paper III-B 5", "gradient steps a submap", low=0)
     batch: int = parameter(16384, "samples", "PIN-SLAM", "samples a gradient step")
     learning_rate: float = parameter(0.01, "1", "PIN-SLAM", "Adam step size")
     update_decoder: bool = parameter(False, "", "paper III-B 5", "also adapt the decoder while fitting")
     dynamic_distance: float = parameter(
-        0.3, "m", "paper Eq. 6, gamma_d", "a dynamic point lies farther from the surface"
+        0.3, "m", "paper Eq. 6, gamma_d", "a dynamic point lies farther from the surface", low=0
     )
     dynamic_stability: int = parameter(
         2, "scans", "paper Eq. 6, gamma_mu", "scans that must have seen free space where a dynamic point was"
     )
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.front_reach < self.truncation / 2:
+            self.refuse("front_reach", f"must be at least half the truncation, {self.truncation:g}")
+
 
 @dataclass(frozen=True)
-class SurfaceConfig:
+class SurfaceConfig(Section):
     """Mesh, normals and occupancy out of the field (paper III-C)."""
+
+    section: ClassVar[str] = "surface"
 
     observed_distance: float = parameter(
         0.6, "m", "method notes", "corners farther than this from every neural point are unobserved"
     )
-    min_component: int = parameter(12, "vertices", "own", "connected mesh parts with fewer vertices are noise")
+    min_component: int = parameter(12, "vertices", "own", "connected mesh parts with fewer vertices are noise", low=0)
     min_returns: int = parameter(2, "returns", "own", "no-implicit ablation: returns an occupied voxel needs")
 
 
 @dataclass(frozen=True)
-class ClusterConfig:
+class ClusterConfig(Section):
     """Ground removal and fast Euclidean clustering (paper III-C)."""
 
-    ground_cosine: float = parameter(0.85, "1", "method notes", "|n_z| of ground vertices")
-    ground_height: float = parameter(0.5, "m", "method notes", "ground lies this near the lower envelope")
+    section: ClassVar[str] = "clusters"
+
+    ground_cosine: float = parameter(0.85, "1", "method notes", "|n_z| of ground vertices", low=0, high=1)
+    ground_height: float = parameter(0.5, "m", "method notes", "ground lies this near the lower envelope", low=0)
     ground_cell: float = parameter(2.0, "m", "own", "edge of a column of the lower envelope")
-    standing_height: float = parameter(0.7, "m", "own, decision 0008", "a low column of less extent is ground")
-    ground_slope: float = parameter(0.03, "1", "own, decision 0008", "rise of the ground over its plane with distance")
+    standing_height: float = parameter(0.7, "m", "own, decision 0008", "a low column of less extent is ground", low=0)
+    ground_slope: float = parameter(
+        0.03, "1", "own, decision 0008", "rise of the ground over its plane with distance", low=0
+    )
     radius: float = parameter(0.8, "m", "method notes", "vertices nearer than this belong together")
     min_vertices: int = parameter(60, "vertices", "method notes", "smaller clusters are not dominant")
 
 
 @dataclass(frozen=True)
-class BevConfig:
+class BevConfig(Section):
     """Cluster-guided BEV image and its features (paper III-D, III-E)."""
+
+    section: ClassVar[str] = "bev"
 
     half_range: float = parameter(50.0, "m", "method notes", "the image covers +- this distance from the submap centre")
     cluster_distance: float = parameter(
         0.6, "m", "paper Eq. 7, delta_c", "voxels this near a dominant cluster are projected"
     )
     min_support: float = parameter(
-        0.5, "1", "own", "share of the standing voxels below which all of them are projected"
+        0.5, "1", "own", "share of the standing voxels below which all of them are projected", low=0, high=1
     )
-    normalisation: str = parameter("log", "log, linear or binary", "paper Eq. 9, eta", "evidence to image intensity")
-    saturation_quantile: float = parameter(0.95, "1", "own", "occupied pixels above this quantile are white")
-    scales: int = parameter(4, "1", "BVMatch", "scales of the log-Gabor filters")
-    orientations: int = parameter(6, "1", "method notes", "orientations of the log-Gabor filters and of the histograms")
-    wavelength: float = parameter(3.0, "px", "BVMatch", "wavelength of the finest filter")
-    scale_factor: float = parameter(1.6, "1", "BVMatch", "ratio of the wavelengths of two scales")
-    bandwidth: float = parameter(0.75, "1", "BVMatch", "sigma over centre frequency of the radial part")
-    filter_margin: int = parameter(32, "px", "own", "empty border against wrap-around of the filters")
-    keypoint_source: str = parameter(
-        "image", "image or mim", "BVMatch; paper III-D: mim", "where FAST looks for corners"
+    normalisation: Normalisation = parameter(
+        Normalisation.LOG, "log, linear or binary", "paper Eq. 9, eta", "evidence to image intensity"
     )
-    fast_threshold: int = parameter(10, "grey levels", "method notes", "contrast of a FAST corner")
+    saturation_quantile: float = parameter(
+        0.95, "1", "own", "occupied pixels above this quantile are white", low=0, high=1
+    )
+    scales: int = parameter(4, "1", "BVMatch", "scales of the log-Gabor filters", high=16)
+    orientations: int = parameter(
+        6, "1", "method notes", "orientations of the log-Gabor filters and of the histograms", high=127
+    )
+    wavelength: float = parameter(3.0, "px", "BVMatch", "wavelength of the finest filter", low=2)
+    scale_factor: float = parameter(1.6, "1", "BVMatch", "ratio of the wavelengths of two scales", low=1)
+    bandwidth: float = parameter(0.75, "1", "BVMatch", "sigma over centre frequency of the radial part", high=0.99)
+    filter_margin: int = parameter(32, "px", "own", "empty border against wrap-around of the filters", low=0)
+    keypoint_source: KeypointSource = parameter(
+        KeypointSource.IMAGE, "image or mim", "BVMatch; paper III-D: mim", "where FAST looks for corners"
+    )
+    fast_threshold: int = parameter(10, "grey levels", "method notes", "contrast of a FAST corner", high=254)
     max_keypoints: int = parameter(200, "keypoints", "method notes", "the strongest corners are kept")
-    min_keypoints: int = parameter(40, "keypoints", "own", "filled up with amplitude maxima where corners are fewer")
-    context_px: int = parameter(138, "px", "method notes", "diameter of the disc that sets a keypoint's orientation")
-    patch_px: int = parameter(96, "px", "method notes", "edge of the described patch")
+    min_keypoints: int = parameter(
+        40, "keypoints", "own", "filled up with amplitude maxima where corners are fewer", low=0
+    )
+    context_px: int = parameter(
+        138, "px", "method notes", "diameter of the disc that sets a keypoint's orientation", low=2, high=4096
+    )
+    patch_px: int = parameter(96, "px", "method notes", "edge of the described patch", high=4096)
     patch_step: int = parameter(2, "px", "own", "sampling distance inside the patch")
-    cells: int = parameter(6, "1", "BVMatch", "parts of the patch along each edge")
-    amplitude_power: float = parameter(0.5, "1", "own", "weight of a pixel is this power of its filter amplitude")
-    layout_power: float = parameter(2.0, "1", "own, decision 0006", "intensities are raised to this power")
-    layout_blur: float = parameter(1.0, "px", "own, decision 0006", "standard deviation of the blur")
+    cells: int = parameter(6, "1", "BVMatch", "parts of the patch along each edge", high=64)
+    amplitude_power: float = parameter(
+        0.5, "1", "own", "weight of a pixel is this power of its filter amplitude", low=0
+    )
+    layout_power: float = parameter(2.0, "1", "own, decision 0006", "intensities are raised to this power", low=0)
+    layout_blur: float = parameter(1.0, "px", "own, decision 0006", "standard deviation of the blur", low=0)
     layout_radii: int = parameter(24, "1", "own, decision 0006", "frequencies of the layout spectrum")
     layout_angles: int = parameter(60, "1", "own, decision 0006", "angles of the layout spectrum over half a turn")
-    layout_frequency: float = parameter(0.2, "cycles/px", "own, decision 0006", "highest frequency")
-    layout_harmonics: int = parameter(6, "1", "own, decision 0006", "harmonics over the angle, beside their mean")
+    layout_frequency: float = parameter(0.2, "cycles/px", "own, decision 0006", "highest frequency", high=0.5)
+    layout_harmonics: int = parameter(
+        6, "1", "own, decision 0006", "harmonics over the angle, beside their mean", low=0
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if max(self.cells, self.patch_step) > self.patch_px:
+            self.refuse("patch_px", f"must be at least cells, {self.cells}, and patch_step, {self.patch_step}")
+        if self.layout_harmonics > self.layout_angles // 2:
+            self.refuse("layout_harmonics", f"must be at most half of layout_angles, {self.layout_angles}")
 
 
 @dataclass(frozen=True)
-class MicroConfig:
+class MicroConfig(Section):
     """Cluster normal statistics and saliency (paper III-C, III-E)."""
 
-    evaluation: str = parameter(
-        "keypoint", "keypoint or cluster", "paper Fig. 2b; III-C: cluster", "where psi is evaluated"
+    section: ClassVar[str] = "micro"
+
+    evaluation: Evaluation = parameter(
+        Evaluation.KEYPOINT, "keypoint or cluster", "paper Fig. 2b; III-C: cluster", "where psi is evaluated"
     )
     radius: float = parameter(8.0, "m", "own", "column around a keypoint over which psi is evaluated")
     distance_bins: int = parameter(3, "1", "own; paper III-C: 1", "classes of pairs of regions by horizontal distance")
@@ -140,26 +284,41 @@ class MicroConfig:
 
 
 @dataclass(frozen=True)
-class SpectrumConfig:
+class SpectrumConfig(Section):
     """Spectra of profiles along all headings: of faces (normal spectrum) and of the plan (plan spectrum)."""
+
+    section: ClassVar[str] = "spectra"
 
     headings: int = parameter(72, "1", "own, decision 0015", "headings, over a turn for faces, over half for the plan")
     reach: float = parameter(65.0, "m", "own, decision 0017", "weights fall to zero at this distance")
     spacing: float = parameter(1.0, "m", "own, decision 0015", "bin of a profile")
     sharpness: float = parameter(
-        4.0, "1", "own, decision 0015", "power of the cosine by which a face counts for a heading near its own"
+        4.0, "1", "own, decision 0015", "power of the cosine by which a face counts for a heading near its own", low=0
     )
     frequencies: int = parameter(24, "1", "own, decision 0015", "frequencies of a spectrum")
     highest: float = parameter(0.25, "cycles/m", "own, decision 0015", "highest frequency")
-    harmonics: int = parameter(12, "1", "own, decision 0015", "harmonics over the heading, beside their mean")
+    harmonics: int = parameter(12, "1", "own, decision 0015", "harmonics over the heading, beside their mean", low=0)
     neighbours: int = parameter(
-        1, "1", "own, decision 0017", "higher frequencies with which each one's harmonics are compared in phase"
+        1, "1", "own, decision 0017", "higher frequencies with which each one's harmonics are compared in phase", low=0
     )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.harmonics > self.headings // 2:
+            self.refuse("harmonics", f"must be at most half of headings, {self.headings}")
+        if self.neighbours >= self.frequencies:
+            self.refuse("neighbours", f"must be less than frequencies, {self.frequencies}")
+        if self.reach > self.spacing * PROFILE_BINS / 2:
+            self.refuse("reach", f"must be at most {PROFILE_BINS // 2} times the spacing, {self.spacing:g}")
+        if not 0.5 / self.reach <= self.highest < 0.5 / self.spacing:
+            self.refuse("highest", f"must be at least {0.5 / self.reach:g} and less than {0.5 / self.spacing:g}")
 
 
 @dataclass(frozen=True)
-class FusionConfig:
+class FusionConfig(Section):
     """VLAD aggregation and fusion (paper III-D, III-E)."""
+
+    section: ClassVar[str] = "fusion"
 
     local_size: int = parameter(64, "1", "own", "principal components kept of a patch histogram")
     macro_centres: int = parameter(128, "1", "own", "codebook size of the BEV patches")
@@ -169,43 +328,64 @@ class FusionConfig:
     spectrum_size: int = parameter(330, "1", "own, decision 0017", "length of the normal spectrum in the cluster part")
     layout_size: int = parameter(168, "1", "own, decision 0006", "length of the layout part")
     plan_size: int = parameter(300, "1", "own, decision 0017", "length of the plan part")
-    macro_weight: float = parameter(0.4, "1", "paper Eq. 14, lambda_B", "weight of the BEV part")
-    micro_weight: float = parameter(0.7, "1", "paper Eq. 14, lambda_G", "weight of the cluster part")
-    histogram_share: float = parameter(0.3, "1", "own, decision 0015", "weight of the VLAD beside the normal spectrum")
-    layout_weight: float = parameter(0.7, "1", "own, decision 0006", "weight of the layout part")
-    plan_weight: float = parameter(0.7, "1", "own, decision 0017", "weight of the plan part")
+    macro_weight: float = parameter(0.4, "1", "paper Eq. 14, lambda_B", "weight of the BEV part", low=0)
+    micro_weight: float = parameter(0.7, "1", "paper Eq. 14, lambda_G", "weight of the cluster part", low=0)
+    histogram_share: float = parameter(
+        0.3, "1", "own, decision 0015", "weight of the VLAD beside the normal spectrum", low=0
+    )
+    layout_weight: float = parameter(0.7, "1", "own, decision 0006", "weight of the layout part", low=0)
+    plan_weight: float = parameter(0.7, "1", "own, decision 0017", "weight of the plan part", low=0)
     literal_saliency: bool = parameter(False, "", "paper Eq. 13", "weigh cluster histograms before assignment")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.macro_weight + self.micro_weight + self.layout_weight + self.plan_weight:
+            self.refuse("macro_weight", "and the other weights cannot all be 0")
 
 
 @dataclass(frozen=True)
-class LoopConfig:
+class LoopConfig(Section):
     """Which earlier submaps are candidates."""
 
-    min_index_gap: int = parameter(50, "submaps", "paper IV-B", "submaps of one session nearer than this are no loop")
+    section: ClassVar[str] = "loop"
+
+    min_index_gap: int = parameter(
+        50, "submaps", "paper IV-B", "submaps of one session nearer than this are no loop", low=0
+    )
     candidates: int = parameter(20, "submaps", "method notes", "nearest descriptors that are verified")
 
 
 @dataclass(frozen=True)
-class VerificationConfig:
+class VerificationConfig(Section):
     """Geometric verification of a candidate (paper III-E, end)."""
+
+    section: ClassVar[str] = "verification"
 
     spacing: float = parameter(0.8, "m", "own", "edge of the cubes of which the signature keeps one surface point each")
     standing_points: int = parameter(2500, "points", "own", "most surface points off the ground in a signature")
     ground_points: int = parameter(800, "points", "own", "most ground points in a signature")
-    min_standing: int = parameter(100, "points", "own", "a place with fewer points off the ground is degenerate")
-    min_spread: float = parameter(0.5, "m", "own", "smallest horizontal standard deviation of a place that is no line")
+    min_standing: int = parameter(100, "points", "own", "a place with fewer points off the ground is degenerate", low=0)
+    min_spread: float = parameter(
+        0.5, "m", "own", "smallest horizontal standard deviation of a place that is no line", low=0
+    )
     correspondences: int = parameter(160, "pairs", "own", "most similar pairs of keypoints that vote for a pose")
     keypoint_tolerance: float = parameter(1.2, "m", "own", "correspondences nearer than this agree with a pose")
-    yaw_tolerance: float = parameter(25.0, "deg", "own", "largest error of the yaw that a correspondence implies")
-    sure_inliers: int = parameter(25, "keypoints", "own", "below, poses by phase correlation are tried too")
+    yaw_tolerance: float = parameter(
+        25.0, "deg", "own", "largest error of the yaw that a correspondence implies", high=180
+    )
+    sure_inliers: int = parameter(25, "keypoints", "own", "below, poses by phase correlation are tried too", low=0)
     starts: int = parameter(3, "poses", "own", "most planar poses that are refined by ICP")
     correlation_pixel: float = parameter(0.8, "m", "own", "pixel of the images for phase correlation")
-    correlation_turns: int = parameter(3, "yaws", "own", "yaws tried by phase correlation, each in both directions")
-    coarse_rounds: int = parameter(10, "steps", "own", "coarse ICP steps")
+    correlation_turns: int = parameter(
+        3, "yaws", "own", "yaws tried by phase correlation, each in both directions", low=0
+    )
+    coarse_rounds: int = parameter(10, "steps", "own", "coarse ICP steps", low=0)
     coarse_share: int = parameter(5, "points", "own", "coarse steps use every so many-th point")
     coarse_distance: float = parameter(3.0, "m", "own", "reach of the coarse ICP steps")
-    min_agreement: float = parameter(0.2, "1", "own", "share of points on the other surface below which ICP ends early")
-    fine_rounds: int = parameter(6, "steps", "own", "ICP steps on all points")
+    min_agreement: float = parameter(
+        0.2, "1", "own", "share of points on the other surface below which ICP ends early", low=0, high=1
+    )
+    fine_rounds: int = parameter(6, "steps", "own", "ICP steps on all points", low=0)
     fine_distance: float = parameter(1.0, "m", "own", "reach of the fine ICP steps")
     neighbour_distance: float = parameter(1.0, "m", "own", "a surface point has its counterpart within this distance")
     surface_distance: float = parameter(0.25, "m", "own", "and lies this near to its tangent plane")
@@ -213,24 +393,45 @@ class VerificationConfig:
         (2.5, 4.0, 6.0), "m", "own, decision 0016", "moves along the weakest direction that a loop must not survive"
     )
     min_contrast: float = parameter(
-        0.08, "1", "own, decision 0016", "smallest overlap that such a move must cost, else the pose is not fixed"
+        0.08,
+        "1",
+        "own, decision 0016",
+        "smallest overlap that such a move must cost, else the pose is not fixed",
+        low=0,
+        high=1,
     )
-    sight_angle: float = parameter(3.0, "deg", "own, decision 0018", "directions in which places have looked")
-    sight_margin: float = parameter(2.0, "m", "own, decision 0018", "farther behind, it is looked through")
-    sight_near: float = parameter(4.0, "m", "own, decision 0018", "nearer points look too different from scan to scan")
+    sight_angle: float = parameter(3.0, "deg", "own, decision 0018", "directions in which places have looked", high=90)
+    sight_margin: float = parameter(2.0, "m", "own, decision 0018", "farther behind, it is looked through", low=0)
+    sight_near: float = parameter(
+        4.0, "m", "own, decision 0018", "nearer points look too different from scan to scan", low=0
+    )
     sight_far: float = parameter(40.0, "m", "own, decision 0018", "farther points are too sparse to tell")
     max_seen_through: float = parameter(
-        0.35, "1", "own, decision 0018", "largest share of what stands that the other place has looked through"
+        0.35,
+        "1",
+        "own, decision 0018",
+        "largest share of what stands that the other place has looked through",
+        low=0,
+        high=1,
     )
-    min_common: int = parameter(60, "points", "own", "standing points of each place in the region both have seen")
-    min_common_share: float = parameter(0.35, "1", "own", "of the smaller place must stand in that region")
-    max_tilt: float = parameter(15.0, "deg", "own", "largest tilt between two gravity-aligned submaps")
-    min_overlap: float = parameter(0.3, "1", "own", "smallest share of common surface")
-    min_observability: float = parameter(0.002, "1", "own", "smallest eigenvalue share of the ICP information")
+    min_common: int = parameter(
+        60, "points", "own", "standing points of each place in the region both have seen", low=0
+    )
+    min_common_share: float = parameter(
+        0.35, "1", "own", "of the smaller place must stand in that region", low=0, high=1
+    )
+    max_tilt: float = parameter(15.0, "deg", "own", "largest tilt between two gravity-aligned submaps", low=0, high=180)
+    min_overlap: float = parameter(0.3, "1", "own", "smallest share of common surface", low=0, high=1)
+    min_observability: float = parameter(0.002, "1", "own", "smallest eigenvalue share of the ICP information", low=0)
     lever: float = parameter(15.0, "m", "own", "lever arm at which rotations are compared with translations")
     min_sigma: float = parameter(0.03, "m", "own", "residuals are trusted no better than this")
     correlated_points: float = parameter(20.0, "points", "own", "points that share one error")
-    min_score: float = parameter(0.5, "1", "own", "smallest score of a verified loop")
+    min_score: float = parameter(0.5, "1", "own", "smallest score of a verified loop", low=0, high=1)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.sight_near >= self.sight_far:
+            self.refuse("sight_near", f"must be less than sight_far, {self.sight_far:g}")
 
 
 @dataclass(frozen=True)
@@ -252,3 +453,12 @@ class PipelineConfig:
     fusion: FusionConfig = dataclasses.field(default_factory=FusionConfig)
     loop: LoopConfig = dataclasses.field(default_factory=LoopConfig)
     verification: VerificationConfig = dataclasses.field(default_factory=VerificationConfig)
+
+    def __post_init__(self) -> None:
+        scale = _checked("scene_scale", self.scene_scale, 1.0, {"low": 0.001, "high": 1000.0})
+        resolution = self.implicit_map.resolution
+        farthest = (self.submap.max_range + self.submap.tau) / scale
+        if farthest / min(resolution, self.clusters.radius / 2) >= MAX_VOXEL:
+            raise BadField("scene_scale is too small for the range and the resolution", field="scene_scale")
+        if not 2 <= 2 * round(self.bev.half_range / resolution) <= MAX_IMAGE_PX:
+            self.bev.refuse("half_range", f"must give an image of 2 to {MAX_IMAGE_PX} pixels of {resolution:g} m")

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.config import SubmapConfig
-from revisit.core.errors import EmptyCloud
+from revisit.core.errors import BadField, EmptyCloud
 from revisit.core.geometry import se3
+from revisit.core.geometry.level_frame import LevelFrame
 from revisit.core.scan import MIN_POINTS, Points, Scan
 
 
@@ -23,6 +24,7 @@ class Submap:
     origins (s, 3) float32, where each scan was taken from; stamps_ns (s,) int64;
     T_odom_submap the pose of the middle scan;
     position (3,) float64 the mean position of the scans in the odometry frame.
+    Raises BadField where the arrays do not fit together.
     """
 
     points: Points
@@ -31,6 +33,14 @@ class Submap:
     stamps_ns: NDArray[np.int64]
     T_odom_submap: se3.Matrix4
     position: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        if len(self.scan_index) != len(self.points) or len(self.stamps_ns) != len(self.origins):
+            raise BadField("a submap needs a scan index a point and a time stamp an origin", field="points")
+        if len(self.scan_index) and not 0 <= self.scan_index[0] <= self.scan_index[-1] < len(self.origins):
+            raise BadField("a point of the submap belongs to no scan", field="points")
+        if (self.scan_index[1:] < self.scan_index[:-1]).any():
+            raise BadField("the points of a submap must be in the order of their scans", field="points")
 
     @property
     def scan_count(self) -> int:
@@ -49,13 +59,23 @@ class Submap:
             return self
         # a sensor that hangs upside down may be turned about any horizontal axis
         direction = axis / sine if sine >= 1e-6 else np.array([1.0, 0.0, 0.0])
-        T_level_submap = se3.exp(np.concatenate([np.zeros(3), direction * np.arctan2(sine, cosine)]))
+        T_upright_submap = se3.exp(np.concatenate([np.zeros(3), direction * np.arctan2(sine, cosine)]))
         return replace(
             self,
-            points=se3.apply(T_level_submap, self.points).astype(np.float32),
-            origins=se3.apply(T_level_submap, self.origins).astype(np.float32),
-            T_odom_submap=self.T_odom_submap @ se3.inverse(T_level_submap),
+            points=se3.apply(T_upright_submap, self.points).astype(np.float32),
+            origins=se3.apply(T_upright_submap, self.origins).astype(np.float32),
+            T_odom_submap=self.T_odom_submap @ se3.inverse(T_upright_submap),
         )
+
+    def in_level_frame(self, scene_scale: float) -> tuple[Submap, LevelFrame]:
+        """The submap turned upright and with every length divided by `scene_scale`, and the frame it is in then."""
+        upright = self.levelled()
+        T_submap_upright = se3.inverse(self.T_odom_submap) @ upright.T_odom_submap
+        frame = LevelFrame.from_upright(T_submap_upright, scene_scale)
+        if scene_scale == 1.0:
+            return upright, frame
+        factor = np.float32(1.0 / scene_scale)
+        return replace(upright, points=upright.points * factor, origins=upright.origins * factor), frame
 
     @classmethod
     def from_scans(cls, scans: list[Scan], config: SubmapConfig) -> Submap:

@@ -23,7 +23,6 @@ import torch
 from numpy.typing import NDArray
 
 from revisit.core.config import PipelineConfig, SubmapConfig
-from revisit.core.implicit_map import NeuralMap
 from revisit.core.index import FaissIndex, IndexEntry, SearchFilter
 from revisit.core.model_bundle import ModelBundle, load_packaged_models
 from revisit.core.pipeline import DescribedPlace, describe, verify
@@ -61,13 +60,13 @@ def measure() -> list[Metric]:
     first, second = _two_visits()
     models, config = load_packaged_models(), PipelineConfig()
     describe(first, models, config)
-    place, describe_s = _best_of(3, lambda: describe(first, models, config))
+    described, describe_s = _best_of(3, lambda: describe(first, models, config))
     other = describe(second, models, config)
-    similarity = place.descriptor.similarity(other.descriptor)
-    _, verify_s = _best_of(3, lambda: verify(other.signature, place.signature, similarity, config.verification))
-    query_p99_s = _query_p99_seconds(len(place.descriptor.vector))
+    similarity = described.descriptor.similarity(other.descriptor)
+    _, verify_s = _best_of(3, lambda: verify(other.place, described.place, similarity, config.verification))
+    query_p99_s = _query_p99_seconds(len(described.descriptor.vector))
     return [
-        *_quality(first, place),
+        *_quality(first, described),
         *_real_quality(models, config),
         Metric("describe", describe_s, "CPU s", "up", np.inf),
         Metric("describe_ratio", describe_s / unit_s, "reference work", "up", 0.35),
@@ -100,13 +99,13 @@ def run(baseline: Path = BASELINE, update: bool = False) -> tuple[list[Metric], 
     return metrics, compare(metrics, json.loads(baseline.read_text()))
 
 
-def _quality(submap: Submap, place: DescribedPlace) -> list[Metric]:
-    distance = _distances(submap, place)
+def _quality(submap: Submap, described: DescribedPlace) -> list[Metric]:
+    distance = _distances(submap, described)
     return [
         Metric("surface_error_median", float(np.median(distance)), "m", "up", 0.1),
         Metric("surface_error_p90", float(np.percentile(distance, 90)), "m", "up", 0.1),
-        Metric("neural_map_share", _map_share(submap, place), "of the raw float32 cloud", "up", 0.1),
-        Metric("signature", len(place.signature.to_blob()) / 1e3, "kB", "up", 0.1),
+        Metric("neural_map_share", _map_share(submap, described), "of the raw float32 cloud", "up", 0.1),
+        Metric("signature", len(described.place.to_blob()) / 1e3, "kB", "up", 0.1),
     ]
 
 
@@ -134,19 +133,12 @@ def _real_quality(models: ModelBundle, config: PipelineConfig) -> list[Metric]:
 
 def _distances(submap: Submap, place: DescribedPlace) -> NDArray[np.float32]:
     """Distances (n,) in metres of a sample of the returns to the surface of the neural map."""
-    field = _field(place)
     sample = submap.levelled().points[:: max(1, len(submap.points) // 40_000)]
-    return np.abs(field.sdf(sample)[0])
+    return np.abs(place.neural_map.sdf(sample)[0])
 
 
 def _map_share(submap: Submap, place: DescribedPlace) -> float:
-    return len(_field(place).to_blob()) / (12 * len(submap.points))
-
-
-def _field(place: DescribedPlace) -> NeuralMap:
-    if place.neural_map is None:
-        raise ValueError("the benchmark describes with the implicit map")
-    return place.neural_map
+    return len(place.neural_map.to_blob()) / (12 * len(submap.points))
 
 
 def _two_visits() -> tuple[Submap, Submap]:

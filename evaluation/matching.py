@@ -8,9 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from revisit.core.candidates import CandidatePolicy
 from revisit.core.config import LoopConfig
 from revisit.core.geometry import se3
-from revisit.core.index import ExactIndex, IndexEntry, Match, SearchFilter
+from revisit.core.index import ExactIndex, IndexEntry, Match
+from revisit.core.pipeline import recall
 from revisit.evaluation.methods import Method, Verdict
 from revisit.evaluation.places import Place, in_processes
 
@@ -62,9 +64,9 @@ def search_online(places: Sequence[Place], loop: LoopConfig) -> list[tuple[Match
         if place.description is None or index is None:
             found.append(())
             continue
-        # The paper wants indices that differ by more than the gap; the filter lets through what differs by its number.
-        near = SearchFilter(near=(0, place.id, loop.min_index_gap + 1))
-        found.append(tuple(index.search(place.description.vector, loop.candidates, near)))
+        # The paper wants indices that differ by more than the gap; the policy lets through what differs by its number.
+        policy = CandidatePolicy(0, place.id, loop.min_index_gap + 1, loop.candidates)
+        found.append(tuple(recall(place.description.vector, index, policy)))
         entry = IndexEntry(id=place.id, session=0, ordinal=place.id, position=place.position)
         index.add([entry], place.description.vector[None])
     return found

@@ -65,19 +65,23 @@ class PipelineMethod:
     def describe(self, submap: Submap, seed: int) -> Description:
         """The fused descriptor, the signature and the size of the neural map. Raises core.errors.RevisitError."""
         from revisit.core.model_bundle import load_packaged_models
-        from revisit.core.pipeline import Ablation, describe
+        from revisit.core.pipeline import DescribedPlace
+        from revisit.core.stages import stage_times
+        from revisit.evaluation.ablation import Ablation, describe_ablated
 
-        place = describe(submap, load_packaged_models(), self.config, seed, Ablation(self.ablation))
-        neural_map_bytes = len(place.neural_map.to_blob()) if place.neural_map is not None else 0
-        return Description(place.descriptor.vector, place.signature.to_blob(), neural_map_bytes, dict(place.timings_s))
+        with stage_times() as seconds:
+            described = describe_ablated(submap, load_packaged_models(), self.config, seed, Ablation(self.ablation))
+        neural_map_bytes = len(described.neural_map.to_blob()) if isinstance(described, DescribedPlace) else 0
+        vector, place = described.descriptor.vector, described.place.to_blob()
+        return Description(vector, place, neural_map_bytes, seconds)
 
     def verify(self, query: bytes, match: bytes, similarity: float) -> Verdict:
         """The verdict of core.pipeline.verify. Raises DataLoss for damaged signatures."""
         from revisit.core.pipeline import verify
-        from revisit.core.place import PlaceSignature
-        from revisit.core.verification.verdict import RejectedLoop
+        from revisit.core.place import Place
+        from revisit.core.verification import RejectedLoop
 
-        pair = PlaceSignature.from_blob(query), PlaceSignature.from_blob(match)
+        pair = Place.from_blob(query), Place.from_blob(match)
         loop = verify(*pair, similarity, self.config.verification)
         reason = str(loop.reason) if isinstance(loop, RejectedLoop) else None
         measured = loop.measurement

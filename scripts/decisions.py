@@ -9,7 +9,7 @@ from pathlib import Path
 FOLDER = Path("docs/decisions")
 INTRODUCTION = """# Decisions
 
-Why the product is as it is: one page for each choice that a newcomer would question. `make docs` writes this index out of
+Why the product is as it is: one page for each choice that a newcomer would question. `make docs` writes this index from
 the pages' own lines: title, **Status**, the first sentence of **Decision**, and **What would reverse it**. Numbers are
 never used twice; a gap is a number that no page was given. What was measured on the way to the decisions about
 recognition is in [how recognition was tuned](../explanation/recognition-tuning.md).

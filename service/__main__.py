@@ -49,7 +49,7 @@ def main(arguments: list[str] | None = None) -> int:
         return _refuse(f"REVISIT_FAIL: {error}")
     from alembic.util import CommandError
 
-    from revisit.service.adapters.filesystem import RemoteFileSystem
+    from revisit.service.adapters.files.filesystem import RemoteFileSystem
 
     try:
         return _run(options, settings)
@@ -61,7 +61,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _run(options: argparse.Namespace, settings: Settings) -> int:
     """Run the command that was asked for; the exit status. Raises CommandError for a database of another version."""
-    from revisit.service.adapters.sql.migration import current_revision, migrate
+    from revisit.service.adapters.sqlite.migration import current_revision, migrate
 
     if options.command == "migrate":
         migrate(settings.database, options.revision)
@@ -107,7 +107,7 @@ def _missing_protection(settings: Settings) -> list[str]:
 def _has_live_key(settings: Settings) -> bool:
     if not settings.database.exists():
         return False
-    from revisit.service.adapters.sql.migration import migrate
+    from revisit.service.adapters.sqlite.migration import migrate
     from revisit.service.composition import offline_use_cases
 
     migrate(settings.database)

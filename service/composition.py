@@ -16,12 +16,13 @@ import structlog
 
 from revisit.service import VERSION
 from revisit.service.access_rules import access_rules
-from revisit.service.adapters.blobs import FileBlobStore
 from revisit.service.adapters.clock import SystemClock
-from revisit.service.adapters.disk import Disk
-from revisit.service.adapters.fail_stop import FailStop
-from revisit.service.adapters.filesystem import require_local
-from revisit.service.adapters.sql.unit_of_work import SqlTransactions
+from revisit.service.adapters.files.blobs import FileBlobStore
+from revisit.service.adapters.files.disk import Disk
+from revisit.service.adapters.files.fail_stop import FailStop
+from revisit.service.adapters.files.filesystem import require_local
+from revisit.service.adapters.sqlite.connections import write_ahead_log
+from revisit.service.adapters.sqlite.transactions import SqliteTransactions
 from revisit.service.adapters.vector_index import PlaceVectorIndex
 from revisit.service.application import Context, UseCases
 from revisit.service.application.access.callers import current_actor
@@ -60,7 +61,7 @@ def build_context(settings: Settings, *, gateway: bool, fail_stop: FailStop | No
     """The ports of a process. The gateway alone checkpoints the database; `fail_stop` is thrown by a failing disk."""
     require_local(settings.home)
     policy, disk, switch = settings.policy, build_disk(settings), fail_stop or FailStop()
-    transactions = SqlTransactions(
+    transactions = SqliteTransactions(
         settings.database, checkpoints=gateway, lease_ms=policy.lease_ms, fail_stop=switch, on_full=disk.release
     )
     return Context(
@@ -76,7 +77,7 @@ def build_context(settings: Settings, *, gateway: bool, fail_stop: FailStop | No
 
 def build_disk(settings: Settings) -> Disk:
     """The disk of the data with its reserve."""
-    return Disk(settings.home, settings.reserve_mb * 2**20)
+    return Disk(settings.home, settings.reserve_mb * 2**20, write_ahead_log(settings.database))
 
 
 def chores(settings: Settings, context: Context) -> tuple[Chore, ...]:

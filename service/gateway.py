@@ -17,8 +17,8 @@ import structlog
 import uvicorn
 from prometheus_client import ProcessCollector
 
-from revisit.service.adapters.fail_stop import FailStop
-from revisit.service.adapters.sql.migration import migrate
+from revisit.service.adapters.files.fail_stop import FailStop
+from revisit.service.adapters.sqlite.migration import migrate
 from revisit.service.application import Context, UseCases
 from revisit.service.application.housekeeping.upkeep import Upkeep
 from revisit.service.composition import STORAGE_FAILED, build_context, build_tracer, build_use_cases, chores

@@ -11,6 +11,7 @@ from pydantic import Field
 from revisit.core.config import PipelineConfig
 from revisit.service.access_settings import AccessSettings
 from revisit.service.application.capacity.intake import IntakeLimits
+from revisit.service.application.contract import limits
 from revisit.service.application.contract.context import Policy
 
 
@@ -84,14 +85,48 @@ class Settings(AccessSettings):
         default="",
         description="for tests: what happens at which failpoints of service/failpoints.py, as point=action@n",
     )
-    tau_m: float = Field(default_factory=lambda: PipelineConfig().submap.tau, gt=0, description="metres per submap")
+    tau_m: float = Field(
+        default_factory=lambda: PipelineConfig().submap.tau,
+        ge=limits.TAU_M.least,
+        le=limits.TAU_M.most,
+        description="metres per submap",
+    )
     stride_m: float = Field(
-        default_factory=lambda: PipelineConfig().submap.stride, gt=0, description="metres between submap starts"
+        default_factory=lambda: PipelineConfig().submap.stride,
+        ge=limits.STRIDE_M.least,
+        le=limits.STRIDE_M.most,
+        description="metres between submap starts",
     )
     min_index_gap: int = Field(
         default_factory=lambda: PipelineConfig().loop.min_index_gap,
-        ge=0,
+        ge=limits.MIN_INDEX_GAP.least,
+        le=limits.MIN_INDEX_GAP.most,
         description="submaps of one session nearer than this are no loop",
+    )
+    loop_candidates: int = Field(
+        default_factory=lambda: PipelineConfig().loop.candidates,
+        ge=limits.LOOP_CANDIDATES.least,
+        le=limits.LOOP_CANDIDATES.most,
+        description="submaps most alike that are verified for each new one; a map may have its own",
+    )
+    min_score: float = Field(
+        default_factory=lambda: PipelineConfig().verification.min_score,
+        ge=limits.MIN_SCORE.least,
+        le=limits.MIN_SCORE.most,
+        description="smallest score of an accepted loop closure; a map may have its own",
+    )
+    min_overlap: float = Field(
+        default_factory=lambda: PipelineConfig().verification.min_overlap,
+        ge=limits.MIN_OVERLAP.least,
+        le=limits.MIN_OVERLAP.most,
+        description="smallest overlap of an accepted loop closure; a map may have its own",
+    )
+    max_seen_through: float = Field(
+        default_factory=lambda: PipelineConfig().verification.max_seen_through,
+        ge=limits.MAX_SEEN_THROUGH.least,
+        le=limits.MAX_SEEN_THROUGH.most,
+        description="largest share of what stands in either place that the other has looked through, of an accepted "
+        "loop closure; a map may have its own",
     )
 
     @property
@@ -109,9 +144,15 @@ class Settings(AccessSettings):
         """The rules that the use cases follow."""
         pipeline = PipelineConfig()
         submap = replace(pipeline.submap, tau=self.tau_m, stride=self.stride_m)
-        loop = replace(pipeline.loop, min_index_gap=self.min_index_gap)
+        loop = replace(pipeline.loop, min_index_gap=self.min_index_gap, candidates=self.loop_candidates)
+        verification = replace(
+            pipeline.verification,
+            min_score=self.min_score,
+            min_overlap=self.min_overlap,
+            max_seen_through=self.max_seen_through,
+        )
         return Policy(
-            pipeline=replace(pipeline, submap=submap, loop=loop),
+            pipeline=replace(pipeline, submap=submap, loop=loop, verification=verification),
             max_queued_jobs=self.max_queued_jobs,
             max_attempts=self.max_attempts,
             lease_ms=int(self.lease_s * 1000),

@@ -19,6 +19,7 @@ from revisit.core.bev.log_gabor import OrientationMap, maximum_index_map
 from revisit.core.bev.projection import cluster_supported, project
 from revisit.core.clusters import Clusters
 from revisit.core.config import BevConfig
+from revisit.core.stages import stage
 from revisit.core.surface import Surface
 
 Array = NDArray[np.float32]
@@ -44,6 +45,7 @@ class BevFeatures:
     resolution: float
 
 
+@stage("bev")
 def describe_bev(surface: Surface, clusters: Clusters, config: BevConfig) -> BevFeatures:
     """Project the cluster-supported voxels, filter, and describe the keypoints of the image."""
     image = project(surface, cluster_supported(surface, clusters, config), config)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import cv2
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
 from revisit.core.bev.log_gabor import OrientationMap
-from revisit.core.config import BevConfig
+from revisit.core.config import BevConfig, KeypointSource
+from revisit.core.kernels.patch_histograms import patch_histograms
 
 Array = NDArray[np.float32]
 Pixels = NDArray[np.int64]
@@ -22,7 +22,7 @@ def detect_keypoints(image: Array, orientation_map: OrientationMap, config: BevC
     `min_keypoints` corners is filled up with the local maxima of the filter amplitude.
     """
     canvas = image * 255.0
-    if config.keypoint_source == "mim":
+    if config.keypoint_source is KeypointSource.MIM:
         canvas = orientation_map.index * (255.0 / orientation_map.orientations)
     detector = cv2.FastFeatureDetector.create(threshold=config.fast_threshold, nonmaxSuppression=True)
     corners = detector.detect(np.ascontiguousarray(canvas, dtype=np.uint8))
@@ -83,7 +83,7 @@ def describe_patches(orientation_map: OrientationMap, pixels: Pixels, angles: Ar
     """
     weights = orientation_map.amplitude**config.amplitude_power
     weights[orientation_map.amplitude < 0.02 * orientation_map.amplitude.max(initial=0.0)] = 0.0
-    histograms = _patch_histograms(
+    histograms = patch_histograms(
         orientation_map.index, weights, pixels, angles,
         config.patch_px, config.patch_step, config.cells, orientation_map.orientations,
     )  # fmt: skip
@@ -95,29 +95,3 @@ def reversed_patches(descriptors: Array, cells: int) -> Array:
     """The descriptors (n, d) that the same patches have when turned by 180 degrees."""
     grid = descriptors.reshape(len(descriptors), cells, cells, -1)
     return np.ascontiguousarray(grid[:, ::-1, ::-1]).reshape(descriptors.shape)
-
-
-@numba.njit(cache=True)
-def _patch_histograms(
-    index: NDArray[np.int8], weights: Array, pixels: Pixels, angles: Array, patch: int, step: int, cells: int, bins: int
-) -> Array:
-    height, width = index.shape
-    histograms = np.zeros((len(pixels), cells * cells * bins), dtype=np.float32)
-    for keypoint in range(len(pixels)):
-        cosine, sine = np.cos(angles[keypoint]), np.sin(angles[keypoint])
-        turn = angles[keypoint] * bins / np.pi
-        for i in range(0, patch, step):
-            v = i + 0.5 * step - 0.5 * patch
-            for j in range(0, patch, step):
-                u = j + 0.5 * step - 0.5 * patch
-                column = int(np.rint(pixels[keypoint, 0] + cosine * u - sine * v))
-                row = int(np.rint(pixels[keypoint, 1] + sine * u + cosine * v))
-                if row < 0 or column < 0 or row >= height or column >= width or weights[row, column] == 0.0:
-                    continue
-                relative = (index[row, column] - turn) % bins
-                lower = int(relative)
-                share = relative - lower
-                cell = ((i * cells // patch) * cells + j * cells // patch) * bins
-                histograms[keypoint, cell + lower % bins] += weights[row, column] * (1.0 - share)
-                histograms[keypoint, cell + (lower + 1) % bins] += weights[row, column] * share
-    return histograms

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from revisit.core.clusters import Clusters
-from revisit.core.config import BevConfig
+from revisit.core.config import BevConfig, Normalisation
 from revisit.core.surface import Surface
 
 Array = NDArray[np.float32]
@@ -51,9 +51,9 @@ def normalise(sums: Array, config: BevConfig) -> Array:
     occupied = sums > 0
     if not occupied.any():
         return np.zeros_like(sums)
-    if config.normalisation == "binary":
+    if config.normalisation is Normalisation.BINARY:
         return occupied.astype(np.float32)
-    scaled = np.log1p(sums) if config.normalisation == "log" else sums
+    scaled = np.log1p(sums) if config.normalisation is Normalisation.LOG else sums
     saturation = np.quantile(scaled[occupied], config.saturation_quantile)
     return np.asarray(np.minimum(scaled / saturation, 1.0), dtype=np.float32)
 

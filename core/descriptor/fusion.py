@@ -13,6 +13,7 @@ from revisit.core.descriptor.vlad import Codebooks, aggregate, fold, project_loc
 from revisit.core.errors import DescriptorModelMismatch
 from revisit.core.micro.cluster_normals import ClusterStatistics
 from revisit.core.spectra import PlaceSpectra
+from revisit.core.stages import stage
 
 Array = NDArray[np.float32]
 
@@ -40,6 +41,7 @@ class PlaceFeatures:
     spectra: PlaceSpectra
 
 
+@stage("fusion")
 def fuse(features: PlaceFeatures, codebooks: Codebooks, config: FusionConfig, model_version: str) -> PlaceDescriptor:
     """Norm([lambda_B F^B, lambda_G F^G, lambda_L F^L, lambda_P F^P]) (Eq. 14, layout and plan added).
 

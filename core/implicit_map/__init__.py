@@ -1,7 +1,6 @@
 """Implicit submap: elastic neural points and their decoder (paper III-B, Eq. 1-6).
 
-voxel_hash       one slot a voxel; nearest neural points
-neural_points    insertion, eviction, movement, orientation          Eq. 1
+neural_points    insertion, movement, orientation                    Eq. 1
 visibility       free-space evidence for the dynamic filter          Eq. 6
 decoder          MLP from blended features to signed distance        Eq. 2-5
 neighbourhood    neighbours, weights and encodings of queries        Eq. 2-4

@@ -1,45 +1,31 @@
-"""A checked container for stored numbers: magic, JSON header, zstd body of sections, SHA-256 over all of it."""
+"""The stored form of a neural map: sections of numbers in a checked container."""
 
 from __future__ import annotations
 
-import hashlib
 import itertools
-import json
-import struct
 from typing import Any
 
 import numpy as np
-import zstandard
 from numpy.typing import NDArray
 
+from revisit.core.container import Container
 from revisit.core.errors import DataLoss
 
-MAGIC = b"RVNM\x01"
-_DIGEST_BYTES = 32
-_MAX_BODY_BYTES = 256_000_000
+CONTAINER = Container(b"RVNM\x01", "stored neural map", level=12, max_body_bytes=256_000_000)
 
 
 def pack(header: dict[str, Any], sections: list[bytes]) -> bytes:
     """The blob of a JSON-able `header` and `sections`."""
-    head = json.dumps({**header, "sections": [len(one) for one in sections]}, separators=(",", ":")).encode()
-    body = zstandard.ZstdCompressor(level=12).compress(b"".join(sections))
-    content = MAGIC + struct.pack("<I", len(head)) + head + body
-    return content + hashlib.sha256(content).digest()
+    return CONTAINER.pack({**header, "sections": [len(one) for one in sections]}, b"".join(sections))
 
 
 def unpack(blob: bytes) -> tuple[dict[str, Any], list[bytes]]:
     """Header and sections of a blob. Raises DataLoss for anything that `pack` did not write."""
-    content, digest = blob[:-_DIGEST_BYTES], blob[-_DIGEST_BYTES:]
-    if not content.startswith(MAGIC) or hashlib.sha256(content).digest() != digest:
-        raise DataLoss("the stored neural map is damaged")
-    start = len(MAGIC) + 4
+    header, body = CONTAINER.unpack(blob)
     try:
-        (size,) = struct.unpack_from("<I", content, len(MAGIC))
-        header = json.loads(content[start : start + size])
-        body = zstandard.ZstdDecompressor().decompress(content[start + size :], max_output_size=_MAX_BODY_BYTES)
         ends = [0, *itertools.accumulate(header["sections"])]
         return header, [body[a:b] for a, b in itertools.pairwise(ends)]
-    except (struct.error, ValueError, TypeError, KeyError, RecursionError, zstandard.ZstdError) as error:
+    except (TypeError, KeyError) as error:
         raise DataLoss("the stored neural map cannot be read") from error
 
 

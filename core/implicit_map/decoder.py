@@ -14,7 +14,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-ENCODING_SIZE = 9
+from revisit.core.errors import DataLoss
+from revisit.core.kernels.neighbour_blend import ENCODING_SIZE
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,21 @@ class DecoderWeights:
             tuple(arrays[f"decoder_matrix_{i}"] for i in range(layers)),
             tuple(arrays[f"decoder_bias_{i}"] for i in range(layers)),
         )
+
+    def to_bytes(self) -> bytes:
+        """All matrices, then all biases, as float32."""
+        return b"".join(np.ascontiguousarray(a, dtype="<f4").tobytes() for a in (*self.matrices, *self.biases))
+
+    @classmethod
+    def from_bytes(cls, data: bytes, shapes: list[list[int]]) -> DecoderWeights:
+        """The inverse of `to_bytes` for matrices of these `shapes`. Raises DataLoss where the sizes disagree."""
+        sizes = [*(out * into for out, into in shapes), *(out for out, _ in shapes)]
+        values = np.frombuffer(data, "<f4")
+        if sum(sizes) != len(values):
+            raise DataLoss("the decoder of the neural map does not have the announced size")
+        parts = np.split(values.copy(), np.cumsum(sizes)[:-1])
+        matrices = tuple(part.reshape(shape) for part, shape in zip(parts, shapes, strict=False))
+        return cls(matrices, tuple(parts[len(shapes) :]))
 
     @classmethod
     def tangent_planes(cls, feature_size: int = 8, width: int = 8) -> DecoderWeights:

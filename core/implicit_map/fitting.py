@@ -9,8 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from revisit.core.config import ImplicitMapConfig
-from revisit.core.implicit_map import voxel_hash
+from revisit.core.config import ImplicitMapConfig, Loss
 from revisit.core.implicit_map.decoder import DecoderWeights, decode
 from revisit.core.implicit_map.neighbourhood import Neighbourhood, find_neighbourhood
 from revisit.core.implicit_map.neural_map import NeuralMap
@@ -18,26 +17,29 @@ from revisit.core.implicit_map.neural_points import ElasticAccumulator, NeuralPo
 from revisit.core.implicit_map.samples import draw_samples
 from revisit.core.implicit_map.settled import settle
 from revisit.core.implicit_map.visibility import count_seen_through
+from revisit.core.kernels.voxel_table import table_of, voxels_of
+from revisit.core.stages import stage
 from revisit.core.submap import Submap
 
 Array = NDArray[np.float32]
 
 
+@stage("implicit_map")
 def fit_implicit_map(
     submap: Submap, decoder: DecoderWeights, config: ImplicitMapConfig, rng: np.random.Generator
 ) -> NeuralMap:
     """The neural map of a submap: accumulate, remove what moved, fit the latent features (paper III-B)."""
     points = settle(without_dynamic_points(accumulate(submap, config), submap, config), config.resolution)
-    slots = np.asarray(voxel_hash.build_table(points.positions, config.resolution))
-    samples = draw_samples(submap.points, submap.origins[submap.scan_index], points, slots, config, rng)
-    near = find_neighbourhood(samples.positions, points.positions, points.normals, slots, config)
+    table = table_of(voxels_of(points.positions, config.resolution))
+    samples = draw_samples(submap.points, submap.origins[submap.scan_index], points, table, config, rng)
+    near = find_neighbourhood(samples.positions, points.positions, points.normals, table, config)
     features, fitted = fit_features(near, samples.labels, len(points), decoder, config, rng)
-    return NeuralMap(points, features, submap.stamps_ns, fitted, config)
+    return NeuralMap(points, features, submap.stamps_ns, fitted, config, adapted=config.update_decoder)
 
 
 def accumulate(submap: Submap, config: ImplicitMapConfig) -> NeuralPoints:
     """The elastic neural points of all scans, in time order (paper III-B 3)."""
-    accumulator = ElasticAccumulator(config.resolution, config.eviction_distance)
+    accumulator = ElasticAccumulator(config.resolution, len(submap.points))
     bounds = np.searchsorted(submap.scan_index, np.arange(submap.scan_count + 1))
     for scan in range(submap.scan_count):
         accumulator.insert(submap.points[bounds[scan] : bounds[scan + 1]], submap.origins[scan], scan)
@@ -57,8 +59,8 @@ def without_dynamic_points(points: NeuralPoints, submap: Submap, config: Implici
     consistent = seen_through == 0
     if suspect.any() and consistent.any():
         stable = points.subset(consistent)
-        slots = np.asarray(voxel_hash.build_table(stable.positions, config.resolution))
-        near = find_neighbourhood(points.positions[suspect], stable.positions, stable.normals, slots, config)
+        table = table_of(voxels_of(stable.positions, config.resolution))
+        near = find_neighbourhood(points.positions[suspect], stable.positions, stable.normals, table, config)
         # Eq. 6: S(p) > gamma_d and H(p) > gamma_mu; free space without any surface near is far from it
         dynamic[suspect] = (near.plane_distance > config.dynamic_distance) | ~np.isfinite(near.nearest)
     return dataclasses.replace(points, stability=stability).subset(~dynamic)
@@ -104,9 +106,9 @@ def predict(parameters: list[Tensor], features: Tensor, near: Neighbourhood) -> 
 def sdf_loss(predicted: Tensor, labels: Tensor, config: ImplicitMapConfig) -> Tensor:
     """Mean loss of predicted against labelled signed distances, both (m,) metres.
 
-    "l1" is the regression of the paper (III-B 5), "bce" the cross entropy of occupancy sigmoids (PIN-SLAM).
+    `Loss` says which losses there are.
     """
-    if config.loss == "l1":
+    if config.loss is Loss.L1:
         return (predicted.clamp(-config.truncation, config.truncation) - labels).abs().mean()
     return torch.nn.functional.binary_cross_entropy_with_logits(
         predicted / config.loss_scale, torch.sigmoid(labels / config.loss_scale)

@@ -7,16 +7,17 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from revisit.core.config import ImplicitMapConfig
-from revisit.core.errors import DescriptorModelMismatch
-from revisit.core.geometry import se3
-from revisit.core.implicit_map import blob, voxel_hash
+from revisit.core.errors import BadTransform, DataLoss, DescriptorModelMismatch
+from revisit.core.geometry.level_frame import LevelFrame
+from revisit.core.implicit_map import blob
 from revisit.core.implicit_map.decoder import DecoderWeights, decode
 from revisit.core.implicit_map.neighbourhood import Neighbourhood, find_neighbourhood
 from revisit.core.implicit_map.neural_points import NeuralPoints
 from revisit.core.implicit_map.settled import geometry, geometry_codes
+from revisit.core.kernels.voxel_table import VoxelTable, table_of, voxels_of
 
 Array = NDArray[np.float32]
 
@@ -28,8 +29,9 @@ _CHUNK = 65_536
 class NeuralMap:
     """Neural points (n of them), their latent features (n, F) float32 and the decoder they were fitted with.
 
-    Everything in the frame of the map, metres; `T_submap_map` (4, 4) maps it into the frame of the submap. `stamps_ns`
-    (s,) int64 are the times of the scans that `points.created` and `points.updated` count.
+    Everything in the level frame `frame`, lengths in metres divided by the scene scale. `stamps_ns` (s,) int64 are the
+    times of the scans that `points.created` and `points.updated` count. `adapted` says that the decoder was fitted to
+    this map too, and so is stored with it.
     """
 
     points: NeuralPoints
@@ -37,7 +39,8 @@ class NeuralMap:
     stamps_ns: NDArray[np.int64]
     decoder: DecoderWeights
     config: ImplicitMapConfig
-    T_submap_map: se3.Matrix4 = field(default_factory=lambda: np.eye(4))
+    frame: LevelFrame = field(default_factory=LevelFrame)
+    adapted: bool = False
 
     def to_blob(self) -> bytes:
         """The compact stored form (docs/decisions/0002): features rounded to multiples of FEATURE_STEP."""
@@ -47,7 +50,7 @@ class NeuralMap:
         header = {
             "count": len(self.points), "features": int(features.shape[1]), "resolution": self.config.resolution,
             "decoder": self.decoder.digest, "stamps_ns": [int(stamp) for stamp in self.stamps_ns],
-            "T_submap_map": self.T_submap_map.ravel().tolist(),
+            "T_submap_map": self.frame.similarity.ravel().tolist(),
         }  # fmt: skip
         sections = [
             *(blob.to_varint(np.diff(voxels[order, axis], prepend=0)) for axis in range(3)),
@@ -56,12 +59,21 @@ class NeuralMap:
             np.clip(self.points.hits[order], 0, 255).astype(np.uint8).tobytes(),
             features.T.tobytes(),
         ]
+        if self.adapted:
+            header["layers"] = [list(matrix.shape) for matrix in self.decoder.matrices]
+            sections.append(self.decoder.to_bytes())
         return blob.pack(header, sections)
 
     @classmethod
     def from_blob(cls, data: bytes, decoder: DecoderWeights, config: ImplicitMapConfig) -> NeuralMap:
-        """The map in `data`. Raises DataLoss for damage, DescriptorModelMismatch for a map of another decoder."""
+        """The map in `data`: with the decoder it brings, or else with `decoder`, to which it must have been fitted.
+
+        Raises DataLoss for damage, DescriptorModelMismatch for a map of another decoder.
+        """
         header, parts = blob.unpack(data)
+        layers = header.get("layers")
+        if layers is not None:
+            decoder = DecoderWeights.from_bytes(parts[7], layers)
         if header["decoder"] != decoder.digest:
             raise DescriptorModelMismatch("the neural map was fitted with another decoder")
         count, resolution = int(header["count"]), float(header["resolution"])
@@ -69,25 +81,26 @@ class NeuralMap:
         octahedral = np.frombuffer(parts[3], np.uint8).reshape(2, count).T
         codes = (voxels.astype(np.int32), octahedral, np.frombuffer(parts[4], np.uint8))
         positions, normals = geometry(codes, resolution)
-        hits = np.frombuffer(parts[5], np.uint8).astype(np.int16)
+        hits = np.frombuffer(parts[5], np.uint8).astype(np.int32)
         stamps = np.asarray(header["stamps_ns"], dtype=np.int64)
-        created, updated = np.zeros(count, np.int16), np.full(count, len(stamps) - 1, np.int16)
+        created, updated = np.zeros(count, np.int32), np.full(count, len(stamps) - 1, np.int32)
         points = NeuralPoints(positions, normals, created, updated, hits, hits.astype(np.float32))
         quantised = np.frombuffer(parts[6], np.int8).reshape(int(header["features"]), count).T
         return cls(
             points, np.ascontiguousarray(quantised * np.float32(FEATURE_STEP)), stamps, decoder,
-            replace(config, resolution=resolution), np.reshape(header["T_submap_map"], (4, 4)),
+            replace(config, resolution=resolution), _frame(header["T_submap_map"]),
+            layers is not None,
         )  # fmt: skip
 
     @cached_property
-    def slots(self) -> NDArray[np.int32]:
-        """The voxel hash of the neural points."""
-        return np.asarray(voxel_hash.build_table(self.points.positions, self.config.resolution))
+    def table(self) -> VoxelTable:
+        """The neural points by voxel."""
+        return table_of(voxels_of(self.points.positions, self.config.resolution))
 
     def neighbourhood(self, queries: Array) -> Neighbourhood:
         """The K nearest neural points of `queries` (m, 3) with their weights (paper Eq. 2-4)."""
         cloud = np.ascontiguousarray(queries, dtype=np.float32)
-        return find_neighbourhood(cloud, self.points.positions, self.points.normals, self.slots, self.config)
+        return find_neighbourhood(cloud, self.points.positions, self.points.normals, self.table, self.config)
 
     def sdf(self, queries: Array) -> tuple[Array, Array]:
         """Signed distances (m,) metres of `queries` (m, 3), positive in free space, cut at the truncation (Eq. 5).
@@ -127,3 +140,10 @@ class NeuralMap:
         blended = np.einsum("mk,mka->ma", near.weights, self.points.normals[near.indices])
         length = np.linalg.norm(blended, axis=1, keepdims=True)
         return np.asarray(blended / np.maximum(length, 1e-9), dtype=np.float32)
+
+
+def _frame(numbers: ArrayLike) -> LevelFrame:
+    try:
+        return LevelFrame.from_similarity(np.reshape(np.asarray(numbers, dtype=np.float64), (4, 4)))
+    except (BadTransform, TypeError, ValueError) as error:
+        raise DataLoss("the level frame of the neural map is no similarity") from error

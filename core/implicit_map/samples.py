@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.config import ImplicitMapConfig
-from revisit.core.implicit_map import voxel_hash
 from revisit.core.implicit_map.neural_points import NeuralPoints
+from revisit.core.kernels.choose_returns import choose_returns
+from revisit.core.kernels.voxel_table import VoxelTable
 
 Array = NDArray[np.float32]
 
@@ -29,7 +29,7 @@ def draw_samples(
     points: Array,
     origins: Array,
     neural: NeuralPoints,
-    slots: NDArray[np.int32],
+    table: VoxelTable,
     config: ImplicitMapConfig,
     rng: np.random.Generator,
 ) -> Samples:
@@ -39,7 +39,7 @@ def draw_samples(
     tangent plane instead of the (longer) distance along a grazing ray.
     """
     order = rng.permutation(len(points))
-    chosen, owners = _choose_returns(points, order, neural.positions, slots, config.resolution, config.rays_per_point)
+    chosen, owners = choose_returns(points, order, neural.positions, table, config.resolution, config.rays_per_point)
     hits = points[chosen]
     directions = origins[chosen] - hits
     directions /= np.linalg.norm(directions, axis=1, keepdims=True) + np.float32(1e-9)
@@ -57,41 +57,3 @@ def _ray_offsets(rays: int, config: ImplicitMapConfig, rng: np.random.Generator)
     front = rng.uniform(config.truncation / 2, config.front_reach, (rays, config.front_samples))
     behind = rng.uniform(-config.behind_reach, 0.0, (rays, config.behind_samples))
     return np.concatenate([on, near, front, behind], axis=1).astype(np.float32)
-
-
-@numba.njit(cache=True)
-def _choose_returns(
-    points: Array,
-    order: NDArray[np.int64],
-    positions: Array,
-    slots: NDArray[np.int32],
-    resolution: float,
-    per_point: int,
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Up to `per_point` returns for each neural point, in the given order: rows of `points` and their neural points."""
-    taken = np.zeros(len(positions), dtype=np.int32)
-    chosen = np.empty(len(positions) * per_point, dtype=np.int64)
-    owners = np.empty(len(positions) * per_point, dtype=np.int64)
-    size = 0
-    for n in order:
-        i = slots[
-            voxel_hash.slot_of(
-                int(np.floor(points[n, 0] / resolution)),
-                int(np.floor(points[n, 1] / resolution)),
-                int(np.floor(points[n, 2] / resolution)),
-            )
-        ]
-        if i < 0 or taken[i] >= per_point:
-            continue
-        gap = 0.0
-        for a in range(3):
-            gap += (points[n, a] - positions[i, a]) ** 2
-        if gap > 3.0 * resolution * resolution:
-            continue
-        taken[i] += 1
-        chosen[size] = n
-        owners[size] = i
-        size += 1
-        if size == len(chosen):
-            break
-    return chosen[:size], owners[:size]

@@ -2,66 +2,25 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float32]
+from revisit.core.kernels.visibility import mark_seen_through, range_image
 
-_PIXELS_PER_DEGREE = 1
-_COLUMNS = 360 * _PIXELS_PER_DEGREE
-_ROWS = 180 * _PIXELS_PER_DEGREE
-_MARGIN_M = 0.5
-_MARGIN_RATIO = 0.02
+Array = NDArray[np.float32]
 
 
 def count_seen_through(
     positions: Array, points: Array, scan_index: NDArray[np.int32], origins: Array
-) -> NDArray[np.int16]:
+) -> NDArray[np.int32]:
     """How many scans measured farther returns in the direction of each of `positions` (n, 3), all around it.
 
-    `points` (m, 3) with `scan_index` (m,) were taken from `origins` (s, 3); everything in the submap frame.
+    `points` (m, 3) were taken from `origins` (s, 3), in the order of their `scan_index` (m,) 0..s-1; everything in the
+    frame of the map.
     """
-    counts = np.zeros(len(positions), dtype=np.int16)
+    counts = np.zeros(len(positions), dtype=np.int32)
+    bounds = np.searchsorted(scan_index, np.arange(len(origins) + 1))
     for scan, origin in enumerate(origins):
-        image = _range_image(points, scan_index, scan, origin)
-        _mark_seen_through(positions, origin, image, counts)
+        image = range_image(points[bounds[scan] : bounds[scan + 1]], origin)
+        mark_seen_through(positions, origin, image, counts)
     return counts
-
-
-@numba.njit(inline="always")
-def _pixel(x: float, y: float, z: float) -> tuple[int, int, float]:
-    distance = np.sqrt(x * x + y * y + z * z) + 1e-9
-    column = int((np.arctan2(y, x) + np.pi) * (_COLUMNS / (2 * np.pi))) % _COLUMNS
-    row = min(_ROWS - 1, int((np.arcsin(z / distance) + np.pi / 2) * (_ROWS / np.pi)))
-    return row, column, distance
-
-
-@numba.njit(cache=True)
-def _range_image(points: Array, scan_index: NDArray[np.int32], scan: int, origin: Array) -> Array:
-    """Smallest range a pixel, (rows, columns) float32, inf where nothing was measured."""
-    image = np.full((_ROWS, _COLUMNS), np.inf, dtype=np.float32)
-    for n in range(len(points)):
-        if scan_index[n] != scan:
-            continue
-        row, column, distance = _pixel(points[n, 0] - origin[0], points[n, 1] - origin[1], points[n, 2] - origin[2])
-        image[row, column] = min(image[row, column], np.float32(distance))
-    return image
-
-
-@numba.njit(cache=True)
-def _mark_seen_through(positions: Array, origin: Array, image: Array, counts: NDArray[np.int16]) -> None:
-    """Count the scan where all returns in the 3 x 3 pixels around a position are beyond it, and at least two exist."""
-    for i in range(len(positions)):
-        row, column, distance = _pixel(
-            positions[i, 0] - origin[0], positions[i, 1] - origin[1], positions[i, 2] - origin[2]
-        )
-        nearest, measured = np.inf, 0
-        for r in range(max(0, row - 1), min(_ROWS, row + 2)):
-            for c in range(column - 1, column + 2):
-                value = image[r, c % _COLUMNS]
-                if np.isfinite(value):
-                    measured += 1
-                    nearest = min(nearest, value)
-        if measured >= 2 and nearest > distance * (1 + _MARGIN_RATIO) + _MARGIN_M:
-            counts[i] += 1

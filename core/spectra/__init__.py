@@ -11,6 +11,7 @@ from revisit.core.clusters import Clusters
 from revisit.core.config import SpectrumConfig
 from revisit.core.spectra.normal import normal_spectrum
 from revisit.core.spectra.plan import plan_spectrum
+from revisit.core.stages import stage
 from revisit.core.surface import Surface
 
 Array = NDArray[np.float32]
@@ -26,6 +27,7 @@ class PlaceSpectra:
     plan: Array
 
 
+@stage("spectra")
 def describe_spectra(surface: Surface, clusters: Clusters, config: SpectrumConfig) -> PlaceSpectra:
     """Both spectra of the dominant clusters."""
     return PlaceSpectra(normal_spectrum(surface, clusters, config), plan_spectrum(surface, clusters, config))

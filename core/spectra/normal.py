@@ -5,12 +5,12 @@ For every heading, the vertices that face it are counted along it: walls that lo
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.clusters import Clusters
 from revisit.core.config import SpectrumConfig
+from revisit.core.kernels.heading_profiles import face_profiles
 from revisit.core.spectra.profile import bin_count, nearness, profile_spectrum
 from revisit.core.surface import Surface
 
@@ -27,37 +27,7 @@ def normal_spectrum(surface: Surface, clusters: Clusters, config: SpectrumConfig
     normals = surface.normals[chosen, :2].astype(np.float64)
     weight = np.einsum("ij,ij->i", normals, normals) * nearness(vertices, config)
     heading = np.arctan2(normals[:, 1], normals[:, 0])
-    profiles = _profiles(
+    profiles = face_profiles(
         vertices, heading, weight, config.headings, bin_count(config), config.spacing, config.sharpness
     )  # fmt: skip
     return profile_spectrum(profiles, config)
-
-
-@numba.njit(cache=True)
-def _profiles(
-    vertices: NDArray[np.float64],
-    heading: NDArray[np.float64],
-    weight: NDArray[np.float64],
-    headings: int,
-    bins: int,
-    spacing: float,
-    sharpness: float,
-) -> NDArray[np.float64]:
-    """Weighted counts (headings, bins) along every heading of the vertices within 60 degrees of facing it."""
-    found = np.zeros((headings, bins))
-    step = 2.0 * np.pi / headings
-    spread = headings // 6
-    for vertex in range(len(vertices)):
-        if weight[vertex] <= 0.0:
-            continue
-        nearest = int(np.round(heading[vertex] / step))
-        for row in range(nearest - spread, nearest + spread + 1):
-            angle = row * step
-            facing = np.cos(heading[vertex] - angle)
-            if facing <= 0.0:
-                continue
-            along = vertices[vertex, 0] * np.cos(angle) + vertices[vertex, 1] * np.sin(angle)
-            column = int(np.floor(along / spacing)) + bins // 2
-            if 0 <= column < bins:
-                found[row % headings, column] += weight[vertex] * facing**sharpness
-    return found

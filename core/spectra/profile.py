@@ -10,11 +10,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.config import SpectrumConfig
+from revisit.core.config import PROFILE_BINS, SpectrumConfig
 
 Array = NDArray[np.float32]
-
-_TRANSFORM_SIZE = 256
 
 
 def profile_spectrum(profiles: NDArray[np.float64], config: SpectrumConfig) -> Array:
@@ -55,9 +53,9 @@ def bin_count(config: SpectrumConfig) -> int:
 
 def _amplitudes(profiles: NDArray[np.float64], config: SpectrumConfig) -> NDArray[np.float64]:
     """Amplitudes (headings, frequencies) of the profiles from one period over the whole reach up to `highest`."""
-    amplitude = np.abs(np.fft.rfft(profiles, _TRANSFORM_SIZE, axis=1))
+    amplitude = np.abs(np.fft.rfft(profiles, PROFILE_BINS, axis=1))
     frequency = np.linspace(1.0 / (2.0 * config.reach), config.highest, config.frequencies)
-    place = frequency * _TRANSFORM_SIZE * config.spacing
+    place = frequency * PROFILE_BINS * config.spacing
     below = np.floor(place).astype(np.int64)
     share = place - below
     return np.asarray(amplitude[:, below] * (1.0 - share) + amplitude[:, below + 1] * share)

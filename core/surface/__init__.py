@@ -10,11 +10,14 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from revisit.core.config import ImplicitMapConfig, SurfaceConfig
+from revisit.core.geometry.voxel_keys import voxel_keys
 from revisit.core.implicit_map import NeuralMap
 from revisit.core.implicit_map.fitting import accumulate
+from revisit.core.kernels.marching_cubes import polygonise
+from revisit.core.stages import stage
 from revisit.core.submap import Submap
 from revisit.core.surface.cells import cells_near_planes
-from revisit.core.surface.marching_cubes import case_table, edge_table, polygonise
+from revisit.core.surface.marching_cubes import case_table, edge_table
 
 Array = NDArray[np.float32]
 
@@ -38,6 +41,7 @@ class Surface:
     resolution: float
 
 
+@stage("surface")
 def extract_surface(neural_map: NeuralMap, config: SurfaceConfig) -> Surface:
     """Marching cubes on the voxel corners around the neural points, where the field was observed (paper III-C).
 
@@ -47,37 +51,30 @@ def extract_surface(neural_map: NeuralMap, config: SurfaceConfig) -> Surface:
     resolution = neural_map.config.resolution
     if len(neural_map.points) == 0:
         return _empty(resolution)
-    home = np.floor(neural_map.points.positions / resolution).astype(np.int64)
-    first = home.min(axis=0) - 1
-    cells, cell_corners, corners = cells_near_planes(
-        neural_map.points.positions, neural_map.points.normals, resolution, first, home.max(axis=0) - first + 2
-    )
-    corner_positions = (corners * resolution).astype(np.float32)
+    near = cells_near_planes(neural_map.points.positions, neural_map.points.normals, resolution)
+    corner_positions = (near.corners * resolution).astype(np.float32)
     values, nearest = neural_map.sdf(corner_positions)
     values[nearest > config.observed_distance] = np.nan
     vertices, faces, crossing = polygonise(
-        cell_corners, corner_positions, values, case_table(), edge_table(), resolution
+        near.cell_corners, corner_positions, values, case_table(), edge_table(), resolution
     )
     vertices, faces = _without_small_components(vertices, faces, config.min_component)
-    occupied = cells[crossing]
+    occupied = near.cells[crossing]
     return Surface(
         vertices, neural_map.normals(vertices), faces, occupied, np.ones(len(occupied), np.float32), resolution
     )
 
 
+@stage("surface")
 def surface_from_points(submap: Submap, map_config: ImplicitMapConfig, config: SurfaceConfig) -> Surface:
     """The ablation without the implicit map: voxel counts and normals by PCA of each neighbourhood (paper IV-D)."""
     points = accumulate(submap, map_config)
     voxels = np.floor(submap.points / np.float32(map_config.resolution)).astype(np.int64)
-    keys = ((voxels[:, 0] + 2**20) << 42) | ((voxels[:, 1] + 2**20) << 21) | (voxels[:, 2] + 2**20)
-    keys, counts = np.unique(keys, return_counts=True)
-    keys, counts = keys[counts >= config.min_returns], counts[counts >= config.min_returns]
-    axes = [(keys >> shift) & (2**21 - 1) for shift in (42, 21, 0)]
-    occupied = (np.stack(axes, axis=1) - 2**20).astype(np.int32)
-    return Surface(
-        points.positions, points.normals, np.zeros((0, 3), np.int32), occupied, counts.astype(np.float32),
-        map_config.resolution,
-    )  # fmt: skip
+    _, first, counts = np.unique(voxel_keys(voxels), return_index=True, return_counts=True)
+    seen = counts >= config.min_returns
+    occupied, occupancy = voxels[first[seen]].astype(np.int32), counts[seen].astype(np.float32)
+    nothing = np.zeros((0, 3), np.int32)
+    return Surface(points.positions, points.normals, nothing, occupied, occupancy, map_config.resolution)
 
 
 def _without_small_components(

@@ -1,1 +1,15 @@
 """Verification of a loop candidate: correspondences, start, registration, evidence, verdict (paper III-E, end)."""
+
+from revisit.core.verification.verdict import (
+    LoopMeasurement,
+    RejectedLoop,
+    RejectionReason,
+    VerifiedLoop,
+    is_degenerate,
+    loop_score,
+    verify,
+)
+
+__all__ = [
+    "LoopMeasurement", "RejectedLoop", "RejectionReason", "VerifiedLoop", "is_degenerate", "loop_score", "verify",
+]  # fmt: skip

@@ -12,18 +12,13 @@ from numpy.typing import NDArray
 from revisit.core.config import VerificationConfig
 from revisit.core.errors import DescriptorModelMismatch
 from revisit.core.geometry import se3
-from revisit.core.place import PlaceSignature
-from revisit.core.verification.alignment import (
-    PlanarFit,
-    Registration,
-    correlate_images,
-    fit_plane_motion,
-    lift,
-    observability,
-    register,
-)
-
-__all__ = ["LoopMeasurement", "RejectedLoop", "RejectionReason", "VerifiedLoop", "verify"]
+from revisit.core.geometry.level_frame import motion_between_submaps
+from revisit.core.place import Place
+from revisit.core.verification.correspondences import KeypointFit
+from revisit.core.verification.evidence import Evidence, gather_evidence
+from revisit.core.verification.oriented_points import OrientedPoints
+from revisit.core.verification.registration import Registration, observability, register
+from revisit.core.verification.start import find_start
 
 
 class RejectionReason(StrEnum):
@@ -76,30 +71,42 @@ class RejectedLoop:
     measurement: LoopMeasurement | None = None
 
 
-def verify(
-    query: PlaceSignature, match: PlaceSignature, similarity: float, config: VerificationConfig
-) -> VerifiedLoop | RejectedLoop:
+def verify(query: Place, match: Place, similarity: float, config: VerificationConfig) -> VerifiedLoop | RejectedLoop:
     """Whether two submaps show the same place, and how they lie to each other.
 
-    Nothing in it is random.
-    Raises DescriptorModelMismatch where the signatures come from different codebooks or scene scales.
+    Nothing in it is random, and the answer does not depend on which place is the query: `verify(b, a)` has the verdict,
+    reason and evidence of `verify(a, b)`, and the inverse pose. Raises DescriptorModelMismatch where the places come
+    from different codebooks or scene scales.
     """
-    if query.model != match.model or abs(query.scene_scale - match.scene_scale) > 1e-6:
+    if query.content_digest <= match.content_digest:
+        return _verify_in_order(query, match, similarity, config)
+    return _inverted(_verify_in_order(match, query, similarity, config))
+
+
+def _verify_in_order(
+    query: Place, match: Place, similarity: float, config: VerificationConfig
+) -> VerifiedLoop | RejectedLoop:
+    """The verdict on two places in the order of their content digests.
+
+    Registration is not symmetric: its small differences would decide close cases (docs/decisions/0061).
+    """
+    if query.model != match.model or abs(query.frame.scale - match.frame.scale) > 1e-6:
         raise DescriptorModelMismatch
     if is_degenerate(query, config) or is_degenerate(match, config):
         return RejectedLoop(RejectionReason.DEGENERATE_PLACE)
-    fit = fit_plane_motion(query, match, config)
-    starts = [fit] if fit.inliers >= config.sure_inliers else [fit, *correlate_images(query, match, config)]
-    enough = max(config.min_common, config.min_common_share * min(query.standing, match.standing))
-    best = register([lift(start, query, match) for start in starts[: config.starts]], query, match, config)
-    measurement = _unlevelled(_measure(fit, best, similarity, config), query, match)
-    reason = _rejection(measurement, best, enough, config)
+    start = find_start(query, match, config)
+    surfaces = OrientedPoints.of(query), OrientedPoints.of(match)
+    registration = register(start.poses, *surfaces, config)
+    evidence = gather_evidence(registration, *surfaces, config)
+    enough = max(config.min_common, config.min_common_share * min(query.standing_count, match.standing_count))
+    measurement = _unlevelled(_measure(start.fit, registration, evidence, similarity, config), query, match)
+    reason = _rejection(registration, evidence, measurement.score, enough, config)
     return VerifiedLoop(measurement) if reason is None else RejectedLoop(reason, measurement)
 
 
-def is_degenerate(place: PlaceSignature, config: VerificationConfig) -> bool:
+def is_degenerate(place: Place, config: VerificationConfig) -> bool:
     """Whether a place cannot be verified: too little stands on its ground, or what stands there is one line or wall."""
-    standing = place.points[: place.standing].astype(np.float64)
+    standing = place.points[: place.standing_count].astype(np.float64)
     if len(standing) < config.min_standing:
         return True
     spread = np.sqrt(np.clip(np.linalg.eigvalsh(np.cov(standing[:, :2].T)), 0.0, None))
@@ -118,49 +125,64 @@ _SHARPEST_RMSE_M = 0.09  # cleaner surfaces, such as simulated ones, are no bett
 
 
 def _measure(
-    fit: PlanarFit, registration: Registration, similarity: float, config: VerificationConfig
+    fit: KeypointFit, registration: Registration, evidence: Evidence, similarity: float, config: VerificationConfig
 ) -> LoopMeasurement:
-    ratio = fit.inliers / max(fit.correspondences, 1)
-    score = loop_score(registration.contrast, registration.seen_through, registration.rmse_m)
     # neighbouring residuals are not independent, so the information counts one point in `correlated_points`
-    variance = max(registration.rmse_m, config.min_sigma) ** 2 * config.correlated_points
-    covariance = variance * np.linalg.inv(registration.information + 1e-6 * np.eye(6))
+    variance = max(evidence.rmse_m, config.min_sigma) ** 2 * config.correlated_points
+    covariance = variance * np.linalg.inv(evidence.information + 1e-6 * np.eye(6))
     return LoopMeasurement(
-        similarity, fit.inliers, ratio, registration.overlap, registration.contrast,
-        registration.seen_through, registration.rmse_m, score,
-        registration.T_match_query, 0.5 * (covariance + covariance.T),
-    )  # fmt: skip
-
-
-def _unlevelled(measurement: LoopMeasurement, query: PlaceSignature, match: PlaceSignature) -> LoopMeasurement:
-    """The measurement between the submap frames instead of the levelled, scaled ones."""
-    T_submap_level, scale = np.linalg.inv(match.T_level_submap), match.scene_scale
-    turn = se3.from_rotation_translation(T_submap_level[:3, :3] / scale, T_submap_level[:3, 3])
-    adjoint = se3.adjoint(turn) @ np.diag([*[scale] * 3, *[1.0] * 3])
-    return dataclasses.replace(
-        measurement,
-        T_match_query=T_submap_level @ measurement.T_match_query @ query.T_level_submap,
-        rmse_m=measurement.rmse_m * scale,
-        covariance=adjoint @ measurement.covariance @ adjoint.T,
+        similarity=similarity,
+        inliers=fit.inliers,
+        inlier_ratio=fit.inliers / max(fit.correspondences, 1),
+        overlap=evidence.overlap,
+        contrast=evidence.contrast,
+        seen_through=evidence.seen_through,
+        rmse_m=evidence.rmse_m,
+        score=loop_score(evidence.contrast, evidence.seen_through, evidence.rmse_m),
+        T_match_query=registration.T_match_query,
+        covariance=0.5 * (covariance + covariance.T),
     )
 
 
+def _unlevelled(measurement: LoopMeasurement, query: Place, match: Place) -> LoopMeasurement:
+    """The measurement between the submap frames instead of the levelled, scaled ones."""
+    return dataclasses.replace(
+        measurement,
+        T_match_query=motion_between_submaps(measurement.T_match_query, query.frame, match.frame),
+        rmse_m=measurement.rmse_m * match.frame.scale,
+        covariance=match.frame.covariance_to_submap(measurement.covariance),
+    )
+
+
+def _inverted(verdict: VerifiedLoop | RejectedLoop) -> VerifiedLoop | RejectedLoop:
+    """The same verdict with query and match exchanged."""
+    measurement = verdict.measurement
+    if measurement is None:
+        return verdict
+    T_query_match = se3.inverse(measurement.T_match_query)
+    adjoint = se3.adjoint(T_query_match)
+    covariance = adjoint @ measurement.covariance @ adjoint.T
+    exchanged = dataclasses.replace(
+        measurement, T_match_query=T_query_match, covariance=0.5 * (covariance + covariance.T)
+    )
+    return dataclasses.replace(verdict, measurement=exchanged)
+
+
 def _rejection(
-    measurement: LoopMeasurement, registration: Registration, enough: float, config: VerificationConfig
+    registration: Registration, evidence: Evidence, score: float, enough: float, config: VerificationConfig
 ) -> RejectionReason | None:
+    """The first gate that the evidence does not pass, or None where it passes all."""
     tilt = float(np.arccos(np.clip(registration.T_match_query[2, 2], -1.0, 1.0)))
-    if registration.common < enough:
-        return RejectionReason.NO_COMMON_REGION
-    if observability(registration.information, config.lever) < config.min_observability:
-        return RejectionReason.DEGENERATE_ALIGNMENT
-    if tilt > np.radians(config.max_tilt):
-        return RejectionReason.IMPLAUSIBLE_TILT
-    if measurement.overlap < config.min_overlap:
-        return RejectionReason.LOW_OVERLAP
-    if measurement.contrast < config.min_contrast:
-        return RejectionReason.DEGENERATE_ALIGNMENT
-    if measurement.seen_through > config.max_seen_through:
-        return RejectionReason.SEEN_THROUGH
-    if measurement.score < config.min_score:
-        return RejectionReason.LOW_SCORE
-    return None
+    gates = (
+        (evidence.common < enough, RejectionReason.NO_COMMON_REGION),
+        (
+            observability(evidence.information, config.lever) < config.min_observability,
+            RejectionReason.DEGENERATE_ALIGNMENT,
+        ),
+        (tilt > np.radians(config.max_tilt), RejectionReason.IMPLAUSIBLE_TILT),
+        (evidence.overlap < config.min_overlap, RejectionReason.LOW_OVERLAP),
+        (evidence.contrast < config.min_contrast, RejectionReason.DEGENERATE_ALIGNMENT),
+        (evidence.seen_through > config.max_seen_through, RejectionReason.SEEN_THROUGH),
+        (score < config.min_score, RejectionReason.LOW_SCORE),
+    )
+    return next((reason for fails, reason in gates if fails), None)

@@ -10,9 +10,11 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from revisit.core.bev import describe_bev
 from revisit.core.clusters import segment_clusters
@@ -21,7 +23,7 @@ from revisit.core.descriptor.vlad import Codebooks
 from revisit.core.implicit_map import DecoderWeights, fit_implicit_map
 from revisit.core.micro.cluster_normals import describe_clusters
 from revisit.core.micro.saliency import weigh_clusters
-from revisit.core.model_bundle import load_bundle
+from revisit.core.model_bundle import TRAINED_WITH, load_bundle, training_record
 from revisit.core.spectra import describe_spectra
 from revisit.core.submap import Submap
 from revisit.core.surface import extract_surface
@@ -60,7 +62,7 @@ def main() -> None:
         report.append(f"- decoder: {options.episodes} episodes, loss {losses[0]:.3f} -> {np.mean(losses[-50:]):.3f}")
     books, count = _train_codebooks(config, decoder, options.districts, options.places, options.jobs)
     report.append(f"- codebooks: {count} places of {options.districts} towns, three views each")
-    content = _pack(decoder, books)
+    content = _pack(decoder, books, config)
     options.out.write_bytes(content)
     report.append(f"- seeds from {TRAINING_SEED}, used for nothing else")
     report.append(f"- model version: {load_bundle(content).version}, {len(content) / 1e6:.2f} MB")
@@ -117,7 +119,9 @@ def view_features(
     return Features(bev.descriptors, micro, bev.layout, describe_spectra(surface, clusters, config.spectra))
 
 
-def _pack(decoder: DecoderWeights, books: Codebooks) -> bytes:
+def _pack(decoder: DecoderWeights, books: Codebooks, config: PipelineConfig) -> bytes:
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, allow_pickle=False, **decoder.to_arrays(), **books.to_arrays())
+    arrays: dict[str, NDArray[Any]] = {**decoder.to_arrays(), **books.to_arrays()}
+    arrays[TRAINED_WITH] = training_record(config)
+    np.savez_compressed(buffer, allow_pickle=False, **arrays)
     return buffer.getvalue()

@@ -15,12 +15,13 @@ import torch
 from numpy.typing import NDArray
 
 from revisit.core.config import ImplicitMapConfig
-from revisit.core.implicit_map import voxel_hash
-from revisit.core.implicit_map.decoder import ENCODING_SIZE, DecoderWeights
+from revisit.core.implicit_map.decoder import DecoderWeights
 from revisit.core.implicit_map.fitting import accumulate, fit_features, predict, sdf_loss, without_dynamic_points
 from revisit.core.implicit_map.neighbourhood import Neighbourhood, find_neighbourhood
 from revisit.core.implicit_map.samples import draw_samples
 from revisit.core.implicit_map.settled import settle
+from revisit.core.kernels.neighbour_blend import ENCODING_SIZE
+from revisit.core.kernels.voxel_table import table_of, voxels_of
 from revisit.core.submap import Submap
 
 
@@ -36,9 +37,9 @@ class TrainingSet:
 def training_set(submap: Submap, config: ImplicitMapConfig, rng: np.random.Generator) -> TrainingSet:
     """The samples that fitting would draw from `submap`."""
     points = settle(without_dynamic_points(accumulate(submap, config), submap, config), config.resolution)
-    slots = np.asarray(voxel_hash.build_table(points.positions, config.resolution))
-    samples = draw_samples(submap.points, submap.origins[submap.scan_index], points, slots, config, rng)
-    near = find_neighbourhood(samples.positions, points.positions, points.normals, slots, config)
+    table = table_of(voxels_of(points.positions, config.resolution))
+    samples = draw_samples(submap.points, submap.origins[submap.scan_index], points, table, config, rng)
+    near = find_neighbourhood(samples.positions, points.positions, points.normals, table, config)
     usable = np.flatnonzero(np.isfinite(near.nearest))
     return TrainingSet(near[usable], samples.labels[usable], len(points))
 

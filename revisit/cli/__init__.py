@@ -1,10 +1,18 @@
-"""The `revisit` command. Modules are imported when their command runs, so that `revisit --help` is quick."""
+"""The `revisit` command: one module for each command or group of commands, with its options and its work.
+
+A module imports what its work needs when the command runs, so that `revisit --help` is quick, and so that commands that
+only talk to a service run where the service itself is not installed.
+"""
 
 from __future__ import annotations
 
 
 def main() -> None:
-    """Run the command line."""
-    from revisit.cli.app import run
+    """Run the command line; exit status 1 with one line where it is not installed."""
+    try:
+        from revisit.cli.app import run
+    except ModuleNotFoundError as error:
+        from revisit.cli.extras import what_is_missing
 
+        raise SystemExit(what_is_missing("cli", error)) from error
     run()

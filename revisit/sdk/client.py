@@ -6,7 +6,7 @@ import os
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -14,10 +14,12 @@ from revisit.core.errors import RevisitError
 from revisit.sdk.clouds import PointsLike, encoded
 from revisit.sdk.credentials import Credentials
 from revisit.sdk.errors import ErrorDetails, InvalidArgument, OperationFailed
+from revisit.sdk.messages import cloud_message, request_of, vector
 from revisit.sdk.resources import (
     Json,
     Localization,
     LoopClosure,
+    LoopPolicy,
     Map,
     Operation,
     Robot,
@@ -31,6 +33,7 @@ from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.spool import DEFAULT_MAX_BYTES, Spool
 from revisit.sdk.spooled_stream import RECONNECT, SpooledStream
 from revisit.sdk.transport import ScanSink, Transport
+from revisit.v1 import loop_closure_pb2, map_pb2, operation_pb2, robot_pb2, session_pb2, submap_pb2
 
 DEFAULT_HTTP = "http://127.0.0.1:8080"
 DEFAULT_GRPC = "127.0.0.1:8090"
@@ -91,27 +94,30 @@ class Client:
         stride_m: float | None = None,
         min_index_gap: int | None = None,
         scene_scale: float | None = None,
+        loop_policy: LoopPolicy = LoopPolicy(),
     ) -> Map:
         """Create a map; what is None is as the service is configured.
 
         `scene_scale` is the size of the scene compared with a street, e.g. 0.25 for rooms; it cannot be changed later.
         """
-        overrides = {
+        fields = {
+            "map_id": map_id,
+            "display_name": display_name,
             "tau_m": tau_m,
             "stride_m": stride_m,
             "min_index_gap": min_index_gap,
             "scene_scale": scene_scale,
+            "loop_policy": {name: value for name, value in asdict(loop_policy).items() if value is not None} or None,
         }
-        fields = {"display_name": display_name, **_given(overrides)}
-        return Map.parse(self._transport.create("", "maps", map_id, fields))
+        return Map.of(self._transport.create("maps", request_of(map_pb2.CreateMapRequest, fields)))
 
     def get_map(self, name: str) -> Map:
         """Get `maps/{map}`."""
-        return Map.parse(self._transport.get(name))
+        return Map.of(self._transport.get(name))
 
     def list_maps(self) -> list[Map]:
         """All maps, oldest first."""
-        return [Map.parse(item) for item in self._transport.list("", "maps", {})]
+        return [Map.of(item) for item in self._transport.list("maps", map_pb2.ListMapsRequest())]
 
     def delete(self, resource: str | Map | Session | Submap) -> None:
         """Delete a map, a session or a submap, with everything in it."""
@@ -119,48 +125,59 @@ class Client:
 
     def create_robot(self, robot_id: str, *, display_name: str = "") -> Robot:
         """Create a robot."""
-        return Robot.parse(self._transport.create("", "robots", robot_id, {"display_name": display_name}))
+        fields = {"robot_id": robot_id, "display_name": display_name}
+        return Robot.of(self._transport.create("robots", request_of(robot_pb2.CreateRobotRequest, fields)))
 
     def get_robot(self, name: str) -> Robot:
         """Get `robots/{robot}`."""
-        return Robot.parse(self._transport.get(name))
+        return Robot.of(self._transport.get(name))
 
     def list_robots(self) -> list[Robot]:
         """All robots, oldest first."""
-        return [Robot.parse(item) for item in self._transport.list("", "robots", {})]
+        return [Robot.of(item) for item in self._transport.list("robots", robot_pb2.ListRobotsRequest())]
 
     def create_session(self, map_: str | Map, session_id: str, *, robot: str | Robot | None = None) -> Session:
         """Create a session in a map."""
-        fields = {} if robot is None else {"robot": _name(robot)}
-        return Session.parse(self._transport.create(_name(map_), "sessions", session_id, fields))
+        of_robot = None if robot is None else _name(robot)
+        fields = {"parent": _name(map_), "session_id": session_id, "robot": of_robot}
+        return Session.of(self._transport.create("sessions", request_of(session_pb2.CreateSessionRequest, fields)))
 
     def get_session(self, name: str) -> Session:
         """Get `maps/{map}/sessions/{session}`."""
-        return Session.parse(self._transport.get(name))
+        return Session.of(self._transport.get(name))
 
     def list_sessions(self, map_: str | Map) -> list[Session]:
         """The sessions of a map, oldest first."""
-        return [Session.parse(item) for item in self._transport.list(_name(map_), "sessions", {})]
+        request = session_pb2.ListSessionsRequest(parent=_name(map_))
+        return [Session.of(item) for item in self._transport.list("sessions", request)]
 
     def finish_session(self, session: str | Session) -> Session:
         """Finish a session; the scans of its last, shorter window become a submap."""
-        return Session.parse(self._transport.finish_session(_name(session)))
+        return Session.of(self._transport.finish_session(_name(session)))
 
     def post_submap(
         self, session: str | Session, submap_id: str, points: PointsLike, T_odom_submap: Any, stamp_ns: int
     ) -> Operation:
         """Store a submap, (n, 3) or (n, 4) points in its own frame; the operation that describes it."""
-        pose = _pose(T_odom_submap, "T_odom_submap")
-        answer = self._transport.post_submap(_name(session), submap_id, pose, stamp_ns, encoded(points))
-        return replace(Operation.parse(answer["operation"]), seq=int(answer["submap"]["seq"]))
+        fields = {
+            "parent": _name(session),
+            "submap_id": submap_id,
+            "t_odom_submap": _pose(T_odom_submap, "T_odom_submap"),
+            "stamp_ns": stamp_ns,
+        }
+        request = request_of(submap_pb2.PostSubmapRequest, fields)
+        request.cloud.CopyFrom(cloud_message(encoded(points)))
+        answer = self._transport.post_submap(request)
+        return replace(Operation.of(answer.operation), seq=answer.submap.seq)
 
     def get_submap(self, name: str, *, full: bool = False) -> Submap:
         """Get `maps/{map}/sessions/{session}/submaps/{submap}`; with its descriptor where `full`."""
-        return Submap.parse(self._transport.get(name, full=full))
+        return Submap.of(self._transport.get(name, full=full))
 
     def list_submaps(self, session: str | Session) -> list[Submap]:
         """The submaps of a session in their order."""
-        return [Submap.parse(item) for item in self._transport.list(_name(session), "submaps", {})]
+        request = submap_pb2.ListSubmapsRequest(parent=_name(session))
+        return [Submap.of(item) for item in self._transport.list("submaps", request)]
 
     def download(self, submap: str | Submap, file_format: str = "ply") -> bytes:
         """A submap as a file: pcd, ply, npy, mesh, neural or descriptor."""
@@ -220,13 +237,17 @@ class Client:
         for field in ("exclude_session", "only_session"):
             if criteria.get(field) is not None:
                 criteria[field] = _session_name(map_, criteria[field])
-        query: Any = {"vector": [float(v) for v in descriptor or ()], "model_version": model_version}
+        if criteria.get("prior_position_m") is not None:
+            criteria["prior_position_m"] = vector(criteria["prior_position_m"])
+        request = request_of(loop_closure_pb2.SearchSubmapsRequest, {"parent": _name(map_), "k": k, **criteria})
         if submap is not None:
-            query = _name(submap)
+            request.submap = _name(submap)
         elif points is not None:
-            query = encoded(points)
-        answer = self._transport.search(_name(map_), query, {"k": k, **_given(criteria)})
-        return [SearchHit.parse(hit) for hit in answer["hits"]]
+            request.cloud.CopyFrom(cloud_message(encoded(points)))
+        else:
+            of_descriptor = {"vector": [float(v) for v in descriptor or ()], "model_version": model_version}
+            request.descriptor.CopyFrom(request_of(loop_closure_pb2.Descriptor, of_descriptor))
+        return [SearchHit.of(hit) for hit in self._transport.search(request).hits]
 
     def localize(
         self,
@@ -242,8 +263,15 @@ class Client:
 
         `freshness`: min_seq with min_seq_timeout_s, as in `search`.
         """
-        options = {"prior_position_m": prior_position_m, "radius_m": radius_m, "candidates": candidates, **freshness}
-        return Localization.parse(self._transport.localize(_name(map_), encoded(points), _given(options)))
+        fields = {
+            "parent": _name(map_),
+            "prior_position_m": None if prior_position_m is None else vector(prior_position_m),
+            "radius_m": radius_m,
+            "candidates": candidates,
+        }
+        request = request_of(loop_closure_pb2.LocalizeRequest, {**fields, **freshness})
+        request.cloud.CopyFrom(cloud_message(encoded(points)))
+        return Localization.of(self._transport.localize(request))
 
     def loop_closures(
         self, map_: str | Map, *, state: str | None = None, session: str | Session | None = None, **freshness: Any
@@ -252,31 +280,34 @@ class Client:
 
         `freshness`: min_seq with min_seq_timeout_s, as in `search`.
         """
-        filters = _given({"state": state, "session": None if session is None else _name(session), **freshness})
-        return [LoopClosure.parse(item) for item in self._transport.list(_name(map_), "loopClosures", filters)]
+        of_session = None if session is None else _name(session)
+        fields = {"parent": _name(map_), "state": state, "session": of_session, **freshness}
+        request = request_of(loop_closure_pb2.ListLoopClosuresRequest, fields)
+        return [LoopClosure.of(item) for item in self._transport.list("loopClosures", request)]
 
     def get_loop_closure(self, name: str) -> LoopClosure:
         """Get `maps/{map}/loopClosures/{loop_closure}` with its evidence."""
-        return LoopClosure.parse(self._transport.get(name))
+        return LoopClosure.of(self._transport.get(name))
 
     def get_operation(self, name: str) -> Operation:
         """Get `operations/{operation}`."""
-        return Operation.parse(self._transport.get(name))
+        return Operation.of(self._transport.get(name))
 
     def list_operations(self, *, state: str | None = None) -> list[Operation]:
         """The operations, oldest first; `state` QUEUED, RUNNING, DONE or FAILED."""
-        return [Operation.parse(item) for item in self._transport.list("", "operations", _given({"state": state}))]
+        request = request_of(operation_pb2.ListOperationsRequest, {"state": state})
+        return [Operation.of(item) for item in self._transport.list("operations", request)]
 
     def retry_operation(self, operation: str | Operation) -> Operation:
         """Queue a failed description again; an operation that has not failed is left as it is."""
-        return Operation.parse(self._transport.retry_operation(_name(operation)))
+        return Operation.of(self._transport.retry_operation(_name(operation)))
 
     def wait(self, operation: str | Operation, timeout_s: float = 300.0) -> Operation:
         """The operation once it is DONE. Raises OperationFailed; TimeoutError after `timeout_s`."""
         deadline = time.monotonic() + timeout_s
         while True:
             left_s = max(0.0, deadline - time.monotonic())
-            current = Operation.parse(self._transport.wait_operation(_name(operation), min(left_s, MAX_WAIT_S)))
+            current = Operation.of(self._transport.wait_operation(_name(operation), min(left_s, MAX_WAIT_S)))
             if current.state == "FAILED":
                 details = ErrorDetails("UNKNOWN", current.failure_reason or "", current.failure_message or "")
                 raise OperationFailed(details)
@@ -287,7 +318,7 @@ class Client:
 
     def status(self) -> Status:
         """What the service is doing."""
-        return Status.parse(self._transport.status())
+        return Status.of(self._transport.status())
 
     def close(self) -> None:
         """Let go of the connections."""
@@ -348,10 +379,6 @@ def _name(resource: Any) -> str:
 def _session_name(map_: Any, session: Any) -> str:
     name = _name(session)
     return name if "/" in name else f"{_name(map_)}/sessions/{name}"
-
-
-def _given(values: Json) -> Json:
-    return {key: value for key, value in values.items() if value is not None}
 
 
 def _pose(transform: Any, field: str) -> Json:

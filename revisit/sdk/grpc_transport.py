@@ -7,19 +7,16 @@ from functools import partial
 from typing import Any, TypeVar
 
 import grpc
-from google.protobuf.json_format import MessageToDict, ParseDict
 from google.rpc import error_details_pb2, status_pb2  # type: ignore[import-untyped]  # ships no types
 
-from revisit.sdk.clouds import Cloud
 from revisit.sdk.credentials import Credentials
 from revisit.sdk.errors import ApiError, ErrorDetails, error_of, unreachable
 from revisit.sdk.grpc_answers import LOST_AFTER_S, Answers, LostCall, answer
-from revisit.sdk.resources import Json
+from revisit.sdk.messages import COLLECTIONS, collection_of, request_of
 from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.scan_stream import GrpcScanSink
 from revisit.sdk.transport import Forgetful, StreamJournal
 from revisit.v1 import (
-    cloud_pb2,
     ingest_pb2_grpc,
     loop_closure_pb2,
     loop_closure_pb2_grpc,
@@ -53,13 +50,21 @@ _OPTIONS = (
 
 T = TypeVar("T")
 
-_COLLECTIONS: dict[str, tuple[Any, Any, str, str]] = {
-    "maps": (map_pb2, map_pb2_grpc.MapServiceStub, "Map", "map"),
-    "robots": (robot_pb2, robot_pb2_grpc.RobotServiceStub, "Robot", "robot"),
-    "sessions": (session_pb2, session_pb2_grpc.SessionServiceStub, "Session", "session"),
-    "submaps": (submap_pb2, submap_pb2_grpc.SubmapServiceStub, "Submap", "submap"),
-    "operations": (operation_pb2, operation_pb2_grpc.OperationServiceStub, "Operation", "operation"),
-    "loopClosures": (loop_closure_pb2, loop_closure_pb2_grpc.LoopClosureServiceStub, "LoopClosure", "loop_closure"),
+_STUBS: dict[str, Any] = {
+    "maps": map_pb2_grpc.MapServiceStub,
+    "robots": robot_pb2_grpc.RobotServiceStub,
+    "sessions": session_pb2_grpc.SessionServiceStub,
+    "submaps": submap_pb2_grpc.SubmapServiceStub,
+    "operations": operation_pb2_grpc.OperationServiceStub,
+    "loopClosures": loop_closure_pb2_grpc.LoopClosureServiceStub,
+}
+_MODULES: dict[str, Any] = {
+    "maps": map_pb2,
+    "robots": robot_pb2,
+    "sessions": session_pb2,
+    "submaps": submap_pb2,
+    "operations": operation_pb2,
+    "loopClosures": loop_closure_pb2,
 }
 
 
@@ -77,66 +82,59 @@ class GrpcTransport:
             else grpc.secure_channel(host, _channel_credentials(credentials), options=_OPTIONS)
         )
 
-    def create(self, parent: str, collection: str, resource_id: str, fields: Json) -> Json:
+    def create(self, collection: str, request: Any) -> Any:
         """See Transport."""
-        module, stub, noun, field = _COLLECTIONS[collection]
-        request = {f"{field}_id": resource_id, **fields, **({"parent": parent} if parent else {})}
-        return self._part(field, stub, f"Create{noun}", _message(module, f"Create{noun}Request", request))
+        return self._resource(collection, "Create", request)
 
-    def get(self, name: str, *, full: bool = False) -> Json:
+    def get(self, name: str, *, full: bool = False) -> Any:
         """See Transport."""
-        module, stub, noun, field = _COLLECTIONS[_collection_of(name)]
-        asked = {"name": name, "view": "SUBMAP_VIEW_FULL"} if full else {"name": name}
-        return self._part(field, stub, f"Get{noun}", _message(module, f"Get{noun}Request", asked))
+        collection = collection_of(name)
+        request = _request("Get", collection, {"name": name, **({"view": "FULL"} if full else {})})
+        return self._resource(collection, "Get", request)
 
-    def list(self, parent: str, collection: str, filters: Json) -> Iterator[Json]:
+    def list(self, collection: str, request: Any) -> Iterator[Any]:
         """See Transport."""
-        module, stub, noun, field = _COLLECTIONS[collection]
-        if "state" in filters:
-            prefix = {"operations": "OPERATION_STATE_", "loopClosures": "LOOP_STATE_"}[collection]
-            filters = {**filters, "state": prefix + filters["state"]}
-        scope = {"parent": parent} if parent else {}
-        token = ""
         while True:
-            request = _message(module, f"List{noun}sRequest", {**scope, **filters, "page_token": token})
-            page = self._answer(stub, f"List{noun}s", request)
-            yield from page[f"{field}s"]
-            token = page["next_page_token"]
-            if not token:
+            page = self._answer(_STUBS[collection], f"List{_noun(collection)}s", request)
+            yield from getattr(page, f"{COLLECTIONS[collection].field}s")
+            if not page.next_page_token:
                 return
+            request.page_token = page.next_page_token
 
     def delete(self, name: str) -> None:
         """See Transport."""
-        module, stub, noun, _ = _COLLECTIONS[_collection_of(name)]
-        self._answer(stub, f"Delete{noun}", _message(module, f"Delete{noun}Request", {"name": name}))
+        collection = collection_of(name)
+        request = _request("Delete", collection, {"name": name})
+        self._answer(_STUBS[collection], f"Delete{_noun(collection)}", request)
 
-    def finish_session(self, name: str) -> Json:
+    def finish_session(self, name: str) -> session_pb2.Session:
         """See Transport."""
         request = session_pb2.FinishSessionRequest(name=name)
-        return self._part("session", session_pb2_grpc.SessionServiceStub, "FinishSession", request)
+        answered: session_pb2.FinishSessionResponse = self._answer(_STUBS["sessions"], "FinishSession", request)
+        return answered.session
 
-    def wait_operation(self, name: str, timeout_s: float) -> Json:
+    def wait_operation(self, name: str, timeout_s: float) -> operation_pb2.Operation:
         """See Transport."""
         request = operation_pb2.WaitOperationRequest(name=name, timeout_s=timeout_s)
-        return self._part("operation", operation_pb2_grpc.OperationServiceStub, "WaitOperation", request)
+        answered: operation_pb2.WaitOperationResponse = self._answer(_STUBS["operations"], "WaitOperation", request)
+        return answered.operation
 
-    def retry_operation(self, name: str) -> Json:
+    def retry_operation(self, name: str) -> operation_pb2.Operation:
         """See Transport."""
         request = operation_pb2.RetryOperationRequest(name=name)
-        return self._part("operation", operation_pb2_grpc.OperationServiceStub, "RetryOperation", request)
+        answered: operation_pb2.RetryOperationResponse = self._answer(_STUBS["operations"], "RetryOperation", request)
+        return answered.operation
 
-    def post_submap(self, session: str, submap_id: str, pose: Json, stamp_ns: int, cloud: Cloud) -> Json:
+    def post_submap(self, request: submap_pb2.PostSubmapRequest) -> submap_pb2.PostSubmapResponse:
         """See Transport."""
-        request = submap_pb2.PostSubmapRequest(
-            parent=session, submap_id=submap_id, stamp_ns=stamp_ns, cloud=_cloud(cloud)
-        )
-        ParseDict(pose, request.t_odom_submap)
-        return self._answer(submap_pb2_grpc.SubmapServiceStub, "PostSubmap", request)
+        answered: submap_pb2.PostSubmapResponse = self._answer(_STUBS["submaps"], "PostSubmap", request)
+        return answered
 
     def download(self, submap: str, file_format: str) -> bytes:
         """See Transport."""
-        request = submap_pb2.DownloadSubmapRequest(name=submap, format=f"DOWNLOAD_FORMAT_{file_format.upper()}")
-        call = self._method(submap_pb2_grpc.SubmapServiceStub, "DownloadSubmap")
+        asked = {"name": submap, "format": file_format.upper()}
+        request = request_of(submap_pb2.DownloadSubmapRequest, asked)
+        call = self._method(_STUBS["submaps"], "DownloadSubmap")
         limit_s = ANSWER_TIMEOUT_S + LOST_AFTER_S
 
         def whole() -> bytes:
@@ -145,27 +143,22 @@ class GrpcTransport:
 
         return self._run(whole)
 
-    def search(self, map_name: str, query: Any, criteria: Json) -> Json:
+    def search(self, request: loop_closure_pb2.SearchSubmapsRequest) -> loop_closure_pb2.SearchSubmapsResponse:
         """See Transport."""
-        request = loop_closure_pb2.SearchSubmapsRequest(parent=map_name)
-        if isinstance(query, Cloud):
-            request.cloud.CopyFrom(_cloud(query))
-        elif isinstance(query, str):
-            request.submap = query
-        else:
-            ParseDict(query, request.descriptor)
-        ParseDict(_with_vector_prior(criteria), request)
-        return self._answer(loop_closure_pb2_grpc.LoopClosureServiceStub, "SearchSubmaps", request)
+        stub = _STUBS["loopClosures"]
+        answered: loop_closure_pb2.SearchSubmapsResponse = self._answer(stub, "SearchSubmaps", request)
+        return answered
 
-    def localize(self, map_name: str, cloud: Cloud, options: Json) -> Json:
+    def localize(self, request: loop_closure_pb2.LocalizeRequest) -> loop_closure_pb2.LocalizeResponse:
         """See Transport."""
-        request = loop_closure_pb2.LocalizeRequest(parent=map_name, cloud=_cloud(cloud))
-        ParseDict(_with_vector_prior(options), request)
-        return self._answer(loop_closure_pb2_grpc.LoopClosureServiceStub, "Localize", request)
+        answered: loop_closure_pb2.LocalizeResponse = self._answer(_STUBS["loopClosures"], "Localize", request)
+        return answered
 
-    def status(self) -> Json:
+    def status(self) -> system_pb2.GetStatusResponse:
         """See Transport."""
-        return self._answer(system_pb2_grpc.SystemServiceStub, "GetStatus", system_pb2.GetStatusRequest())
+        stub, request = system_pb2_grpc.SystemServiceStub, system_pb2.GetStatusRequest()
+        answered: system_pb2.GetStatusResponse = self._answer(stub, "GetStatus", request)
+        return answered
 
     def open_stream(self, session: str, journal: StreamJournal = Forgetful()) -> GrpcScanSink:
         """See Transport."""
@@ -180,13 +173,13 @@ class GrpcTransport:
         method: Callable[..., Any] = getattr(stub(self._channel), name)
         return method
 
-    def _answer(self, stub: Any, method: str, request: Any) -> Json:
-        called = self._method(stub, method)
-        return _json(self._run(lambda: answer(called, request, ANSWER_TIMEOUT_S, self._metadata)))
+    def _resource(self, collection: str, verb: str, request: Any) -> Any:
+        answered = self._answer(_STUBS[collection], f"{verb}{_noun(collection)}", request)
+        return getattr(answered, COLLECTIONS[collection].field)
 
-    def _part(self, field: str, stub: Any, method: str, request: Any) -> Json:
-        part: Json = self._answer(stub, method, request)[field]
-        return part
+    def _answer(self, stub: Any, method: str, request: Any) -> Any:
+        called = self._method(stub, method)
+        return self._run(lambda: answer(called, request, ANSWER_TIMEOUT_S, self._metadata))
 
     def _run(self, call: Callable[[], T]) -> T:
         def once() -> T:
@@ -203,28 +196,13 @@ def _channel_credentials(credentials: Credentials) -> grpc.ChannelCredentials:
     return grpc.ssl_channel_credentials(*(None if file is None else file.read_bytes() for file in files))
 
 
-def _message(module: Any, name: str, fields: Json) -> Any:
-    return ParseDict(fields, getattr(module, name)())
+def _noun(collection: str) -> str:
+    """`Map` of `maps`, as it is part of the names of methods and messages."""
+    return COLLECTIONS[collection].resource.DESCRIPTOR.name
 
 
-def _json(message: Any) -> Json:
-    return MessageToDict(message, preserving_proto_field_name=True, always_print_fields_with_no_presence=True)
-
-
-def _cloud(cloud: Cloud) -> cloud_pb2.Cloud:
-    return cloud_pb2.Cloud(encoded=cloud_pb2.EncodedCloud(content_type=cloud.content_type, data=cloud.data))
-
-
-def _collection_of(name: str) -> str:
-    parts = name.split("/")
-    return parts[-2] if len(parts) > 1 and parts[-2] in _COLLECTIONS else "maps"
-
-
-def _with_vector_prior(options: Json) -> Json:
-    if "prior_position_m" not in options:
-        return options
-    x, y, z = options["prior_position_m"]
-    return {**options, "prior_position_m": {"x": float(x), "y": float(y), "z": float(z)}}
+def _request(verb: str, collection: str, fields: dict[str, Any]) -> Any:
+    return getattr(_MODULES[collection], f"{verb}{_noun(collection)}Request")(**fields)
 
 
 def _api_error(error: Any, address: str) -> ApiError:

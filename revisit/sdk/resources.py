@@ -1,39 +1,60 @@
-"""What the service answers, as frozen dataclasses; both transports give the same ones."""
+"""What the service answers, as frozen dataclasses made from the messages that both transports give."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, Self
 
 import numpy as np
+from google.protobuf.json_format import MessageToDict
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
+from revisit.v1 import (
+    geometry_pb2,
+    loop_closure_pb2,
+    map_pb2,
+    operation_pb2,
+    robot_pb2,
+    session_pb2,
+    submap_pb2,
+    system_pb2,
+)
 
 Json = dict[str, Any]
 Matrix4 = NDArray[np.float64]
 
 
 def pose_json(T_target_source: Any) -> Json:
-    """A (4, 4) or (3, 4) transform as JSON. Raises core.errors.BadTransform."""
+    """A (4, 4) or (3, 4) transform as the JSON of a Transform. Raises core.errors.BadTransform."""
     transform = se3.validated(T_target_source)
     translation = dict(zip("xyz", (float(v) for v in transform[:3, 3]), strict=True))
     rotation = dict(zip("xyzw", (float(v) for v in se3.to_quaternion(transform)), strict=True))
     return {"translation": translation, "rotation": rotation}
 
 
-def matrix_of(value: Json | None) -> Matrix4 | None:
-    """A transform of an answer as (4, 4), None where there is none."""
-    if not value:
-        return None
-    rotation, translation = value.get("rotation") or {}, value.get("translation") or {}
-    quaternion = [float(rotation.get(axis, 0.0)) for axis in "xyzw"]
-    return se3.from_quaternion(quaternion, _vector(translation))
+@dataclass(frozen=True)
+class LoopPolicy:
+    """Which loop closures are accepted; None stands for the value of the service.
+
+    `candidates`: submaps that are verified for each new one. A candidate is accepted with a score of at least
+    `min_score` and an overlap of at least `min_overlap`, where at most `max_seen_through` of it was looked through.
+    """
+
+    candidates: int | None = None
+    min_score: float | None = None
+    min_overlap: float | None = None
+    max_seen_through: float | None = None
+
+    @classmethod
+    def of(cls, message: map_pb2.LoopPolicy) -> Self:
+        """From its message."""
+        return cls(**{item.name: _optional(message, item.name) for item in fields(cls)})
 
 
 @dataclass(frozen=True)
 class Map:
-    """A map; `scene_scale` is the size of its scene compared with a street."""
+    """A map; `scene_scale` is the size of its scene compared with a street, `loop_policy` has the values in force."""
 
     name: str
     display_name: str
@@ -44,20 +65,22 @@ class Map:
     session_count: int
     submap_count: int
     created_at_ns: int
+    loop_policy: LoopPolicy = LoopPolicy()
 
     @classmethod
-    def parse(cls, value: Json) -> Self:
-        """From an answer."""
+    def of(cls, message: map_pb2.Map) -> Self:
+        """From its message."""
         return cls(
-            name=value["name"],
-            display_name=value["display_name"],
-            tau_m=float(value["tau_m"]),
-            stride_m=float(value["stride_m"]),
-            min_index_gap=int(value["min_index_gap"]),
-            scene_scale=float(value["scene_scale"]),
-            session_count=int(value["session_count"]),
-            submap_count=int(value["submap_count"]),
-            created_at_ns=int(value["created_at_ns"]),
+            name=message.name,
+            display_name=message.display_name,
+            tau_m=message.tau_m,
+            stride_m=message.stride_m,
+            min_index_gap=message.min_index_gap,
+            scene_scale=message.scene_scale,
+            session_count=message.session_count,
+            submap_count=message.submap_count,
+            created_at_ns=message.created_at_ns,
+            loop_policy=LoopPolicy.of(message.loop_policy),
         )
 
 
@@ -70,9 +93,9 @@ class Robot:
     created_at_ns: int
 
     @classmethod
-    def parse(cls, value: Json) -> Self:
-        """From an answer."""
-        return cls(value["name"], value["display_name"], int(value["created_at_ns"]))
+    def of(cls, message: robot_pb2.Robot) -> Self:
+        """From its message."""
+        return cls(message.name, message.display_name, message.created_at_ns)
 
 
 @dataclass(frozen=True)
@@ -90,18 +113,18 @@ class Session:
     committed_stamp_ns: int | None
 
     @classmethod
-    def parse(cls, value: Json) -> Self:
-        """From an answer."""
+    def of(cls, message: session_pb2.Session) -> Self:
+        """From its message."""
         return cls(
-            name=value["name"],
-            robot=value.get("robot") or None,
-            state=_state(value["state"]),
-            committed_seq=int(value["committed_seq"]),
-            travelled_m=float(value["travelled_m"]),
-            submap_count=int(value["submap_count"]),
-            created_at_ns=int(value["created_at_ns"]),
-            finished_at_ns=_int_or_none(value.get("finished_at_ns")),
-            committed_stamp_ns=_int_or_none(value.get("committed_stamp_ns")),
+            name=message.name,
+            robot=message.robot or None,
+            state=_word(message, "state"),
+            committed_seq=message.committed_seq,
+            travelled_m=message.travelled_m,
+            submap_count=message.submap_count,
+            created_at_ns=message.created_at_ns,
+            finished_at_ns=_optional(message, "finished_at_ns"),
+            committed_stamp_ns=_optional(message, "committed_stamp_ns"),
         )
 
 
@@ -128,18 +151,17 @@ class Operation:
         return self.state in ("DONE", "FAILED")
 
     @classmethod
-    def parse(cls, value: Json) -> Self:
-        """From an answer."""
-        failure = value.get("failure") or {}
+    def of(cls, message: operation_pb2.Operation) -> Self:
+        """From its message."""
         return cls(
-            name=value["name"],
-            kind=value["kind"].removeprefix("OPERATION_KIND_"),
-            state=_state(value["state"]),
-            subject=value["subject"],
-            attempts=int(value["attempts"]),
-            result=value.get("result"),
-            failure_reason=failure.get("reason"),
-            failure_message=failure.get("message"),
+            name=message.name,
+            kind=_word(message, "kind"),
+            state=_word(message, "state"),
+            subject=message.subject,
+            attempts=message.attempts,
+            result=_json(message, "result"),
+            failure_reason=message.failure.reason or None,
+            failure_message=message.failure.message or None,
         )
 
 
@@ -170,29 +192,26 @@ class Submap:
     seq: int = 0
 
     @classmethod
-    def parse(cls, value: Json) -> Self:
-        """From an answer."""
-        pose = matrix_of(value["t_odom_submap"])
-        if pose is None:
-            raise ValueError(f"the answer has no pose of submap {value['name']}")
+    def of(cls, message: submap_pb2.Submap) -> Self:
+        """From its message."""
         return cls(
-            name=value["name"],
-            state=_state(value["state"]),
-            ordinal=int(value["ordinal"]),
-            T_odom_submap=pose,
-            position_m=_vector(value["position_m"]),
-            stamp_ns=int(value["stamp_ns"]),
-            first_seq=_int_or_none(value.get("first_seq")),
-            last_seq=_int_or_none(value.get("last_seq")),
-            scan_count=int(value["scan_count"]),
-            point_count=int(value["point_count"]),
-            raw_bytes=int(value["raw_bytes"]),
-            neural_map_bytes=_int_or_none(value.get("neural_map_bytes")),
-            flags=tuple(value["flags"]),
-            model_version=value.get("model_version") or None,
-            operation=value["operation"],
-            descriptor=tuple(float(number) for number in value.get("descriptor", ())),
-            seq=int(value["seq"]),
+            name=message.name,
+            state=_word(message, "state"),
+            ordinal=message.ordinal,
+            T_odom_submap=_matrix(message.t_odom_submap),
+            position_m=_vector(message.position_m),
+            stamp_ns=message.stamp_ns,
+            first_seq=_optional(message, "first_seq"),
+            last_seq=_optional(message, "last_seq"),
+            scan_count=message.scan_count,
+            point_count=message.point_count,
+            raw_bytes=message.raw_bytes,
+            neural_map_bytes=_optional(message, "neural_map_bytes"),
+            flags=tuple(message.flags),
+            model_version=message.model_version or None,
+            operation=message.operation,
+            descriptor=tuple(message.descriptor),
+            seq=message.seq,
         )
 
 
@@ -205,9 +224,9 @@ class SearchHit:
     position_m: tuple[float, float, float]
 
     @classmethod
-    def parse(cls, value: Json) -> Self:
-        """From an answer."""
-        return cls(value["submap"], float(value["similarity"]), _vector(value["position_m"]))
+    def of(cls, message: loop_closure_pb2.SearchHit) -> Self:
+        """From its message."""
+        return cls(message.submap, message.similarity, _vector(message.position_m))
 
 
 @dataclass(frozen=True)
@@ -223,35 +242,39 @@ class Candidate:
     evidence: Json
 
     @classmethod
-    def parse(cls, value: Json) -> Self:
-        """From an answer."""
+    def of(cls, message: loop_closure_pb2.LocalizedCandidate) -> Self:
+        """From its message."""
         return cls(
-            submap=value["submap"],
-            accepted=bool(value["accepted"]),
-            reason=value.get("reason") or None,
-            similarity=float(value["similarity"]),
-            score=float(value["score"]),
-            T_match_query=matrix_of(value.get("t_match_query")),
-            evidence=value.get("evidence") or {},
+            submap=message.submap,
+            accepted=message.accepted,
+            reason=message.reason or None,
+            similarity=message.similarity,
+            score=message.score,
+            T_match_query=_optional_matrix(message, "t_match_query"),
+            evidence=_json(message, "evidence") or {},
         )
 
 
 @dataclass(frozen=True)
 class Localization:
-    """The best verified candidate, None where the place is unknown, and all that were compared."""
+    """The best verified candidate, None where the place is unknown, and all that were compared.
+
+    `T_odom_query` (4, 4) is the cloud's pose in the odometry frame of `session`, the session of the best candidate.
+    """
 
     best: Candidate | None
-    T_map_query: Matrix4 | None = field(compare=False)
+    T_odom_query: Matrix4 | None = field(compare=False)
+    session: str | None
     candidates: tuple[Candidate, ...]
 
     @classmethod
-    def parse(cls, value: Json) -> Self:
-        """From an answer."""
-        best = value.get("best")
+    def of(cls, message: loop_closure_pb2.LocalizeResponse) -> Self:
+        """From its message."""
         return cls(
-            best=Candidate.parse(best) if best else None,
-            T_map_query=matrix_of(value.get("t_map_query")),
-            candidates=tuple(Candidate.parse(candidate) for candidate in value["candidates"]),
+            best=Candidate.of(message.best) if message.HasField("best") else None,
+            T_odom_query=_optional_matrix(message, "t_odom_query"),
+            session=message.session or None,
+            candidates=tuple(Candidate.of(candidate) for candidate in message.candidates),
         )
 
 
@@ -272,20 +295,20 @@ class LoopClosure:
     created_at_ns: int
 
     @classmethod
-    def parse(cls, value: Json) -> Self:
-        """From an answer."""
+    def of(cls, message: loop_closure_pb2.LoopClosure) -> Self:
+        """From its message."""
         return cls(
-            name=value["name"],
-            number=int(value["number"]),
-            query=value["query"],
-            match=value["match"],
-            state=_state(value["state"]),
-            reason=value.get("reason") or None,
-            similarity=float(value["similarity"]),
-            score=float(value["score"]),
-            T_match_query=matrix_of(value.get("t_match_query")),
-            evidence=value.get("evidence") or {},
-            created_at_ns=int(value["created_at_ns"]),
+            name=message.name,
+            number=message.number,
+            query=message.query,
+            match=message.match,
+            state=_word(message, "state"),
+            reason=message.reason or None,
+            similarity=message.similarity,
+            score=message.score,
+            T_match_query=_optional_matrix(message, "t_match_query"),
+            evidence=_json(message, "evidence") or {},
+            created_at_ns=message.created_at_ns,
         )
 
 
@@ -302,26 +325,42 @@ class Status:
     workers: tuple[str, ...]
 
     @classmethod
-    def parse(cls, value: Json) -> Self:
-        """From an answer."""
+    def of(cls, message: system_pb2.GetStatusResponse) -> Self:
+        """From its message."""
         return cls(
-            version=value["version"],
-            model_version=value.get("model_version") or None,
-            queued_jobs=int(value["queued_jobs"]),
-            running_jobs=int(value["running_jobs"]),
-            failed_jobs=int(value["failed_jobs"]),
-            indexed_submaps=int(value["indexed_submaps"]),
-            workers=tuple(worker["worker_id"] for worker in value["workers"]),
+            version=message.version,
+            model_version=message.model_version or None,
+            queued_jobs=message.queued_jobs,
+            running_jobs=message.running_jobs,
+            failed_jobs=message.failed_jobs,
+            indexed_submaps=message.indexed_submaps,
+            workers=tuple(worker.worker_id for worker in message.workers),
         )
 
 
-def _state(value: str) -> str:
-    return value.rpartition("STATE_")[2]
+def _word(message: Any, name: str) -> str:
+    """The name of an enum's value."""
+    values = message.DESCRIPTOR.fields_by_name[name].enum_type.values_by_number
+    number = getattr(message, name)
+    return str(values[number].name) if number in values else str(number)
 
 
-def _int_or_none(value: Any) -> int | None:
-    return None if value is None else int(value)
+def _optional(message: Any, name: str) -> Any:
+    return getattr(message, name) if message.HasField(name) else None
 
 
-def _vector(value: Json) -> tuple[float, float, float]:
-    return (float(value.get("x", 0.0)), float(value.get("y", 0.0)), float(value.get("z", 0.0)))
+def _json(message: Any, name: str) -> Json | None:
+    return MessageToDict(getattr(message, name)) if message.HasField(name) else None
+
+
+def _optional_matrix(message: Any, name: str) -> Matrix4 | None:
+    return _matrix(getattr(message, name)) if message.HasField(name) else None
+
+
+def _matrix(message: geometry_pb2.Transform) -> Matrix4:
+    q = message.rotation
+    return se3.from_quaternion((q.x, q.y, q.z, q.w), _vector(message.translation))
+
+
+def _vector(message: geometry_pb2.Vector3) -> tuple[float, float, float]:
+    return message.x, message.y, message.z

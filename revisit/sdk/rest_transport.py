@@ -3,16 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, TypeVar
 
 import httpx
+from google.protobuf.json_format import ParseDict, ParseError
+from google.protobuf.message import Message
 
 from revisit.sdk.clouds import Cloud
 from revisit.sdk.credentials import Credentials
 from revisit.sdk.errors import ApiError, ErrorDetails, error_of, unreachable
+from revisit.sdk.messages import COLLECTIONS, cloud_message, collection_of
 from revisit.sdk.resources import Json
 from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.transport import Forgetful, StreamJournal
+from revisit.v1 import (
+    cloud_pb2,
+    geometry_pb2,
+    ingest_pb2,
+    loop_closure_pb2,
+    operation_pb2,
+    session_pb2,
+    submap_pb2,
+    system_pb2,
+)
+
+M = TypeVar("M", bound=Message)
 
 CONNECT_TIMEOUT_S = 5.0
 ANSWER_TIMEOUT_S = 90.0
@@ -34,81 +49,88 @@ class RestTransport:
         self._base_url = base_url
         self._retry = retry
 
-    def create(self, parent: str, collection: str, resource_id: str, fields: Json) -> Json:
+    def create(self, collection: str, request: Any) -> Any:
         """See Transport."""
-        singular = collection.removesuffix("s")
-        body = {f"{singular}_id": resource_id, **fields}
+        body = plain(request)
+        path = _path(body.pop("parent", ""), collection)
         if "robot" in body:
-            body["robot_id"] = body.pop("robot").removeprefix("robots/")
-        return self._json("POST", _path(parent, collection), json=body)
+            body["robot_id"] = _last(body.pop("robot"))
+        return self._message(COLLECTIONS[collection].resource, "POST", path, json=body)
 
-    def get(self, name: str, *, full: bool = False) -> Json:
+    def get(self, name: str, *, full: bool = False) -> Any:
         """See Transport."""
-        return self._json("GET", _path(name), params={"view": "FULL"} if full else {})
+        kind = COLLECTIONS[collection_of(name)].resource
+        return self._message(kind, "GET", _path(name), params={"view": "FULL"} if full else {})
 
-    def list(self, parent: str, collection: str, filters: Json) -> Iterator[Json]:
+    def list(self, collection: str, request: Any) -> Iterator[Any]:
         """See Transport."""
-        if "session" in filters:
-            filters = {**filters, "session_id": _last(filters["session"])}
-            del filters["session"]
-        token = ""
+        params = plain(request)
+        path = _path(params.pop("parent", ""), collection)
+        if "session" in params:
+            params["session_id"] = _last(params.pop("session"))
         while True:
-            page = self._json("GET", _path(parent, collection), params={**filters, "page_token": token})
-            yield from page[_snake(collection)]
-            token = page["next_page_token"]
-            if not token:
+            page: Any = self._message(COLLECTIONS[collection].page, "GET", path, params=params)
+            yield from getattr(page, f"{COLLECTIONS[collection].field}s")
+            if not page.next_page_token:
                 return
+            params["page_token"] = page.next_page_token
 
     def delete(self, name: str) -> None:
         """See Transport."""
         self._send("DELETE", _path(name))
 
-    def finish_session(self, name: str) -> Json:
+    def finish_session(self, name: str) -> session_pb2.Session:
         """See Transport."""
-        return self._json("POST", f"{_path(name)}:finish")
+        return self._message(session_pb2.Session, "POST", f"{_path(name)}:finish")
 
-    def wait_operation(self, name: str, timeout_s: float) -> Json:
+    def wait_operation(self, name: str, timeout_s: float) -> operation_pb2.Operation:
         """See Transport."""
-        return self._json("GET", f"{_path(name)}:wait", params={"timeout_s": timeout_s})
+        return self._message(operation_pb2.Operation, "GET", f"{_path(name)}:wait", params={"timeout_s": timeout_s})
 
-    def retry_operation(self, name: str) -> Json:
+    def retry_operation(self, name: str) -> operation_pb2.Operation:
         """See Transport."""
-        return self._json("POST", f"{_path(name)}:retry")
+        return self._message(operation_pb2.Operation, "POST", f"{_path(name)}:retry")
 
-    def post_submap(self, session: str, submap_id: str, pose: Json, stamp_ns: int, cloud: Cloud) -> Json:
+    def post_submap(self, request: submap_pb2.PostSubmapRequest) -> submap_pb2.PostSubmapResponse:
         """See Transport."""
-        params = {"submap_id": submap_id, "stamp_ns": stamp_ns, "T_odom_submap": _pose_text(pose)}
-        return self._cloud(_path(session, "submaps"), cloud, params)
+        pose = _pose_text(request.t_odom_submap)
+        params = {"submap_id": request.submap_id, "stamp_ns": request.stamp_ns, "T_odom_submap": pose}
+        path = _path(request.parent, "submaps")
+        return self._message(submap_pb2.PostSubmapResponse, "POST", path, **_cloud(request.cloud, params))
 
-    def append_scan(self, session: str, seq: int, pose: Json, stamp_ns: int, cloud: Cloud) -> Json:
-        """Append one scan; answers an acknowledgement."""
-        params = {"seq": seq, "stamp_ns": stamp_ns, "T_odom_sensor": _pose_text(pose)}
-        return self._cloud(_path(session, "scans"), cloud, params)
+    def append_scan(
+        self, session: str, seq: int, pose: Json, stamp_ns: int, cloud: Cloud
+    ) -> ingest_pb2.AppendScanResponse:
+        """Append one scan."""
+        transform = ParseDict(pose, geometry_pb2.Transform())
+        params = {"seq": seq, "stamp_ns": stamp_ns, "T_odom_sensor": _pose_text(transform)}
+        sent = _cloud(cloud_message(cloud), params)
+        return self._message(ingest_pb2.AppendScanResponse, "POST", _path(session, "scans"), **sent)
 
     def download(self, submap: str, file_format: str) -> bytes:
         """See Transport."""
         return self._send("GET", f"{_path(submap)}:download", params={"format": file_format}).content
 
-    def search(self, map_name: str, query: Any, criteria: Json) -> Json:
+    def search(self, request: loop_closure_pb2.SearchSubmapsRequest) -> loop_closure_pb2.SearchSubmapsResponse:
         """See Transport."""
-        path = _path(map_name, "submaps:search")
-        for field in ("exclude_session", "only_session"):
-            if field in criteria:
-                criteria = {**criteria, field: _last(criteria[field])}
-        if isinstance(query, Cloud):
-            return self._cloud(path, query, _with_prior_text(criteria))
-        if isinstance(query, str):
-            return self._json("POST", path, json={"submap": query, **criteria})
-        named = {"descriptor": query["vector"], "model_version": query["model_version"]}
-        return self._json("POST", path, json={**named, **criteria})
+        kind, path = loop_closure_pb2.SearchSubmapsResponse, _path(request.parent, "submaps:search")
+        criteria = _criteria(request)
+        if request.WhichOneof("query") == "cloud":
+            return self._message(kind, "POST", path, **_cloud(request.cloud, _with_prior_text(criteria)))
+        if request.WhichOneof("query") == "descriptor":
+            criteria["descriptor"] = list(request.descriptor.vector)
+            criteria["model_version"] = request.descriptor.model_version
+        return self._message(kind, "POST", path, json=criteria)
 
-    def localize(self, map_name: str, cloud: Cloud, options: Json) -> Json:
+    def localize(self, request: loop_closure_pb2.LocalizeRequest) -> loop_closure_pb2.LocalizeResponse:
         """See Transport."""
-        return self._cloud(f"{_path(map_name)}:localize", cloud, _with_prior_text(options))
+        sent = _cloud(request.cloud, _with_prior_text(_criteria(request)))
+        path = f"{_path(request.parent)}:localize"
+        return self._message(loop_closure_pb2.LocalizeResponse, "POST", path, **sent)
 
-    def status(self) -> Json:
+    def status(self) -> system_pb2.GetStatusResponse:
         """See Transport."""
-        return self._json("GET", "/v1/status")
+        return self._message(system_pb2.GetStatusResponse, "GET", "/v1/status")
 
     def open_stream(self, session: str, journal: StreamJournal = Forgetful()) -> RestScanSink:
         """See Transport."""
@@ -118,13 +140,14 @@ class RestTransport:
         """See Transport."""
         self._http.close()
 
-    def _cloud(self, path: str, cloud: Cloud, params: Json) -> Json:
-        headers = {"content-type": cloud.content_type}
-        return self._json("POST", path, content=cloud.data, params=params, headers=headers)
-
-    def _json(self, method: str, path: str, **request: Any) -> Json:
-        answer: Json = self._send(method, path, **request).json()
-        return answer
+    def _message(self, kind: type[M], method: str, path: str, **request: Any) -> M:
+        """The answer, which is the JSON of a message; fields of a newer service are ignored."""
+        answered = self._send(method, path, **request)
+        try:
+            return ParseDict(answered.json(), kind(), ignore_unknown_fields=True)
+        except (ValueError, ParseError) as error:
+            details = ErrorDetails("UNKNOWN", "FOREIGN_ANSWER", f"{path} was not answered by this service")
+            raise error_of(details) from error
 
     def _send(self, method: str, path: str, **request: Any) -> httpx.Response:
         return self._retry.run(lambda: self._send_once(method, path, request))
@@ -146,7 +169,7 @@ class RestScanSink:
         self._transport = transport
         self._session = session
         self._journal = journal
-        self._committed_seq = int(transport.get(session)["committed_seq"])
+        self._committed_seq = int(transport.get(session).committed_seq)
         journal.opened(self._committed_seq, "")
         self.submaps: list[str] = []
         self.submap_seq = 0
@@ -168,11 +191,11 @@ class RestScanSink:
             self._journal.refused(seq, error.reason, error.message)
             self.rejected.append((seq, error.reason))
             return
-        self._committed_seq = int(ack["committed_seq"])
+        self._committed_seq = ack.committed_seq
         self._journal.committed(self._committed_seq)
-        if ack["submap"]:
-            self.submaps.append(ack["submap"]["submap"]["name"])
-            self.submap_seq = int(ack["submap"]["submap"]["seq"])
+        if ack.HasField("submap"):
+            self.submaps.append(ack.submap.submap.name)
+            self.submap_seq = ack.submap.submap.seq
 
     def check(self) -> None:
         """See ScanSink: there is no connection that could end."""
@@ -212,16 +235,43 @@ def _last(name: str) -> str:
     return name.rpartition("/")[2]
 
 
-def _snake(collection: str) -> str:
-    return "loop_closures" if collection == "loopClosures" else collection
+def plain(message: Message) -> Json:
+    """The fields of a message that are set, as the JSON that requests are: 64-bit integers are numbers there."""
+    return {field.name: _plain_value(field, value) for field, value in message.ListFields()}
 
 
-def _pose_text(pose: Json) -> str:
-    translation, rotation = pose["translation"], pose["rotation"]
-    return ",".join(repr(number) for number in [*translation.values(), *rotation.values()])
+def _plain_value(field: Any, value: Any) -> Any:
+    if field.is_repeated:
+        return list(value)
+    if field.message_type is not None:
+        return plain(value)
+    return value if field.enum_type is None else field.enum_type.values_by_number[value].name
 
 
-def _with_prior_text(options: Json) -> Json:
-    if "prior_position_m" not in options:
-        return options
-    return {**options, "prior_position_m": ",".join(repr(float(number)) for number in options["prior_position_m"])}
+def _criteria(request: Any) -> Json:
+    """The fields of a query but for its map and its cloud or descriptor; sessions by id, the prior as numbers."""
+    criteria = {name: value for name, value in plain(request).items() if name not in ("parent", "cloud", "descriptor")}
+    for name in ("exclude_session", "only_session"):
+        if name in criteria:
+            criteria[name] = _last(criteria[name])
+    if "prior_position_m" in criteria:
+        prior = request.prior_position_m
+        criteria["prior_position_m"] = [prior.x, prior.y, prior.z]
+    return criteria
+
+
+def _with_prior_text(criteria: Json) -> Json:
+    if "prior_position_m" not in criteria:
+        return criteria
+    return {**criteria, "prior_position_m": ",".join(repr(number) for number in criteria["prior_position_m"])}
+
+
+def _cloud(cloud: cloud_pb2.Cloud, params: Json) -> Json:
+    """What httpx sends for a cloud."""
+    headers = {"content-type": cloud.encoded.content_type}
+    return {"content": cloud.encoded.data, "params": params, "headers": headers}
+
+
+def _pose_text(pose: geometry_pb2.Transform) -> str:
+    t, q = pose.translation, pose.rotation
+    return ",".join(repr(number) for number in (t.x, t.y, t.z, q.x, q.y, q.z, q.w))

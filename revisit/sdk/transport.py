@@ -1,4 +1,4 @@
-"""What a transport can do, in resource names and JSON shaped like `proto/revisit/v1`."""
+"""What a transport can do, in resource names and messages of `proto/revisit/v1`."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any, Protocol
 
 from revisit.sdk.clouds import Cloud
 from revisit.sdk.resources import Json
+from revisit.v1 import loop_closure_pb2, operation_pb2, session_pb2, submap_pb2, system_pb2
 
 
 class ScanSink(Protocol):
@@ -78,35 +79,35 @@ class Forgetful:
 class Transport(Protocol):
     """REST or gRPC. Every call raises ApiError."""
 
-    def create(self, parent: str, collection: str, resource_id: str, fields: Json) -> Json:
-        """Create a map, robot or session."""
+    def create(self, collection: str, request: Any) -> Any:
+        """Create a map, robot or session with its Create...Request; the resource's message."""
         ...
 
-    def get(self, name: str, *, full: bool = False) -> Json:
-        """Any resource by name; `full` is for submaps alone."""
+    def get(self, name: str, *, full: bool = False) -> Any:
+        """The message of any resource by name; `full` is for submaps alone."""
         ...
 
-    def list(self, parent: str, collection: str, filters: Json) -> Iterator[Json]:
-        """The resources of a collection, page after page."""
+    def list(self, collection: str, request: Any) -> Iterator[Any]:
+        """The messages of the resources that a List...Request asks for, page after page."""
         ...
 
     def delete(self, name: str) -> None:
         """Delete a map, session or submap."""
         ...
 
-    def finish_session(self, name: str) -> Json:
+    def finish_session(self, name: str) -> session_pb2.Session:
         """Finish a session."""
         ...
 
-    def wait_operation(self, name: str, timeout_s: float) -> Json:
+    def wait_operation(self, name: str, timeout_s: float) -> operation_pb2.Operation:
         """The operation once it has ended, or as it stands after `timeout_s` (at most 60)."""
         ...
 
-    def retry_operation(self, name: str) -> Json:
+    def retry_operation(self, name: str) -> operation_pb2.Operation:
         """Queue a failed operation again."""
         ...
 
-    def post_submap(self, session: str, submap_id: str, pose: Json, stamp_ns: int, cloud: Cloud) -> Json:
+    def post_submap(self, request: submap_pb2.PostSubmapRequest) -> submap_pb2.PostSubmapResponse:
         """Post a submap."""
         ...
 
@@ -114,15 +115,15 @@ class Transport(Protocol):
         """A submap as a file."""
         ...
 
-    def search(self, map_name: str, query: Any, criteria: Json) -> Json:
-        """Search by submap name (str), by cloud (Cloud) or by descriptor (JSON of vector and model_version)."""
+    def search(self, request: loop_closure_pb2.SearchSubmapsRequest) -> loop_closure_pb2.SearchSubmapsResponse:
+        """Search by submap, by cloud or by descriptor."""
         ...
 
-    def localize(self, map_name: str, cloud: Cloud, options: Json) -> Json:
+    def localize(self, request: loop_closure_pb2.LocalizeRequest) -> loop_closure_pb2.LocalizeResponse:
         """Localise a cloud."""
         ...
 
-    def status(self) -> Json:
+    def status(self) -> system_pb2.GetStatusResponse:
         """What the service is doing."""
         ...
 

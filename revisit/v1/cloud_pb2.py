@@ -24,23 +24,23 @@ _sym_db = _symbol_database.Default()
 
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x16revisit/v1/cloud.proto\x12\nrevisit.v1\"j\n\x05\x43loud\x12+\n\x07\x65ncoded\x18\x01 \x01(\x0b\x32\x18.revisit.v1.EncodedCloudH\x00\x12)\n\x06packed\x18\x02 \x01(\x0b\x32\x17.revisit.v1.PackedCloudH\x00\x42\t\n\x07\x63ontent\"2\n\x0c\x45ncodedCloud\x12\x14\n\x0c\x63ontent_type\x18\x01 \x01(\t\x12\x0c\n\x04\x64\x61ta\x18\x02 \x01(\x0c\"\xbb\x01\n\x0bPackedCloud\x12\'\n\x06\x66ields\x18\x01 \x03(\x0b\x32\x17.revisit.v1.PackedField\x12\x14\n\x0cpoint_stride\x18\x02 \x01(\r\x12\r\n\x05width\x18\x03 \x01(\r\x12\x0e\n\x06height\x18\x04 \x01(\r\x12\x12\n\nbig_endian\x18\x05 \x01(\x08\x12,\n\x08\x65ncoding\x18\x06 \x01(\x0e\x32\x1a.revisit.v1.PackedEncoding\x12\x0c\n\x04\x64\x61ta\x18\x07 \x01(\x0c\"L\n\x0bPackedField\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0e\n\x06offset\x18\x02 \x01(\r\x12\x10\n\x08\x64\x61tatype\x18\x03 \x01(\r\x12\r\n\x05\x63ount\x18\x04 \x01(\r\"B\n\x0b\x43loudReport\x12\x19\n\x11\x64ropped_nonfinite\x18\x01 \x01(\x04\x12\x18\n\x10\x64\x65generate_plane\x18\x02 \x01(\x08*i\n\x0ePackedEncoding\x12\x1f\n\x1bPACKED_ENCODING_UNSPECIFIED\x10\x00\x12\x17\n\x13PACKED_ENCODING_RAW\x10\x01\x12\x1d\n\x19PACKED_ENCODING_QUANTISED\x10\x02\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x16revisit/v1/cloud.proto\x12\nrevisit.v1\"j\n\x05\x43loud\x12+\n\x07\x65ncoded\x18\x01 \x01(\x0b\x32\x18.revisit.v1.EncodedCloudH\x00\x12)\n\x06packed\x18\x02 \x01(\x0b\x32\x17.revisit.v1.PackedCloudH\x00\x42\t\n\x07\x63ontent\"2\n\x0c\x45ncodedCloud\x12\x14\n\x0c\x63ontent_type\x18\x01 \x01(\t\x12\x0c\n\x04\x64\x61ta\x18\x02 \x01(\x0c\"\xff\x01\n\x0bPackedCloud\x12\'\n\x06\x66ields\x18\x01 \x03(\x0b\x32\x17.revisit.v1.PackedField\x12\x14\n\x0cpoint_stride\x18\x02 \x01(\r\x12\r\n\x05width\x18\x03 \x01(\r\x12\x0e\n\x06height\x18\x04 \x01(\r\x12\x12\n\nbig_endian\x18\x05 \x01(\x08\x12\x32\n\x08\x65ncoding\x18\x06 \x01(\x0e\x32 .revisit.v1.PackedCloud.Encoding\x12\x0c\n\x04\x64\x61ta\x18\x07 \x01(\x0c\"<\n\x08\x45ncoding\x12\x18\n\x14\x45NCODING_UNSPECIFIED\x10\x00\x12\x07\n\x03RAW\x10\x01\x12\r\n\tQUANTISED\x10\x02\"L\n\x0bPackedField\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0e\n\x06offset\x18\x02 \x01(\r\x12\x10\n\x08\x64\x61tatype\x18\x03 \x01(\r\x12\r\n\x05\x63ount\x18\x04 \x01(\r\"B\n\x0b\x43loudReport\x12\x19\n\x11\x64ropped_nonfinite\x18\x01 \x01(\r\x12\x18\n\x10\x64\x65generate_plane\x18\x02 \x01(\x08\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'revisit.v1.cloud_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_PACKEDENCODING']._serialized_start=534
-  _globals['_PACKEDENCODING']._serialized_end=639
   _globals['_CLOUD']._serialized_start=38
   _globals['_CLOUD']._serialized_end=144
   _globals['_ENCODEDCLOUD']._serialized_start=146
   _globals['_ENCODEDCLOUD']._serialized_end=196
   _globals['_PACKEDCLOUD']._serialized_start=199
-  _globals['_PACKEDCLOUD']._serialized_end=386
-  _globals['_PACKEDFIELD']._serialized_start=388
-  _globals['_PACKEDFIELD']._serialized_end=464
-  _globals['_CLOUDREPORT']._serialized_start=466
-  _globals['_CLOUDREPORT']._serialized_end=532
+  _globals['_PACKEDCLOUD']._serialized_end=454
+  _globals['_PACKEDCLOUD_ENCODING']._serialized_start=394
+  _globals['_PACKEDCLOUD_ENCODING']._serialized_end=454
+  _globals['_PACKEDFIELD']._serialized_start=456
+  _globals['_PACKEDFIELD']._serialized_end=532
+  _globals['_CLOUDREPORT']._serialized_start=534
+  _globals['_CLOUDREPORT']._serialized_end=600
 # @@protoc_insertion_point(module_scope)

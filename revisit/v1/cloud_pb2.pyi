@@ -7,15 +7,6 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 
 DESCRIPTOR: _descriptor.FileDescriptor
 
-class PackedEncoding(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
-    __slots__ = ()
-    PACKED_ENCODING_UNSPECIFIED: _ClassVar[PackedEncoding]
-    PACKED_ENCODING_RAW: _ClassVar[PackedEncoding]
-    PACKED_ENCODING_QUANTISED: _ClassVar[PackedEncoding]
-PACKED_ENCODING_UNSPECIFIED: PackedEncoding
-PACKED_ENCODING_RAW: PackedEncoding
-PACKED_ENCODING_QUANTISED: PackedEncoding
-
 class Cloud(_message.Message):
     __slots__ = ("encoded", "packed")
     ENCODED_FIELD_NUMBER: _ClassVar[int]
@@ -34,6 +25,14 @@ class EncodedCloud(_message.Message):
 
 class PackedCloud(_message.Message):
     __slots__ = ("fields", "point_stride", "width", "height", "big_endian", "encoding", "data")
+    class Encoding(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        ENCODING_UNSPECIFIED: _ClassVar[PackedCloud.Encoding]
+        RAW: _ClassVar[PackedCloud.Encoding]
+        QUANTISED: _ClassVar[PackedCloud.Encoding]
+    ENCODING_UNSPECIFIED: PackedCloud.Encoding
+    RAW: PackedCloud.Encoding
+    QUANTISED: PackedCloud.Encoding
     FIELDS_FIELD_NUMBER: _ClassVar[int]
     POINT_STRIDE_FIELD_NUMBER: _ClassVar[int]
     WIDTH_FIELD_NUMBER: _ClassVar[int]
@@ -46,9 +45,9 @@ class PackedCloud(_message.Message):
     width: int
     height: int
     big_endian: bool
-    encoding: PackedEncoding
+    encoding: PackedCloud.Encoding
     data: bytes
-    def __init__(self, fields: _Optional[_Iterable[_Union[PackedField, _Mapping]]] = ..., point_stride: _Optional[int] = ..., width: _Optional[int] = ..., height: _Optional[int] = ..., big_endian: _Optional[bool] = ..., encoding: _Optional[_Union[PackedEncoding, str]] = ..., data: _Optional[bytes] = ...) -> None: ...
+    def __init__(self, fields: _Optional[_Iterable[_Union[PackedField, _Mapping]]] = ..., point_stride: _Optional[int] = ..., width: _Optional[int] = ..., height: _Optional[int] = ..., big_endian: _Optional[bool] = ..., encoding: _Optional[_Union[PackedCloud.Encoding, str]] = ..., data: _Optional[bytes] = ...) -> None: ...
 
 class PackedField(_message.Message):
     __slots__ = ("name", "offset", "datatype", "count")

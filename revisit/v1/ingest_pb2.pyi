@@ -1,6 +1,7 @@
 from revisit.v1 import cloud_pb2 as _cloud_pb2
 from revisit.v1 import geometry_pb2 as _geometry_pb2
 from revisit.v1 import loop_closure_pb2 as _loop_closure_pb2
+from revisit.v1 import submap_pb2 as _submap_pb2
 from google.protobuf import descriptor as _descriptor
 from google.protobuf import message as _message
 from collections.abc import Mapping as _Mapping
@@ -111,6 +112,18 @@ class LoopClosed(_message.Message):
     LOOP_CLOSURE_FIELD_NUMBER: _ClassVar[int]
     loop_closure: _loop_closure_pb2.LoopClosure
     def __init__(self, loop_closure: _Optional[_Union[_loop_closure_pb2.LoopClosure, _Mapping]] = ...) -> None: ...
+
+class AppendScanResponse(_message.Message):
+    __slots__ = ("committed_seq", "replay", "report", "submap")
+    COMMITTED_SEQ_FIELD_NUMBER: _ClassVar[int]
+    REPLAY_FIELD_NUMBER: _ClassVar[int]
+    REPORT_FIELD_NUMBER: _ClassVar[int]
+    SUBMAP_FIELD_NUMBER: _ClassVar[int]
+    committed_seq: int
+    replay: bool
+    report: _cloud_pb2.CloudReport
+    submap: _submap_pb2.PostSubmapResponse
+    def __init__(self, committed_seq: _Optional[int] = ..., replay: _Optional[bool] = ..., report: _Optional[_Union[_cloud_pb2.CloudReport, _Mapping]] = ..., submap: _Optional[_Union[_submap_pb2.PostSubmapResponse, _Mapping]] = ...) -> None: ...
 
 class Throttle(_message.Message):
     __slots__ = ("retry_delay_s",)

@@ -10,17 +10,16 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 
 DESCRIPTOR: _descriptor.FileDescriptor
 
-class LoopState(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
-    __slots__ = ()
-    LOOP_STATE_UNSPECIFIED: _ClassVar[LoopState]
-    LOOP_STATE_ACCEPTED: _ClassVar[LoopState]
-    LOOP_STATE_REJECTED: _ClassVar[LoopState]
-LOOP_STATE_UNSPECIFIED: LoopState
-LOOP_STATE_ACCEPTED: LoopState
-LOOP_STATE_REJECTED: LoopState
-
 class LoopClosure(_message.Message):
     __slots__ = ("name", "number", "query", "match", "state", "reason", "similarity", "score", "t_match_query", "evidence", "created_at_ns")
+    class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        STATE_UNSPECIFIED: _ClassVar[LoopClosure.State]
+        ACCEPTED: _ClassVar[LoopClosure.State]
+        REJECTED: _ClassVar[LoopClosure.State]
+    STATE_UNSPECIFIED: LoopClosure.State
+    ACCEPTED: LoopClosure.State
+    REJECTED: LoopClosure.State
     NAME_FIELD_NUMBER: _ClassVar[int]
     NUMBER_FIELD_NUMBER: _ClassVar[int]
     QUERY_FIELD_NUMBER: _ClassVar[int]
@@ -36,14 +35,14 @@ class LoopClosure(_message.Message):
     number: int
     query: str
     match: str
-    state: LoopState
+    state: LoopClosure.State
     reason: str
     similarity: float
     score: float
     t_match_query: _geometry_pb2.Transform
     evidence: _struct_pb2.Struct
     created_at_ns: int
-    def __init__(self, name: _Optional[str] = ..., number: _Optional[int] = ..., query: _Optional[str] = ..., match: _Optional[str] = ..., state: _Optional[_Union[LoopState, str]] = ..., reason: _Optional[str] = ..., similarity: _Optional[float] = ..., score: _Optional[float] = ..., t_match_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., evidence: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ..., created_at_ns: _Optional[int] = ...) -> None: ...
+    def __init__(self, name: _Optional[str] = ..., number: _Optional[int] = ..., query: _Optional[str] = ..., match: _Optional[str] = ..., state: _Optional[_Union[LoopClosure.State, str]] = ..., reason: _Optional[str] = ..., similarity: _Optional[float] = ..., score: _Optional[float] = ..., t_match_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., evidence: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ..., created_at_ns: _Optional[int] = ...) -> None: ...
 
 class Descriptor(_message.Message):
     __slots__ = ("vector", "model_version")
@@ -138,14 +137,16 @@ class LocalizedCandidate(_message.Message):
     def __init__(self, submap: _Optional[str] = ..., accepted: _Optional[bool] = ..., reason: _Optional[str] = ..., similarity: _Optional[float] = ..., score: _Optional[float] = ..., t_match_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., evidence: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ...) -> None: ...
 
 class LocalizeResponse(_message.Message):
-    __slots__ = ("best", "t_map_query", "candidates")
+    __slots__ = ("best", "candidates", "t_odom_query", "session")
     BEST_FIELD_NUMBER: _ClassVar[int]
-    T_MAP_QUERY_FIELD_NUMBER: _ClassVar[int]
     CANDIDATES_FIELD_NUMBER: _ClassVar[int]
+    T_ODOM_QUERY_FIELD_NUMBER: _ClassVar[int]
+    SESSION_FIELD_NUMBER: _ClassVar[int]
     best: LocalizedCandidate
-    t_map_query: _geometry_pb2.Transform
     candidates: _containers.RepeatedCompositeFieldContainer[LocalizedCandidate]
-    def __init__(self, best: _Optional[_Union[LocalizedCandidate, _Mapping]] = ..., t_map_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., candidates: _Optional[_Iterable[_Union[LocalizedCandidate, _Mapping]]] = ...) -> None: ...
+    t_odom_query: _geometry_pb2.Transform
+    session: str
+    def __init__(self, best: _Optional[_Union[LocalizedCandidate, _Mapping]] = ..., candidates: _Optional[_Iterable[_Union[LocalizedCandidate, _Mapping]]] = ..., t_odom_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., session: _Optional[str] = ...) -> None: ...
 
 class GetLoopClosureRequest(_message.Message):
     __slots__ = ("name",)
@@ -171,11 +172,11 @@ class ListLoopClosuresRequest(_message.Message):
     parent: str
     page_size: int
     page_token: str
-    state: LoopState
+    state: LoopClosure.State
     session: str
     min_seq: int
     min_seq_timeout_s: float
-    def __init__(self, parent: _Optional[str] = ..., page_size: _Optional[int] = ..., page_token: _Optional[str] = ..., state: _Optional[_Union[LoopState, str]] = ..., session: _Optional[str] = ..., min_seq: _Optional[int] = ..., min_seq_timeout_s: _Optional[float] = ...) -> None: ...
+    def __init__(self, parent: _Optional[str] = ..., page_size: _Optional[int] = ..., page_token: _Optional[str] = ..., state: _Optional[_Union[LoopClosure.State, str]] = ..., session: _Optional[str] = ..., min_seq: _Optional[int] = ..., min_seq_timeout_s: _Optional[float] = ...) -> None: ...
 
 class ListLoopClosuresResponse(_message.Message):
     __slots__ = ("loop_closures", "next_page_token")

@@ -8,30 +8,6 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 
 DESCRIPTOR: _descriptor.FileDescriptor
 
-class OperationKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
-    __slots__ = ()
-    OPERATION_KIND_UNSPECIFIED: _ClassVar[OperationKind]
-    OPERATION_KIND_DESCRIBE_SUBMAP: _ClassVar[OperationKind]
-    OPERATION_KIND_SEARCH_CLOUD: _ClassVar[OperationKind]
-    OPERATION_KIND_LOCALIZE: _ClassVar[OperationKind]
-
-class OperationState(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
-    __slots__ = ()
-    OPERATION_STATE_UNSPECIFIED: _ClassVar[OperationState]
-    OPERATION_STATE_QUEUED: _ClassVar[OperationState]
-    OPERATION_STATE_RUNNING: _ClassVar[OperationState]
-    OPERATION_STATE_DONE: _ClassVar[OperationState]
-    OPERATION_STATE_FAILED: _ClassVar[OperationState]
-OPERATION_KIND_UNSPECIFIED: OperationKind
-OPERATION_KIND_DESCRIBE_SUBMAP: OperationKind
-OPERATION_KIND_SEARCH_CLOUD: OperationKind
-OPERATION_KIND_LOCALIZE: OperationKind
-OPERATION_STATE_UNSPECIFIED: OperationState
-OPERATION_STATE_QUEUED: OperationState
-OPERATION_STATE_RUNNING: OperationState
-OPERATION_STATE_DONE: OperationState
-OPERATION_STATE_FAILED: OperationState
-
 class Failure(_message.Message):
     __slots__ = ("reason", "message")
     REASON_FIELD_NUMBER: _ClassVar[int]
@@ -42,6 +18,28 @@ class Failure(_message.Message):
 
 class Operation(_message.Message):
     __slots__ = ("name", "kind", "state", "subject", "attempts", "result", "failure", "created_at_ns", "finished_at_ns")
+    class Kind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        KIND_UNSPECIFIED: _ClassVar[Operation.Kind]
+        DESCRIBE_SUBMAP: _ClassVar[Operation.Kind]
+        SEARCH_CLOUD: _ClassVar[Operation.Kind]
+        LOCALIZE: _ClassVar[Operation.Kind]
+    KIND_UNSPECIFIED: Operation.Kind
+    DESCRIBE_SUBMAP: Operation.Kind
+    SEARCH_CLOUD: Operation.Kind
+    LOCALIZE: Operation.Kind
+    class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        STATE_UNSPECIFIED: _ClassVar[Operation.State]
+        QUEUED: _ClassVar[Operation.State]
+        RUNNING: _ClassVar[Operation.State]
+        DONE: _ClassVar[Operation.State]
+        FAILED: _ClassVar[Operation.State]
+    STATE_UNSPECIFIED: Operation.State
+    QUEUED: Operation.State
+    RUNNING: Operation.State
+    DONE: Operation.State
+    FAILED: Operation.State
     NAME_FIELD_NUMBER: _ClassVar[int]
     KIND_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
@@ -52,15 +50,15 @@ class Operation(_message.Message):
     CREATED_AT_NS_FIELD_NUMBER: _ClassVar[int]
     FINISHED_AT_NS_FIELD_NUMBER: _ClassVar[int]
     name: str
-    kind: OperationKind
-    state: OperationState
+    kind: Operation.Kind
+    state: Operation.State
     subject: str
     attempts: int
     result: _struct_pb2.Struct
     failure: Failure
     created_at_ns: int
     finished_at_ns: int
-    def __init__(self, name: _Optional[str] = ..., kind: _Optional[_Union[OperationKind, str]] = ..., state: _Optional[_Union[OperationState, str]] = ..., subject: _Optional[str] = ..., attempts: _Optional[int] = ..., result: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., created_at_ns: _Optional[int] = ..., finished_at_ns: _Optional[int] = ...) -> None: ...
+    def __init__(self, name: _Optional[str] = ..., kind: _Optional[_Union[Operation.Kind, str]] = ..., state: _Optional[_Union[Operation.State, str]] = ..., subject: _Optional[str] = ..., attempts: _Optional[int] = ..., result: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., created_at_ns: _Optional[int] = ..., finished_at_ns: _Optional[int] = ...) -> None: ...
 
 class GetOperationRequest(_message.Message):
     __slots__ = ("name",)
@@ -81,8 +79,8 @@ class ListOperationsRequest(_message.Message):
     STATE_FIELD_NUMBER: _ClassVar[int]
     page_size: int
     page_token: str
-    state: OperationState
-    def __init__(self, page_size: _Optional[int] = ..., page_token: _Optional[str] = ..., state: _Optional[_Union[OperationState, str]] = ...) -> None: ...
+    state: Operation.State
+    def __init__(self, page_size: _Optional[int] = ..., page_token: _Optional[str] = ..., state: _Optional[_Union[Operation.State, str]] = ...) -> None: ...
 
 class ListOperationsResponse(_message.Message):
     __slots__ = ("operations", "next_page_token")

@@ -7,17 +7,16 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 
 DESCRIPTOR: _descriptor.FileDescriptor
 
-class SessionState(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
-    __slots__ = ()
-    SESSION_STATE_UNSPECIFIED: _ClassVar[SessionState]
-    SESSION_STATE_ACTIVE: _ClassVar[SessionState]
-    SESSION_STATE_FINISHED: _ClassVar[SessionState]
-SESSION_STATE_UNSPECIFIED: SessionState
-SESSION_STATE_ACTIVE: SessionState
-SESSION_STATE_FINISHED: SessionState
-
 class Session(_message.Message):
     __slots__ = ("name", "robot", "state", "committed_seq", "travelled_m", "submap_count", "created_at_ns", "finished_at_ns", "committed_stamp_ns")
+    class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        STATE_UNSPECIFIED: _ClassVar[Session.State]
+        ACTIVE: _ClassVar[Session.State]
+        FINISHED: _ClassVar[Session.State]
+    STATE_UNSPECIFIED: Session.State
+    ACTIVE: Session.State
+    FINISHED: Session.State
     NAME_FIELD_NUMBER: _ClassVar[int]
     ROBOT_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
@@ -29,14 +28,14 @@ class Session(_message.Message):
     COMMITTED_STAMP_NS_FIELD_NUMBER: _ClassVar[int]
     name: str
     robot: str
-    state: SessionState
+    state: Session.State
     committed_seq: int
     travelled_m: float
     submap_count: int
     created_at_ns: int
     finished_at_ns: int
     committed_stamp_ns: int
-    def __init__(self, name: _Optional[str] = ..., robot: _Optional[str] = ..., state: _Optional[_Union[SessionState, str]] = ..., committed_seq: _Optional[int] = ..., travelled_m: _Optional[float] = ..., submap_count: _Optional[int] = ..., created_at_ns: _Optional[int] = ..., finished_at_ns: _Optional[int] = ..., committed_stamp_ns: _Optional[int] = ...) -> None: ...
+    def __init__(self, name: _Optional[str] = ..., robot: _Optional[str] = ..., state: _Optional[_Union[Session.State, str]] = ..., committed_seq: _Optional[int] = ..., travelled_m: _Optional[float] = ..., submap_count: _Optional[int] = ..., created_at_ns: _Optional[int] = ..., finished_at_ns: _Optional[int] = ..., committed_stamp_ns: _Optional[int] = ...) -> None: ...
 
 class CreateSessionRequest(_message.Message):
     __slots__ = ("parent", "session_id", "robot")

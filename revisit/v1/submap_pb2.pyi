@@ -10,45 +10,18 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 
 DESCRIPTOR: _descriptor.FileDescriptor
 
-class SubmapState(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
-    __slots__ = ()
-    SUBMAP_STATE_UNSPECIFIED: _ClassVar[SubmapState]
-    SUBMAP_STATE_QUEUED: _ClassVar[SubmapState]
-    SUBMAP_STATE_DESCRIBED: _ClassVar[SubmapState]
-    SUBMAP_STATE_FAILED: _ClassVar[SubmapState]
-
-class DownloadFormat(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
-    __slots__ = ()
-    DOWNLOAD_FORMAT_UNSPECIFIED: _ClassVar[DownloadFormat]
-    DOWNLOAD_FORMAT_PCD: _ClassVar[DownloadFormat]
-    DOWNLOAD_FORMAT_PLY: _ClassVar[DownloadFormat]
-    DOWNLOAD_FORMAT_NPY: _ClassVar[DownloadFormat]
-    DOWNLOAD_FORMAT_MESH: _ClassVar[DownloadFormat]
-    DOWNLOAD_FORMAT_NEURAL: _ClassVar[DownloadFormat]
-    DOWNLOAD_FORMAT_DESCRIPTOR: _ClassVar[DownloadFormat]
-
-class SubmapView(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
-    __slots__ = ()
-    SUBMAP_VIEW_UNSPECIFIED: _ClassVar[SubmapView]
-    SUBMAP_VIEW_BASIC: _ClassVar[SubmapView]
-    SUBMAP_VIEW_FULL: _ClassVar[SubmapView]
-SUBMAP_STATE_UNSPECIFIED: SubmapState
-SUBMAP_STATE_QUEUED: SubmapState
-SUBMAP_STATE_DESCRIBED: SubmapState
-SUBMAP_STATE_FAILED: SubmapState
-DOWNLOAD_FORMAT_UNSPECIFIED: DownloadFormat
-DOWNLOAD_FORMAT_PCD: DownloadFormat
-DOWNLOAD_FORMAT_PLY: DownloadFormat
-DOWNLOAD_FORMAT_NPY: DownloadFormat
-DOWNLOAD_FORMAT_MESH: DownloadFormat
-DOWNLOAD_FORMAT_NEURAL: DownloadFormat
-DOWNLOAD_FORMAT_DESCRIPTOR: DownloadFormat
-SUBMAP_VIEW_UNSPECIFIED: SubmapView
-SUBMAP_VIEW_BASIC: SubmapView
-SUBMAP_VIEW_FULL: SubmapView
-
 class Submap(_message.Message):
     __slots__ = ("name", "state", "ordinal", "t_odom_submap", "position_m", "stamp_ns", "first_seq", "last_seq", "scan_count", "point_count", "raw_bytes", "neural_map_bytes", "flags", "model_version", "failure", "operation", "created_at_ns", "descriptor", "seq")
+    class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        STATE_UNSPECIFIED: _ClassVar[Submap.State]
+        QUEUED: _ClassVar[Submap.State]
+        DESCRIBED: _ClassVar[Submap.State]
+        FAILED: _ClassVar[Submap.State]
+    STATE_UNSPECIFIED: Submap.State
+    QUEUED: Submap.State
+    DESCRIBED: Submap.State
+    FAILED: Submap.State
     NAME_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
     ORDINAL_FIELD_NUMBER: _ClassVar[int]
@@ -69,7 +42,7 @@ class Submap(_message.Message):
     DESCRIPTOR_FIELD_NUMBER: _ClassVar[int]
     SEQ_FIELD_NUMBER: _ClassVar[int]
     name: str
-    state: SubmapState
+    state: Submap.State
     ordinal: int
     t_odom_submap: _geometry_pb2.Transform
     position_m: _geometry_pb2.Vector3
@@ -87,7 +60,7 @@ class Submap(_message.Message):
     created_at_ns: int
     descriptor: _containers.RepeatedScalarFieldContainer[float]
     seq: int
-    def __init__(self, name: _Optional[str] = ..., state: _Optional[_Union[SubmapState, str]] = ..., ordinal: _Optional[int] = ..., t_odom_submap: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., stamp_ns: _Optional[int] = ..., first_seq: _Optional[int] = ..., last_seq: _Optional[int] = ..., scan_count: _Optional[int] = ..., point_count: _Optional[int] = ..., raw_bytes: _Optional[int] = ..., neural_map_bytes: _Optional[int] = ..., flags: _Optional[_Iterable[str]] = ..., model_version: _Optional[str] = ..., failure: _Optional[_Union[_operation_pb2.Failure, _Mapping]] = ..., operation: _Optional[str] = ..., created_at_ns: _Optional[int] = ..., descriptor: _Optional[_Iterable[float]] = ..., seq: _Optional[int] = ...) -> None: ...
+    def __init__(self, name: _Optional[str] = ..., state: _Optional[_Union[Submap.State, str]] = ..., ordinal: _Optional[int] = ..., t_odom_submap: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., stamp_ns: _Optional[int] = ..., first_seq: _Optional[int] = ..., last_seq: _Optional[int] = ..., scan_count: _Optional[int] = ..., point_count: _Optional[int] = ..., raw_bytes: _Optional[int] = ..., neural_map_bytes: _Optional[int] = ..., flags: _Optional[_Iterable[str]] = ..., model_version: _Optional[str] = ..., failure: _Optional[_Union[_operation_pb2.Failure, _Mapping]] = ..., operation: _Optional[str] = ..., created_at_ns: _Optional[int] = ..., descriptor: _Optional[_Iterable[float]] = ..., seq: _Optional[int] = ...) -> None: ...
 
 class PostSubmapRequest(_message.Message):
     __slots__ = ("parent", "submap_id", "t_odom_submap", "stamp_ns", "cloud")
@@ -117,11 +90,19 @@ class PostSubmapResponse(_message.Message):
 
 class GetSubmapRequest(_message.Message):
     __slots__ = ("name", "view")
+    class View(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        VIEW_UNSPECIFIED: _ClassVar[GetSubmapRequest.View]
+        BASIC: _ClassVar[GetSubmapRequest.View]
+        FULL: _ClassVar[GetSubmapRequest.View]
+    VIEW_UNSPECIFIED: GetSubmapRequest.View
+    BASIC: GetSubmapRequest.View
+    FULL: GetSubmapRequest.View
     NAME_FIELD_NUMBER: _ClassVar[int]
     VIEW_FIELD_NUMBER: _ClassVar[int]
     name: str
-    view: SubmapView
-    def __init__(self, name: _Optional[str] = ..., view: _Optional[_Union[SubmapView, str]] = ...) -> None: ...
+    view: GetSubmapRequest.View
+    def __init__(self, name: _Optional[str] = ..., view: _Optional[_Union[GetSubmapRequest.View, str]] = ...) -> None: ...
 
 class GetSubmapResponse(_message.Message):
     __slots__ = ("submap",)
@@ -159,11 +140,27 @@ class DeleteSubmapResponse(_message.Message):
 
 class DownloadSubmapRequest(_message.Message):
     __slots__ = ("name", "format")
+    class Format(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        FORMAT_UNSPECIFIED: _ClassVar[DownloadSubmapRequest.Format]
+        PCD: _ClassVar[DownloadSubmapRequest.Format]
+        PLY: _ClassVar[DownloadSubmapRequest.Format]
+        NPY: _ClassVar[DownloadSubmapRequest.Format]
+        MESH: _ClassVar[DownloadSubmapRequest.Format]
+        NEURAL: _ClassVar[DownloadSubmapRequest.Format]
+        DESCRIPTOR: _ClassVar[DownloadSubmapRequest.Format]
+    FORMAT_UNSPECIFIED: DownloadSubmapRequest.Format
+    PCD: DownloadSubmapRequest.Format
+    PLY: DownloadSubmapRequest.Format
+    NPY: DownloadSubmapRequest.Format
+    MESH: DownloadSubmapRequest.Format
+    NEURAL: DownloadSubmapRequest.Format
+    DESCRIPTOR: DownloadSubmapRequest.Format
     NAME_FIELD_NUMBER: _ClassVar[int]
     FORMAT_FIELD_NUMBER: _ClassVar[int]
     name: str
-    format: DownloadFormat
-    def __init__(self, name: _Optional[str] = ..., format: _Optional[_Union[DownloadFormat, str]] = ...) -> None: ...
+    format: DownloadSubmapRequest.Format
+    def __init__(self, name: _Optional[str] = ..., format: _Optional[_Union[DownloadSubmapRequest.Format, str]] = ...) -> None: ...
 
 class DownloadSubmapResponse(_message.Message):
     __slots__ = ("media_type", "filename", "data")

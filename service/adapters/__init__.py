@@ -1,1 +1,1 @@
-"""Implementations of the ports: SQLite, files, vector indexes and the recogniser of `core`."""
+"""Implementations of the ports: SQL and its engine, files, memory, the recogniser, the index, tokens, traces, time."""

@@ -1,23 +1,30 @@
-"""The method of `core` behind the recogniser port. Only worker processes import it: it brings torch and Open3D."""
+"""The method of `core` behind the recogniser port. Only worker processes import it: it brings torch."""
 
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import json
 from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
-from revisit.core.config import PipelineConfig
+from revisit.core.config import PipelineConfig, VerificationConfig
 from revisit.core.errors import RevisitError
-from revisit.core.geometry import se3
 from revisit.core.model_bundle import ModelBundle, load_packaged_models
 from revisit.core.pipeline import DescribedPlace, describe, verify
-from revisit.core.place import PlaceSignature
+from revisit.core.place import Place
 from revisit.core.scan import Scan
+from revisit.core.stages import stage_times
 from revisit.core.submap import Submap
-from revisit.core.verification.verdict import LoopMeasurement, RejectedLoop, VerifiedLoop
+from revisit.core.verification import LoopMeasurement, RejectedLoop, VerifiedLoop
 from revisit.service.application.contract.ports import LoopVerdict, Mesh, SubmapDescription
+
+SETTABLE = ("min_score", "min_overlap", "max_seen_through")
+"""The thresholds that an operator may set (see `contract.loop_policy`): written beside each verdict."""
+
+VERSION_DIGITS = 12
 
 
 class CoreRecogniser:
@@ -34,20 +41,21 @@ class CoreRecogniser:
 
     def describe(self, submap: Submap, config: PipelineConfig) -> SubmapDescription:
         """See `ports.PlaceRecogniser`."""
-        place = describe(submap, self._models, config)
+        with stage_times() as timings_s:
+            described = describe(submap, self._models, config)
         return SubmapDescription(
-            descriptor=place.descriptor.vector,
-            signature=place.signature.to_blob(),
-            neural_map=None if place.neural_map is None else place.neural_map.to_blob(),
-            mesh=_mesh(place),
-            flags=place.flags,
-            timings_s=place.timings_s,
+            descriptor=described.descriptor.vector,
+            signature=described.place.to_blob(),
+            neural_map=described.neural_map.to_blob(),
+            mesh=_mesh(described),
+            flags=described.flags,
+            timings_s=timings_s,
         )
 
     def verify(self, query: bytes, match: bytes, similarity: float, config: PipelineConfig) -> LoopVerdict:
         """See `ports.PlaceRecogniser`."""
-        signatures = PlaceSignature.from_blob(query), PlaceSignature.from_blob(match)
-        verdict = verify(*signatures, similarity, config.verification)
+        places = Place.from_blob(query), Place.from_blob(match)
+        verdict = verify(*places, similarity, config.verification)
         evidence = _evidence(verdict, config)
         if isinstance(verdict, VerifiedLoop):
             measured = verdict.measurement
@@ -88,19 +96,27 @@ def _made_up_yard(config: PipelineConfig) -> Submap:
     return Submap.from_cloud(Scan.validated(points, np.eye(4), 0), config.submap)
 
 
-def _mesh(place: DescribedPlace) -> Mesh:
-    """The surface, which the method sees levelled and scaled, in the frame of the submap."""
-    normals = place.surface.normals @ place.T_submap_map[:3, :3].T
+def _mesh(described: DescribedPlace) -> Mesh:
+    """The surface in the frame of the submap."""
+    normals = described.frame.normals_to_submap(described.surface.normals)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    vertices = se3.apply(place.T_submap_map, place.surface.vertices)
-    return Mesh(vertices.astype(np.float32), normals.astype(np.float32), place.surface.faces)
+    vertices = described.frame.points_to_submap(described.surface.vertices)
+    return Mesh(vertices.astype(np.float32), normals.astype(np.float32), described.surface.faces)
 
 
 def _evidence(verdict: VerifiedLoop | RejectedLoop, config: PipelineConfig) -> dict[str, Any]:
     """What was measured and against which thresholds, as JSON."""
     measurement: LoopMeasurement | None = verdict.measurement
     measured = {} if measurement is None else _as_json(measurement)
-    return {"measurement": measured, "thresholds": _as_json(config.verification)}
+    return {"measurement": measured, **_thresholds(config.verification)}
+
+
+def _thresholds(rules: VerificationConfig) -> dict[str, Any]:
+    """Which rules gave the verdict: those that an operator sets, others that are not the default, and a hash of all."""
+    values, defaults = _as_json(rules), _as_json(VerificationConfig())
+    told = {name: value for name, value in values.items() if name in SETTABLE or value != defaults[name]}
+    digest = hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+    return {"thresholds": told, "thresholds_version": digest[:VERSION_DIGITS]}
 
 
 def _as_json(record: Any) -> dict[str, Any]:

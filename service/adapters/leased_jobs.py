@@ -1,4 +1,8 @@
-"""The job queue: leases, attempts and fencing over the stored jobs of either store."""
+"""The job queue: leases, attempts and fencing tokens over the jobs of any store.
+
+A worker leases a job and extends the lease by heartbeats. When a lease runs out, the next worker takes the job with a
+higher fencing token, and what the first one still reports is refused. A job without attempts left is a dead letter.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +21,7 @@ class LeasedJobs:
     """`ports.JobQueue` over a `JobRepository`, inside whatever transaction that belongs to."""
 
     def __init__(self, jobs: JobRepository, lease_ms: int) -> None:
-        """A lease runs out `lease_ms` after the last heartbeat."""
+        """A lease lasts `lease_ms` milliseconds from its start or its last heartbeat."""
         self._jobs = jobs
         self._lease_ms = lease_ms
 
@@ -78,12 +82,12 @@ class LeasedJobs:
         held = self._jobs.leased_to(owner)
         for job in held:
             ended = replace(job, lease_expires_ms=0, failure_message=reason)
-            # The last attempt stays with its dead worker until it is buried, with what belongs to the job.
+            # A job without attempts left stays RUNNING: `bury` fails it together with what belongs to it.
             self._jobs.replace(ended if job.attempts >= job.max_attempts else _queued_again(ended, now))
         return len(held)
 
     def _held(self, lease: Lease) -> JobRecord:
-        """The job as stored, if `lease` still is its newest. Raises StaleLease."""
+        """The stored job, if `lease` is still its newest. Raises StaleLease."""
         job = self._jobs.get(lease.job.tenant, lease.job.operation_id)
         if job is None or job.state != "RUNNING" or job.lease_token != lease.job.lease_token:
             raise StaleLease(f"operation {lease.job.operation_id} is no longer leased to this run")
@@ -91,13 +95,13 @@ class LeasedJobs:
 
 
 def _queued_again(job: JobRecord, now: Instant) -> JobRecord:
-    """After a pause that grows, in which other jobs go first: a job that kills its workers does not do it in a row."""
+    """Back in the queue after a growing delay: a job that kills its workers lets other jobs run in between."""
     later = now.ms + RETRY_DELAY_MS * job.attempts
     return replace(job, state="QUEUED", lease_epoch=now.epoch, not_before_ms=later)
 
 
 def _last_end(job: JobRecord) -> str:
-    """Why a job ends whose last allowed run did not come back."""
+    """The failure message of a job whose last allowed attempt did not come back."""
     reason = job.failure_message or "its lease ran out"
     return f"no worker survived the job: {job.attempts} attempts, the last one ended because {reason}"
 

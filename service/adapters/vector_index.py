@@ -1,4 +1,4 @@
-"""Vector indexes per map: the contract's bookkeeping around any nearest-neighbour structure of `core.index`."""
+"""One vector index per map: the bookkeeping of the port around a nearest-neighbour index of `core.index`."""
 
 from __future__ import annotations
 

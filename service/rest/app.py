@@ -10,6 +10,7 @@ from revisit.service.application import UseCases
 from revisit.service.application.contract.origin import NoTracer, Tracer
 from revisit.service.metrics import RequestMetrics
 from revisit.service.rest.access import describe_access, require_declared_scopes
+from revisit.service.rest.answers import describe_answers
 from revisit.service.rest.errors import PROBLEM_JSON, install_error_handlers
 from revisit.service.rest.limits import HttpLimits
 from revisit.service.rest.middleware import BodyLimit, HostGuard, OriginGuard, RequestEnvelope, RequestTimer
@@ -56,16 +57,17 @@ def create_app(
     app.add_middleware(RequestEnvelope)
     if requests is not None:
         app.add_middleware(RequestTimer, requests=requests)
-    _describe_problems(app)
+    _complete_description(app)
     return app
 
 
-def _describe_problems(app: FastAPI) -> None:
-    """Give every operation of the OpenAPI document every status of the error table, with the reasons behind it.
+def _complete_description(app: FastAPI) -> None:
+    """Add the schemas of answers to the OpenAPI document, and every status of the error table to every operation.
 
     FastAPI's own 422 is never sent; its schemas go.
     """
     document = app.openapi()
+    describe_answers(document)
     schemas = document["components"]["schemas"]
     schemas["Problem"] = Problem.model_json_schema()
     schemas.pop("HTTPValidationError", None)

@@ -6,7 +6,6 @@ from typing import Annotated, TypeAlias
 
 from fastapi import Depends, Header, Path, Query
 from starlette.requests import Request
-from starlette.responses import Response
 
 from revisit.core.errors import BadField
 from revisit.core.geometry import se3
@@ -14,11 +13,12 @@ from revisit.core.geometry.se3 import Matrix4
 from revisit.service.application import SessionKey, SubmapKey, TenantId, UseCases
 from revisit.service.application.access.callers import current_tenant
 from revisit.service.application.catalogue.paging import PageRequest
+from revisit.service.application.contract import limits
 from revisit.service.application.ingest.clouds import EncodedCloud
-from revisit.service.application.query.freshness import DEFAULT_WAIT_S, MAX_WAIT_S, Freshness
+from revisit.service.application.query.freshness import DEFAULT_WAIT_S, Freshness
 from revisit.service.application.query.searches import SearchCriteria
 from revisit.service.rest.bodies import cloud_body, parse_numbers
-from revisit.service.rest.schemas import SearchRequest
+from revisit.service.rest.schemas import bounds
 
 POSE_HELP = "x,y,z,qx,qy,qz,qw: translation in metres and unit quaternion."
 
@@ -38,7 +38,8 @@ async def _tenant() -> TenantId:
 
 
 async def _page(
-    page_size: Annotated[int, Query(ge=1, le=500)] = 50, page_token: Annotated[str, Query(max_length=200)] = ""
+    page_size: Annotated[int, Query(**bounds(limits.PAGE_SIZE))] = PageRequest().size,
+    page_token: Annotated[str, Query(max_length=limits.PAGE_TOKEN_CHARACTERS)] = "",
 ) -> PageRequest:
     return PageRequest(page_size, page_token)
 
@@ -68,7 +69,7 @@ async def _submap_key(map_id: Id, session_id: Id, submap_id: Id) -> SubmapKey:
 
 SessionOf: TypeAlias = Annotated[SessionKey, Depends(_session_key)]
 SubmapOf: TypeAlias = Annotated[SubmapKey, Depends(_submap_key)]
-StampNs: TypeAlias = Annotated[int, Query(ge=0, lt=2**63)]
+StampNs: TypeAlias = Annotated[int, Query(**bounds(limits.STAMP_NS))]
 
 
 def pose(text: str, field: str) -> Matrix4:
@@ -112,47 +113,27 @@ async def prior_position(
 
 
 Prior: TypeAlias = Annotated[tuple[float, float, float] | None, Depends(prior_position)]
-RadiusM: TypeAlias = Annotated[float | None, Query(gt=0, le=1e6, allow_inf_nan=False)]
+RadiusM: TypeAlias = Annotated[float | None, Query(**bounds(limits.RADIUS_M))]
 
 
 async def criteria_of_query(
     prior: Prior,
-    k: Annotated[int, Query(ge=1, le=100)] = 20,
-    min_similarity: Annotated[float | None, Query(ge=-1, le=1, allow_inf_nan=False)] = None,
-    exclude_session: Annotated[str | None, Query(max_length=64)] = None,
-    only_session: Annotated[str | None, Query(max_length=64)] = None,
+    k: Annotated[int, Query(**bounds(limits.K))] = SearchCriteria().k,
+    min_similarity: Annotated[float | None, Query(**bounds(limits.MIN_SIMILARITY))] = None,
+    exclude_session: Annotated[str | None, Query(max_length=limits.ID_CHARACTERS)] = None,
+    only_session: Annotated[str | None, Query(max_length=limits.ID_CHARACTERS)] = None,
     radius_m: RadiusM = None,
 ) -> SearchCriteria:
     """The criteria of a search by cloud, from the query string."""
     return SearchCriteria(k, min_similarity, exclude_session, only_session, None, prior, radius_m)
 
 
-def criteria_of_body(body: SearchRequest) -> SearchCriteria:
-    """The criteria of a search by submap or descriptor, from the JSON body."""
-    position = body.prior_position_m
-    return SearchCriteria(
-        k=body.k,
-        min_similarity=body.min_similarity,
-        exclude_session=body.exclude_session,
-        only_session=body.only_session,
-        min_index_gap=body.min_index_gap,
-        prior_position_m=None if position is None else (position[0], position[1], position[2]),
-        radius_m=body.radius_m,
-    )
-
-
 async def freshness_of_query(
-    min_seq: Annotated[int, Query(ge=0, lt=2**63, description=MIN_SEQ_HELP)] = 0,
-    min_seq_timeout_s: Annotated[float, Query(ge=0, le=MAX_WAIT_S, allow_inf_nan=False)] = DEFAULT_WAIT_S,
+    min_seq: Annotated[int, Query(**bounds(limits.MIN_SEQ), description=MIN_SEQ_HELP)] = 0,
+    min_seq_timeout_s: Annotated[float, Query(**bounds(limits.WAIT_S))] = DEFAULT_WAIT_S,
 ) -> Freshness:
     """What an answer must rest on, from the query string."""
     return Freshness(min_seq, min_seq_timeout_s)
 
 
 Fresh: TypeAlias = Annotated[Freshness, Depends(freshness_of_query)]
-
-
-def mark_replay(response: Response, replay: bool) -> None:
-    """An identical create answers as the first did, with `Idempotent-Replay: true`."""
-    if replay:
-        response.headers["idempotent-replay"] = "true"

@@ -49,7 +49,7 @@ function showFigures(status) {
       return row;
     }),
   );
-  byId("version").textContent = `${status.version}, models ${status.model_version ?? "not loaded yet"}`;
+  byId("version").textContent = `${status.version}, models ${status.model_version || "not loaded yet"}`;
 }
 
 function showMaps(maps) {
@@ -85,7 +85,7 @@ function showLists({ sessions, loops, tracks }) {
     "sessions",
     sessions.map((session, index) => {
       const detail = `${session.state.toLowerCase()}, ${Math.round(session.travelled_m)} m, ` +
-        `${plural(session.submap_count, "submap")}, ${plural(session.committed_seq, "scan")}`;
+        `${plural(session.submap_count, "submap")}, ${plural(Number(session.committed_seq), "scan")}`;
       return listRow(shortName(session.name), detail, "session", `colour-${index % SESSION_COLOURS.length}`);
     }),
   );

@@ -10,13 +10,16 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 from packaging.version import Version
+
+from tests.support.requirements import PLATFORMS, direct, distributions, everything
 
 ROOT = Path(__file__).resolve().parents[2]
 CONSTRAINTS = (ROOT / "constraints.txt").read_text().splitlines()
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-PINS = {line.partition("==")[0].lower().replace("_", "-"): line.partition("==")[2] for line in CONSTRAINTS}
+PINS = {canonicalize_name(line.partition("==")[0]): line.partition("==")[2] for line in CONSTRAINTS}
+SHIPPED = ("core", "service", "evaluation", "migrations", "revisit")
+DECLARED = list(everything("dev"))
 
 # Lowest versions without the vulnerabilities named.
 FLOORS = {
@@ -31,10 +34,32 @@ FLOORS = {
 }
 
 
+# Distributions whose module has another name.
+MODULES = {
+    "faiss-cpu": "faiss",
+    "googleapis-common-protos": "google.rpc",
+    "grpcio": "grpc",
+    "grpcio-health-checking": "grpc_health",
+    "grpcio-reflection": "grpc_reflection",
+    "open3d-cpu": "open3d",
+    "opencv-python-headless": "cv2",
+    "opentelemetry-exporter-otlp-proto-grpc": "opentelemetry.exporter.otlp.proto.grpc",
+    "opentelemetry-sdk": "opentelemetry.sdk",
+    "protobuf": "google.protobuf",
+    "pyjwt": "jwt",
+}
+
+
+def modules(extra: str) -> set[str]:
+    """The modules that the libraries of an extra are imported by."""
+    names = {canonicalize_name(requirement.name) for requirement in direct(extra)}
+    return {MODULES.get(name, name.replace("-", "_")) for name in names}
+
+
 @pytest.mark.parametrize("name", FLOORS)
 def test_pins_and_requirements_are_above_known_vulnerabilities(name):
     assert Version(PINS[name]) >= Version(FLOORS[name])
-    for requirement in map(Requirement, PROJECT["dependencies"]):
+    for requirement in DECLARED:
         if requirement.name == name:
             below = f"{Version(FLOORS[name]).major}.0.0" if Version(FLOORS[name]).minor else "0.0.1"
             assert not requirement.specifier.contains(below)
@@ -51,17 +76,34 @@ def test_every_pin_is_one_plain_public_version():
 
 
 def test_every_direct_dependency_is_pinned():
-    requirements = [*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["dev"]]
-    names = {Requirement(text).name.lower().replace("_", "-") for text in requirements}
+    names = {canonicalize_name(requirement.name) for requirement in DECLARED}
     # The second line of the Open3D pair is for other platforms than the tested one.
     assert names - PINS.keys() <= {"open3d"}
 
 
+def test_nothing_is_pinned_that_no_installation_holds():
+    assert PINS.keys() - distributions("dev").union(*(distributions("dev", where) for where in PLATFORMS)) == set()
+
+
 def test_pins_satisfy_the_requirements():
-    for text in [*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["dev"]]:
-        requirement = Requirement(text)
-        pin = PINS.get(requirement.name.lower().replace("_", "-"))
-        assert pin is None or requirement.specifier.contains(pin), text
+    for requirement in DECLARED:
+        pin = PINS.get(canonicalize_name(requirement.name))
+        assert pin is None or requirement.specifier.contains(pin), requirement
+
+
+@pytest.mark.parametrize("library", sorted(modules("") | modules("evaluation")))
+def test_every_library_that_is_asked_for_is_imported(library):
+    pattern = rf"(?m)^\s*(?:from|import) {re.escape(library)}\b"
+    sources = [path for folder in SHIPPED for path in (ROOT / folder).rglob("*.py")]
+    assert any(re.search(pattern, path.read_text()) for path in sources)
+
+
+def test_the_contract_of_the_sdk_forbids_every_library_of_the_extras():
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    (sdk,) = [contract for contract in contracts if contract["name"].startswith("The SDK needs")]
+    libraries = {library.partition(".")[0] for library in modules("evaluation") - modules("")}
+    assert libraries - set(sdk["forbidden_modules"]) == set()
+    assert {"torch", "matplotlib", "typer"} <= libraries
 
 
 @pytest.mark.parametrize("gateway", ["revisit.service.rest.app", "revisit.service.grpc.server"])

@@ -1,24 +1,23 @@
-"""Files are made by service/adapters/durable_files.py and nowhere else in the service."""
+"""Files are made by service/adapters/files/durable_files.py and nowhere else in the service."""
 
 from __future__ import annotations
 
 import ast
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
-HOME = "service/adapters/durable_files.py"
+from tests.support.sources import calls, modules
+
+HOME = "service/adapters/files/durable_files.py"
 MAKERS = {
     "write_bytes", "write_text", "touch", "mknod", "mkstemp", "NamedTemporaryFile", "TemporaryFile", "copyfile",
     "copytree", "copy2",
 }  # fmt: skip
 
 
-def makes_files(text: str) -> set[str]:
+def makes_files(tree: ast.Module) -> set[str]:
     """The calls of a module that can make or overwrite a file."""
-    calls = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Call)]
-    return {ast.unparse(call.func) for call in calls if _makes(ast.unparse(call.func), call)}
+    return {ast.unparse(call.func) for call in calls(tree) if _makes(ast.unparse(call.func), call)}
 
 
 def _makes(called: str, call: ast.Call) -> bool:
@@ -36,19 +35,17 @@ def _writes(modes: list[ast.expr], keywords: list[ast.keyword]) -> bool:
 
 ALLOWED = {
     # Opens directories, to lock them.
-    "service/adapters/blobs.py": {"os.open"},
+    "service/adapters/files/blobs.py": {"os.open"},
     # Tells the kernel something; no file.
     "service/worker/confinement.py": {"Path('/proc/self/oom_score_adj').write_text"},
 }
 
 
-@pytest.mark.parametrize(
-    "path",
-    [path for path in sorted((ROOT / "service").rglob("*.py")) if path.relative_to(ROOT).as_posix() != HOME],
-    ids=lambda path: path.relative_to(ROOT).as_posix(),
-)
-def test_only_durable_files_makes_files(path):
-    assert makes_files(path.read_text()) <= ALLOWED.get(path.relative_to(ROOT).as_posix(), set())
+def test_only_durable_files_makes_files():
+    others = [module for module in modules("service") if module.name != HOME]
+    found = {module.name: makes_files(module.tree) - ALLOWED.get(module.name, set()) for module in others}
+    assert {name: makers for name, makers in found.items() if makers} == {}
+    assert makes_files(next(module.tree for module in modules("service") if module.name == HOME))
 
 
 @pytest.mark.parametrize(
@@ -68,4 +65,4 @@ def test_only_durable_files_makes_files(path):
     ],
 )
 def test_the_search_itself_finds_what_it_should(text, found):
-    assert bool(makes_files(text)) == found
+    assert bool(makes_files(ast.parse(text))) == found

@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from importlib import metadata
-from pathlib import Path
 
 import pytest
-from packaging.requirements import Requirement
-from packaging.utils import canonicalize_name
 
-ROOT = Path(__file__).resolve().parents[2]
-DIRECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
+from tests.support.requirements import distributions
 
 PERMISSIVE = {
     "0BSD", "APACHE-2.0", "BSD-2-CLAUSE", "BSD-3-CLAUSE", "BSL-1.0", "CC0-1.0", "ISC", "LLVM-EXCEPTION", "MIT",
@@ -28,22 +23,6 @@ EXCEPTIONS = {
 """Distribution -> its licence, and why it may be used all the same."""
 
 
-def runtime_distributions():
-    """The names of what an installation without extras consists of, itself left out, found from installed metadata."""
-    found, waiting = set(), [(Requirement(text), "") for text in DIRECT]
-    while waiting:
-        requirement, parent_extra = waiting.pop()
-        if requirement.marker is not None and not requirement.marker.evaluate({"extra": parent_extra}):
-            continue
-        for extra in ("", *requirement.extras):
-            key = (canonicalize_name(requirement.name), extra)
-            if key not in found:
-                found.add(key)
-                needs = metadata.distribution(requirement.name).requires or []
-                waiting += [(Requirement(text), extra) for text in needs]
-    return sorted({name for name, _ in found})
-
-
 def licences_of(name):
     """The licences that a distribution names: by SPDX expression, else by classifier, else by its own words."""
     about = metadata.metadata(name)
@@ -57,7 +36,8 @@ def licences_of(name):
     return classified or {(about.get("License") or "unknown").strip().splitlines()[0].upper()}
 
 
-DISTRIBUTIONS = runtime_distributions()
+DISTRIBUTIONS = sorted(distributions("evaluation"))
+"""All that is passed on: the largest extra but the developers' own, which holds the others."""
 
 
 @pytest.mark.parametrize("name", DISTRIBUTIONS)
@@ -74,6 +54,7 @@ def test_every_exception_is_still_needed():
 
 
 def test_the_walk_finds_what_dependencies_bring_with_them():
-    # grpcio and numpy are asked for, certifi comes with httpx, cryptography with the extra of pyjwt.
-    assert {"grpcio", "numpy", "certifi", "cryptography"} <= set(DISTRIBUTIONS)
+    # The SDK asks for numpy, the service for torch, the evaluation for matplotlib; certifi comes with httpx,
+    # cryptography with the extra of pyjwt.
+    assert {"numpy", "torch", "matplotlib", "certifi", "cryptography"} <= set(DISTRIBUTIONS)
     assert {"pytest", "ruff", "mypy"}.isdisjoint(DISTRIBUTIONS)

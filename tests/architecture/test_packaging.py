@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import re
+import subprocess
 import tomllib
 from pathlib import Path
 
 from setuptools import find_namespace_packages
 
 import revisit
-from revisit.service.adapters.sql.migration import MIGRATIONS
+from revisit.service.adapters.sqlite.migration import MIGRATIONS
 
 ROOT = Path(__file__).resolve().parents[2]
 SETUPTOOLS = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
@@ -29,3 +31,12 @@ def test_every_migration_is_installed_where_the_service_looks_for_it():
 def test_nothing_is_installed_beside_the_name_revisit():
     assert {folder.partition("/")[0] for folder in installed_folders()} == {"revisit"}
     assert {"revisit/core", "revisit/service", "revisit/evaluation", "revisit/sdk", "revisit/v1"} <= installed_folders()
+
+
+def test_no_file_imports_a_linked_folder_by_its_bare_name():
+    # Also programs inside strings, which no linter reads: they would load a second copy of every module.
+    bare = re.compile(r"(?:^|[\"'`;(]|\\n)\s*(?:from|import) (?:core|service|evaluation)[. ]", re.MULTILINE)
+    listed = subprocess.run(["git", "ls-files", "*.py", "*.md"], cwd=ROOT, capture_output=True, text=True, check=True)
+    paths = [ROOT / name for name in listed.stdout.splitlines() if not name.startswith("docs/decisions/")]
+    assert [path for path in paths if path.is_file() and bare.search(path.read_text())] == []
+    assert bare.search('"import sys; from ' + 'core import x"') and not bare.search("from the service come")

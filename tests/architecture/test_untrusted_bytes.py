@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import ast
 import re
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests.support.sources import calls, modules
 
+PRODUCT = modules("core", "service", "revisit", "evaluation")
 FORBIDDEN_CALLS = {
     "pickle.load", "pickle.loads", "pickle.Unpickler", "marshal.loads", "shelve.open", "dill.loads", "joblib.load",
     "torch.load", "np.load", "numpy.load", "np.fromfile", "numpy.fromfile", "np.genfromtxt", "np.loadtxt",
@@ -29,39 +29,28 @@ OPERATOR_TOOLS = ("evaluation/",)
 OPERATOR_CALLS = {"np.load", "np.fromfile", "np.loadtxt", "torch.load", "np.genfromtxt"}
 
 
-def product_sources() -> list[Path]:
-    found = [
-        path for package in ("core", "service", "revisit", "evaluation") for path in (ROOT / package).rglob("*.py")
-    ]
-    return sorted(path for path in found if "revisit/v1" not in path.as_posix())
+def dangerous(text: str, tree: ast.Module) -> set[str]:
+    """The forbidden readers that a module names: Open3D's as text, others in the syntax tree."""
+    found = {match[0] for match in FORBIDDEN_OPEN3D.finditer(text)}
+    found |= {ast.unparse(call.func) for call in calls(tree)} & FORBIDDEN_CALLS
+    imports = [node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom)]
+    names = [alias.name for node in imports if isinstance(node, ast.Import) for alias in node.names]
+    names += [node.module for node in imports if isinstance(node, ast.ImportFrom) and node.module]
+    return found | {name for name in names if FORBIDDEN_MODULES.match(name)}
 
 
-def dangerous(text: str) -> set[str]:
-    """The forbidden readers that a module names."""
-    found = set(FORBIDDEN_OPEN3D.findall(text))
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.Call) and ast.unparse(node.func) in FORBIDDEN_CALLS:
-            found.add(ast.unparse(node.func))
-        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-        names += [node.module] if isinstance(node, ast.ImportFrom) and node.module else []
-        found |= {name for name in names if FORBIDDEN_MODULES.match(name)}
-    return found
+def allowed(name: str) -> set[str]:
+    return ALLOWED.get(name, set()) | (OPERATOR_CALLS if name.startswith(OPERATOR_TOOLS) else set())
 
 
-@pytest.mark.parametrize("path", product_sources(), ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_no_dangerous_reader_is_used(path):
-    name = path.relative_to(ROOT).as_posix()
-    allowed = ALLOWED.get(name, set()) | (OPERATOR_CALLS if name.startswith(OPERATOR_TOOLS) else set())
-    assert dangerous(path.read_text()) <= allowed
+def test_no_dangerous_reader_is_used():
+    found = {module.name: dangerous(module.text, module.tree) - allowed(module.name) for module in PRODUCT}
+    assert {name: readers for name, readers in found.items() if readers} == {}
 
 
 def test_arrays_are_never_unpickled():
-    found = [
-        path
-        for path in product_sources()
-        if re.search(r"allow_pickle\s*=\s*True|weights_only\s*=\s*False", path.read_text())
-    ]
-    assert not found
+    unpickles = re.compile(r"allow_pickle\s*=\s*True|weights_only\s*=\s*False")
+    assert [module.name for module in PRODUCT if unpickles.search(module.text)] == []
 
 
 @pytest.mark.parametrize(
@@ -76,6 +65,4 @@ def test_arrays_are_never_unpickled():
     ],
 )
 def test_the_search_itself_finds_what_it_should(text, expected):
-    # o3d.t.io is found as text, the others in the syntax tree.
-    found = dangerous(text) if expected != {"o3d.t.io"} else {m[0] for m in FORBIDDEN_OPEN3D.finditer(text)}
-    assert found == expected
+    assert dangerous(text, ast.parse(text)) == expected

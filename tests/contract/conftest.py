@@ -5,17 +5,23 @@ from __future__ import annotations
 import pytest
 
 from revisit.service.adapters.memory import MemoryTransactions
-from revisit.service.adapters.sql.migration import migrate
-from revisit.service.adapters.sql.unit_of_work import SqlTransactions
+from revisit.service.adapters.sqlite.migration import migrate
+from revisit.service.adapters.sqlite.transactions import SqliteTransactions
+from tests.support.plain_engine import PlainTransactions
 
 
-@pytest.fixture(params=["memory", "sqlite"])
+@pytest.fixture(params=["memory", "sqlite", "plain"])
 def transactions(request, tmp_path):
     if request.param == "memory":
         yield MemoryTransactions(lease_ms=10_000)
         return
+    if request.param == "plain":
+        store = PlainTransactions(lease_ms=10_000)
+        yield store
+        store.close()
+        return
     migrate(tmp_path / "test.db")
-    store = SqlTransactions(tmp_path / "test.db", checkpoints=True, lease_ms=10_000)
+    store = SqliteTransactions(tmp_path / "test.db", checkpoints=True, lease_ms=10_000)
     yield store
     store.close()
 

@@ -7,7 +7,7 @@ import hashlib
 import pytest
 
 from revisit.core.errors import DataLoss
-from revisit.service.adapters.blobs import FileBlobStore
+from revisit.service.adapters.files.blobs import FileBlobStore
 from revisit.service.adapters.memory import MemoryBlobStore
 from revisit.service.application.contract.identity import TenantId
 
@@ -67,7 +67,7 @@ def test_a_failed_write_leaves_nothing_behind(tmp_path, monkeypatch):
     def full(descriptor):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("revisit.service.adapters.durable_files.os.fsync", full)
+    monkeypatch.setattr("revisit.service.adapters.files.durable_files.os.fsync", full)
     with pytest.raises(Exception) as refused:
         blobs.put(TENANT, "cloud", b"points")
     assert refused.value.code == "STORAGE_FULL"

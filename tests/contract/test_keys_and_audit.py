@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import pytest
 
-from revisit.service.adapters.sql.migration import migrate
-from revisit.service.adapters.sql.unit_of_work import SqlTransactions
+from revisit.service.adapters.sqlite.migration import migrate
+from revisit.service.adapters.sqlite.transactions import SqliteTransactions
 from revisit.service.application.access import audit
 from revisit.service.application.access.audit import NOTHING_BEFORE, AuditEntry, judge
 from revisit.service.application.contract.access_ports import KeyRecord
@@ -74,7 +74,7 @@ def test_a_row_that_is_rolled_back_leaves_no_gap(write, read):
 
 def test_rows_of_several_processes_make_one_chain(tmp_path):
     migrate(tmp_path / "a.db")
-    stores = [SqlTransactions(tmp_path / "a.db", checkpoints=number == 0) for number in range(3)]
+    stores = [SqliteTransactions(tmp_path / "a.db", checkpoints=number == 0) for number in range(3)]
 
     def twenty(store):
         for number in range(20):
@@ -118,7 +118,7 @@ def test_a_row_with_a_hash_made_to_fit_breaks_the_link_of_the_next(write, read):
 @pytest.mark.parametrize("statement", ["UPDATE audit_log SET actor = 'x' WHERE number = 1", "DELETE FROM audit_log"])
 def test_the_database_refuses_to_change_a_row(tmp_path, statement):
     migrate(tmp_path / "a.db")
-    store = SqlTransactions(tmp_path / "a.db", checkpoints=True)
+    store = SqliteTransactions(tmp_path / "a.db", checkpoints=True)
     store.write(add_rows).result()
     store.close()
     connection = sqlite3.connect(tmp_path / "a.db")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -65,6 +66,23 @@ def test_a_place_matches_itself_and_the_evidence_is_json(recogniser, described):
     verdict = recogniser.verify(described.signature, described.signature, 1.0, CONFIG)
     assert verdict.accepted and verdict.reason is None and 0.9 < verdict.score <= 1.0 + 1e-6
     assert json.loads(json.dumps(verdict.evidence, allow_nan=False)) == verdict.evidence
+
+
+def test_the_verdict_names_its_rules_and_tells_other_rules_apart():
+    method = load_recogniser()
+    signature = method.describe(seen_from(np.eye(4), 1), CONFIG).signature
+
+    def judged(**rules):
+        config = replace(CONFIG, verification=replace(CONFIG.verification, **rules))
+        return method.verify(signature, signature, 1.0, config)
+
+    usual, strict = judged(), judged(min_overlap=1.0, max_tilt=14.0)
+    rules = CONFIG.verification
+    told = {"min_score": rules.min_score, "min_overlap": rules.min_overlap, "max_seen_through": rules.max_seen_through}
+    assert usual.evidence["thresholds"] == told
+    assert strict.evidence["thresholds"] == {**told, "min_overlap": 1.0, "max_tilt": 14.0}
+    assert usual.evidence["thresholds_version"] != strict.evidence["thresholds_version"]
+    assert len(json.dumps(usual.evidence)) < 1500
 
 
 def test_another_place_is_rejected_with_a_reason(recogniser, described):

@@ -7,7 +7,7 @@ import pytest
 
 from revisit.core.errors import BadField
 from revisit.core.index import ExactIndex, FaissIndex
-from revisit.service.adapters.memory_index import MemoryVectorIndex
+from revisit.service.adapters.memory import MemoryVectorIndex
 from revisit.service.adapters.vector_index import PlaceVectorIndex
 from revisit.service.application.contract.ports import IndexChange, VectorFilter
 

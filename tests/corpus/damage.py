@@ -7,12 +7,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from revisit.formats import decode_content
-from revisit.service.application.ingest.clouds import MAX_SUBMAP_POINTS, EncodedCloud, accept_cloud
-from revisit.service.grpc import messages, names
+from revisit.service.application.contract.limits import SUBMAP_POINTS
+from revisit.service.application.ingest.clouds import EncodedCloud, accept_cloud
 from revisit.service.grpc.errors import _parse
 from revisit.service.rest.bodies import parse_json
 from revisit.service.rest.limits import HttpLimits
 from revisit.service.rest.schemas import CreateMapRequest
+from revisit.service.wire import requests
 from revisit.v1 import submap_pb2
 from tests.corpus.rows import CloudToSend, cases
 from tests.corpus.sending import cloud_message, transform
@@ -65,7 +66,7 @@ def body_names_of_good_clouds() -> list[str]:
 
 def _cloud_reader(cloud: CloudToSend) -> Callable[[bytes], object]:
     return lambda data: accept_cloud(
-        EncodedCloud(decode_content(data, cloud.encoding), cloud.type), max_points=MAX_SUBMAP_POINTS
+        EncodedCloud(decode_content(data, cloud.encoding), cloud.type), max_points=SUBMAP_POINTS
     )
 
 
@@ -78,10 +79,8 @@ def _message(body: str) -> bytes:
 
 
 def _read_message(data: bytes) -> object:
-    request = _parse(submap_pb2.PostSubmapRequest.FromString, data)
-    names.session_key(request.parent, "parent")
-    messages.matrix(request.t_odom_submap, request.HasField("t_odom_submap"), "T_odom_submap")
-    return accept_cloud(messages.cloud(request.cloud), max_points=MAX_SUBMAP_POINTS)
+    command = requests.post_submap(_parse(submap_pb2.PostSubmapRequest.FromString, data))
+    return accept_cloud(command.cloud, max_points=SUBMAP_POINTS)
 
 
 def _read_json(data: bytes) -> object:

@@ -1,270 +1,366 @@
-"""Deliberate faults: edits of the source that each break one promise, applied to a copy, and the test that must notice.
+"""Deliberate faults: behaviour that is patched so that one promise is broken, and the test that must notice.
 
-A harness that never fails proves nothing. Whoever changes the code an edit names changes the edit with it: one that no
-longer fits is itself a failure.
+A harness that never fails proves nothing. A patch is a function that takes what a name of the code stands for and
+returns what it is to stand for instead. It is put in place in the process of the test and in all that this one starts,
+as soon as the module of that name is imported (see `saboteur`). Whoever renames the code changes the table with it: a
+name that is no longer there is itself a failure.
 """
 
 from __future__ import annotations
 
-import shutil
+import importlib
+import os
+import stat
 import subprocess
 import sys
-from dataclasses import dataclass
+import time
+from collections import defaultdict
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
+from typing import Any
+from unittest import mock
 
 ROOT = Path(__file__).resolve().parents[2]
-COPIED = ("service", "revisit", "migrations", "tests", "pyproject.toml")
-LINKED = ("core", "evaluation", "scripts", "docs", "proto", "docker")
+SABOTEUR = Path(__file__).with_name("saboteur")
 
 POWER_CUT = "tests/faults/test_power_cut.py::test_a_power_cut_takes_nothing_that_was_acknowledged[1000]"
 CRASH = "tests/faults/test_crash_points.py::"
 QUEUE = "tests/contract/test_job_queue.py::"
 DELETION = "tests/contract/api/test_api_session_deletion.py::"
 
+SERVICE = "revisit.service."
+ADAPTERS = "revisit.service.adapters."
+USE_CASES = "revisit.service.application."
 
-@dataclass(frozen=True)
-class Edit:
-    """Replace `old`, which occurs once in the file, by `new`."""
+Patch = Callable[[Any], Any]
 
-    path: str
-    old: str
-    new: str
+
+def nothing(_original: Any) -> Any:
+    """Do nothing when called."""
+    return lambda *_arguments, **_named: None
+
+
+def _tell_at_once(attempt: Any) -> Any:
+    def told(connection: Any, write: Any) -> Any:
+        outcome = attempt(connection, write)
+        outcome.tell()
+        time.sleep(0.05)
+        return outcome
+
+    return told
+
+
+def _tell_once(tell: Any) -> Any:
+    return lambda outcome: None if outcome.write.future.done() else tell(outcome)
+
+
+def _skip_files(fsync: Any) -> Any:
+    return lambda file: None if stat.S_ISREG(os.fstat(file).st_mode) else fsync(file)
+
+
+def _skip_directory(durable_write: Any) -> Any:
+    def written(path: Path, data: bytes) -> None:
+        with mock.patch.object(sys.modules[durable_write.__module__], "sync_directory"):
+            durable_write(path, data)
+
+    return written
+
+
+def _run_again(post: Any) -> Any:
+    async def posted(submaps: Any, tenant: Any, command: Any) -> Any:
+        answer = await post(submaps, tenant, command)
+
+        def requeue(uow: Any) -> None:
+            uow.jobs.replace(replace(uow.jobs.get(tenant, answer.operation.operation_id), state="QUEUED"))
+
+        if answer.replay:
+            await submaps._context.write(requeue)
+        return answer
+
+    return posted
+
+
+def _without_constraint(create_table: Any, name: str) -> Any:
+    def created(table: str, *columns: Any, **options: Any) -> Any:
+        return create_table(table, *(column for column in columns if column.name != name), **options)
+
+    return created
+
+
+def _newest_lease(held: Any) -> Any:
+    def taken(queue: Any, lease: Any) -> Any:
+        job = queue._jobs.get(lease.job.tenant, lease.job.operation_id)
+        return held(queue, replace(lease, job=replace(lease.job, lease_token=job.lease_token)))
+
+    return taken
+
+
+def _uncounted(claim: Any) -> Any:
+    def claimed(queue: Any, *arguments: Any) -> Any:
+        lease = claim(queue, *arguments)
+        if lease is None:
+            return None
+        job = replace(lease.job, attempts=lease.job.attempts - 1)
+        queue._jobs.replace(job)
+        return replace(lease, job=job)
+
+    return claimed
+
+
+def _suppressing(original: Any, error: str, otherwise: Callable[..., Any]) -> Any:
+    """Call `otherwise` where an error of that name is raised."""
+
+    def called(*arguments: Any) -> Any:
+        try:
+            return original(*arguments)
+        except Exception as raised:
+            if type(raised).__name__ != error:
+                raise
+            return otherwise(*arguments)
+
+    return called
+
+
+def _never_expires(caller_of_key: Any) -> Any:
+    def caller(record: Any, *shown: Any) -> Any:
+        return caller_of_key(record and replace(record, expires_at_ns=None), *shown)
+
+    return caller
 
 
 @dataclass(frozen=True)
 class Sabotage:
-    """A broken promise: what is broken, the edits that break it, the test that must fail, and whether that is quick."""
+    """A broken promise: what is broken, patches by module:name, the test that must fail, and whether that is quick."""
 
     name: str
-    edits: tuple[Edit, ...]
+    patches: Mapping[str, Patch]
     test: str
     quick: bool = False
 
+    @property
+    def id(self) -> str:
+        """Its name as one word."""
+        return self.name.replace(" ", "-")
+
 
 class DoesNotFit(AssertionError):
-    """The code that an edit names has changed: change the edit too."""
+    """The code that a patch names has changed: change the patch too."""
 
 
 SABOTAGES = (
     Sabotage(
         "a commit does not wait for the disk",
-        (Edit("service/adapters/sql/unit_of_work.py", '"synchronous": 2,', '"synchronous": 1,'),),
+        {f"{ADAPTERS}sqlite.connections:WRITER_PRAGMAS": lambda pragmas: {**pragmas, "synchronous": 1}},
         POWER_CUT,
     ),
     Sabotage(
         "the client is told before the commit",
-        (
-            Edit(
-                "service/adapters/sql/group_commit.py",
-                "                    outcomes.append(_attempt(connection, write))\n",
-                "                    outcomes.append(_attempt(connection, write))\n"
-                "                    outcomes[-1].tell()\n                    time.sleep(0.05)\n",
-            ),
-            Edit("service/adapters/sql/group_commit.py", "            outcome.tell()\n", "            pass\n"),
-        ),
+        {
+            f"{ADAPTERS}sqlite.group_commit:_attempt": _tell_at_once,
+            f"{ADAPTERS}sqlite.group_commit:_Outcome.tell": _tell_once,
+        },
         f"{CRASH}test_an_undisturbed_drive_leaves_nothing_to_complain_about",
     ),
     Sabotage(
         "a query does not wait for what it must rest on",
-        (Edit("service/application/query/freshness.py", "min_seq == 0:\n", "min_seq >= 0:\n"),),
+        {
+            f"{USE_CASES}query.freshness:Freshness.validated": lambda validated: (
+                lambda wanted: replace(validated(wanted), min_seq=0)
+            )
+        },
         "tests/contract/api/test_api_read_your_writes.py::test_a_query_waits_for_what_its_own_client_has_posted",
         quick=True,
     ),
-    Sabotage(
-        "a blob is not synced",
-        (Edit("service/adapters/durable_files.py", "            os.fsync(file.fileno())\n", ""),),
-        POWER_CUT,
-    ),
+    Sabotage("a blob is not synced", {"os:fsync": _skip_files}, POWER_CUT),
     Sabotage(
         "the directory of a blob is not synced",
-        (
-            Edit(
-                "service/adapters/durable_files.py",
-                'failpoint("blob.before_directory_sync")\n    sync_directory(path.parent)\n',
-                'failpoint("blob.before_directory_sync")\n',
-            ),
-        ),
+        {f"{ADAPTERS}files.durable_files:durable_write": _skip_directory},
         POWER_CUT,
     ),
     Sabotage(
         "a described submap does not enter the index",
-        (
-            Edit(
-                "service/application/recognise/description_commit.py",
-                "        uow.changes.record_described(row.tenant, self.task.map.number, row.number)\n",
-                "",
-            ),
-        ),
+        {f"{ADAPTERS}sql.change_log:SqlChangeLog.record_described": nothing},
         f"{CRASH}test_an_undisturbed_drive_leaves_nothing_to_complain_about",
     ),
     Sabotage(
         "a repeated request runs its job again",
-        (
-            Edit(
-                "service/application/catalogue/submaps.py",
-                "        if known is not None:\n            return known\n        # A delete",
-                "        if known is not None:\n"
-                "            job = uow.jobs.get(row.tenant, known.operation.operation_id)\n"
-                '            uow.jobs.replace(replace(job, state="QUEUED"))\n'
-                "            return known\n        # A delete",
-            ),
-            Edit(
-                "service/application/catalogue/submaps.py",
-                "        if known is not None:\n            return known\n        await",
-                "        await",
-            ),
-        ),
+        {f"{USE_CASES}catalogue.submaps:Submaps.post": _run_again},
         f"{CRASH}test_a_drive_that_is_repeated_runs_none_of_its_jobs_again",
     ),
     Sabotage(
         "other content is taken under a used id",
-        (Edit("service/application/catalogue/submaps.py", "if known.content_hash != row.content_hash:", "if False:"),),
+        {f"{USE_CASES}catalogue.submaps:content_hash": lambda _hash: lambda _content: "the same"},
         "tests/integration/test_use_cases.py::"
         "test_a_repeated_post_gives_the_first_answer_and_another_content_is_refused",
         quick=True,
     ),
     Sabotage(
         "a key can be used twice",
-        (
-            Edit(
-                "migrations/versions/0001_initial_schema.py",
-                '        sa.UniqueConstraint("tenant", "operation_id", name="uq_jobs_tenant_operation_id"),\n',
-                "",
-            ),
-        ),
+        {"alembic.op:create_table": partial(_without_constraint, name="uq_jobs_tenant_operation_id")},
         "tests/integration/test_sqlite.py::test_the_migration_makes_the_schema_of_the_tables",
     ),
     Sabotage(
         "a late result is taken",
-        (Edit("service/adapters/leased_jobs.py", " or job.lease_token != lease.job.lease_token", ""),),
+        {f"{ADAPTERS}leased_jobs:LeasedJobs._held": _newest_lease},
         f"{QUEUE}test_a_late_result_is_refused_by_its_token",
         quick=True,
     ),
     Sabotage(
         "the attempt is counted after the run",
-        (Edit("service/adapters/leased_jobs.py", "attempts=job.attempts + 1,", "attempts=job.attempts,"),),
+        {f"{ADAPTERS}leased_jobs:LeasedJobs.claim": _uncounted},
         f"{QUEUE}test_the_attempt_is_counted_before_the_run",
     ),
     Sabotage(
         "a tenant sees the rows of others",
-        (Edit("service/adapters/sql/repositories.py", '{"tenant": tenant, **equals}', "dict(equals)"),),
+        {f"{ADAPTERS}sql.statements:of_tenant": lambda _of_tenant: lambda _tenant, equals: dict(equals)},
         "tests/contract/test_transactions.py::test_find_filters_pages_and_keeps_the_tenant",
         quick=True,
     ),
     Sabotage(
         "any number of hits may be asked for",
-        (
-            Edit(
-                "service/application/query/search_answers.py", "if not 1 <= criteria.k <= MAX_K:", "if criteria.k < 1:"
-            ),
-        ),
+        {
+            f"{USE_CASES}query.search_answers:validated_criteria": lambda validated: (
+                lambda criteria: validated(replace(criteria, k=min(criteria.k, 1))) and criteria
+            )
+        },
         "tests/contract/api/test_api_bad_input.py::test_k_out_of_1_to_100_is_refused",
     ),
     Sabotage(
         "two streams of a session go on side by side",
-        (Edit("service/grpc/servicers/ingest.py", "                older.fence()\n", "                pass\n"),),
+        {f"{SERVICE}grpc.servicers.ingest:_ScanStream.fence": nothing},
         "tests/contract/api/test_api_streams.py::test_a_newer_stream_of_the_session_fences_the_older",
     ),
     Sabotage(
         "a gap in a stream is taken",
-        (
-            Edit(
-                "service/application/ingest/scans.py",
-                "        raise SequenceGap(session.committed_seq + 1, seq)\n",
-                "        pass\n",
-            ),
-        ),
+        {
+            f"{USE_CASES}ingest.scans:_is_replay": partial(
+                _suppressing, error="SequenceGap", otherwise=lambda _session, _seq: False
+            )
+        },
         "tests/integration/test_use_cases.py::test_a_scan_again_is_acknowledged_and_ignored_and_a_gap_is_refused",
     ),
     Sabotage(
         "a damaged file is served",
-        (Edit("service/adapters/blobs.py", "if hashlib.sha256(data).hexdigest() != sha256:", "if False:"),),
+        {
+            f"{ADAPTERS}files.blobs:read_verified": partial(
+                _suppressing, error="BlobDamaged", otherwise=lambda path: path.read_bytes()
+            )
+        },
         "tests/contract/test_blob_store.py::test_a_damaged_file_is_refused",
     ),
     Sabotage(
         "after a failed sync the service goes on",
-        (Edit("service/adapters/fail_stop.py", "        if self._tripped:\n", "        if False:\n"),),
+        {f"{ADAPTERS}files.fail_stop:FailStop.require_sound": nothing},
         "tests/integration/test_failing_disk.py::"
         "test_after_a_failed_sync_nothing_is_written_even_if_the_disk_seems_well_again",
     ),
     Sabotage(
         "a key that has expired opens",
-        (
-            Edit(
-                "service/application/access/api_keys.py",
-                "    if record.expires_at_ns is not None and record.expires_at_ns <= now_ns:\n",
-                "    if False:\n",
-            ),
-        ),
+        {f"{USE_CASES}access.api_keys:caller_of_key": _never_expires},
         "tests/contract/api/test_api_keys.py::test_an_expired_and_a_revoked_key_say_so_to_their_holder_only",
     ),
     Sabotage(
         "a token of any issuer opens",
-        (Edit("service/adapters/tokens.py", "            issuer=self._issuer,\n", ""),),
+        {"jwt:decode": lambda decode: lambda *arguments, issuer, **others: decode(*arguments, **others)},
         "tests/unit/service/test_tokens.py::test_a_token_that_is_not_right_in_everything_is_refused",
     ),
     Sabotage(
         "a secret is written to the log",
-        (Edit("service/redaction.py", "        text = pattern.sub(replacement, text)\n", "        pass\n"),),
+        {f"{SERVICE}redaction:redacted": lambda _redacted: lambda text: text},
         "tests/unit/service/test_redaction.py::test_no_way_into_the_log_lets_a_secret_through",
     ),
     Sabotage(
         "what is deleted stays in the index",
-        (Edit("service/application/catalogue/deletion.py", ", described)\n", ", ())\n"),),
+        {
+            f"{ADAPTERS}sql.change_log:SqlChangeLog.record_removed": nothing,
+            f"{ADAPTERS}memory.repositories:MemoryChangeLog.record_removed": nothing,
+        },
         f"{DELETION}test_a_deleted_session_takes_its_submaps_and_loops_and_nothing_else",
     ),
     Sabotage(
         "the jobs of what is deleted keep their places",
-        (
-            Edit(
-                "service/application/catalogue/deletion.py",
-                "        if job is not None and job.state == OperationState.QUEUED:\n",
-                "        if False:\n",
-            ),
-        ),
+        {f"{USE_CASES}catalogue.deletion:_drop_jobs": nothing},
         f"{DELETION}test_the_waiting_jobs_of_a_deleted_session_are_dropped_at_once",
     ),
     Sabotage(
         "processes are forked",
-        (Edit("service/__main__.py", 'set_start_method("spawn", force=True)', 'set_start_method("fork", force=True)'),),
-        "tests/unit/service/test_worker.py",
+        {"multiprocessing:set_start_method": lambda set_method: lambda _method, force: set_method("fork", force)},
+        "tests/unit/service/test_worker.py::test_a_process_of_the_service_starts_others_afresh_and_never_forks_itself",
     ),
 )
 
 
-def edited(sabotage: Sabotage, root: Path = ROOT) -> dict[str, str]:
-    """The edited files by path. Raises DoesNotFit."""
-    texts: dict[str, str] = {}
-    for edit in sabotage.edits:
-        text = texts.get(edit.path) or (root / edit.path).read_text()
-        found = text.count(edit.old)
-        if found != 1:
-            raise DoesNotFit(
-                f"sabotage {sabotage.name!r} no longer fits {edit.path}: {edit.old!r} occurs {found} times, not once. "
-                "Change tests/faults/sabotage.py with the code."
-            )
-        texts[edit.path] = text.replace(edit.old, edit.new)
-    return texts
+def named(name: str) -> Sabotage:
+    """The sabotage of this name."""
+    return next(sabotage for sabotage in SABOTAGES if sabotage.name == name)
 
 
-def sabotaged_copy(sabotage: Sabotage, folder: Path) -> Path:
-    """A copy of the project in `folder` with the fault in it. Raises DoesNotFit."""
-    texts = edited(sabotage)
-    folder.mkdir(parents=True, exist_ok=True)
-    for name in COPIED:
-        source = ROOT / name
-        if source.is_dir():
-            shutil.copytree(source, folder / name, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
-        else:
-            shutil.copy(source, folder / name)
-    for name in LINKED:
-        (folder / name).symlink_to(ROOT / name)
-    for path, text in texts.items():
-        (folder / path).write_text(text)
-    return folder
+def holder_of(module: Any, name: str) -> tuple[Any, str]:
+    """The module or class that a dotted name of `module` belongs to, and its last part. Raises DoesNotFit."""
+    *path, last = name.split(".")
+    holder = module
+    for part in path:
+        holder = getattr(holder, part, None)
+    if not hasattr(holder, last):
+        raise DoesNotFit(f"{module.__name__} has no {name}: change tests/faults/sabotage.py with the code")
+    return holder, last
 
 
-def run_test(root: Path, test: str) -> subprocess.CompletedProcess[str]:
-    """Run one test of the project in `root`."""
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", test]
-    return subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=900, check=False)
+def require_targets(sabotage: Sabotage) -> None:
+    """Raises DoesNotFit for a sabotage of something that is not there."""
+    for target in sabotage.patches:
+        module, _, name = target.partition(":")
+        try:
+            holder_of(importlib.import_module(module), name)
+        except ImportError as error:
+            raise DoesNotFit(f"there is no {module}: change tests/faults/sabotage.py with the code") from error
+
+
+def install(sabotage: Sabotage) -> None:
+    """Patch this process: modules that are imported at once, others when they are."""
+    by_module: dict[str, dict[str, Patch]] = defaultdict(dict)
+    for target, patch in sabotage.patches.items():
+        module, _, name = target.partition(":")
+        by_module[module][name] = patch
+    for module in by_module.keys() & sys.modules.keys():
+        _patch(sys.modules[module], by_module.pop(module))
+    sys.meta_path.insert(0, _PatchedImports(by_module))
+
+
+def _patch(module: Any, patches: Mapping[str, Patch]) -> None:
+    for name, patch in patches.items():
+        holder, last = holder_of(module, name)
+        setattr(holder, last, patch(getattr(holder, last)))
+
+
+class _PatchedImports(MetaPathFinder):
+    """Patches modules between their own last line and the first import of a name from them."""
+
+    def __init__(self, patches: Mapping[str, Mapping[str, Patch]]) -> None:
+        self._patches = patches
+
+    def find_spec(self, fullname: str, path: Any, target: Any = None) -> ModuleSpec | None:
+        """See `MetaPathFinder`."""
+        spec = PathFinder.find_spec(fullname, path) if fullname in self._patches else None
+        if spec is not None and spec.loader is not None:
+            run = spec.loader.exec_module
+
+            def exec_module(module: Any) -> None:
+                run(module)
+                _patch(module, self._patches[fullname])
+
+            spec.loader.exec_module = exec_module  # type: ignore[method-assign]
+        return spec
+
+
+def run_test(test: str, sabotage: Sabotage | None = None) -> subprocess.CompletedProcess[str]:
+    """Run one test in a process that is sabotaged, with no more plugins than it needs: imports take longest."""
+    plugins = ("-p", "pytest_asyncio.plugin", "-p", "pytest_timeout", "-p", "no:cacheprovider")
+    command = [sys.executable, "-m", "pytest", "-x", "-q", *plugins, test]
+    environment = {**os.environ, "SABOTAGE": sabotage.name if sabotage else "", "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
+    environment["PYTHONPATH"] = os.pathsep.join([str(SABOTEUR), str(ROOT)])
+    return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=900, check=False)

@@ -12,8 +12,10 @@ from pathlib import Path
 from sqlalchemy import Connection, Engine
 
 from revisit.core.errors import DataLoss
-from revisit.service.adapters.blobs import FileBlobStore
-from revisit.service.adapters.sql.unit_of_work import SqlUnitOfWork, writer_engine
+from revisit.service.adapters.files.blobs import FileBlobStore
+from revisit.service.adapters.sql.unit_of_work import SqlUnitOfWork
+from revisit.service.adapters.sqlite.connections import writer_engine
+from revisit.service.adapters.sqlite.engine import SqliteEngine
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.ports import BlobStore, UnitOfWork
 from revisit.service.application.contract.records import JobRecord, MapRecord, ScanRecord, SessionRecord, SubmapRecord
@@ -43,7 +45,7 @@ def survey(home: Path, tenant: TenantId = TENANT) -> Survey:
     blobs = FileBlobStore(home / "blobs")
     try:
         with engine.begin() as connection:
-            found = _survey(SqlUnitOfWork(connection, lease_ms=10_000), blobs, tenant)
+            found = _survey(SqlUnitOfWork(connection, SqliteEngine(), lease_ms=10_000), blobs, tenant)
             found.problems.extend(_file_problems(connection))
     finally:
         engine.dispose()

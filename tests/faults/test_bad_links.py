@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -20,8 +19,8 @@ from tests.support.campaigns import Campaign, sizes
 from tests.support.figures import publish
 from tests.support.live_service import LiveService, live_service
 from tests.support.service_world import pose, sqlite_world
+from tests.support.town import SESSION, eventually
 
-SESSION = "maps/town/sessions/monday"
 CLIENTS = 6
 ATTEMPTS = 100
 WINDOW_SCANS = 32
@@ -201,17 +200,9 @@ class Repeating:
             self.posted += 1
 
 
-def seconds_until(condition: Callable[[], bool], timeout_s: float) -> float:
-    began_s = time.monotonic()
-    while not condition():
-        assert time.monotonic() - began_s < timeout_s, "no recovery"
-        time.sleep(0.01)
-    return time.monotonic() - began_s
-
-
 def recoveries_s(links: list[BadLink], driver: Driver, posters: list[Repeating], dark_s: float, forgotten: bool):
     """Let the links be dark for so long; how long after that the stream and each poster got on, seconds."""
-    seconds_until(lambda: driver.stream.committed_seq >= 5 and all(p.posted >= 2 for p in posters), 30.0)
+    eventually(lambda: driver.stream.committed_seq >= 5 and all(p.posted >= 2 for p in posters))
     for link in links:
         link.dark = True
     time.sleep(dark_s)
@@ -220,9 +211,9 @@ def recoveries_s(links: list[BadLink], driver: Driver, posters: list[Repeating],
     for link in links:
         link.heal(forgotten=forgotten)
     began_s = time.monotonic()
-    seconds_until(lambda: driver.stream.committed_seq > committed, 60.0)
+    eventually(lambda: driver.stream.committed_seq > committed)
     stream_s = time.monotonic() - began_s
-    seconds_until(lambda: all(p.posted > before for p, before in zip(posters, posted, strict=True)), 60.0)
+    eventually(lambda: all(p.posted > before for p, before in zip(posters, posted, strict=True)))
     return stream_s, time.monotonic() - began_s
 
 

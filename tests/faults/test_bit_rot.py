@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from revisit.core.errors import DataLoss
-from revisit.service.adapters.blobs import FileBlobStore
+from revisit.service.adapters.files.blobs import FileBlobStore
 from revisit.service.application import SubmapKey
 from revisit.service.application.housekeeping.blob_references import NEURAL_MAP_BLOB, blobs_of_submap
 from revisit.service.application.ingest.clouds import CLOUD_BLOB

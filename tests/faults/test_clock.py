@@ -27,8 +27,8 @@ JUMPS = {
 }
 READS_THE_WALL_CLOCK = {
     "service/adapters/clock.py": "labels: when something was created or finished",
-    "service/adapters/backup.py": "a label of the backup",
-    "service/adapters/blobs.py": "the age of files that no row names; what is referred to is kept whatever its age",
+    "service/adapters/sqlite/backup.py": "a label of the backup",
+    "service/adapters/files/blobs.py": "the age of files that no row names; what a row names is kept whatever its age",
 }
 
 

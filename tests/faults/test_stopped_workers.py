@@ -21,17 +21,10 @@ from tests.support.campaigns import Campaign, sizes
 from tests.support.fake_recogniser import NOWHERE
 from tests.support.processes import ServiceProcess, WorkerProcess, is_free
 from tests.support.service_world import pose
+from tests.support.town import SESSION, eventually
 
-SESSION = "maps/town/sessions/monday"
 DESCRIBES_FOR_S = 1.0
 MISTAKEN = "tests.support.fake_recogniser:load_mistaken"
-
-
-def until(condition: Callable[[], object], what: str, timeout_s: float = 60.0) -> None:
-    deadline = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline, what
-        time.sleep(0.02)
 
 
 def is_stopped(pid: int) -> bool:
@@ -44,7 +37,7 @@ def stopped(worker: WorkerProcess, home: Path) -> Iterator[None]:
     locks = (home / "revisit.db.writer", home / "revisit.db.turn")
     while True:
         worker.send(signal.SIGSTOP)
-        until(lambda: is_stopped(worker.pid), "it does not stop")
+        eventually(lambda: is_stopped(worker.pid), "it does not stop")
         if all(is_free(lock) for lock in locks):
             break
         worker.send(signal.SIGCONT)
@@ -73,7 +66,7 @@ def post(client: Client, submap_id: str, place: int) -> Operation:
 def overtake(home: Path, client: Client, quick: WorkerProcess, slow: WorkerProcess, stopped_s: float) -> float:
     """The slow worker stands still in its job for `stopped_s`, the quick one does it; how long that took, seconds."""
     late = post(client, "c", 1)
-    until(lambda: client.get_operation(late.name).state == "RUNNING", "the slow worker does not begin")
+    eventually(lambda: client.get_operation(late.name).state == "RUNNING", "the slow worker does not begin")
     with stopped(slow, home):
         stopped_at = time.monotonic()
         quick.send(signal.SIGCONT)

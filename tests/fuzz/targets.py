@@ -14,7 +14,7 @@ from pathlib import Path
 from revisit.core import place as signature
 from revisit.core.errors import DataLoss, RevisitError
 from revisit.core.implicit_map import blob
-from revisit.core.place import PlaceSignature
+from revisit.core.place import Place
 from revisit.core.scan import validate_cloud
 from revisit.formats import MEDIA_TYPES, CloudLimits, PackedCloud, decode_cloud, decode_content
 from revisit.service.application.catalogue.paging import PageRequest
@@ -95,8 +95,8 @@ TARGETS: dict[str, Target] = {
     "page token": refusing(lambda data: PageRequest(token=data.decode("latin-1")).after, RevisitError),
     "neural map": refusing(blob.unpack, DataLoss),
     "neural map behind its checksum": behind_checksum(blob.unpack, blob.MAGIC, 32),
-    "signature": refusing(PlaceSignature.from_blob, DataLoss),
-    "signature behind its checksum": behind_checksum(PlaceSignature.from_blob, signature.MAGIC, DIGEST_BYTES),
+    "signature": refusing(Place.from_blob, DataLoss),
+    "signature behind its checksum": behind_checksum(Place.from_blob, signature.MAGIC, DIGEST_BYTES),
     "stored cloud": refusing(unpack_cloud, DataLoss),
     "stored mesh": refusing(unpack_mesh, DataLoss),
 }

@@ -12,9 +12,9 @@ from typer.testing import CliRunner
 
 from revisit.cli.app import app
 from revisit.core.errors import DataLoss
-from revisit.service.adapters import backup
-from revisit.service.adapters.backup import BackupRefused, make_backup, restore_backup
-from revisit.service.adapters.examination import examine, scrub
+from revisit.service.adapters.sqlite import backup
+from revisit.service.adapters.sqlite.backup import BackupRefused, make_backup, restore_backup
+from revisit.service.adapters.sqlite.examination import examine, scrub
 from revisit.service.application.query.downloads import DownloadKind
 from tests.support.service_world import TENANT, open_session, sqlite_world, submap
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import socket
 import subprocess
 import time
 
@@ -14,48 +13,45 @@ from revisit import Client, Cloud
 from revisit.formats import KITTI, encode_kitti
 from revisit.sdk.errors import Unavailable
 from revisit.sdk.retry import RetryPolicy
-from revisit.service.adapters.blobs import FileBlobStore
-from revisit.service.adapters.fail_stop import FailStop
+from revisit.service.adapters.files.blobs import FileBlobStore
+from revisit.service.adapters.files.fail_stop import FailStop
 from revisit.service.application.contract.errors import StorageUncertain
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.gateway import FAIL_STOP_S
 from tests.support.campaigns import Campaign, sizes
-from tests.support.processes import ServiceProcess
 from tests.support.service_world import cloud_points, pose
+from tests.support.town import SESSION, Town, half_a_post, running_town
 
-SESSION = "/v1/maps/town/sessions/monday"
 STORAGE_FAILED = 74
 LATE_S = 5.0
 """The promise is 1 s (FAIL_STOP_S and what the exit takes); a loaded machine may need longer to schedule it."""
 
 
-def post(client: httpx.Client, number: int) -> httpx.Response:
-    parameters = {"submap_id": f"s{number}", "stamp_ns": number, "T_odom_submap": f"{number},0,0,0,0,0,1"}
-    body = encode_kitti(cloud_points(number, 300))
-    return client.post(f"{SESSION}/submaps", params=parameters, content=body, headers={"Content-Type": KITTI})
-
-
-def post_until_refused(service: ServiceProcess) -> tuple[list[str], httpx.Response | None]:
+def post_until_refused(town: Town) -> tuple[list[str], httpx.Response | None]:
     """Post one submap after another; those that were acknowledged, and the refusal (None where there was no answer)."""
     acknowledged = []
-    with httpx.Client(base_url=service.url, timeout=10) as client:
-        client.post("/v1/maps", json={"map_id": "town"})
-        client.post("/v1/maps/town/sessions", json={"session_id": "monday"})
-        for number in range(500):
-            try:
-                answer = post(client, number)
-            except httpx.HTTPError:
-                return acknowledged, None
-            if answer.status_code != 202:
-                return acknowledged, answer
-            acknowledged.append(f"s{number}")
+    for number in range(500):
+        try:
+            answer = town.post(f"s{number}", number)
+        except httpx.HTTPError:
+            return acknowledged, None
+        if answer.status_code != 202:
+            return acknowledged, answer
+        acknowledged.append(f"s{number}")
     raise AssertionError("500 submaps were stored on a disk that fails")
 
 
-def stored(service: ServiceProcess) -> set[str]:
-    with httpx.Client(base_url=service.url, timeout=10) as client:
-        listed = client.get(f"{SESSION}/submaps", params={"page_size": 500}).json()["submaps"]
-    return {item["name"].rpartition("/")[2] for item in listed}
+def ends_and_recovers(town: Town, acknowledged: list[str]) -> float:
+    """It ends at once, starts again with all that was acknowledged and one more at most; how long it took to end."""
+    refused_at = time.monotonic()
+    assert town.service.wait_until_it_ends() == STORAGE_FAILED
+    ended_s = time.monotonic() - refused_at
+    assert ended_s < LATE_S
+    town.service.set(fail=None)
+    town.service.start()
+    posted = [name for name in acknowledged if not name.startswith("before")]
+    assert set(acknowledged) <= town.states().keys() <= {*acknowledged, f"s{len(posted)}"}
+    return ended_s
 
 
 @pytest.mark.parametrize("runs", sizes("FAILING_DISKS", 1, 200))
@@ -63,48 +59,27 @@ def stored(service: ServiceProcess) -> set[str]:
 def test_a_blob_that_cannot_be_synced_ends_the_service_within_a_second(tmp_path, runs):
     campaign, slowest_s = Campaign("P9", runs), 0.0
     for run in campaign:
-        stored_before = 2 + run % 7
-        service = ServiceProcess(tmp_path / str(run), workers=0, fail=f"blob.before_sync=eio@{stored_before + 1}")
-        try:
-            slowest_s = max(slowest_s, fail_and_recover(service, stored_before))
-        finally:
-            service.close()
+        before = 2 + run % 7
+        with running_town(tmp_path / str(run), workers=0, fail=f"blob.before_sync=eio@{before + 1}") as town:
+            acknowledged, refusal = post_until_refused(town)
+            assert refusal is not None and refusal.status_code == 503
+            assert (refusal.json()["reason"], refusal.json()["retryable"]) == ("STORAGE_UNCERTAIN", True)
+            assert len(acknowledged) == before
+            slowest_s = max(slowest_s, ends_and_recovers(town, acknowledged))
     campaign.publish(f"0 acknowledged lost; the process ended at most {slowest_s:.1f} s after the refusal")
 
 
-def fail_and_recover(service: ServiceProcess, stored_before: int) -> float:
-    """How long the process took to end after the refusal, seconds."""
-    acknowledged, refusal = post_until_refused(service)
-    refused_at = time.monotonic()
-    assert refusal is not None and refusal.status_code == 503
-    assert (refusal.json()["reason"], refusal.json()["retryable"]) == ("STORAGE_UNCERTAIN", True)
-    assert service.wait_until_it_ends() == STORAGE_FAILED
-    ended_s = time.monotonic() - refused_at
-    assert ended_s < LATE_S
-    assert len(acknowledged) == stored_before
-    service._environment.pop("REVISIT_FAIL")
-    service.start()
-    assert set(acknowledged) <= stored(service) <= {*acknowledged, f"s{len(acknowledged)}"}
-    return ended_s
-
-
 def test_an_answer_over_grpc_goes_out_and_a_client_that_hangs_does_not_hold_up_the_end(tmp_path):
-    service = ServiceProcess(tmp_path / "home", workers=0, drain_s=15, fail="blob.before_sync=eio@1")
-    address = service.url.removeprefix("http://")
-    host, port = address.split(":")
-    half = f"POST /v1/maps HTTP/1.1\r\nHost: {address}\r\nContent-Type: application/json\r\nContent-Length: 9\r\n\r\n{{"
-    try:
-        with socket.create_connection((host, int(port))) as hanging:
-            hanging.sendall(half.encode())
-            with Client.grpc(service.grpc_target, retry=RetryPolicy(attempts=1)) as client:
-                session = client.create_session(client.create_map("town"), "monday")
-                with pytest.raises(Unavailable, match="STORAGE_UNCERTAIN"):
-                    client.post_submap(session, "s1", Cloud(encode_kitti(cloud_points(1, 300)), KITTI), pose(), 1)
-            refused_at = time.monotonic()
-            assert service.wait_until_it_ends() == STORAGE_FAILED
-            assert time.monotonic() - refused_at < LATE_S
-    finally:
-        service.close()
+    with (
+        running_town(tmp_path / "home", workers=0, drain_s=15, fail="blob.before_sync=eio@1") as town,
+        half_a_post(town.service),
+        Client.grpc(town.service.grpc_target, retry=RetryPolicy(attempts=1)) as client,
+    ):
+        with pytest.raises(Unavailable, match="STORAGE_UNCERTAIN"):
+            client.post_submap(SESSION, "s1", Cloud(encode_kitti(cloud_points(1, 300)), KITTI), pose(), 1)
+        refused_at = time.monotonic()
+        assert town.service.wait_until_it_ends() == STORAGE_FAILED
+        assert time.monotonic() - refused_at < LATE_S
 
 
 def test_the_process_ends_by_itself_well_within_the_promised_second():
@@ -120,27 +95,16 @@ def may_trace() -> bool:
 
 @pytest.mark.skipif(not may_trace(), reason="strace is not here, or may not trace: SQLite's own sync cannot be failed")
 def test_a_commit_that_cannot_be_synced_ends_the_service_and_loses_nothing(tmp_path):
-    service = ServiceProcess(tmp_path / "home", workers=0)
-    try:
-        with httpx.Client(base_url=service.url, timeout=10) as client:
-            client.post("/v1/maps", json={"map_id": "town"}).raise_for_status()
-            client.post("/v1/maps/town/sessions", json={"session_id": "monday"}).raise_for_status()
-            before = [f"s{number}" for number in range(1000, 1005) if post(client, number).status_code == 202]
+    with running_town(tmp_path / "home", workers=0) as town:
+        before = [f"before{number}" for number in range(5) if town.post(f"before{number}", 1000 + number).is_success]
         inject = ["-e", "trace=fdatasync", "-e", "inject=fdatasync:error=EIO:when=4+"]
         log = tmp_path / "trace"
-        tracer = subprocess.Popen(["strace", "-f", "-o", str(log), *inject, "-p", str(service.pid)])
-        acknowledged, refusal = post_until_refused(service)
-        refused_at = time.monotonic()
+        tracer = subprocess.Popen(["strace", "-f", "-o", str(log), *inject, "-p", str(town.service.pid)])
+        acknowledged, refusal = post_until_refused(town)
         assert refusal is None or refusal.status_code == 503
-        assert service.wait_until_it_ends() == STORAGE_FAILED
-        assert time.monotonic() - refused_at < LATE_S
+        ends_and_recovers(town, [*before, *acknowledged])
         tracer.wait(10)
-        assert "INJECTED" in log.read_text()
-        service.start()
-        last = f"s{len(acknowledged)}"
-        assert {*before, *acknowledged} <= stored(service) <= {*before, *acknowledged, last}
-    finally:
-        service.close()
+        assert len(before) == 5 and "INJECTED" in log.read_text()
 
 
 def test_after_a_failed_sync_nothing_is_written_even_if_the_disk_seems_well_again(tmp_path, monkeypatch):
@@ -152,7 +116,7 @@ def test_after_a_failed_sync_nothing_is_written_even_if_the_disk_seems_well_agai
         raise OSError(5, "Input/output error")
 
     with monkeypatch.context() as failing:
-        failing.setattr("revisit.service.adapters.durable_files.os.fsync", broken)
+        failing.setattr("revisit.service.adapters.files.durable_files.os.fsync", broken)
         with pytest.raises(StorageUncertain):
             blobs.put(TenantId("default"), "cloud", b"points")
     with pytest.raises(StorageUncertain, match="restarting"):

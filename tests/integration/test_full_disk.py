@@ -5,20 +5,17 @@ from __future__ import annotations
 import errno
 import resource
 import subprocess
-import time
 from pathlib import Path
 
-import httpx
 import pytest
 
-from revisit.formats import KITTI, encode_kitti
-from revisit.service.adapters.disk import Disk
-from revisit.service.adapters.durable_files import may_grow
+from revisit.service.adapters.files.disk import Disk
+from revisit.service.adapters.files.durable_files import may_grow
 from revisit.service.application.contract.errors import StorageFull
 from tests.support.processes import ServiceProcess
-from tests.support.service_world import cloud_points, open_session, sqlite_world, submap
+from tests.support.service_world import open_session, sqlite_world, submap
+from tests.support.town import SESSION, Town, eventually, running_town
 
-SESSION = "/v1/maps/town/sessions/monday"
 SIZE_MB, RESERVE_MB = 64, 8
 MOUNTED = ("unshare", "-rm", "sh", "-c", f'mount -t tmpfs -o size={SIZE_MB}m tmpfs "$REVISIT_HOME" && exec "$@"', "sh")
 
@@ -41,21 +38,6 @@ def may_mount() -> bool:
 needs_mount = pytest.mark.skipif(not may_mount(), reason="no user namespaces here: a small disk cannot be mounted")
 
 
-def post(client: httpx.Client, number: int) -> httpx.Response:
-    parameters = {"submap_id": f"s{number}", "stamp_ns": number, "T_odom_submap": f"{number},0,0,0,0,0,1"}
-    body = encode_kitti(cloud_points(number, 300))
-    return client.post(f"{SESSION}/submaps", params=parameters, content=body, headers={"Content-Type": KITTI})
-
-
-def eventually(check, timeout_s: float = 10.0) -> float:
-    """Wait until `check` holds; how long that took, seconds."""
-    started = time.monotonic()
-    while not check():
-        assert time.monotonic() - started < timeout_s, "it did not happen"
-        time.sleep(0.05)
-    return time.monotonic() - started
-
-
 def fill(folder: Path) -> Path:
     """Take all that is left of the disk."""
     filler = folder / "filler"
@@ -69,40 +51,35 @@ def fill(folder: Path) -> Path:
     return filler
 
 
+def post(town: Town, number: int) -> int:
+    return town.post(f"s{number}", number).status_code
+
+
 @needs_mount
 def test_a_full_disk_refuses_data_serves_the_rest_and_heals_by_itself(tmp_path):
     (tmp_path / "home").mkdir()
-    service = OnSmallDisk(tmp_path / "home", reserve_mb=RESERVE_MB, min_index_gap=2)
-    disk = Path(f"/proc/{service.pid}/root") / (tmp_path / "home").relative_to("/")
-    try:
-        with httpx.Client(base_url=service.url, timeout=10) as client:
-            client.post("/v1/maps", json={"map_id": "town"}).raise_for_status()
-            client.post("/v1/maps/town/sessions", json={"session_id": "monday"}).raise_for_status()
-            eventually((disk / "reserve").exists)
-            assert [post(client, number).status_code for number in range(5)] == [202] * 5
-            eventually(lambda: client.get("/v1/status").json()["indexed_submaps"] == 5, 30.0)
+    with running_town(tmp_path / "home", OnSmallDisk, reserve_mb=RESERVE_MB, min_index_gap=2) as town:
+        disk = Path(f"/proc/{town.service.pid}/root") / (tmp_path / "home").relative_to("/")
+        eventually((disk / "reserve").exists)
+        assert [post(town, number) for number in range(5)] == [202] * 5
+        eventually(lambda: town.http.get("/v1/status").json()["indexed_submaps"] == "5")
 
-            filler = fill(disk)
-            eventually(lambda: post(client, 99).status_code == 507)
-            refused = post(client, 100)
-            assert (refused.json()["reason"], refused.json()["retryable"]) == ("STORAGE_FULL", True)
-            assert int(refused.headers["retry-after"]) >= 1
-            readiness = client.get("/readyz")
-            assert readiness.status_code == 200 and "storage full" in readiness.json()["degraded"][0]
-            found = client.post("/v1/maps/town/submaps:search", json={"submap": f"{SESSION[4:]}/submaps/s1"})
-            assert found.status_code == 200 and len(found.json()["hits"]) == 4
-            assert client.delete(f"{SESSION}/submaps/s4").status_code in (200, 204)
+        filler = fill(disk)
+        eventually(lambda: post(town, 99) == 507)
+        refused = town.post("s100", 100)
+        assert (refused.json()["reason"], refused.json()["retryable"]) == ("STORAGE_FULL", True)
+        assert int(refused.headers["retry-after"]) >= 1
+        readiness = town.http.get("/readyz")
+        assert readiness.status_code == 200 and "storage full" in readiness.json()["degraded"][0]
+        found = town.http.post("/v1/maps/town/submaps:search", json={"submap": f"{SESSION}/submaps/s1"})
+        assert found.status_code == 200 and len(found.json()["hits"]) == 4
+        assert town.http.delete(f"/v1/{SESSION}/submaps/s4").status_code in (200, 204)
 
-            filler.unlink()
-            took_s = eventually(lambda: post(client, 100).status_code == 202)
-            assert took_s < 5.0
-            assert client.get("/readyz").json()["degraded"] == []
-            listed = client.get(f"{SESSION}/submaps").json()["submaps"]
-            names = {item["name"].rpartition("/")[2] for item in listed}
-            assert {"s0", "s1", "s2", "s3", "s100"} <= names <= {"s0", "s1", "s2", "s3", "s99", "s100"}
-        assert service.terminate()[0] == 0
-    finally:
-        service.close()
+        filler.unlink()
+        assert eventually(lambda: post(town, 100) == 202) < 5.0
+        assert town.http.get("/readyz").json()["degraded"] == []
+        assert {"s0", "s1", "s2", "s3", "s100"} <= town.states().keys() <= {"s0", "s1", "s2", "s3", "s99", "s100"}
+        assert town.service.terminate()[0] == 0
 
 
 def wal_bytes(home: Path) -> int:
@@ -111,27 +88,20 @@ def wal_bytes(home: Path) -> int:
 
 def test_files_that_may_not_grow_are_a_full_disk_and_no_broken_one(tmp_path):
     home = tmp_path / "home"
-    service = ServiceProcess(home, workers=0, reserve_mb=RESERVE_MB)
-    unlimited = resource.prlimit(service.pid, resource.RLIMIT_FSIZE)
-    try:
-        with httpx.Client(base_url=service.url, timeout=10) as client:
-            client.post("/v1/maps", json={"map_id": "town"}).raise_for_status()
-            client.post("/v1/maps/town/sessions", json={"session_id": "monday"}).raise_for_status()
-            eventually((home / "reserve").exists)
-            assert post(client, 0).status_code == 202
+    with running_town(home, workers=0, reserve_mb=RESERVE_MB) as town:
+        unlimited = resource.prlimit(town.service.pid, resource.RLIMIT_FSIZE)
+        eventually((home / "reserve").exists)
+        assert post(town, 0) == 202
 
-            resource.prlimit(service.pid, resource.RLIMIT_FSIZE, (wal_bytes(home) + 4096, unlimited[1]))
-            refused = post(client, 1)
-            assert (refused.status_code, refused.json()["reason"]) == (507, "STORAGE_FULL")
-            assert client.get(f"{SESSION}/submaps/s0").status_code == 200
-            assert client.get(f"{SESSION}/submaps/s1").status_code == 404
-            assert "storage full" in client.get("/readyz").json()["degraded"][0]
+        resource.prlimit(town.service.pid, resource.RLIMIT_FSIZE, (wal_bytes(home) + 4096, unlimited[1]))
+        refused = town.post("s1", 1)
+        assert (refused.status_code, refused.json()["reason"]) == (507, "STORAGE_FULL")
+        assert town.states().keys() == {"s0"}
+        assert "storage full" in town.http.get("/readyz").json()["degraded"][0]
 
-            resource.prlimit(service.pid, resource.RLIMIT_FSIZE, unlimited)
-            assert eventually(lambda: post(client, 1).status_code == 202) < 5.0
-        assert service.terminate()[0] == 0
-    finally:
-        service.close()
+        resource.prlimit(town.service.pid, resource.RLIMIT_FSIZE, unlimited)
+        assert eventually(lambda: post(town, 1) == 202) < 5.0
+        assert town.service.terminate()[0] == 0
 
 
 @pytest.mark.parametrize(("number", "grows"), [(errno.ENOSPC, False), (errno.EDQUOT, False), (errno.EIO, True)])
@@ -141,7 +111,7 @@ def test_an_exhausted_quota_is_told_from_a_broken_disk(tmp_path, monkeypatch, nu
     def refuse(descriptor, offset, size):
         raise OSError(number, "")
 
-    monkeypatch.setattr("revisit.service.adapters.durable_files.os.posix_fallocate", refuse)
+    monkeypatch.setattr("revisit.service.adapters.files.durable_files.os.posix_fallocate", refuse)
     assert may_grow(tmp_path / "log", 4096) is grows
     assert list(tmp_path.iterdir()) == []
 

@@ -10,8 +10,9 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from sqlalchemy.exc import OperationalError
 
-from revisit.service.adapters.sql.migration import migrate
-from revisit.service.adapters.sql.unit_of_work import SqlTransactions, WriterLock
+from revisit.service.adapters.sqlite.migration import migrate
+from revisit.service.adapters.sqlite.transactions import SqliteTransactions
+from revisit.service.adapters.sqlite.writer_lock import WriterLock
 from revisit.service.application.contract.errors import AlreadyExists, StorageFull
 from tests.support.records import TENANT, a_map
 
@@ -19,7 +20,7 @@ from tests.support.records import TENANT, a_map
 @pytest.fixture
 def store(tmp_path):
     migrate(tmp_path / "test.db")
-    opened = SqlTransactions(tmp_path / "test.db", checkpoints=True)
+    opened = SqliteTransactions(tmp_path / "test.db", checkpoints=True)
     yield opened
     opened.close()
 
@@ -28,7 +29,7 @@ def store(tmp_path):
 def commits(store, monkeypatch):
     """How many transactions were committed so far."""
     count = []
-    real = SqlTransactions._transaction
+    real = SqliteTransactions._transaction
     monkeypatch.setattr(store._writing, "_transaction", lambda: count.append(1) or real(store))
     return count
 
@@ -113,7 +114,7 @@ def test_a_write_that_wants_to_be_alone_shares_its_transaction_with_nobody(store
 
 def test_a_closed_store_finishes_what_is_queued_and_takes_nothing_more(tmp_path):
     migrate(tmp_path / "closing.db")
-    store = SqlTransactions(tmp_path / "closing.db", checkpoints=True)
+    store = SqliteTransactions(tmp_path / "closing.db", checkpoints=True)
     queued = [store.write(add(f"m{number}")) for number in range(100)]
     store.close()
     assert all(future.done() and future.exception() is None for future in queued)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from revisit.service.adapters.memory_index import MemoryVectorIndex
+from revisit.service.adapters.memory import MemoryVectorIndex
 from revisit.service.application.contract.ports import VectorFilter
 from revisit.service.application.recognise import place_memory
 from revisit.service.application.recognise.place_memory import PlaceMemory

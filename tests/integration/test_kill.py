@@ -5,102 +5,50 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import time
 
-import httpx
 import pytest
 
-from revisit.formats import KITTI, encode_kitti
 from tests.support.fake_recogniser import KILLS_THE_WORKER
 from tests.support.processes import ROOT, ServiceProcess, is_running
-from tests.support.service_world import cloud_points
-
-SESSION = "/v1/maps/town/sessions/monday"
+from tests.support.town import SESSION, running_town
 
 
 @pytest.fixture
-def service(tmp_path):
-    running = ServiceProcess(tmp_path / "home", fake_delay_s="0.02", min_index_gap=2)
-    yield running
-    running.close()
+def town(tmp_path):
+    with running_town(tmp_path / "home", fake_delay_s="0.02", min_index_gap=2) as running:
+        yield running
 
 
-def body(place: int, points: int = 300) -> bytes:
-    return encode_kitti(cloud_points(place, points))
+def test_an_unfinished_window_of_scans_survives_a_kill(town):
+    for seq in range(1, 9):
+        assert town.append(seq) == seq
+    town.service.kill()
+    town.service.start()
+    assert town.http.get(f"/v1/{SESSION}").json()["committed_seq"] == "8"
+    assert town.append(8) == 8
+    for seq in range(9, 17):
+        assert town.append(seq) == seq
+    assert list(town.worked_off()) == ["scans-1-11", "scans-6-16"]
 
 
-def post_submap(client: httpx.Client, submap_id: str, place: int, points: int = 300) -> httpx.Response:
-    parameters = {"submap_id": submap_id, "stamp_ns": place, "T_odom_submap": f"{place},0,0,0,0,0,1"}
-    return client.post(
-        f"{SESSION}/submaps", params=parameters, content=body(place, points), headers={"Content-Type": KITTI}
-    )
-
-
-def post_scan(client: httpx.Client, seq: int) -> httpx.Response:
-    parameters = {"seq": seq, "stamp_ns": seq, "T_odom_sensor": f"{seq - 1},0,0,0,0,0,1"}
-    return client.post(f"{SESSION}/scans", params=parameters, content=body(seq), headers={"Content-Type": KITTI})
-
-
-def open_session(service: ServiceProcess) -> None:
-    with httpx.Client(base_url=service.url, timeout=10) as client:
-        assert client.post("/v1/maps", json={"map_id": "town"}).status_code == 201
-        assert client.post("/v1/maps/town/sessions", json={"session_id": "monday"}).status_code == 201
-
-
-def submaps(service: ServiceProcess) -> list[dict]:
-    with httpx.Client(base_url=service.url, timeout=10) as client:
-        listed = client.get(f"{SESSION}/submaps", params={"page_size": 500}).json()["submaps"]
-    return [{**submap, "submap_id": submap["name"].rpartition("/")[2]} for submap in listed]
-
-
-def wait_until_worked_off(service: ServiceProcess, timeout_s: float = 40.0) -> list[dict]:
-    deadline = time.monotonic() + timeout_s
-    while time.monotonic() < deadline:
-        found = submaps(service)
-        if all(submap["state"] != "QUEUED" for submap in found):
-            return found
-        time.sleep(0.1)
-    raise AssertionError(f"still queued: {[s for s in submaps(service) if s['state'] == 'QUEUED']}")
-
-
-def test_an_unfinished_window_of_scans_survives_a_kill(service):
-    open_session(service)
-    with httpx.Client(base_url=service.url, timeout=10) as client:
-        for seq in range(1, 9):
-            assert post_scan(client, seq).json()["committed_seq"] == seq
-    service.kill()
-    service.start()
-    with httpx.Client(base_url=service.url, timeout=10) as client:
-        assert client.get(SESSION).json()["committed_seq"] == 8
-        assert post_scan(client, 8).json()["committed_seq"] == 8
-        for seq in range(9, 17):
-            assert post_scan(client, seq).json()["committed_seq"] == seq
-    assert [submap["submap_id"] for submap in wait_until_worked_off(service)] == ["scans-1-11", "scans-6-16"]
-
-
-def test_a_submap_that_kills_its_worker_fails_after_three_attempts_and_others_proceed(service):
-    open_session(service)
-    with httpx.Client(base_url=service.url, timeout=10) as client:
-        poison = post_submap(client, "poison", 1, points=KILLS_THE_WORKER)
-        post_submap(client, "good", 2)
-        states = {submap["submap_id"]: submap["state"] for submap in wait_until_worked_off(service)}
-        assert states == {"poison": "FAILED", "good": "DESCRIBED"}
-        operation = client.get(f"/v1/{poison.json()['operation']['name']}").json()
+def test_a_submap_that_kills_its_worker_fails_after_three_attempts_and_others_proceed(town):
+    poison = town.posted("poison", 1, points=KILLS_THE_WORKER)
+    town.posted("good", 2)
+    assert town.worked_off() == {"poison": "FAILED", "good": "DESCRIBED"}
+    operation = town.operation(poison)
     assert (operation["state"], operation["attempts"]) == ("FAILED", 3)
 
 
-def test_sigterm_drains_and_leaves_no_process(service):
-    open_session(service)
-    service.wait_for("worker_ready")
-    with httpx.Client(base_url=service.url, timeout=10) as client:
-        for number in range(5):
-            assert post_submap(client, f"s{number}", number).status_code == 202
-    workers = service.worker_pids()
-    status, took_s = service.terminate()
+def test_sigterm_drains_and_leaves_no_process(town):
+    town.service.wait_for("worker_ready")
+    for number in range(5):
+        town.posted(f"s{number}", number)
+    workers = town.service.worker_pids()
+    status, took_s = town.service.terminate()
     assert workers and not any(is_running(pid) for pid in workers)
     assert status == 0 and took_s < 15
-    service.start()
-    assert {submap["state"] for submap in wait_until_worked_off(service)} == {"DESCRIBED"}
+    town.service.start()
+    assert set(town.worked_off().values()) == {"DESCRIBED"}
 
 
 def test_a_worker_that_is_still_loading_does_not_delay_the_end(tmp_path):

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from revisit.service.adapters.sql.migration import migrate
+from revisit.service.adapters.sqlite.migration import migrate
 from tests.support.campaigns import Campaign
 from tests.support.processes import ROOT
 
@@ -22,7 +22,7 @@ import os, shutil, signal, sys
 from pathlib import Path
 from sqlalchemy import event
 from sqlalchemy.engine import Engine
-from revisit.service.adapters.sql.migration import migrate
+from revisit.service.adapters.sqlite.migration import migrate
 
 old, home, every = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])
 

@@ -9,7 +9,7 @@ import pytest
 
 from revisit import ApiError, Client
 from revisit.sdk.retry import RetryPolicy
-from revisit.service.adapters.sql import unit_of_work
+from revisit.service.adapters.sqlite import connections, writer_lock
 from tests.support.live_service import live_service
 from tests.support.service_world import cloud_points, pose, sqlite_world
 
@@ -20,7 +20,7 @@ PATIENCE_MS = 300
 
 @pytest.fixture
 def service(tmp_path, monkeypatch):
-    monkeypatch.setitem(unit_of_work.WRITER_PRAGMAS, "busy_timeout", PATIENCE_MS)
+    monkeypatch.setitem(connections.WRITER_PRAGMAS, "busy_timeout", PATIENCE_MS)
     world = sqlite_world(tmp_path)
     with live_service(world) as running:
         running.working.clear()
@@ -29,7 +29,7 @@ def service(tmp_path, monkeypatch):
 
 
 def test_a_writer_waits_five_seconds_for_the_database():
-    assert unit_of_work.WRITER_PRAGMAS["busy_timeout"] == 1000 * unit_of_work.LOCK_TIMEOUT_S == 5000
+    assert connections.WRITER_PRAGMAS["busy_timeout"] == 1000 * writer_lock.LOCK_TIMEOUT_S == 5000
 
 
 @pytest.mark.parametrize("transport", ["rest", "grpc"])

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from revisit.service.adapters.disk import Disk
+from revisit.service.adapters.files.disk import Disk
 from revisit.service.application import UseCases
 from revisit.service.application.housekeeping.system import WAL_ALARM_BYTES
 from tests.support.service_world import memory_world
@@ -18,7 +18,7 @@ async def test_a_log_beyond_its_bound_is_named_while_the_service_stays_ready(tmp
     if size_bytes is not None:
         (tmp_path / "revisit.db-wal").touch()
         os.truncate(tmp_path / "revisit.db-wal", size_bytes)
-    context = replace(memory_world().context, disk=Disk(tmp_path, 0))
+    context = replace(memory_world().context, disk=Disk(tmp_path, 0, tmp_path / "revisit.db-wal"))
     assert context.disk.wal_bytes() == (size_bytes or 0)
     readiness = await UseCases.over(context, "test").system.readiness()
     assert readiness.ready

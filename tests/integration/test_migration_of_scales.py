@@ -6,8 +6,8 @@ import sqlite3
 
 import pytest
 
-from revisit.service.adapters.sql.migration import current_revision, migrate
-from revisit.service.adapters.sql.unit_of_work import SqlTransactions
+from revisit.service.adapters.sqlite.migration import current_revision, migrate
+from revisit.service.adapters.sqlite.transactions import SqliteTransactions
 from tests.contract.test_transactions import fill
 
 
@@ -32,7 +32,7 @@ def columns(path, table):
 
 def test_maps_of_the_first_schema_become_maps_of_street_size(database):
     migrate(database)
-    store = SqlTransactions(database, checkpoints=True)
+    store = SqliteTransactions(database, checkpoints=True)
     found = store.read(lambda uow: uow.maps.get("t", "m")).result()
     store.write(fill).result()
     store.close()

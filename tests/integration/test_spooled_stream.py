@@ -143,7 +143,7 @@ def test_a_service_that_lost_acknowledged_scans_is_noticed(client, session, tmp_
 @pytest.fixture
 def real_service(tmp_path):
     running = ServiceProcess(tmp_path / "home")
-    running._environment["REVISIT_GRPC_PORT"] = running.grpc_target.rpartition(":")[2]
+    running.set(grpc_port=running.grpc_target.rpartition(":")[2])
     yield running
     running.close()
 

@@ -13,10 +13,11 @@ from alembic.migration import MigrationContext
 from sqlalchemy import event
 from sqlalchemy.exc import OperationalError
 
-from revisit.service.adapters.fail_stop import FailStop
+from revisit.service.adapters.files.fail_stop import FailStop
 from revisit.service.adapters.sql import tables
-from revisit.service.adapters.sql.migration import current_revision, migrate
-from revisit.service.adapters.sql.unit_of_work import SqlTransactions, reader_engine, writer_engine
+from revisit.service.adapters.sqlite.connections import reader_engine, writer_engine
+from revisit.service.adapters.sqlite.migration import current_revision, migrate
+from revisit.service.adapters.sqlite.transactions import SqliteTransactions
 from revisit.service.application.contract.errors import StorageFull, StorageUncertain
 from tests.contract.test_transactions import fill
 from tests.support.records import TENANT, a_map, a_session
@@ -37,7 +38,7 @@ def rows(path) -> dict[str, list[tuple]]:
 
 
 def test_the_migration_goes_up_down_and_up_on_a_filled_database(database):
-    store = SqlTransactions(database, checkpoints=True)
+    store = SqliteTransactions(database, checkpoints=True)
     store.write(fill).result()
     store.write(lambda uow: uow.changes.record_described(TENANT, 1, 1)).result()
     store.close()
@@ -50,7 +51,7 @@ def test_the_migration_goes_up_down_and_up_on_a_filled_database(database):
     assert set(rows(database)) <= {"alembic_version", "sqlite_sequence"}
     migrate(database)
     assert set(rows(database)) == set(filled)
-    store = SqlTransactions(database, checkpoints=True)
+    store = SqliteTransactions(database, checkpoints=True)
     assert store.write(lambda uow: uow.maps.add(a_map())).result().number == 1
     store.close()
 
@@ -61,6 +62,19 @@ def test_the_migration_makes_the_schema_of_the_tables(database):
         context = MigrationContext.configure(connection, opts={"compare_type": True})
         assert compare_metadata(context, tables.metadata) == []
     engine.dispose()
+
+
+def test_the_migrations_make_what_the_tables_cannot_say(database):
+    """A number is never given out twice, and some indexes hold some rows only."""
+    connection = sqlite3.connect(database)
+    made = dict(connection.execute("SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL"))
+    connection.close()
+    keyed_by_text = {table.name for table in tables.metadata.sorted_tables if "AUTOINCREMENT" not in made[table.name]}
+    assert keyed_by_text == {"workers"}
+    indexes = [index for table in tables.metadata.sorted_tables for index in table.indexes]
+    wanted = {index.name: index.info.get("where") for index in indexes}
+    assert {name: made[name].partition(" WHERE ")[2] or None for name in wanted} == wanted
+    assert "priority = 0" in wanted.values()
 
 
 def test_the_writer_is_durable_and_one_process_checkpoints(database):
@@ -85,7 +99,7 @@ def test_a_reader_cannot_write(database):
 
 
 def test_two_hundred_read_modify_writes_from_four_connections_lose_nothing(database):
-    stores = [SqlTransactions(database, checkpoints=number == 0) for number in range(4)]
+    stores = [SqliteTransactions(database, checkpoints=number == 0) for number in range(4)]
     stores[0].write(lambda uow: (uow.maps.add(a_map()), uow.sessions.add(a_session()))).result()
 
     def count_up(uow):
@@ -105,7 +119,7 @@ def test_two_hundred_read_modify_writes_from_four_connections_lose_nothing(datab
 
 
 def test_a_read_sees_one_snapshot_while_others_write(database):
-    store, other = SqlTransactions(database, checkpoints=True), SqlTransactions(database, checkpoints=False)
+    store, other = SqliteTransactions(database, checkpoints=True), SqliteTransactions(database, checkpoints=False)
     begun, written = threading.Event(), threading.Event()
 
     def look_twice(uow):
@@ -125,8 +139,8 @@ def test_a_read_sees_one_snapshot_while_others_write(database):
 
 
 def test_a_writer_that_does_not_get_its_turn_says_so_and_stores_nothing(database, monkeypatch):
-    monkeypatch.setattr("revisit.service.adapters.sql.unit_of_work.LOCK_TIMEOUT_S", 0.1)
-    store, other = SqlTransactions(database, checkpoints=True), SqlTransactions(database, checkpoints=False)
+    monkeypatch.setattr("revisit.service.adapters.sqlite.writer_lock.LOCK_TIMEOUT_S", 0.1)
+    store, other = SqliteTransactions(database, checkpoints=True), SqliteTransactions(database, checkpoints=False)
     entered, leave = threading.Event(), threading.Event()
 
     def hold(uow):
@@ -145,7 +159,7 @@ def test_a_writer_that_does_not_get_its_turn_says_so_and_stores_nothing(database
 
 
 def test_old_answers_are_found_without_looking_at_the_jobs_of_submaps(database):
-    store = SqlTransactions(database, checkpoints=True)
+    store = SqliteTransactions(database, checkpoints=True)
     statements = []
 
     def forget(uow):
@@ -161,7 +175,7 @@ def test_old_answers_are_found_without_looking_at_the_jobs_of_submaps(database):
 
 
 def test_a_full_database_refuses_and_takes_writes_again_when_there_is_room(database):
-    store = SqlTransactions(database, checkpoints=True)
+    store = SqliteTransactions(database, checkpoints=True)
 
     def limit_pages(uow, pages):
         return uow.connection.exec_driver_sql(f"PRAGMA max_page_count={pages}").scalar()
@@ -182,7 +196,7 @@ def test_a_full_database_refuses_and_takes_writes_again_when_there_is_room(datab
 
 def test_an_input_output_error_is_uncertain_and_calls_for_a_restart(database):
     called = []
-    store = SqlTransactions(database, checkpoints=True, fail_stop=FailStop(lambda: called.append(True)))
+    store = SqliteTransactions(database, checkpoints=True, fail_stop=FailStop(lambda: called.append(True)))
 
     def breaks(uow):
         error = sqlite3.OperationalError("disk I/O error")

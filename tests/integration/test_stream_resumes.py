@@ -19,7 +19,7 @@ def service(tmp_path):
 
 def keep_port(service: ServiceProcess) -> None:
     """Let the next start listen where a client looks for it."""
-    service._environment["REVISIT_GRPC_PORT"] = service.grpc_target.rpartition(":")[2]
+    service.set(grpc_port=service.grpc_target.rpartition(":")[2])
 
 
 def test_a_stream_outlives_kill_9_and_a_drain(service):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from revisit.service.adapters.blobs import nothing_deleted
+from revisit.service.adapters.files.blobs import nothing_deleted
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.housekeeping.sweeping import MIN_AGE_S, sweep
 from tests.support.service_world import TENANT, open_session, sqlite_world, submap

@@ -24,6 +24,7 @@ from revisit.service.application.contract.errors import (
     SessionFinished,
     WorkersBusy,
 )
+from revisit.service.application.contract.loop_policy import LoopPolicy
 from revisit.service.application.contract.records import SubmapState
 from revisit.service.application.housekeeping import blob_references
 from revisit.service.application.housekeeping.retention import forget_answers
@@ -255,9 +256,10 @@ async def test_a_cloud_is_searched_and_localised_without_being_stored(world):
     where = await answered(world, world.use_cases.searches.localize(TENANT, LocalizeQuery("town", cloud(7))))
     assert where.best.submap == key("a") and len(where.candidates) == 2
     # The fake recogniser says 1 m ahead of the match, and the match was taken at x = 7 m.
-    np.testing.assert_allclose(where.T_map_query, pose(8.0))
+    np.testing.assert_allclose(where.T_odom_query, pose(8.0))
+    assert where.session == SESSION
     nowhere = await answered(world, world.use_cases.searches.localize(TENANT, LocalizeQuery("town", cloud(9))))
-    assert nowhere.best is None and nowhere.T_map_query is None
+    assert nowhere.best is None and nowhere.T_odom_query is None and nowhere.session is None
     assert len((await world.use_cases.submaps.list(TENANT, SESSION, PageRequest())).items) == 2
 
 
@@ -529,6 +531,38 @@ async def test_a_map_overrides_the_window_of_its_submaps(world):
     assert (view.tau_m, view.stride_m, view.min_index_gap) == (2.0, 2.0, 0)
     acks = [await world.use_cases.scans.append(TENANT, scan(seq, float(seq))) for seq in range(1, 6)]
     assert [ack.submap is not None for ack in acks] == [False, False, True, False, True]
+
+
+class NotingRecogniser(FakeRecogniser):
+    """Notes the rules of each verdict."""
+
+    def __init__(self):
+        self.rules = []
+
+    def verify(self, query, match, similarity, config):
+        self.rules.append((config.verification.min_score, config.verification.max_seen_through))
+        return super().verify(query, match, similarity, config)
+
+
+async def test_a_map_has_its_own_rules_for_loop_closures(world):
+    policy = LoopPolicy(candidates=2, min_score=0.9)
+    await world.use_cases.maps.create(TENANT, CreateMap("town", loop_policy=policy))
+    await world.use_cases.sessions.create(TENANT, CreateSession("town", "monday"))
+    for number in range(6):
+        await world.use_cases.submaps.post(TENANT, submap(f"s{number}", 1, points=300 + number))
+    noting = NotingRecogniser()
+    world.work_off(noting)
+    # With neighbours left out, the submaps have 0, 0, 1, 2, 3 and 4 others to be compared with: at most 2 are.
+    usual = world.context.policy.pipeline.verification
+    assert noting.rules == [(0.9, usual.max_seen_through)] * (0 + 0 + 1 + 2 + 2 + 2)
+    in_force = (await world.use_cases.maps.get(TENANT, "town")).loop_policy
+    assert in_force == LoopPolicy(2, 0.9, usual.min_overlap, usual.max_seen_through)
+    assert (await world.use_cases.maps.create(TENANT, CreateMap("town", loop_policy=policy))).replay
+    for other in (LoopPolicy(), LoopPolicy(candidates=2), LoopPolicy(min_score=0.9)):
+        with pytest.raises(AlreadyExists):
+            await world.use_cases.maps.create(TENANT, CreateMap("town", loop_policy=other))
+    with pytest.raises(BadField, match=r"loop_policy\.min_score"):
+        await world.use_cases.maps.create(TENANT, CreateMap("other", loop_policy=LoopPolicy(min_score=1.5)))
 
 
 async def test_watching_gives_the_loops_that_are_there_and_those_to_come(world):

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from sqlalchemy import insert
 
-from revisit.service.adapters.blobs import FileBlobStore
+from revisit.service.adapters.files.blobs import FileBlobStore
 from revisit.service.adapters.sql import tables
-from revisit.service.adapters.sql.migration import migrate
-from revisit.service.adapters.sql.unit_of_work import SqlTransactions
+from revisit.service.adapters.sqlite.migration import migrate
+from revisit.service.adapters.sqlite.transactions import SqliteTransactions
 from revisit.service.application.ingest.clouds import CLOUD_BLOB
 from tests.support.records import TENANT, a_map, a_session, a_submap
 
@@ -22,7 +22,7 @@ def fill(home: Path, submaps: int, dimension: int) -> None:
     """A home with maps/town/sessions/monday: submaps s1, s2, ... of one cloud with random unit descriptors."""
     home.mkdir(exist_ok=True)
     migrate(home / "revisit.db")
-    store = SqlTransactions(home / "revisit.db", checkpoints=True)
+    store = SqliteTransactions(home / "revisit.db", checkpoints=True)
     rng = np.random.default_rng(1)
     number = store.write(lambda uow: (uow.maps.add(a_map()), uow.sessions.add(a_session()))[0].number).result()
     cloud_sha256 = FileBlobStore(home / "blobs").put(TENANT, CLOUD_BLOB, b"a cloud")

@@ -125,7 +125,7 @@ class Watch(threading.Thread):
                 began_s = time.perf_counter()
                 answer = client.get("/livez")
                 self.livez.note(str(answer.status_code), time.perf_counter() - began_s)
-                self.queued = max(self.queued, client.get("/v1/status").json()["queued_jobs"])
+                self.queued = max(self.queued, int(client.get("/v1/status").json()["queued_jobs"]))
 
 
 class Served:

@@ -51,6 +51,13 @@ class _Logging:
         self._reader = threading.Thread(target=self._read, args=(self._process,), daemon=True)
         self._reader.start()
 
+    def set(self, **settings: Any) -> None:
+        """Settings of the next start; None for the default."""
+        for name, value in settings.items():
+            self._environment.pop(f"REVISIT_{name.upper()}", None)
+            if value is not None:
+                self._environment[f"REVISIT_{name.upper()}"] = str(value)
+
     def wait_for(self, event: str, after: int = 0, timeout_s: float = 30.0) -> dict[str, Any]:
         """The first log entry of this kind after the first `after` entries."""
         deadline = time.monotonic() + timeout_s

@@ -15,7 +15,7 @@ import numpy as np
 
 from revisit.core.errors import RevisitError
 from revisit.formats import NPY, encode_npy
-from revisit.service.adapters.memory_index import MemoryVectorIndex
+from revisit.service.adapters.memory import MemoryVectorIndex
 from revisit.service.application import SessionKey, SubmapKey, UseCases
 from revisit.service.application.catalogue.maps import CreateMap
 from revisit.service.application.catalogue.paging import PageRequest
@@ -184,7 +184,7 @@ class RestDriver:
     def sessions(self, map_id: str) -> dict[str, tuple[int, bool]]:
         """See `UseCaseDriver`."""
         listed = self._list(f"/maps/{map_id}/sessions", "sessions")
-        return {s["name"].rpartition("/")[2]: (s["committed_seq"], s["state"] == "FINISHED") for s in listed}
+        return {s["name"].rpartition("/")[2]: (int(s["committed_seq"]), s["state"] == "FINISHED") for s in listed}
 
     def submaps(self, session: SessionKey) -> dict[str, str]:
         """See `UseCaseDriver`."""
@@ -202,7 +202,7 @@ class RestDriver:
         deadline = time.monotonic() + 60
         while True:
             status = self._http.get("/status").json()
-            if status["queued_jobs"] == status["running_jobs"] == 0:
+            if status["queued_jobs"] == status["running_jobs"] == "0":
                 break
             assert time.monotonic() < deadline, "the worker did not come to an end"
             time.sleep(0.01)

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from revisit.core.config import PipelineConfig
 from revisit.formats import DecodedCloud
-from revisit.service.adapters.blobs import FileBlobStore
-from revisit.service.adapters.memory import MemoryBlobStore, MemoryTransactions
-from revisit.service.adapters.memory_index import MemoryVectorIndex
-from revisit.service.adapters.sql.migration import migrate
-from revisit.service.adapters.sql.unit_of_work import SqlTransactions
+from revisit.service.adapters.files.blobs import FileBlobStore
+from revisit.service.adapters.memory import MemoryBlobStore, MemoryTransactions, MemoryVectorIndex
+from revisit.service.adapters.sqlite.migration import migrate
+from revisit.service.adapters.sqlite.transactions import SqliteTransactions
 from revisit.service.application import DEFAULT_TENANT, Context, Policy, SessionKey, SubmapKey, UseCases
 from revisit.service.application.catalogue.maps import CreateMap
 from revisit.service.application.catalogue.sessions import CreateSession
@@ -89,7 +88,7 @@ def sqlite_world(home: Path, **overrides) -> World:
     """The service over SQLite and files in `home`; close its transactions at the end."""
     rules = policy(**overrides)
     migrate(home / "revisit.db")
-    transactions = SqlTransactions(home / "revisit.db", checkpoints=True, lease_ms=rules.lease_ms)
+    transactions = SqliteTransactions(home / "revisit.db", checkpoints=True, lease_ms=rules.lease_ms)
     return _world(transactions, FileBlobStore(home / "blobs"), rules)
 
 

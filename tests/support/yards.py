@@ -15,7 +15,7 @@ from revisit.core.geometry import se3
 from revisit.core.micro.cluster_normals import describe_clusters
 from revisit.core.micro.saliency import weigh_clusters
 from revisit.core.model_bundle import load_packaged_models
-from revisit.core.place import PlaceSignature, sign_place
+from revisit.core.place import Place, extract_place
 from revisit.core.spectra import describe_spectra
 from revisit.core.surface import Surface
 
@@ -53,8 +53,8 @@ def thinned(surface: Surface, share: float, seed: int) -> Surface:
     return surface_of(surface.vertices[keep], surface.normals[keep])
 
 
-def recognised(surface: Surface) -> tuple[PlaceDescriptor, PlaceSignature]:
-    """Descriptor and signature of a surface, with the shipped codebooks."""
+def recognised(surface: Surface) -> tuple[PlaceDescriptor, Place]:
+    """Descriptor and place of a surface, with the shipped codebooks."""
     models = load_packaged_models()
     clusters = segment_clusters(surface, CONFIG.clusters)
     bev = describe_bev(surface, clusters, CONFIG.bev)
@@ -62,16 +62,16 @@ def recognised(surface: Surface) -> tuple[PlaceDescriptor, PlaceSignature]:
     micro = describe_clusters(surface, clusters, bev.keypoints, saliency, CONFIG.micro, np.random.default_rng(0))
     features = PlaceFeatures(bev, micro, describe_spectra(surface, clusters, CONFIG.spectra))
     descriptor = fuse(features, models.codebooks, CONFIG.fusion, models.version)
-    return descriptor, sign_place(surface, clusters, bev, models.codebooks, CONFIG.verification)
+    return descriptor, extract_place(surface, clusters, bev, models.codebooks, CONFIG.verification)
 
 
-def signature_of_points(points: NDArray[np.floating], normals: NDArray[np.floating]) -> PlaceSignature:
-    """A signature without keypoints whose points all stand."""
+def place_of_points(points: NDArray[np.floating], normals: NDArray[np.floating]) -> Place:
+    """A place without keypoints whose points all stand."""
     nothing = np.zeros((0, 2), np.float32)
     _, template = recognised(yard(0))
     return replace(
         template, keypoints=nothing, orientations=nothing[:, 0], descriptors=np.zeros((0, len(template.parity))),
-        points=points.astype(np.float32), normals=normals.astype(np.float32), standing=len(points),
+        points=points.astype(np.float32), normals=normals.astype(np.float32), standing_count=len(points),
     )  # fmt: skip
 
 

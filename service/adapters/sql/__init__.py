@@ -1,1 +1,6 @@
-"""The database: tables, repositories, transactions, migration. SQLite now; nothing but this package knows it."""
+"""Rows in an SQL database: tables, statements, repositories, the unit of work.
+
+Nothing here knows which database runs the statements. What standard SQL leaves open is asked of
+`engine.DatabaseEngine`. Connections, transactions, locks, errors, migrations and backups belong to the package of the
+engine, which stands beside this one.
+"""

@@ -1,13 +1,14 @@
-"""Keys and the audit log in the database."""
+"""API keys and the audit log in an SQL database."""
 
 from __future__ import annotations
 
 import dataclasses
 
-from sqlalchemy import Connection, insert, literal_column, select, text, update
+from sqlalchemy import Connection, insert, literal_column, select, update
 from sqlalchemy.exc import IntegrityError
 
 from revisit.service.adapters.sql.access_tables import api_keys, audit_log
+from revisit.service.adapters.sql.engine import DatabaseEngine
 from revisit.service.application.contract.access_ports import AuditRecord, KeyRecord
 from revisit.service.application.contract.errors import AlreadyExists, NotFound
 
@@ -54,9 +55,10 @@ class SqlKeyRing:
 class SqlAuditTrail:
     """`access_ports.AuditTrail`."""
 
-    def __init__(self, connection: Connection) -> None:
-        """All statements go through `connection`."""
+    def __init__(self, connection: Connection, engine: DatabaseEngine) -> None:
+        """All statements go through `connection`, a connection of `engine`."""
         self._connection = connection
+        self._engine = engine
 
     def append(self, record: AuditRecord) -> None:
         """See `access_ports.AuditTrail`."""
@@ -76,6 +78,5 @@ class SqlAuditTrail:
         return [AuditRecord(**row._mapping) for row in self._connection.execute(query)]
 
     def highest(self) -> int:
-        """See `access_ports.AuditTrail`: SQLite remembers the highest AUTOINCREMENT number beside the table."""
-        query = text("SELECT seq FROM sqlite_sequence WHERE name = 'audit_log'")
-        return int(self._connection.execute(query).scalar() or 0)
+        """See `access_ports.AuditTrail`."""
+        return self._engine.last_number(self._connection, audit_log)

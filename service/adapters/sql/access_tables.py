@@ -20,7 +20,6 @@ api_keys = Table(
     Column("revoked_at_ns", BigInteger, nullable=True),
     Column("successor_id", String(64), nullable=True),
     UniqueConstraint("key_id"),
-    sqlite_autoincrement=True,
 )
 
 # Triggers of the migration refuse every UPDATE and DELETE.
@@ -36,5 +35,4 @@ audit_log = Table(
     Column("detail", JSON(), nullable=False),
     Column("previous_hash", String(64), nullable=False),
     Column("hash", String(64), nullable=False),
-    sqlite_autoincrement=True,
 )

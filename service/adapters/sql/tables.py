@@ -1,4 +1,8 @@
-"""Tables: one per record of `contract.records`, a column per field. migrations/ creates the same schema."""
+"""Tables: one per record of `contract.records`, a column per field.
+
+Statements are built from them; the schema itself is created by migrations/, which also say what no table here can: that
+a number is never given out twice, and which rows an index holds (`info["where"]`).
+"""
 
 from __future__ import annotations
 
@@ -19,7 +23,6 @@ from sqlalchemy import (
     Table,
     Text,
     UniqueConstraint,
-    text,
 )
 from sqlalchemy.types import TypeDecorator
 
@@ -30,6 +33,9 @@ NAMING = {
     "pk": "pk_%(table_name)s",
 }
 metadata = MetaData(naming_convention=NAMING)
+
+ANSWERED_QUERIES = "priority = 0"
+"""The condition of the index of jobs by their end: those of queries, whose answers are forgotten after a while."""
 
 
 class JsonTuple(TypeDecorator[tuple[Any, ...]]):
@@ -52,7 +58,6 @@ def _numbered(name: str, key: tuple[str, ...], *columns: Any) -> Table:
         Column("tenant", String(64), nullable=False),
         *columns,
         UniqueConstraint("tenant", *key),
-        sqlite_autoincrement=True,
     )
 
 
@@ -86,6 +91,10 @@ maps = _numbered(
     _real("stride_m", nullable=True),
     _integer("min_index_gap", nullable=True),
     Column("scene_scale", Float, nullable=False, server_default="1.0"),
+    _integer("loop_candidates", nullable=True),
+    _real("min_score", nullable=True),
+    _real("min_overlap", nullable=True),
+    _real("max_seen_through", nullable=True),
     _text("model_version", length=128, nullable=True),
     _integer("created_at_ns"),
 )
@@ -227,7 +236,7 @@ jobs = _numbered(
     _integer("finished_at_ns", nullable=True),
     Index(None, "state", "tenant", "priority"),
     Index(None, "tenant", "state"),
-    Index(None, "finished_at_ns", sqlite_where=text("priority = 0")),
+    Index(None, "finished_at_ns", info={"where": ANSWERED_QUERIES}),
 )
 
 index_changes = Table(
@@ -239,7 +248,6 @@ index_changes = Table(
     Column("submap_number", Integer, nullable=False),
     Column("kind", String(16), nullable=False),
     Index(None, "tenant", "map_number", "seq"),
-    sqlite_autoincrement=True,
 )
 
 workers = Table(

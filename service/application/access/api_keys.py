@@ -14,6 +14,7 @@ from revisit.core.errors import BadField
 from revisit.service.application.access import audit
 from revisit.service.application.access.audit import AuditEntry
 from revisit.service.application.access.callers import Caller, Scope, current_actor
+from revisit.service.application.contract import limits
 from revisit.service.application.contract.access_ports import KeyRecord
 from revisit.service.application.contract.context import Context
 from revisit.service.application.contract.errors import NotFound, RevokedKey, Unauthenticated
@@ -160,8 +161,8 @@ class ApiKeys:
         unknown = set(command.scopes) - set(Scope)
         if unknown or not command.scopes:
             raise BadField(f"scopes are one or more of {', '.join(Scope)}", field="scopes")
-        if command.lifetime_s is not None and not 0 < command.lifetime_s <= 100 * 365 * 86400:
-            raise BadField("a key may live for up to 100 years", field="lifetime_s")
+        if command.lifetime_s is not None:
+            limits.KEY_LIFETIME_S.validated(command.lifetime_s, "lifetime_s")
         shown = _random_key()
         now_ns = self._context.clock.wall_ns()
         record = KeyRecord(

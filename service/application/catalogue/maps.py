@@ -2,28 +2,29 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
-from revisit.core.errors import BadField
+from revisit.core.config import PipelineConfig
 from revisit.service.application.access import audit
 from revisit.service.application.catalogue.deletion import delete_map
 from revisit.service.application.catalogue.paging import Page, PageRequest, page_of
+from revisit.service.application.contract import limits
 from revisit.service.application.contract.context import Context
 from revisit.service.application.contract.errors import AlreadyExists, NotFound
 from revisit.service.application.contract.identity import TenantId, content_hash, validated_id, validated_label
+from revisit.service.application.contract.loop_policy import LoopPolicy
 from revisit.service.application.contract.ports import UnitOfWork
 from revisit.service.application.contract.records import MapRecord
 from revisit.service.application.housekeeping.blob_references import Blob, collect_blobs_in_turns
 from revisit.service.failpoints import failpoint
 
-MIN_SCENE_SCALE = 0.01
-MAX_SCENE_SCALE = 10.0
+MIN_SCENE_SCALE = limits.SCENE_SCALE.least
+MAX_SCENE_SCALE = limits.SCENE_SCALE.most
 
 
 @dataclass(frozen=True)
 class CreateMap:
-    """A new map. `tau_m`, `stride_m` and `min_index_gap` override the service's configuration where given.
+    """A new map. `tau_m`, `stride_m`, `min_index_gap` and `loop_policy` override the service's settings where given.
 
     `scene_scale` is the size of its scene compared with a street, e.g. 0.25 for rooms; it cannot be changed later.
     """
@@ -34,11 +35,12 @@ class CreateMap:
     stride_m: float | None = None
     min_index_gap: int | None = None
     scene_scale: float = 1.0
+    loop_policy: LoopPolicy = LoopPolicy()
 
 
 @dataclass(frozen=True)
 class MapView:
-    """A map as clients see it; `tau_m`, `stride_m` and `min_index_gap` are the values in force."""
+    """A map as clients see it; `tau_m`, `stride_m`, `min_index_gap` and `loop_policy` are the values in force."""
 
     map_id: str
     display_name: str
@@ -49,6 +51,7 @@ class MapView:
     session_count: int
     submap_count: int
     created_at_ns: int
+    loop_policy: LoopPolicy = LoopPolicy()
 
 
 @dataclass(frozen=True)
@@ -116,17 +119,23 @@ class Maps:
         validated_label(command.display_name, "display_name")
         _validate_window(command)
         content = (command.display_name, command.tau_m, command.stride_m, command.min_index_gap)
-        # Left out where it is 1, so that creates of before there were scales can be repeated.
+        # Left out where they are the default, so that creates of before there were scales and policies can be repeated.
         scale = () if command.scene_scale == 1.0 else (command.scene_scale,)
+        own = command.loop_policy
+        policy = () if own == LoopPolicy() else ("loop_policy", *astuple(own))
         return MapRecord(
             tenant=tenant,
             map_id=command.map_id,
-            content_hash=content_hash((*content, *scale)),
+            content_hash=content_hash((*content, *scale, *policy)),
             display_name=command.display_name,
             tau_m=command.tau_m,
             stride_m=command.stride_m,
             min_index_gap=command.min_index_gap,
             scene_scale=command.scene_scale,
+            loop_candidates=own.candidates,
+            min_score=own.min_score,
+            min_overlap=own.min_overlap,
+            max_seen_through=own.max_seen_through,
             model_version=None,
             created_at_ns=self._context.clock.wall_ns(),
         )
@@ -143,7 +152,13 @@ class Maps:
             session_count=uow.sessions.count(record.tenant, map_id=record.map_id),
             submap_count=uow.submaps.count(record.tenant, map_id=record.map_id),
             created_at_ns=record.created_at_ns,
+            loop_policy=_policy_in_force(config),
         )
+
+
+def _policy_in_force(config: PipelineConfig) -> LoopPolicy:
+    rules = config.verification
+    return LoopPolicy(config.loop.candidates, rules.min_score, rules.min_overlap, rules.max_seen_through)
 
 
 def require_map(uow: UnitOfWork, tenant: TenantId, map_id: str) -> MapRecord:
@@ -164,10 +179,11 @@ def model_for_map(record: MapRecord, model_version: str) -> str:
 
 
 def _validate_window(command: CreateMap) -> None:
-    for field, value in (("tau_m", command.tau_m), ("stride_m", command.stride_m)):
-        if value is not None and not (math.isfinite(value) and 0.1 <= value <= 1000.0):
-            raise BadField(f"{field} must be in 0.1..1000 metres", field=field)
-    if command.min_index_gap is not None and not 0 <= command.min_index_gap <= 100_000:
-        raise BadField("min_index_gap must be in 0..100000", field="min_index_gap")
-    if not MIN_SCENE_SCALE <= command.scene_scale <= MAX_SCENE_SCALE:
-        raise BadField(f"scene_scale must be in {MIN_SCENE_SCALE:g}..{MAX_SCENE_SCALE:g}", field="scene_scale")
+    if command.tau_m is not None:
+        limits.TAU_M.validated(command.tau_m, "tau_m")
+    if command.stride_m is not None:
+        limits.STRIDE_M.validated(command.stride_m, "stride_m")
+    if command.min_index_gap is not None:
+        limits.MIN_INDEX_GAP.validated(command.min_index_gap, "min_index_gap")
+    limits.SCENE_SCALE.validated(command.scene_scale, "scene_scale")
+    command.loop_policy.validated()

@@ -10,11 +10,10 @@ from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
 from revisit.core.errors import BadField
+from revisit.service.application.contract import limits
 
 T = TypeVar("T")
 N = TypeVar("N", bound="Numbered")
-
-MAX_PAGE_SIZE = 500
 
 
 @dataclass(frozen=True)
@@ -26,8 +25,7 @@ class PageRequest:
 
     def __post_init__(self) -> None:
         """Raises BadField for a size out of bounds."""
-        if not 1 <= self.size <= MAX_PAGE_SIZE:
-            raise BadField(f"page_size must be in 1..{MAX_PAGE_SIZE}", field="page_size")
+        limits.PAGE_SIZE.validated(self.size, "page_size")
 
     @property
     def after(self) -> int:
@@ -35,7 +33,7 @@ class PageRequest:
         if not self.token:
             return 0
         try:
-            text = base64.urlsafe_b64decode(self.token.encode("ascii")).decode("ascii")
+            text = base64.b64decode(self.token.encode("ascii"), altchars=b"-_", validate=True).decode("ascii")
         except (UnicodeError, binascii.Error) as error:
             raise BadField("page_token was not given out by this service", field="page_token") from error
         if not re.fullmatch(r"after:[0-9]{1,18}", text, re.ASCII):

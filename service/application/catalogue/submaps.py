@@ -17,6 +17,7 @@ from revisit.service.application.catalogue.deletion import delete_submap
 from revisit.service.application.catalogue.maps import require_map
 from revisit.service.application.catalogue.paging import Page, PageRequest, page_of
 from revisit.service.application.catalogue.session_lookup import require_active, require_session
+from revisit.service.application.contract import limits
 from revisit.service.application.contract.context import Context
 from revisit.service.application.contract.errors import AlreadyExists, NotFound
 from revisit.service.application.contract.identity import (
@@ -33,7 +34,6 @@ from revisit.service.application.contract.records import SessionRecord, SubmapRe
 from revisit.service.application.housekeeping.blob_references import Blob, collect_blobs_in_turns
 from revisit.service.application.ingest.clouds import (
     CLOUD_BLOB,
-    MAX_SUBMAP_POINTS,
     CloudInput,
     StoredCloud,
     accept_cloud,
@@ -192,7 +192,7 @@ class Submaps:
 
     def _accept(self, tenant: TenantId, command: PostSubmap) -> _Accepted:
         _validate_key(command.key)
-        cloud, report = accept_cloud(command.cloud, MAX_SUBMAP_POINTS)
+        cloud, report = accept_cloud(command.cloud, limits.SUBMAP_POINTS)
         scan = Scan.validated(cloud.points, command.T_odom_submap, command.stamp_ns)
         packed = pack_cloud(cloud)
         return _Accepted(self._row(tenant, command.key, scan, cloud, packed, report), packed, report)

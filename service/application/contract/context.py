@@ -29,6 +29,7 @@ from revisit.service.application.ingest.stream_endings import StreamEndings
 
 P = ParamSpec("P")
 T = TypeVar("T")
+N = TypeVar("N", int, float)
 
 
 @dataclass(frozen=True)
@@ -42,21 +43,32 @@ class Policy:
 
     def for_map(self, record: MapRecord) -> PipelineConfig:
         """The method's parameters with what the map overrides."""
-        submap, loop = self.pipeline.submap, self.pipeline.loop
+        submap, loop, verification = self.pipeline.submap, self.pipeline.loop, self.pipeline.verification
         return replace(
             self.pipeline,
             scene_scale=record.scene_scale,
             submap=replace(
                 submap,
                 min_range=submap.min_range * record.scene_scale,
-                tau=submap.tau if record.tau_m is None else record.tau_m,
-                stride=submap.stride if record.stride_m is None else record.stride_m,
+                tau=_given(record.tau_m, submap.tau),
+                stride=_given(record.stride_m, submap.stride),
             ),
             loop=replace(
                 loop,
-                min_index_gap=loop.min_index_gap if record.min_index_gap is None else record.min_index_gap,
+                min_index_gap=_given(record.min_index_gap, loop.min_index_gap),
+                candidates=_given(record.loop_candidates, loop.candidates),
+            ),
+            verification=replace(
+                verification,
+                min_score=_given(record.min_score, verification.min_score),
+                min_overlap=_given(record.min_overlap, verification.min_overlap),
+                max_seen_through=_given(record.max_seen_through, verification.max_seen_through),
             ),
         )
+
+
+def _given(own: N | None, of_service: N) -> N:
+    return of_service if own is None else own
 
 
 class EndlessDisk:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import NewType
 
 from revisit.core.errors import BadField
+from revisit.service.application.contract import limits
 
 TenantId = NewType("TenantId", str)
 
@@ -17,7 +18,7 @@ DEFAULT_TENANT = TenantId("default")
 RESERVED_SUBMAP_PREFIX = "scans-"
 """Submaps cut from a stream of scans are named `scans-FIRST-LAST`; clients may not choose such ids."""
 
-_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}", re.ASCII)
+_ID = re.compile(limits.ID_PATTERN, re.ASCII)
 # What Windows cannot have as the name of a file: downloads and exports are named after their resources.
 _NO_FILE_NAME = re.compile(r"(?:con|prn|aux|nul|com[0-9]|lpt[0-9])(?:\..*)?|.*\.", re.ASCII | re.IGNORECASE)
 
@@ -60,7 +61,7 @@ def validated_id(value: str, field: str) -> str:
     It does not end in a dot and is no device of Windows (`con`, `nul.txt`). Raises BadField naming `field`.
     """
     if not _ID.fullmatch(value):
-        raise BadField(f"{field} must match [A-Za-z0-9][A-Za-z0-9._-]{{0,63}}", field=field)
+        raise BadField(f"{field} must match {limits.ID_PATTERN}", field=field)
     if _NO_FILE_NAME.fullmatch(value):
         raise BadField(f"{field} may neither end in a dot nor be a device of Windows", field=field)
     return value
@@ -68,8 +69,9 @@ def validated_id(value: str, field: str) -> str:
 
 def validated_label(value: str, field: str) -> str:
     """`value` if people can read it as a name: at most 256 printable characters. Raises BadField naming `field`."""
-    if len(value) > 256 or not value.isprintable():
-        raise BadField(f"{field} must be at most 256 printable characters", field=field)
+    if len(value) > limits.DISPLAY_NAME_CHARACTERS or not value.isprintable():
+        most = limits.DISPLAY_NAME_CHARACTERS
+        raise BadField(f"{field} must be at most {most} printable characters", field=field)
     return value
 
 

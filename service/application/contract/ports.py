@@ -455,7 +455,7 @@ class SubmapDescription:
 
 @dataclass(frozen=True)
 class LoopVerdict:
-    """Accepted with `T_match_query`, or rejected for `reason`; `evidence` is JSON: measurements and thresholds."""
+    """Accepted with `T_match_query`, or rejected for `reason`; `evidence` is JSON: what was measured, and the rules."""
 
     accepted: bool
     reason: str | None

@@ -28,6 +28,7 @@ class MapRecord:
     """A map; None stands for "as the service is configured"; `model_version` is that of its descriptors, if any.
 
     `scene_scale` is the size of its scene compared with a street (docs/decisions/0009); it never changes.
+    `loop_candidates` to `max_seen_through` are the map's own `LoopPolicy`.
     """
 
     tenant: TenantId
@@ -40,6 +41,10 @@ class MapRecord:
     model_version: str | None
     created_at_ns: int
     scene_scale: float = 1.0
+    loop_candidates: int | None = None
+    min_score: float | None = None
+    min_overlap: float | None = None
+    max_seen_through: float | None = None
     number: int = 0
 
 

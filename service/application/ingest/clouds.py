@@ -14,12 +14,7 @@ from numpy.typing import NDArray
 from revisit.core.errors import BadField, DataLoss, TooLarge
 from revisit.core.scan import CloudReport, Points, validate_cloud
 from revisit.formats import DecodedCloud, decode_cloud
-
-MAX_SCAN_POINTS = 500_000
-MAX_SUBMAP_POINTS = 2_000_000
-
-MAX_ASCII_BYTES = 8 * 2**20
-"""Numbers in words cost a hundred times what the same points in binary do: about 0.3 s of a core per megabyte."""
+from revisit.service.application.contract import limits
 
 CLOUD_BLOB = "cloud"
 QUERY_CLOUD_BLOB = "query-cloud"
@@ -82,7 +77,7 @@ def unpack_cloud(blob: bytes) -> StoredCloud:
     try:
         magic, count, width = _HEADER.unpack_from(blob)
         size = count * width * 4
-        if magic != _MAGIC or width not in (3, 4) or count > MAX_SUBMAP_POINTS:
+        if magic != _MAGIC or width not in (3, 4) or count > limits.SUBMAP_POINTS:
             raise DataLoss("a stored cloud has a damaged header")
         data = zstandard.ZstdDecompressor().decompress(blob[_HEADER.size :], max_output_size=size)
     except (struct.error, zstandard.ZstdError) as error:
@@ -97,6 +92,6 @@ def unpack_cloud(blob: bytes) -> StoredCloud:
 def _decoded(cloud: CloudInput) -> DecodedCloud:
     if not isinstance(cloud, EncodedCloud):
         return cloud
-    if len(cloud.data) > MAX_ASCII_BYTES and _ASCII_HEADER.search(cloud.data, 0, _HEADER_BYTES):
-        raise TooLarge(f"an ASCII cloud may have {MAX_ASCII_BYTES} bytes; send the binary form of the format")
+    if len(cloud.data) > limits.ASCII_CLOUD_BYTES and _ASCII_HEADER.search(cloud.data, 0, _HEADER_BYTES):
+        raise TooLarge(f"an ASCII cloud may have {limits.ASCII_CLOUD_BYTES} bytes; send the binary form of the format")
     return decode_cloud(cloud.data, cloud.content_type)

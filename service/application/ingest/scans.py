@@ -16,13 +16,14 @@ from revisit.core.scan import CloudReport, Scan
 from revisit.service.application.catalogue.maps import require_map
 from revisit.service.application.catalogue.session_lookup import require_active, require_session
 from revisit.service.application.catalogue.submaps import PostedSubmap
+from revisit.service.application.contract import limits
 from revisit.service.application.contract.context import Context
 from revisit.service.application.contract.errors import NotFound, SequenceGap
 from revisit.service.application.contract.identity import SessionKey, TenantId
 from revisit.service.application.contract.ports import UnitOfWork
 from revisit.service.application.contract.poses import pose_matrix, pose_row
 from revisit.service.application.contract.records import ScanRecord, SessionRecord
-from revisit.service.application.ingest.clouds import CLOUD_BLOB, MAX_SCAN_POINTS, CloudInput, accept_cloud, pack_cloud
+from revisit.service.application.ingest.clouds import CLOUD_BLOB, CloudInput, accept_cloud, pack_cloud
 from revisit.service.application.ingest.scan_windows import Window, advance
 from revisit.service.application.ingest.window_submaps import add_window_submap, window_of
 from revisit.service.failpoints import failpoint
@@ -120,8 +121,7 @@ class Scans:
         RateLimited, Draining, StorageFull, StorageUncertain.
         """
         self._context.admit_data()
-        if command.seq < 1 or command.seq >= 2**63:
-            raise BadField("seq counts from 1", field="seq")
+        limits.SCAN_SEQ.validated(command.seq, "seq")
         session = await self._context.read(lambda uow: require_session(uow, tenant, command.session))
         if _is_replay(session, command.seq):
             return ScanAck(session.committed_seq, replay=True, report=None, submap=None)
@@ -166,7 +166,7 @@ class Scans:
 
 
 def _accept(command: AppendScan) -> _Accepted:
-    cloud, report = accept_cloud(command.cloud, MAX_SCAN_POINTS)
+    cloud, report = accept_cloud(command.cloud, limits.SCAN_POINTS)
     scan = Scan.validated(cloud.points, command.T_odom_sensor, command.stamp_ns)
     return _Accepted(command.seq, scan, pack_cloud(cloud), report)
 

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import asyncio
-import math
 import time
 from dataclasses import dataclass
 
-from revisit.core.errors import BadField
 from revisit.service.application.catalogue.maps import require_map
+from revisit.service.application.contract import limits
 from revisit.service.application.contract.context import Context
 from revisit.service.application.contract.errors import SeqNotReached
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.ports import UnitOfWork
 
-MAX_WAIT_S = 60.0
+MAX_WAIT_S = limits.WAIT_S.most
 DEFAULT_WAIT_S = 10.0
-_LARGEST_SEQ = 2**63 - 1
 _POLL_S = (0.005, 0.25)
 
 
@@ -33,10 +31,8 @@ class Freshness:
 
     def validated(self) -> Freshness:
         """Itself. Raises BadField."""
-        if not 0 <= self.min_seq <= _LARGEST_SEQ:
-            raise BadField("min_seq must be in 0..2^63 - 1", field="min_seq")
-        if not (math.isfinite(self.timeout_s) and 0.0 <= self.timeout_s <= MAX_WAIT_S):
-            raise BadField(f"min_seq_timeout_s must be in 0..{MAX_WAIT_S:g}", field="min_seq_timeout_s")
+        limits.MIN_SEQ.validated(self.min_seq, "min_seq")
+        limits.WAIT_S.validated(self.timeout_s, "min_seq_timeout_s")
         return self
 
 

@@ -10,6 +10,7 @@ from enum import StrEnum
 from typing import Any
 
 from revisit.service.application.catalogue.paging import Page, PageRequest, page_of
+from revisit.service.application.contract import limits
 from revisit.service.application.contract.context import Context
 from revisit.service.application.contract.errors import NotFound
 from revisit.service.application.contract.identity import TenantId
@@ -17,7 +18,6 @@ from revisit.service.application.contract.origin import current_origin
 from revisit.service.application.contract.ports import UnitOfWork
 from revisit.service.application.contract.records import JobRecord
 
-MAX_WAIT_S = 60.0
 SUBMAP_DELETED = {"outcome": "the submap was deleted"}
 """The result of a job whose submap is gone."""
 
@@ -102,7 +102,7 @@ class Operations:
 
         Returns early, as it stands, when the service stops.
         """
-        deadline = time.monotonic() + min(max(timeout_s, 0.0), MAX_WAIT_S)
+        deadline = time.monotonic() + min(max(timeout_s, 0.0), limits.WAIT_S.most)
         pause = _POLL_S[0]
         while True:
             operation = await self.get(tenant, operation_id)

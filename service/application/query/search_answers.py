@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from revisit.core.errors import BadField
 from revisit.core.geometry.se3 import Matrix4
-from revisit.service.application.contract.identity import SubmapKey
+from revisit.service.application.contract import limits
+from revisit.service.application.contract.identity import SessionKey, SubmapKey
 from revisit.service.application.contract.poses import pose_matrix, pose_row
-
-MAX_K = 100
-MAX_RADIUS_M = 1e6
 
 
 @dataclass(frozen=True)
@@ -66,28 +63,32 @@ class LocalizedCandidate:
 class Localization:
     """The best verified candidate, if any, and all that were compared.
 
-    `T_map_query` (4, 4) is the cloud's pose in the odometry frame of the best candidate's session.
+    `T_odom_query` (4, 4) maps points of the cloud into the odometry frame of `session`.
     """
 
     best: LocalizedCandidate | None
-    T_map_query: Matrix4 | None
+    T_odom_query: Matrix4 | None
     candidates: tuple[LocalizedCandidate, ...]
+
+    @property
+    def session(self) -> SessionKey | None:
+        """The session of the best candidate."""
+        return None if self.best is None else self.best.submap.session
 
 
 def validated_criteria(criteria: SearchCriteria) -> SearchCriteria:
     """`criteria` if they can be searched for. Raises BadField."""
-    if not 1 <= criteria.k <= MAX_K:
-        raise BadField(f"k must be in 1..{MAX_K}", field="k")
+    limits.K.validated(criteria.k, "k")
     if (criteria.prior_position_m is None) != (criteria.radius_m is None):
         raise BadField("a prior position and a radius go together", field="radius_m")
-    if criteria.radius_m is not None and not 0.0 < criteria.radius_m <= MAX_RADIUS_M:
-        raise BadField(f"radius_m must be in 0..{MAX_RADIUS_M:g}, without 0", field="radius_m")
-    if criteria.prior_position_m is not None and not all(math.isfinite(value) for value in criteria.prior_position_m):
-        raise BadField("the prior position must be finite", field="prior_position_m")
-    if criteria.min_similarity is not None and not -1.0 <= criteria.min_similarity <= 1.0:
-        raise BadField("min_similarity must be in -1..1", field="min_similarity")
-    if criteria.min_index_gap is not None and criteria.min_index_gap < 0:
-        raise BadField("min_index_gap must not be negative", field="min_index_gap")
+    if criteria.radius_m is not None:
+        limits.RADIUS_M.validated(criteria.radius_m, "radius_m")
+    for coordinate in criteria.prior_position_m or ():
+        limits.PRIOR_COORDINATE_M.validated(coordinate, "prior_position_m")
+    if criteria.min_similarity is not None:
+        limits.MIN_SIMILARITY.validated(criteria.min_similarity, "min_similarity")
+    if criteria.min_index_gap is not None:
+        limits.MIN_INDEX_GAP.validated(criteria.min_index_gap, "min_index_gap")
     return criteria
 
 
@@ -118,7 +119,7 @@ def localization_to_json(localization: Localization) -> dict[str, Any]:
     best = localization.best
     return {
         "best": None if best is None else localization.candidates.index(best),
-        "T_map_query": None if localization.T_map_query is None else pose_row(localization.T_map_query),
+        "T_odom_query": None if localization.T_odom_query is None else pose_row(localization.T_odom_query),
         "candidates": [_candidate_to_json(candidate) for candidate in localization.candidates],
     }
 
@@ -128,7 +129,7 @@ def localization_from_json(data: dict[str, Any]) -> Localization:
     candidates = tuple(_candidate_from_json(candidate) for candidate in data["candidates"])
     return Localization(
         best=None if data["best"] is None else candidates[data["best"]],
-        T_map_query=None if data["T_map_query"] is None else pose_matrix(tuple(data["T_map_query"])),
+        T_odom_query=None if data["T_odom_query"] is None else pose_matrix(tuple(data["T_odom_query"])),
         candidates=candidates,
     )
 

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from revisit.core.errors import BadField, DescriptorModelMismatch
 from revisit.service.application.catalogue.maps import require_map
 from revisit.service.application.catalogue.submaps import require_submap
+from revisit.service.application.contract import limits
 from revisit.service.application.contract.context import Context
 from revisit.service.application.contract.errors import DeadlineExceeded, NotReady, error_of
 from revisit.service.application.contract.identity import SubmapKey, TenantId
 from revisit.service.application.contract.ports import UnitOfWork, VectorFilter
 from revisit.service.application.contract.records import MapRecord, SubmapRecord
 from revisit.service.application.ingest.clouds import (
-    MAX_SUBMAP_POINTS,
     QUERY_CLOUD_BLOB,
     QUERY_NONCE_BYTES,
     CloudInput,
@@ -170,7 +170,7 @@ def _accept(cloud: CloudInput) -> tuple[bytes, int]:
 
     With a nonce the same cloud asked twice is two blobs, each deleted with its own answer.
     """
-    accepted, _ = accept_cloud(cloud, MAX_SUBMAP_POINTS)
+    accepted, _ = accept_cloud(cloud, limits.SUBMAP_POINTS)
     return secrets.token_bytes(QUERY_NONCE_BYTES) + pack_cloud(accepted), len(accepted.points)
 
 

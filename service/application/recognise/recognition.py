@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import structlog
 
+from revisit.core.candidates import candidate_policy
 from revisit.core.config import PipelineConfig
 from revisit.core.errors import DataLoss, DescriptorModelMismatch, ErrorCode, RevisitError
 from revisit.core.scan import Scan
@@ -231,11 +232,12 @@ class Recognition:
 
 def _loop_filter(submap: SubmapRecord, config: PipelineConfig) -> VectorFilter:
     """Any submap of the map but itself and its neighbours in its own session (paper IV-B)."""
+    policy = candidate_policy(submap.session_number, submap.ordinal, config.loop)
     return VectorFilter(
         exclude_submap=submap.number,
-        near_session=submap.session_number,
-        near_ordinal=submap.ordinal,
-        min_gap=config.loop.min_index_gap,
+        near_session=policy.session,
+        near_ordinal=policy.ordinal,
+        min_gap=policy.min_gap,
     )
 
 
@@ -257,6 +259,6 @@ def _localization(judged: list[JudgedPlace]) -> Localization:
         return Localization(None, None, tuple(candidates))
     best = max(accepted, key=lambda index: (candidates[index].score, -index))
     T_match_query = candidates[best].T_match_query
-    T_map_match = pose_matrix(judged[best].place.submap.T_odom_submap)
-    T_map_query = None if T_match_query is None else T_map_match @ T_match_query
-    return Localization(candidates[best], T_map_query, tuple(candidates))
+    T_odom_match = pose_matrix(judged[best].place.submap.T_odom_submap)
+    T_odom_query = None if T_match_query is None else T_odom_match @ T_match_query
+    return Localization(candidates[best], T_odom_query, tuple(candidates))

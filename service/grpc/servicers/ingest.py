@@ -10,10 +10,11 @@ from typing import Any
 from revisit.core.errors import ErrorCode, RevisitError
 from revisit.service.application import SessionKey, TenantId, UseCases
 from revisit.service.application.contract.errors import Draining, NotFound
-from revisit.service.application.ingest.scans import AppendScan, OpenedStream, ResumePoint, ScanAck
-from revisit.service.grpc import messages, names
+from revisit.service.application.ingest.scans import OpenedStream, ResumePoint, ScanAck
 from revisit.service.grpc.tenancy import tenant_of
 from revisit.service.status import STATUS, retry_after_s
+from revisit.service.wire import answers, names
+from revisit.service.wire.requests import append_scan
 from revisit.v1 import ingest_pb2 as pb
 from revisit.v1 import ingest_pb2_grpc
 
@@ -152,9 +153,7 @@ class _ScanStream:
                 await self._refuse(request.scan.seq, error)
 
     async def _append(self, scan: pb.Scan) -> ScanAck:
-        pose = messages.matrix(scan.t_odom_sensor, scan.HasField("t_odom_sensor"), "T_odom_sensor")
-        command = AppendScan(self.session, messages.seq(scan.seq), scan.stamp_ns, pose, messages.cloud(scan.cloud))
-        return await self._use_cases.scans.append(self.tenant, command, patient=True)
+        return await self._use_cases.scans.append(self.tenant, append_scan(self.session, scan), patient=True)
 
     async def _acknowledge(self, ack: ScanAck) -> None:
         submap_seq = 0 if ack.submap is None else ack.submap.submap.seq
@@ -203,7 +202,7 @@ class _ScanStream:
             async for view in self._use_cases.loops.watch(
                 self.tenant, self.session.map_id, after, self.session.session_id
             ):
-                await self._send(loop_closed=pb.LoopClosed(loop_closure=messages.loop_message(view)))
+                await self._send(loop_closed=pb.LoopClosed(loop_closure=answers.of_loop(view)))
 
     async def _send(self, **answer: Any) -> None:
         try:

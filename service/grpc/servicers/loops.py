@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from typing import Any
 
-import numpy as np
-
 from revisit.core.errors import BadField
 from revisit.service.application import TenantId, UseCases
-from revisit.service.application.query.searches import LocalizeQuery, SearchResult
-from revisit.service.grpc import messages, names
+from revisit.service.application.query.searches import SearchResult
 from revisit.service.grpc.tenancy import tenant_of
+from revisit.service.wire import answers, names, requests
 from revisit.v1 import loop_closure_pb2 as pb
 from revisit.v1 import loop_closure_pb2_grpc
 
@@ -26,34 +24,26 @@ class LoopClosureServicer(loop_closure_pb2_grpc.LoopClosureServiceServicer):
 
     async def SearchSubmaps(self, request: pb.SearchSubmapsRequest, context: Any) -> pb.SearchSubmapsResponse:
         """The submaps most like a submap, a descriptor or a cloud."""
-        return messages.search_message(await self._search(tenant_of(context), request))
+        return pb.SearchSubmapsResponse(**answers.of_search(await self._search(tenant_of(context), request)))
 
     async def Localize(self, request: pb.LocalizeRequest, context: Any) -> pb.LocalizeResponse:
         """Where in the map the cloud was taken, if the place is known."""
-        query = LocalizeQuery(
-            map_id=names.map_id(request.parent, "parent"),
-            cloud=messages.cloud(request.cloud),
-            prior_position_m=messages.position(request),
-            radius_m=messages.optional(request, "radius_m"),
-            candidates=request.candidates if request.HasField("candidates") else 10,
-        )
-        answer = await self._searches.localize(tenant_of(context), query, messages.freshness(request))
-        return messages.localize_message(answer)
+        query, fresh = requests.localize(request), requests.freshness(request)
+        answer = await self._searches.localize(tenant_of(context), query, fresh)
+        return pb.LocalizeResponse(**answers.of_localization(answer))
 
     async def GetLoopClosure(self, request: pb.GetLoopClosureRequest, context: Any) -> pb.GetLoopClosureResponse:
         """Get a loop closure."""
         view = await self._loops.get(tenant_of(context), *names.loop_key(request.name))
-        return pb.GetLoopClosureResponse(loop_closure=messages.loop_message(view))
+        return pb.GetLoopClosureResponse(loop_closure=answers.of_loop(view))
 
     async def ListLoopClosures(self, request: pb.ListLoopClosuresRequest, context: Any) -> pb.ListLoopClosuresResponse:
         """List the loop closures of a map."""
         map_id = names.map_id(request.parent, "parent")
         session_id = names.session_id_in(request.parent, request.session, "session")
-        paging, state = messages.page_request(request), messages.loop_state(request.state)
-        fresh = messages.freshness(request)
+        paging, state, fresh = requests.page(request), requests.loop_state(request.state), requests.freshness(request)
         page = await self._loops.list(tenant_of(context), map_id, paging, state, session_id, fresh)
-        items = [messages.loop_message(view) for view in page.items]
-        return pb.ListLoopClosuresResponse(loop_closures=items, next_page_token=page.next_token)
+        return pb.ListLoopClosuresResponse(**answers.of_page("loop_closures", page, answers.of_loop))
 
     async def WatchLoopClosures(
         self, request: pb.WatchLoopClosuresRequest, context: Any
@@ -62,21 +52,18 @@ class LoopClosureServicer(loop_closure_pb2_grpc.LoopClosureServiceServicer):
         map_id = names.map_id(request.parent, "parent")
         session_id = names.session_id_in(request.parent, request.session, "session")
         async for view in self._loops.watch(tenant_of(context), map_id, request.after, session_id):
-            yield pb.WatchLoopClosuresResponse(loop_closure=messages.loop_message(view))
+            yield pb.WatchLoopClosuresResponse(loop_closure=answers.of_loop(view))
 
     async def _search(self, tenant: TenantId, request: pb.SearchSubmapsRequest) -> SearchResult:
-        map_id, criteria = names.map_id(request.parent, "parent"), messages.criteria(request)
-        fresh = messages.freshness(request)
+        map_id, criteria = names.map_id(request.parent, "parent"), requests.criteria(request)
+        fresh = requests.freshness(request)
         match request.WhichOneof("query"):
             case "submap":
-                key = names.submap_key(request.submap, "submap")
-                if key.map_id != map_id:
-                    raise BadField(f"submap must be of {request.parent}", field="submap")
+                key = names.submap_key_in(request.parent, request.submap, "submap")
                 return await self._searches.by_submap(tenant, key, criteria, fresh)
             case "descriptor":
-                vector = np.asarray(request.descriptor.vector, dtype=np.float32)
-                version = request.descriptor.model_version
+                vector, version = requests.vector(request.descriptor), request.descriptor.model_version
                 return await self._searches.by_descriptor(tenant, map_id, vector, version, criteria, fresh)
             case "cloud":
-                return await self._searches.by_cloud(tenant, map_id, messages.cloud(request.cloud), criteria, fresh)
+                return await self._searches.by_cloud(tenant, map_id, requests.cloud(request.cloud), criteria, fresh)
         raise BadField("give a submap, a descriptor or a cloud", field="query")

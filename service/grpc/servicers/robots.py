@@ -6,9 +6,10 @@ from typing import Any
 
 from revisit.service.application import UseCases
 from revisit.service.application.catalogue.robots import CreateRobot
-from revisit.service.grpc import messages, names
 from revisit.service.grpc.tenancy import tenant_of
-from revisit.v1 import robot_pb2, robot_pb2_grpc
+from revisit.service.wire import answers, names, requests
+from revisit.v1 import robot_pb2 as pb
+from revisit.v1 import robot_pb2_grpc
 
 
 class RobotServicer(robot_pb2_grpc.RobotServiceServicer):
@@ -18,18 +19,17 @@ class RobotServicer(robot_pb2_grpc.RobotServiceServicer):
         """Answers from `use_cases`."""
         self._robots = use_cases.robots
 
-    async def CreateRobot(self, request: robot_pb2.CreateRobotRequest, context: Any) -> robot_pb2.CreateRobotResponse:
+    async def CreateRobot(self, request: pb.CreateRobotRequest, context: Any) -> pb.CreateRobotResponse:
         """Create a robot."""
         created = await self._robots.create(tenant_of(context), CreateRobot(request.robot_id, request.display_name))
-        return robot_pb2.CreateRobotResponse(robot=messages.robot_message(created.robot), replay=created.replay)
+        return pb.CreateRobotResponse(robot=answers.of_robot(created.robot), replay=created.replay)
 
-    async def GetRobot(self, request: robot_pb2.GetRobotRequest, context: Any) -> robot_pb2.GetRobotResponse:
+    async def GetRobot(self, request: pb.GetRobotRequest, context: Any) -> pb.GetRobotResponse:
         """Get a robot."""
         view = await self._robots.get(tenant_of(context), names.robot_id(request.name))
-        return robot_pb2.GetRobotResponse(robot=messages.robot_message(view))
+        return pb.GetRobotResponse(robot=answers.of_robot(view))
 
-    async def ListRobots(self, request: robot_pb2.ListRobotsRequest, context: Any) -> robot_pb2.ListRobotsResponse:
+    async def ListRobots(self, request: pb.ListRobotsRequest, context: Any) -> pb.ListRobotsResponse:
         """List the robots."""
-        page = await self._robots.list(tenant_of(context), messages.page_request(request))
-        items = [messages.robot_message(view) for view in page.items]
-        return robot_pb2.ListRobotsResponse(robots=items, next_page_token=page.next_token)
+        page = await self._robots.list(tenant_of(context), requests.page(request))
+        return pb.ListRobotsResponse(**answers.of_page("robots", page, answers.of_robot))

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from revisit.service.application import UseCases
-from revisit.service.application.catalogue.sessions import CreateSession
-from revisit.service.grpc import messages, names
 from revisit.service.grpc.tenancy import tenant_of
-from revisit.v1 import session_pb2, session_pb2_grpc
+from revisit.service.wire import answers, names, requests
+from revisit.v1 import session_pb2 as pb
+from revisit.v1 import session_pb2_grpc
 
 
 class SessionServicer(session_pb2_grpc.SessionServiceServicer):
@@ -18,41 +18,28 @@ class SessionServicer(session_pb2_grpc.SessionServiceServicer):
         """Answers from `use_cases`."""
         self._sessions = use_cases.sessions
 
-    async def CreateSession(
-        self, request: session_pb2.CreateSessionRequest, context: Any
-    ) -> session_pb2.CreateSessionResponse:
+    async def CreateSession(self, request: pb.CreateSessionRequest, context: Any) -> pb.CreateSessionResponse:
         """Create a session."""
-        robot_id = names.robot_id(request.robot, "robot") if request.robot else None
-        command = CreateSession(names.map_id(request.parent, "parent"), request.session_id, robot_id)
-        created = await self._sessions.create(tenant_of(context), command)
-        return session_pb2.CreateSessionResponse(
-            session=messages.session_message(created.session), replay=created.replay
-        )
+        created = await self._sessions.create(tenant_of(context), requests.create_session(request))
+        return pb.CreateSessionResponse(session=answers.of_session(created.session), replay=created.replay)
 
-    async def GetSession(self, request: session_pb2.GetSessionRequest, context: Any) -> session_pb2.GetSessionResponse:
+    async def GetSession(self, request: pb.GetSessionRequest, context: Any) -> pb.GetSessionResponse:
         """Get a session."""
         view = await self._sessions.get(tenant_of(context), names.session_key(request.name))
-        return session_pb2.GetSessionResponse(session=messages.session_message(view))
+        return pb.GetSessionResponse(session=answers.of_session(view))
 
-    async def ListSessions(
-        self, request: session_pb2.ListSessionsRequest, context: Any
-    ) -> session_pb2.ListSessionsResponse:
+    async def ListSessions(self, request: pb.ListSessionsRequest, context: Any) -> pb.ListSessionsResponse:
         """List the sessions of a map."""
         map_id = names.map_id(request.parent, "parent")
-        page = await self._sessions.list(tenant_of(context), map_id, messages.page_request(request))
-        items = [messages.session_message(view) for view in page.items]
-        return session_pb2.ListSessionsResponse(sessions=items, next_page_token=page.next_token)
+        page = await self._sessions.list(tenant_of(context), map_id, requests.page(request))
+        return pb.ListSessionsResponse(**answers.of_page("sessions", page, answers.of_session))
 
-    async def FinishSession(
-        self, request: session_pb2.FinishSessionRequest, context: Any
-    ) -> session_pb2.FinishSessionResponse:
+    async def FinishSession(self, request: pb.FinishSessionRequest, context: Any) -> pb.FinishSessionResponse:
         """Finish a session."""
         view = await self._sessions.finish(tenant_of(context), names.session_key(request.name))
-        return session_pb2.FinishSessionResponse(session=messages.session_message(view))
+        return pb.FinishSessionResponse(session=answers.of_session(view))
 
-    async def DeleteSession(
-        self, request: session_pb2.DeleteSessionRequest, context: Any
-    ) -> session_pb2.DeleteSessionResponse:
+    async def DeleteSession(self, request: pb.DeleteSessionRequest, context: Any) -> pb.DeleteSessionResponse:
         """Delete a session."""
         await self._sessions.delete(tenant_of(context), names.session_key(request.name))
-        return session_pb2.DeleteSessionResponse()
+        return pb.DeleteSessionResponse()

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from revisit.service.application import UseCases
-from revisit.service.grpc import messages
 from revisit.service.grpc.tenancy import tenant_of
-from revisit.v1 import system_pb2, system_pb2_grpc
+from revisit.service.wire import answers
+from revisit.v1 import system_pb2 as pb
+from revisit.v1 import system_pb2_grpc
 
 
 class SystemServicer(system_pb2_grpc.SystemServiceServicer):
@@ -17,6 +18,6 @@ class SystemServicer(system_pb2_grpc.SystemServiceServicer):
         """Answers from `use_cases`."""
         self._system = use_cases.system
 
-    async def GetStatus(self, _request: system_pb2.GetStatusRequest, context: Any) -> system_pb2.GetStatusResponse:
+    async def GetStatus(self, _request: pb.GetStatusRequest, context: Any) -> pb.GetStatusResponse:
         """Queue depth, index size, workers and versions."""
-        return messages.status_message(await self._system.status(tenant_of(context)))
+        return pb.GetStatusResponse(**answers.of_status(await self._system.status(tenant_of(context))))

@@ -8,34 +8,36 @@ from fastapi import APIRouter, Response
 
 from revisit.service.application.access.callers import Scope
 from revisit.service.rest.access import allows
+from revisit.service.rest.answers import Map, MapPage, answer, answers
 from revisit.service.rest.bodies import describe_json, json_body
-from revisit.service.rest.parameters import Cases, Id, Paging, Tenant, mark_replay
-from revisit.service.rest.schemas import CreateMapRequest, Map, MapPage
+from revisit.service.rest.parameters import Cases, Id, Paging, Tenant
+from revisit.service.rest.schemas import CreateMapRequest
+from revisit.service.wire.answers import of_map, of_page
 
 router = APIRouter(prefix="/v1/maps", tags=["maps"])
 
 
-@router.post("", status_code=201, openapi_extra=describe_json(CreateMapRequest), dependencies=[allows(Scope.INGEST)])
+@router.post(
+    "", **answers(Map, 201), openapi_extra=describe_json(CreateMapRequest), dependencies=[allows(Scope.INGEST)]
+)
 async def create_map(
-    body: Annotated[CreateMapRequest, json_body(CreateMapRequest)], cases: Cases, tenant: Tenant, response: Response
-) -> Map:
+    body: Annotated[CreateMapRequest, json_body(CreateMapRequest)], cases: Cases, tenant: Tenant
+) -> Response:
     """Create a map. The same id with the same content answers again; with other content it is a conflict."""
     created = await cases.maps.create(tenant, body.command())
-    mark_replay(response, created.replay)
-    return Map.of(created.map)
+    return answer(Map, of_map(created.map), 201, replay=created.replay)
 
 
-@router.get("", dependencies=[allows(Scope.INGEST, Scope.QUERY)])
-async def list_maps(cases: Cases, tenant: Tenant, paging: Paging) -> MapPage:
+@router.get("", **answers(MapPage), dependencies=[allows(Scope.INGEST, Scope.QUERY)])
+async def list_maps(cases: Cases, tenant: Tenant, paging: Paging) -> Response:
     """List the maps, oldest first."""
-    page = await cases.maps.list(tenant, paging)
-    return MapPage(maps=[Map.of(view) for view in page.items], next_page_token=page.next_token)
+    return answer(MapPage, of_page("maps", await cases.maps.list(tenant, paging), of_map))
 
 
-@router.get("/{map_id}", dependencies=[allows(Scope.INGEST, Scope.QUERY)])
-async def get_map(map_id: Id, cases: Cases, tenant: Tenant) -> Map:
+@router.get("/{map_id}", **answers(Map), dependencies=[allows(Scope.INGEST, Scope.QUERY)])
+async def get_map(map_id: Id, cases: Cases, tenant: Tenant) -> Response:
     """Get a map."""
-    return Map.of(await cases.maps.get(tenant, map_id))
+    return answer(Map, of_map(await cases.maps.get(tenant, map_id)))
 
 
 @router.delete("/{map_id}", status_code=204, dependencies=[allows(Scope.ADMIN)])

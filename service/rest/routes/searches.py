@@ -5,15 +5,17 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from fastapi import APIRouter, Depends, Query
+from fastapi import APIRouter, Depends, Query, Response
 from starlette.requests import Request
 
 from revisit.core.errors import BadField
 from revisit.service.application import UseCases
 from revisit.service.application.access.callers import Scope
-from revisit.service.application.contract.identity import SubmapKey, TenantId
+from revisit.service.application.contract import limits
+from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.query.searches import Freshness, LocalizeQuery, SearchCriteria, SearchResult
 from revisit.service.rest.access import allows
+from revisit.service.rest.answers import LocalizeAnswer, SearchAnswer, answer, answers
 from revisit.service.rest.bodies import (
     CLOUD_BODY,
     CLOUD_CONTENT,
@@ -31,10 +33,11 @@ from revisit.service.rest.parameters import (
     Prior,
     RadiusM,
     Tenant,
-    criteria_of_body,
     criteria_of_query,
 )
-from revisit.service.rest.schemas import LocalizeAnswer, SearchAnswer, SearchRequest
+from revisit.service.rest.schemas import SearchRequest, bounds
+from revisit.service.wire import names
+from revisit.service.wire.answers import of_localization, of_search
 
 router = APIRouter(prefix="/v1/maps", tags=["searches"])
 
@@ -50,7 +53,12 @@ _SEARCH_BODY = {
 }
 
 
-@router.post("/{map_id}/submaps:search", openapi_extra=_SEARCH_BODY, dependencies=[allows(Scope.QUERY)])
+@router.post(
+    "/{map_id}/submaps:search",
+    **answers(SearchAnswer),
+    openapi_extra=_SEARCH_BODY,
+    dependencies=[allows(Scope.QUERY)],
+)
 async def search_submaps(
     map_id: Id,
     request: Request,
@@ -58,16 +66,18 @@ async def search_submaps(
     fresh: Fresh,
     cases: Cases,
     tenant: Tenant,
-) -> SearchAnswer:
+) -> Response:
     """The submaps most like a submap, a descriptor or a cloud."""
     if media_type(request) == "application/json":
         body = parse_json(await json_bytes(request), SearchRequest, limits_of(request))
-        return SearchAnswer.of(await _search_by_json(cases, tenant, map_id, body))
+        return answer(SearchAnswer, of_search(await _search_by_json(cases, tenant, map_id, body)))
     cloud = await cloud_body(request)
-    return SearchAnswer.of(await cases.searches.by_cloud(tenant, map_id, cloud, criteria, fresh))
+    return answer(SearchAnswer, of_search(await cases.searches.by_cloud(tenant, map_id, cloud, criteria, fresh)))
 
 
-@router.post("/{map_id}:localize", openapi_extra=CLOUD_BODY, dependencies=[allows(Scope.QUERY)])
+@router.post(
+    "/{map_id}:localize", **answers(LocalizeAnswer), openapi_extra=CLOUD_BODY, dependencies=[allows(Scope.QUERY)]
+)
 async def localize(
     map_id: Id,
     cloud: Cloud,
@@ -76,11 +86,11 @@ async def localize(
     prior: Prior,
     fresh: Fresh,
     radius_m: RadiusM = None,
-    candidates: Annotated[int, Query(ge=1, le=100)] = 10,
-) -> LocalizeAnswer:
+    candidates: Annotated[int, Query(**bounds(limits.LOCALIZE_CANDIDATES))] = 10,
+) -> Response:
     """Where in the map was this cloud taken? No match is an answer, not an error."""
     query = LocalizeQuery(map_id, cloud, prior, radius_m, candidates)
-    return LocalizeAnswer.of(await cases.searches.localize(tenant, query, fresh))
+    return answer(LocalizeAnswer, of_localization(await cases.searches.localize(tenant, query, fresh)))
 
 
 async def _search_by_json(cases: UseCases, tenant: TenantId, map_id: str, body: SearchRequest) -> SearchResult:
@@ -88,16 +98,9 @@ async def _search_by_json(cases: UseCases, tenant: TenantId, map_id: str, body: 
         raise BadField("give either submap or descriptor", field="submap")
     fresh = Freshness(body.min_seq, body.min_seq_timeout_s)
     if body.submap is not None:
-        return await cases.searches.by_submap(tenant, _submap_of(map_id, body.submap), criteria_of_body(body), fresh)
+        key = names.submap_key_in(f"maps/{map_id}", body.submap, "submap")
+        return await cases.searches.by_submap(tenant, key, body.criteria(), fresh)
     if body.model_version is None:
         raise BadField("a descriptor needs its model_version", field="model_version")
     vector = np.asarray(body.descriptor, dtype=np.float32)
-    criteria = criteria_of_body(body)
-    return await cases.searches.by_descriptor(tenant, map_id, vector, body.model_version, criteria, fresh)
-
-
-def _submap_of(map_id: str, name: str) -> SubmapKey:
-    match name.split("/"):
-        case ["maps", of_map, "sessions", session_id, "submaps", submap_id] if of_map == map_id:
-            return SubmapKey(map_id, session_id, submap_id)
-    raise BadField(f"submap must be maps/{map_id}/sessions/SESSION/submaps/SUBMAP", field="submap")
+    return await cases.searches.by_descriptor(tenant, map_id, vector, body.model_version, body.criteria(), fresh)

@@ -9,22 +9,14 @@ from fastapi import APIRouter, Depends, Query, Response
 
 from revisit.service.application.access.callers import Scope
 from revisit.service.application.catalogue.submaps import DownloadKind, PostSubmap
+from revisit.service.application.contract import limits
 from revisit.service.application.contract.identity import SubmapKey
 from revisit.service.application.query.downloads import MEDIA_TYPES
 from revisit.service.rest.access import allows
+from revisit.service.rest.answers import Posted, Submap, SubmapPage, answer, answers
 from revisit.service.rest.bodies import ANY_BINARY, CLOUD_BODY
-from revisit.service.rest.parameters import (
-    Cases,
-    Cloud,
-    Paging,
-    PoseOfSubmap,
-    SessionOf,
-    StampNs,
-    SubmapOf,
-    Tenant,
-    mark_replay,
-)
-from revisit.service.rest.schemas import Posted, Submap, SubmapPage
+from revisit.service.rest.parameters import Cases, Cloud, Paging, PoseOfSubmap, SessionOf, StampNs, SubmapOf, Tenant
+from revisit.service.wire.answers import of_page, of_posted, of_submap
 
 router = APIRouter(prefix="/v1/maps/{map_id}/sessions/{session_id}/submaps", tags=["submaps"])
 
@@ -58,29 +50,31 @@ async def _job_admitted(cases: Cases, tenant: Tenant) -> None:
     await cases.system.admit_job(tenant)
 
 
-@router.post("", status_code=202, openapi_extra=CLOUD_BODY, dependencies=[allows(Scope.INGEST), Depends(_job_admitted)])
+@router.post(
+    "",
+    **answers(Posted, 202),
+    openapi_extra=CLOUD_BODY,
+    dependencies=[allows(Scope.INGEST), Depends(_job_admitted)],
+)
 async def post_submap(
     key: SessionOf,
-    submap_id: Annotated[str, Query(max_length=64)],
+    submap_id: Annotated[str, Query(max_length=limits.ID_CHARACTERS)],
     stamp_ns: StampNs,
     T_odom_submap: PoseOfSubmap,
     cloud: Cloud,
     cases: Cases,
     tenant: Tenant,
-    response: Response,
-) -> Posted:
+) -> Response:
     """Store a submap durably and queue its description; wait for the operation of the answer."""
     command = PostSubmap(SubmapKey(key.map_id, key.session_id, submap_id), T_odom_submap, stamp_ns, cloud)
     posted = await cases.submaps.post(tenant, command)
-    mark_replay(response, posted.replay)
-    return Posted.of(posted)
+    return answer(Posted, of_posted(posted), 202, replay=posted.replay)
 
 
-@router.get("", dependencies=[allows(Scope.INGEST, Scope.QUERY)])
-async def list_submaps(key: SessionOf, cases: Cases, tenant: Tenant, paging: Paging) -> SubmapPage:
+@router.get("", **answers(SubmapPage), dependencies=[allows(Scope.INGEST, Scope.QUERY)])
+async def list_submaps(key: SessionOf, cases: Cases, tenant: Tenant, paging: Paging) -> Response:
     """List the submaps of a session in their order."""
-    page = await cases.submaps.list(tenant, key, paging)
-    return SubmapPage(submaps=[Submap.of(view) for view in page.items], next_page_token=page.next_token)
+    return answer(SubmapPage, of_page("submaps", await cases.submaps.list(tenant, key, paging), of_submap))
 
 
 @router.get(
@@ -99,10 +93,10 @@ async def download_submap(
     return Response(download.data, media_type=download.media_type, headers=headers)
 
 
-@router.get("/{submap_id}", dependencies=[allows(Scope.INGEST, Scope.QUERY)])
-async def get_submap(key: SubmapOf, cases: Cases, tenant: Tenant, view: View = View.BASIC) -> Submap:
+@router.get("/{submap_id}", **answers(Submap), dependencies=[allows(Scope.INGEST, Scope.QUERY)])
+async def get_submap(key: SubmapOf, cases: Cases, tenant: Tenant, view: View = View.BASIC) -> Response:
     """Get a submap; FULL adds its descriptor."""
-    return Submap.of(await cases.submaps.get(tenant, key, full=view is View.FULL))
+    return answer(Submap, of_submap(await cases.submaps.get(tenant, key, full=view is View.FULL)))
 
 
 @router.delete("/{submap_id}", status_code=204, dependencies=[allows(Scope.ADMIN)])

@@ -9,8 +9,9 @@ from fastapi.responses import FileResponse, JSONResponse
 
 from revisit.service.application.access.callers import Scope
 from revisit.service.rest.access import PUBLIC, allows
+from revisit.service.rest.answers import Status, answer, answers
 from revisit.service.rest.parameters import Cases, Tenant
-from revisit.service.rest.schemas import Status
+from revisit.service.wire.answers import of_status
 
 WEB = Path(__file__).resolve().parents[2] / "web"
 
@@ -39,10 +40,10 @@ async def version(cases: Cases, tenant: Tenant) -> dict[str, str | None]:
     return {"version": status.version, "model_version": status.model_version}
 
 
-@router.get("/v1/status", dependencies=[allows(Scope.INGEST, Scope.QUERY)])
-async def get_status(cases: Cases, tenant: Tenant) -> Status:
+@router.get("/v1/status", **answers(Status), dependencies=[allows(Scope.INGEST, Scope.QUERY)])
+async def get_status(cases: Cases, tenant: Tenant) -> Response:
     """Queue depth, index size, workers and versions."""
-    return Status.of(await cases.system.status(tenant))
+    return answer(Status, of_status(await cases.system.status(tenant)))
 
 
 def _serve(path: str, file: str, media_type: str) -> None:

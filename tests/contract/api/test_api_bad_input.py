@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import struct
 
 import numpy as np
@@ -10,6 +11,9 @@ import pytest
 
 from revisit import ApiError, Cloud
 from revisit.formats import KITTI, NPY, PCD, PLY, POINTCLOUD2, QUANTISED, encode_kitti, encode_npy, encode_quantised
+from revisit.sdk.errors import InvalidArgument
+from revisit.sdk.messages import cloud_message
+from revisit.v1 import map_pb2, submap_pb2
 from tests.support.service_world import cloud_points, pose
 
 GOOD = cloud_points(1)
@@ -86,21 +90,20 @@ def test_the_same_submap_again_answers_again_and_another_cloud_is_a_conflict(cli
 
 
 BAD_POSES = {
-    "a quaternion of norm 0": ([0, 0, 0], [0, 0, 0, 0]),
-    "a quaternion of norm 1.01": ([0, 0, 0], [0, 0, 0, 1.01]),
+    "a quaternion of norm 0": {"translation": {}, "rotation": {}},
+    "a quaternion of norm 1.01": {"translation": {}, "rotation": {"w": 1.01}},
 }
 
 
 @pytest.mark.parametrize("case", BAD_POSES)
 def test_a_bad_pose_is_refused_and_nothing_is_stored(case, client, session, service):
-    translation, rotation = BAD_POSES[case]
-    bad = {
-        "translation": dict(zip("xyz", translation, strict=True)),
-        "rotation": dict(zip("xyzw", rotation, strict=True)),
-    }
+    cloud = cloud_message(Cloud(QUANTISED_GOOD, QUANTISED))
+    bad = submap_pb2.PostSubmapRequest(
+        parent=session.name, submap_id="bad", t_odom_submap=BAD_POSES[case], stamp_ns=1, cloud=cloud
+    )
     before = service.stored()
     with pytest.raises(ApiError) as refused:
-        client._transport.post_submap(session.name, "bad", bad, 1, Cloud(QUANTISED_GOOD, QUANTISED))
+        client._transport.post_submap(bad)
     assert (refused.value.code, refused.value.reason) == ("INVALID_ARGUMENT", "BAD_TRANSFORM")
     assert service.stored() == before
 
@@ -208,20 +211,46 @@ def test_a_submap_that_is_not_described_yet_has_no_mesh(client, session, service
     assert (refused.value.code, refused.value.reason) == ("FAILED_PRECONDITION", "NOT_READY")
 
 
-def test_a_foreign_page_token_is_refused(client):
-    with pytest.raises(ApiError, match="BAD_FIELD"):
-        _page_of_maps(client, "forged")
+FOREIGN_TOKENS = ["forged", "YWZ0ZXI6MQ", "!YWZ0ZXI6MQ==", "YWZ0ZXI6LTE=", "\u00e9", "YWZ0ZXI6MQ==" + "=" * 200]
 
 
-def _page_of_maps(client, token):
-    from revisit.sdk.rest_transport import RestTransport
+@pytest.mark.parametrize("token", FOREIGN_TOKENS)
+def test_a_foreign_page_token_is_refused(token, client):
+    with pytest.raises(ApiError) as refused:
+        list(client._transport.list("maps", map_pb2.ListMapsRequest(page_token=token)))
+    assert (refused.value.reason, refused.value.field) == ("BAD_FIELD", "page_token")
 
-    transport = client._transport
-    if isinstance(transport, RestTransport):
-        return transport._json("GET", "/v1/maps", params={"page_token": token})
-    from revisit.v1 import map_pb2, map_pb2_grpc
 
-    return transport._answer(map_pb2_grpc.MapServiceStub, "ListMaps", map_pb2.ListMapsRequest(page_token=token))
+@pytest.mark.parametrize("page_size", [-1, 501])
+def test_a_page_size_out_of_bounds_is_refused(page_size, client):
+    with pytest.raises(ApiError) as refused:
+        list(client._transport.list("maps", map_pb2.ListMapsRequest(page_size=page_size)))
+    assert (refused.value.reason, refused.value.field) == ("BAD_FIELD", "page_size")
+
+
+MISTYPED = {
+    "an unknown state of loops": ("state", lambda client, town: client.loop_closures(town, state="CLOSED")),
+    "an unknown state of operations": ("state", lambda client, town: client.list_operations(state="ACCEPTED")),
+    "an unknown criterion": ("min_similarty", lambda client, town: client.search(town, points=GOOD, min_similarty=0.5)),
+    "text for a number": ("radius_m", lambda client, town: client.search(town, points=GOOD, radius_m="near")),
+    "no number": ("min_similarity", lambda client, town: client.search(town, points=GOOD, min_similarity=math.nan)),
+    "half a submap": ("k", lambda client, town: client.search(town, points=GOOD, k=1.5)),
+    "more than an integer holds": ("k", lambda client, town: client.search(town, points=GOOD, k=2**40)),
+    "two coordinates": (
+        "prior_position_m",
+        lambda c, m: c.localize(m, GOOD, prior_position_m=[1, 2], radius_m=1),
+    ),
+    "an unknown format": ("format", lambda client, town: client.download(f"{town}/sessions/monday/submaps/a", "las")),
+    "less than no gap": ("min_index_gap", lambda client, town: client.create_map("gap", min_index_gap=-1)),
+}
+
+
+@pytest.mark.parametrize("case", MISTYPED)
+def test_what_is_mistyped_is_named_alike_over_both_transports(case, client, session, town):
+    field, call = MISTYPED[case]
+    with pytest.raises(InvalidArgument) as refused:
+        call(client, town)
+    assert (refused.value.reason, refused.value.field) == ("BAD_FIELD", field)
 
 
 def test_a_failed_operation_says_why(client, session):

@@ -101,6 +101,8 @@ STRANGE_JSON = {
     "a NUL": (b'{"map_id": "a\\u0000"}', 422),
     "nothing": (b"", 400),
     "400 KB of wrong items": (json.dumps({"map_id": "x", **{f"f{n}": n for n in range(30_000)}}).encode(), 422),
+    "an unknown rule for loops": (b'{"map_id": "x", "loop_policy": {"min_scor": 0.5}}', 422),
+    "a rule for loops out of bounds": (b'{"map_id": "x", "loop_policy": {"min_score": 1.5}}', 422),
     "control characters in a label": (b'{"map_id": "x", "display_name": "a\\r\\n\\u001b[31m"}', 422),
 }
 

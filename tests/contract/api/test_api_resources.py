@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import io
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
 
 from revisit.core.geometry import se3
-from revisit.sdk.errors import AlreadyExists, NotFound
+from revisit.sdk.errors import AlreadyExists, InvalidArgument, NotFound
+from revisit.sdk.resources import LoopPolicy
 from tests.support.service_world import cloud_points, pose
 
 EXACT = {"rtol": 0, "atol": 1e-12}
@@ -23,6 +25,20 @@ def test_a_map_is_read_back_as_it_was_created(client):
     assert client.get_map(made.name) == made
     assert (made.display_name, made.tau_m, made.min_index_gap) == ("The yard", 12.5, 7)
     assert made in client.list_maps()
+
+
+def test_a_map_has_its_own_rules_for_loops_and_those_of_the_service_for_the_rest(client):
+    usual = client.create_map(f"usual-{id(client)}").loop_policy
+    own = client.create_map(f"strict-{id(client)}", loop_policy=LoopPolicy(candidates=3, min_score=0.75))
+    assert None not in astuple(usual) and usual.min_score != 0.75
+    assert own.loop_policy == replace(usual, candidates=3, min_score=0.75)
+    assert client.get_map(own.name) == own
+    never = client.create_map(f"never-{id(client)}", loop_policy=LoopPolicy(max_seen_through=0.0))
+    assert never.loop_policy.max_seen_through == 0.0
+    for bad in (LoopPolicy(candidates=0), LoopPolicy(min_overlap=1.01), LoopPolicy(min_score=-0.5)):
+        with pytest.raises(InvalidArgument) as refused:
+            client.create_map("bad", loop_policy=bad)
+        assert refused.value.field.startswith("loop_policy.")
 
 
 def test_the_same_create_again_answers_again_and_other_content_is_a_conflict(client, session, town):
@@ -109,14 +125,15 @@ def test_a_cloud_is_localised_in_the_map_it_was_taken_in(client, session, town):
     found = client.localize(town, cloud_points(1))
     assert found.best is not None
     assert found.best.submap == f"{session.name}/submaps/a"
+    assert found.session == session.name
     # The fake recogniser aligns with 1 m along x; the submap stands at 1 m.
-    np.testing.assert_allclose(found.T_map_query, pose(2.0), **EXACT)
+    np.testing.assert_allclose(found.T_odom_query, pose(2.0), **EXACT)
 
 
 def test_an_unknown_place_is_an_answer_and_no_error(client, session, town):
     client.wait(post(client, session, place=1), timeout_s=20)
     lost = client.localize(town, cloud_points(2))
-    assert lost.best is None
+    assert (lost.best, lost.T_odom_query, lost.session) == (None, None, None)
     assert {candidate.reason for candidate in lost.candidates} == {"TOO_DIFFERENT"}
     assert client.localize(client.create_map(f"{town[5:]}-empty"), cloud_points(2)).candidates == ()
     assert client.search(f"{town}-empty", points=cloud_points(2)) == []

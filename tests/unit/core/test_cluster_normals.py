@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from revisit.core.clusters import Clusters
-from revisit.core.config import MicroConfig
+from revisit.core.config import Evaluation, MicroConfig
 from revisit.core.micro.cluster_normals import angular_histogram, describe_clusters, regional_means, sphere_regions
 from revisit.core.micro.saliency import Saliency, weigh_clusters
 from revisit.core.surface import Surface
@@ -60,8 +60,8 @@ def test_a_region_has_the_mean_normal_of_its_points() -> None:
     np.testing.assert_allclose(places[0], [1, 0.105, 0.1])
 
 
-@pytest.mark.parametrize("evaluation", ["keypoint", "cluster"])
-def test_a_flat_wall_has_only_angles_near_zero(evaluation: str) -> None:
+@pytest.mark.parametrize("evaluation", list(Evaluation))
+def test_a_flat_wall_has_only_angles_near_zero(evaluation: Evaluation) -> None:
     surface, clusters = two_walls()
     config = MicroConfig(evaluation=evaluation, distance_bins=1)
     keypoints = np.array([[0, 4], [4, 20]], dtype=np.float32)

@@ -10,11 +10,13 @@ import torch
 
 from revisit.core.config import ImplicitMapConfig, SurfaceConfig
 from revisit.core.errors import DataLoss, DescriptorModelMismatch
-from revisit.core.implicit_map import DecoderWeights, NeuralMap, fit_implicit_map, voxel_hash
+from revisit.core.implicit_map import DecoderWeights, NeuralMap, fit_implicit_map
 from revisit.core.implicit_map.decoder import orientations
 from revisit.core.implicit_map.fitting import sdf_loss
 from revisit.core.implicit_map.neural_points import ElasticAccumulator
 from revisit.core.implicit_map.samples import draw_samples
+from revisit.core.kernels.nearest_points import nearest_points
+from revisit.core.kernels.voxel_table import table_of, voxels_of
 from revisit.core.model_bundle import load_packaged_models
 from revisit.core.submap import Submap
 from revisit.core.surface import extract_surface
@@ -117,7 +119,7 @@ def test_gradient_steps_lower_the_loss_on_the_training_samples(make_drive, shape
     for steps in (0, 10):
         field = fit(submap, dataclasses.replace(CONFIG, steps=steps))
         origins = submap.origins[submap.scan_index]
-        samples = draw_samples(submap.points, origins, field.points, field.slots, CONFIG, np.random.default_rng(9))
+        samples = draw_samples(submap.points, origins, field.points, field.table, CONFIG, np.random.default_rng(9))
         distance, nearest = field.sdf(samples.positions)
         known = np.isfinite(nearest)
         predicted, labels = torch.from_numpy(distance[known]), torch.from_numpy(samples.labels[known])
@@ -138,8 +140,8 @@ def test_nearest_neural_points_agree_with_brute_force():
     cells = np.unique(rng.integers(-10, 10, (2000, 3)), axis=0)
     positions = ((cells + rng.uniform(0.05, 0.95, cells.shape)) * 0.4).astype(np.float32)
     queries = rng.uniform(-3.5, 3.5, (500, 3)).astype(np.float32)
-    slots = voxel_hash.build_table(positions, 0.4)
-    indices, squared = voxel_hash.nearest(queries, positions, slots, 0.4, 6, 2)
+    table = table_of(voxels_of(positions, 0.4))
+    indices, squared = nearest_points(queries, positions, table, 0.4, 6, 2)
     gaps = ((queries[:, None] - positions) ** 2).sum(axis=2)
     order = np.argsort(gaps, axis=1)[:, :6]
     expected = np.take_along_axis(gaps, order, axis=1)
@@ -149,19 +151,8 @@ def test_nearest_neural_points_agree_with_brute_force():
     assert np.allclose(squared[within], expected[within], atol=1e-5)
 
 
-def test_a_return_far_from_the_stored_point_evicts_it():
-    accumulator = ElasticAccumulator(resolution=0.4, eviction_distance=0.1)
-    origin = np.zeros(3, dtype=np.float32)
-    accumulator.insert(np.array([[1.02, 1.02, 1.02]], dtype=np.float32), origin, 0)
-    accumulator.insert(np.array([[1.15, 1.15, 1.15]], dtype=np.float32), origin, 3)
-    points = accumulator.finish()
-    assert len(points) == 1
-    assert np.allclose(points.positions, 1.15)
-    assert (points.created[0], points.updated[0], points.hits[0]) == (3, 3, 1)
-
-
 def test_a_neural_point_moves_to_the_mean_of_its_returns_and_remembers_when():
-    accumulator = ElasticAccumulator(resolution=0.4, eviction_distance=0.7)
+    accumulator = ElasticAccumulator(resolution=0.4)
     origin = np.zeros(3, dtype=np.float32)
     accumulator.insert(np.array([[1.0, 1.0, 1.0], [1.1, 1.0, 1.0]], dtype=np.float32), origin, 2)
     accumulator.insert(np.array([[1.1, 1.1, 1.0]], dtype=np.float32), origin, 5)

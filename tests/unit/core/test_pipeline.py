@@ -14,10 +14,11 @@ from revisit.core.descriptor.vlad import folded_size
 from revisit.core.errors import DegenerateCloud, DescriptorModelMismatch
 from revisit.core.geometry import se3
 from revisit.core.model_bundle import load_packaged_models
-from revisit.core.pipeline import Ablation, DescribedPlace, describe, verify
+from revisit.core.pipeline import DescribedPlace, DescribedSurface, describe, verify
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
-from revisit.core.verification.verdict import RejectedLoop, VerifiedLoop
+from revisit.core.verification import RejectedLoop, VerifiedLoop
+from revisit.evaluation.ablation import Ablation, describe_ablated
 
 CONFIG = PipelineConfig()
 
@@ -45,7 +46,7 @@ def seen_from(make_drive, shapes):
     def submap_of(seed: int) -> Submap:
         return make_drive(lambda _: town(shapes, seed), scans=5)
 
-    def describe_turned(seed: int, T_turned_submap=None, **options) -> tuple[DescribedPlace, Submap]:
+    def describe_turned(seed: int, T_turned_submap=None, **options) -> tuple[DescribedSurface, Submap]:
         submap, turn = submap_of(seed), np.eye(4) if T_turned_submap is None else T_turned_submap
         turned = dataclasses.replace(
             submap,
@@ -53,7 +54,7 @@ def seen_from(make_drive, shapes):
             origins=se3.apply(turn, submap.origins).astype(np.float32),
             T_odom_submap=submap.T_odom_submap @ se3.inverse(turn),
         )
-        return describe(turned, load_packaged_models(), CONFIG, **options), turned
+        return describe_ablated(turned, load_packaged_models(), CONFIG, **options), turned
 
     return describe_turned
 
@@ -63,7 +64,7 @@ def test_a_turned_and_tilted_place_is_recognised_and_aligned(seen_from):
     turn = se3.from_yaw(2.4) @ se3.exp([0, 0, 0, 0.1, -0.15, 0])
     query_place, query_submap = seen_from(1, turn)
     similarity = query_place.descriptor.similarity(map_place.descriptor)
-    verdict = verify(query_place.signature, map_place.signature, similarity, CONFIG.verification)
+    verdict = verify(query_place.place, map_place.place, similarity, CONFIG.verification)
     assert isinstance(verdict, VerifiedLoop)
     T_true = se3.inverse(map_submap.T_odom_submap) @ query_submap.T_odom_submap
     error = se3.inverse(verdict.measurement.T_match_query) @ T_true
@@ -75,13 +76,13 @@ def test_another_street_is_less_similar_and_rejected(seen_from):
     one, other, again = seen_from(1)[0], seen_from(2)[0], seen_from(1, se3.from_yaw(1.0))[0]
     assert one.descriptor.similarity(other.descriptor) < one.descriptor.similarity(again.descriptor)
     similarity = one.descriptor.similarity(other.descriptor)
-    assert isinstance(verify(one.signature, other.signature, similarity, CONFIG.verification), RejectedLoop)
+    assert isinstance(verify(one.place, other.place, similarity, CONFIG.verification), RejectedLoop)
 
 
 def test_the_same_submap_gives_the_same_bits(seen_from):
     first, second = seen_from(3)[0], seen_from(3)[0]
     assert first.descriptor.vector.tobytes() == second.descriptor.vector.tobytes()
-    assert first.signature.to_blob() == second.signature.to_blob()
+    assert first.place.to_blob() == second.place.to_blob()
     assert first.neural_map.to_blob() == second.neural_map.to_blob()
 
 
@@ -89,7 +90,7 @@ def test_the_same_submap_gives_the_same_bits(seen_from):
 def test_every_ablation_still_gives_a_unit_descriptor(seen_from, ablation):
     place, _ = seen_from(1, ablation=ablation)
     assert np.linalg.norm(place.descriptor.vector) == pytest.approx(1.0, abs=1e-5)
-    assert (place.neural_map is None) == (ablation is Ablation.NO_IMPLICIT)
+    assert isinstance(place, DescribedPlace) == (ablation is not Ablation.NO_IMPLICIT)
 
 
 def test_leaving_a_part_out_zeroes_its_share_of_the_descriptor(seen_from):
@@ -120,7 +121,7 @@ def test_a_floor_without_walls_is_flagged_and_never_a_loop(make_drive, shapes):
     floor = make_drive(lambda _: [shapes["ground"]()], scans=3)
     place = describe(floor, load_packaged_models(), CONFIG)
     assert place.flags == ("degenerate_plane",)
-    assert isinstance(verify(place.signature, place.signature, 1.0, CONFIG.verification), RejectedLoop)
+    assert isinstance(verify(place.place, place.place, 1.0, CONFIG.verification), RejectedLoop)
 
 
 def test_walls_beyond_the_birds_eye_view_are_refused_instead_of_described_by_zeros():
@@ -135,7 +136,7 @@ def test_walls_beyond_the_birds_eye_view_are_refused_instead_of_described_by_zer
 def test_the_neural_map_knows_the_frame_of_its_submap(seen_from):
     turn = se3.exp([0, 0, 0, 0.2, 0, 0])
     place, submap = seen_from(1, turn)
-    in_map = se3.apply(se3.inverse(place.neural_map.T_submap_map), submap.points[::50])
+    in_map = place.neural_map.frame.points_to_level(submap.points[::50])
     assert np.median(np.abs(place.neural_map.sdf(in_map.astype(np.float32))[0])) < 0.03
 
 
@@ -151,11 +152,11 @@ def test_a_room_described_at_its_scale_is_aligned_in_metres(seen_from):
     )
     rooms = dataclasses.replace(CONFIG, scene_scale=0.25)
     match, query = (describe(one, load_packaged_models(), rooms) for one in (small, turned))
-    verdict = verify(query.signature, match.signature, 1.0, CONFIG.verification)
+    verdict = verify(query.place, match.place, 1.0, CONFIG.verification)
     assert isinstance(verdict, VerifiedLoop)
     error = verdict.measurement.T_match_query @ turn
     assert np.linalg.norm(error[:3, 3]) < 0.04
     assert np.degrees(se3.rotation_angle(error)) < 0.6
     assert np.linalg.det(verdict.measurement.T_match_query[:3, :3]) == pytest.approx(1.0, abs=1e-6)
     with pytest.raises(DescriptorModelMismatch):
-        verify(query.signature, seen_from(1)[0].signature, 1.0, CONFIG.verification)
+        verify(query.place, seen_from(1)[0].place, 1.0, CONFIG.verification)

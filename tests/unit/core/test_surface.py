@@ -8,8 +8,9 @@ import numpy as np
 
 from revisit.core.clusters import euclidean_clusters, find_ground, segment_clusters
 from revisit.core.config import ClusterConfig, ImplicitMapConfig, SurfaceConfig
+from revisit.core.kernels.marching_cubes import polygonise
 from revisit.core.surface import Surface, surface_from_points
-from revisit.core.surface.marching_cubes import CORNERS, case_table, edge_table, polygonise
+from revisit.core.surface.marching_cubes import CORNERS, case_table, edge_table
 
 
 def cells_of_a_box(size: int) -> tuple[np.ndarray, np.ndarray]:

@@ -78,6 +78,17 @@ def test_all_that_is_copied_exists_and_is_let_through():
         assert f"!{Path(source)}" in ignored
 
 
+def test_every_folder_that_is_linked_into_the_package_is_copied_beside_it():
+    linked = {path.readlink().name for path in (ROOT / "revisit").iterdir() if path.is_symlink()}
+    assert linked == {"core", "service", "evaluation", "migrations"}
+    assert linked <= {rest.split()[0] for word, rest in instructions(DOCKERFILE) if word == "COPY"}
+
+
+def test_the_image_holds_what_the_service_needs_and_not_what_the_evaluation_needs():
+    (command,) = [rest for word, rest in instructions(DOCKERFILE) if "pip install" in rest]
+    assert re.search(r"-c constraints.txt '\.\[service\]'", command)
+
+
 def compose_service(name):
     """The text of a service, with what it merges in; no YAML parser is among the project's dependencies."""
     own = re.search(rf"^  {name}:\n((?:    .*\n|\n)+)", COMPOSE, re.MULTILINE)[1]

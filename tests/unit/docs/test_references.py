@@ -10,7 +10,7 @@ import typer
 
 from revisit.cli.app import app
 from revisit.core.errors import ErrorCode
-from revisit.core.verification.verdict import RejectionReason
+from revisit.core.verification import RejectionReason
 from revisit.service.rest.app import create_app
 from revisit.service.settings import Settings
 from revisit.v1 import (
@@ -84,6 +84,20 @@ def test_every_parameter_that_a_rejection_names_exists():
     parameters = (DOCS / "reference/parameters.md").read_text()
     assert named
     assert {name for name in named if f"| {name} |" not in parameters and f"| `{name}` |" not in parameters} == set()
+
+
+def test_every_promise_names_tests_and_all_of_them_exist():
+    rows = re.findall(r"^\| (P\d+) \|[^|]*\|([^|]*)\|", (DOCS / "reference/reliability.md").read_text(), re.MULTILINE)
+    assert [promise for promise, _ in rows] == [f"P{number}" for number in range(1, 33)]
+    named = {promise: re.findall(r"`([\w/]+(?:\.py|/))`", tests) for promise, tests in rows}
+    assert [promise for promise, tests in named.items() if not tests] == []
+    assert [test for tests in named.values() for test in tests if not has_tests(ROOT / "tests" / test)] == []
+
+
+def has_tests(path: Path) -> bool:
+    """Whether there is such a file, or folder of files, with tests in it."""
+    files = path.rglob("test_*.py") if path.is_dir() else [path]
+    return any(re.search(r"^(?:async )?def test_", file.read_text(), re.MULTILINE) for file in files if file.exists())
 
 
 @pytest.mark.parametrize("page", sorted((DOCS / "how-to").glob("*.md")) + sorted((DOCS / "tutorial").glob("*.md")))

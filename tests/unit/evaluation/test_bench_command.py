@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from revisit.cli import benchmarking
 from revisit.cli.app import app
 from revisit.evaluation import benchmark
 from revisit.evaluation.benchmark import Metric
+from revisit.evaluation.protocols import bench as recognition_bench
 from revisit.evaluation.protocols.programme import Programme, RecordedDrive
 
 GOOD = Metric("surface_error_median", 0.05, "m", "up", 0.1)
@@ -60,7 +60,7 @@ def programmes(monkeypatch: pytest.MonkeyPatch) -> list[Programme]:
         collected.append(programme)
         return [], (programme.folder / "recognition.md", programme.folder / "recognition.html")
 
-    monkeypatch.setattr(benchmarking, "run_recognition_bench", run)
+    monkeypatch.setattr(recognition_bench, "run_recognition_bench", run)
     return collected
 
 

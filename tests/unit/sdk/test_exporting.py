@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from revisit.cli.exporting import ODOMETRY_INFORMATION, Graph, as_g2o
+from revisit.cli.pose_graph_files import ODOMETRY_INFORMATION, Graph, as_g2o
 from revisit.core.geometry import se3
 from revisit.sdk.resources import LoopClosure, Submap
 

@@ -7,14 +7,15 @@ import pytest
 
 from revisit.core.errors import TooLarge
 from revisit.formats import DecodedCloud
-from revisit.service.application.ingest.clouds import MAX_SCAN_POINTS, MAX_SUBMAP_POINTS, accept_cloud
+from revisit.service.application.contract.limits import SCAN_POINTS, SUBMAP_POINTS
+from revisit.service.application.ingest.clouds import accept_cloud
 
 
 def test_the_limits_are_those_of_the_documentation():
-    assert (MAX_SCAN_POINTS, MAX_SUBMAP_POINTS) == (500_000, 2_000_000)
+    assert (SCAN_POINTS, SUBMAP_POINTS) == (500_000, 2_000_000)
 
 
-@pytest.mark.parametrize("limit", [MAX_SCAN_POINTS, MAX_SUBMAP_POINTS], ids=["scan", "submap"])
+@pytest.mark.parametrize("limit", [SCAN_POINTS, SUBMAP_POINTS], ids=["scan", "submap"])
 def test_a_cloud_may_have_as_many_points_as_the_limit_and_no_more(limit):
     points = np.random.default_rng(1).uniform(-50, 50, (limit + 1, 3)).astype(np.float32)
     accepted, _ = accept_cloud(DecodedCloud(points[:limit]), limit)

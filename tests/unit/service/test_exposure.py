@@ -29,7 +29,7 @@ def served(monkeypatch, tmp_path):
 
 
 def make_key():
-    from revisit.service.adapters.sql.migration import migrate
+    from revisit.service.adapters.sqlite.migration import migrate
 
     migrate(Settings().database)
     with offline_use_cases(Settings()) as use_cases:

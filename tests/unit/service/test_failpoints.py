@@ -60,7 +60,9 @@ def test_arming_again_disarms_what_was_armed_before():
 
 @pytest.mark.parametrize(("action", "status"), [("kill", -9), ("exit", failpoints.EXIT_STATUS)])
 def test_the_process_ends_at_the_point(action, status):
-    program = f"from service.failpoints import *; arm('commit.after={action}'); failpoint('commit.after'); print(1)"
+    program = (
+        f"from revisit.service.failpoints import *; arm('commit.after={action}'); failpoint('commit.after'); print(1)"
+    )
     ended = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, timeout=30, check=False)
     assert (ended.returncode, ended.stdout) == (status, b"")
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from pydantic import ValidationError
 
@@ -47,7 +49,24 @@ def test_the_environment_sets_the_window_and_the_queue(monkeypatch, tmp_path):
     assert (settings.policy.lease_ms, settings.database) == (2500, tmp_path / "revisit.db")
 
 
-@pytest.mark.parametrize("name", ["HTTP_PORT", "WORKERS", "TAU_M", "LEASE_S", "MAX_ATTEMPTS"])
+def test_the_environment_sets_the_rules_for_loop_closures(monkeypatch):
+    for name, value in {"LOOP_CANDIDATES": "5", "MIN_SCORE": "0.7", "MIN_OVERLAP": "0.4"}.items():
+        monkeypatch.setenv(f"REVISIT_{name}", value)
+    monkeypatch.setenv("REVISIT_MAX_SEEN_THROUGH", "0.2")
+    pipeline = Settings().policy.pipeline
+    rules = pipeline.verification
+    assert pipeline.loop.candidates == 5
+    assert (rules.min_score, rules.min_overlap, rules.max_seen_through) == (0.7, 0.4, 0.2)
+    of_map = replace(a_map(), loop_candidates=3, min_score=0.9, min_overlap=0.0, max_seen_through=1.0)
+    own = Settings().policy.for_map(of_map)
+    assert (own.loop.candidates, own.verification.min_score) == (3, 0.9)
+    assert (own.verification.min_overlap, own.verification.max_seen_through) == (0.0, 1.0)
+
+
+LOOP_RULES = ["LOOP_CANDIDATES", "MIN_SCORE", "MIN_OVERLAP", "MAX_SEEN_THROUGH"]
+
+
+@pytest.mark.parametrize("name", ["HTTP_PORT", "WORKERS", "TAU_M", "LEASE_S", "MAX_ATTEMPTS", *LOOP_RULES])
 def test_a_value_out_of_bounds_is_refused(monkeypatch, name):
     monkeypatch.setenv(f"REVISIT_{name}", "-1")
     with pytest.raises(ValidationError, match=name.lower()):

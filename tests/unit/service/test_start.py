@@ -12,7 +12,7 @@ import structlog
 from alembic.script import ScriptDirectory
 
 from revisit.service.__main__ import main
-from revisit.service.adapters.sql.migration import MIGRATIONS, current_revision
+from revisit.service.adapters.sqlite.migration import MIGRATIONS, current_revision
 from revisit.service.application.contract.records import WorkerRecord
 from revisit.service.composition import build_context
 from revisit.service.settings import Settings

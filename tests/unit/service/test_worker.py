@@ -76,7 +76,7 @@ except MemoryError:
 
 def test_a_process_of_the_service_starts_others_afresh_and_never_forks_itself():
     script = (
-        "from service.__main__ import main\n"
+        "from revisit.service.__main__ import main\n"
         "try:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
         "import multiprocessing\nprint(multiprocessing.get_start_method())"
     )

@@ -1,0 +1,79 @@
+"""A hash table of voxels with chains: each voxel is found, whatever else has its slot.
+
+Voxels of one column (x, y) lie side by side in the table, so that a search through neighbours touches few cache lines.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+MIN_BITS = 20
+MAX_BITS = 24
+
+
+class VoxelTable(NamedTuple):
+    """Rows of voxels by hash, int32.
+
+    slots (2^bits,) hold the first row of each chain, following (n,) the next one; -1 ends a chain. voxels (n, 3).
+    """
+
+    slots: NDArray[np.int32]
+    following: NDArray[np.int32]
+    voxels: NDArray[np.int32]
+
+
+def empty_slots(rows: int) -> NDArray[np.int32]:
+    """The slots of a table for so many rows: at least as many, but no fewer than 2^20 and no more than 2^24."""
+    bits = min(max(MIN_BITS, (rows - 1).bit_length()), MAX_BITS)
+    return np.full(1 << bits, -1, dtype=np.int32)
+
+
+def voxels_of(positions: NDArray[np.float32], resolution: float) -> NDArray[np.int32]:
+    """The voxels (n, 3) of edge `resolution` in which `positions` (n, 3) lie."""
+    return np.floor(positions / np.float64(resolution)).astype(np.int32)
+
+
+def table_of(voxels: NDArray[np.int32]) -> VoxelTable:
+    """The table of `voxels` (n, 3); of equal ones the last is found."""
+    table = VoxelTable(empty_slots(len(voxels)), np.full(len(voxels), -1, dtype=np.int32), voxels)
+    _fill(table)
+    return table
+
+
+@numba.njit(inline="always")
+def slot_of(slots: NDArray[np.int32], x: int, y: int, z: int) -> int:
+    """The slot of voxel (x, y, z)."""
+    column = (x & 0xFFFFF) * 0x9E3779B1 + (y & 0xFFFFF) * 0x85EBCA77
+    column = (column ^ (column >> 15)) * 0x2C1B3C6D & 0x7FFFFFFF
+    column = (column ^ (column >> 12)) * 0x297A2D39 & 0x7FFFFFFF
+    return ((column ^ (column >> 15)) + z) & (len(slots) - 1)
+
+
+@numba.njit(inline="always")
+def find(table: VoxelTable, x: int, y: int, z: int) -> int:
+    """The row of voxel (x, y, z), or -1."""
+    row: int = table.slots[slot_of(table.slots, x, y, z)]
+    while row >= 0 and (table.voxels[row, 0] != x or table.voxels[row, 1] != y or table.voxels[row, 2] != z):
+        row = table.following[row]
+    return row
+
+
+@numba.njit(inline="always")
+def add(table: VoxelTable, row: int, x: int, y: int, z: int) -> None:
+    """Enter voxel (x, y, z), which is not in the table yet, as `row`."""
+    slot = slot_of(table.slots, x, y, z)
+    table.voxels[row, 0], table.voxels[row, 1], table.voxels[row, 2] = x, y, z
+    table.following[row] = table.slots[slot]
+    table.slots[slot] = row
+
+
+@numba.njit(cache=True)
+def _fill(table: VoxelTable) -> None:
+    for row in range(len(table.voxels) - 1, -1, -1):
+        x, y, z = table.voxels[row]
+        if find(table, x, y, z) < 0:
+            add(table, row, x, y, z)

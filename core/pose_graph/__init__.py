@@ -1,0 +1,19 @@
+"""Pose graphs: sessions of one or many robots, joined by loops, without being bent by wrong ones.
+
+graph          trajectories and loops, and how much odometry drifts
+consistency    sets of loops between two sessions that agree with each other
+placement      where sessions lie to each other before optimisation
+optimisation   the most likely poses, and which loops they rest on
+g2o            graphs as text, for other tools
+
+The order above is the order of the steps: find loops that agree, place the sessions by them, optimise robustly, drop
+what does not fit, optimise what is left.
+"""
+
+from revisit.core.pose_graph.graph import LoopEdge, Node, OdometryModel, PoseGraph, Trajectory
+from revisit.core.pose_graph.optimisation import LoopState, OptimisedGraph, Robustness, optimise
+
+__all__ = [
+    "LoopEdge", "LoopState", "Node", "OdometryModel", "OptimisedGraph", "PoseGraph", "Robustness", "Trajectory",
+    "optimise",
+]  # fmt: skip

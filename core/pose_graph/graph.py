@@ -1,0 +1,131 @@
+"""Trajectories of sessions and the loops between their submaps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.errors import BadField
+from revisit.core.geometry import se3
+
+Array64 = NDArray[np.float64]
+
+
+class Node(NamedTuple):
+    """A submap: the name of its session and its place in it, from 0."""
+
+    session: str
+    ordinal: int
+
+
+@dataclass(frozen=True)
+class OdometryModel:
+    """How fast odometry drifts: standard deviations that grow with the distance travelled, and their least values.
+
+    translation 1 (metres a metre), rotation_rad_per_m; least_translation_m and least_rotation_rad for a step of any
+    length.
+    """
+
+    translation: float = 0.01
+    rotation_rad_per_m: float = 2e-3
+    least_translation_m: float = 0.02
+    least_rotation_rad: float = 2e-3
+
+    def covariances(self, steps_m: Array64) -> Array64:
+        """Covariances (n, 6, 6) of steps (n,) metres long, tangent (x, y, z, rx, ry, rz) at the step's end."""
+        translation = np.maximum(self.translation * steps_m, self.least_translation_m)
+        rotation = np.maximum(self.rotation_rad_per_m * steps_m, self.least_rotation_rad)
+        variances = np.stack([translation] * 3 + [rotation] * 3, axis=1) ** 2
+        return np.asarray(variances[:, :, None] * np.eye(6))
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """The submaps of a session in order.
+
+    T_odom_submap (n, 4, 4); step_covariances (n - 1, 6, 6) of the motion from each submap to the next, of the tangent
+    (x, y, z, rx, ry, rz) in the frame of the later one, metres and radians.
+    """
+
+    session: str
+    T_odom_submap: Array64
+    step_covariances: Array64
+
+    @classmethod
+    def from_odometry(cls, session: str, T_odom_submap: Array64, model: OdometryModel = OdometryModel()) -> Trajectory:
+        """A trajectory whose steps are as uncertain as `model` says."""
+        steps_m = np.linalg.norm(np.diff(T_odom_submap[:, :3, 3], axis=0), axis=1)
+        return cls(session, np.asarray(T_odom_submap, dtype=np.float64), model.covariances(steps_m))
+
+    def __len__(self) -> int:
+        return len(self.T_odom_submap)
+
+    @cached_property
+    def _drift_sums(self) -> Array64:
+        """Sums (n, 6) over the steps up to each submap: variance of translation; variance v of rotation; v * position
+        of the step (3); v * its squared distance from the origin.
+        """
+        diagonals = np.diagonal(self.step_covariances, axis1=1, axis2=2)
+        translation, rotation = diagonals[:, :3].mean(axis=1), diagonals[:, 3:].mean(axis=1)
+        places = self.T_odom_submap[1:, :3, 3]
+        weighted = rotation[:, None] * places
+        steps = np.column_stack([translation, rotation, weighted, (weighted * places).sum(axis=1)])
+        return np.concatenate([np.zeros((1, 6)), np.cumsum(steps, axis=0)])
+
+    def drift(self, ordinals: NDArray[np.int64], end: int) -> tuple[Array64, Array64]:
+        """How far odometry may have drifted between submaps (n,) and submap `end`.
+
+        Variances (n,) of the position of `end`, m^2, and of the rotation, rad^2. A wrong turn on the way displaces
+        `end` by its distance from where it was taken, also where the way comes back to its beginning.
+        """
+        sums = self._drift_sums
+        between = np.where(ordinals[:, None] < end, 1.0, -1.0) * (sums[end] - sums[ordinals])
+        place = self.T_odom_submap[end, :3, 3]
+        turns = between[:, 1] * (place @ place) - 2.0 * between[:, 2:5] @ place + between[:, 5]
+        return np.asarray(between[:, 0] + np.maximum(turns, 0.0)), np.asarray(between[:, 1])
+
+
+@dataclass(frozen=True)
+class LoopEdge:
+    """A loop: T_match_query (4, 4) maps the frame of submap `query` into that of submap `match`.
+
+    covariance (6, 6) of its tangent (x, y, z, rx, ry, rz) in the match frame, as verification states it. A loop from
+    overlapping windows shares information with its neighbours; `independent_share` 0..1 is what it adds on its own.
+    """
+
+    name: str
+    match: Node
+    query: Node
+    T_match_query: se3.Matrix4
+    covariance: Array64
+    independent_share: float = 1.0
+
+
+@dataclass(frozen=True)
+class PoseGraph:
+    """Sessions and loops, in an order of their own: the same content gives the same graph, bit for bit."""
+
+    trajectories: tuple[Trajectory, ...]
+    loops: tuple[LoopEdge, ...]
+
+    @classmethod
+    def of(cls, trajectories: list[Trajectory], loops: list[LoopEdge]) -> PoseGraph:
+        """A graph in canonical order. Raises BadField where a loop names a submap that is not there, or itself."""
+        ordered = tuple(sorted(trajectories, key=lambda one: one.session))
+        lengths = {one.session: len(one) for one in ordered}
+        for loop in loops:
+            for node in (loop.match, loop.query):
+                if not 0 <= node.ordinal < lengths.get(node.session, 0):
+                    raise BadField(f"loop {loop.name} names submap {node.ordinal} of {node.session}", field="loops")
+            if loop.match == loop.query:
+                raise BadField(f"loop {loop.name} joins a submap with itself", field="loops")
+        return cls(ordered, tuple(sorted(loops, key=lambda one: (one.match, one.query, one.name))))
+
+    @cached_property
+    def by_session(self) -> dict[str, Trajectory]:
+        """The trajectories by the name of their session."""
+        return {one.session: one for one in self.trajectories}

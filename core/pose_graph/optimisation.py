@@ -1,0 +1,259 @@
+"""The most likely poses of a graph, and which loops they rest on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.geometry import se3
+from revisit.core.pose_graph.consistency import ConsistentSet, consistent_sets
+from revisit.core.pose_graph.graph import LoopEdge, Node, PoseGraph, Trajectory
+from revisit.core.pose_graph.placement import Component, place_sessions
+
+Array64 = NDArray[np.float64]
+
+GATE = 22.5
+"""Squared Mahalanobis distance of a loop from the poses: chi-square with 6 degrees of freedom, 99.9 %."""
+
+WIDE_GATE = 100.0
+"""Squared Mahalanobis distance beyond which a loop is set aside before the first exact solution."""
+
+MAX_GATINGS = 5
+
+_ROTATION_FIRST = [3, 4, 5, 0, 1, 2]
+_ANCHOR_SIGMA = 1e-4
+
+
+class Robustness(StrEnum):
+    """How wrong loops are kept from bending the map.
+
+    PLAIN and HUBER are for comparison only. ONLINE: Cauchy weights, then gates. COMMIT: that, and graduated
+    non-convexity beside it (Yang et al. 2020); the answer that explains steps and loops better is taken.
+    """
+
+    PLAIN = "plain"
+    HUBER = "huber"
+    ONLINE = "online"
+    COMMIT = "commit"
+
+
+class LoopState(StrEnum):
+    """What the graph says of a loop."""
+
+    IN_MAP = "IN_MAP"
+    SET_ASIDE = "SET_ASIDE"
+    UNCONNECTED = "UNCONNECTED"
+
+
+@dataclass(frozen=True)
+class OptimisedGraph:
+    """Poses and the loops they rest on.
+
+    T_map_submap (n, 4, 4) of each session; components, the sessions that share a frame, the first of which gives it;
+    loops, the state of every loop of the graph in its order; residuals (l,), its squared Mahalanobis distance from the
+    poses, NaN where its sessions share no frame.
+    """
+
+    T_map_submap: dict[str, Array64]
+    components: tuple[tuple[str, ...], ...]
+    loops: tuple[LoopState, ...]
+    residuals: Array64
+
+    def T_map_odom(self, trajectory: Trajectory) -> se3.Matrix4:
+        """The correction of a session: where its odometry frame lies in the map, as of its last submap."""
+        return np.asarray(self.T_map_submap[trajectory.session][-1] @ se3.inverse(trajectory.T_odom_submap[-1]))
+
+
+def optimise(graph: PoseGraph, robustness: Robustness = Robustness.COMMIT) -> OptimisedGraph:
+    """Place the sessions by the loops that agree, optimise each component, set loops aside that do not fit."""
+    sets = consistent_sets(graph)
+    components = place_sessions(graph, sets)
+    poses: dict[str, Array64] = {}
+    states = [LoopState.UNCONNECTED] * len(graph.loops)
+    residuals = np.full(len(graph.loops), np.nan)
+    for component in components:
+        problem = _Problem.of(graph, component, _agreeing(graph, sets))
+        solution, kept = _solve(problem, robustness)
+        poses.update(problem.poses(solution))
+        for number, residual in zip(problem.loops, problem.residuals(solution), strict=True):
+            residuals[number] = residual
+            states[number] = LoopState.IN_MAP if number in kept else LoopState.SET_ASIDE
+    return OptimisedGraph(poses, tuple(tuple(one.T_map_odom) for one in components), tuple(states), residuals)
+
+
+def _agreeing(graph: PoseGraph, sets: list[ConsistentSet]) -> set[int]:
+    """Loops that may be used: those within a session, and those between two that agree with the others."""
+    within = {n for n, loop in enumerate(graph.loops) if loop.match.session == loop.query.session}
+    return within.union(*(one.loops for one in sets))
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """A component as gtsam sees it: keys of nodes, factors of steps, one factor a loop, and a start.
+
+    loops: numbers in the graph of the loops within the component; usable: those that agree with others.
+    """
+
+    trajectories: tuple[Trajectory, ...]
+    keys: dict[Node, int]
+    loops: tuple[int, ...]
+    usable: frozenset[int]
+    steps: gtsam.NonlinearFactorGraph
+    loop_factors: dict[int, gtsam.NonlinearFactor]
+    loop_noises: dict[int, gtsam.noiseModel.Gaussian]
+    edges: dict[int, LoopEdge]
+    start: gtsam.Values
+
+    @classmethod
+    def of(cls, graph: PoseGraph, component: Component, usable: set[int]) -> _Problem:
+        """The component's part of the graph, everything in canonical order: two runs are equal byte for byte."""
+        trajectories = tuple(one for one in graph.trajectories if one.session in component.T_map_odom)
+        nodes = [Node(one.session, ordinal) for one in trajectories for ordinal in range(len(one))]
+        keys = {node: key for key, node in enumerate(nodes)}
+        loops = {n: loop for n, loop in enumerate(graph.loops) if loop.match in keys and loop.query in keys}
+        noises = {n: _noise(_right_covariance(loop) / loop.independent_share) for n, loop in loops.items()}
+        factors = {n: _between(keys[loop.match], keys[loop.query], loop.T_match_query, noises[n])
+                   for n, loop in loops.items()}  # fmt: skip
+        return cls(
+            trajectories, keys, tuple(loops), frozenset(usable & loops.keys()), _step_factors(trajectories, keys),
+            factors, noises, loops, _start(trajectories, keys, component),
+        )  # fmt: skip
+
+    def graph(
+        self, loops: Iterable[int], kernel: gtsam.noiseModel.mEstimator.Base | None = None
+    ) -> gtsam.NonlinearFactorGraph:
+        """The factors of the steps and of some loops, these under a robust kernel if one is given."""
+        factors = gtsam.NonlinearFactorGraph(self.steps)
+        for number in sorted(loops):
+            if kernel is None:
+                factors.add(self.loop_factors[number])
+                continue
+            noise = gtsam.noiseModel.Robust.Create(kernel, self.loop_noises[number])
+            loop = self.edges[number]
+            factors.add(_between(self.keys[loop.match], self.keys[loop.query], loop.T_match_query, noise))
+        return factors
+
+    def residuals(self, values: gtsam.Values) -> Array64:
+        """Squared Mahalanobis distance of every loop of the component."""
+        return np.array([2.0 * self.loop_factors[number].error(values) for number in self.loops])
+
+    def poses(self, values: gtsam.Values) -> dict[str, Array64]:
+        """T_map_submap (n, 4, 4) of each session."""
+        return {
+            one.session: np.stack([values.atPose3(self.keys[Node(one.session, i)]).matrix() for i in range(len(one))])
+            for one in self.trajectories
+        }
+
+
+def _solve(problem: _Problem, robustness: Robustness) -> tuple[gtsam.Values, set[int]]:
+    """The poses and the loops they rest on."""
+    usable = set(problem.usable)
+    if robustness is Robustness.PLAIN:
+        return _minimise(problem.graph(usable), problem.start), usable
+    if robustness is Robustness.HUBER:
+        kernel = gtsam.noiseModel.mEstimator.Huber.Create(1.345)
+        return _minimise(problem.graph(usable, kernel), problem.start), usable
+    answers = [_by_gates(problem, usable)]
+    if robustness is Robustness.COMMIT:
+        answers.append(_graduated(problem, usable))
+    return min((_regated(problem, values) for values in answers), key=lambda answer: _cost(problem, *answer))
+
+
+def _cost(problem: _Problem, values: gtsam.Values, kept: set[int]) -> float:
+    """Squared errors of the steps and the kept loops; a loop that is set aside costs as much as the gate."""
+    set_aside = len(problem.loops) - len(kept)
+    return float(2.0 * problem.graph(kept).error(values) + GATE * set_aside)
+
+
+def _by_gates(problem: _Problem, usable: set[int]) -> gtsam.Values:
+    """Cauchy weights first, under which wrong loops pull little; then the loops near those poses, exactly."""
+    values = _minimise(problem.graph(usable, gtsam.noiseModel.mEstimator.Cauchy.Create(1.0)), problem.start)
+    return _gated(problem, values, usable, WIDE_GATE)
+
+
+def _gated(problem: _Problem, values: gtsam.Values, usable: set[int], gate: float) -> gtsam.Values:
+    """The poses by the loops within a gate around them: loops return as the poses come nearer to them."""
+    kept: set[int] = set()
+    for _ in range(MAX_GATINGS):
+        before, kept = kept, _within(problem, values, usable, gate)
+        if kept == before:
+            break
+        values = _minimise(problem.graph(kept), values)
+    return values
+
+
+def _regated(problem: _Problem, values: gtsam.Values) -> tuple[gtsam.Values, set[int]]:
+    """Whatever fits the poses by now is in the map, also loops that agreed with no others before."""
+    kept = _within(problem, values, set(problem.loops), GATE)
+    return _minimise(problem.graph(kept), values), kept
+
+
+def _within(problem: _Problem, values: gtsam.Values, usable: set[int], gate: float) -> set[int]:
+    residuals = zip(problem.loops, problem.residuals(values), strict=True)
+    return {number for number, residual in residuals if number in usable and residual < gate}
+
+
+def _graduated(problem: _Problem, usable: set[int]) -> gtsam.Values:
+    """Graduated non-convexity with truncated least squares: steps are known to be right, loops weigh 0 or 1."""
+    if not usable:
+        return problem.start
+    params = gtsam.GncLMParams()
+    params.setLossType(gtsam.GncLossType.TLS)
+    params.setKnownInliers(list(range(problem.steps.size())))
+    optimiser = gtsam.GncLMOptimizer(problem.graph(usable), problem.start, params)
+    optimiser.setInlierCostThresholdsAtProbability(0.99)
+    return optimiser.optimize()
+
+
+def _minimise(factors: gtsam.NonlinearFactorGraph, start: gtsam.Values) -> gtsam.Values:
+    params = gtsam.LevenbergMarquardtParams()
+    params.setMaxIterations(100)
+    params.setRelativeErrorTol(1e-9)
+    params.setAbsoluteErrorTol(1e-9)
+    return gtsam.LevenbergMarquardtOptimizer(factors, start, params).optimize()
+
+
+def _step_factors(trajectories: tuple[Trajectory, ...], keys: dict[Node, int]) -> gtsam.NonlinearFactorGraph:
+    """The first submap of the component held fast, and every step of the odometry."""
+    factors = gtsam.NonlinearFactorGraph()
+    first = trajectories[0]
+    anchor = gtsam.noiseModel.Isotropic.Sigma(6, _ANCHOR_SIGMA)
+    factors.add(gtsam.PriorFactorPose3(keys[Node(first.session, 0)], gtsam.Pose3(first.T_odom_submap[0]), anchor))
+    for one in trajectories:
+        for ordinal, covariance in enumerate(one.step_covariances):
+            T_step = se3.inverse(one.T_odom_submap[ordinal]) @ one.T_odom_submap[ordinal + 1]
+            ends = keys[Node(one.session, ordinal)], keys[Node(one.session, ordinal + 1)]
+            factors.add(_between(*ends, T_step, _noise(covariance)))
+    return factors
+
+
+def _start(trajectories: tuple[Trajectory, ...], keys: dict[Node, int], component: Component) -> gtsam.Values:
+    values = gtsam.Values()
+    for one in trajectories:
+        for ordinal, T_odom_submap in enumerate(one.T_odom_submap):
+            pose = gtsam.Pose3(component.T_map_odom[one.session] @ T_odom_submap)
+            values.insert(keys[Node(one.session, ordinal)], pose)
+    return values
+
+
+def _between(
+    first: int, second: int, T_first_second: se3.Matrix4, noise: gtsam.noiseModel.Base
+) -> gtsam.NonlinearFactor:
+    return gtsam.BetweenFactorPose3(first, second, gtsam.Pose3(T_first_second), noise)
+
+
+def _right_covariance(loop: LoopEdge) -> Array64:
+    """The covariance of a loop's tangent in the query frame, where gtsam measures errors."""
+    turn = se3.adjoint(se3.inverse(loop.T_match_query))
+    return np.asarray(turn @ loop.covariance @ turn.T)
+
+
+def _noise(covariance: Array64) -> gtsam.noiseModel.Gaussian:
+    """A noise model for a covariance of (x, y, z, rx, ry, rz); gtsam has rotations first."""
+    ordered = covariance[np.ix_(_ROTATION_FIRST, _ROTATION_FIRST)]
+    return gtsam.noiseModel.Gaussian.Covariance(0.5 * (ordered + ordered.T))

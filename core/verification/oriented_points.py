@@ -1,0 +1,98 @@
+"""Surfaces as points with normals, and where one touches another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from revisit.core.config import VerificationConfig
+from revisit.core.geometry import se3
+from revisit.core.place import Place
+
+Array64 = NDArray[np.float64]
+
+COLUMN_M = 2.0
+"""Edge of the vertical columns in which two places are compared, in metres."""
+
+_FACING_ALIKE = 0.6  # smallest cosine between the normals of two points on one surface
+
+
+@dataclass(frozen=True)
+class OrientedPoints:
+    """Points (n, 3) in metres with unit normals (n, 3), float64, the first `standing_count` of them off the ground."""
+
+    points: Array64
+    normals: Array64
+    standing_count: int
+
+    @classmethod
+    def of(cls, place: Place) -> OrientedPoints:
+        """The stored surface of a place, in its level frame."""
+        return cls(place.points.astype(np.float64), place.normals.astype(np.float64), place.standing_count)
+
+    @cached_property
+    def tree(self) -> cKDTree:
+        """For nearest neighbours among the points."""
+        return cKDTree(self.points)
+
+    @cached_property
+    def columns(self) -> NDArray[np.int64]:
+        """See `columns_of`."""
+        return columns_of(self.points)
+
+    @property
+    def standing(self) -> OrientedPoints:
+        """The points off the ground."""
+        return OrientedPoints(
+            self.points[: self.standing_count], self.normals[: self.standing_count], self.standing_count
+        )
+
+    def thinned(self, share: int) -> OrientedPoints:
+        """Every `share`-th point; the ground is as likely among them as before."""
+        count = len(range(0, self.standing_count, share))
+        return OrientedPoints(self.points[::share], self.normals[::share], count)
+
+    def moved(self, T_new_old: se3.Matrix4) -> OrientedPoints:
+        """The same surface in another frame."""
+        points, normals = se3.apply(T_new_old, self.points), self.normals @ T_new_old[:3, :3].T
+        return OrientedPoints(points, normals, self.standing_count)
+
+    def shifted(self, offset_m: Array64) -> OrientedPoints:
+        """The same surface moved by `offset_m` (3,) without a turn."""
+        return replace(self, points=self.points + offset_m)
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Which points of one surface lie on another.
+
+    touching (n,) says for each point whether it does; for the k that do, residuals (k,) are their signed distances in
+    metres to the tangent plane of their counterparts, rows (k,) the rows of these counterparts.
+    """
+
+    touching: NDArray[np.bool_]
+    residuals: Array64
+    rows: NDArray[np.int64]
+
+
+def contact(surface: OrientedPoints, other: OrientedPoints, config: VerificationConfig) -> Contact:
+    """Where `surface` lies on `other`: near one of its points, near its tangent plane, facing alike. One frame."""
+    gaps, nearest = other.tree.query(surface.points, distance_upper_bound=config.neighbour_distance)
+    found = np.flatnonzero(np.isfinite(gaps))
+    rows = nearest[found]
+    residuals = np.einsum("ij,ij->i", surface.points[found] - other.points[rows], other.normals[rows])
+    facing = np.einsum("ij,ij->i", surface.normals[found], other.normals[rows])
+    good = (np.abs(residuals) < config.surface_distance) & (facing > _FACING_ALIKE)
+    touching = np.zeros(len(surface.points), dtype=bool)
+    touching[found[good]] = True
+    return Contact(touching, residuals[good], rows[good])
+
+
+def columns_of(points: Array64) -> NDArray[np.int64]:
+    """The key (n,) of the vertical column of `COLUMN_M` that each of `points` (n, 3) is in."""
+    cells = np.floor(points[:, :2] / COLUMN_M).astype(np.int64)
+    return np.asarray((cells[:, 0] << 32) + cells[:, 1])

@@ -1,0 +1,124 @@
+"""Registration: point-to-plane ICP from coarse to fine, and how well the surfaces fix the pose (decision 0024)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.config import VerificationConfig
+from revisit.core.geometry import se3
+from revisit.core.verification.oriented_points import OrientedPoints, contact
+
+Array64 = NDArray[np.float64]
+
+MIN_COUNTERPARTS = 30
+"""An ICP step needs at least so many pairs of points."""
+
+_FACING_ALIKE = 0.5  # smallest cosine between the normals of two counterparts
+_ROBUST_SHARE = 0.2  # of the reach: the residual at which a pair weighs a quarter
+_DAMPING = 1e-6
+_SMALLEST_STEP_M, _SMALLEST_STEP_RAD = 2e-3, 1e-4
+
+
+@dataclass(frozen=True)
+class Registration:
+    """Where ICP ended: T_match_query (4, 4), and whether it was refined or given up after the coarse steps."""
+
+    T_match_query: se3.Matrix4
+    refined: bool
+
+
+@dataclass(frozen=True)
+class Counterparts:
+    """Point pairs of one ICP step in the match frame.
+
+    points (k, 3) of the query, their signed distances (k,) to the planes of their counterparts, the normals (k, 3) of
+    these planes.
+    """
+
+    points: Array64
+    residuals: Array64
+    normals: Array64
+
+
+def register(
+    starts: Sequence[se3.Matrix4], query: OrientedPoints, match: OrientedPoints, config: VerificationConfig
+) -> Registration:
+    """Point-to-plane ICP from the best of `starts` (each T_match_query), coarse first and then fine.
+
+    All starts are refined coarsely with few points. Only the one on which most points agree is refined with all. Where
+    less than `min_agreement` of them do, not even that one is: most candidates are no loops, and fine steps cost time.
+    """
+    approached = [_approach(start, query, match, config) for start in starts]
+    T_match_query, agreement = max(approached, key=lambda pose: pose[1])
+    if agreement < config.min_agreement:
+        return Registration(T_match_query, refined=False)
+    return Registration(iterate(T_match_query, query, match, config.fine_distance, config.fine_rounds), refined=True)
+
+
+def _approach(
+    T_start: se3.Matrix4, query: OrientedPoints, match: OrientedPoints, config: VerificationConfig
+) -> tuple[se3.Matrix4, float]:
+    """A coarsely refined start, and the share of the points used that then lie on the other surface."""
+    few = query.thinned(config.coarse_share)
+    T_match_query = iterate(T_start, few, match, config.coarse_distance, config.coarse_rounds)
+    return T_match_query, float(contact(few.moved(T_match_query), match, config).touching.mean())
+
+
+def iterate(
+    T_match_query: se3.Matrix4, query: OrientedPoints, match: OrientedPoints, reach: float, rounds: int
+) -> se3.Matrix4:
+    """Up to `rounds` Gauss-Newton steps from `T_match_query`, with counterparts within `reach` metres."""
+    for _ in range(rounds):
+        pairs = find_counterparts(query.moved(T_match_query), match, reach)
+        if len(pairs.points) < MIN_COUNTERPARTS:
+            break
+        step = gauss_newton_step(pairs, reach)
+        T_match_query = se3.exp(step) @ T_match_query
+        if np.linalg.norm(step[:3]) < _SMALLEST_STEP_M and np.linalg.norm(step[3:]) < _SMALLEST_STEP_RAD:
+            break
+    return T_match_query
+
+
+def find_counterparts(moved: OrientedPoints, match: OrientedPoints, reach: float) -> Counterparts:
+    """Each point of `moved` with the nearest one of `match`, where that is within `reach` metres and faces alike."""
+    gaps, nearest = match.tree.query(moved.points, distance_upper_bound=reach)
+    found = np.flatnonzero(np.isfinite(gaps))
+    facing = np.einsum("ij,ij->i", moved.normals[found], match.normals[nearest[found]])
+    found = found[facing > _FACING_ALIKE]
+    points, normals = moved.points[found], match.normals[nearest[found]]
+    return Counterparts(points, np.einsum("ij,ij->i", points - match.points[nearest[found]], normals), normals)
+
+
+def gauss_newton_step(pairs: Counterparts, reach: float) -> Array64:
+    """The tangent (6,) in the match frame that brings the points onto the planes, large residuals weighing little."""
+    weights = 1.0 / (1.0 + (pairs.residuals / (_ROBUST_SHARE * reach)) ** 2) ** 2
+    jacobian = point_to_plane_jacobian(pairs.points, pairs.normals)
+    weighted = jacobian * weights[:, None]
+    hessian = weighted.T @ jacobian
+    damping = _DAMPING * np.trace(hessian) / 6.0 * np.eye(6)
+    return np.asarray(-np.linalg.solve(hessian + damping, weighted.T @ pairs.residuals))
+
+
+def point_to_plane_jacobian(points: Array64, normals: Array64) -> Array64:
+    """Derivatives (k, 6) of normal . (exp(tangent) point - anything) by the tangent, at zero."""
+    return np.concatenate([normals, np.cross(points, normals)], axis=1)
+
+
+def information(points: Array64, normals: Array64) -> Array64:
+    """The information (6, 6) of a tangent of the pose from point-to-plane residuals of unit variance."""
+    jacobian = point_to_plane_jacobian(points, normals)
+    return np.asarray(jacobian.T @ jacobian)
+
+
+def observability(information: Array64, lever_m: float) -> float:
+    """The share of the smallest eigenvalue of an information matrix (6, 6), with rotations measured at `lever_m`.
+
+    Near 0 where the surfaces do not fix the pose (a corridor, a plane); at most 1/6.
+    """
+    scale = np.diag([1.0, 1.0, 1.0, *([1.0 / lever_m] * 3)])
+    eigenvalues = np.linalg.eigvalsh(scale @ information @ scale)
+    return float(max(eigenvalues[0], 0.0) / max(eigenvalues.sum(), 1e-12))

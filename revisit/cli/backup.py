@@ -1,0 +1,70 @@
+"""`revisit backup`, `restore` and `scrub`: looking after a data folder."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from revisit.cli.extras import needs
+from revisit.cli.offline import data_folder
+from revisit.cli.options import Home, Json
+from revisit.cli.output import emit_json
+
+
+@needs("service")
+def backup(
+    out: Annotated[Path, typer.Argument(help="The folder to make.")], home: Home = None, json: Json = False
+) -> None:
+    """Back up the data folder into a new folder, while the service runs; exit status 1 where a blob is lost."""
+    from revisit.service import VERSION
+    from revisit.service.adapters.sqlite.backup import make_backup
+
+    manifest = make_backup(data_folder(home), out, VERSION)
+    size_mb = manifest.blob_bytes / 2**20
+    text = f"{out}: schema {manifest.revision}, {manifest.blobs} blobs of {size_mb:.1f} MiB"
+    _tell(text, asdict(manifest), json)
+    _report("lost before this backup", manifest.lost)
+
+
+@needs("service")
+def restore(
+    archive: Annotated[Path, typer.Argument(exists=True, file_okay=False, help="A backup.")],
+    home: Home = None,
+    json: Json = False,
+) -> None:
+    """Make a new data folder out of a backup, after checking every hash of it; all of it or nothing."""
+    from revisit.service.adapters.sqlite.backup import restore_backup
+
+    target = data_folder(home)
+    manifest = restore_backup(archive, target)
+    _tell(f"{target}: as of {manifest.created_at}, {manifest.blobs} blobs", asdict(manifest), json)
+
+
+@needs("service")
+def scrub(home: Home = None, json: Json = False) -> None:
+    """Read every blob and page, move damaged blobs aside; exit status 1 where anything is damaged or missing."""
+    from revisit.service.adapters.sqlite import examination
+
+    found = examination.scrub(data_folder(home))
+    _tell(f"{found.checked} blobs read, database {found.database}", asdict(found), json)
+    _report("damaged, moved aside", found.damaged)
+    _report("missing", found.missing)
+    if found.database != "ok":
+        raise typer.Exit(1)
+
+
+def _tell(text: str, data: dict[str, object], as_json: bool) -> None:
+    if as_json:
+        emit_json(data)
+    else:
+        typer.echo(text)
+
+
+def _report(what: str, blobs: tuple[str, ...]) -> None:
+    for blob in blobs:
+        typer.echo(f"{what}: {blob}", err=True)
+    if blobs:
+        raise typer.Exit(1)

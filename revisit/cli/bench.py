@@ -1,0 +1,152 @@
+"""`revisit bench`: the declared metrics against the baseline, and the recognition report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from revisit.cli.evaluate import given
+from revisit.cli.extras import needs
+from revisit.cli.options import RECORDINGS, IndexGap, Json, PositiveRadius, Stride, Tau
+from revisit.cli.output import emit_json, emit_table, progress_bar, refuse, reporter, say
+
+if TYPE_CHECKING:
+    from revisit.evaluation.protocols.programme import Programme
+
+Update = Annotated[bool, typer.Option(help="Write the measured figures as the new baseline.")]
+
+group = typer.Typer(help="Measure the product.", invoke_without_command=True)
+
+
+@dataclass(frozen=True)
+class OwnRecordings:
+    """Recordings of the user's own: single ones, a pair (map, query), and their layout."""
+
+    single: tuple[Path, ...]
+    pair: tuple[Path, Path] | None
+    file_format: str
+
+
+@dataclass(frozen=True)
+class Lengths:
+    """How drives are cut and what counts as the same place: metres, the gap in submaps; None keeps the bench's own."""
+
+    tau: float | None = None
+    stride: float | None = None
+    min_index_gap: int | None = None
+    positive_radius_m: float | None = None
+
+    def of(self, programme: Programme) -> Programme:
+        """The programme with these lengths."""
+        submap = given(tau=self.tau, stride=self.stride)
+        loops = given(min_index_gap=self.min_index_gap, positive_radius_m=self.positive_radius_m)
+        return replace(programme, submap=replace(programme.submap, **submap), loops=replace(programme.loops, **loops))
+
+
+@group.callback()
+@needs("evaluation")
+def bench(context: typer.Context, update: Update = False, json: Json = False) -> None:
+    """Compare the declared metrics with the committed baseline; exit status 1 where one became worse."""
+    if context.invoked_subcommand is None:
+        _measure(update, json)
+
+
+@group.command("run")
+@needs("evaluation")
+def run(update: Update = False, json: Json = False) -> None:
+    """The same as `revisit bench` alone."""
+    _measure(update, json)
+
+
+@group.command("recognition")
+@needs("evaluation")
+def recognition(
+    out: Annotated[Path, typer.Option(help="Folder for the report, its pictures and the outcomes.")] = Path(
+        "out/recognition"
+    ),
+    recordings: Annotated[
+        Path | None, typer.Option(help="Folder that keeps the simulated drives; OUT/recordings by default.")
+    ] = None,
+    drives: Annotated[str, typer.Option(help="Simulated drives by name, with commas; all by default.")] = "",
+    protocols: Annotated[str, typer.Option(help="Protocols by name, with commas; all by default.")] = "",
+    recording: Annotated[
+        list[Path] | None, typer.Option(exists=True, help="A recording of your own instead; may be repeated.")
+    ] = None,
+    sessions: Annotated[
+        tuple[Path, Path] | None, typer.Option(exists=True, help="MAP QUERY: two recordings in one world frame.")
+    ] = None,
+    file_format: Annotated[str, typer.Option("--format", help=RECORDINGS)] = "kitti",
+    tau: Tau = None,
+    stride: Stride = None,
+    min_index_gap: IndexGap = None,
+    positive_radius: PositiveRadius = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+) -> None:
+    """Recognition of the product and of every baseline, as one report; a second run goes on where the first ended."""
+    own = OwnRecordings(tuple(recording or ()), sessions, file_format)
+    lengths = Lengths(tau, stride, min_index_gap, positive_radius)
+    _compare_methods(out, recordings or out / "recordings", (drives, protocols), own, lengths, jobs)
+
+
+def _measure(update: bool, as_json: bool) -> None:
+    """Measure, show, and exit with status 1 where a metric became worse than the baseline allows."""
+    from revisit.evaluation import benchmark
+
+    measured, regressions = benchmark.run(update=update)
+    if as_json:
+        emit_json({"metrics": [_finite(asdict(metric)) for metric in measured], "regressions": regressions})
+    else:
+        emit_table("Bench", ("metric", "value", "unit"), [(m.key, m.value, m.unit) for m in measured])
+        for regression in regressions:
+            say(f"worse: {regression}")
+    if regressions:
+        raise typer.Exit(1)
+
+
+def _compare_methods(
+    out: Path, recordings: Path, chosen: tuple[str, str], own: OwnRecordings, lengths: Lengths, jobs: int
+) -> None:
+    """Run the recognition bench on the simulated drives, or on the user's own recordings, and name its report."""
+    from revisit.evaluation.datasets import FORMATS
+    from revisit.evaluation.protocols import bench as recognition_bench
+    from revisit.evaluation.protocols.programme import PROTOCOLS, Programme
+
+    if own.file_format not in FORMATS:
+        raise refuse(f"--format is one of {', '.join(FORMATS)}")
+    protocols = _named("--protocols", chosen[1], PROTOCOLS)
+    programme = lengths.of(Programme(out, recordings, protocols=protocols, jobs=jobs, **_sources(chosen[0], own)))
+    with progress_bar(quiet=False) as bar:
+        trials, (markdown, page) = recognition_bench.run_recognition_bench(programme, reporter(bar))
+    say(f"{len(trials)} trials in {markdown} and {page}")
+
+
+def _sources(drives: str, own: OwnRecordings) -> dict[str, Any]:
+    """What the programme runs on: own recordings where there are some."""
+    from revisit.evaluation.protocols.programme import RecordedDrive
+    from revisit.evaluation.protocols.towns import DRIVES
+
+    if own.single or own.pair:
+        opened = [RecordedDrive(folder, own.file_format) for folder in own.single]
+        pairs = [own.pair] if own.pair else []
+        sessions = [tuple(RecordedDrive(folder, own.file_format) for folder in pair) for pair in pairs]
+        return {"drives": opened, "sessions": sessions}
+    names = _named("--drives", drives, [drive.name for drive in DRIVES])
+    return {"drives": [drive for drive in DRIVES if drive.name in names]}
+
+
+def _named(option: str, text: str, known: Sequence[str]) -> tuple[str, ...]:
+    """The names in a list with commas; all that are known for an empty one."""
+    names = tuple(name.strip() for name in text.split(",") if name.strip()) or tuple(known)
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise refuse(f"{option}: {', '.join(unknown)} is none of {', '.join(known)}")
+    return names
+
+
+def _finite(fields: dict[str, Any]) -> dict[str, Any]:
+    """Infinite tolerances (figures that are shown only) as nothing: JSON has no infinity."""
+    return {key: None if value == float("inf") else value for key, value in fields.items()}

@@ -1,0 +1,92 @@
+"""`revisit doctor`: whether everything is here that the product needs, and whether it answers."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Callable
+from dataclasses import asdict
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from revisit.cli.extras import needs
+from revisit.cli.offline import data_folder
+from revisit.cli.options import GRPC, HTTP, Grpc, Home, Http, Json
+from revisit.cli.output import emit_json, emit_table
+from revisit.core.errors import RevisitError
+from revisit.sdk.errors import ApiError
+
+if TYPE_CHECKING:
+    from revisit.sdk.client import Client
+    from revisit.service.adapters.sqlite.examination import Finding
+
+LIBRARIES = ("numpy", "torch", "faiss-cpu", "opencv-python-headless", "fastapi", "grpcio", "protobuf", "sqlalchemy")
+
+
+@needs("service")
+def doctor(
+    home: Home = None,
+    http: Http = HTTP,
+    grpc: Grpc = GRPC,
+    full: Annotated[bool, typer.Option("--full", help="Read every blob instead of 200 of them.")] = False,
+    json: Json = False,
+) -> None:
+    """Check versions, the models, the data folder and whether the service answers."""
+    from revisit.sdk.client import Client
+    from revisit.sdk.retry import RetryPolicy
+    from revisit.service.adapters.sqlite.examination import Finding
+
+    once = RetryPolicy(attempts=1)
+    findings = [
+        Finding("python", True, platform.python_version()),
+        *(_library(name) for name in LIBRARIES),
+        _checked("models", _models),
+        *_data(home, full),
+        _checked("REST", lambda: _answer(Client(http, retry=once))),
+        _checked("gRPC", lambda: _answer(Client.grpc(grpc, retry=once))),
+    ]
+    if json:
+        emit_json([asdict(finding) for finding in findings])
+    else:
+        marks = {True: "ok", False: "FAILED", None: "-"}
+        emit_table("Doctor", ("check", "", "detail"), [(f.check, marks[f.ok], f.detail) for f in findings])
+    if any(finding.ok is False for finding in findings):
+        raise typer.Exit(1)
+
+
+def _library(name: str) -> Finding:
+    from revisit.service.adapters.sqlite.examination import Finding
+
+    try:
+        return Finding(name, True, metadata.version(name))
+    except metadata.PackageNotFoundError:
+        return Finding(name, False, "not installed")
+
+
+def _checked(check: str, examine: Callable[[], str]) -> Finding:
+    from revisit.service.adapters.sqlite.examination import Finding
+
+    try:
+        return Finding(check, True, examine())
+    except (ApiError, RevisitError, OSError, ImportError, ValueError, RuntimeError) as error:
+        return Finding(check, False, str(error)[:200])
+
+
+def _models() -> str:
+    from revisit.core.model_bundle import load_packaged_models
+
+    return load_packaged_models().version
+
+
+def _data(home: Path | None, full: bool) -> list[Finding]:
+    from revisit.service.adapters.sqlite.examination import examine
+
+    return examine(data_folder(home), full=full)
+
+
+def _answer(client: Client) -> str:
+    with client:
+        status = client.status()
+    return f"version {status.version}, {len(status.workers)} workers, {status.queued_jobs} jobs waiting"

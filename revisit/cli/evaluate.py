@@ -1,0 +1,88 @@
+"""`revisit evaluate`: the paper's figures on a recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from revisit.cli.extras import needs
+from revisit.cli.options import RECORDINGS, IndexGap, PositiveRadius, Stride, Tau
+from revisit.cli.output import emit_table, progress_bar, refuse, reporter, say
+
+if TYPE_CHECKING:
+    from revisit.evaluation.perturbations import Perturbation
+    from revisit.evaluation.runner import EvaluationOptions
+
+ABLATIONS = ("none", "no-implicit", "bev-only", "normals-only")
+
+
+@needs("evaluation")
+def evaluate(
+    folder: Annotated[Path, typer.Argument(exists=True, help="The recording.")],
+    file_format: Annotated[str, typer.Option("--format", help=RECORDINGS)] = "kitti",
+    json: Annotated[Path | None, typer.Option("--json", help="Write rows and summary to this file.")] = None,
+    tau: Tau = None,
+    stride: Stride = None,
+    min_index_gap: IndexGap = None,
+    positive_radius: PositiveRadius = None,
+    rotate_seed: Annotated[int | None, typer.Option(help="Turn every submap by a random yaw of this seed.")] = None,
+    keep_beams: Annotated[int | None, typer.Option(help="Keep so many of 64 beams.")] = None,
+    keep_points: Annotated[float, typer.Option(help="Keep this share of the points.")] = 1.0,
+    ablation: Annotated[str, typer.Option(help="none, no-implicit, bev-only or normals-only.")] = "none",
+    scene_scale: Annotated[
+        float | None, typer.Option(min=0.01, max=10.0, help="Size of the scene compared with a street; else estimated.")
+    ] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Processes.")] = None,
+) -> None:
+    """Score place recognition on a recording with poses, as the paper does."""
+    from revisit.evaluation.runner import EvaluationOptions
+
+    lengths = {"tau": tau, "stride": stride, "min_index_gap": min_index_gap, "positive_radius": positive_radius}
+    options = EvaluationOptions(
+        perturbation=_perturbation(keep_beams, keep_points, rotate_seed),
+        ablation=ablation, scene_scale=scene_scale, **given(**lengths, jobs=jobs),
+    )  # fmt: skip
+    _evaluate_folder(folder, file_format, options, json)
+
+
+def given(**options: Any) -> dict[str, Any]:
+    """The options that were given; the others keep their defaults."""
+    return {name: value for name, value in options.items() if value is not None}
+
+
+def _perturbation(keep_beams: int | None, keep_points: float, rotate_seed: int | None) -> Perturbation:
+    from revisit.evaluation.perturbations import Perturbation
+
+    try:
+        return Perturbation(keep_beams, keep_points, rotate_seed)
+    except ValueError as error:
+        raise refuse(str(error)) from error
+
+
+def _evaluate_folder(folder: Path, file_format: str, options: EvaluationOptions, out: Path | None) -> None:
+    """Evaluate a recording, write the rows, show the summary."""
+    from revisit.evaluation import runner
+    from revisit.evaluation.datasets import FORMATS, open_recording
+
+    if file_format not in FORMATS:
+        raise refuse(f"--format is one of {', '.join(FORMATS)}")
+    if options.ablation not in ABLATIONS:
+        raise refuse("--ablation is none, no-implicit, bev-only or normals-only")
+    with progress_bar(quiet=False) as bar:
+        result = runner.evaluate(open_recording(folder, file_format), options, progress=reporter(bar))
+    if out is not None:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        result.write_json(out)
+    emit_table("Summary", ("figure", "value"), _flat(result.summary))
+    if out is not None:
+        say(f"{len(result.queries)} rows in {out}")
+
+
+def _flat(summary: dict[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
+    rows: list[tuple[str, Any]] = []
+    for key, value in summary.items():
+        name = f"{prefix}{key}"
+        rows += _flat(value, f"{name}.") if isinstance(value, dict) else [(name, value)]
+    return rows

@@ -1,0 +1,41 @@
+"""The use cases on a data folder, whether or not a service runs on it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from revisit.cli.output import refuse
+
+if TYPE_CHECKING:
+    from revisit.service.application import UseCases
+
+
+def data_folder(home: Path | None) -> Path:
+    """The folder that was named, else that of the settings."""
+    from revisit.service.settings import Settings
+
+    return Settings(home=home).home if home else Settings().home
+
+
+@contextmanager
+def use_cases_on(home: Path | None) -> Iterator[UseCases]:
+    """The use cases on the database, which is made where it is missing. Raises typer.Exit where it does not fit."""
+    from alembic.util import CommandError
+
+    from revisit.service.adapters.sqlite.migration import migrate
+    from revisit.service.composition import offline_use_cases
+    from revisit.service.settings import Settings
+
+    # Files are for this user only.
+    os.umask(0o077)
+    settings = Settings(home=home) if home else Settings()
+    try:
+        migrate(settings.database)
+    except CommandError as error:
+        raise refuse(f"the database {settings.database} does not fit this version: {error}") from error
+    with offline_use_cases(settings) as use_cases:
+        yield use_cases

@@ -1,0 +1,23 @@
+"""Options that several commands take."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Http = Annotated[str, typer.Option(envvar="REVISIT_URL", help="URL of the service.")]
+Grpc = Annotated[str, typer.Option(envvar="REVISIT_GRPC", help="host:port of the service's gRPC side.")]
+Home = Annotated[Path | None, typer.Option(help="Directory of the database and the blobs.")]
+Json = Annotated[bool, typer.Option("--json", help="Answer as JSON.")]
+MapName = Annotated[str, typer.Option("--map", help="Id of the map.")]
+Tau = Annotated[float | None, typer.Option(help="Metres per submap.")]
+Stride = Annotated[float | None, typer.Option(help="Metres between submap starts.")]
+IndexGap = Annotated[int | None, typer.Option(help="Nearer submaps are no loop.")]
+PositiveRadius = Annotated[float | None, typer.Option(help="Submaps nearer than this are the same place, m.")]
+
+RECORDINGS = "kitti, kitti360, mulran, nclt, clouds (pcd or ply with TUM or KITTI poses) or rosbag2 (mcap or db3)."
+
+HTTP = "http://127.0.0.1:8080"
+GRPC = "127.0.0.1:8090"

@@ -1,0 +1,98 @@
+"""`revisit query` and `loops`: what a running service knows of a place."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from revisit.cli.options import HTTP, Http, Json, MapName
+from revisit.cli.output import emit_json, emit_table, refuse, say
+
+if TYPE_CHECKING:
+    from revisit.sdk.client import Client
+
+
+def query(
+    cloud: Annotated[
+        Path | None, typer.Argument(exists=True, dir_okay=False, help="A .bin, .pcd, .ply or .npy.")
+    ] = None,
+    map_id: MapName = "default",
+    submap: Annotated[str, typer.Option(help="Search by SESSION/SUBMAP instead of localising a cloud.")] = "",
+    k: Annotated[int, typer.Option(min=1, max=100, help="How many to compare or to show.")] = 10,
+    http: Http = HTTP,
+    json: Json = False,
+) -> None:
+    """Say where a cloud was taken, or which submaps look like a submap."""
+    from revisit.sdk.client import Client
+
+    if (cloud is None) == (not submap):
+        raise refuse("give either a cloud file or --submap SESSION/SUBMAP")
+    with Client(http) as client:
+        if cloud is not None:
+            _localize(client, map_id, cloud, k, json)
+        else:
+            _search(client, map_id, submap, k, json)
+
+
+def loops(
+    map_id: MapName = "default",
+    state: Annotated[str, typer.Option(help="ACCEPTED, REJECTED or ALL.")] = "ACCEPTED",
+    session_id: Annotated[str, typer.Option("--session", help="Only those found by this session.")] = "",
+    http: Http = HTTP,
+    json: Json = False,
+) -> None:
+    """List the loop closures of a map."""
+    from revisit.sdk.client import Client
+
+    state = state.upper()
+    if state not in ("ACCEPTED", "REJECTED", "ALL"):
+        raise refuse("--state is ACCEPTED, REJECTED or ALL")
+    with Client(http) as client:
+        session = f"maps/{map_id}/sessions/{session_id}" if session_id else None
+        found = client.loop_closures(f"maps/{map_id}", state=None if state == "ALL" else state, session=session)
+    if json:
+        emit_json([asdict(loop) for loop in found])
+        return
+    rows = [
+        (_short(loop.query), _short(loop.match), loop.state, loop.reason, loop.similarity, loop.score) for loop in found
+    ]
+    emit_table(
+        f"{len(found)} loop closure{'' if len(found) == 1 else 's'}",
+        ("query", "match", "verdict", "reason", "similarity", "score"),
+        rows,
+    )
+
+
+def _localize(client: Client, map_id: str, cloud: Path, k: int, as_json: bool) -> None:
+    from revisit.formats import media_type_for_suffix
+    from revisit.sdk.clouds import Cloud
+
+    encoded = Cloud(cloud.read_bytes(), media_type_for_suffix(cloud.suffix))
+    found = client.localize(f"maps/{map_id}", encoded, candidates=k)
+    if as_json:
+        emit_json(asdict(found))
+        return
+    rows = [(_short(c.submap), c.accepted, c.reason, c.similarity, c.score) for c in found.candidates]
+    emit_table("Compared", ("submap", "accepted", "reason", "similarity", "score"), rows)
+    if found.best is None or found.T_odom_query is None:
+        say("This place is not in the map.")
+        return
+    x, y, z = found.T_odom_query[:3, 3]
+    say(f"Taken at x {x:.2f} m, y {y:.2f} m, z {z:.2f} m in the odometry frame of {_short(found.session or '')}.")
+
+
+def _search(client: Client, map_id: str, submap: str, k: int, as_json: bool) -> None:
+    session_id, _, submap_id = submap.partition("/")
+    hits = client.search(f"maps/{map_id}", submap=f"maps/{map_id}/sessions/{session_id}/submaps/{submap_id}", k=k)
+    if as_json:
+        emit_json([asdict(hit) for hit in hits])
+        return
+    emit_table("Most similar", ("submap", "similarity"), [(_short(hit.submap), hit.similarity) for hit in hits])
+
+
+def _short(name: str) -> str:
+    parts = name.split("/")
+    return "/".join(parts[3::2])

@@ -1,0 +1,245 @@
+"""Repositories in memory over the rows of one transaction."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Generic, TypeVar
+
+from revisit.service.application.contract.errors import AlreadyExists, NotFound
+from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.ports import IndexChange, Instant
+from revisit.service.application.contract.records import (
+    JobRecord,
+    ScanRecord,
+    SubmapRecord,
+    WorkerRecord,
+)
+
+R = TypeVar("R")
+
+Scalar = str | int | None
+
+
+@dataclass
+class Rows:
+    """The rows of one table by number, and the last number given out."""
+
+    by_number: dict[int, Any] = field(default_factory=dict)
+    last: int = 0
+
+    def copy(self) -> Rows:
+        """An independent copy; records are immutable."""
+        return Rows(dict(self.by_number), self.last)
+
+
+class MemoryRepository(Generic[R]):
+    """`ports.Repository` over `Rows`."""
+
+    def __init__(self, rows: Rows, key: tuple[str, ...]) -> None:
+        """`key` names the fields that, with the tenant, identify a record."""
+        self._rows = rows
+        self._key = ("tenant", *key)
+
+    def add(self, record: R) -> R:
+        """See `ports.Repository`."""
+        if any(self._key_of(row) == self._key_of(record) for row in self._rows.by_number.values()):
+            raise AlreadyExists
+        self._rows.last += 1
+        added: R = dataclasses.replace(record, number=self._rows.last)  # type: ignore[type-var]  # R is a record
+        self._rows.by_number[self._rows.last] = added
+        return added
+
+    def get(self, tenant: TenantId, *key: str | int) -> R | None:
+        """See `ports.Repository`."""
+        return next((row for row in self._rows.by_number.values() if self._key_of(row) == (tenant, *key)), None)
+
+    def find(self, tenant: TenantId, *, after: int = 0, limit: int | None = None, **equals: Scalar) -> list[R]:
+        """See `ports.Repository`."""
+        return [row for row in self._matching(tenant, equals) if row.number > after][:limit]
+
+    def numbered(self, tenant: TenantId, numbers: Sequence[int]) -> dict[int, R]:
+        """See `ports.Repository`."""
+        return {row.number: row for row in self._matching(tenant, {}) if row.number in set(numbers)}
+
+    def distinct(self, tenant: TenantId, field: str, **equals: Scalar) -> set[Any]:
+        """See `ports.Repository`."""
+        return {getattr(row, field) for row in self._matching(tenant, equals)} - {None}
+
+    def count(self, tenant: TenantId, **equals: Scalar) -> int:
+        """See `ports.Repository`."""
+        return len(self._matching(tenant, equals))
+
+    def count_of_all_tenants(self, **equals: Scalar) -> int:
+        """See `ports.Repository`."""
+        rows = self._rows.by_number.values()
+        return sum(all(getattr(row, name) == value for name, value in equals.items()) for row in rows)
+
+    def of_all_tenants(self, *, after: int = 0, limit: int | None = None) -> list[R]:
+        """See `ports.Repository`."""
+        return [row for number, row in sorted(self._rows.by_number.items()) if number > after][:limit]
+
+    def replace(self, record: R) -> None:
+        """See `ports.Repository`."""
+        number = record.number  # type: ignore[attr-defined]  # R is a record
+        if number not in self._rows.by_number:
+            raise NotFound
+        self._rows.by_number[number] = record
+
+    def delete(self, tenant: TenantId, **equals: Scalar) -> int:
+        """See `ports.Repository`."""
+        doomed = [row.number for row in self._matching(tenant, equals)]
+        for number in doomed:
+            del self._rows.by_number[number]
+        return len(doomed)
+
+    def _matching(self, tenant: TenantId, equals: dict[str, Scalar]) -> list[Any]:
+        wanted = {"tenant": tenant, **equals}
+        rows = [row for _, row in sorted(self._rows.by_number.items())]
+        return [row for row in rows if all(getattr(row, name) == value for name, value in wanted.items())]
+
+    def _key_of(self, record: Any) -> tuple[Any, ...]:
+        return tuple(getattr(record, name) for name in self._key)
+
+
+class MemoryScans(MemoryRepository[ScanRecord]):
+    """`ports.ScanRepository`."""
+
+    def first_seq_from(self, tenant: TenantId, map_id: str, session_id: str, travelled_m: float) -> int | None:
+        """See `ports.ScanRepository`."""
+        scans = self.find(tenant, map_id=map_id, session_id=session_id)
+        return min((scan.seq for scan in scans if scan.travelled_m >= travelled_m), default=None)
+
+    def with_seqs(self, tenant: TenantId, map_id: str, session_id: str, seqs: Sequence[int]) -> list[ScanRecord]:
+        """See `ports.ScanRepository`."""
+        scans = self.find(tenant, map_id=map_id, session_id=session_id)
+        return sorted((scan for scan in scans if scan.seq in set(seqs)), key=lambda scan: scan.seq)
+
+
+class MemorySubmaps(MemoryRepository[SubmapRecord]):
+    """`ports.SubmapRepository`."""
+
+    def last_number(self) -> int:
+        """See `ports.SubmapRepository`."""
+        return self._rows.last
+
+    def waiting_up_to(self, tenant: TenantId, map_id: str, number: int) -> int:
+        """See `ports.SubmapRepository`."""
+        return sum(row.number <= number for row in self.find(tenant, map_id=map_id, state="QUEUED"))
+
+
+class MemoryJobs(MemoryRepository[JobRecord]):
+    """`ports.JobRepository`."""
+
+    def next_runnable(self, now: Instant, after: str = "") -> JobRecord | None:
+        """See `ports.JobRepository`."""
+        due = [job for job in self._all() if _due(job, now)]
+        return min(due, key=lambda job: (job.tenant <= after, job.tenant, job.priority, job.number), default=None)
+
+    def exhausted(self, now: Instant) -> list[JobRecord]:
+        """See `ports.JobRepository`."""
+        return [job for job in self._all() if _lost(job, now) and job.attempts >= job.max_attempts]
+
+    def leased_to(self, owner: str) -> list[JobRecord]:
+        """See `ports.JobRepository`."""
+        return [job for job in self._all() if job.state == "RUNNING" and job.lease_owner == owner]
+
+    def forget_answers(self, before_ns: int, limit: int) -> int:
+        """See `ports.JobRepository`."""
+        ended = [(job.finished_at_ns, job.number) for job in self._all() if job.priority == 0 and job.finished_at_ns]
+        old = [number for finished_at_ns, number in sorted(ended) if finished_at_ns < before_ns][:limit]
+        for number in old:
+            del self._rows.by_number[number]
+        return len(old)
+
+    def oldest_queued_ns(self) -> int | None:
+        """See `ports.JobRepository`."""
+        return min((job.created_at_ns for job in self._all() if job.state == "QUEUED"), default=None)
+
+    def _all(self) -> list[JobRecord]:
+        return [job for _, job in sorted(self._rows.by_number.items())]
+
+
+def _lost(job: JobRecord, now: Instant) -> bool:
+    return job.state == "RUNNING" and (job.lease_epoch != now.epoch or job.lease_expires_ms <= now.ms)
+
+
+def _due(job: JobRecord, now: Instant) -> bool:
+    if job.state == "QUEUED":
+        return job.lease_epoch != now.epoch or job.not_before_ms <= now.ms
+    return _lost(job, now) and job.attempts < job.max_attempts
+
+
+@dataclass(frozen=True)
+class _Change:
+    tenant: str
+    map_number: int
+    submap_number: int
+    described: bool
+    number: int = 0
+
+
+class MemoryChangeLog:
+    """`ports.ChangeLog`."""
+
+    def __init__(self, changes: Rows, submaps: Rows) -> None:
+        """`submaps` tells whether a described submap is still there."""
+        self._changes = changes
+        self._submaps = submaps
+
+    def record_described(self, tenant: TenantId, map_number: int, submap_number: int) -> int:
+        """See `ports.ChangeLog`."""
+        return self._append(_Change(tenant, map_number, submap_number, described=True))
+
+    def record_removed(self, tenant: TenantId, map_number: int, submap_numbers: Collection[int]) -> None:
+        """See `ports.ChangeLog`."""
+        for number in sorted(submap_numbers):
+            self._append(_Change(tenant, map_number, number, described=False))
+
+    def since(self, tenant: TenantId, map_number: int, seq: int, limit: int | None = None) -> list[IndexChange]:
+        """See `ports.ChangeLog`."""
+        changes = [change for _, change in sorted(self._changes.by_number.items())]
+        return [
+            self._seen(change)
+            for change in changes
+            if (change.tenant, change.map_number) == (tenant, map_number) and change.number > seq
+        ][:limit]
+
+    def _append(self, change: _Change) -> int:
+        self._changes.last += 1
+        self._changes.by_number[self._changes.last] = dataclasses.replace(change, number=self._changes.last)
+        return self._changes.last
+
+    def _seen(self, change: _Change) -> IndexChange:
+        submap: SubmapRecord | None = self._submaps.by_number.get(change.submap_number)
+        if submap is None:
+            return IndexChange(change.number, change.submap_number, 0, 0, (0.0, 0.0, 0.0), None)
+        vector = submap.descriptor if change.described else None
+        place = (submap.session_number, submap.ordinal, submap.position_m)
+        return IndexChange(change.number, change.submap_number, *place, vector)
+
+
+class MemoryWorkerLog:
+    """`ports.WorkerLog`."""
+
+    def __init__(self, rows: Rows) -> None:
+        """Workers by their place in `rows`."""
+        self._rows = rows
+
+    def beat(self, worker: WorkerRecord) -> None:
+        """See `ports.WorkerLog`."""
+        self.forget(worker.worker_id)
+        self._rows.last += 1
+        self._rows.by_number[self._rows.last] = worker
+
+    def alive(self, epoch: str, since_ms: int) -> list[WorkerRecord]:
+        """See `ports.WorkerLog`."""
+        alive = [w for w in self._rows.by_number.values() if w.epoch == epoch and w.seen_ms >= since_ms]
+        return sorted(alive, key=lambda worker: (-worker.seen_ms, worker.worker_id))
+
+    def forget(self, worker_id: str) -> None:
+        """See `ports.WorkerLog`."""
+        kept = {number: row for number, row in self._rows.by_number.items() if row.worker_id != worker_id}
+        self._rows.by_number.clear()
+        self._rows.by_number.update(kept)

@@ -1,0 +1,87 @@
+"""Transactions in memory: each works on a copy of all rows, which replaces the original at its end."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import TypeVar
+
+from revisit.service.adapters.leased_jobs import LeasedJobs
+from revisit.service.adapters.memory.access import MemoryAuditTrail, MemoryKeyRing
+from revisit.service.adapters.memory.repositories import (
+    MemoryChangeLog,
+    MemoryJobs,
+    MemoryRepository,
+    MemoryScans,
+    MemorySubmaps,
+    MemoryWorkerLog,
+    Rows,
+)
+from revisit.service.application.contract.ports import UnitOfWork
+from revisit.service.application.contract.records import LoopRecord, MapRecord, RobotRecord, SessionRecord
+
+T = TypeVar("T")
+
+_TABLES = ("maps", "robots", "sessions", "scans", "submaps", "loops", "jobs", "changes", "workers", "keys", "audit")
+
+
+class MemoryUnitOfWork:
+    """`ports.UnitOfWork` over a copy of every table."""
+
+    def __init__(self, tables: dict[str, Rows], lease_ms: int) -> None:
+        """Changes `tables` in place."""
+        self.maps: MemoryRepository[MapRecord] = MemoryRepository(tables["maps"], ("map_id",))
+        self.robots: MemoryRepository[RobotRecord] = MemoryRepository(tables["robots"], ("robot_id",))
+        self.sessions: MemoryRepository[SessionRecord] = MemoryRepository(tables["sessions"], ("map_id", "session_id"))
+        self.scans = MemoryScans(tables["scans"], ("map_id", "session_id", "seq"))
+        self.submaps = MemorySubmaps(tables["submaps"], ("map_id", "session_id", "submap_id"))
+        self.loops: MemoryRepository[LoopRecord] = MemoryRepository(tables["loops"], ("map_id", "loop_id"))
+        self.jobs = MemoryJobs(tables["jobs"], ("operation_id",))
+        self.queue = LeasedJobs(self.jobs, lease_ms)
+        self.changes = MemoryChangeLog(tables["changes"], tables["submaps"])
+        self.workers = MemoryWorkerLog(tables["workers"])
+        self.keys = MemoryKeyRing(tables["keys"].by_number)
+        self.audit = MemoryAuditTrail(tables["audit"].by_number)
+
+
+class MemoryTransactions:
+    """`ports.Transactions` without a disk: a transaction works on a copy, which replaces the original at the end."""
+
+    def __init__(self, lease_ms: int = 10_000) -> None:
+        """Begins empty."""
+        self._tables = {name: Rows() for name in _TABLES}
+        self._lease_ms = lease_ms
+        self._lock = threading.Lock()
+
+    def write(self, work: Callable[[UnitOfWork], T], *, alone: bool = False) -> Future[T]:
+        """See `ports.Transactions`."""
+        return _settled(lambda: self._write(work))
+
+    def read(self, work: Callable[[UnitOfWork], T]) -> Future[T]:
+        """See `ports.Transactions`."""
+        with self._lock:
+            snapshot = self._copy()
+        return _settled(lambda: work(MemoryUnitOfWork(snapshot, self._lease_ms)))
+
+    def close(self) -> None:
+        """See `ports.Transactions`."""
+
+    def _write(self, work: Callable[[UnitOfWork], T]) -> T:
+        with self._lock:
+            tables = self._copy()
+            result = work(MemoryUnitOfWork(tables, self._lease_ms))
+            self._tables = tables
+            return result
+
+    def _copy(self) -> dict[str, Rows]:
+        return {name: rows.copy() for name, rows in self._tables.items()}
+
+
+def _settled(work: Callable[[], T]) -> Future[T]:
+    future: Future[T] = Future()
+    try:
+        future.set_result(work())
+    except Exception as error:  # noqa: BLE001  # a future carries whatever the work raised
+        future.set_exception(error)
+    return future

@@ -1,0 +1,30 @@
+"""The addresses of all blobs that rows refer to, as one statement."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sqlalchemy import Column, CompoundSelect, Select, literal, select, text, union
+
+from revisit.service.adapters.sql.tables import scans, submaps
+from revisit.service.application.housekeeping.blob_references import NEURAL_MAP_BLOB, SIGNATURE_BLOB
+from revisit.service.application.ingest.clouds import CLOUD_BLOB
+from revisit.service.application.recognise.meshes import MESH_BLOB
+
+REFERENCES: tuple[tuple[str, Column[Any]], ...] = (
+    (CLOUD_BLOB, scans.c.cloud_sha256),
+    (CLOUD_BLOB, submaps.c.cloud_sha256),
+    (SIGNATURE_BLOB, submaps.c.signature_sha256),
+    (NEURAL_MAP_BLOB, submaps.c.neural_map_sha256),
+    (MESH_BLOB, submaps.c.mesh_sha256),
+)
+"""(kind of blob, column with its hash)."""
+
+
+def blob_addresses() -> CompoundSelect[Any]:
+    """(tenant, kind, sha256) of every blob that a row refers to, each once, in the order of these three."""
+    return union(*(_of_column(kind, column) for kind, column in REFERENCES)).order_by(text("1, 2, 3"))
+
+
+def _of_column(kind: str, column: Column[Any]) -> Select[Any]:
+    return select(column.table.c.tenant, literal(kind), column).where(column.is_not(None), column != "")

@@ -1,0 +1,72 @@
+"""The change log of the maps' indexes in an SQL database."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from functools import cache
+from typing import Any
+
+from sqlalchemy import Connection, Row, Select, bindparam, insert, select
+
+from revisit.service.adapters.sql import tables
+from revisit.service.adapters.sql.engine import DatabaseEngine
+from revisit.service.adapters.sql.statements import new_row
+from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.ports import IndexChange
+
+
+class SqlChangeLog:
+    """`ports.ChangeLog`."""
+
+    def __init__(self, connection: Connection, engine: DatabaseEngine) -> None:
+        """All statements go through `connection`, a connection of `engine`."""
+        self._connection = connection
+        self._engine = engine
+
+    def record_described(self, tenant: TenantId, map_number: int, submap_number: int) -> int:
+        """See `ports.ChangeLog`."""
+        self._engine.number_in_commit_order(self._connection, tables.index_changes)
+        row = _change_row(tenant, map_number, submap_number, "DESCRIBED")
+        return int(self._connection.execute(new_row(tables.index_changes), row).scalar_one())
+
+    def record_removed(self, tenant: TenantId, map_number: int, submap_numbers: Collection[int]) -> None:
+        """See `ports.ChangeLog`."""
+        rows = [_change_row(tenant, map_number, number, "REMOVED") for number in sorted(submap_numbers)]
+        if rows:
+            self._engine.number_in_commit_order(self._connection, tables.index_changes)
+            self._connection.execute(insert(tables.index_changes), rows)
+
+    def since(self, tenant: TenantId, map_number: int, seq: int, limit: int | None = None) -> list[IndexChange]:
+        """See `ports.ChangeLog`."""
+        asked = {"its_tenant": tenant, "its_map": map_number, "after": seq}
+        return [_change(row) for row in self._connection.execute(_changes_since().limit(limit), asked)]
+
+
+@cache
+def _changes_since() -> Select[Any]:
+    """Takes `its_tenant`, `its_map` and `after`."""
+    changes, submaps = tables.index_changes.c, tables.submaps.c
+    return (
+        select(changes.seq, changes.kind, changes.submap_number, submaps.session_number, submaps.ordinal)
+        .add_columns(submaps.position_m, submaps.descriptor)
+        .outerjoin_from(tables.index_changes, tables.submaps, submaps.number == changes.submap_number)
+        .where(changes.tenant == bindparam("its_tenant"), changes.map_number == bindparam("its_map"))
+        .where(changes.seq > bindparam("after"))
+        .order_by(changes.seq)
+    )
+
+
+def _change_row(tenant: TenantId, map_number: int, submap_number: int, kind: str) -> dict[str, Any]:
+    return {"tenant": tenant, "map_number": map_number, "submap_number": submap_number, "kind": kind}
+
+
+def _change(row: Row[Any]) -> IndexChange:
+    gone = row.session_number is None
+    return IndexChange(
+        seq=row.seq,
+        submap_number=row.submap_number,
+        session_number=0 if gone else row.session_number,
+        ordinal=0 if gone else row.ordinal,
+        position_m=(0.0, 0.0, 0.0) if gone else row.position_m,
+        vector=None if gone or row.kind == "REMOVED" else row.descriptor,
+    )

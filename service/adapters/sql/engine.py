@@ -1,0 +1,33 @@
+"""What the statements of this package need from the database that runs them, where standard SQL says nothing."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from sqlalchemy import Connection, Table
+from sqlalchemy.exc import IntegrityError
+
+
+class DatabaseEngine(Protocol):
+    """A database engine, as the repositories see it.
+
+    The package of an engine also implements `ports.Transactions` and brings the schema up to date. The repositories
+    rely on it for four things. A write transaction is serialisable: what it has read does not change before it commits.
+    A number that a table has given to a row is never given to another, even where the row is gone. Text is ordered by
+    code point, as Python orders it. A statement that is refused (IntegrityError) ends the work that sent it.
+    """
+
+    def last_number(self, connection: Connection, table: Table) -> int:
+        """The highest number that a row of `table` was ever given, whether or not it is still there; 0 for none."""
+        ...
+
+    def number_in_commit_order(self, connection: Connection, table: Table) -> None:
+        """From here to its commit, let this transaction alone give numbers to new rows of `table`.
+
+        A reader that has seen a number then never misses a lower one that is committed later.
+        """
+        ...
+
+    def is_duplicate(self, error: IntegrityError) -> bool:
+        """Whether a row was refused because its unique key is taken, and not because its parent is missing."""
+        ...

@@ -1,0 +1,180 @@
+"""Backups: one snapshot of the database, and every blob that its rows refer to, while the service runs.
+
+SQLite's backup API copies the database (a copied file would lack what is still in the write-ahead log). Blobs never
+change and none is deleted while a backup runs, so every blob of the copied rows is there. Each is checked against the
+hash in its name. The folder gets its final name last: an interrupted backup never looks like a complete one.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import sqlite3
+from contextlib import closing
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from revisit.core.errors import DataLoss
+from revisit.service.adapters.files.blobs import blob_path, nothing_deleted, read_verified
+from revisit.service.adapters.files.durable_files import (
+    durable_write,
+    make_directories,
+    move_durably,
+    write_later_synced,
+)
+from revisit.service.adapters.sqlite.blob_rows import named_blobs
+from revisit.service.adapters.sqlite.connections import DATABASE, open_to_read
+from revisit.service.adapters.sqlite.migration import current_revision, known_revisions
+
+FORMAT = 1
+BLOBS = "blobs"
+MANIFEST = "manifest.json"
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """The contents of a backup. `lost`: the blobs that were missing or damaged when it was made."""
+
+    format: int
+    version: str
+    revision: str
+    created_at: str
+    database_sha256: str
+    blobs: int
+    blob_bytes: int
+    lost: tuple[str, ...]
+
+
+class BackupRefused(DataLoss):
+    """The backup is damaged, incomplete or of an unknown format: nothing was restored."""
+
+
+def make_backup(home: Path, out: Path, version: str) -> Manifest:
+    """Back up the data folder `home` into the new folder `out`; the service may run.
+
+    Raises FileExistsError where `out` is there already, FileNotFoundError where there is no database, OSError.
+    """
+    if out.exists():
+        raise FileExistsError(f"{out} exists already: a backup goes into a new folder")
+    revision = current_revision(home / DATABASE)
+    if revision is None:
+        raise FileNotFoundError(f"there is no database in {home}")
+    partial = _emptied(out.with_name(f"{out.name}.partial"))
+    (home / BLOBS).mkdir(exist_ok=True, mode=0o700)
+    with nothing_deleted(home / BLOBS):
+        _copy_database(home / DATABASE, partial / DATABASE)
+        with closing(open_to_read(partial / DATABASE, at_rest=True)) as rows:
+            count, size_bytes, lost = _copy_blobs(rows, home / BLOBS, partial / BLOBS)
+    manifest = Manifest(
+        format=FORMAT,
+        version=version,
+        revision=revision,
+        created_at=datetime.now(UTC).isoformat(timespec="seconds"),
+        database_sha256=_sha256(partial / DATABASE),
+        blobs=count,
+        blob_bytes=size_bytes,
+        lost=lost,
+    )
+    durable_write(partial / MANIFEST, json.dumps(asdict(manifest), indent=2).encode())
+    _give_name(partial, out)
+    return manifest
+
+
+def restore_backup(archive: Path, home: Path) -> Manifest:
+    """Make the data folder `home`, which must be missing or empty, out of a backup; all of it or nothing.
+
+    Raises BackupRefused, FileExistsError, OSError.
+    """
+    if home.exists() and any(home.iterdir()):
+        raise FileExistsError(f"{home} is not empty: a backup is restored into a new data folder")
+    manifest = read_manifest(archive)
+    _check_database(archive / DATABASE, manifest)
+    partial = _emptied(home.with_name(f"{home.name}.restoring"))
+    _copy_file(archive / DATABASE, partial / DATABASE)
+    with closing(open_to_read(archive / DATABASE, at_rest=True)) as rows:
+        count, _, lost = _copy_blobs(rows, archive / BLOBS, partial / BLOBS)
+    unexpected = sorted(set(lost) - set(manifest.lost))
+    if unexpected or count != manifest.blobs:
+        shutil.rmtree(partial)
+        raise BackupRefused(
+            f"{len(unexpected)} blobs of the backup are missing or damaged: {', '.join(unexpected[:3])}"
+        )
+    if home.exists():
+        home.rmdir()
+    _give_name(partial, home)
+    return manifest
+
+
+def read_manifest(archive: Path) -> Manifest:
+    """The manifest of a backup. Raises BackupRefused."""
+    try:
+        data = json.loads((archive / MANIFEST).read_bytes())
+        manifest = Manifest(**{**data, "lost": tuple(data["lost"])})
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise BackupRefused(f"{archive} has no readable manifest") from error
+    if manifest.format != FORMAT:
+        raise BackupRefused(f"the backup has format {manifest.format}, this version reads {FORMAT}")
+    if manifest.revision not in known_revisions():
+        raise BackupRefused(
+            f"the backup has schema {manifest.revision}, which this version does not know: upgrade first"
+        )
+    return manifest
+
+
+def _check_database(database: Path, manifest: Manifest) -> None:
+    if not database.is_file() or _sha256(database) != manifest.database_sha256:
+        raise BackupRefused("the database of the backup is missing or damaged")
+    with closing(open_to_read(database, at_rest=True)) as connection:
+        (verdict,) = connection.execute("PRAGMA integrity_check(1)").fetchone()
+    if verdict != "ok":
+        raise BackupRefused(f"the database of the backup is damaged: {verdict}")
+
+
+def _copy_database(database: Path, target: Path) -> None:
+    """Copy one snapshot in one step, which writers cannot change or restart."""
+    with closing(open_to_read(database)) as source, closing(sqlite3.connect(target)) as copy:
+        source.backup(copy)
+        # Without a write-ahead log the backup is one file.
+        copy.execute("PRAGMA journal_mode=DELETE")
+
+
+def _copy_blobs(rows: sqlite3.Connection, source: Path, target: Path) -> tuple[int, int, tuple[str, ...]]:
+    """Copy the blobs of the rows; how many, how many bytes, and the addresses of missing and damaged ones."""
+    count, size_bytes, lost = 0, 0, []
+    for blob in named_blobs(rows):
+        try:
+            data = read_verified(blob_path(source, blob))
+        except DataLoss:
+            lost.append(f"{blob.tenant}/{blob.kind}/{blob.sha256}")
+            continue
+        path = blob_path(target, blob)
+        path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        write_later_synced(path, data)
+        count, size_bytes = count + 1, size_bytes + len(data)
+    return count, size_bytes, tuple(lost)
+
+
+def _copy_file(source: Path, target: Path) -> None:
+    with source.open("rb") as file:
+        write_later_synced(target, file.read())
+
+
+def _emptied(folder: Path) -> Path:
+    """The folder, empty: what an interrupted attempt left in it is deleted."""
+    shutil.rmtree(folder, ignore_errors=True)
+    make_directories(folder, folder.parent)
+    return folder
+
+
+def _give_name(partial: Path, target: Path) -> None:
+    """Sync all files at once, then rename."""
+    os.sync()
+    move_durably(partial, target)
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

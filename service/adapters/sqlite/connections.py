@@ -1,0 +1,83 @@
+"""Connections to a SQLite file: the pragmas that make them durable or harmless, and when their transactions begin."""
+
+from __future__ import annotations
+
+import sqlite3
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import Connection, Engine, create_engine, event
+
+DATABASE = "revisit.db"
+"""The name of the database file in the data folder."""
+
+READERS = 2
+
+WRITER_PRAGMAS: dict[str, str | int] = {
+    "journal_mode": "wal",
+    "synchronous": 2,  # FULL: a commit returns when it is on the disk
+    "foreign_keys": 1,
+    "busy_timeout": 5000,
+    "journal_size_limit": 64 * 2**20,  # bytes: a checkpoint truncates a longer write-ahead log to this
+    "temp_store": 2,  # MEMORY: a full disk cannot break a rollback
+    "secure_delete": 1,  # deleted rows are overwritten
+}
+READER_PRAGMAS: dict[str, str | int] = {"query_only": 1, "busy_timeout": 5000, "wal_autocheckpoint": 0}
+
+
+def writer_engine(path: Path, *, checkpoints: bool) -> Engine:
+    """An engine of one connection whose transactions take the write lock at once and are on disk when they commit.
+
+    `checkpoints`: after every 1000 pages a commit copies the write-ahead log back into the database.
+    """
+    engine = create_engine(f"sqlite:///{path}", pool_size=1, max_overflow=0)
+    _prepare(engine, writer_pragmas(checkpoints=checkpoints), "BEGIN IMMEDIATE")
+    return engine
+
+
+def reader_engine(path: Path) -> Engine:
+    """An engine whose transactions see one snapshot and can change nothing."""
+    engine = create_engine(f"sqlite:///{path}", pool_size=READERS, max_overflow=0)
+    _prepare(engine, READER_PRAGMAS, "BEGIN")
+    return engine
+
+
+def writer_pragmas(*, checkpoints: bool) -> dict[str, str | int]:
+    """What a writer's connection must have."""
+    return WRITER_PRAGMAS | {"wal_autocheckpoint": 1000 if checkpoints else 0}
+
+
+def require_pragmas(engine: Engine, pragmas: dict[str, str | int]) -> None:
+    """Raises RuntimeError where a connection is not as `pragmas` demand: SQLite ignores what it cannot grant."""
+    with engine.connect() as connection:
+        granted = {name: connection.exec_driver_sql(f"PRAGMA {name}").scalar() for name in pragmas}
+    wrong = {name: value for name, value in granted.items() if value != pragmas[name]}
+    if wrong:
+        raise RuntimeError(f"the database connection has {wrong}, not { ({name: pragmas[name] for name in wrong}) }")
+
+
+def open_to_read(database: Path, *, at_rest: bool = False) -> sqlite3.Connection:
+    """A connection that cannot write, beside the service or without it; `at_rest`: nobody else has the file open.
+
+    Raises sqlite3.Error.
+    """
+    options = "mode=ro&immutable=1" if at_rest else "mode=ro"
+    return sqlite3.connect(f"{database.absolute().as_uri()}?{options}", uri=True, timeout=5.0)
+
+
+def write_ahead_log(database: Path) -> Path:
+    """The file of what is committed and not checkpointed yet."""
+    return database.with_name(f"{database.name}-wal")
+
+
+def _prepare(engine: Engine, pragmas: dict[str, str | int], begin: str) -> None:
+    @event.listens_for(engine, "connect")
+    def set_pragmas(connection: Any, _record: Any) -> None:
+        # The driver must not begin transactions by itself: it would do so only before a write.
+        connection.isolation_level = None
+        for name, value in pragmas.items():
+            connection.execute(f"PRAGMA {name}={value}")
+
+    @event.listens_for(engine, "begin")
+    def begin_transaction(connection: Connection) -> None:
+        connection.exec_driver_sql(begin)

@@ -1,0 +1,23 @@
+"""SQLite's answers to what the SQL of the product asks of its engine."""
+
+from __future__ import annotations
+
+from sqlalchemy import Connection, Table, text
+from sqlalchemy.exc import IntegrityError
+
+_LAST_NUMBER = text("SELECT seq FROM sqlite_sequence WHERE name = :table")
+
+
+class SqliteEngine:
+    """`sql.engine.DatabaseEngine`. One write transaction runs at a time, which makes it serialisable."""
+
+    def last_number(self, connection: Connection, table: Table) -> int:
+        """See `DatabaseEngine`: SQLite keeps the highest AUTOINCREMENT number apart from the rows."""
+        return int(connection.execute(_LAST_NUMBER, {"table": table.name}).scalar() or 0)
+
+    def number_in_commit_order(self, connection: Connection, table: Table) -> None:
+        """See `DatabaseEngine`: a write transaction runs alone, so there is nothing to do."""
+
+    def is_duplicate(self, error: IntegrityError) -> bool:
+        """See `DatabaseEngine`."""
+        return "UNIQUE" in str(error.orig)

@@ -1,0 +1,78 @@
+"""Bringing a SQLite file to the schema of this version."""
+
+from __future__ import annotations
+
+import sqlite3
+from pathlib import Path
+
+from alembic import command
+from alembic.config import Config
+from alembic.script import ScriptDirectory
+from sqlalchemy import Connection
+
+from revisit.service.adapters.files.filesystem import require_local
+from revisit.service.adapters.sqlite.connections import writer_engine
+from revisit.service.adapters.sqlite.writer_lock import WriterLock
+
+MIGRATIONS = Path(__file__).resolve().parents[3] / "migrations"
+
+
+def migrate(database: Path, revision: str = "head") -> None:
+    """Upgrade (or, to an older revision, downgrade) the SQLite file, which is made where it is missing.
+
+    Raises StorageUncertain while another process writes; RemoteFileSystem where the file would not be on this machine.
+    """
+    require_local(database.parent)
+    database.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+    lock = WriterLock(database)
+    try:
+        with lock.held():
+            _migrate(database, revision)
+    finally:
+        lock.close()
+
+
+def known_revisions() -> frozenset[str]:
+    """The revisions that this version can open or upgrade."""
+    scripts = ScriptDirectory(str(MIGRATIONS))
+    return frozenset(script.revision for script in scripts.walk_revisions())
+
+
+def newest_revision() -> str:
+    """The revision that this version brings a database to."""
+    return str(ScriptDirectory(str(MIGRATIONS)).get_current_head())
+
+
+def current_revision(database: Path) -> str | None:
+    """The revision a database is at, or None for an empty one."""
+    if not database.exists():
+        return None
+    connection = sqlite3.connect(f"file:{database}?mode=ro", uri=True)
+    try:
+        row = connection.execute("SELECT version_num FROM alembic_version").fetchone()
+    except sqlite3.OperationalError:
+        return None
+    finally:
+        connection.close()
+    return None if row is None else str(row[0])
+
+
+def _migrate(database: Path, revision: str) -> None:
+    """Run the migrations on a writer's connection, in one transaction: SQLite can roll back changes of the schema."""
+    upwards = revision == "head" or current_revision(database) is None
+    engine = writer_engine(database, checkpoints=True)
+    try:
+        with engine.connect() as connection:
+            config = _configuration(connection)
+            (command.upgrade if upwards else command.downgrade)(config, revision)
+    finally:
+        engine.dispose()
+
+
+def _configuration(connection: Connection) -> Config:
+    """Alembic's configuration, without an ini file."""
+    # Batch mode: what SQLite's ALTER TABLE cannot change is changed in a copy of the table.
+    options = {"connection": connection, "render_as_batch": True, "transactional_ddl": True}
+    config = Config(attributes={"options": options})
+    config.set_main_option("script_location", str(MIGRATIONS))
+    return config

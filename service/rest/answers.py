@@ -1,0 +1,69 @@
+"""Answers: messages of `proto/revisit/v1` as JSON, and what OpenAPI says about them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import Response
+from google.protobuf.message import Message
+from pydantic_core import to_json
+
+from revisit.service.wire import openapi
+from revisit.service.wire.answers import Fields
+from revisit.service.wire.json_form import json_form
+from revisit.v1 import (
+    ingest_pb2,
+    loop_closure_pb2,
+    map_pb2,
+    operation_pb2,
+    robot_pb2,
+    session_pb2,
+    submap_pb2,
+    system_pb2,
+)
+
+Ack = ingest_pb2.AppendScanResponse
+LocalizeAnswer = loop_closure_pb2.LocalizeResponse
+LoopClosure = loop_closure_pb2.LoopClosure
+LoopClosurePage = loop_closure_pb2.ListLoopClosuresResponse
+Map = map_pb2.Map
+MapPage = map_pb2.ListMapsResponse
+Operation = operation_pb2.Operation
+OperationPage = operation_pb2.ListOperationsResponse
+Posted = submap_pb2.PostSubmapResponse
+Robot = robot_pb2.Robot
+RobotPage = robot_pb2.ListRobotsResponse
+SearchAnswer = loop_closure_pb2.SearchSubmapsResponse
+Session = session_pb2.Session
+SessionPage = session_pb2.ListSessionsResponse
+Status = system_pb2.GetStatusResponse
+Submap = submap_pb2.Submap
+SubmapPage = submap_pb2.ListSubmapsResponse
+
+_DESCRIBED = (
+    Ack, LocalizeAnswer, LoopClosurePage, MapPage, OperationPage, Posted, RobotPage, SearchAnswer, SessionPage, Status,
+    SubmapPage,
+)  # fmt: skip
+
+
+def answers(message: type[Message], status: int = 200) -> dict[str, Any]:
+    """The arguments of a route that answers with `message`."""
+    content = {"application/json": {"schema": openapi.reference(message)}}
+    return {
+        "status_code": status,
+        "response_class": Response,
+        "response_model": None,
+        "responses": {status: {"content": content}},
+    }
+
+
+def answer(message: type[Message], fields: Fields, status: int = 200, *, replay: bool = False) -> Response:
+    """The JSON of a message; an identical create answers as the first did, with `Idempotent-Replay: true`."""
+    headers = {"idempotent-replay": "true"} if replay else None
+    return Response(to_json(json_form(message, fields), inf_nan_mode="null"), status, headers, "application/json")
+
+
+def describe_answers(document: dict[str, Any]) -> None:
+    """Add the schemas of all answers to the OpenAPI document."""
+    schemas = openapi.schemas(_DESCRIBED)
+    document.setdefault("components", {}).setdefault("schemas", {}).update(schemas)

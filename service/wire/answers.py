@@ -1,0 +1,218 @@
+"""Views of the use cases to the fields of their messages in `proto/revisit/v1`: the only place that lists the fields.
+
+Each function returns a dict by field name; a field that is None is absent. gRPC gives the dict to the message's
+constructor, REST renders it with `json_form`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import asdict
+from typing import Any, TypeAlias, TypeVar
+
+import numpy as np
+
+from revisit.core.geometry import se3
+from revisit.core.geometry.se3 import Matrix4
+from revisit.core.scan import CloudReport
+from revisit.service.application.catalogue.loops import LoopClosureView
+from revisit.service.application.catalogue.maps import MapView
+from revisit.service.application.catalogue.paging import Page
+from revisit.service.application.catalogue.robots import RobotView
+from revisit.service.application.catalogue.sessions import SessionView
+from revisit.service.application.catalogue.submaps import PostedSubmap, SubmapView
+from revisit.service.application.housekeeping.system import ServiceStatus
+from revisit.service.application.ingest.scans import ScanAck
+from revisit.service.application.query.operations import OperationFailure, OperationView
+from revisit.service.application.query.searches import Localization, LocalizedCandidate, SearchHit, SearchResult
+
+Fields: TypeAlias = dict[str, Any]
+T = TypeVar("T")
+
+
+def of_map(view: MapView) -> Fields:
+    """The fields of a Map."""
+    return {
+        "name": f"maps/{view.map_id}",
+        "display_name": view.display_name,
+        "tau_m": view.tau_m,
+        "stride_m": view.stride_m,
+        "min_index_gap": view.min_index_gap,
+        "scene_scale": view.scene_scale,
+        "session_count": view.session_count,
+        "submap_count": view.submap_count,
+        "created_at_ns": view.created_at_ns,
+        "loop_policy": asdict(view.loop_policy),
+    }
+
+
+def of_robot(view: RobotView) -> Fields:
+    """The fields of a Robot."""
+    return {
+        "name": f"robots/{view.robot_id}",
+        "display_name": view.display_name,
+        "created_at_ns": view.created_at_ns,
+    }
+
+
+def of_session(view: SessionView) -> Fields:
+    """The fields of a Session."""
+    return {
+        "name": view.key.name,
+        "robot": None if view.robot_id is None else f"robots/{view.robot_id}",
+        "state": view.state.value,
+        "committed_seq": view.committed_seq,
+        "travelled_m": view.travelled_m,
+        "submap_count": view.submap_count,
+        "created_at_ns": view.created_at_ns,
+        "finished_at_ns": view.finished_at_ns,
+        "committed_stamp_ns": view.committed_stamp_ns,
+    }
+
+
+def of_operation(view: OperationView) -> Fields:
+    """The fields of an Operation."""
+    return {
+        "name": f"operations/{view.operation_id}",
+        "kind": view.kind.value,
+        "state": view.state.value,
+        "subject": view.subject,
+        "attempts": view.attempts,
+        "result": view.result,
+        "failure": _failure(view.failure),
+        "created_at_ns": view.created_at_ns,
+        "finished_at_ns": view.finished_at_ns,
+    }
+
+
+def of_submap(view: SubmapView) -> Fields:
+    """The fields of a Submap."""
+    return {
+        "name": view.key.name,
+        "seq": view.seq,
+        "state": view.state.value,
+        "ordinal": view.ordinal,
+        "t_odom_submap": _transform(view.T_odom_submap),
+        "position_m": _vector(view.position_m),
+        "stamp_ns": view.stamp_ns,
+        "first_seq": view.first_seq,
+        "last_seq": view.last_seq,
+        "scan_count": view.scan_count,
+        "point_count": view.point_count,
+        "raw_bytes": view.raw_bytes,
+        "neural_map_bytes": view.neural_map_bytes,
+        "flags": list(view.flags),
+        "model_version": view.model_version,
+        "failure": _failure(view.failure),
+        "operation": f"operations/{view.operation_id}",
+        "created_at_ns": view.created_at_ns,
+        "descriptor": None if view.descriptor is None else view.descriptor.tolist(),
+    }
+
+
+def of_posted(posted: PostedSubmap) -> Fields:
+    """The fields of a PostSubmapResponse."""
+    return {
+        "submap": of_submap(posted.submap),
+        "operation": of_operation(posted.operation),
+        "replay": posted.replay,
+        "report": _report(posted.report),
+    }
+
+
+def of_ack(ack: ScanAck) -> Fields:
+    """The fields of an AppendScanResponse."""
+    return {
+        "committed_seq": ack.committed_seq,
+        "replay": ack.replay,
+        "report": _report(ack.report),
+        "submap": None if ack.submap is None else of_posted(ack.submap),
+    }
+
+
+def of_loop(view: LoopClosureView) -> Fields:
+    """The fields of a LoopClosure."""
+    return {
+        "name": view.name,
+        "number": view.number,
+        "query": view.query.name,
+        "match": view.match.name,
+        "state": view.state.value,
+        "reason": view.reason,
+        "similarity": view.similarity,
+        "score": view.score,
+        "t_match_query": _transform(view.T_match_query),
+        "evidence": view.evidence,
+        "created_at_ns": view.created_at_ns,
+    }
+
+
+def of_search(result: SearchResult) -> Fields:
+    """The fields of a SearchSubmapsResponse."""
+    return {"hits": [_hit(hit) for hit in result.hits], "searched": result.searched}
+
+
+def of_localization(result: Localization) -> Fields:
+    """The fields of a LocalizeResponse."""
+    return {
+        "best": None if result.best is None else _candidate(result.best),
+        "t_odom_query": _transform(result.T_odom_query),
+        "session": None if result.session is None else result.session.name,
+        "candidates": [_candidate(candidate) for candidate in result.candidates],
+    }
+
+
+def of_status(status: ServiceStatus) -> Fields:
+    """The fields of a GetStatusResponse."""
+    return {
+        "version": status.version,
+        "model_version": status.model_version,
+        "queued_jobs": status.queued_jobs,
+        "running_jobs": status.running_jobs,
+        "failed_jobs": status.failed_jobs,
+        "indexed_submaps": status.indexed_submaps,
+        "workers": [{"worker_id": w.worker_id, "model_version": w.model_version} for w in status.workers],
+    }
+
+
+def of_page(collection: str, page: Page[T], of: Callable[[T], Fields]) -> Fields:
+    """The fields of a List...Response that holds `collection`."""
+    return {collection: [of(item) for item in page.items], "next_page_token": page.next_token}
+
+
+def _vector(values: Iterable[float]) -> Fields:
+    x, y, z = (float(value) for value in values)
+    return {"x": x, "y": y, "z": z}
+
+
+def _transform(T_target_source: Matrix4 | None) -> Fields | None:
+    if T_target_source is None:
+        return None
+    x, y, z, w = se3.to_quaternion(np.asarray(T_target_source)).tolist()
+    return {"translation": _vector(T_target_source[:3, 3]), "rotation": {"x": x, "y": y, "z": z, "w": w}}
+
+
+def _failure(failure: OperationFailure | None) -> Fields | None:
+    return None if failure is None else {"reason": failure.code, "message": failure.message}
+
+
+def _report(report: CloudReport | None) -> Fields | None:
+    if report is None:
+        return None
+    return {"dropped_nonfinite": report.dropped_nonfinite, "degenerate_plane": report.degenerate_plane}
+
+
+def _hit(hit: SearchHit) -> Fields:
+    return {"submap": hit.submap.name, "similarity": hit.similarity, "position_m": _vector(hit.position_m)}
+
+
+def _candidate(candidate: LocalizedCandidate) -> Fields:
+    return {
+        "submap": candidate.submap.name,
+        "accepted": candidate.accepted,
+        "reason": candidate.reason,
+        "similarity": candidate.similarity,
+        "score": candidate.score,
+        "t_match_query": _transform(candidate.T_match_query),
+        "evidence": candidate.evidence,
+    }

@@ -1,0 +1,64 @@
+"""Resource names to keys: `maps/{map}/sessions/{session}/submaps/{submap}` and the like."""
+
+from __future__ import annotations
+
+from revisit.core.errors import BadField
+from revisit.service.application import SessionKey, SubmapKey
+
+
+def segments(name: str, pattern: str, field: str) -> list[str]:
+    """The ids of `name` at the `*` of `pattern`, e.g. `maps/*`. Raises BadField naming `field` where it differs."""
+    parts, wanted = name.split("/"), pattern.split("/")
+    matches = len(parts) == len(wanted) and all(w in ("*", p) for p, w in zip(parts, wanted, strict=True))
+    if not matches or not all(parts):
+        raise BadField(f"{field} must look like {pattern}", field=field)
+    return [part for part, want in zip(parts, wanted, strict=True) if want == "*"]
+
+
+def map_id(name: str, field: str = "name") -> str:
+    """Of `maps/{map}`."""
+    return segments(name, "maps/*", field)[0]
+
+
+def robot_id(name: str, field: str = "name") -> str:
+    """Of `robots/{robot}`."""
+    return segments(name, "robots/*", field)[0]
+
+
+def session_key(name: str, field: str = "name") -> SessionKey:
+    """Of `maps/{map}/sessions/{session}`."""
+    return SessionKey(*segments(name, "maps/*/sessions/*", field))
+
+
+def submap_key(name: str, field: str = "name") -> SubmapKey:
+    """Of `maps/{map}/sessions/{session}/submaps/{submap}`."""
+    return SubmapKey(*segments(name, "maps/*/sessions/*/submaps/*", field))
+
+
+def loop_key(name: str) -> tuple[str, str]:
+    """Map id and loop id of `maps/{map}/loopClosures/{loop_closure}`."""
+    of_map, loop_id = segments(name, "maps/*/loopClosures/*", "name")
+    return of_map, loop_id
+
+
+def operation_id(name: str) -> str:
+    """Of `operations/{operation}`."""
+    return segments(name, "operations/*", "name")[0]
+
+
+def session_id_in(map_name: str, name: str, field: str) -> str | None:
+    """The session id of `name`, which must be of the map; None where `name` is empty. Raises BadField."""
+    if not name:
+        return None
+    key = session_key(name, field)
+    if f"maps/{key.map_id}" != map_name:
+        raise BadField(f"{field} must be a session of {map_name}", field=field)
+    return key.session_id
+
+
+def submap_key_in(map_name: str, name: str, field: str) -> SubmapKey:
+    """The key of a submap, which must be of the map. Raises BadField."""
+    key = submap_key(name, field)
+    if f"maps/{key.map_id}" != map_name:
+        raise BadField(f"{field} must be a submap of {map_name}", field=field)
+    return key

@@ -1,0 +1,133 @@
+"""service/adapters/sql knows no engine: its statements compile for PostgreSQL and run without the SQLite package."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from pathlib import Path
+
+import pytest
+from sqlalchemy import event
+from sqlalchemy.dialects import postgresql
+from sqlalchemy.schema import CreateIndex, CreateTable
+
+from revisit.service.adapters.sql import access, blob_addresses, change_log, jobs, repositories, tables, worker_log
+from revisit.service.application.contract.access_ports import AuditRecord, KeyRecord
+from revisit.service.application.contract.ports import Instant
+from revisit.service.application.contract.records import WorkerRecord
+from tests.contract.test_transactions import fill
+from tests.support.plain_engine import HIGHEST, PlainTransactions
+from tests.support.records import TENANT, a_job, a_map
+
+SQL = Path(__file__).resolve().parents[2] / "service" / "adapters" / "sql"
+DIALECT = re.compile(
+    r"sqlite|postgres|\bdialects?\.|pragma|rowid|insert or|on conflict|savepoint|json_|\bglob\b|exec_driver_sql",
+    re.IGNORECASE,
+)
+NOW = Instant("boot", 1)
+KEY = KeyRecord(TENANT, "k1", "label", ("read",), "0" * 64, 1, None, None, None)
+ROW = AuditRecord(1, 1, TENANT, "actor", "keys.create", "k1", {}, "", "0" * 64)
+CALLS = {
+    "SqlRepository.add": fill,
+    "SqlRepository.get": lambda uow: uow.maps.get(TENANT, "town"),
+    "SqlRepository.find": lambda uow: uow.sessions.find(TENANT, after=0, limit=5, map_id="town", robot_id=None),
+    "SqlRepository.numbered": lambda uow: uow.submaps.numbered(TENANT, [1, 2]),
+    "SqlRepository.distinct": lambda uow: uow.submaps.distinct(TENANT, "cloud_sha256", map_id="town"),
+    "SqlRepository.count": lambda uow: uow.submaps.count(TENANT, state="QUEUED"),
+    "SqlRepository.count_of_all_tenants": lambda uow: uow.jobs.count_of_all_tenants(state="QUEUED"),
+    "SqlRepository.of_all_tenants": lambda uow: uow.maps.of_all_tenants(limit=5),
+    "SqlRepository.replace": lambda uow: uow.maps.replace(uow.maps.get(TENANT, "town")),
+    "SqlRepository.delete": lambda uow: uow.loops.delete(TENANT, map_id="town"),
+    "SqlScans.first_seq_from": lambda uow: uow.scans.first_seq_from(TENANT, "town", "monday", 0.5),
+    "SqlScans.with_seqs": lambda uow: uow.scans.with_seqs(TENANT, "town", "monday", [1, 2]),
+    "SqlSubmaps.last_number": lambda uow: uow.submaps.last_number(),
+    "SqlSubmaps.waiting_up_to": lambda uow: uow.submaps.waiting_up_to(TENANT, "town", 2),
+    "SqlJobs.next_runnable": lambda uow: (uow.jobs.next_runnable(NOW), uow.jobs.add(a_job())),
+    "SqlJobs.exhausted": lambda uow: uow.jobs.exhausted(NOW),
+    "SqlJobs.leased_to": lambda uow: uow.jobs.leased_to("worker"),
+    "SqlJobs.forget_answers": lambda uow: uow.jobs.forget_answers(5, 10),
+    "SqlJobs.oldest_queued_ns": lambda uow: uow.jobs.oldest_queued_ns(),
+    "SqlChangeLog.record_described": lambda uow: uow.changes.record_described(TENANT, 1, 1),
+    "SqlChangeLog.record_removed": lambda uow: uow.changes.record_removed(TENANT, 1, [1, 2]),
+    "SqlChangeLog.since": lambda uow: uow.changes.since(TENANT, 1, 0, 5),
+    "SqlWorkerLog.beat": lambda uow: uow.workers.beat(WorkerRecord("w", "v", "boot", 1)),
+    "SqlWorkerLog.alive": lambda uow: uow.workers.alive("boot", 0),
+    "SqlWorkerLog.forget": lambda uow: uow.workers.forget("w"),
+    "SqlKeyRing.add": lambda uow: uow.keys.add(KEY),
+    "SqlKeyRing.get": lambda uow: uow.keys.get("k1"),
+    "SqlKeyRing.all": lambda uow: uow.keys.all(),
+    "SqlKeyRing.replace": lambda uow: uow.keys.replace(uow.keys.get("k1")),
+    "SqlKeyRing.is_empty": lambda uow: uow.keys.is_empty(),
+    "SqlAuditTrail.append": lambda uow: uow.audit.append(ROW),
+    "SqlAuditTrail.last": lambda uow: uow.audit.last(),
+    "SqlAuditTrail.since": lambda uow: uow.audit.since(0, 5),
+    "SqlAuditTrail.highest": lambda uow: uow.audit.highest(),
+}
+"""A call of each method, in an order in which all find what they need."""
+
+
+@pytest.fixture(scope="module")
+def statements():
+    """All that the calls have sent, once each, but for what the engine itself sends."""
+    store, sent = PlainTransactions(lease_ms=1), {}
+
+    def note(_connection, statement, *_rest) -> None:
+        sent.setdefault(str(statement), statement)
+
+    event.listen(store.database, "before_execute", note)
+    for call in CALLS.values():
+        store.write(call).result()
+    store.close()
+    del sent[str(HIGHEST)]
+    return [*sent.values(), blob_addresses.blob_addresses()]
+
+
+def for_postgresql(statement) -> str:
+    return str(statement.compile(dialect=postgresql.dialect()))
+
+
+def test_every_method_of_the_repositories_is_called():
+    modules = (access, change_log, jobs, repositories, worker_log)
+    public = {
+        f"{name}.{method}"
+        for module in modules
+        for name, found in inspect.getmembers(module, inspect.isclass)
+        if found.__module__ == module.__name__
+        for method in vars(found)
+        if not method.startswith("_")
+    }
+    assert public == set(CALLS)
+
+
+def test_every_statement_compiles_for_postgresql(statements):
+    texts = [for_postgresql(statement) for statement in statements]
+    assert len(texts) >= 40
+    assert not [text for text in texts if "?" in text or DIALECT.search(text)]
+
+
+@pytest.mark.parametrize("table", tables.metadata.sorted_tables, ids=lambda table: table.name)
+def test_every_table_compiles_for_postgresql(table):
+    assert "SERIAL" in for_postgresql(CreateTable(table)) or table.name == "workers"
+    assert all(index.name in for_postgresql(CreateIndex(index)) for index in table.indexes)
+
+
+@pytest.mark.parametrize("path", sorted(SQL.glob("*.py")), ids=lambda path: path.name)
+def test_no_module_of_sql_speaks_a_dialect(path):
+    assert DIALECT.findall(path.read_text()) == []
+
+
+@pytest.mark.parametrize(
+    "text", ["SELECT seq FROM sqlite_sequence", "INSERT OR REPLACE", "PRAGMA user_version", "json_extract(a, '$.b')"]
+)
+def test_the_search_itself_finds_what_it_should(text):
+    assert DIALECT.search(text)
+
+
+def test_the_change_log_asks_for_numbers_in_the_order_of_commits():
+    store = PlainTransactions(lease_ms=1)
+    store.write(lambda uow: uow.maps.add(a_map())).result()
+    assert store.engine.ordered == []
+    store.write(lambda uow: uow.changes.record_described(TENANT, 1, 1)).result()
+    store.write(lambda uow: uow.changes.record_removed(TENANT, 1, [1])).result()
+    assert store.engine.ordered == ["index_changes", "index_changes"]
+    store.close()

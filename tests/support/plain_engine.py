@@ -1,0 +1,92 @@
+"""A second engine under the SQL of the product: no group commit, no log, no locks between processes, other answers."""
+
+from __future__ import annotations
+
+import threading
+from concurrent.futures import Future
+from contextlib import contextmanager
+
+from sqlalchemy import Connection, Engine, MetaData, Table, create_engine, text
+from sqlalchemy.pool import StaticPool
+
+from revisit.service.adapters.sql.tables import metadata
+from revisit.service.adapters.sql.unit_of_work import SqlUnitOfWork
+
+HIGHEST = text("SELECT number FROM highest WHERE table_name = :name")
+
+
+class PlainEngine:
+    """`sql.engine.DatabaseEngine` by triggers and error codes; `ordered` tells what was asked for in commit order."""
+
+    def __init__(self) -> None:
+        self.ordered: list[str] = []
+
+    def last_number(self, connection, table) -> int:
+        """See `DatabaseEngine`."""
+        return connection.execute(HIGHEST, {"name": table.name}).scalar() or 0
+
+    def number_in_commit_order(self, connection, table) -> None:
+        """See `DatabaseEngine`."""
+        self.ordered.append(table.name)
+
+    def is_duplicate(self, error) -> bool:
+        """See `DatabaseEngine`."""
+        return error.orig.sqlite_errorname == "SQLITE_CONSTRAINT_UNIQUE"
+
+
+class PlainTransactions:
+    """`ports.Transactions`: each runs at once, in the thread that asks, alone."""
+
+    def __init__(self, lease_ms: int) -> None:
+        self.database, self.engine = plain_database(), PlainEngine()
+        self._lease_ms = lease_ms
+        self._lock = threading.Lock()
+
+    def write(self, work, *, alone: bool = False) -> Future:
+        """See `ports.Transactions`."""
+        return self.read(work)
+
+    def read(self, work) -> Future:
+        """See `ports.Transactions`."""
+        future: Future = Future()
+        try:
+            with self.transaction() as uow:
+                future.set_result(work(uow))
+        except Exception as error:  # noqa: BLE001  # a future carries whatever the work raised
+            future = Future()
+            future.set_exception(error)
+        return future
+
+    @contextmanager
+    def transaction(self):
+        """One unit of work."""
+        with self._lock, self.database.begin() as connection:
+            yield SqlUnitOfWork(connection, self.engine, self._lease_ms)
+
+    def close(self) -> None:
+        """See `ports.Transactions`."""
+        self.database.dispose()
+
+
+def plain_database() -> Engine:
+    """The tables as they are declared, not as the migrations make them, in the driver's own transactions."""
+    database = create_engine("sqlite://", poolclass=StaticPool, connect_args={"check_same_thread": False})
+    with database.begin() as connection:
+        connection.exec_driver_sql("CREATE TABLE highest (table_name TEXT PRIMARY KEY, number INTEGER)")
+        declared = MetaData()
+        for table in metadata.sorted_tables:
+            _create(connection, table.to_metadata(declared))
+    with database.connect() as connection:
+        connection.exec_driver_sql("PRAGMA foreign_keys=1")
+    return database
+
+
+def _create(connection: Connection, table: Table) -> None:
+    numbered = {"number", "seq"} & set(table.primary_key.columns.keys())
+    table.dialect_options["sqlite"]["autoincrement"] = bool(numbered)
+    table.create(connection)
+    for number in numbered:
+        connection.exec_driver_sql(
+            f"CREATE TRIGGER keep_{table.name} AFTER INSERT ON {table.name} BEGIN "
+            f"INSERT OR REPLACE INTO highest VALUES ('{table.name}', new.{number}); END"
+        )

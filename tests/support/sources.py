@@ -1,0 +1,40 @@
+"""The source of the product, read and parsed once for all rules about it."""
+
+from __future__ import annotations
+
+import ast
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@dataclass(frozen=True)
+class Module:
+    """A file of ours by its path from the root."""
+
+    name: str
+    text: str
+    tree: ast.Module
+
+
+@cache
+def modules(*packages: str) -> tuple[Module, ...]:
+    """Every module of these folders; stubs that protoc wrote are not ours."""
+    paths = sorted(path for package in packages for path in (ROOT / package).rglob("*.py"))
+    found = [path for path in paths if "revisit/v1" not in path.as_posix()]
+    if not found:
+        raise LookupError(f"there is no module in {packages}")
+    return tuple(_module(path) for path in found)
+
+
+@cache
+def _module(path: Path) -> Module:
+    text = path.read_text()
+    return Module(path.relative_to(ROOT).as_posix(), text, ast.parse(text))
+
+
+def calls(tree: ast.AST) -> list[ast.Call]:
+    """Every call in it."""
+    return [node for node in ast.walk(tree) if isinstance(node, ast.Call)]

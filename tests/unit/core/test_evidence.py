@@ -1,0 +1,96 @@
+"""What an alignment is worth: hand-made surfaces with known overlap, contrast and contradictions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from revisit.core.config import VerificationConfig
+from revisit.core.geometry import se3
+from revisit.core.verification.evidence import contrast, gather_evidence, in_region, weakest_direction
+from revisit.core.verification.oriented_points import OrientedPoints
+from revisit.core.verification.registration import Registration, information
+
+CONFIG = VerificationConfig()
+HERE = Registration(np.eye(4), refined=True)
+
+
+def wall(along: np.ndarray, axis: int = 0, offset: float = 5.0) -> OrientedPoints:
+    """An upright wall of 4 m at `offset`, running along x (axis 0) or y (axis 1)."""
+    flat = np.zeros((len(along), 2))
+    flat[:, axis], flat[:, 1 - axis] = along, offset
+    points = np.concatenate([np.c_[flat, np.full(len(flat), z)] for z in np.arange(-1.5, 2.5, 0.5)])
+    normals = np.tile(np.eye(3)[1 - axis] * -1.0, (len(points), 1))
+    return OrientedPoints(points, normals, len(points))
+
+
+def joined(*parts: OrientedPoints) -> OrientedPoints:
+    """Several surfaces as one, all standing."""
+    points = np.concatenate([part.points for part in parts])
+    return OrientedPoints(points, np.concatenate([part.normals for part in parts]), len(points))
+
+
+STREET = np.arange(-20.0, 20.0, 0.5) + 0.25
+CORNER = joined(wall(STREET), wall(STREET, axis=1))
+
+
+def test_a_place_lies_on_itself_without_residuals():
+    evidence = gather_evidence(HERE, CORNER, CORNER, CONFIG)
+    assert (evidence.overlap, evidence.rmse_m, evidence.seen_through) == (1.0, 0.0, 0.0)
+    assert evidence.common == len(CORNER.points)
+    np.testing.assert_allclose(evidence.information, information(CORNER.points, CORNER.normals))
+
+
+def test_overlap_is_the_mean_of_both_directions_within_the_common_region():
+    # Of the query's two walls the match has one; the columns of the other one are none of the match's.
+    match, query = wall(STREET), joined(wall(STREET), wall(STREET, offset=9.0))
+    assert gather_evidence(HERE, query, match, CONFIG).overlap == 1.0
+    # A wall 0.9 m before the common one stands in the same columns, but not on the surface: half of the query agrees,
+    # and all of the match.
+    double = joined(wall(STREET, offset=4.1), wall(STREET, offset=5.0))
+    assert gather_evidence(HERE, double, match, CONFIG).overlap == pytest.approx(0.75)
+
+
+def test_rmse_is_that_of_the_distances_to_the_planes():
+    shifted = Registration(se3.from_yaw(0.0, (0.0, 0.2, 0.0)), refined=True)
+    assert gather_evidence(shifted, wall(STREET), wall(STREET), CONFIG).rmse_m == pytest.approx(0.2)
+    apart = Registration(se3.from_yaw(0.0, (0.0, 90.0, 0.0)), refined=True)
+    assert gather_evidence(apart, wall(STREET), wall(STREET), CONFIG).rmse_m == CONFIG.surface_distance
+
+
+def test_what_stands_decides_and_the_ground_does_not():
+    ground = replace(CORNER, points=CORNER.points + [0.0, 0.0, 30.0], standing_count=0)
+    with_ground = OrientedPoints(
+        np.r_[CORNER.points, ground.points], np.r_[CORNER.normals, ground.normals], CORNER.standing_count
+    )
+    evidence = gather_evidence(HERE, with_ground, CORNER, CONFIG)
+    assert evidence.overlap == 1.0 and evidence.common == len(CORNER.points)
+
+
+def test_a_street_loses_no_overlap_along_itself_unless_walls_cross_it():
+    along = weakest_direction(information(wall(STREET).points, wall(STREET).normals))
+    np.testing.assert_allclose(np.abs(along), [1.0, 0.0, 0.0], atol=1e-9)
+    assert contrast(wall(STREET), wall(STREET), along, CONFIG) == pytest.approx(0.0, abs=1e-9)
+    crossing = joined(wall(STREET), *(wall(STREET, axis=1, offset=x) for x in np.arange(-20.0, 20.0, 1.7)))
+    assert contrast(crossing, crossing, np.array([1.0, 0.0, 0.0]), CONFIG) > 0.1
+
+
+def test_a_wall_that_the_other_place_has_looked_through_counts_against_the_alignment():
+    near, far = wall(np.arange(-3.0, 3.0, 0.5), offset=10.0), wall(np.arange(-15.0, 15.0, 0.5), offset=20.0)
+    evidence = gather_evidence(HERE, joined(near, far), far, CONFIG)
+    agreeing = gather_evidence(HERE, far, far, CONFIG)
+    assert evidence.seen_through > 0.05 and agreeing.seen_through == 0.0
+
+
+def test_an_alignment_that_was_given_up_has_the_worst_contrast_and_view():
+    evidence = gather_evidence(Registration(np.eye(4), refined=False), CORNER, CORNER, CONFIG)
+    assert (evidence.contrast, evidence.seen_through) == (0.0, 1.0)
+    assert evidence.overlap == 1.0
+
+
+def test_a_region_is_made_of_two_metre_columns():
+    seen = OrientedPoints(np.array([[0.1, 0.1, 50.0]]), np.array([[0.0, 0.0, 1.0]]), 1)
+    points = np.array([[1.9, 1.9, -3.0], [2.1, 0.1, 0.0], [-0.1, 0.1, 0.0]])
+    assert in_region(OrientedPoints(points, points, 3), seen).tolist() == [True, False, False]

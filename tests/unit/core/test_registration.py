@@ -1,0 +1,172 @@
+"""ICP: derivatives that agree with differences, known motions recovered, and poses that surfaces do not fix."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from revisit.core.config import VerificationConfig
+from revisit.core.geometry import se3
+from revisit.core.verification.oriented_points import OrientedPoints, contact
+from revisit.core.verification.registration import (
+    MIN_COUNTERPARTS,
+    Counterparts,
+    find_counterparts,
+    gauss_newton_step,
+    information,
+    iterate,
+    observability,
+    point_to_plane_jacobian,
+    register,
+)
+from tests.support.yards import yard
+
+CONFIG = VerificationConfig()
+
+
+def surface(seed: int = 1, count: int = 3000) -> OrientedPoints:
+    """Points of a yard of walls on the ground."""
+    made_up = yard(seed)
+    rows = np.random.default_rng(seed).permutation(len(made_up.vertices))[:count]
+    return OrientedPoints(made_up.vertices[rows].astype(float), made_up.normals[rows].astype(float), count)
+
+
+def plane(normal: tuple[float, float, float], offset: float = 5.0) -> OrientedPoints:
+    """A square of 40 m at `offset` along its normal, a point a metre."""
+    axis = np.array(normal)
+    one, other = np.eye(3)[np.abs(axis) < 0.5]
+    a, b = (grid.ravel()[:, None] for grid in np.meshgrid(np.arange(-20.0, 21.0), np.arange(-20.0, 21.0)))
+    points = a * one + b * other + offset * axis
+    return OrientedPoints(points, np.tile(axis, (len(points), 1)), len(points))
+
+
+def joined(*parts: OrientedPoints) -> OrientedPoints:
+    """Several surfaces as one."""
+    points = np.concatenate([part.points for part in parts])
+    return OrientedPoints(points, np.concatenate([part.normals for part in parts]), len(points))
+
+
+def random_pairs(seed: int, count: int = 40) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points, points on the planes and unit normals of these planes, each (count, 3)."""
+    rng = np.random.default_rng(seed)
+    normals = rng.normal(size=(count, 3))
+    points = rng.uniform(-20, 20, (count, 3))
+    return points, points + rng.normal(0, 0.1, (count, 3)), normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_jacobian_agrees_with_central_differences(seed):
+    points, on_planes, normals = random_pairs(seed)
+
+    def residuals(tangent: np.ndarray) -> np.ndarray:
+        return ((se3.apply(se3.exp(tangent), points) - on_planes) * normals).sum(axis=1)
+
+    step = 1e-6
+    differences = [(residuals(step * axis) - residuals(-step * axis)) / (2 * step) for axis in np.eye(6)]
+    np.testing.assert_allclose(point_to_plane_jacobian(points, normals), np.transpose(differences), atol=1e-7)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_step_leaves_no_slope_of_the_weighted_linear_error(seed):
+    # The step minimises sum w (r + J x)^2 with the weights of the residuals before it.
+    points, on_planes, normals = random_pairs(seed)
+    residuals = ((points - on_planes) * normals).sum(axis=1)
+    step = gauss_newton_step(Counterparts(points, residuals, normals), reach=1.0)
+    weights = (1.0 + (residuals / 0.2) ** 2) ** -2
+    jacobian = point_to_plane_jacobian(points, normals)
+
+    def error(tangent: np.ndarray) -> float:
+        return float((weights * (residuals + jacobian @ tangent) ** 2).sum())
+
+    slopes = [(error(step + 1e-5 * axis) - error(step - 1e-5 * axis)) / 2e-5 for axis in np.eye(6)]
+    curvature = np.trace((jacobian * weights[:, None]).T @ jacobian)
+    np.testing.assert_allclose(slopes, 0.0, atol=2e-6 * curvature)
+
+
+def test_one_step_on_exact_planes_recovers_a_small_motion_in_closed_form():
+    # With the true planes as counterparts the error is linear to first order: one step is exact up to its square.
+    points, _, normals = random_pairs(5)
+    tangent = 1e-3 * np.array([1.0, -2.0, 0.5, 0.03, -0.02, 0.05])
+    residuals = ((se3.apply(se3.exp(tangent), points) - points) * normals).sum(axis=1)
+    step = gauss_newton_step(Counterparts(se3.apply(se3.exp(tangent), points), residuals, normals), reach=1.0)
+    np.testing.assert_allclose(step, -tangent, atol=1e-5)
+
+
+@pytest.mark.parametrize("tangent", [[0.3, -0.2, 0.1, 0.0, 0.0, 0.02], [-0.5, 0.4, 0.2, 0.01, -0.01, -0.03]])
+def test_icp_recovers_a_known_motion_of_a_yard(tangent):
+    T_match_query, match = se3.exp(tangent), surface()
+    query = match.moved(se3.inverse(T_match_query))
+    found = iterate(np.eye(4), query, match, CONFIG.coarse_distance, 30)
+    error = se3.inverse(T_match_query) @ iterate(found, query, match, CONFIG.fine_distance, 10)
+    assert np.linalg.norm(error[:3, 3]) < 1e-3
+    assert se3.rotation_angle(error) < 1e-4
+
+
+def test_icp_stays_where_both_surfaces_are_one():
+    np.testing.assert_allclose(iterate(np.eye(4), surface(), surface(), 1.0, 5), np.eye(4), atol=1e-12)
+
+
+def test_icp_gives_up_without_a_step_where_too_little_is_near():
+    start, few = se3.from_yaw(0.1), surface(count=MIN_COUNTERPARTS - 1)
+    np.testing.assert_array_equal(iterate(start, few, surface(), 100.0, 5), start)
+    far = se3.from_yaw(0.0, (500.0, 0.0, 0.0))
+    np.testing.assert_array_equal(iterate(far, surface(), surface(), 1.0, 5), far)
+
+
+def test_counterparts_are_near_and_face_alike():
+    wall = plane((1.0, 0.0, 0.0))
+    behind = replace(wall, normals=-wall.normals)
+    assert len(find_counterparts(wall.shifted(np.array([0.5, 0, 0])), wall, 1.0).points) == len(wall.points)
+    assert len(find_counterparts(behind, wall, 1.0).points) == 0
+    assert len(find_counterparts(wall.shifted(np.array([1.5, 0, 0])), wall, 1.0).points) == 0
+    np.testing.assert_allclose(find_counterparts(wall.shifted(np.array([0.5, 0, 0])), wall, 1.0).residuals, 0.5)
+
+
+def test_the_start_on_which_most_points_agree_is_refined():
+    match = surface()
+    wrong, right = se3.from_yaw(1.0, (20.0, 5.0, 0.0)), se3.from_yaw(0.02, (0.3, -0.2, 0.1))
+    registration = register([wrong, right], match, match, CONFIG)
+    assert registration.refined
+    np.testing.assert_allclose(registration.T_match_query, np.eye(4), atol=2e-3)
+
+
+def test_a_start_on_which_too_few_points_agree_is_not_refined():
+    registration = register([np.eye(4)], surface(), surface(), replace(CONFIG, min_agreement=1.01))
+    assert not registration.refined
+
+
+def test_three_planes_fix_a_pose_and_two_of_a_corridor_or_one_do_not():
+    floor, front, side = plane((0.0, 0.0, 1.0)), plane((1.0, 0.0, 0.0)), plane((0.0, 1.0, 0.0))
+    room = joined(floor, front, side)
+    corridor = joined(floor, side, plane((0.0, -1.0, 0.0)))
+    values = [observability(information(one.points, one.normals), CONFIG.lever) for one in (room, corridor, floor)]
+    assert CONFIG.min_observability < values[0] <= 1.0 / 6.0
+    assert values[1] < 1e-9 and values[2] < 1e-9
+
+
+def test_observability_is_the_share_of_the_smallest_eigenvalue_with_rotations_at_the_lever():
+    assert observability(np.eye(6), 1.0) == pytest.approx(1 / 6)
+    assert observability(np.diag([1.0, 1.0, 1.0, 225.0, 225.0, 225.0]), 15.0) == pytest.approx(1 / 6)
+    assert observability(np.diag([0.5, 1.0, 1.0, 1.0, 1.0, 1.5]), 1.0) == pytest.approx(0.5 / 6)
+    assert observability(np.zeros((6, 6)), 15.0) == 0.0
+
+
+def test_information_of_a_floor_is_that_of_its_heights_and_tilts():
+    floor = plane((0.0, 0.0, 1.0))
+    x, y, count = floor.points[:, 0], floor.points[:, 1], len(floor.points)
+    expected = np.zeros((6, 6))
+    expected[np.ix_([2, 3, 4], [2, 3, 4])] = np.diag([count, (y**2).sum(), (x**2).sum()])
+    np.testing.assert_allclose(information(floor.points, floor.normals), expected, atol=1e-9)
+
+
+def test_contact_is_near_a_point_near_its_plane_and_facing_alike():
+    wall = plane((1.0, 0.0, 0.0))
+    for offset, touches in (((0.2, 0.3, 0.0), True), ((0.3, 0.0, 0.0), False), ((0.0, 90.0, 0.0), False)):
+        found = contact(wall.shifted(np.array(offset)), wall, CONFIG)
+        assert found.touching.all() == touches == found.touching.any()
+    assert not contact(replace(wall, normals=-wall.normals), wall, CONFIG).touching.any()
+    near = contact(wall.shifted(np.array([0.2, 0.3, 0.0])), wall, CONFIG)
+    np.testing.assert_allclose(near.residuals, 0.2)
+    np.testing.assert_array_equal(near.rows, np.arange(len(wall.points)))

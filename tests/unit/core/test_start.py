@@ -1,0 +1,106 @@
+"""Where registration starts: the right turn and shift by phase correlation, the right height by the ground."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import fft
+
+from revisit.core.config import VerificationConfig
+from revisit.core.geometry import se3
+from revisit.core.geometry.se2 import PlanarPose, angle_between
+from revisit.core.place import Place
+from revisit.core.verification.start import IMAGE_SIZE, _best_shift, correlate, find_start, lift, raster
+from tests.support.yards import moved, place_of_points, recognised, thinned, yard
+
+CONFIG = VerificationConfig()
+
+
+def plan(seed: int = 0) -> np.ndarray:
+    """Points of random walls seen from above (n, 2)."""
+    rng = np.random.default_rng(seed)
+    starts, directions = rng.uniform(-35, 35, (25, 1, 2)), rng.uniform(0, np.pi, 25)
+    along = np.linspace(0, 12, 40)[None, :, None] * np.stack([np.cos(directions), np.sin(directions)], 1)[:, None]
+    return (starts + along).reshape(-1, 2)
+
+
+def standing_place(points: np.ndarray) -> Place:
+    """Upright posts at `points` (n, 2), nothing else."""
+    upright = np.c_[points, np.zeros(len(points))]
+    return place_of_points(upright, np.tile([1.0, 0.0, 0.0], (len(upright), 1)))
+
+
+def test_a_point_is_drawn_in_its_pixel_and_blurred_to_its_neighbours():
+    image = raster(np.array([[2.5, -1.5]]), 1.0)
+    row, column = np.unravel_index(image.argmax(), image.shape)
+    assert (column - IMAGE_SIZE // 2, row - IMAGE_SIZE // 2) == (2, -2)
+    lifted = image - image.min()
+    assert lifted[row, column] == pytest.approx(np.log(2.0))
+    assert lifted[row + 1, column] == lifted[row, column - 1] == pytest.approx(0.5 * np.log(2.0))
+    assert image.sum() == pytest.approx(0.0, abs=1e-9) and (lifted > 1e-12).sum() == 5
+
+
+def test_points_outside_the_image_are_left_out():
+    inside, far = np.array([[1.0, 1.0]]), np.array([[1e4, 0.0], [0.0, -1e4]])
+    np.testing.assert_array_equal(raster(np.r_[inside, far], 0.8), raster(inside, 0.8))
+
+
+@pytest.mark.parametrize("shift", [(0, 0), (7, -3), (-20, 11)])
+def test_phase_correlation_finds_a_known_shift_exactly(shift):
+    image = raster(plan(), 0.8)
+    peak, found = _best_shift(image, fft.fft2(np.roll(image, shift[::-1], axis=(0, 1))))
+    np.testing.assert_array_equal(found, shift)
+    assert peak == pytest.approx((image**2).sum())
+
+
+@pytest.mark.parametrize("yaw_deg", [0.0, 37.0, 90.0, 155.0, -100.0])
+def test_phase_correlation_finds_a_known_turn_and_shift(yaw_deg):
+    true = PlanarPose(np.radians(yaw_deg), np.array([4.0, -6.0]))
+    best = correlate(standing_place(plan()), standing_place(true.apply(plan())), CONFIG)[0]
+    assert angle_between(np.array([best.yaw]), true.yaw)[0] <= np.radians(1.5)
+    assert np.linalg.norm(best.translation - true.translation) < 2 * CONFIG.correlation_pixel
+
+
+def test_phase_correlation_looks_only_at_what_stands():
+    place = recognised(yard(1))[1]
+    buried = replace(
+        place, points=np.r_[place.points[: place.standing_count], place.points[place.standing_count :] * 0]
+    )
+    for one, other in zip(correlate(place, place, CONFIG), correlate(buried, place, CONFIG), strict=True):
+        assert one.yaw == other.yaw
+        np.testing.assert_array_equal(one.translation, other.translation)
+
+
+def test_a_lifted_pose_takes_the_height_of_the_common_ground():
+    flat = np.array([[x, y, -1.5] for x in np.arange(-20.0, 20.0) for y in np.arange(-20.0, 20.0)])
+    normals = np.tile([0.0, 0.0, 1.0], (len(flat), 1))
+    posts = flat + [0.0, 0.0, 3.0]  # stands on the ground and must not raise it
+    query = place_of_points(np.r_[posts, flat], np.r_[normals, normals])
+    match = place_of_points(flat + [0.0, 0.0, 0.7], normals)
+    lifted = lift(PlanarPose(0.3, np.array([2.0, 1.0])), query, match)
+    np.testing.assert_allclose(lifted, se3.from_yaw(0.3, (2.0, 1.0, 0.7)), atol=1e-6)
+
+
+def test_places_without_a_common_column_stay_at_their_height():
+    here, normals = np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]])
+    pose = PlanarPose(0.0, np.array([90.0, 0.0]))
+    query, match = place_of_points(here, normals), place_of_points(here + [0.0, 0.0, 5.0], normals)
+    np.testing.assert_array_equal(lift(pose, query, match), pose.lifted())
+
+
+def test_images_are_correlated_only_where_too_few_keypoints_agree():
+    place = recognised(yard(1))[1]
+    assert len(find_start(place, place, CONFIG).poses) == 1
+    unsure = replace(CONFIG, sure_inliers=10**6)
+    assert len(find_start(place, place, unsure).poses) == CONFIG.starts
+
+
+def test_the_start_of_a_revisit_is_near_enough_for_icp():
+    T_match_query = se3.from_yaw(2.0, (4.0, -3.0, 0.5))
+    query = recognised(thinned(moved(yard(1), se3.inverse(T_match_query)), 0.7, seed=3))[1]
+    start = find_start(query, recognised(yard(1))[1], CONFIG)
+    error = se3.inverse(T_match_query) @ start.poses[0]
+    assert start.fit.inliers >= CONFIG.sure_inliers
+    assert np.linalg.norm(error[:3, 3]) < 1.0 and se3.rotation_angle(error) < np.radians(3.0)

@@ -1,0 +1,251 @@
+"""Verification: true revisits are aligned, everything else is rejected with its reason."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from revisit.core.errors import DescriptorModelMismatch
+from revisit.core.geometry import se3
+from revisit.core.geometry.level_frame import LevelFrame
+from revisit.core.model_bundle import load_packaged_models
+from revisit.core.pipeline import describe
+from revisit.core.place import Place
+from revisit.core.verification import RejectedLoop, RejectionReason, VerifiedLoop, loop_score, verify
+from revisit.evaluation.cutting import cut, load_submap
+from revisit.evaluation.datasets import KittiRecording
+from revisit.evaluation.perturbations import Perturbation, turned
+from tests.support.yards import CONFIG, moved, place_of_points, recognised, thinned, yard
+
+VERIFICATION = CONFIG.verification
+
+
+@lru_cache(maxsize=8)
+def place(seed: int) -> Place:
+    """The place of a yard."""
+    return recognised(yard(seed))[1]
+
+
+@pytest.mark.parametrize("yaw_deg", [0.0, 75.0, 180.0, -120.0])
+def test_a_revisit_is_verified_and_aligned_from_every_heading(yaw_deg: float) -> None:
+    T_match_query = se3.from_yaw(np.radians(yaw_deg), (4.0, -3.0, 0.5))
+    query = recognised(thinned(moved(yard(1), se3.inverse(T_match_query)), 0.7, seed=3))[1]
+    verdict = verify(query, place(1), 0.9, VERIFICATION)
+    assert isinstance(verdict, VerifiedLoop)
+    error = se3.inverse(T_match_query) @ verdict.measurement.T_match_query
+    assert np.linalg.norm(error[:3, 3]) < 0.05
+    assert np.degrees(se3.rotation_angle(error)) < 0.3
+
+
+def test_the_answer_is_between_the_submap_frames_not_the_levelled_ones() -> None:
+    T_submap_upright = se3.exp([0.1, 0.0, 0.0, 0.05, -0.03, 0.0])
+    plain = verify(place(1), place(1), 1.0, VERIFICATION)
+    leaning = replace(place(1), frame=LevelFrame.from_upright(T_submap_upright, 1.0))
+    tilted = verify(leaning, place(1), 1.0, VERIFICATION)
+    assert isinstance(plain, VerifiedLoop)
+    assert isinstance(tilted, VerifiedLoop)
+    expected = plain.measurement.T_match_query @ se3.inverse(T_submap_upright)
+    np.testing.assert_allclose(tilted.measurement.T_match_query, expected, atol=1e-12)
+
+
+def test_no_two_different_places_make_a_loop() -> None:
+    for query in range(1, 7):
+        for match in range(1, 7):
+            if query != match:
+                assert isinstance(verify(place(query), place(match), 0.9, VERIFICATION), RejectedLoop)
+
+
+def test_verification_gives_the_same_answer_twice() -> None:
+    first, second = (verify(place(1), place(2), 0.5, VERIFICATION) for _ in range(2))
+    assert first.measurement is not None
+    assert second.measurement is not None
+    np.testing.assert_array_equal(first.measurement.T_match_query, second.measurement.T_match_query)
+    assert first.measurement.score == second.measurement.score
+
+
+def rectified(seed: int, scale: float = 0.25) -> LevelFrame:
+    """A tilted level frame of a small scene."""
+    return LevelFrame.from_upright(se3.exp(np.random.default_rng(seed).uniform(-0.3, 0.3, 6)), scale)
+
+
+def visit(seed: int, yaw_deg: float, share: float) -> Place:
+    """A yard seen from elsewhere, thinned, in a tilted frame and at a scale."""
+    T_new_old = se3.from_yaw(np.radians(yaw_deg), (3.0, -2.0, 0.3))
+    seen = recognised(thinned(moved(yard(seed), T_new_old), share, seed=seed))[1]
+    return replace(seen, frame=rectified(seed))
+
+
+PAIRS = {
+    "a revisit": (lambda: visit(1, 75.0, 0.7), lambda: visit(1, -20.0, 0.9)),
+    "a sparse revisit": (lambda: visit(2, 170.0, 0.1), lambda: visit(2, 0.0, 0.9)),
+    "other places": (lambda: visit(3, 10.0, 0.8), lambda: visit(4, 30.0, 0.8)),
+    "hedges": (lambda: hedges(1), lambda: hedges(2)),
+    "a degenerate place": (lambda: visit(1, 0.0, 0.7), lambda: replace(wall(60.0), frame=rectified(9))),
+}
+
+
+def assert_exchanged(one: VerifiedLoop | RejectedLoop, other: VerifiedLoop | RejectedLoop) -> None:
+    """Both verdicts say the same, seen from either place: all numbers are equal, pose and covariance are turned."""
+    assert type(one) is type(other)
+    assert getattr(one, "reason", None) == getattr(other, "reason", None)
+    a, b = one.measurement, other.measurement
+    if a is None or b is None:
+        assert a is b
+        return
+    for name in ("similarity", "inliers", "inlier_ratio", "overlap", "contrast", "seen_through", "rmse_m", "score"):
+        assert getattr(a, name) == getattr(b, name), name
+    np.testing.assert_allclose(a.T_match_query, se3.inverse(b.T_match_query), rtol=0, atol=1e-12)
+    adjoint = se3.adjoint(a.T_match_query)
+    np.testing.assert_allclose(a.covariance, adjoint @ b.covariance @ adjoint.T, rtol=1e-6, atol=1e-15)
+
+
+@pytest.mark.parametrize("pair", PAIRS.values(), ids=PAIRS)
+def test_a_verdict_does_not_depend_on_which_place_is_the_query(
+    pair: tuple[Callable[[], Place], Callable[[], Place]],
+) -> None:
+    one, other = pair[0](), pair[1]()
+    assert_exchanged(verify(one, other, 0.7, VERIFICATION), verify(other, one, 0.7, VERIFICATION))
+
+
+def test_the_order_of_two_places_survives_storing_them() -> None:
+    for one in (place(1), visit(2, 30.0, 0.5)):
+        assert Place.from_blob(one.to_blob()).content_digest == one.content_digest
+    assert place(1).content_digest != place(2).content_digest
+
+
+def test_a_place_and_its_copy_in_another_frame_are_aligned_the_same_from_either_side() -> None:
+    # Equal content has equal digests: then no order exists, and none is needed.
+    copy = replace(place(1), frame=LevelFrame.from_upright(se3.exp([1.0, 2.0, 0.0, 0.1, 0.0, 2.0]), 1.0))
+    one, other = verify(place(1), copy, 1.0, VERIFICATION), verify(copy, place(1), 1.0, VERIFICATION)
+    assert isinstance(one, VerifiedLoop)
+    assert_exchanged(one, other)
+
+
+@pytest.mark.real_data
+@pytest.mark.slow
+@pytest.mark.skipif("REVISIT_DATA" not in os.environ, reason="REVISIT_DATA names no folder of real recordings")
+def test_verdicts_on_real_submaps_do_not_depend_on_which_is_the_query(tmp_path: Path) -> None:
+    script = Path(os.environ["REVISIT_DATA"]) / "unpack.py"
+    subprocess.run([sys.executable, script, "kitti00_head", tmp_path], check=True, stdout=subprocess.DEVNULL)
+    recording, config = KittiRecording(tmp_path), replace(CONFIG.submap, tau=10.0, stride=10.0)
+    windows = cut(recording, config, range(0, len(recording), 2))[2:7]
+    submaps = [load_submap(recording, window, config, Perturbation())[0] for window in windows]
+    models = load_packaged_models()
+    places = [describe(turned(submap, 0.7 * k), models, CONFIG).place for k, submap in enumerate(submaps)]
+    verdicts = {}
+    for a, b in itertools.permutations(range(len(places)), 2):
+        verdicts[a, b] = verify(places[a], places[b], 0.5, VERIFICATION)
+    for a, b in itertools.combinations(range(len(places)), 2):
+        assert_exchanged(verdicts[a, b], verdicts[b, a])
+    # Neighbouring submaps of a street share enough to be loops, so that not all of these verdicts are rejections.
+    assert sum(isinstance(verdict, VerifiedLoop) for verdict in verdicts.values()) >= 6
+
+
+def test_the_covariance_is_symmetric_and_positive() -> None:
+    verdict = verify(place(1), place(1), 1.0, VERIFICATION)
+    assert isinstance(verdict, VerifiedLoop)
+    covariance = verdict.measurement.covariance
+    np.testing.assert_allclose(covariance, covariance.T)
+    assert np.linalg.eigvalsh(covariance)[0] > 0.0
+
+
+def test_places_of_different_codebooks_are_never_compared() -> None:
+    with pytest.raises(DescriptorModelMismatch):
+        verify(place(1), replace(place(1), model="another"), 0.9, VERIFICATION)
+
+
+def wall(length_m: float) -> Place:
+    """One straight wall facing +y, seen from the origin."""
+    x, z = np.meshgrid(np.arange(-length_m / 2, length_m / 2, 0.5), np.arange(-1.5, 4.0, 0.5))
+    points = np.stack([x.ravel(), np.full(x.size, 5.0), z.ravel()], axis=1)
+    return place_of_points(points, np.tile([0.0, -1.0, 0.0], (len(points), 1)))
+
+
+def corridor() -> Place:
+    """Two parallel walls of 60 m."""
+    one = wall(60.0)
+    other = one.points * np.array([1, -1, 1], np.float32)
+    points = np.concatenate([one.points, other])
+    return place_of_points(points, np.concatenate([one.normals, -one.normals]))
+
+
+def hedges(seed: int) -> Place:
+    """Two rough hedges of 60 m along a street; every seed sees other leaves of them."""
+    rng = np.random.default_rng(seed)
+    points = np.column_stack([rng.uniform(-30, 30, 2000), rng.normal(5.0, 0.1, 2000), rng.uniform(-1.5, 1.0, 2000)])
+    normals = np.column_stack([rng.normal(0, 0.3, 2000), np.full(2000, -1.0), rng.normal(0, 0.2, 2000)])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    side = np.where(rng.random(2000) < 0.5, 1.0, -1.0)[:, None] * [0, 1, 0] + [1, 0, 1]
+    return place_of_points(points * side, normals * side)
+
+
+def test_one_wall_is_a_degenerate_place() -> None:
+    verdict = verify(wall(60.0), wall(60.0), 1.0, VERIFICATION)
+    assert isinstance(verdict, RejectedLoop)
+    assert verdict.reason is RejectionReason.DEGENERATE_PLACE
+
+
+def test_a_place_on_which_nothing_stands_is_degenerate() -> None:
+    verdict = verify(replace(place(1), standing_count=0), place(1), 1.0, VERIFICATION)
+    assert verdict == RejectedLoop(RejectionReason.DEGENERATE_PLACE)
+
+
+def test_a_corridor_never_makes_a_loop_because_its_length_is_not_observed() -> None:
+    verdict = verify(corridor(), corridor(), 1.0, VERIFICATION)
+    assert isinstance(verdict, RejectedLoop)
+    assert verdict.reason is RejectionReason.DEGENERATE_ALIGNMENT
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"min_common": 10**6}, RejectionReason.NO_COMMON_REGION),
+        ({"min_overlap": 1.01}, RejectionReason.LOW_OVERLAP),
+        ({"max_seen_through": -0.1}, RejectionReason.SEEN_THROUGH),
+        ({"min_score": 1.01}, RejectionReason.LOW_SCORE),
+        ({"max_tilt": -1.0}, RejectionReason.IMPLAUSIBLE_TILT),
+    ],
+)
+def test_each_gate_rejects_with_its_own_reason_and_keeps_the_evidence(
+    change: dict[str, float], reason: RejectionReason
+) -> None:
+    verdict = verify(place(1), place(1), 1.0, replace(VERIFICATION, **change))
+    assert isinstance(verdict, RejectedLoop)
+    assert verdict.reason is reason
+    assert verdict.measurement is not None
+
+
+def test_contrast_raises_the_score_and_contradictions_and_residuals_lower_it() -> None:
+    assert loop_score(0.3, 0.05, 0.1) > loop_score(0.2, 0.05, 0.1)
+    assert loop_score(0.3, 0.05, 0.1) > loop_score(0.3, 0.15, 0.1)
+    assert loop_score(0.3, 0.05, 0.1) > loop_score(0.3, 0.05, 0.12)
+
+
+def test_a_place_and_itself_see_nothing_through_each_other() -> None:
+    verdict = verify(place(1), place(1), 1.0, VERIFICATION)
+    assert verdict.measurement is not None and verdict.measurement.seen_through < 0.01
+
+
+def test_a_house_among_others_has_contrast_and_a_hedge_along_the_street_has_none() -> None:
+    yard_loop = verify(place(1), place(1), 1.0, VERIFICATION)
+    assert isinstance(yard_loop, VerifiedLoop) and yard_loop.measurement.contrast > 0.3
+    verdict = verify(hedges(1), hedges(2), 1.0, VERIFICATION)
+    assert isinstance(verdict, RejectedLoop)
+    assert verdict.reason is RejectionReason.DEGENERATE_ALIGNMENT
+    assert verdict.measurement is not None and verdict.measurement.contrast < VERIFICATION.min_contrast
+
+
+def test_a_pose_given_up_early_counts_as_the_worst_evidence() -> None:
+    verdict = verify(place(1), place(2), 1.0, replace(VERIFICATION, min_agreement=1.01))
+    assert verdict.measurement is not None
+    assert (verdict.measurement.contrast, verdict.measurement.seen_through) == (0.0, 1.0)
+    assert verdict.measurement.score < 1e-3

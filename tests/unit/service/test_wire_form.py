@@ -1,0 +1,134 @@
+"""One wire form: what REST renders from a view is the JSON that protobuf defines for the message of gRPC."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from google.protobuf.json_format import MessageToDict, ParseDict
+
+from revisit.core.scan import CloudReport
+from revisit.service.application.catalogue.loops import LoopClosureView, LoopState
+from revisit.service.application.catalogue.maps import MapView
+from revisit.service.application.catalogue.paging import Page
+from revisit.service.application.catalogue.robots import RobotView
+from revisit.service.application.catalogue.session_lookup import SessionState
+from revisit.service.application.catalogue.sessions import SessionView
+from revisit.service.application.catalogue.submaps import PostedSubmap, SubmapView
+from revisit.service.application.contract.identity import SessionKey, SubmapKey
+from revisit.service.application.contract.loop_policy import LoopPolicy
+from revisit.service.application.contract.records import SubmapState
+from revisit.service.application.ingest.scans import ScanAck
+from revisit.service.application.query.operations import OperationFailure, OperationKind, OperationState, OperationView
+from revisit.service.application.query.searches import Localization, LocalizedCandidate, SearchHit, SearchResult
+from revisit.service.rest import answers as kinds
+from revisit.service.wire import answers, openapi
+from revisit.service.wire.json_form import json_form
+
+SUBMAP_KEY, LARGE = SubmapKey("town", "monday", "a"), 2**62 + 1
+EVIDENCE = {
+    "rmse_m": 0.1,
+    "inliers": 12,
+    "covariance": [[1e-3, 0.0], [0.0, 2.5]],
+    "nested": {"yes": True, "none": None},
+}
+FAILURE = OperationFailure("DEGENERATE_CLOUD", "one line")
+POSE = np.array([[0.0, -1, 0, 1.5], [1, 0, 0, -2], [0, 0, 1, 0.25], [0, 0, 0, 1]])
+MAP = MapView("town", "Town", 10.0, 5.0, 20, 0.25, 3, 70_000, LARGE, LoopPolicy(5, 0.5, 0.25, 0.0))
+SESSION = SessionView(SUBMAP_KEY.session, "rover", SessionState.FINISHED, LARGE, 12.5, 2, LARGE, LARGE, 0)
+QUEUED = OperationView("op-1", OperationKind.DESCRIBE_SUBMAP, OperationState.QUEUED, "x", 0, None, None, 1, None)
+FAILED = OperationView("op-2", OperationKind.LOCALIZE, OperationState.FAILED, "x", 3, {}, FAILURE, 1, LARGE)
+DONE = OperationView("op-3", OperationKind.SEARCH_CLOUD, OperationState.DONE, "x", 1, EVIDENCE, None, 1, 2)
+SCANNED = SubmapView(
+    SUBMAP_KEY, LARGE, SubmapState.DESCRIBED, 0, POSE, (1.5, -2.0, 0.25), LARGE, 1, LARGE, 12, 3000, 36_000, 900,
+    ("PLANE", "SHORT"), "m1", None, "op-1", 1, np.array([0.5, -0.25], dtype=np.float32),
+)  # fmt: skip
+UNDESCRIBED = SubmapView(
+    SUBMAP_KEY, 1, SubmapState.FAILED, 3, np.eye(4), (0.0, 0.0, 0.0), 0, None, None, 1, 300, 3600, None, (), None,
+    FAILURE, "op-1", 1,
+)  # fmt: skip
+POSTED = PostedSubmap(SCANNED, QUEUED, False, CloudReport(4, True))
+ACCEPTED = LocalizedCandidate(SUBMAP_KEY, True, None, 0.9, 0.8, POSE, EVIDENCE)
+REJECTED = LocalizedCandidate(SUBMAP_KEY, False, "LOW_SCORE", -0.5, 0.0, None, {})
+LOOP = LoopClosureView(
+    "l", LARGE, "town", SUBMAP_KEY, SUBMAP_KEY, LoopState.ACCEPTED, None, 1.0, 0.5, POSE, EVIDENCE, 1
+)
+
+ANSWERS = {
+    "a map": (kinds.Map, answers.of_map(MAP)),
+    "a robot": (kinds.Robot, answers.of_robot(RobotView("rover", "", LARGE))),
+    "a finished session": (kinds.Session, answers.of_session(SESSION)),
+    "a new session": (
+        kinds.Session,
+        answers.of_session(SessionView(SessionKey("town", "new"), None, SessionState.ACTIVE, 0, 0.0, 0, 1, None, None)),
+    ),
+    "an operation that waits": (kinds.Operation, answers.of_operation(QUEUED)),
+    "an operation that failed": (kinds.Operation, answers.of_operation(FAILED)),
+    "an operation that is done": (kinds.Operation, answers.of_operation(DONE)),
+    "a described submap of scans": (kinds.Submap, answers.of_submap(SCANNED)),
+    "a submap that failed": (kinds.Submap, answers.of_submap(UNDESCRIBED)),
+    "a post": (kinds.Posted, answers.of_posted(POSTED)),
+    "a scan that completed a submap": (kinds.Ack, answers.of_ack(ScanAck(LARGE, False, CloudReport(0, False), POSTED))),
+    "a scan again": (kinds.Ack, answers.of_ack(ScanAck(3, True, None, None))),
+    "hits": (
+        kinds.SearchAnswer,
+        answers.of_search(SearchResult((SearchHit(SUBMAP_KEY, 0.75, (1.0, 2.0, 3.0)),), 9)),
+    ),
+    "no hits": (kinds.SearchAnswer, answers.of_search(SearchResult((), 0))),
+    "a known place": (
+        kinds.LocalizeAnswer,
+        answers.of_localization(Localization(ACCEPTED, POSE, (REJECTED, ACCEPTED))),
+    ),
+    "an unknown place": (kinds.LocalizeAnswer, answers.of_localization(Localization(None, None, (REJECTED,)))),
+    "a page": (kinds.LoopClosurePage, answers.of_page("loop_closures", Page((LOOP, LOOP), "next"), answers.of_loop)),
+    "an empty page": (kinds.MapPage, answers.of_page("maps", Page((), ""), answers.of_map)),
+}
+
+
+@pytest.mark.parametrize("case", ANSWERS)
+def test_the_json_of_an_answer_is_the_json_of_its_message(case):
+    kind, fields = ANSWERS[case]
+    message, rendered = kind(**fields), json.loads(json.dumps(json_form(kind, fields)))
+    assert ParseDict(rendered, kind()) == message
+    assert rendered == MessageToDict(
+        message, preserving_proto_field_name=True, always_print_fields_with_no_presence=True
+    )
+
+
+@pytest.mark.parametrize("case", ANSWERS)
+def test_an_answer_names_every_field_of_its_message(case):
+    kind, fields = ANSWERS[case]
+    assert fields.keys() == {field.name for field in kind.DESCRIPTOR.fields}
+
+
+def test_64_bit_integers_are_text_and_absent_fields_are_left_out():
+    rendered = json_form(kinds.Session, {"name": "s", "committed_seq": 2**63 - 1, "submap_count": 2**31})
+    assert (rendered["committed_seq"], rendered["submap_count"]) == ("9223372036854775807", 2**31)
+    assert (rendered["created_at_ns"], rendered["robot"], rendered["state"]) == ("0", "", "STATE_UNSPECIFIED")
+    assert not {"finished_at_ns", "committed_stamp_ns"} & rendered.keys()
+
+
+@pytest.mark.parametrize(("number", "text"), [(math.nan, "NaN"), (math.inf, "Infinity"), (-math.inf, "-Infinity")])
+def test_numbers_that_json_lacks_are_text(number, text):
+    rendered = json_form(kinds.LoopClosure, {"score": number})
+    assert rendered["score"] == MessageToDict(kinds.LoopClosure(score=number))["score"] == text
+
+
+def test_a_field_that_the_message_does_not_have_is_a_defect():
+    with pytest.raises(KeyError, match=r"revisit\.v1\.Robot has no field colour"):
+        json_form(kinds.Robot, {"colour": "red"})
+
+
+def test_openapi_requires_what_is_always_there_and_describes_it_with_the_comments_of_the_proto():
+    described = openapi.schemas([kinds.Posted])
+    assert described.keys() == {
+        "CloudReport", "Failure", "Operation", "PostSubmapResponse", "Quaternion", "Submap", "Transform", "Vector3",
+    }  # fmt: skip
+    submap = described["Submap"]
+    assert {"name", "flags", "model_version"} <= set(submap["required"])
+    assert not {"first_seq", "failure", "t_odom_submap"} & set(submap["required"])
+    assert submap["properties"]["seq"]["type"] == "string"
+    assert submap["properties"]["state"]["enum"] == ["QUEUED", "DESCRIBED", "FAILED"]
+    assert submap["properties"]["ordinal"]["description"] == "Counts the submaps of its session from 0."
