@@ -138,9 +138,10 @@ def interfaces() -> str:
     parts = [
         "# REST and gRPC",
         (
-            "Both call the same use cases and give the same answers; a test drives both through one client. JSON has "
-            "the names and shapes of the proto messages. [openapi.json](openapi.json) and "
-            "[proto/revisit/v1](../../proto/revisit/v1) hold every field."
+            "Both call the same use cases and give the same answers; a test drives both through one client. An answer "
+            "over REST is the JSON that protobuf defines for its message, with the names of the proto files: 64-bit "
+            "integers (`seq`, `number`, `..._ns`) are strings, and what is absent is left out. "
+            "[openapi.json](openapi.json) and [proto/revisit/v1](../../proto/revisit/v1) hold every field."
         ),
         "## REST",
         *_rest_parts(),

@@ -24,17 +24,15 @@ from revisit.service.adapters.files.filesystem import require_local
 from revisit.service.adapters.sqlite.connections import write_ahead_log
 from revisit.service.adapters.sqlite.transactions import SqliteTransactions
 from revisit.service.adapters.vector_index import PlaceVectorIndex
-from revisit.service.application import Context, UseCases
+from revisit.service.application import Installation, UseCases
 from revisit.service.application.access.callers import current_actor
-from revisit.service.application.capacity.intake import Intake
-from revisit.service.application.contract.origin import NoTracer, Tracer
-from revisit.service.application.contract.ports import PlaceRecogniser
-from revisit.service.application.housekeeping.index_keeping import IndexKeeper
+from revisit.service.application.capacity.in_flight import InFlight
+from revisit.service.application.contract.recogniser import PlaceRecogniser
+from revisit.service.application.contract.tracing import NoTracer, Tracer
 from revisit.service.application.housekeeping.retention import forget_answers
 from revisit.service.application.housekeeping.sweeping import sweep
 from revisit.service.application.housekeeping.system import WORKER_SEEN_WITHIN_MS
 from revisit.service.application.housekeeping.upkeep import Chore
-from revisit.service.application.recognise.recognition import Recognition
 from revisit.service.settings import Settings
 from revisit.service.worker.confinement import confine
 from revisit.service.worker.heartbeat import WorkerIdentity
@@ -57,20 +55,20 @@ STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 log = structlog.get_logger(__name__)
 
 
-def build_context(settings: Settings, *, gateway: bool, fail_stop: FailStop | None = None) -> Context:
-    """The ports of a process. The gateway alone checkpoints the database; `fail_stop` is thrown by a failing disk."""
+def build_installation(settings: Settings, *, gateway: bool, fail_stop: FailStop | None = None) -> Installation:
+    """What a process is built from. The gateway alone checkpoints the database; a failing disk trips `fail_stop`."""
     require_local(settings.home)
     policy, disk, switch = settings.policy, build_disk(settings), fail_stop or FailStop()
     transactions = SqliteTransactions(
         settings.database, checkpoints=gateway, lease_ms=policy.lease_ms, fail_stop=switch, on_full=disk.release
     )
-    return Context(
+    return Installation(
         transactions=transactions,
         blobs=FileBlobStore(settings.blobs, fail_stop=switch, on_full=disk.release),
         index=PlaceVectorIndex(_new_index),
         clock=SystemClock(),
         policy=policy,
-        intake=Intake(settings.intake, current_actor),
+        in_flight=InFlight(settings.capacity, current_actor),
         disk=disk,
     )
 
@@ -80,21 +78,22 @@ def build_disk(settings: Settings) -> Disk:
     return Disk(settings.home, settings.reserve_mb * 2**20, write_ahead_log(settings.database))
 
 
-def chores(settings: Settings, context: Context) -> tuple[Chore, ...]:
-    """What the gateway does beside answering."""
-    disk, keeper = build_disk(settings), IndexKeeper(context)
+def chores(settings: Settings, installation: Installation) -> tuple[Chore, ...]:
+    """The periodic work of the gateway."""
+    disk, keeper = build_disk(settings), installation.index_keeper()
 
     async def tend_disk() -> None:
         await asyncio.to_thread(disk.tend)
 
     async def sweep_blobs() -> None:
-        await sweep(context)
+        await sweep(installation.storage)
 
     async def audit_index() -> None:
         await keeper.audit()
 
     async def forget() -> None:
-        await forget_answers(context, 3600.0 * settings.answers_kept_h)
+        kept_s = 3600.0 * settings.answers_kept_h
+        await forget_answers(installation.storage, installation.clock, kept_s)
 
     return (
         Chore("tend_disk", TEND_DISK_EVERY_S, tend_disk),
@@ -114,19 +113,19 @@ def build_tracer(settings: Settings, process: str) -> Tracer:
     return otlp_tracer(settings.otlp_endpoint, process)
 
 
-def build_use_cases(context: Context, settings: Settings) -> UseCases:
+def build_use_cases(installation: Installation, settings: Settings) -> UseCases:
     """What the transports call. Raises ValueError where a file of the access rules cannot be used."""
-    return UseCases.over(context, VERSION, access_rules(settings))
+    return UseCases.over(installation, VERSION, access_rules(settings))
 
 
 @contextmanager
 def offline_use_cases(settings: Settings) -> Iterator[UseCases]:
     """The use cases on the database of a service that may or may not run, for the command line."""
-    context = build_context(settings, gateway=False)
+    installation = build_installation(settings, gateway=False)
     try:
-        yield UseCases.over(context, VERSION)
+        yield UseCases.over(installation, VERSION)
     finally:
-        context.transactions.close()
+        installation.transactions.close()
 
 
 def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None) -> None:
@@ -140,29 +139,29 @@ def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None
     stopping = threading.Event()
     for number in STOP_SIGNALS:
         signal.signal(number, lambda *_: stopping.set())
-    context = build_context(settings, gateway=False, fail_stop=FailStop(lambda: os._exit(STORAGE_FAILED)))
+    installation = build_installation(settings, gateway=False, fail_stop=FailStop(lambda: os._exit(STORAGE_FAILED)))
     identity = WorkerIdentity(worker_id or f"worker-{secrets.token_hex(4)}", recogniser.model_version, parent_pid)
     structlog.contextvars.bind_contextvars(worker=identity.worker_id)
     log.info("worker_ready", model_version=identity.model_version)
     limits = WorkerLimits(settings.jobs_per_worker, settings.worker_memory_mb * 2**20 * 3 // 4, settings.job_timeout_s)
     tracer = build_tracer(settings, "worker")
-    worker = Worker(context, Recognition(context, recogniser), identity, stopping, limits, tracer)
+    worker = Worker(installation, installation.recognition(recogniser), identity, stopping, limits, tracer)
     try:
         worker.run()
     finally:
         tracer.close()
-        context.transactions.close()
+        installation.transactions.close()
 
 
 def worker_seen(settings: Settings, worker_id: str) -> bool:
     """Whether the worker has shown itself in the database lately."""
-    context = build_context(settings, gateway=False)
-    now = context.clock.instant()
+    installation = build_installation(settings, gateway=False)
+    now = installation.clock.instant()
     try:
-        alive = context.transactions.read(lambda uow: uow.workers.alive(now.epoch, now.ms - WORKER_SEEN_WITHIN_MS))
+        alive = installation.transactions.read(lambda uow: uow.workers.alive(now.epoch, now.ms - WORKER_SEEN_WITHIN_MS))
         return any(worker.worker_id == worker_id for worker in alive.result())
     finally:
-        context.transactions.close()
+        installation.transactions.close()
 
 
 def load_recogniser(name: str) -> PlaceRecogniser:

@@ -1,4 +1,4 @@
-"""The gateway process: REST and gRPC on one event loop, the workers beside it, one way to stop."""
+"""The gateway process: REST and gRPC on one event loop, the worker processes, and the shutdown of all."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from prometheus_client import ProcessCollector
 
 from revisit.service.adapters.files.fail_stop import FailStop
 from revisit.service.adapters.sqlite.migration import migrate
-from revisit.service.application import Context, UseCases
+from revisit.service.application import Installation, UseCases
 from revisit.service.application.housekeeping.upkeep import Upkeep
-from revisit.service.composition import STORAGE_FAILED, build_context, build_tracer, build_use_cases, chores
+from revisit.service.composition import STORAGE_FAILED, build_installation, build_tracer, build_use_cases, chores
 from revisit.service.metrics import LoadMetrics, MetricsServer, RequestMetrics, StoreMetrics
 from revisit.service.settings import Settings
 from revisit.service.tls import grpc_credentials, http_context
@@ -35,11 +35,11 @@ SERVER_FAILED = 70
 """Exit status where a server ended without being told to (EX_SOFTWARE)."""
 
 SWITCH_S = 0.0005
-"""How long a thread that decodes may hold the interpreter while the event loop waits for it, where Python has 5 ms: an
-answer hands over several times. Chosen by that reasoning; its effect was not measured by itself."""
+"""How long a decoding thread may hold the interpreter lock while the event loop waits for it; Python's default is 5 ms.
+An answer hands over several times. Chosen by that reasoning; its effect was not measured by itself."""
 
 FAIL_STOP_S = 0.5
-"""At most so long after the disk has failed the process is there, for the answers that are under way."""
+"""How long the process lives after the disk has failed, so that pending answers can still go out."""
 
 log = structlog.get_logger(__name__)
 
@@ -73,21 +73,20 @@ class _Gateway:
     async def run(self) -> int:
         """Serve until told to stop, then drain; the exit status."""
         stop = self._stop_signal()
-        context = build_context(self._settings, gateway=True, fail_stop=FailStop(self._failing_disk_ends(stop)))
-        use_cases = build_use_cases(context, self._settings)
-        supervisor = WorkerSupervisor(context, self._settings.workers)
-        self._requests.registry.register(WorkerMetrics(supervisor))
-        ProcessCollector(namespace="revisit", registry=self._requests.registry)
+        installation = build_installation(
+            self._settings, gateway=True, fail_stop=FailStop(self._failing_disk_ends(stop))
+        )
+        use_cases = build_use_cases(installation, self._settings)
+        supervisor = self._supervisor(installation)
         http, http_port = self._http_server(use_cases)
         rpc, grpc_port = self._grpc_server(use_cases)
         await rpc.start()
         serving = asyncio.create_task(http.serve(), name="http")
         supervisor.start()
-        upkeep = Upkeep(chores(self._settings, context))
+        upkeep = Upkeep(chores(self._settings, installation))
         upkeep.start()
-        self._watch = asyncio.create_task(LoadMetrics(self._requests.registry, context.intake).watch(), name="load")
-        metrics = self._metrics_server(context)
-        # What the start has made stays. To look through it for garbage holds up every request by 70 to 90 ms.
+        metrics = self._metrics_server(installation)
+        # Objects made during the start live on. Searching them for garbage would hold up requests for 70 to 90 ms.
         gc.freeze()
         self._announce(http_port, grpc_port)
         if self._settings.exposed and await use_cases.access.is_open():
@@ -107,9 +106,18 @@ class _Gateway:
         if metrics is not None:
             await asyncio.to_thread(metrics.close)
         await asyncio.to_thread(self._tracer.close)
-        await asyncio.to_thread(context.transactions.close)
+        await asyncio.to_thread(installation.transactions.close)
         log.info("stopped", status=self._status)
         return self._status
+
+    def _supervisor(self, installation: Installation) -> WorkerSupervisor:
+        """The supervisor of the workers; the metrics of this process and of them."""
+        registry, lease_ms = self._requests.registry, installation.policy.lease_ms
+        supervisor = WorkerSupervisor(installation.storage, installation.clock, lease_ms, self._settings.workers)
+        registry.register(WorkerMetrics(supervisor))
+        ProcessCollector(namespace="revisit", registry=registry)
+        self._watch = asyncio.create_task(LoadMetrics(registry, installation.in_flight).watch(), name="load")
+        return supervisor
 
     def _announce(self, http_port: int, grpc_port: int) -> None:
         settings = self._settings
@@ -149,12 +157,12 @@ class _Gateway:
             asyncio.get_running_loop().add_signal_handler(number, stop.set)
         return stop
 
-    def _metrics_server(self, context: Context) -> MetricsServer | None:
+    def _metrics_server(self, installation: Installation) -> MetricsServer | None:
         """`/metrics` on a port of its own, on loopback, where the settings ask for it."""
         port = self._settings.metrics_port
         if port is None:
             return None
-        server = MetricsServer(self._requests, StoreMetrics(context), port)
+        server = MetricsServer(self._requests, StoreMetrics(installation), port)
         log.info("metrics_listening", port=server.port)
         return server
 

@@ -14,13 +14,12 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from prometheus_client.registry import Collector
 
 from revisit.core.errors import RevisitError
-from revisit.service.application import Context
-from revisit.service.application.capacity.intake import Intake
-from revisit.service.application.catalogue.loops import LoopState
-from revisit.service.application.contract.ports import Repository, UnitOfWork
-from revisit.service.application.contract.records import SubmapState
+from revisit.service.application import Installation
+from revisit.service.application.capacity.in_flight import InFlight
+from revisit.service.application.contract.repositories import Repository
+from revisit.service.application.contract.states import LoopState, OperationState, SubmapState
+from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.housekeeping.system import WORKER_SEEN_WITHIN_MS
-from revisit.service.application.query.operations import OperationState
 
 LATENCY_BUCKETS_S = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0)
 LAG_BUCKETS_S = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.25, 1.0)
@@ -54,7 +53,7 @@ class RequestMetrics:
 class LoadMetrics:
     """How late the event loop is (everything waits as long), and what is taken in now."""
 
-    def __init__(self, registry: CollectorRegistry, intake: Intake) -> None:
+    def __init__(self, registry: CollectorRegistry, in_flight: InFlight) -> None:
         self._lag = Histogram(
             "revisit_event_loop_lag_seconds",
             "How late the gateway's event loop wakes, looked at every 50 ms.",
@@ -62,9 +61,9 @@ class LoadMetrics:
             buckets=LAG_BUCKETS_S,
         )
         clouds = Gauge("revisit_clouds_in_intake", "Clouds that are being decoded and stored.", registry=registry)
-        clouds.set_function(lambda: intake.clouds)
+        clouds.set_function(lambda: in_flight.clouds)
         streams = Gauge("revisit_open_streams", "Streams of scans that are open.", registry=registry)
-        streams.set_function(lambda: intake.streams)
+        streams.set_function(lambda: in_flight.streams)
 
     async def watch(self) -> None:
         """Measure until cancelled; write down each time that the loop was later than it may be."""
@@ -80,17 +79,17 @@ class LoadMetrics:
 class StoreMetrics(Collector):
     """Jobs, submaps and loop closures by state, and workers alive, read from the database for each answer."""
 
-    def __init__(self, context: Context) -> None:
-        """Reads through `context`, from the thread that answers."""
-        self._context = context
+    def __init__(self, installation: Installation) -> None:
+        """Reads from `installation`, from the thread that answers."""
+        self._installation = installation
 
     def collect(self) -> Iterator[Metric]:
         """The families; only that of the index where the database does not answer."""
         drift = CounterMetricFamily("revisit_index_drift", "Submaps of the index that differed from the database.")
-        drift.add_metric([], self._context.index_health.drift)
+        drift.add_metric([], self._installation.index_health.drift)
         yield drift
         try:
-            counts = self._context.transactions.read(self._count).result()
+            counts = self._installation.transactions.read(self._count).result()
         except RevisitError:
             return
         for name, (help_text, label, values) in counts.items():
@@ -100,7 +99,7 @@ class StoreMetrics(Collector):
             yield family
 
     def _count(self, uow: UnitOfWork) -> dict[str, tuple[str, str, dict[str, int]]]:
-        now = self._context.clock.instant()
+        now = self._installation.clock.instant()
         tables: dict[str, tuple[str, Repository[Any], type[StrEnum]]] = {
             "revisit_jobs": ("Jobs by state.", uow.jobs, OperationState),
             "revisit_submaps": ("Submaps by state.", uow.submaps, SubmapState),
@@ -111,13 +110,17 @@ class StoreMetrics(Collector):
             for name, (text, table, states) in tables.items()
         }
         alive = uow.workers.alive(now.epoch, now.ms - WORKER_SEEN_WITHIN_MS)
-        oldest_ns, now_ns = uow.jobs.oldest_queued_ns(), self._context.clock.wall_ns()
+        oldest_ns, now_ns = uow.jobs.oldest_queued_ns(), self._installation.clock.wall_ns()
         waits_s = 0 if oldest_ns is None else max(0, now_ns - oldest_ns) // 10**9
         return {
             **counts,
             "revisit_workers": ("Workers that have shown themselves lately.", "", {"": len(alive)}),
             "revisit_oldest_queued_job_seconds": ("How long the oldest queued job has waited.", "", {"": waits_s}),
-            "revisit_wal_bytes": ("Size of the database's write-ahead log.", "", {"": self._context.disk.wal_bytes()}),
+            "revisit_wal_bytes": (
+                "Size of the database's write-ahead log.",
+                "",
+                {"": self._installation.disk.wal_bytes()},
+            ),
         }
 
 

@@ -10,9 +10,9 @@ from pydantic import Field
 
 from revisit.core.config import PipelineConfig
 from revisit.service.access_settings import AccessSettings
-from revisit.service.application.capacity.intake import IntakeLimits
+from revisit.service.application.capacity.in_flight import CapacityLimits
 from revisit.service.application.contract import limits
-from revisit.service.application.contract.context import Policy
+from revisit.service.application.contract.policy import Policy
 
 
 class Settings(AccessSettings):
@@ -45,10 +45,10 @@ class Settings(AccessSettings):
     tenant_points_per_s: float = Field(default=20e6, gt=0, description="points a second that one tenant may send")
     client_points_per_s: float = Field(default=10e6, gt=0, description="points a second that one API key may send")
     clouds_at_once: int = Field(
-        default_factory=lambda: IntakeLimits().clouds,
+        default_factory=lambda: CapacityLimits().clouds,
         ge=1,
-        description="clouds decoded and stored at the same time, a tenant at most three quarters of them; posts beyond "
-        "are refused, streams wait. While a tenant's come too fast none waits for a core to be decoded",
+        description="clouds in flight (received, not yet stored), a tenant at most three quarters of them; further "
+        "posts are refused, streams wait",
     )
     max_streams: int = Field(default=256, ge=1, le=256, description="open streams of scans")
     streams_per_client: int = Field(default=8, ge=1, description="open streams of scans of one API key")
@@ -159,9 +159,9 @@ class Settings(AccessSettings):
         )
 
     @property
-    def intake(self) -> IntakeLimits:
-        """How much is taken in."""
-        return IntakeLimits(
+    def capacity(self) -> CapacityLimits:
+        """The rate limits, and how many clouds and streams may be in flight."""
+        return CapacityLimits(
             points_per_s=self.points_per_s,
             tenant_points_per_s=self.tenant_points_per_s,
             client_points_per_s=self.client_points_per_s,

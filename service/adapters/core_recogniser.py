@@ -19,7 +19,7 @@ from revisit.core.scan import Scan
 from revisit.core.stages import stage_times
 from revisit.core.submap import Submap
 from revisit.core.verification import LoopMeasurement, RejectedLoop, VerifiedLoop
-from revisit.service.application.contract.ports import LoopVerdict, Mesh, SubmapDescription
+from revisit.service.application.contract.recogniser import LoopVerdict, Mesh, SubmapDescription
 
 SETTABLE = ("min_score", "min_overlap", "max_seen_through")
 """The thresholds that an operator may set (see `contract.loop_policy`): written beside each verdict."""
@@ -28,7 +28,7 @@ VERSION_DIGITS = 12
 
 
 class CoreRecogniser:
-    """`ports.PlaceRecogniser` with the packaged models."""
+    """`PlaceRecogniser` with the packaged models."""
 
     def __init__(self, models: ModelBundle) -> None:
         """`models` are loaded once per process."""
@@ -36,11 +36,11 @@ class CoreRecogniser:
 
     @property
     def model_version(self) -> str:
-        """See `ports.PlaceRecogniser`."""
+        """See `PlaceRecogniser`."""
         return self._models.version
 
     def describe(self, submap: Submap, config: PipelineConfig) -> SubmapDescription:
-        """See `ports.PlaceRecogniser`."""
+        """See `PlaceRecogniser`."""
         with stage_times() as timings_s:
             described = describe(submap, self._models, config)
         return SubmapDescription(
@@ -53,7 +53,7 @@ class CoreRecogniser:
         )
 
     def verify(self, query: bytes, match: bytes, similarity: float, config: PipelineConfig) -> LoopVerdict:
-        """See `ports.PlaceRecogniser`."""
+        """See `PlaceRecogniser`."""
         places = Place.from_blob(query), Place.from_blob(match)
         verdict = verify(*places, similarity, config.verification)
         evidence = _evidence(verdict, config)

@@ -10,15 +10,18 @@ from dataclasses import replace
 from typing import Any
 
 from revisit.core.errors import ErrorCode
+from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.errors import StaleLease
-from revisit.service.application.contract.ports import Instant, JobRepository, Lease
+from revisit.service.application.contract.job_queue import Lease
 from revisit.service.application.contract.records import JobRecord
+from revisit.service.application.contract.repositories import JobRepository
+from revisit.service.application.contract.states import OperationState
 
 RETRY_DELAY_MS = 500
 
 
 class LeasedJobs:
-    """`ports.JobQueue` over a `JobRepository`, inside whatever transaction that belongs to."""
+    """`JobQueue` over a `JobRepository`, inside whatever transaction that belongs to."""
 
     def __init__(self, jobs: JobRepository, lease_ms: int) -> None:
         """A lease lasts `lease_ms` milliseconds from its start or its last heartbeat."""
@@ -26,17 +29,17 @@ class LeasedJobs:
         self._lease_ms = lease_ms
 
     def enqueue(self, job: JobRecord) -> JobRecord:
-        """See `ports.JobQueue`."""
+        """See `JobQueue`."""
         return self._jobs.add(job)
 
     def claim(self, owner: str, now: Instant, after: str = "") -> Lease | None:
-        """See `ports.JobQueue`."""
+        """See `JobQueue`."""
         job = self._jobs.next_runnable(now, after)
         if job is None:
             return None
         leased = replace(
             job,
-            state="RUNNING",
+            state=OperationState.RUNNING.value,
             attempts=job.attempts + 1,
             lease_owner=owner,
             lease_token=job.lease_token + 1,
@@ -48,21 +51,21 @@ class LeasedJobs:
         return Lease(leased)
 
     def require(self, lease: Lease) -> None:
-        """See `ports.JobQueue`."""
+        """See `JobQueue`."""
         self._held(lease)
 
     def extend(self, lease: Lease, now: Instant) -> None:
-        """See `ports.JobQueue`."""
+        """See `JobQueue`."""
         job = self._held(lease)
         self._jobs.replace(replace(job, lease_epoch=now.epoch, lease_expires_ms=now.ms + self._lease_ms))
 
     def complete(self, lease: Lease, result: dict[str, Any], finished_at_ns: int) -> None:
-        """See `ports.JobQueue`."""
+        """See `JobQueue`."""
         job = self._held(lease)
-        self._jobs.replace(replace(job, state="DONE", result=result, finished_at_ns=finished_at_ns))
+        self._jobs.replace(replace(job, state=OperationState.DONE.value, result=result, finished_at_ns=finished_at_ns))
 
     def fail(self, lease: Lease, code: str, message: str, now: Instant, finished_at_ns: int, *, retry: bool) -> bool:
-        """See `ports.JobQueue`."""
+        """See `JobQueue`."""
         job = self._held(lease)
         if retry and job.attempts < job.max_attempts:
             self._jobs.replace(_queued_again(job, now))
@@ -70,26 +73,26 @@ class LeasedJobs:
         self._jobs.replace(_failed(job, code, message, finished_at_ns))
         return True
 
-    def bury(self, now: Instant, finished_at_ns: int) -> list[JobRecord]:
-        """See `ports.JobQueue`."""
+    def fail_exhausted_jobs(self, now: Instant, finished_at_ns: int) -> list[JobRecord]:
+        """See `JobQueue`."""
         dead = [_failed(job, ErrorCode.INTERNAL, _last_end(job), finished_at_ns) for job in self._jobs.exhausted(now)]
         for job in dead:
             self._jobs.replace(job)
         return dead
 
     def release(self, owner: str, now: Instant, reason: str) -> int:
-        """See `ports.JobQueue`."""
+        """See `JobQueue`."""
         held = self._jobs.leased_to(owner)
         for job in held:
             ended = replace(job, lease_expires_ms=0, failure_message=reason)
-            # A job without attempts left stays RUNNING: `bury` fails it together with what belongs to it.
+            # A job without attempts left stays RUNNING until `fail_exhausted_jobs`, which marks its subject too.
             self._jobs.replace(ended if job.attempts >= job.max_attempts else _queued_again(ended, now))
         return len(held)
 
     def _held(self, lease: Lease) -> JobRecord:
         """The stored job, if `lease` is still its newest. Raises StaleLease."""
         job = self._jobs.get(lease.job.tenant, lease.job.operation_id)
-        if job is None or job.state != "RUNNING" or job.lease_token != lease.job.lease_token:
+        if job is None or job.state != OperationState.RUNNING or job.lease_token != lease.job.lease_token:
             raise StaleLease(f"operation {lease.job.operation_id} is no longer leased to this run")
         return job
 
@@ -97,7 +100,7 @@ class LeasedJobs:
 def _queued_again(job: JobRecord, now: Instant) -> JobRecord:
     """Back in the queue after a growing delay: a job that kills its workers lets other jobs run in between."""
     later = now.ms + RETRY_DELAY_MS * job.attempts
-    return replace(job, state="QUEUED", lease_epoch=now.epoch, not_before_ms=later)
+    return replace(job, state=OperationState.QUEUED.value, lease_epoch=now.epoch, not_before_ms=later)
 
 
 def _last_end(job: JobRecord) -> str:
@@ -107,4 +110,10 @@ def _last_end(job: JobRecord) -> str:
 
 
 def _failed(job: JobRecord, code: str, message: str, finished_at_ns: int) -> JobRecord:
-    return replace(job, state="FAILED", failure_code=code, failure_message=message, finished_at_ns=finished_at_ns)
+    return replace(
+        job,
+        state=OperationState.FAILED.value,
+        failure_code=code,
+        failure_message=message,
+        finished_at_ns=finished_at_ns,
+    )

@@ -13,14 +13,14 @@ from opentelemetry.sdk.trace.export import BatchSpanProcessor
 from opentelemetry.trace.propagation.tracecontext import TraceContextTextMapPropagator
 
 from revisit.service import VERSION
-from revisit.service.application.contract.origin import Role, Span
+from revisit.service.application.contract.tracing import Role, Span
 
 CLOSE_WITHIN_MS = 2_000
 _KINDS = {Role.REQUEST: trace.SpanKind.SERVER, Role.JOB: trace.SpanKind.CONSUMER}
 
 
 class OpenTelemetryTracer:
-    """`origin.Tracer` whose spans go to a processor."""
+    """`Tracer` whose spans go to a processor."""
 
     def __init__(self, processor: SpanProcessor, process: str) -> None:
         """`process` says which of the service's processes this is: gateway or worker."""
@@ -33,7 +33,7 @@ class OpenTelemetryTracer:
     def span(
         self, role: Role, name: str, traceparent: str | None, attributes: Mapping[str, str | int]
     ) -> Iterator[Span]:
-        """See `origin.Tracer`."""
+        """See `Tracer`."""
         parent = TraceContextTextMapPropagator().extract({"traceparent": traceparent} if traceparent else {})
         span = _OpenTelemetrySpan(self._tracer.start_span(name, parent, kind=_KINDS[role], attributes=dict(attributes)))
         try:
@@ -45,7 +45,7 @@ class OpenTelemetryTracer:
             span.end()
 
     def close(self) -> None:
-        """See `origin.Tracer`; gives up after 2 s."""
+        """See `Tracer`; gives up after 2 s."""
         self._provider.force_flush(CLOSE_WITHIN_MS)
 
 

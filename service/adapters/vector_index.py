@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.errors import BadField
-from revisit.service.application.contract.ports import IndexChange, VectorFilter, VectorMatch
+from revisit.service.application.contract.index import IndexChange, VectorFilter, VectorMatch
 
 if TYPE_CHECKING:
     from revisit.core.index import IndexEntry, PlaceIndex, SearchFilter
@@ -32,7 +32,7 @@ class _MapIndex:
 
 
 class PlaceVectorIndex:
-    """`ports.VectorIndex` over `core.index`."""
+    """`VectorIndex` over `core.index`."""
 
     def __init__(self, make_index: MakeIndex) -> None:
         """`make_index` gives an empty index of `core.index`, exact or FAISS."""
@@ -41,11 +41,11 @@ class PlaceVectorIndex:
         self._lock = threading.Lock()
 
     def seq(self, map_number: int) -> int:
-        """See `ports.VectorIndex`."""
+        """See `VectorIndex`."""
         return self._of(map_number).seq
 
     def apply(self, map_number: int, changes: Sequence[IndexChange], after: int = 0) -> None:
-        """See `ports.VectorIndex`."""
+        """See `VectorIndex`."""
         index = self._of(map_number)
         with index.lock:
             new = [change for change in changes if change.seq > index.seq]
@@ -57,7 +57,7 @@ class PlaceVectorIndex:
             index.seq = new[-1].seq
 
     def search(self, map_number: int, vector: NDArray[np.float32], k: int, where: VectorFilter) -> list[VectorMatch]:
-        """See `ports.VectorIndex`."""
+        """See `VectorIndex`."""
         index = self._of(map_number)
         with index.lock:
             if index.places is None or not index.present:
@@ -70,22 +70,22 @@ class PlaceVectorIndex:
         return [VectorMatch(match.id, match.similarity) for match in others][:k]
 
     def size(self, map_number: int) -> int:
-        """See `ports.VectorIndex`."""
+        """See `VectorIndex`."""
         return len(self._of(map_number).present)
 
     def drop(self, map_number: int) -> None:
-        """See `ports.VectorIndex`."""
+        """See `VectorIndex`."""
         with self._lock:
             self._maps.pop(map_number, None)
 
     def numbers(self, map_number: int) -> tuple[int, NDArray[np.int64]]:
-        """See `ports.VectorIndex`."""
+        """See `VectorIndex`."""
         index = self._of(map_number)
         with index.lock:
             return index.seq, np.zeros(0, np.int64) if index.places is None else index.places.ids()
 
     def differing(self, map_number: int, places: Sequence[IndexChange]) -> list[int]:
-        """See `ports.VectorIndex`."""
+        """See `VectorIndex`."""
         index = self._of(map_number)
         with index.lock:
             if index.places is None:

@@ -1,4 +1,13 @@
-"""Use cases, one module per noun, and the ports they need. REST and gRPC call these and nothing else.
+"""The use cases, in folders by what they are about, and the ports they need. REST and gRPC call these and nothing else.
+
+    contract       names, records, errors, limits, ports
+    capacity       whether a request is accepted now: rate limits, in-flight, backlog
+    access         who calls: authentication, API keys, the audit log
+    ingest         scans and submaps coming in
+    catalogue      maps, robots, sessions, submaps: create, get, list, delete
+    query          searches, loop closures, operations
+    housekeeping   sweeping, retention, the index, dead letters, readiness
+    recognise      what a worker does with a job
 
 Every call takes the tenant first; a resource of another tenant is NotFound. Calls that change something return after
 the commit; a caller that goes away does not undo it. Errors are `core.errors.RevisitError` subclasses.
@@ -11,57 +20,70 @@ from dataclasses import dataclass
 from revisit.service.application.access.admission import Access, AccessRules
 from revisit.service.application.access.api_keys import ApiKeys
 from revisit.service.application.access.audit import AuditLog
-from revisit.service.application.catalogue.loops import Loops
+from revisit.service.application.capacity.admission import Admission
+from revisit.service.application.capacity.backlog import JobPosting
+from revisit.service.application.catalogue.blob_references import BlobCollector
 from revisit.service.application.catalogue.maps import Maps
 from revisit.service.application.catalogue.robots import Robots
 from revisit.service.application.catalogue.sessions import Sessions
 from revisit.service.application.catalogue.submaps import Submaps
-from revisit.service.application.contract.context import Context, Policy
 from revisit.service.application.contract.identity import DEFAULT_TENANT, SessionKey, SubmapKey, TenantId
+from revisit.service.application.contract.policy import Policy
 from revisit.service.application.housekeeping.dead_letters import DeadLetters
 from revisit.service.application.housekeeping.system import System
 from revisit.service.application.ingest.scans import Scans
+from revisit.service.application.ingest.submap_posting import SubmapPosting
+from revisit.service.application.installation import Installation
+from revisit.service.application.query.loops import Loops
 from revisit.service.application.query.operations import Operations
 from revisit.service.application.query.searches import Searches
 
 
 @dataclass(frozen=True)
 class UseCases:
-    """Everything a transport can ask for, by noun."""
+    """Everything a transport can ask for."""
 
     maps: Maps
     robots: Robots
     sessions: Sessions
     scans: Scans
+    posting: SubmapPosting
     submaps: Submaps
     searches: Searches
     loops: Loops
     operations: Operations
     dead_letters: DeadLetters
     system: System
+    admission: Admission
     access: Access
     keys: ApiKeys
     audit: AuditLog
 
     @classmethod
-    def over(cls, context: Context, version: str, rules: AccessRules = AccessRules()) -> UseCases:
-        """All use cases over the same ports; `version` is the product's."""
-        operations = Operations(context)
+    def over(cls, of: Installation, version: str, rules: AccessRules = AccessRules()) -> UseCases:
+        """All use cases of an installation; `version` is the product's."""
+        storage, clock, policy, streams, decoder = of.storage, of.clock, of.policy, of.open_streams, of.decoder
+        backlog = of.backlog
+        admission = Admission(of.stopping, of.disk, of.in_flight, backlog)
+        jobs, collector = JobPosting(backlog, clock, policy), BlobCollector(storage)
+        operations, audit = Operations(storage, admission), AuditLog(storage, clock)
         return cls(
-            maps=Maps(context),
-            robots=Robots(context),
-            sessions=Sessions(context),
-            scans=Scans(context),
-            submaps=Submaps(context),
-            searches=Searches(context, operations),
-            loops=Loops(context),
+            maps=Maps(storage, admission, collector, of.index, streams, clock, policy),
+            robots=Robots(storage, admission, clock),
+            sessions=Sessions(storage, admission, jobs, collector, streams, clock),
+            scans=Scans(storage, admission, decoder, jobs, of.in_flight, streams, clock, policy),
+            posting=SubmapPosting(storage, admission, decoder, jobs, clock),
+            submaps=Submaps(storage, admission, collector, clock, policy),
+            searches=Searches(storage, admission, decoder, jobs, of.memory, operations),
+            loops=Loops(storage, admission),
             operations=operations,
-            dead_letters=DeadLetters(context),
-            system=System(context, version),
-            access=Access(context, rules),
-            keys=ApiKeys(context),
-            audit=AuditLog(context),
+            dead_letters=DeadLetters(storage, admission, backlog, policy),
+            system=System(storage, admission, of.disk, of.index_health, clock, version),
+            admission=admission,
+            access=Access(storage, audit, clock, rules),
+            keys=ApiKeys(storage, clock),
+            audit=audit,
         )
 
 
-__all__ = ["DEFAULT_TENANT", "Context", "Policy", "SessionKey", "SubmapKey", "TenantId", "UseCases"]
+__all__ = ["DEFAULT_TENANT", "Installation", "Policy", "SessionKey", "SubmapKey", "TenantId", "UseCases"]

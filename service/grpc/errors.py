@@ -17,9 +17,9 @@ from google.protobuf.message import DecodeError, Message
 from google.rpc import error_details_pb2, status_pb2  # type: ignore[import-untyped]  # ships no types
 
 from revisit.core.errors import MalformedBody, RevisitError
-from revisit.service.application.contract.origin import current_origin
+from revisit.service.application.contract.tracing import current_request
 from revisit.service.grpc.access import Gate
-from revisit.service.grpc.origin import OWN_METHODS, REQUEST_ID
+from revisit.service.grpc.tracing import OWN_METHODS, REQUEST_ID
 from revisit.service.status import ERROR_DOMAIN, STATUS, retry_after_s
 
 STATUS_DETAILS = "grpc-status-details-bin"
@@ -128,7 +128,7 @@ def _parse(parse: Callable[[bytes], Any], request: bytes) -> Any:
 async def _abort(context: Any, error: Exception) -> NoReturn:
     if isinstance(error, grpc.aio.AbortError):
         raise error
-    request_id = current_origin().request_id or uuid.uuid4().hex
+    request_id = current_request().request_id or uuid.uuid4().hex
     if not isinstance(error, RevisitError):
         _log.exception("call failed unexpectedly", request_id=request_id, exc_info=error)
         error = RevisitError("an internal error occurred; the request id leads to its log entry")

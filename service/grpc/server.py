@@ -10,10 +10,9 @@ from grpc_health.v1 import health_pb2, health_pb2_grpc
 from grpc_reflection.v1alpha import reflection
 
 from revisit.service.application import UseCases
-from revisit.service.application.contract.origin import NoTracer, Tracer
+from revisit.service.application.contract.tracing import NoTracer, Tracer
 from revisit.service.grpc.access import Gate, require_declared_scopes
 from revisit.service.grpc.errors import ErrorInterceptor
-from revisit.service.grpc.origin import CallOrigin
 from revisit.service.grpc.servicers.health import HealthServicer
 from revisit.service.grpc.servicers.ingest import IngestServicer
 from revisit.service.grpc.servicers.loops import LoopClosureServicer
@@ -24,6 +23,7 @@ from revisit.service.grpc.servicers.sessions import SessionServicer
 from revisit.service.grpc.servicers.submaps import SubmapServicer
 from revisit.service.grpc.servicers.system import SystemServicer
 from revisit.service.grpc.timing import CallTimer
+from revisit.service.grpc.tracing import CallTracing
 from revisit.service.metrics import RequestMetrics
 from revisit.v1 import (
     ingest_pb2,
@@ -90,7 +90,7 @@ def create_server(
     require_declared_scopes(services)
     timers = [] if requests is None else [CallTimer(requests)]
     server = grpc.aio.server(
-        interceptors=[CallOrigin(tracer), *timers, ErrorInterceptor(Gate(use_cases))],
+        interceptors=[CallTracing(tracer), *timers, ErrorInterceptor(Gate(use_cases))],
         options=OPTIONS,
         maximum_concurrent_rpcs=2 * MAX_CONCURRENT_CALLS,
     )

@@ -14,7 +14,7 @@ from starlette.routing import BaseRoute
 
 from revisit.service.application.access.admission import Credential
 from revisit.service.application.access.callers import Scope, enter
-from revisit.service.rest.origin import call_of
+from revisit.service.rest.tracing import call_of
 
 SCHEME = "bearer"
 

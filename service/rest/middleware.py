@@ -16,7 +16,7 @@ from revisit.service.application.contract.errors import DeadlineExceeded, Worker
 from revisit.service.metrics import RequestMetrics
 from revisit.service.rest.errors import ForeignOrigin, UnknownHost, problem, unexpected
 from revisit.service.rest.limits import HttpLimits
-from revisit.service.rest.origin import call_of
+from revisit.service.rest.tracing import call_of
 
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}", re.ASCII)
 _PORT = re.compile(r":[0-9]*$", re.ASCII)

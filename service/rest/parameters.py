@@ -16,7 +16,7 @@ from revisit.service.application.catalogue.paging import PageRequest
 from revisit.service.application.contract import limits
 from revisit.service.application.ingest.clouds import EncodedCloud
 from revisit.service.application.query.freshness import DEFAULT_WAIT_S, Freshness
-from revisit.service.application.query.searches import SearchCriteria
+from revisit.service.application.query.search_answers import SearchCriteria
 from revisit.service.rest.bodies import cloud_body, parse_numbers
 from revisit.service.rest.schemas import bounds
 
@@ -52,7 +52,7 @@ Paging: TypeAlias = Annotated[PageRequest, Depends(_page)]
 
 async def _admitted_cloud(request: Request, cases: Cases, tenant: Tenant) -> EncodedCloud:
     """The body as a cloud; one that will be refused is not even read."""
-    cases.system.admit_cloud(tenant)
+    cases.admission.precheck_cloud(tenant)
     return await cloud_body(request)
 
 

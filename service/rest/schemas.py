@@ -15,7 +15,7 @@ from revisit.service.application.contract import limits
 from revisit.service.application.contract.limits import Range
 from revisit.service.application.contract.loop_policy import LoopPolicy
 from revisit.service.application.query.freshness import DEFAULT_WAIT_S
-from revisit.service.application.query.searches import SearchCriteria
+from revisit.service.application.query.search_answers import SearchCriteria
 
 
 def bounds(of: Range) -> dict[str, Any]:

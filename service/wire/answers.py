@@ -15,16 +15,16 @@ import numpy as np
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.scan import CloudReport
-from revisit.service.application.catalogue.loops import LoopClosureView
 from revisit.service.application.catalogue.maps import MapView
 from revisit.service.application.catalogue.paging import Page
 from revisit.service.application.catalogue.robots import RobotView
 from revisit.service.application.catalogue.sessions import SessionView
-from revisit.service.application.catalogue.submaps import PostedSubmap, SubmapView
+from revisit.service.application.contract.views import OperationFailure, OperationView, SubmapView
 from revisit.service.application.housekeeping.system import ServiceStatus
 from revisit.service.application.ingest.scans import ScanAck
-from revisit.service.application.query.operations import OperationFailure, OperationView
-from revisit.service.application.query.searches import Localization, LocalizedCandidate, SearchHit, SearchResult
+from revisit.service.application.ingest.submap_posting import PostedSubmap
+from revisit.service.application.query.loops import LoopClosureView
+from revisit.service.application.query.search_answers import Localization, LocalizedCandidate, SearchHit, SearchResult
 
 Fields: TypeAlias = dict[str, Any]
 T = TypeVar("T")

@@ -13,19 +13,20 @@ from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
 from revisit.formats import POINTCLOUD2, Encoding, PackedCloud, PointField
 from revisit.service.application import SubmapKey
-from revisit.service.application.catalogue.loops import LoopState
+from revisit.service.application.catalogue.downloads import DownloadKind
 from revisit.service.application.catalogue.maps import CreateMap
 from revisit.service.application.catalogue.paging import PageRequest
 from revisit.service.application.catalogue.sessions import CreateSession
-from revisit.service.application.catalogue.submaps import DownloadKind, PostSubmap
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.identity import SessionKey
 from revisit.service.application.contract.loop_policy import LoopPolicy
+from revisit.service.application.contract.states import LoopState, OperationState
 from revisit.service.application.ingest.clouds import EncodedCloud
 from revisit.service.application.ingest.scans import AppendScan
+from revisit.service.application.ingest.submap_posting import PostSubmap
 from revisit.service.application.query.freshness import DEFAULT_WAIT_S, Freshness
-from revisit.service.application.query.operations import OperationState
-from revisit.service.application.query.searches import LocalizeQuery, SearchCriteria
+from revisit.service.application.query.search_answers import SearchCriteria
+from revisit.service.application.query.searches import LocalizeQuery
 from revisit.service.wire import names
 from revisit.v1 import (
     cloud_pb2,

@@ -1,4 +1,4 @@
-"""The thread beside a worker's job: it keeps the lease, shows that the worker lives, and ends what takes too long."""
+"""The heartbeat thread of a worker: it extends the lease and ends the process when a job takes too long."""
 
 from __future__ import annotations
 
@@ -6,16 +6,18 @@ import os
 import threading
 import time
 from dataclasses import dataclass
+from functools import partial
 from types import TracebackType
 from typing import Self
 
 import structlog
 
 from revisit.core.errors import RevisitError
-from revisit.service.application.contract.context import Context
+from revisit.service.application.contract.clock import Clock, Instant
 from revisit.service.application.contract.errors import StaleLease
-from revisit.service.application.contract.ports import Lease, UnitOfWork
+from revisit.service.application.contract.job_queue import Lease
 from revisit.service.application.contract.records import WorkerRecord
+from revisit.service.application.contract.transactions import Transactions, UnitOfWork
 from revisit.service.application.recognise.recognition import Recognition
 
 BEATS_PER_LEASE = 5
@@ -45,10 +47,18 @@ class Heartbeat:
     """Beats from `with` to the end of its block. `lease` is that of the job under way."""
 
     def __init__(
-        self, context: Context, recognition: Recognition, identity: WorkerIdentity, job_timeout_s: float
+        self,
+        transactions: Transactions,
+        clock: Clock,
+        lease_ms: int,
+        recognition: Recognition,
+        identity: WorkerIdentity,
+        job_timeout_s: float,
     ) -> None:
         """A job that takes longer than `job_timeout_s` is failed through `recognition`, and the process ends."""
-        self._context = context
+        self._transactions = transactions
+        self._clock = clock
+        self._lease_ms = lease_ms
         self._recognition = recognition
         self._identity = identity
         self._job_timeout_s = job_timeout_s
@@ -69,7 +79,7 @@ class Heartbeat:
         """End; the worker is gone."""
         self._ended.set()
         self._thread.join()
-        self._context.transactions.write(lambda uow: uow.workers.forget(self._identity.worker_id)).result()
+        self._transactions.write(lambda uow: uow.workers.forget(self._identity.worker_id)).result()
 
     def hold(self, lease: Lease) -> None:
         """Keep this lease from now on."""
@@ -81,7 +91,7 @@ class Heartbeat:
         self._lease = None
 
     def _keep_alive(self) -> None:
-        beat_every_s = self._context.policy.lease_ms / 1000 / BEATS_PER_LEASE
+        beat_every_s = self._lease_ms / 1000 / BEATS_PER_LEASE
         beaten_s = time.monotonic()
         while not self._ended.wait(min(beat_every_s, LOOK_EVERY_S)):
             if self._identity.parent_pid is not None and os.getppid() != self._identity.parent_pid:
@@ -110,19 +120,19 @@ class Heartbeat:
 
     def _beat(self) -> None:
         """Show that the worker lives and keep its lease, in one transaction."""
-        lease, identity = self._lease, self._identity
-        now = self._context.clock.instant()
-        worker = WorkerRecord(identity.worker_id, identity.model_version, now.epoch, now.ms)
-
-        def beat(uow: UnitOfWork) -> bool:
-            uow.workers.beat(worker)
-            try:
-                if lease is not None:
-                    uow.queue.extend(lease, now)
-            except StaleLease:
-                return False
-            return True
-
-        kept = self._context.transactions.write(beat).result()
+        lease = self._lease
+        now = self._clock.instant()
+        kept = self._transactions.write(partial(self._show, lease=lease, now=now)).result()
         if not kept and lease is not None and self._lease is lease:
             log.warning("lease_lost", operation=lease.job.operation_id)
+
+    def _show(self, uow: UnitOfWork, lease: Lease | None, now: Instant) -> bool:
+        """Store the beat and extend the lease; whether the lease is still ours."""
+        identity = self._identity
+        uow.workers.beat(WorkerRecord(identity.worker_id, identity.model_version, now.epoch, now.ms))
+        try:
+            if lease is not None:
+                uow.queue.extend(lease, now)
+        except StaleLease:
+            return False
+        return True

@@ -9,13 +9,12 @@ from dataclasses import dataclass
 
 import structlog
 
-from revisit.core.errors import ErrorCode
-from revisit.service.application.contract.context import Context
 from revisit.service.application.contract.errors import Unavailable
-from revisit.service.application.contract.origin import NoTracer, Origin, Role, Tracer, originating
-from revisit.service.application.contract.ports import Lease, UnitOfWork
+from revisit.service.application.contract.job_queue import Lease
 from revisit.service.application.contract.records import JobRecord
-from revisit.service.application.housekeeping.dead_letters import mark_subject_failed
+from revisit.service.application.contract.tracing import NoTracer, RequestContext, Role, Tracer, within_request
+from revisit.service.application.installation import Installation
+from revisit.service.application.recognise.claiming import JobClaims
 from revisit.service.application.recognise.recognition import Recognition
 from revisit.service.worker.confinement import resident_bytes
 from revisit.service.worker.heartbeat import Heartbeat, WorkerIdentity
@@ -42,7 +41,7 @@ class Worker:
 
     def __init__(
         self,
-        context: Context,
+        installation: Installation,
         recognition: Recognition,
         identity: WorkerIdentity,
         stopping: threading.Event,
@@ -50,14 +49,20 @@ class Worker:
         tracer: Tracer = NoTracer(),
     ) -> None:
         """`recognition` runs the jobs."""
-        self._context = context
+        self._claims = JobClaims(installation.transactions, installation.clock, installation.disk, identity.worker_id)
         self._recognition = recognition
         self._identity = identity
         self._stopping = stopping
-        self._last_tenant = ""
         self._limits = limits
         self._tracer = tracer
-        self._heartbeat = Heartbeat(context, recognition, identity, limits.job_timeout_s)
+        self._heartbeat = Heartbeat(
+            installation.transactions,
+            installation.clock,
+            installation.policy.lease_ms,
+            recognition,
+            identity,
+            limits.job_timeout_s,
+        )
 
     def run(self) -> None:
         """Work until told to stop; a job that was begun is finished."""
@@ -68,7 +73,6 @@ class Worker:
                 if lease is None:
                     self._stopping.wait(IDLE_POLL_S)
                     continue
-                self._last_tenant = lease.job.tenant
                 self._run(lease)
                 done += 1
         log.info("worker_stopped", jobs=done)
@@ -82,7 +86,7 @@ class Worker:
         return done >= self._limits.jobs
 
     def _run(self, lease: Lease) -> None:
-        with self._origin(lease.job):
+        with self._request(lease.job):
             self._heartbeat.hold(lease)
             try:
                 self._recognition.run(lease)
@@ -94,35 +98,21 @@ class Worker:
             log.info("job_ended", kind=lease.job.kind, subject=lease.job.subject)
 
     @contextmanager
-    def _origin(self, job: JobRecord) -> Iterator[None]:
+    def _request(self, job: JobRecord) -> Iterator[None]:
         """A span within the trace of the request that the job came from; ids in each line of the log."""
         about: dict[str, str | int] = {"revisit.operation": job.operation_id, "revisit.attempt": job.attempts}
         ids = {"tenant": job.tenant, "operation": job.operation_id, "attempt": job.attempts}
         with (
             self._tracer.span(Role.JOB, job.kind, job.traceparent, about) as span,
-            originating(Origin(job.request_id, span)),
+            within_request(RequestContext(job.request_id, span)),
             structlog.contextvars.bound_contextvars(**ids),
         ):
             yield
 
     def _claim(self) -> Lease | None:
-        """The next job, if there is one and room for its result; looks before it locks."""
-        if self._context.disk.exhausted():
-            return None
-        now = self._context.clock.instant()
-
-        def waiting(uow: UnitOfWork) -> bool:
-            return uow.jobs.next_runnable(now) is not None or bool(uow.jobs.exhausted(now))
-
-        def claim(uow: UnitOfWork) -> Lease | None:
-            for job in uow.queue.bury(now, self._context.clock.wall_ns()):
-                mark_subject_failed(uow, job, ErrorCode.INTERNAL, job.failure_message or "")
-            return uow.queue.claim(self._identity.worker_id, now, self._last_tenant)
-
+        """The next job, if there is one and the database answers."""
         try:
-            if not self._context.transactions.read(waiting).result():
-                return None
-            return self._context.transactions.write(claim).result()
+            return self._claims.next()
         except Unavailable as error:
             log.warning("claim_failed", reason=error.message)
             return None

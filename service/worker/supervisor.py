@@ -1,4 +1,4 @@
-"""The gateway's watch over its worker processes: start them, start them again, end those that hang, stop them."""
+"""The supervisor of the worker processes: starts, restarts and stops them, and kills those that hang."""
 
 from __future__ import annotations
 
@@ -11,15 +11,17 @@ from asyncio.subprocess import Process
 from collections import Counter
 from contextlib import suppress
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 
 import structlog
 
 import revisit
 from revisit.service import ONE_THREAD
-from revisit.service.application.contract.context import Context
+from revisit.service.application.contract.clock import Clock, Instant
 from revisit.service.application.contract.errors import Unavailable
-from revisit.service.application.contract.ports import Instant, UnitOfWork
+from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.worker.heartbeat import OVERTIME
 
 RESPAWN_S = (0.1, 2.0)
@@ -48,9 +50,11 @@ class WorkerSupervisor:
     `ends` counts how they ended.
     """
 
-    def __init__(self, context: Context, count: int) -> None:
-        """Leases of a dead worker are released through `context`."""
-        self._context = context
+    def __init__(self, storage: Storage, clock: Clock, lease_ms: int, count: int) -> None:
+        """Leases of a dead worker are released in `storage`."""
+        self._storage = storage
+        self._clock = clock
+        self._lease_ms = lease_ms
         self._tasks: list[asyncio.Task[None]] = []
         self._processes: set[Process] = set()
         self._stopping = False
@@ -119,7 +123,7 @@ class WorkerSupervisor:
 
         Its own watch over a job's time needs a thread that runs: native code may keep it from doing so.
         """
-        patience_ms = SILENT_LEASES * self._context.policy.lease_ms
+        patience_ms = SILENT_LEASES * self._lease_ms
         seen, missed = False, 0
         while missed < 2:
             await asyncio.sleep(patience_ms / 3000)
@@ -130,9 +134,9 @@ class WorkerSupervisor:
         _send(process, signal.SIGKILL)
 
     async def _shows_itself(self, worker_id: str, within_ms: int) -> bool:
-        now = self._context.clock.instant()
+        now = self._clock.instant()
         try:
-            alive = await self._context.read(lambda uow: uow.workers.alive(now.epoch, now.ms - within_ms))
+            alive = await self._storage.read(lambda uow: uow.workers.alive(now.epoch, now.ms - within_ms))
         except Unavailable as error:
             # A database that does not answer says nothing about the worker.
             log.warning("worker_not_watched", worker=worker_id, reason=error.message)
@@ -140,9 +144,9 @@ class WorkerSupervisor:
         return any(worker.worker_id == worker_id for worker in alive)
 
     async def _release(self, worker_id: str, reason: str) -> None:
-        now = self._context.clock.instant()
+        now = self._clock.instant()
         try:
-            released = await self._context.write(lambda uow: _bury(uow, worker_id, now, reason))
+            released = await self._storage.write(partial(_release, worker_id=worker_id, now=now, reason=reason))
         except Unavailable as error:
             log.warning("leases_not_released", worker=worker_id, reason=error.message)
             return
@@ -173,7 +177,7 @@ def _reason(end: WorkerEnd, status: int) -> str:
     return f"its worker ended with status {status}"
 
 
-def _bury(uow: UnitOfWork, worker_id: str, now: Instant, reason: str) -> int:
+def _release(uow: UnitOfWork, worker_id: str, now: Instant, reason: str) -> int:
     """Forget a dead worker; how many jobs it held."""
     uow.workers.forget(worker_id)
     return uow.queue.release(worker_id, now, reason)

@@ -13,7 +13,7 @@ from sqlalchemy.schema import CreateIndex, CreateTable
 
 from revisit.service.adapters.sql import access, blob_addresses, change_log, jobs, repositories, tables, worker_log
 from revisit.service.application.contract.access_ports import AuditRecord, KeyRecord
-from revisit.service.application.contract.ports import Instant
+from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.records import WorkerRecord
 from tests.contract.test_transactions import fill
 from tests.support.plain_engine import HIGHEST, PlainTransactions

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.errors import StaleLease
-from revisit.service.application.contract.ports import Instant
 from tests.support.records import TENANT, a_job
 
 LEASE_MS = 10_000
@@ -34,8 +34,8 @@ def queue(write):
         def extend(self, lease, ms):
             write(lambda uow: uow.queue.extend(lease, at(ms)))
 
-        def bury(self, ms):
-            return write(lambda uow: uow.queue.bury(at(ms), 7))
+        def fail_exhausted_jobs(self, ms):
+            return write(lambda uow: uow.queue.fail_exhausted_jobs(at(ms), 7))
 
     return Queue()
 
@@ -176,8 +176,8 @@ def test_a_job_whose_workers_keep_dying_is_buried_after_its_last_attempt(queue, 
     queue.enqueue("op-1", "op-2")
     for run in range(3):
         assert queue.claim(ms=run * LEASE_MS, owner=f"w{run}").job.operation_id == "op-1"
-    assert queue.bury(ms=3 * LEASE_MS - 1) == []
-    assert [job.operation_id for job in queue.bury(ms=3 * LEASE_MS)] == ["op-1"]
+    assert queue.fail_exhausted_jobs(ms=3 * LEASE_MS - 1) == []
+    assert [job.operation_id for job in queue.fail_exhausted_jobs(ms=3 * LEASE_MS)] == ["op-1"]
     assert stored(read).state == "FAILED"
     assert queue.claim(ms=3 * LEASE_MS).job.operation_id == "op-2"
 
@@ -207,6 +207,6 @@ def test_a_job_whose_last_worker_died_is_buried_with_the_reason(queue, write, re
         queue.claim(ms=run * LEASE_MS, owner=f"w{run}")
         write(lambda uow, run=run: uow.queue.release(f"w{run}", at(run * LEASE_MS), f"fall {run} broke it"))
     assert queue.claim(ms=3 * LEASE_MS) is None
-    assert [job.operation_id for job in queue.bury(ms=3 * LEASE_MS)] == ["op-1"]
+    assert [job.operation_id for job in queue.fail_exhausted_jobs(ms=3 * LEASE_MS)] == ["op-1"]
     message = "no worker survived the job: 3 attempts, the last one ended because fall 2 broke it"
     assert (stored(read).state, stored(read).failure_message) == ("FAILED", message)

@@ -9,7 +9,7 @@ from revisit.core.errors import BadField
 from revisit.core.index import ExactIndex, FaissIndex
 from revisit.service.adapters.memory import MemoryVectorIndex
 from revisit.service.adapters.vector_index import PlaceVectorIndex
-from revisit.service.application.contract.ports import IndexChange, VectorFilter
+from revisit.service.application.contract.index import IndexChange, VectorFilter
 
 ANY = VectorFilter()
 MAP = 5

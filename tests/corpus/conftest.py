@@ -12,7 +12,7 @@ import grpc
 import httpx
 import pytest
 
-from revisit.service.application.catalogue.submaps import PostSubmap
+from revisit.service.application.ingest.submap_posting import PostSubmap
 from tests.support.live_service import LiveService, live_service
 from tests.support.service_world import SESSION, TENANT, SubmapKey, cloud, open_session, pose, sqlite_world
 
@@ -75,5 +75,5 @@ async def _seed(world):
     """One described submap, so that searches have something to find."""
     await open_session(world)
     key = SubmapKey(SESSION.map_id, SESSION.session_id, "described")
-    await world.use_cases.submaps.post(TENANT, PostSubmap(key, pose(), 1, cloud(1)))
+    await world.use_cases.posting.post(TENANT, PostSubmap(key, pose(), 1, cloud(1)))
     assert world.work_off() == 1

@@ -75,7 +75,7 @@ async def _post(
     world: World, history: History, submap_id: str, place: int, points: int, session: SessionKey = POSTED
 ) -> None:
     operation = history.invoke("robot", Kind.PUT, f"submap/{submap_id}", content(place, points))
-    await world.use_cases.submaps.post(TENANT, submap(submap_id, place, session, points))
+    await world.use_cases.posting.post(TENANT, submap(submap_id, place, session, points))
     history.settle(operation, Outcome.OK)
 
 

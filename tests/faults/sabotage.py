@@ -71,14 +71,14 @@ def _skip_directory(durable_write: Any) -> Any:
 
 
 def _run_again(post: Any) -> Any:
-    async def posted(submaps: Any, tenant: Any, command: Any) -> Any:
-        answer = await post(submaps, tenant, command)
+    async def posted(posting: Any, tenant: Any, command: Any) -> Any:
+        answer = await post(posting, tenant, command)
 
         def requeue(uow: Any) -> None:
             uow.jobs.replace(replace(uow.jobs.get(tenant, answer.operation.operation_id), state="QUEUED"))
 
         if answer.replay:
-            await submaps._context.write(requeue)
+            await posting._storage.write(requeue)
         return answer
 
     return posted
@@ -188,12 +188,12 @@ SABOTAGES = (
     ),
     Sabotage(
         "a repeated request runs its job again",
-        {f"{USE_CASES}catalogue.submaps:Submaps.post": _run_again},
+        {f"{USE_CASES}ingest.submap_posting:SubmapPosting.post": _run_again},
         f"{CRASH}test_a_drive_that_is_repeated_runs_none_of_its_jobs_again",
     ),
     Sabotage(
         "other content is taken under a used id",
-        {f"{USE_CASES}catalogue.submaps:content_hash": lambda _hash: lambda _content: "the same"},
+        {f"{USE_CASES}ingest.submap_posting:content_hash": lambda _hash: lambda _content: "the same"},
         "tests/integration/test_use_cases.py::"
         "test_a_repeated_post_gives_the_first_answer_and_another_content_is_refused",
         quick=True,

@@ -16,11 +16,12 @@ from revisit.service.adapters.files.blobs import FileBlobStore
 from revisit.service.adapters.sql.unit_of_work import SqlUnitOfWork
 from revisit.service.adapters.sqlite.connections import writer_engine
 from revisit.service.adapters.sqlite.engine import SqliteEngine
+from revisit.service.application.catalogue.blob_references import blobs_of_submap
+from revisit.service.application.contract.blobs import CLOUD_BLOB, BlobStore
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.ports import BlobStore, UnitOfWork
 from revisit.service.application.contract.records import JobRecord, MapRecord, ScanRecord, SessionRecord, SubmapRecord
-from revisit.service.application.housekeeping.blob_references import blobs_of_submap
-from revisit.service.application.ingest.clouds import CLOUD_BLOB, unpack_cloud
+from revisit.service.application.contract.transactions import UnitOfWork
+from revisit.service.application.ingest.clouds import unpack_cloud
 from tests.faults.history import History, Stored, sequence_violations, violations
 from tests.support.records import TENANT
 

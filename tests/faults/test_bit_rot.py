@@ -11,10 +11,9 @@ import pytest
 from revisit.core.errors import DataLoss
 from revisit.service.adapters.files.blobs import FileBlobStore
 from revisit.service.application import SubmapKey
-from revisit.service.application.housekeeping.blob_references import NEURAL_MAP_BLOB, blobs_of_submap
-from revisit.service.application.ingest.clouds import CLOUD_BLOB
-from revisit.service.application.query.downloads import DownloadKind
-from revisit.service.application.recognise.meshes import MESH_BLOB
+from revisit.service.application.catalogue.blob_references import blobs_of_submap
+from revisit.service.application.catalogue.downloads import DownloadKind
+from revisit.service.application.contract.blobs import CLOUD_BLOB, MESH_BLOB, NEURAL_MAP_BLOB
 from tests.support.campaigns import Campaign, sizes
 from tests.support.service_world import SESSION, TENANT, World, open_session, sqlite_world, submap
 
@@ -35,7 +34,7 @@ def world(folder):
 async def _fill(world: World) -> None:
     await open_session(world)
     for place, submap_id in enumerate(SUBMAPS, start=1):
-        await world.use_cases.submaps.post(TENANT, submap(submap_id, place))
+        await world.use_cases.posting.post(TENANT, submap(submap_id, place))
     world.work_off()
 
 

@@ -40,7 +40,7 @@ class JumpingClock(SteppedClock):
     _readings: itertools.count = field(default_factory=itertools.count)
 
     def wall_ns(self) -> int:
-        """See `ports.Clock`."""
+        """See `Clock`."""
         return NOW_NS + self.jumps_ns[next(self._readings) % len(self.jumps_ns)]
 
 
@@ -72,7 +72,7 @@ def test_a_drive_under_a_jumping_wall_clock_stores_what_it_stores_under_a_steady
 def test_no_lease_is_stolen_or_kept_by_a_jump_of_the_wall_clock(jumps_ns):
     world = with_jumps(memory_world(lease_ms=10_000), jumps_ns)
     asyncio.run(open_session(world, POSTED))
-    asyncio.run(world.use_cases.submaps.post(TENANT, submap("a", 1, POSTED)))
+    asyncio.run(world.use_cases.posting.post(TENANT, submap("a", 1, POSTED)))
     assert world.claim("w1").job.attempts == 1
     world.clock.ms += 9_999
     assert world.claim("w2") is None

@@ -36,7 +36,7 @@ def world(folder):
 async def _fill(world: World, tenant: TenantId) -> None:
     await open_session(world, tenant=tenant)
     for place in range(1, 6):
-        await world.use_cases.submaps.post(tenant, submap(f"{tenant}-{place}", place))
+        await world.use_cases.posting.post(tenant, submap(f"{tenant}-{place}", place))
 
 
 async def search(world: World, tenant: TenantId, rng: random.Random) -> bool:

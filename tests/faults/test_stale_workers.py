@@ -47,7 +47,7 @@ def test_the_late_result_of_a_worker_that_lost_its_lease_is_refused(world, folde
     campaign = Campaign("P15", jobs)
     for number in campaign:
         # Places are seen again, so that both runs find loops.
-        asyncio.run(world.use_cases.submaps.post(TENANT, submap(f"s{number}", number % PLACES, SESSION)))
+        asyncio.run(world.use_cases.posting.post(TENANT, submap(f"s{number}", number % PLACES, SESSION)))
         with structlog.testing.capture_logs() as logged:
             late.run(world.claim("slow"))
         assert [entry["event"] for entry in logged] == ["result_refused"]

@@ -17,9 +17,9 @@ from revisit.core import place as signature
 from revisit.core.errors import DataLoss
 from revisit.core.implicit_map import blob
 from revisit.formats import MEDIA_TYPES
-from revisit.service.application.contract.ports import Mesh
+from revisit.service.application.catalogue.meshes import pack_mesh
+from revisit.service.application.contract.recogniser import Mesh
 from revisit.service.application.ingest.clouds import StoredCloud, pack_cloud
-from revisit.service.application.recognise.meshes import pack_mesh
 from tests.fuzz.targets import FILES, TARGETS, refusing
 from tests.support.campaigns import Campaign
 from tests.support.cloud_files import records, valid_files

@@ -15,7 +15,7 @@ from revisit.core.errors import DataLoss
 from revisit.service.adapters.sqlite import backup
 from revisit.service.adapters.sqlite.backup import BackupRefused, make_backup, restore_backup
 from revisit.service.adapters.sqlite.examination import examine, scrub
-from revisit.service.application.query.downloads import DownloadKind
+from revisit.service.application.catalogue.downloads import DownloadKind
 from tests.support.service_world import TENANT, open_session, sqlite_world, submap
 
 
@@ -30,7 +30,7 @@ async def world(home):
     opened = sqlite_world(home)
     await open_session(opened)
     for number in range(4):
-        await opened.use_cases.submaps.post(TENANT, submap(f"s{number}", number))
+        await opened.use_cases.posting.post(TENANT, submap(f"s{number}", number))
     opened.work_off()
     yield opened
     opened.context.transactions.close()
@@ -73,7 +73,7 @@ async def test_a_restored_backup_is_what_was_backed_up(world, home, archive, tmp
     restored = sqlite_world(tmp_path / "restored")
     mesh = await restored.use_cases.submaps.download(TENANT, submap("s1", 1).key, DownloadKind.MESH)
     assert mesh.data.startswith(b"ply\n")
-    assert (await restored.use_cases.submaps.post(TENANT, submap("s1", 1))).replay
+    assert (await restored.use_cases.posting.post(TENANT, submap("s1", 1))).replay
     restored.context.transactions.close()
 
 
@@ -83,7 +83,7 @@ async def test_a_backup_under_ingest_has_everything_that_was_acknowledged_before
     async def ingest():
         number = 100
         while not stop.is_set():
-            await world.use_cases.submaps.post(TENANT, submap(f"s{number}", number))
+            await world.use_cases.posting.post(TENANT, submap(f"s{number}", number))
             acknowledged.append(f"s{number}")
             number += 1
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from revisit.service.application.housekeeping.blob_references import blobs_of_submap
+from revisit.service.application.catalogue.blob_references import blobs_of_submap
 from tests.support.service_world import SESSION, TENANT, open_session, sqlite_world, submap
 
 
@@ -30,8 +30,8 @@ def traces(world, submap_id: str) -> list[bytes]:
 async def test_no_byte_of_what_was_deleted_is_left(tmp_path, what):
     world = sqlite_world(tmp_path)
     await open_session(world)
-    await world.use_cases.submaps.post(TENANT, submap("secret", 1))
-    await world.use_cases.submaps.post(TENANT, submap("kept", 2))
+    await world.use_cases.posting.post(TENANT, submap("secret", 1))
+    await world.use_cases.posting.post(TENANT, submap("kept", 2))
     world.work_off()
     secret, kept = traces(world, "secret"), traces(world, "kept")
     assert len(secret) == 6

@@ -158,6 +158,6 @@ async def test_a_full_disk_refuses_before_the_cloud_is_even_decoded(tmp_path):
 
     object.__setattr__(world.context, "disk", Full())
     with pytest.raises(StorageFull):
-        await world.use_cases.submaps.post("default", submap("s1", 1))
+        await world.use_cases.posting.post("default", submap("s1", 1))
     assert not list((tmp_path / "blobs").rglob("cloud"))
     world.context.transactions.close()

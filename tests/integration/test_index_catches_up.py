@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from revisit.service.adapters.memory import MemoryVectorIndex
-from revisit.service.application.contract.ports import VectorFilter
-from revisit.service.application.recognise import place_memory
-from revisit.service.application.recognise.place_memory import PlaceMemory
+from revisit.service.application.contract.index import VectorFilter
+from revisit.service.application.query import place_memory
+from revisit.service.application.query.place_memory import PlaceMemory
 from tests.support.service_world import TENANT, open_session, sqlite_world, submap
 
 
@@ -17,7 +17,7 @@ async def test_portions_of_any_size_give_the_same_index(tmp_path, monkeypatch, p
     world = sqlite_world(tmp_path)
     await open_session(world)
     for number in range(5):
-        await world.use_cases.submaps.post(TENANT, submap(f"s{number}", number))
+        await world.use_cases.posting.post(TENANT, submap(f"s{number}", number))
     world.work_off()
     await world.use_cases.submaps.delete(TENANT, submap("s3", 3).key)  # the sixth change
     monkeypatch.setattr(place_memory, "PORTION", portion)

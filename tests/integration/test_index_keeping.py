@@ -12,11 +12,10 @@ from revisit.core.index import FaissIndex
 from revisit.service.adapters.vector_index import PlaceVectorIndex
 from revisit.service.application import UseCases
 from revisit.service.application.catalogue.maps import CreateMap
-from revisit.service.application.contract.ports import VectorFilter
+from revisit.service.application.contract.index import VectorFilter
 from revisit.service.application.housekeeping import index_keeping
-from revisit.service.application.housekeeping.index_keeping import IndexKeeper
-from revisit.service.application.recognise import place_memory
-from revisit.service.application.recognise.place_memory import PlaceMemory
+from revisit.service.application.query import place_memory
+from revisit.service.application.query.place_memory import PlaceMemory
 from tests.support.campaigns import Campaign, sizes
 from tests.support.service_world import SESSION, TENANT, open_session, sqlite_world, submap
 
@@ -29,7 +28,7 @@ async def context(tmp_path):
     world = sqlite_world(tmp_path)
     await open_session(world)
     for number in range(SUBMAPS):
-        await world.use_cases.submaps.post(TENANT, submap(f"s{number}", number))
+        await world.use_cases.posting.post(TENANT, submap(f"s{number}", number))
     world.work_off()
     yield replace(world.context, index=PlaceVectorIndex(FaissIndex))
     world.context.transactions.close()
@@ -38,7 +37,7 @@ async def context(tmp_path):
 @pytest.fixture
 async def keeper(context):
     """It has loaded the index."""
-    made = IndexKeeper(context)
+    made = context.index_keeper()
     await made.load()
     return made
 
@@ -61,7 +60,7 @@ EVERY_ONE = [f"s{number}" for number in range(SUBMAPS)]
 async def test_the_service_is_ready_once_the_index_is_loaded(context):
     system = UseCases.over(context, "test").system
     assert (await system.readiness()).ready
-    keeper = IndexKeeper(context)
+    keeper = context.index_keeper()
     assert (await system.readiness()).reasons == ("the index is being loaded",)
     assert await keeper.audit() == 0
     await keeper.load()

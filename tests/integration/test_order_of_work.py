@@ -7,8 +7,8 @@ import random
 
 import pytest
 
-from revisit.service.application.catalogue.loops import LoopState
 from revisit.service.application.catalogue.paging import PageRequest
+from revisit.service.application.contract.states import LoopState
 from tests.support.campaigns import Campaign, sizes
 from tests.support.service_world import TENANT, World, memory_world, open_session, submap
 
@@ -22,7 +22,7 @@ async def posted() -> World:
     world = memory_world()
     await open_session(world)
     for number, place in enumerate(PLACES):
-        await world.use_cases.submaps.post(TENANT, submap(f"s{number}", place))
+        await world.use_cases.posting.post(TENANT, submap(f"s{number}", place))
     return world
 
 

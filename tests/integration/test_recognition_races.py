@@ -7,10 +7,8 @@ import threading
 import pytest
 
 from revisit.service.application import SubmapKey
-from revisit.service.application.catalogue.loops import LoopState
 from revisit.service.application.catalogue.paging import PageRequest
-from revisit.service.application.contract.records import SubmapState
-from revisit.service.application.query.operations import OperationState
+from revisit.service.application.contract.states import LoopState, OperationState, SubmapState
 from tests.support.fake_recogniser import FakeRecogniser
 from tests.support.service_world import SESSION, TENANT, memory_world, open_session, sqlite_world, submap
 
@@ -43,7 +41,7 @@ async def test_two_workers_that_describe_both_sides_of_a_loop_at_once_find_it_on
     await open_session(world)
     # b keeps a and c apart: neighbours are no candidates.
     for submap_id, place in [("a", 1), ("b", 2), ("c", 1)]:
-        await world.use_cases.submaps.post(TENANT, submap(submap_id, place))
+        await world.use_cases.posting.post(TENANT, submap(submap_id, place))
     barrier = threading.Barrier(2)
 
     class Together(FakeRecogniser):
@@ -65,7 +63,7 @@ async def test_the_loop_is_found_when_the_match_is_committed_after_the_search(wo
     """The interleaving itself, forced: c has searched and verifies, a is committed, c comes to commit."""
     await open_session(world)
     for submap_id, place in [("old", 3), ("a", 1), ("b", 2), ("c", 1)]:
-        await world.use_cases.submaps.post(TENANT, submap(submap_id, place))
+        await world.use_cases.posting.post(TENANT, submap(submap_id, place))
     lease_old, lease_a, _, lease_c = (world.claim(f"w{number}") for number in range(4))
     world.worker().run(lease_old)
     similarities = []
@@ -85,7 +83,7 @@ async def test_the_loop_is_found_when_the_match_is_committed_after_the_search(wo
 
 async def test_a_worker_that_lost_its_lease_changes_nothing(world):
     await open_session(world)
-    posted = await world.use_cases.submaps.post(TENANT, submap("a", 1))
+    posted = await world.use_cases.posting.post(TENANT, submap("a", 1))
     slow = Halting()
     late = world.claim("slow")
     thread = threading.Thread(target=world.worker(slow).run, args=(late,))
@@ -105,7 +103,7 @@ async def test_a_worker_that_lost_its_lease_changes_nothing(world):
 
 async def test_a_late_failure_does_not_undo_a_success(world):
     await open_session(world)
-    posted = await world.use_cases.submaps.post(TENANT, submap("a", 1))
+    posted = await world.use_cases.posting.post(TENANT, submap("a", 1))
 
     class Fails(FakeRecogniser):
         def describe(self, given, config):
@@ -121,7 +119,7 @@ async def test_a_late_failure_does_not_undo_a_success(world):
 
 async def test_a_submap_deleted_while_it_is_described_stays_deleted(world):
     await open_session(world)
-    posted = await world.use_cases.submaps.post(TENANT, submap("a", 1))
+    posted = await world.use_cases.posting.post(TENANT, submap("a", 1))
     slow = Halting()
     thread = threading.Thread(target=world.worker(slow).run, args=(world.claim(),))
     thread.start()
@@ -136,7 +134,7 @@ async def test_a_submap_deleted_while_it_is_described_stays_deleted(world):
 async def test_a_match_deleted_during_verification_makes_no_loop(world):
     await open_session(world)
     for submap_id, place in [("a", 1), ("b", 2), ("c", 1)]:
-        await world.use_cases.submaps.post(TENANT, submap(submap_id, place))
+        await world.use_cases.posting.post(TENANT, submap(submap_id, place))
     for _ in range(2):
         world.worker().run(world.claim())
 

@@ -22,7 +22,7 @@ async def world(tmp_path):
     opened = sqlite_world(tmp_path)
     await open_session(opened)
     for number in range(2):
-        await opened.use_cases.submaps.post(TENANT, submap(f"s{number}", number))
+        await opened.use_cases.posting.post(TENANT, submap(f"s{number}", number))
     opened.work_off()
     yield opened
     opened.context.transactions.close()
@@ -43,22 +43,22 @@ async def test_orphans_of_every_tenant_and_kind_go_and_what_is_named_stays(world
         world.context.blobs.put(tenant, kind, b"nobody names me")
     age(tmp_path)
     assert len(kept) == 8
-    assert await sweep(world.context) == 4
+    assert await sweep(world.context.storage) == 4
     assert files(tmp_path) == kept
-    assert await sweep(world.context) == 0
+    assert await sweep(world.context.storage) == 0
 
 
 async def test_the_same_content_of_another_tenant_is_another_blob(world, tmp_path):
     named = next(path for path in files(tmp_path) if "/cloud/" in path.as_posix())
     world.context.blobs.put(OTHER, "cloud", named.read_bytes())
     age(tmp_path)
-    assert await sweep(world.context) == 1
+    assert await sweep(world.context.storage) == 1
     assert named.exists() and len(files(tmp_path)) == 8
 
 
 async def test_what_is_young_may_still_get_its_row(world, tmp_path):
     world.context.blobs.put(TENANT, "cloud", b"its row comes in a moment")
-    assert await sweep(world.context) == 0
+    assert await sweep(world.context.storage) == 0
     assert len(files(tmp_path)) == 9
 
 
@@ -67,14 +67,14 @@ async def test_files_that_a_crash_left_half_written_go(world, tmp_path):
     half = named.with_name(f".{named.name}.123.abcd")
     half.write_bytes(named.read_bytes()[:10])
     age(tmp_path)
-    await sweep(world.context)
+    await sweep(world.context.storage)
     assert not half.exists() and named.exists()
 
 
 async def test_a_kind_of_another_version_stays(world, tmp_path):
     world.context.blobs.put(TENANT, "hologram", b"from the future")
     age(tmp_path)
-    assert await sweep(world.context) == 0
+    assert await sweep(world.context.storage) == 0
     assert len(files(tmp_path)) == 9
 
 
@@ -83,5 +83,5 @@ async def test_what_was_deleted_during_a_backup_goes_with_the_next_sweep(world, 
         await world.use_cases.submaps.delete(TENANT, submap("s0", 0).key)
         assert len(files(tmp_path)) == 8
     age(tmp_path)
-    assert await sweep(world.context) == 4
+    assert await sweep(world.context.storage) == 4
     assert len(files(tmp_path)) == 4

@@ -10,11 +10,12 @@ import pytest
 
 from revisit.core.errors import BadField, BadTransform, DataLoss, DescriptorModelMismatch, EmptyCloud, RevisitError
 from revisit.service.application import SessionKey, SubmapKey, TenantId
-from revisit.service.application.catalogue.loops import LoopState
+from revisit.service.application.catalogue import blob_references
+from revisit.service.application.catalogue.downloads import DownloadKind
 from revisit.service.application.catalogue.maps import CreateMap
 from revisit.service.application.catalogue.paging import PageRequest
-from revisit.service.application.catalogue.sessions import CreateSession, SessionState
-from revisit.service.application.catalogue.submaps import DownloadKind
+from revisit.service.application.catalogue.sessions import CreateSession
+from revisit.service.application.contract.blobs import CLOUD_BLOB, QUERY_CLOUD_BLOB
 from revisit.service.application.contract.errors import (
     AlreadyExists,
     Draining,
@@ -25,12 +26,10 @@ from revisit.service.application.contract.errors import (
     WorkersBusy,
 )
 from revisit.service.application.contract.loop_policy import LoopPolicy
-from revisit.service.application.contract.records import SubmapState
-from revisit.service.application.housekeeping import blob_references
+from revisit.service.application.contract.states import LoopState, OperationState, SessionState, SubmapState
 from revisit.service.application.housekeeping.retention import forget_answers
-from revisit.service.application.ingest.clouds import CLOUD_BLOB, QUERY_CLOUD_BLOB
-from revisit.service.application.query.operations import OperationState
-from revisit.service.application.query.searches import LocalizeQuery, SearchCriteria
+from revisit.service.application.query.search_answers import SearchCriteria
+from revisit.service.application.query.searches import LocalizeQuery
 from tests.support.fake_recogniser import CANNOT_BE_DESCRIBED, RAISES, FakeRecogniser
 from tests.support.service_world import (
     SESSION,
@@ -62,7 +61,7 @@ def key(submap_id: str, session: SessionKey = SESSION) -> SubmapKey:
 async def test_a_posted_submap_becomes_a_description_with_a_loop_to_the_same_place(world):
     await open_session(world)
     for submap_id, place in [("a", 1), ("b", 2), ("c", 3), ("again", 1)]:
-        await world.use_cases.submaps.post(TENANT, submap(submap_id, place))
+        await world.use_cases.posting.post(TENANT, submap(submap_id, place))
     assert world.work_off() == 4
     loops = await world.use_cases.loops.list(TENANT, "town", PageRequest(), state=LoopState.ACCEPTED)
     assert [(loop.query.submap_id, loop.match.submap_id) for loop in loops.items] == [("again", "a")]
@@ -75,31 +74,31 @@ async def test_a_posted_submap_becomes_a_description_with_a_loop_to_the_same_pla
 
 async def test_neighbours_in_one_session_are_no_candidates(world):
     await open_session(world)
-    await world.use_cases.submaps.post(TENANT, submap("a", 1))
-    await world.use_cases.submaps.post(TENANT, submap("b", 1))
+    await world.use_cases.posting.post(TENANT, submap("a", 1))
+    await world.use_cases.posting.post(TENANT, submap("b", 1))
     world.work_off()
     assert not (await world.use_cases.loops.list(TENANT, "town", PageRequest())).items
 
 
 async def test_a_repeated_post_gives_the_first_answer_and_another_content_is_refused(world):
     await open_session(world)
-    first = await world.use_cases.submaps.post(TENANT, submap("a", 1))
+    first = await world.use_cases.posting.post(TENANT, submap("a", 1))
     world.work_off()
-    again = await world.use_cases.submaps.post(TENANT, submap("a", 1))
+    again = await world.use_cases.posting.post(TENANT, submap("a", 1))
     assert (first.replay, again.replay) == (False, True)
     assert again.operation.operation_id == first.operation.operation_id
     assert again.submap.state is SubmapState.DESCRIBED
     with pytest.raises(AlreadyExists):
-        await world.use_cases.submaps.post(TENANT, submap("a", 2))
+        await world.use_cases.posting.post(TENANT, submap("a", 2))
     with pytest.raises(AlreadyExists):
-        await world.use_cases.submaps.post(TENANT, replace(submap("a", 1), stamp_ns=5))
+        await world.use_cases.posting.post(TENANT, replace(submap("a", 1), stamp_ns=5))
 
 
 async def until_taken(world, posted):
     """Post as a client does: again with the same id while too many clouds are being taken in."""
     while True:
         try:
-            return await world.use_cases.submaps.post(TENANT, posted)
+            return await world.use_cases.posting.post(TENANT, posted)
         except WorkersBusy:
             await asyncio.sleep(0.01)
 
@@ -128,14 +127,14 @@ async def test_fifty_concurrent_posts_of_one_submap_store_it_once(world):
 async def test_a_bad_submap_is_refused_and_stores_nothing(world, change, error):
     await open_session(world)
     with pytest.raises(error):
-        await world.use_cases.submaps.post(TENANT, replace(submap("a", 1), **change))
+        await world.use_cases.posting.post(TENANT, replace(submap("a", 1), **change))
     assert not (await world.use_cases.submaps.list(TENANT, SESSION, PageRequest())).items
     assert not (await world.use_cases.operations.list(TENANT, PageRequest())).items
 
 
 async def test_nothing_of_a_tenant_is_there_for_another(world):
     await open_session(world)
-    posted = await world.use_cases.submaps.post(TENANT, submap("a", 1))
+    posted = await world.use_cases.posting.post(TENANT, submap("a", 1))
     world.work_off()
     cases = world.use_cases
     calls = [
@@ -148,7 +147,7 @@ async def test_nothing_of_a_tenant_is_there_for_another(world):
         cases.submaps.get(OTHER, key("a")),
         cases.submaps.delete(OTHER, key("a")),
         cases.submaps.download(OTHER, key("a"), DownloadKind.POINTS),
-        cases.submaps.post(OTHER, submap("b", 1)),
+        cases.posting.post(OTHER, submap("b", 1)),
         cases.scans.open(OTHER, SESSION),
         cases.scans.append(OTHER, scan(1, 0.0)),
         cases.searches.by_submap(OTHER, key("a"), SearchCriteria()),
@@ -166,7 +165,7 @@ async def test_nothing_of_a_tenant_is_there_for_another(world):
 async def test_two_tenants_may_use_the_same_names_and_find_only_their_own(world):
     for tenant in (TENANT, OTHER):
         await open_session(world, tenant=tenant)
-        await world.use_cases.submaps.post(tenant, submap("a", 1))
+        await world.use_cases.posting.post(tenant, submap("a", 1))
     world.work_off()
     hits = await world.use_cases.searches.by_submap(OTHER, key("a"), SearchCriteria())
     assert (hits.hits, hits.searched) == ((), 1)
@@ -176,7 +175,7 @@ async def test_two_tenants_may_use_the_same_names_and_find_only_their_own(world)
 async def test_a_search_sees_every_submap_described_before_it_and_none_deleted(world):
     await open_session(world)
     for submap_id, place in [("a", 1), ("b", 2), ("c", 1)]:
-        await world.use_cases.submaps.post(TENANT, submap(submap_id, place))
+        await world.use_cases.posting.post(TENANT, submap(submap_id, place))
     with pytest.raises(NotReady):
         await world.use_cases.searches.by_submap(TENANT, key("a"), SearchCriteria())
     world.work_off()
@@ -193,7 +192,7 @@ async def test_search_filters_narrow_the_hits(world):
     await open_session(world)
     await open_session(world, tuesday)
     for session, submap_id, place in [(SESSION, "a", 1), (SESSION, "b", 1), (SESSION, "c", 1), (tuesday, "d", 1)]:
-        await world.use_cases.submaps.post(TENANT, submap(submap_id, place, session))
+        await world.use_cases.posting.post(TENANT, submap(submap_id, place, session))
     world.work_off()
 
     async def ids(**criteria):
@@ -213,7 +212,7 @@ async def test_search_filters_narrow_the_hits(world):
 
 async def test_a_descriptor_of_another_model_is_refused(world):
     await open_session(world)
-    await world.use_cases.submaps.post(TENANT, submap("a", 1))
+    await world.use_cases.posting.post(TENANT, submap("a", 1))
     world.work_off()
     stored = await world.use_cases.submaps.download(TENANT, key("a"), DownloadKind.DESCRIPTOR)
     vector = np.frombuffer(stored.data[-256:], dtype="<f4")
@@ -227,9 +226,9 @@ async def test_a_descriptor_of_another_model_is_refused(world):
 
 async def test_a_worker_with_another_model_does_not_add_to_a_map(world):
     await open_session(world)
-    await world.use_cases.submaps.post(TENANT, submap("a", 1))
+    await world.use_cases.posting.post(TENANT, submap("a", 1))
     world.work_off()
-    posted = await world.use_cases.submaps.post(TENANT, submap("b", 2))
+    posted = await world.use_cases.posting.post(TENANT, submap("b", 2))
     newer = FakeRecogniser()
     newer.model_version = "fake-2"
     world.work_off(newer)
@@ -248,8 +247,8 @@ async def answered(world, call):
 
 async def test_a_cloud_is_searched_and_localised_without_being_stored(world):
     await open_session(world)
-    await world.use_cases.submaps.post(TENANT, submap("a", 7))
-    await world.use_cases.submaps.post(TENANT, submap("b", 8))
+    await world.use_cases.posting.post(TENANT, submap("a", 7))
+    await world.use_cases.posting.post(TENANT, submap("b", 8))
     world.work_off()
     found = await answered(world, world.use_cases.searches.by_cloud(TENANT, "town", cloud(7), SearchCriteria(k=1)))
     assert found.hits[0].submap == key("a")
@@ -265,7 +264,7 @@ async def test_a_cloud_is_searched_and_localised_without_being_stored(world):
 
 async def test_answers_are_forgotten_after_their_time_but_not_what_became_of_submaps(world):
     await open_session(world)
-    posted = await world.use_cases.submaps.post(TENANT, submap("a", 7))
+    posted = await world.use_cases.posting.post(TENANT, submap("a", 7))
     world.work_off()
     for wait_ms in (0, 3_000_000):
         world.clock.ms += wait_ms
@@ -276,19 +275,19 @@ async def test_answers_are_forgotten_after_their_time_but_not_what_became_of_sub
         return [operation.operation_id for operation in page.items]
 
     _, first, second = await operations()
-    assert await forget_answers(world.context, 3600.0) == 0
+    assert await forget_answers(world.context.storage, world.clock, 3600.0) == 0
     world.clock.ms += 1_000_000
-    assert await forget_answers(world.context, 3600.0) == 1
+    assert await forget_answers(world.context.storage, world.clock, 3600.0) == 1
     assert await operations() == [posted.operation.operation_id, second]
     with pytest.raises(NotFound):
         await world.use_cases.operations.get(TENANT, first)
-    assert (await world.use_cases.submaps.post(TENANT, submap("a", 7))).replay
+    assert (await world.use_cases.posting.post(TENANT, submap("a", 7))).replay
 
 
 async def test_a_search_by_cloud_that_is_refused_leaves_no_cloud_behind(tmp_path):
     world = sqlite_world(tmp_path, max_queued_jobs=1)
     await open_session(world)
-    await world.use_cases.submaps.post(TENANT, submap("a", 1))
+    await world.use_cases.posting.post(TENANT, submap("a", 1))
     with pytest.raises(WorkersBusy):
         await world.use_cases.searches.by_cloud(TENANT, "town", cloud(1), SearchCriteria())
     assert not list((tmp_path / "blobs").glob(f"*/{QUERY_CLOUD_BLOB}/*/*"))
@@ -342,7 +341,7 @@ async def test_finishing_a_session_flushes_its_last_window_once(world):
     for call in (
         world.use_cases.scans.append(TENANT, scan(5, 5.0)),
         world.use_cases.scans.open(TENANT, SESSION),
-        world.use_cases.submaps.post(TENANT, submap("late", 1)),
+        world.use_cases.posting.post(TENANT, submap("late", 1)),
     ):
         with pytest.raises(SessionFinished):
             await call
@@ -356,7 +355,7 @@ async def test_finishing_a_session_without_scans_makes_no_submap(world):
 
 async def test_downloads_give_back_what_was_sent_and_what_was_made(world):
     await open_session(world)
-    await world.use_cases.submaps.post(TENANT, submap("a", 1))
+    await world.use_cases.posting.post(TENANT, submap("a", 1))
     points = await world.use_cases.submaps.download(TENANT, key("a"), DownloadKind.POINTS, "ply")
     assert points.data.endswith(cloud_points(1).tobytes()) and points.filename == "monday-a-points.ply"
     with pytest.raises(NotReady):
@@ -383,7 +382,7 @@ async def test_the_points_of_a_streamed_submap_are_its_scans_in_one_frame(world)
 async def test_deleting_a_submap_takes_its_loops_and_blobs_but_not_those_of_its_twin(world):
     await open_session(world)
     for submap_id, place in [("a", 1), ("b", 2), ("c", 3), ("twin", 1)]:
-        await world.use_cases.submaps.post(TENANT, submap(submap_id, place))
+        await world.use_cases.posting.post(TENANT, submap(submap_id, place))
     world.work_off()
     await world.use_cases.submaps.delete(TENANT, key("a"))
     with pytest.raises(NotFound):
@@ -398,14 +397,14 @@ async def test_deleting_a_submap_takes_its_loops_and_blobs_but_not_those_of_its_
 
 async def test_deleting_a_map_leaves_nothing_and_its_name_can_be_used_again(world):
     await open_session(world)
-    await world.use_cases.submaps.post(TENANT, submap("a", 1))
+    await world.use_cases.posting.post(TENANT, submap("a", 1))
     await world.use_cases.scans.append(TENANT, scan(1, 0.0))
     world.work_off()
     await world.use_cases.maps.delete(TENANT, "town")
     with pytest.raises(NotFound):
         await world.use_cases.sessions.get(TENANT, SESSION)
     await open_session(world)
-    await world.use_cases.submaps.post(TENANT, submap("a", 1))
+    await world.use_cases.posting.post(TENANT, submap("a", 1))
     world.work_off()
     found = await world.use_cases.searches.by_submap(TENANT, key("a"), SearchCriteria())
     assert (found.hits, found.searched) == ((), 1)
@@ -415,7 +414,7 @@ async def test_the_blobs_of_a_large_map_are_deleted_in_turns_that_let_others_wri
     world = sqlite_world(tmp_path)
     await open_session(world)
     for place in range(5):
-        await world.use_cases.submaps.post(TENANT, submap(f"s{place}", place))
+        await world.use_cases.posting.post(TENANT, submap(f"s{place}", place))
     monkeypatch.setattr(blob_references, "BLOBS_PER_TURN", 2)
     turns, collect = [], blob_references.collect_blobs
 
@@ -432,7 +431,7 @@ async def test_the_blobs_of_a_large_map_are_deleted_in_turns_that_let_others_wri
 
 async def test_a_job_of_a_submap_that_was_deleted_meanwhile_has_no_effect(world):
     await open_session(world)
-    posted = await world.use_cases.submaps.post(TENANT, submap("a", 1))
+    posted = await world.use_cases.posting.post(TENANT, submap("a", 1))
     await world.use_cases.submaps.delete(TENANT, key("a"))
     world.work_off()
     operation = await world.use_cases.operations.get(TENANT, posted.operation.operation_id)
@@ -441,7 +440,7 @@ async def test_a_job_of_a_submap_that_was_deleted_meanwhile_has_no_effect(world)
 
 async def test_a_cloud_that_cannot_be_described_fails_at_once_with_its_reason(world):
     await open_session(world)
-    posted = await world.use_cases.submaps.post(TENANT, submap("a", 1, points=CANNOT_BE_DESCRIBED))
+    posted = await world.use_cases.posting.post(TENANT, submap("a", 1, points=CANNOT_BE_DESCRIBED))
     assert world.work_off() == 1
     operation = await world.use_cases.operations.wait(TENANT, posted.operation.operation_id, 1.0)
     view = await world.use_cases.submaps.get(TENANT, key("a"))
@@ -451,8 +450,8 @@ async def test_a_cloud_that_cannot_be_described_fails_at_once_with_its_reason(wo
 
 async def test_a_job_that_raises_is_tried_three_times_and_others_proceed(world):
     await open_session(world)
-    poison = await world.use_cases.submaps.post(TENANT, submap("poison", 1, points=RAISES))
-    await world.use_cases.submaps.post(TENANT, submap("good", 2))
+    poison = await world.use_cases.posting.post(TENANT, submap("poison", 1, points=RAISES))
+    await world.use_cases.posting.post(TENANT, submap("good", 2))
     for _ in range(4):
         world.work_off()
         world.clock.ms += 60_000
@@ -465,8 +464,8 @@ async def test_a_job_that_raises_is_tried_three_times_and_others_proceed(world):
 async def test_a_damaged_cloud_fails_its_own_job_only(tmp_path):
     world = sqlite_world(tmp_path)
     await open_session(world)
-    posted = await world.use_cases.submaps.post(TENANT, submap("a", 1))
-    await world.use_cases.submaps.post(TENANT, submap("b", 2))
+    posted = await world.use_cases.posting.post(TENANT, submap("a", 1))
+    await world.use_cases.posting.post(TENANT, submap("b", 2))
     row = world.context.transactions.read(lambda uow: uow.submaps.get(TENANT, "town", "monday", "a")).result()
     blob = tmp_path / "blobs" / TENANT / CLOUD_BLOB / row.cloud_sha256[:2] / row.cloud_sha256
     data = bytearray(blob.read_bytes())
@@ -484,9 +483,9 @@ async def test_a_damaged_cloud_fails_its_own_job_only(tmp_path):
 async def test_a_full_queue_refuses_posts_and_completing_scans_without_storing_them():
     world = memory_world(max_queued_jobs=1)
     await open_session(world)
-    await world.use_cases.submaps.post(TENANT, submap("a", 1))
+    await world.use_cases.posting.post(TENANT, submap("a", 1))
     with pytest.raises(WorkersBusy) as busy:
-        await world.use_cases.submaps.post(TENANT, submap("b", 2))
+        await world.use_cases.posting.post(TENANT, submap("b", 2))
     assert busy.value.retry_after_s > 0
     for seq in range(1, 11):
         await world.use_cases.scans.append(TENANT, scan(seq, float(seq)))
@@ -502,7 +501,7 @@ async def test_a_draining_service_refuses_new_work_and_is_not_ready(world):
     assert (await world.use_cases.system.readiness()).ready
     world.use_cases.system.drain()
     with pytest.raises(Draining):
-        await world.use_cases.submaps.post(TENANT, submap("a", 1))
+        await world.use_cases.posting.post(TENANT, submap("a", 1))
     with pytest.raises(Draining):
         await world.use_cases.scans.append(TENANT, scan(1, 0.0))
     assert (await world.use_cases.system.readiness()).reasons == ("draining",)
@@ -549,7 +548,7 @@ async def test_a_map_has_its_own_rules_for_loop_closures(world):
     await world.use_cases.maps.create(TENANT, CreateMap("town", loop_policy=policy))
     await world.use_cases.sessions.create(TENANT, CreateSession("town", "monday"))
     for number in range(6):
-        await world.use_cases.submaps.post(TENANT, submap(f"s{number}", 1, points=300 + number))
+        await world.use_cases.posting.post(TENANT, submap(f"s{number}", 1, points=300 + number))
     noting = NotingRecogniser()
     world.work_off(noting)
     # With neighbours left out, the submaps have 0, 0, 1, 2, 3 and 4 others to be compared with: at most 2 are.
@@ -568,7 +567,7 @@ async def test_a_map_has_its_own_rules_for_loop_closures(world):
 async def test_watching_gives_the_loops_that_are_there_and_those_to_come(world):
     await open_session(world)
     for submap_id, place in [("a", 1), ("b", 2), ("c", 1), ("d", 2)]:
-        await world.use_cases.submaps.post(TENANT, submap(submap_id, place))
+        await world.use_cases.posting.post(TENANT, submap(submap_id, place))
     for _ in range(3):
         world.worker().run(world.claim())
     seen = []
@@ -590,8 +589,8 @@ async def test_watching_gives_the_loops_that_are_there_and_those_to_come(world):
 
 async def test_status_counts_jobs_and_submaps(world):
     await open_session(world)
-    await world.use_cases.submaps.post(TENANT, submap("a", 1))
-    await world.use_cases.submaps.post(TENANT, submap("b", 2, points=CANNOT_BE_DESCRIBED))
+    await world.use_cases.posting.post(TENANT, submap("a", 1))
+    await world.use_cases.posting.post(TENANT, submap("b", 2, points=CANNOT_BE_DESCRIBED))
     before = await world.use_cases.system.status(TENANT)
     world.work_off()
     after = await world.use_cases.system.status(TENANT)

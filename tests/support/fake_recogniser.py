@@ -19,7 +19,7 @@ import numpy as np
 from revisit.core.config import PipelineConfig
 from revisit.core.errors import DegenerateCloud
 from revisit.core.submap import Submap
-from revisit.service.application.contract.ports import LoopVerdict, Mesh, SubmapDescription
+from revisit.service.application.contract.recogniser import LoopVerdict, Mesh, SubmapDescription
 
 KILLS_THE_WORKER = 666
 RAISES = 667
@@ -62,7 +62,7 @@ MISCHIEF = {HANGS: _hang, HOLDS_EVERY_THREAD: _hold_every_thread, EATS_MEMORY: _
 
 
 class FakeRecogniser:
-    """`ports.PlaceRecogniser` by height histogram."""
+    """`PlaceRecogniser` by height histogram."""
 
     model_version = "fake-1"
 

@@ -12,7 +12,7 @@ from revisit.service.adapters.files.blobs import FileBlobStore
 from revisit.service.adapters.sql import tables
 from revisit.service.adapters.sqlite.migration import migrate
 from revisit.service.adapters.sqlite.transactions import SqliteTransactions
-from revisit.service.application.ingest.clouds import CLOUD_BLOB
+from revisit.service.application.contract.blobs import CLOUD_BLOB
 from tests.support.records import TENANT, a_map, a_session, a_submap
 
 PORTION = 2000

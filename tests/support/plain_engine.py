@@ -35,7 +35,7 @@ class PlainEngine:
 
 
 class PlainTransactions:
-    """`ports.Transactions`: each runs at once, in the thread that asks, alone."""
+    """`Transactions`: each runs at once, in the thread that asks, alone."""
 
     def __init__(self, lease_ms: int) -> None:
         self.database, self.engine = plain_database(), PlainEngine()
@@ -43,11 +43,11 @@ class PlainTransactions:
         self._lock = threading.Lock()
 
     def write(self, work, *, alone: bool = False) -> Future:
-        """See `ports.Transactions`."""
+        """See `Transactions`."""
         return self.read(work)
 
     def read(self, work) -> Future:
-        """See `ports.Transactions`."""
+        """See `Transactions`."""
         future: Future = Future()
         try:
             with self.transaction() as uow:
@@ -64,7 +64,7 @@ class PlainTransactions:
             yield SqlUnitOfWork(connection, self.engine, self._lease_ms)
 
     def close(self) -> None:
-        """See `ports.Transactions`."""
+        """See `Transactions`."""
         self.database.dispose()
 
 

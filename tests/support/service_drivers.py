@@ -20,7 +20,7 @@ from revisit.service.application import SessionKey, SubmapKey, UseCases
 from revisit.service.application.catalogue.maps import CreateMap
 from revisit.service.application.catalogue.paging import PageRequest
 from revisit.service.application.catalogue.sessions import CreateSession
-from revisit.service.application.query.searches import SearchCriteria
+from revisit.service.application.query.search_answers import SearchCriteria
 from tests.support.live_service import live_service
 from tests.support.service_world import TENANT, World, cloud_points, memory_world, scan, sqlite_world, submap
 
@@ -69,7 +69,7 @@ class UseCaseDriver:
 
     def post_submap(self, session: SessionKey, submap_id: str, place: int) -> str:
         """OK, REPLAY, ALREADY_EXISTS, SESSION_FINISHED or NOT_FOUND."""
-        return self._outcome(self._world.use_cases.submaps.post(TENANT, submap(submap_id, place, session)))
+        return self._outcome(self._world.use_cases.posting.post(TENANT, submap(submap_id, place, session)))
 
     def append_scan(self, session: SessionKey, seq: int) -> str:
         """OK, REPLAY, SEQ_GAP, SESSION_FINISHED or NOT_FOUND."""

@@ -15,12 +15,13 @@ from revisit.service.adapters.files.blobs import FileBlobStore
 from revisit.service.adapters.memory import MemoryBlobStore, MemoryTransactions, MemoryVectorIndex
 from revisit.service.adapters.sqlite.migration import migrate
 from revisit.service.adapters.sqlite.transactions import SqliteTransactions
-from revisit.service.application import DEFAULT_TENANT, Context, Policy, SessionKey, SubmapKey, UseCases
+from revisit.service.application import DEFAULT_TENANT, Installation, Policy, SessionKey, SubmapKey, UseCases
 from revisit.service.application.catalogue.maps import CreateMap
 from revisit.service.application.catalogue.sessions import CreateSession
-from revisit.service.application.catalogue.submaps import PostSubmap
-from revisit.service.application.contract.ports import Instant, PlaceRecogniser
+from revisit.service.application.contract.clock import Instant
+from revisit.service.application.contract.recogniser import PlaceRecogniser
 from revisit.service.application.ingest.scans import AppendScan
+from revisit.service.application.ingest.submap_posting import PostSubmap
 from revisit.service.application.recognise.recognition import Recognition
 from tests.support.fake_recogniser import FakeRecogniser
 
@@ -30,17 +31,17 @@ SESSION = SessionKey("town", "monday")
 
 @dataclass
 class SteppedClock:
-    """`ports.Clock` that moves when told to."""
+    """`Clock` that moves when told to."""
 
     epoch: str = "boot-1"
     ms: int = 1_000_000
 
     def wall_ns(self) -> int:
-        """See `ports.Clock`."""
+        """See `Clock`."""
         return 1_700_000_000_000_000_000 + self.ms * 1_000_000
 
     def instant(self) -> Instant:
-        """See `ports.Clock`."""
+        """See `Clock`."""
         return Instant(self.epoch, self.ms)
 
 
@@ -48,14 +49,14 @@ class SteppedClock:
 class World:
     """The service and the hands of a worker."""
 
-    context: Context
+    context: Installation
     use_cases: UseCases
     clock: SteppedClock
 
     def worker(self, recogniser: PlaceRecogniser | None = None) -> Recognition:
         """Another worker's recognition, with an index of its own."""
         own = replace(self.context, index=MemoryVectorIndex())
-        return Recognition(own, recogniser or FakeRecogniser())
+        return own.recognition(recogniser or FakeRecogniser())
 
     def claim(self, owner: str = "w1"):
         """The next lease, or None."""
@@ -94,7 +95,7 @@ def sqlite_world(home: Path, **overrides) -> World:
 
 def _world(transactions, blobs, rules: Policy) -> World:
     clock = SteppedClock()
-    context = Context(transactions, blobs, MemoryVectorIndex(), clock, rules, threading.Event())
+    context = Installation(transactions, blobs, MemoryVectorIndex(), clock, rules, threading.Event())
     return World(context, UseCases.over(context, "test"), clock)
 
 

@@ -24,9 +24,9 @@ from revisit.service.adapters.files.durable_files import (
     sync_directory,
 )
 from revisit.service.adapters.files.fail_stop import FailStop
+from revisit.service.application.contract.blobs import StoredBlob
 from revisit.service.application.contract.errors import StorageFull, StorageUncertain
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.ports import StoredBlob
 
 QUARANTINE = ".quarantine"
 """The folder of damaged blobs: nothing in it is served, an operator can look at it."""
@@ -41,7 +41,7 @@ class BlobDamaged(DataLoss):
 
 
 class FileBlobStore:
-    """`ports.BlobStore` in a directory of this machine."""
+    """`BlobStore` in a directory of this machine."""
 
     def __init__(
         self, root: Path, *, fail_stop: FailStop | None = None, on_full: Callable[[], None] = lambda: None
@@ -56,7 +56,7 @@ class FileBlobStore:
         root.mkdir(parents=True, exist_ok=True, mode=0o700)
 
     def put(self, tenant: TenantId, kind: str, data: bytes) -> str:
-        """See `ports.BlobStore`."""
+        """See `BlobStore`."""
         sha256 = hashlib.sha256(data).hexdigest()
         path = self._path(tenant, kind, sha256)
         self._fail_stop.require_sound()
@@ -70,7 +70,7 @@ class FileBlobStore:
         return sha256
 
     def get(self, tenant: TenantId, kind: str, sha256: str) -> bytes:
-        """See `ports.BlobStore`."""
+        """See `BlobStore`."""
         path = self._path(tenant, kind, sha256)
         try:
             return read_verified(path)
@@ -79,17 +79,17 @@ class FileBlobStore:
             raise
 
     def exists(self, tenant: TenantId, kind: str, sha256: str) -> bool:
-        """See `ports.BlobStore`."""
+        """See `BlobStore`."""
         return self._path(tenant, kind, sha256).exists()
 
     def delete(self, tenant: TenantId, kind: str, sha256: str) -> None:
-        """See `ports.BlobStore`. While a backup runs the file stays; the next sweep deletes it."""
+        """See `BlobStore`. While a backup runs the file stays; the next sweep deletes it."""
         with deleting(self._root) as may_delete:
             if may_delete:
                 self._path(tenant, kind, sha256).unlink(missing_ok=True)
 
     def stored(self, older_than_s: float) -> Iterator[StoredBlob]:
-        """See `ports.BlobStore`. Deletes the temporary files of interrupted writes that it meets."""
+        """See `BlobStore`. Deletes the temporary files of interrupted writes that it meets."""
         latest = time.time() - older_than_s
         for path in self._root.glob("*/*/??/*"):
             try:

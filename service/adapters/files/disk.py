@@ -20,7 +20,7 @@ log = structlog.get_logger(__name__)
 
 
 class Disk:
-    """`ports.DiskSpace` of one folder. Its state is the reserve file itself, so that all processes agree."""
+    """`DiskSpace` of one folder. Its state is the reserve file itself, so that all processes agree."""
 
     def __init__(self, home: Path, reserve_bytes: int, log: Path | None = None) -> None:
         """Reserves `reserve_bytes` in `home`; with 0 the disk never counts as full.
@@ -34,7 +34,7 @@ class Disk:
         self._floor_bytes = reserve_bytes // FLOOR_SHARE
 
     def full(self) -> bool:
-        """See `ports.DiskSpace`. Releases the reserve when the disk runs full."""
+        """See `DiskSpace`. Releases the reserve when the disk runs full."""
         if self._reserve_bytes == 0:
             return False
         if self.exhausted():
@@ -42,11 +42,11 @@ class Disk:
         return not self._reserve.exists()
 
     def exhausted(self) -> bool:
-        """See `ports.DiskSpace`."""
+        """See `DiskSpace`."""
         return self.free_bytes() < self._floor_bytes
 
     def wal_bytes(self) -> int:
-        """See `ports.DiskSpace`."""
+        """See `DiskSpace`."""
         return self._log.stat().st_size if self._log is not None and self._log.exists() else 0
 
     def free_bytes(self) -> int:

@@ -6,37 +6,37 @@ import hashlib
 from collections.abc import Iterator
 
 from revisit.core.errors import DataLoss
+from revisit.service.application.contract.blobs import StoredBlob
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.ports import StoredBlob
 
 
 class MemoryBlobStore:
-    """`ports.BlobStore` without a disk."""
+    """`BlobStore` without a disk."""
 
     def __init__(self) -> None:
         """Begins empty."""
         self._blobs: dict[tuple[TenantId, str, str], bytes] = {}
 
     def put(self, tenant: TenantId, kind: str, data: bytes) -> str:
-        """See `ports.BlobStore`."""
+        """See `BlobStore`."""
         sha256 = hashlib.sha256(data).hexdigest()
         self._blobs[tenant, kind, sha256] = data
         return sha256
 
     def get(self, tenant: TenantId, kind: str, sha256: str) -> bytes:
-        """See `ports.BlobStore`."""
+        """See `BlobStore`."""
         if (tenant, kind, sha256) not in self._blobs:
             raise DataLoss(f"the {kind} {sha256[:12]} is missing")
         return self._blobs[tenant, kind, sha256]
 
     def exists(self, tenant: TenantId, kind: str, sha256: str) -> bool:
-        """See `ports.BlobStore`."""
+        """See `BlobStore`."""
         return (tenant, kind, sha256) in self._blobs
 
     def delete(self, tenant: TenantId, kind: str, sha256: str) -> None:
-        """See `ports.BlobStore`."""
+        """See `BlobStore`."""
         self._blobs.pop((tenant, kind, sha256), None)
 
     def stored(self, older_than_s: float) -> Iterator[StoredBlob]:
-        """See `ports.BlobStore`; ages are not kept, so every blob counts as old enough."""
+        """See `BlobStore`; ages are not kept, so every blob counts as old enough."""
         return iter([StoredBlob(*address) for address in self._blobs])

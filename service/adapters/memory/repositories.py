@@ -7,15 +7,17 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
+from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.errors import AlreadyExists, NotFound
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.ports import IndexChange, Instant
+from revisit.service.application.contract.index import IndexChange
 from revisit.service.application.contract.records import (
     JobRecord,
     ScanRecord,
     SubmapRecord,
     WorkerRecord,
 )
+from revisit.service.application.contract.states import OperationState, SubmapState
 
 R = TypeVar("R")
 
@@ -35,7 +37,7 @@ class Rows:
 
 
 class MemoryRepository(Generic[R]):
-    """`ports.Repository` over `Rows`."""
+    """`Repository` over `Rows`."""
 
     def __init__(self, rows: Rows, key: tuple[str, ...]) -> None:
         """`key` names the fields that, with the tenant, identify a record."""
@@ -43,7 +45,7 @@ class MemoryRepository(Generic[R]):
         self._key = ("tenant", *key)
 
     def add(self, record: R) -> R:
-        """See `ports.Repository`."""
+        """See `Repository`."""
         if any(self._key_of(row) == self._key_of(record) for row in self._rows.by_number.values()):
             raise AlreadyExists
         self._rows.last += 1
@@ -52,43 +54,43 @@ class MemoryRepository(Generic[R]):
         return added
 
     def get(self, tenant: TenantId, *key: str | int) -> R | None:
-        """See `ports.Repository`."""
+        """See `Repository`."""
         return next((row for row in self._rows.by_number.values() if self._key_of(row) == (tenant, *key)), None)
 
     def find(self, tenant: TenantId, *, after: int = 0, limit: int | None = None, **equals: Scalar) -> list[R]:
-        """See `ports.Repository`."""
+        """See `Repository`."""
         return [row for row in self._matching(tenant, equals) if row.number > after][:limit]
 
     def numbered(self, tenant: TenantId, numbers: Sequence[int]) -> dict[int, R]:
-        """See `ports.Repository`."""
+        """See `Repository`."""
         return {row.number: row for row in self._matching(tenant, {}) if row.number in set(numbers)}
 
     def distinct(self, tenant: TenantId, field: str, **equals: Scalar) -> set[Any]:
-        """See `ports.Repository`."""
+        """See `Repository`."""
         return {getattr(row, field) for row in self._matching(tenant, equals)} - {None}
 
     def count(self, tenant: TenantId, **equals: Scalar) -> int:
-        """See `ports.Repository`."""
+        """See `Repository`."""
         return len(self._matching(tenant, equals))
 
     def count_of_all_tenants(self, **equals: Scalar) -> int:
-        """See `ports.Repository`."""
+        """See `Repository`."""
         rows = self._rows.by_number.values()
         return sum(all(getattr(row, name) == value for name, value in equals.items()) for row in rows)
 
     def of_all_tenants(self, *, after: int = 0, limit: int | None = None) -> list[R]:
-        """See `ports.Repository`."""
+        """See `Repository`."""
         return [row for number, row in sorted(self._rows.by_number.items()) if number > after][:limit]
 
     def replace(self, record: R) -> None:
-        """See `ports.Repository`."""
+        """See `Repository`."""
         number = record.number  # type: ignore[attr-defined]  # R is a record
         if number not in self._rows.by_number:
             raise NotFound
         self._rows.by_number[number] = record
 
     def delete(self, tenant: TenantId, **equals: Scalar) -> int:
-        """See `ports.Repository`."""
+        """See `Repository`."""
         doomed = [row.number for row in self._matching(tenant, equals)]
         for number in doomed:
             del self._rows.by_number[number]
@@ -104,49 +106,49 @@ class MemoryRepository(Generic[R]):
 
 
 class MemoryScans(MemoryRepository[ScanRecord]):
-    """`ports.ScanRepository`."""
+    """`ScanRepository`."""
 
     def first_seq_from(self, tenant: TenantId, map_id: str, session_id: str, travelled_m: float) -> int | None:
-        """See `ports.ScanRepository`."""
+        """See `ScanRepository`."""
         scans = self.find(tenant, map_id=map_id, session_id=session_id)
         return min((scan.seq for scan in scans if scan.travelled_m >= travelled_m), default=None)
 
     def with_seqs(self, tenant: TenantId, map_id: str, session_id: str, seqs: Sequence[int]) -> list[ScanRecord]:
-        """See `ports.ScanRepository`."""
+        """See `ScanRepository`."""
         scans = self.find(tenant, map_id=map_id, session_id=session_id)
         return sorted((scan for scan in scans if scan.seq in set(seqs)), key=lambda scan: scan.seq)
 
 
 class MemorySubmaps(MemoryRepository[SubmapRecord]):
-    """`ports.SubmapRepository`."""
+    """`SubmapRepository`."""
 
     def last_number(self) -> int:
-        """See `ports.SubmapRepository`."""
+        """See `SubmapRepository`."""
         return self._rows.last
 
     def waiting_up_to(self, tenant: TenantId, map_id: str, number: int) -> int:
-        """See `ports.SubmapRepository`."""
-        return sum(row.number <= number for row in self.find(tenant, map_id=map_id, state="QUEUED"))
+        """See `SubmapRepository`."""
+        return sum(row.number <= number for row in self.find(tenant, map_id=map_id, state=SubmapState.QUEUED.value))
 
 
 class MemoryJobs(MemoryRepository[JobRecord]):
-    """`ports.JobRepository`."""
+    """`JobRepository`."""
 
     def next_runnable(self, now: Instant, after: str = "") -> JobRecord | None:
-        """See `ports.JobRepository`."""
+        """See `JobRepository`."""
         due = [job for job in self._all() if _due(job, now)]
         return min(due, key=lambda job: (job.tenant <= after, job.tenant, job.priority, job.number), default=None)
 
     def exhausted(self, now: Instant) -> list[JobRecord]:
-        """See `ports.JobRepository`."""
+        """See `JobRepository`."""
         return [job for job in self._all() if _lost(job, now) and job.attempts >= job.max_attempts]
 
     def leased_to(self, owner: str) -> list[JobRecord]:
-        """See `ports.JobRepository`."""
-        return [job for job in self._all() if job.state == "RUNNING" and job.lease_owner == owner]
+        """See `JobRepository`."""
+        return [job for job in self._all() if job.state == OperationState.RUNNING and job.lease_owner == owner]
 
     def forget_answers(self, before_ns: int, limit: int) -> int:
-        """See `ports.JobRepository`."""
+        """See `JobRepository`."""
         ended = [(job.finished_at_ns, job.number) for job in self._all() if job.priority == 0 and job.finished_at_ns]
         old = [number for finished_at_ns, number in sorted(ended) if finished_at_ns < before_ns][:limit]
         for number in old:
@@ -154,19 +156,19 @@ class MemoryJobs(MemoryRepository[JobRecord]):
         return len(old)
 
     def oldest_queued_ns(self) -> int | None:
-        """See `ports.JobRepository`."""
-        return min((job.created_at_ns for job in self._all() if job.state == "QUEUED"), default=None)
+        """See `JobRepository`."""
+        return min((job.created_at_ns for job in self._all() if job.state == OperationState.QUEUED), default=None)
 
     def _all(self) -> list[JobRecord]:
         return [job for _, job in sorted(self._rows.by_number.items())]
 
 
 def _lost(job: JobRecord, now: Instant) -> bool:
-    return job.state == "RUNNING" and (job.lease_epoch != now.epoch or job.lease_expires_ms <= now.ms)
+    return job.state == OperationState.RUNNING and (job.lease_epoch != now.epoch or job.lease_expires_ms <= now.ms)
 
 
 def _due(job: JobRecord, now: Instant) -> bool:
-    if job.state == "QUEUED":
+    if job.state == OperationState.QUEUED:
         return job.lease_epoch != now.epoch or job.not_before_ms <= now.ms
     return _lost(job, now) and job.attempts < job.max_attempts
 
@@ -181,7 +183,7 @@ class _Change:
 
 
 class MemoryChangeLog:
-    """`ports.ChangeLog`."""
+    """`ChangeLog`."""
 
     def __init__(self, changes: Rows, submaps: Rows) -> None:
         """`submaps` tells whether a described submap is still there."""
@@ -189,16 +191,16 @@ class MemoryChangeLog:
         self._submaps = submaps
 
     def record_described(self, tenant: TenantId, map_number: int, submap_number: int) -> int:
-        """See `ports.ChangeLog`."""
+        """See `ChangeLog`."""
         return self._append(_Change(tenant, map_number, submap_number, described=True))
 
     def record_removed(self, tenant: TenantId, map_number: int, submap_numbers: Collection[int]) -> None:
-        """See `ports.ChangeLog`."""
+        """See `ChangeLog`."""
         for number in sorted(submap_numbers):
             self._append(_Change(tenant, map_number, number, described=False))
 
     def since(self, tenant: TenantId, map_number: int, seq: int, limit: int | None = None) -> list[IndexChange]:
-        """See `ports.ChangeLog`."""
+        """See `ChangeLog`."""
         changes = [change for _, change in sorted(self._changes.by_number.items())]
         return [
             self._seen(change)
@@ -221,25 +223,25 @@ class MemoryChangeLog:
 
 
 class MemoryWorkerLog:
-    """`ports.WorkerLog`."""
+    """`WorkerLog`."""
 
     def __init__(self, rows: Rows) -> None:
         """Workers by their place in `rows`."""
         self._rows = rows
 
     def beat(self, worker: WorkerRecord) -> None:
-        """See `ports.WorkerLog`."""
+        """See `WorkerLog`."""
         self.forget(worker.worker_id)
         self._rows.last += 1
         self._rows.by_number[self._rows.last] = worker
 
     def alive(self, epoch: str, since_ms: int) -> list[WorkerRecord]:
-        """See `ports.WorkerLog`."""
+        """See `WorkerLog`."""
         alive = [w for w in self._rows.by_number.values() if w.epoch == epoch and w.seen_ms >= since_ms]
         return sorted(alive, key=lambda worker: (-worker.seen_ms, worker.worker_id))
 
     def forget(self, worker_id: str) -> None:
-        """See `ports.WorkerLog`."""
+        """See `WorkerLog`."""
         kept = {number: row for number, row in self._rows.by_number.items() if row.worker_id != worker_id}
         self._rows.by_number.clear()
         self._rows.by_number.update(kept)

@@ -18,8 +18,8 @@ from revisit.service.adapters.memory.repositories import (
     MemoryWorkerLog,
     Rows,
 )
-from revisit.service.application.contract.ports import UnitOfWork
 from revisit.service.application.contract.records import LoopRecord, MapRecord, RobotRecord, SessionRecord
+from revisit.service.application.contract.transactions import UnitOfWork
 
 T = TypeVar("T")
 
@@ -27,7 +27,7 @@ _TABLES = ("maps", "robots", "sessions", "scans", "submaps", "loops", "jobs", "c
 
 
 class MemoryUnitOfWork:
-    """`ports.UnitOfWork` over a copy of every table."""
+    """`UnitOfWork` over a copy of every table."""
 
     def __init__(self, tables: dict[str, Rows], lease_ms: int) -> None:
         """Changes `tables` in place."""
@@ -46,7 +46,7 @@ class MemoryUnitOfWork:
 
 
 class MemoryTransactions:
-    """`ports.Transactions` without a disk: a transaction works on a copy, which replaces the original at the end."""
+    """`Transactions` without a disk: a transaction works on a copy, which replaces the original at the end."""
 
     def __init__(self, lease_ms: int = 10_000) -> None:
         """Begins empty."""
@@ -55,17 +55,17 @@ class MemoryTransactions:
         self._lock = threading.Lock()
 
     def write(self, work: Callable[[UnitOfWork], T], *, alone: bool = False) -> Future[T]:
-        """See `ports.Transactions`."""
+        """See `Transactions`."""
         return _settled(lambda: self._write(work))
 
     def read(self, work: Callable[[UnitOfWork], T]) -> Future[T]:
-        """See `ports.Transactions`."""
+        """See `Transactions`."""
         with self._lock:
             snapshot = self._copy()
         return _settled(lambda: work(MemoryUnitOfWork(snapshot, self._lease_ms)))
 
     def close(self) -> None:
-        """See `ports.Transactions`."""
+        """See `Transactions`."""
 
     def _write(self, work: Callable[[UnitOfWork], T]) -> T:
         with self._lock:

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.errors import BadField
-from revisit.service.application.contract.ports import IndexChange, VectorFilter, VectorMatch
+from revisit.service.application.contract.index import IndexChange, VectorFilter, VectorMatch
 
 
 class MemoryVectorIndex:
-    """`ports.VectorIndex` in a dictionary per map."""
+    """`VectorIndex` in a dictionary per map."""
 
     def __init__(self) -> None:
         """Begins empty."""
@@ -21,11 +21,11 @@ class MemoryVectorIndex:
         self._places: dict[int, dict[int, tuple[IndexChange, NDArray[np.float32]]]] = {}
 
     def seq(self, map_number: int) -> int:
-        """See `ports.VectorIndex`."""
+        """See `VectorIndex`."""
         return self._seq.get(map_number, 0)
 
     def apply(self, map_number: int, changes: Sequence[IndexChange], after: int = 0) -> None:
-        """See `ports.VectorIndex`."""
+        """See `VectorIndex`."""
         if self.seq(map_number) < after:
             return
         places = self._places.setdefault(map_number, {})
@@ -38,7 +38,7 @@ class MemoryVectorIndex:
             self._seq[map_number] = change.seq
 
     def search(self, map_number: int, vector: NDArray[np.float32], k: int, where: VectorFilter) -> list[VectorMatch]:
-        """See `ports.VectorIndex`."""
+        """See `VectorIndex`."""
         if not np.isfinite(vector).all():
             raise BadField("the descriptor holds NaN or infinity", field="descriptor")
         matches = []
@@ -50,20 +50,20 @@ class MemoryVectorIndex:
         return sorted(matches, key=lambda match: (-match.similarity, match.submap_number))[:k]
 
     def size(self, map_number: int) -> int:
-        """See `ports.VectorIndex`."""
+        """See `VectorIndex`."""
         return len(self._places.get(map_number, {}))
 
     def drop(self, map_number: int) -> None:
-        """See `ports.VectorIndex`."""
+        """See `VectorIndex`."""
         self._places.pop(map_number, None)
         self._seq.pop(map_number, None)
 
     def numbers(self, map_number: int) -> tuple[int, NDArray[np.int64]]:
-        """See `ports.VectorIndex`."""
+        """See `VectorIndex`."""
         return self.seq(map_number), np.array(list(self._places.get(map_number, {})), dtype=np.int64)
 
     def differing(self, map_number: int, places: Sequence[IndexChange]) -> list[int]:
-        """See `ports.VectorIndex`."""
+        """See `VectorIndex`."""
         held = self._places.get(map_number, {})
         return [place.submap_number for place in places if not _same(held.get(place.submap_number), place)]
 

@@ -7,9 +7,7 @@ from typing import Any
 from sqlalchemy import Column, CompoundSelect, Select, literal, select, text, union
 
 from revisit.service.adapters.sql.tables import scans, submaps
-from revisit.service.application.housekeeping.blob_references import NEURAL_MAP_BLOB, SIGNATURE_BLOB
-from revisit.service.application.ingest.clouds import CLOUD_BLOB
-from revisit.service.application.recognise.meshes import MESH_BLOB
+from revisit.service.application.contract.blobs import CLOUD_BLOB, MESH_BLOB, NEURAL_MAP_BLOB, SIGNATURE_BLOB
 
 REFERENCES: tuple[tuple[str, Column[Any]], ...] = (
     (CLOUD_BLOB, scans.c.cloud_sha256),

@@ -12,11 +12,11 @@ from revisit.service.adapters.sql import tables
 from revisit.service.adapters.sql.engine import DatabaseEngine
 from revisit.service.adapters.sql.statements import new_row
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.ports import IndexChange
+from revisit.service.application.contract.index import IndexChange
 
 
 class SqlChangeLog:
-    """`ports.ChangeLog`."""
+    """`ChangeLog`."""
 
     def __init__(self, connection: Connection, engine: DatabaseEngine) -> None:
         """All statements go through `connection`, a connection of `engine`."""
@@ -24,20 +24,20 @@ class SqlChangeLog:
         self._engine = engine
 
     def record_described(self, tenant: TenantId, map_number: int, submap_number: int) -> int:
-        """See `ports.ChangeLog`."""
+        """See `ChangeLog`."""
         self._engine.number_in_commit_order(self._connection, tables.index_changes)
         row = _change_row(tenant, map_number, submap_number, "DESCRIBED")
         return int(self._connection.execute(new_row(tables.index_changes), row).scalar_one())
 
     def record_removed(self, tenant: TenantId, map_number: int, submap_numbers: Collection[int]) -> None:
-        """See `ports.ChangeLog`."""
+        """See `ChangeLog`."""
         rows = [_change_row(tenant, map_number, number, "REMOVED") for number in sorted(submap_numbers)]
         if rows:
             self._engine.number_in_commit_order(self._connection, tables.index_changes)
             self._connection.execute(insert(tables.index_changes), rows)
 
     def since(self, tenant: TenantId, map_number: int, seq: int, limit: int | None = None) -> list[IndexChange]:
-        """See `ports.ChangeLog`."""
+        """See `ChangeLog`."""
         asked = {"its_tenant": tenant, "its_map": map_number, "after": seq}
         return [_change(row) for row in self._connection.execute(_changes_since().limit(limit), asked)]
 

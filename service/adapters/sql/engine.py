@@ -11,7 +11,7 @@ from sqlalchemy.exc import IntegrityError
 class DatabaseEngine(Protocol):
     """A database engine, as the repositories see it.
 
-    The package of an engine also implements `ports.Transactions` and brings the schema up to date. The repositories
+    The package of an engine also implements `Transactions` and brings the schema up to date. The repositories
     rely on it for four things. A write transaction is serialisable: what it has read does not change before it commits.
     A number that a table has given to a row is never given to another, even where the row is gone. Text is ordered by
     code point, as Python orders it. A statement that is refused (IntegrityError) ends the work that sent it.

@@ -9,15 +9,16 @@ from sqlalchemy import ColumnElement, Select, and_, bindparam, delete, func, or_
 
 from revisit.service.adapters.sql import tables
 from revisit.service.adapters.sql.repositories import SqlRepository
-from revisit.service.application.contract.ports import Instant
+from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.records import JobRecord
+from revisit.service.application.contract.states import OperationState
 
 
 class SqlJobs(SqlRepository[JobRecord]):
-    """`ports.JobRepository`."""
+    """`JobRepository`."""
 
     def next_runnable(self, now: Instant, after: str = "") -> JobRecord | None:
-        """See `ports.JobRepository`."""
+        """See `JobRepository`."""
         moment = {**_moment(now), "after": after}
         # One query per state: each walks the index of its state, however many jobs have finished.
         for before in (False, True):
@@ -27,16 +28,18 @@ class SqlJobs(SqlRepository[JobRecord]):
         return None
 
     def exhausted(self, now: Instant) -> list[JobRecord]:
-        """See `ports.JobRepository`."""
+        """See `JobRepository`."""
         return [self._of(row) for row in self._connection.execute(_exhausted(), _moment(now))]
 
     def leased_to(self, owner: str) -> list[JobRecord]:
-        """See `ports.JobRepository`."""
-        query = select(tables.jobs).where(tables.jobs.c.state == "RUNNING", tables.jobs.c.lease_owner == owner)
+        """See `JobRepository`."""
+        query = select(tables.jobs).where(
+            tables.jobs.c.state == OperationState.RUNNING.value, tables.jobs.c.lease_owner == owner
+        )
         return [self._of(row) for row in self._connection.execute(query)]
 
     def forget_answers(self, before_ns: int, limit: int) -> int:
-        """See `ports.JobRepository`."""
+        """See `JobRepository`."""
         jobs = tables.jobs.c
         # The condition of the partial index, word for word: with a parameter in it the index is not used.
         ended = and_(text(tables.ANSWERED_QUERIES), jobs.finished_at_ns < before_ns)
@@ -44,8 +47,8 @@ class SqlJobs(SqlRepository[JobRecord]):
         return self._connection.execute(delete(tables.jobs).where(jobs.number.in_(old))).rowcount
 
     def oldest_queued_ns(self) -> int | None:
-        """See `ports.JobRepository`."""
-        query = select(func.min(tables.jobs.c.created_at_ns)).where(tables.jobs.c.state == "QUEUED")
+        """See `JobRepository`."""
+        query = select(func.min(tables.jobs.c.created_at_ns)).where(tables.jobs.c.state == OperationState.QUEUED.value)
         oldest: int | None = self._connection.execute(query).scalar_one()
         return oldest
 
@@ -58,7 +61,11 @@ def _runnable(lost: bool, before: bool) -> Select[Any]:
     """
     jobs = tables.jobs.c
     due = or_(jobs.lease_epoch != bindparam("epoch"), jobs.not_before_ms <= bindparam("now_ms"))
-    ready = and_(_lost(), jobs.attempts < jobs.max_attempts) if lost else and_(jobs.state == "QUEUED", due)
+    ready = (
+        and_(_lost(), jobs.attempts < jobs.max_attempts)
+        if lost
+        else and_(jobs.state == OperationState.QUEUED.value, due)
+    )
     turn = jobs.tenant <= bindparam("after") if before else jobs.tenant > bindparam("after")
     return select(tables.jobs).where(ready, turn).order_by(jobs.tenant, jobs.priority, jobs.number).limit(1)
 
@@ -72,7 +79,7 @@ def _exhausted() -> Select[Any]:
 def _lost() -> ColumnElement[bool]:
     jobs = tables.jobs.c
     expired = or_(jobs.lease_epoch != bindparam("epoch"), jobs.lease_expires_ms <= bindparam("now_ms"))
-    return and_(jobs.state == "RUNNING", expired)
+    return and_(jobs.state == OperationState.RUNNING.value, expired)
 
 
 def _moment(now: Instant) -> dict[str, Any]:

@@ -25,12 +25,13 @@ from revisit.service.adapters.sql.statements import (
 from revisit.service.application.contract.errors import AlreadyExists, NotFound
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.records import ScanRecord, SubmapRecord
+from revisit.service.application.contract.states import SubmapState
 
 R = TypeVar("R")
 
 
 class SqlRepository(Generic[R]):
-    """`ports.Repository` over a table whose columns are the fields of the record."""
+    """`Repository` over a table whose columns are the fields of the record."""
 
     def __init__(
         self, connection: Connection, engine: DatabaseEngine, table: Table, record: type[R], key: tuple[str, ...]
@@ -43,7 +44,7 @@ class SqlRepository(Generic[R]):
         self._key = key
 
     def add(self, record: R) -> R:
-        """See `ports.Repository`."""
+        """See `Repository`."""
         row = column_values(record)
         row.pop("number")
         try:
@@ -55,49 +56,49 @@ class SqlRepository(Generic[R]):
         return dataclasses.replace(record, number=number)  # type: ignore[type-var]  # R is always a record dataclass
 
     def get(self, tenant: TenantId, *key: str | int) -> R | None:
-        """See `ports.Repository`."""
+        """See `Repository`."""
         asked = of_tenant(tenant, dict(zip(self._key, key, strict=True)))
         row = self._connection.execute(rows_where(self._table, asked), asked).one_or_none()
         return None if row is None else self._of(row)
 
     def find(self, tenant: TenantId, *, after: int = 0, limit: int | None = None, **equals: Scalar) -> list[R]:
-        """See `ports.Repository`."""
+        """See `Repository`."""
         return self._found(of_tenant(tenant, equals), after, limit)
 
     def numbered(self, tenant: TenantId, numbers: Sequence[int]) -> dict[int, R]:
-        """See `ports.Repository`."""
+        """See `Repository`."""
         where = and_(self._table.c.number.in_(numbers), self._table.c.tenant == tenant)
         rows = self._connection.execute(select(self._table).where(where))
         return {row.number: self._of(row) for row in rows}
 
     def distinct(self, tenant: TenantId, field: str, **equals: Scalar) -> set[Any]:
-        """See `ports.Repository`."""
+        """See `Repository`."""
         column, asked = self._table.c[field], of_tenant(tenant, equals)
         query = select(column).where(matches(self._table, asked), column.is_not(None)).distinct()
         return set(self._connection.execute(query, asked).scalars())
 
     def count(self, tenant: TenantId, **equals: Scalar) -> int:
-        """See `ports.Repository`."""
+        """See `Repository`."""
         asked = of_tenant(tenant, equals)
         return int(self._connection.execute(count_where(self._table, asked), asked).scalar_one())
 
     def count_of_all_tenants(self, **equals: Scalar) -> int:
-        """See `ports.Repository`."""
+        """See `Repository`."""
         return int(self._connection.execute(count_where(self._table, equals), equals).scalar_one())
 
     def of_all_tenants(self, *, after: int = 0, limit: int | None = None) -> list[R]:
-        """See `ports.Repository`."""
+        """See `Repository`."""
         return self._found({}, after, limit)
 
     def replace(self, record: R) -> None:
-        """See `ports.Repository`."""
+        """See `Repository`."""
         row = column_values(record)
         which = {"its_number": row.pop("number"), "its_tenant": row.pop("tenant")}
         if self._connection.execute(changed_row(self._table), {**row, **which}).rowcount != 1:
             raise NotFound
 
     def delete(self, tenant: TenantId, **equals: Scalar) -> int:
-        """See `ports.Repository`."""
+        """See `Repository`."""
         asked = of_tenant(tenant, equals)
         return self._connection.execute(delete(self._table).where(matches(self._table, asked)), asked).rowcount
 
@@ -111,10 +112,10 @@ class SqlRepository(Generic[R]):
 
 
 class SqlScans(SqlRepository[ScanRecord]):
-    """`ports.ScanRepository`."""
+    """`ScanRepository`."""
 
     def first_seq_from(self, tenant: TenantId, map_id: str, session_id: str, travelled_m: float) -> int | None:
-        """See `ports.ScanRepository`."""
+        """See `ScanRepository`."""
         asked = of_tenant(tenant, {"map_id": map_id, "session_id": session_id})
         where = and_(matches(tables.scans, asked), tables.scans.c.travelled_m >= travelled_m)
         query = select(func.min(tables.scans.c.seq)).where(where)
@@ -122,21 +123,21 @@ class SqlScans(SqlRepository[ScanRecord]):
         return first
 
     def with_seqs(self, tenant: TenantId, map_id: str, session_id: str, seqs: Sequence[int]) -> list[ScanRecord]:
-        """See `ports.ScanRepository`."""
+        """See `ScanRepository`."""
         seq, asked = tables.scans.c.seq, of_tenant(tenant, {"map_id": map_id, "session_id": session_id})
         rows = self._connection.execute(rows_where(tables.scans, asked).where(seq.in_(seqs)).order_by(seq), asked)
         return [self._of(row) for row in rows]
 
 
 class SqlSubmaps(SqlRepository[SubmapRecord]):
-    """`ports.SubmapRepository`."""
+    """`SubmapRepository`."""
 
     def last_number(self) -> int:
-        """See `ports.SubmapRepository`."""
+        """See `SubmapRepository`."""
         return self._engine.last_number(self._connection, tables.submaps)
 
     def waiting_up_to(self, tenant: TenantId, map_id: str, number: int) -> int:
-        """See `ports.SubmapRepository`."""
-        asked = of_tenant(tenant, {"state": "QUEUED", "map_id": map_id})
+        """See `SubmapRepository`."""
+        asked = of_tenant(tenant, {"state": SubmapState.QUEUED.value, "map_id": map_id})
         query = count_where(tables.submaps, asked).where(tables.submaps.c.number <= number)
         return int(self._connection.execute(query, asked).scalar_one())

@@ -28,7 +28,7 @@ from revisit.service.application.contract.records import (
 
 @dataclass(frozen=True)
 class SqlUnitOfWork:
-    """`ports.UnitOfWork` over a connection in one transaction. A lease lasts `lease_ms` milliseconds."""
+    """`UnitOfWork` over a connection in one transaction. A lease lasts `lease_ms` milliseconds."""
 
     connection: Connection
     engine: DatabaseEngine

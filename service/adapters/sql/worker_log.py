@@ -10,25 +10,25 @@ from revisit.service.application.contract.records import WorkerRecord
 
 
 class SqlWorkerLog:
-    """`ports.WorkerLog`."""
+    """`WorkerLog`."""
 
     def __init__(self, connection: Connection) -> None:
         """All statements go through `connection`."""
         self._connection = connection
 
     def beat(self, worker: WorkerRecord) -> None:
-        """See `ports.WorkerLog`."""
+        """See `WorkerLog`."""
         # No upsert, which is not standard SQL: a worker alone writes its row.
         self.forget(worker.worker_id)
         self._connection.execute(insert(tables.workers).values(column_values(worker)))
 
     def alive(self, epoch: str, since_ms: int) -> list[WorkerRecord]:
-        """See `ports.WorkerLog`."""
+        """See `WorkerLog`."""
         workers = tables.workers.c
         query = select(tables.workers).where(workers.epoch == epoch, workers.seen_ms >= since_ms)
         rows = self._connection.execute(query.order_by(workers.seen_ms.desc(), workers.worker_id))
         return [WorkerRecord(**row._mapping) for row in rows]
 
     def forget(self, worker_id: str) -> None:
-        """See `ports.WorkerLog`."""
+        """See `WorkerLog`."""
         self._connection.execute(delete(tables.workers).where(tables.workers.c.worker_id == worker_id))

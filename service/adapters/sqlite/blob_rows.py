@@ -9,8 +9,8 @@ from functools import cache
 from sqlalchemy.dialects import sqlite
 
 from revisit.service.adapters.sql.blob_addresses import blob_addresses
+from revisit.service.application.contract.blobs import StoredBlob
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.ports import StoredBlob
 
 
 def named_blobs(connection: sqlite3.Connection) -> Iterator[StoredBlob]:

@@ -15,7 +15,7 @@ from revisit.service.adapters.files.filesystem import MOUNTS, RemoteFileSystem, 
 from revisit.service.adapters.sqlite.blob_rows import named_blobs
 from revisit.service.adapters.sqlite.connections import DATABASE, open_to_read, write_ahead_log
 from revisit.service.adapters.sqlite.migration import current_revision, known_revisions, newest_revision
-from revisit.service.application.contract.ports import StoredBlob
+from revisit.service.application.contract.blobs import StoredBlob
 from revisit.service.application.housekeeping.system import WAL_ALARM_BYTES
 
 SAMPLE = 200

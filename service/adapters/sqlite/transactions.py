@@ -30,14 +30,14 @@ from revisit.service.adapters.sqlite.engine import SqliteEngine
 from revisit.service.adapters.sqlite.failures import StorageFailures
 from revisit.service.adapters.sqlite.group_commit import GroupCommitter
 from revisit.service.adapters.sqlite.writer_lock import WriterLock
-from revisit.service.application.contract.ports import UnitOfWork
+from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.failpoints import failpoint
 
 T = TypeVar("T")
 
 
 class SqliteTransactions:
-    """`ports.Transactions` on a SQLite file that `migrate` has prepared."""
+    """`Transactions` on a SQLite file that `migrate` has prepared."""
 
     def __init__(
         self,
@@ -66,15 +66,15 @@ class SqliteTransactions:
         self._reading = ThreadPoolExecutor(READERS, thread_name_prefix="reader")
 
     def write(self, work: Callable[[UnitOfWork], T], *, alone: bool = False) -> Future[T]:
-        """See `ports.Transactions`."""
+        """See `Transactions`."""
         return self._writing.submit(lambda connection: work(self._unit_of_work(connection)), alone=alone)
 
     def read(self, work: Callable[[UnitOfWork], T]) -> Future[T]:
-        """See `ports.Transactions`."""
+        """See `Transactions`."""
         return self._reading.submit(self._read, work)
 
     def close(self) -> None:
-        """See `ports.Transactions`."""
+        """See `Transactions`."""
         self._writing.close()
         self._reading.shutdown(wait=True)
         self._reader.dispose()

@@ -1,7 +1,8 @@
-"""Admission: a credential becomes a caller, or is refused, before a request is even read."""
+"""Authentication: a credential becomes a caller, or is refused, before the request is read."""
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -14,9 +15,10 @@ from revisit.service.application.access.audit import AuditEntry, AuditLog
 from revisit.service.application.access.callers import ANYONE, Caller, Scope
 from revisit.service.application.access.failed_attempts import FailedAttempts
 from revisit.service.application.contract.access_ports import TokenVerifier
-from revisit.service.application.contract.context import Context
+from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.errors import PermissionDenied, TooManyFailures, Unauthenticated
 from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.storage import Storage
 from revisit.service.redaction import redacted
 
 MAX_CREDENTIAL_CHARACTERS = 8192
@@ -57,13 +59,14 @@ class AccessRules:
 
 
 class Access:
-    """Admits callers, counts and writes down whom it refuses."""
+    """Authenticates and authorises callers, and notes refusals in the audit log."""
 
-    def __init__(self, context: Context, rules: AccessRules) -> None:
-        """Keys are looked up through `context`."""
-        self._context = context
+    def __init__(self, storage: Storage, audit_log: AuditLog, clock: Clock, rules: AccessRules) -> None:
+        """Keys are looked up in `storage`."""
+        self._storage = storage
+        self._audit = audit_log
+        self._clock = clock
         self._rules = rules
-        self._audit = AuditLog(context)
         self._failed = FailedAttempts()
 
     async def admit(
@@ -104,17 +107,17 @@ class Access:
         rules = self._rules
         if rules.required or rules.tokens is not None or rules.certificates:
             return False
-        return await self._context.read(lambda uow: uow.keys.is_empty())
+        return await self._storage.read(lambda uow: uow.keys.is_empty())
 
     async def _of_bearer(self, text: str) -> Caller:
         shown = parse_key(text)
         if shown is not None:
-            record = await self._context.read(lambda uow: uow.keys.get(shown.key_id))
-            return caller_of_key(record, shown, self._context.clock.wall_ns())
+            record = await self._storage.read(lambda uow: uow.keys.get(shown.key_id))
+            return caller_of_key(record, shown, self._clock.wall_ns())
         if self._rules.tokens is None or len(text) > MAX_CREDENTIAL_CHARACTERS:
             raise Unauthenticated
-        now_s = self._context.clock.wall_ns() / 1e9
-        claims = await self._context.compute(self._rules.tokens.verify, text, now_s)
+        now_s = self._clock.wall_ns() / 1e9
+        claims = await asyncio.to_thread(self._rules.tokens.verify, text, now_s)
         scopes = frozenset(scope for scope in Scope if scope.value in claims.scopes)
         return Caller(claims.tenant, audit.printable(f"token {claims.subject}"), scopes)
 
@@ -122,7 +125,7 @@ class Access:
         self, error: RevisitError, caller: Caller | None, credential: Credential, call: str
     ) -> None:
         """Write a refusal down while there are not too many; raises TooManyFailures where strangers go beyond that."""
-        wait_s = self._failed.count(credential.address, self._context.clock.instant().ms)
+        wait_s = self._failed.count(credential.address, self._clock.instant().ms / 1000)
         if wait_s > 0.0:
             if caller is None:
                 raise TooManyFailures(retry_after_s=wait_s) from error

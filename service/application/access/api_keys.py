@@ -16,10 +16,11 @@ from revisit.service.application.access.audit import AuditEntry
 from revisit.service.application.access.callers import Caller, Scope, current_actor
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.access_ports import KeyRecord
-from revisit.service.application.contract.context import Context
+from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.errors import NotFound, RevokedKey, Unauthenticated
 from revisit.service.application.contract.identity import TenantId, validated_id, validated_label
-from revisit.service.application.contract.ports import UnitOfWork
+from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.transactions import UnitOfWork
 
 NS = 1_000_000_000
 SECRET_BYTES = 32
@@ -93,9 +94,10 @@ def is_live(record: KeyRecord, now_ns: int) -> bool:
 class ApiKeys:
     """Create, list, rotate and revoke keys; each change is a row of the audit log in the same transaction."""
 
-    def __init__(self, context: Context) -> None:
-        """All calls use `context`."""
-        self._context = context
+    def __init__(self, storage: Storage, clock: Clock) -> None:
+        """Keys are kept in `storage`."""
+        self._storage = storage
+        self._clock = clock
 
     async def create(self, command: CreateKey) -> NewKey:
         """A new key. Raises BadField."""
@@ -106,20 +108,20 @@ class ApiKeys:
             audit.append(uow, made.record.created_at_ns, entry)
             return uow.keys.add(made.record)
 
-        return replace(made, record=await self._context.write(add))
+        return replace(made, record=await self._storage.write(add))
 
     async def all(self) -> list[KeyRecord]:
         """Every key ever created, oldest first."""
-        return await self._context.read(lambda uow: uow.keys.all())
+        return await self._storage.read(lambda uow: uow.keys.all())
 
     async def any_live(self) -> bool:
         """Whether some key opens something now."""
-        now_ns = self._context.clock.wall_ns()
+        now_ns = self._clock.wall_ns()
         return any(is_live(record, now_ns) for record in await self.all())
 
     async def revoke(self, key_id: str) -> KeyRecord:
         """The key opens nothing from now on; again: no effect. Raises NotFound."""
-        now_ns, actor = self._context.clock.wall_ns(), current_actor()
+        now_ns, actor = self._clock.wall_ns(), current_actor()
 
         def change(uow: UnitOfWork) -> KeyRecord:
             known = _require(uow, key_id)
@@ -130,14 +132,14 @@ class ApiKeys:
             audit.append(uow, now_ns, AuditEntry(known.tenant, actor, "key_revoked", f"keys/{key_id}", {}))
             return revoked
 
-        return await self._context.write(change)
+        return await self._storage.write(change)
 
     async def rotate(self, key_id: str, grace_s: float) -> NewKey:
         """A successor with the same rights and lifetime; the old key goes on for `grace_s` at most.
 
         Raises NotFound; BadField where the key is no longer live or has a successor already.
         """
-        now_ns, actor = self._context.clock.wall_ns(), current_actor()
+        now_ns, actor = self._clock.wall_ns(), current_actor()
 
         def change(uow: UnitOfWork) -> NewKey:
             known = _require(uow, key_id)
@@ -153,7 +155,7 @@ class ApiKeys:
             audit.append(uow, now_ns, AuditEntry(known.tenant, actor, "key_rotated", f"keys/{key_id}", detail))
             return replace(made, record=uow.keys.add(made.record))
 
-        return await self._context.write(change)
+        return await self._storage.write(change)
 
     def _made(self, command: CreateKey) -> NewKey:
         validated_id(command.tenant, "tenant")
@@ -164,7 +166,7 @@ class ApiKeys:
         if command.lifetime_s is not None:
             limits.KEY_LIFETIME_S.validated(command.lifetime_s, "lifetime_s")
         shown = _random_key()
-        now_ns = self._context.clock.wall_ns()
+        now_ns = self._clock.wall_ns()
         record = KeyRecord(
             tenant=TenantId(command.tenant),
             key_id=shown.key_id,

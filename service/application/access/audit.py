@@ -6,13 +6,15 @@ import hashlib
 import json
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 from revisit.service.application.access.callers import current_actor
 from revisit.service.application.contract.access_ports import AuditRecord
-from revisit.service.application.contract.context import Context
+from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.ports import UnitOfWork
+from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.transactions import UnitOfWork
 
 NOTHING_BEFORE = "0" * 64
 """What stands for the previous hash in the first row."""
@@ -90,27 +92,27 @@ def printable(text: str) -> str:
 class AuditLog:
     """List and verify."""
 
-    def __init__(self, context: Context) -> None:
-        """All calls use `context`."""
-        self._context = context
+    def __init__(self, storage: Storage, clock: Clock) -> None:
+        """The log is in `storage`."""
+        self._storage = storage
+        self._clock = clock
 
     async def note(self, entry: AuditEntry) -> None:
         """Add a row in a transaction of its own. Raises StorageFull, StorageUncertain."""
-        at_ns = self._context.clock.wall_ns()
-        await self._context.write(lambda uow: append(uow, at_ns, entry))
+        await self._storage.write(partial(append, at_ns=self._clock.wall_ns(), entry=entry))
 
     async def newest(self, limit: int) -> list[AuditRecord]:
         """The last `limit` rows, oldest first."""
-        return await self._context.read(lambda uow: uow.audit.since(max(0, uow.audit.highest() - limit), limit))
+        return await self._storage.read(lambda uow: uow.audit.since(max(0, uow.audit.highest() - limit), limit))
 
     async def holds(self, number: int, row_hash: str) -> bool:
         """Whether row `number` is there with this hash."""
-        rows = await self._context.read(lambda uow: uow.audit.since(number - 1, 1))
+        rows = await self._storage.read(lambda uow: uow.audit.since(number - 1, 1))
         return [(row.number, row.hash) for row in rows] == [(number, row_hash)]
 
     async def verify(self) -> AuditVerdict:
         """Read every row and check the chain."""
-        return await self._context.read(lambda uow: judge(_all(uow), uow.audit.highest()))
+        return await self._storage.read(lambda uow: judge(_all(uow), uow.audit.highest()))
 
 
 def _all(uow: UnitOfWork) -> Iterator[AuditRecord]:

@@ -1,28 +1,13 @@
-"""How many failed authentications are answered and written down one by one."""
+"""The rate limit of failed authentications."""
 
 from __future__ import annotations
 
 from collections import OrderedDict
-from dataclasses import dataclass
+
+from revisit.service.application.capacity.token_bucket import TokenBucket
 
 ADDRESSES = 4096
 """Addresses remembered; the one that failed longest ago is forgotten first."""
-
-
-@dataclass
-class Bucket:
-    """Holds up to `burst` tokens, refilled at `per_s` a second; times in milliseconds of a monotonic clock."""
-
-    burst: float
-    per_s: float
-    tokens: float
-    at_ms: int
-
-    def wait_s(self, now_ms: int) -> float:
-        """How long until there is a token, seconds; 0 where there is one."""
-        self.tokens = min(self.burst, self.tokens + (now_ms - self.at_ms) / 1000 * self.per_s)
-        self.at_ms = now_ms
-        return max(0.0, (1.0 - self.tokens) / self.per_s)
 
 
 class FailedAttempts:
@@ -32,23 +17,23 @@ class FailedAttempts:
     """
 
     def __init__(self) -> None:
-        self._all: Bucket | None = None
-        self._by_address: OrderedDict[str, Bucket] = OrderedDict()
+        self._all: TokenBucket | None = None
+        self._by_address: OrderedDict[str, TokenBucket] = OrderedDict()
         self._over_budget = 0
 
-    def count(self, address: str, now_ms: int) -> float:
-        """Count a failure; 0 where the budget had room for it, else the seconds until it has again."""
-        self._all = self._all or Bucket(200.0, 1.0, 200.0, now_ms)
-        own = self._by_address.setdefault(address, Bucket(20.0, 0.2, 20.0, now_ms))
+    def count(self, address: str, now_s: float) -> float:
+        """Count a failure at `now_s` of a monotonic clock; 0 within the budget, else the seconds until it has room."""
+        self._all = self._all or TokenBucket.full(1.0, 200.0, now_s)
+        own = self._by_address.setdefault(address, TokenBucket.full(0.2, 20.0, now_s))
         self._by_address.move_to_end(address)
         if len(self._by_address) > ADDRESSES:
             self._by_address.popitem(last=False)
-        wait_s = max(own.wait_s(now_ms), self._all.wait_s(now_ms))
+        wait_s = max(own.wait_s(now_s, needed=1.0), self._all.wait_s(now_s, needed=1.0))
         if wait_s > 0.0:
             self._over_budget += 1
             return wait_s
-        own.tokens -= 1.0
-        self._all.tokens -= 1.0
+        own.take(1.0, now_s)
+        self._all.take(1.0, now_s)
         return 0.0
 
     def take_over_budget(self) -> int:

@@ -1,1 +1,1 @@
-"""How much is accepted: rate limits, quotas, clouds in flight."""
+"""What the service accepts now: rate limits, clouds and streams in flight, the backlog of jobs."""

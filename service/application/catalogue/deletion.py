@@ -1,25 +1,28 @@
 """Deleting: the rows of a submap, session or map in one transaction, then the blobs that no row names any more.
 
-A crash in between leaves blobs that the next sweep finds; it never leaves a part of the rows. The one writer is held
-meanwhile, so rows are read and changed by the set, not one by one.
+A crash in between leaves blobs, which the next sweep deletes, and never a part of the rows. The transaction holds up
+all other writers, so rows are read and changed in sets, not one by one.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+from revisit.service.application.catalogue.blob_references import Blob, blobs_of_rows, blobs_of_submap
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.ports import UnitOfWork
-from revisit.service.application.contract.records import MapRecord, SessionRecord, SubmapRecord, SubmapState
-from revisit.service.application.housekeeping.blob_references import Blob, blobs_of_rows, blobs_of_submap
-from revisit.service.application.query.operations import SUBMAP_DELETED, OperationState
+from revisit.service.application.contract.records import MapRecord, SessionRecord, SubmapRecord
+from revisit.service.application.contract.states import OperationState, SubmapState
+from revisit.service.application.contract.transactions import UnitOfWork
+
+SUBMAP_DELETED = {"outcome": "the submap was deleted"}
+"""The result of a job whose submap is gone."""
 
 
 def delete_submap(uow: UnitOfWork, record: MapRecord, submap: SubmapRecord, at_ns: int) -> set[Blob]:
     """Delete a submap of a map with its loop closures; its blobs, which other rows may name too."""
     uow.loops.delete(submap.tenant, query_number=submap.number)
     uow.loops.delete(submap.tenant, match_number=submap.number)
-    _forget(uow, record, at_ns, number=submap.number)
+    _remove_from_index(uow, record, at_ns, number=submap.number)
     uow.submaps.delete(submap.tenant, number=submap.number)
     return blobs_of_submap(submap)
 
@@ -28,7 +31,7 @@ def delete_session(uow: UnitOfWork, record: MapRecord, session: SessionRecord, a
     """Delete a session of a map with its scans, its submaps and their loop closures; their blobs."""
     tenant, of_session = session.tenant, {"map_id": session.map_id, "session_id": session.session_id}
     doomed = blobs_of_rows(uow, tenant, **of_session)
-    _forget(uow, record, at_ns, **of_session)
+    _remove_from_index(uow, record, at_ns, **of_session)
     for side in ("query_session_id", "match_session_id"):
         uow.loops.delete(tenant, map_id=session.map_id, **{side: session.session_id})
     for rows in (uow.submaps, uow.scans, uow.sessions):
@@ -46,7 +49,7 @@ def delete_map(uow: UnitOfWork, record: MapRecord, at_ns: int) -> set[Blob]:
     return doomed
 
 
-def _forget(uow: UnitOfWork, record: MapRecord, at_ns: int, **submaps: str | int) -> None:
+def _remove_from_index(uow: UnitOfWork, record: MapRecord, at_ns: int, **submaps: str | int) -> None:
     """Take submaps of a map out of the index or, where they are not there yet, out of the queue."""
     described = uow.submaps.distinct(record.tenant, "number", state=SubmapState.DESCRIBED.value, **submaps)
     uow.changes.record_removed(record.tenant, record.number, described)

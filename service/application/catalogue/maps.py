@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass
+from functools import partial
 
 from revisit.core.config import PipelineConfig
 from revisit.service.application.access import audit
+from revisit.service.application.access.audit import AuditEntry
+from revisit.service.application.capacity.admission import Admission
+from revisit.service.application.catalogue.blob_references import Blob, BlobCollector
 from revisit.service.application.catalogue.deletion import delete_map
 from revisit.service.application.catalogue.paging import Page, PageRequest, page_of
 from revisit.service.application.contract import limits
-from revisit.service.application.contract.context import Context
-from revisit.service.application.contract.errors import AlreadyExists, NotFound
+from revisit.service.application.contract.clock import Clock
+from revisit.service.application.contract.errors import AlreadyExists
 from revisit.service.application.contract.identity import TenantId, content_hash, validated_id, validated_label
+from revisit.service.application.contract.index import VectorIndex
+from revisit.service.application.contract.lookup import require_map
 from revisit.service.application.contract.loop_policy import LoopPolicy
-from revisit.service.application.contract.ports import UnitOfWork
+from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.records import MapRecord
-from revisit.service.application.housekeeping.blob_references import Blob, collect_blobs_in_turns
+from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.transactions import UnitOfWork
+from revisit.service.application.ingest.open_streams import OpenStreams
 from revisit.service.failpoints import failpoint
-
-MIN_SCENE_SCALE = limits.SCENE_SCALE.least
-MAX_SCENE_SCALE = limits.SCENE_SCALE.most
 
 
 @dataclass(frozen=True)
@@ -65,54 +70,61 @@ class CreatedMap:
 class Maps:
     """Create, get, list and delete maps."""
 
-    def __init__(self, context: Context) -> None:
-        """All calls use `context`."""
-        self._context = context
+    def __init__(
+        self,
+        storage: Storage,
+        admission: Admission,
+        collector: BlobCollector,
+        index: VectorIndex,
+        streams: OpenStreams,
+        clock: Clock,
+        policy: Policy,
+    ) -> None:
+        """`index` forgets a deleted map, `streams` end, `collector` deletes its blobs."""
+        self._storage = storage
+        self._admission = admission
+        self._collector = collector
+        self._index = index
+        self._streams = streams
+        self._clock = clock
+        self._policy = policy
 
     async def create(self, tenant: TenantId, command: CreateMap) -> CreatedMap:
         """Create a map. Raises BadField; AlreadyExists where the id is taken by other content; Draining."""
-        self._context.admit()
+        self._admission.require_running()
         record = self._record(tenant, command)
+        return await self._storage.write(partial(self._add, record=record))
 
-        def add(uow: UnitOfWork) -> CreatedMap:
-            known = uow.maps.get(tenant, command.map_id)
-            if known is None:
-                return CreatedMap(self._view(uow, uow.maps.add(record)), replay=False)
-            if known.content_hash != record.content_hash:
-                raise AlreadyExists(f"map {command.map_id} exists with other content")
-            return CreatedMap(self._view(uow, known), replay=True)
-
-        return await self._context.write(add)
+    def _add(self, uow: UnitOfWork, record: MapRecord) -> CreatedMap:
+        known = uow.maps.get(record.tenant, record.map_id)
+        if known is None:
+            return CreatedMap(self._view(uow, uow.maps.add(record)), replay=False)
+        if known.content_hash != record.content_hash:
+            raise AlreadyExists(f"map {record.map_id} exists with other content")
+        return CreatedMap(self._view(uow, known), replay=True)
 
     async def get(self, tenant: TenantId, map_id: str) -> MapView:
         """Raises NotFound."""
-        return await self._context.read(lambda uow: self._view(uow, require_map(uow, tenant, map_id)))
+        return await self._storage.read(lambda uow: self._view(uow, require_map(uow, tenant, map_id)))
 
     async def list(self, tenant: TenantId, page: PageRequest) -> Page[MapView]:
         """The tenant's maps, oldest first."""
+        return await self._storage.read(partial(self._page, tenant=tenant, page=page))
 
-        def load(uow: UnitOfWork) -> Page[MapView]:
-            records = uow.maps.find(tenant, after=page.after, limit=page.size + 1)
-            return page_of(records, page, lambda record: self._view(uow, record))
-
-        return await self._context.read(load)
+    def _page(self, uow: UnitOfWork, tenant: TenantId, page: PageRequest) -> Page[MapView]:
+        records = uow.maps.find(tenant, after=page.after, limit=page.size + 1)
+        return page_of(records, page, partial(self._view, uow))
 
     async def delete(self, tenant: TenantId, map_id: str) -> None:
         """Delete a map with everything in it. Raises NotFound, Draining."""
-        self._context.admit()
-
-        entry, at_ns = audit.noted(tenant, "map_deleted", f"maps/{map_id}"), self._context.clock.wall_ns()
-
-        def remove(uow: UnitOfWork) -> tuple[int, set[Blob]]:
-            record = require_map(uow, tenant, map_id)
-            audit.append(uow, at_ns, entry)
-            return record.number, delete_map(uow, record, at_ns)
-
-        number, doomed = await self._context.write(remove)
+        self._admission.require_running()
+        entry = audit.noted(tenant, "map_deleted", f"maps/{map_id}")
+        work = partial(_delete, map_id=map_id, entry=entry, at_ns=self._clock.wall_ns())
+        number, doomed = await self._storage.write(work)
         failpoint("delete.after_rows")
-        self._context.stream_endings.end(tenant, map_id)
-        self._context.index.drop(number)
-        await collect_blobs_in_turns(self._context, tenant, doomed)
+        self._streams.end(tenant, map_id)
+        self._index.drop(number)
+        await self._collector.collect(tenant, doomed)
 
     def _record(self, tenant: TenantId, command: CreateMap) -> MapRecord:
         validated_id(command.map_id, "map_id")
@@ -137,11 +149,11 @@ class Maps:
             min_overlap=own.min_overlap,
             max_seen_through=own.max_seen_through,
             model_version=None,
-            created_at_ns=self._context.clock.wall_ns(),
+            created_at_ns=self._clock.wall_ns(),
         )
 
     def _view(self, uow: UnitOfWork, record: MapRecord) -> MapView:
-        config = self._context.policy.for_map(record)
+        config = self._policy.for_map(record)
         return MapView(
             map_id=record.map_id,
             display_name=record.display_name,
@@ -161,12 +173,10 @@ def _policy_in_force(config: PipelineConfig) -> LoopPolicy:
     return LoopPolicy(config.loop.candidates, rules.min_score, rules.min_overlap, rules.max_seen_through)
 
 
-def require_map(uow: UnitOfWork, tenant: TenantId, map_id: str) -> MapRecord:
-    """The map. Raises NotFound."""
-    record = uow.maps.get(tenant, map_id)
-    if record is None:
-        raise NotFound(f"there is no map {map_id!r}"[:200])
-    return record
+def _delete(uow: UnitOfWork, map_id: str, entry: AuditEntry, at_ns: int) -> tuple[int, set[Blob]]:
+    record = require_map(uow, TenantId(entry.tenant), map_id)
+    audit.append(uow, at_ns, entry)
+    return record.number, delete_map(uow, record, at_ns)
 
 
 def model_for_map(record: MapRecord, model_version: str) -> str:

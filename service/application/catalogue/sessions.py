@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 from revisit.service.application.access import audit
+from revisit.service.application.access.audit import AuditEntry
+from revisit.service.application.capacity.admission import Admission
+from revisit.service.application.capacity.backlog import JobPosting
+from revisit.service.application.catalogue.blob_references import Blob, BlobCollector
 from revisit.service.application.catalogue.deletion import delete_session
-from revisit.service.application.catalogue.maps import require_map
 from revisit.service.application.catalogue.paging import Page, PageRequest, page_of
-from revisit.service.application.catalogue.robots import require_robot
-from revisit.service.application.catalogue.session_lookup import SessionState, require_session
-from revisit.service.application.contract.context import Context
+from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.errors import AlreadyExists
 from revisit.service.application.contract.identity import SessionKey, TenantId, content_hash, validated_id
-from revisit.service.application.contract.ports import UnitOfWork
+from revisit.service.application.contract.lookup import require_map, require_robot, require_session
 from revisit.service.application.contract.records import SessionRecord
-from revisit.service.application.housekeeping.blob_references import Blob, collect_blobs_in_turns
-from revisit.service.application.ingest.scan_windows import remainder
-from revisit.service.application.ingest.window_submaps import add_window_submap, window_of
+from revisit.service.application.contract.states import SessionState
+from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.transactions import UnitOfWork
+from revisit.service.application.ingest.open_streams import OpenStreams
+from revisit.service.application.ingest.scan_windows import remainder, window_of
+from revisit.service.application.ingest.window_submaps import add_window_submap
 from revisit.service.failpoints import failpoint
 
 
@@ -59,82 +64,69 @@ class CreatedSession:
 class Sessions:
     """Create, get, list, finish and delete sessions."""
 
-    def __init__(self, context: Context) -> None:
-        """All calls use `context`."""
-        self._context = context
+    def __init__(
+        self,
+        storage: Storage,
+        admission: Admission,
+        jobs: JobPosting,
+        collector: BlobCollector,
+        streams: OpenStreams,
+        clock: Clock,
+    ) -> None:
+        """The last submap of a finished session is queued through `jobs`; `streams` of a deleted one end."""
+        self._storage = storage
+        self._admission = admission
+        self._jobs = jobs
+        self._collector = collector
+        self._streams = streams
+        self._clock = clock
 
     async def create(self, tenant: TenantId, command: CreateSession) -> CreatedSession:
         """Create a session. Raises BadField; NotFound for map or robot; AlreadyExists for other content; Draining."""
-        self._context.admit()
+        self._admission.require_running()
         record = self._record(tenant, command)
-
-        def add(uow: UnitOfWork) -> CreatedSession:
-            require_map(uow, tenant, command.map_id)
-            known = uow.sessions.get(tenant, command.map_id, command.session_id)
-            if known is None:
-                if command.robot_id is not None:
-                    require_robot(uow, tenant, command.robot_id)
-                return CreatedSession(_view(uow, uow.sessions.add(record)), replay=False)
-            if known.content_hash != record.content_hash:
-                raise AlreadyExists(f"session {command.session_id} exists with other content")
-            return CreatedSession(_view(uow, known), replay=True)
-
-        return await self._context.write(add)
+        return await self._storage.write(partial(_add, record=record))
 
     async def get(self, tenant: TenantId, key: SessionKey) -> SessionView:
         """Raises NotFound."""
-        return await self._context.read(lambda uow: _view(uow, require_session(uow, tenant, key)))
+        return await self._storage.read(lambda uow: _view(uow, require_session(uow, tenant, key)))
 
     async def list(self, tenant: TenantId, map_id: str, page: PageRequest) -> Page[SessionView]:
         """The sessions of a map, oldest first. Raises NotFound for the map."""
-
-        def load(uow: UnitOfWork) -> Page[SessionView]:
-            require_map(uow, tenant, map_id)
-            records = uow.sessions.find(tenant, after=page.after, limit=page.size + 1, map_id=map_id)
-            return page_of(records, page, lambda record: _view(uow, record))
-
-        return await self._context.read(load)
+        return await self._storage.read(partial(_page, tenant=tenant, map_id=map_id, page=page))
 
     async def finish(self, tenant: TenantId, key: SessionKey) -> SessionView:
         """Close the session; the scans of its last, shorter window become a submap. Again: no effect.
 
         Raises NotFound, WorkersBusy, Draining.
         """
-        self._context.admit()
-
-        def close(uow: UnitOfWork) -> SessionView:
-            session = require_session(uow, tenant, key)
-            if session.state == SessionState.FINISHED:
-                return _view(uow, session)
-            rest = remainder(window_of(session), session.committed_seq)
-            if rest is not None:
-                _, session = add_window_submap(uow, self._context, session, rest)
-            finished_at_ns = self._context.clock.wall_ns()
-            finished = replace(session, state=SessionState.FINISHED.value, finished_at_ns=finished_at_ns)
-            uow.sessions.replace(finished)
-            return _view(uow, finished)
-
-        closed = await self._context.write(close)
+        self._admission.require_running()
+        closed = await self._storage.write(partial(self._finish, tenant=tenant, key=key))
         failpoint("session.after_finish")
         return closed
+
+    def _finish(self, uow: UnitOfWork, tenant: TenantId, key: SessionKey) -> SessionView:
+        session, now_ns = require_session(uow, tenant, key), self._clock.wall_ns()
+        if session.state == SessionState.FINISHED:
+            return _view(uow, session)
+        rest = remainder(window_of(session), session.committed_seq)
+        if rest is not None:
+            _, session = add_window_submap(uow, self._jobs, session, rest, now_ns)
+        finished = replace(session, state=SessionState.FINISHED.value, finished_at_ns=now_ns)
+        uow.sessions.replace(finished)
+        return _view(uow, finished)
 
     async def delete(self, tenant: TenantId, key: SessionKey) -> None:
         """Delete a session with its scans, its submaps and their loop closures; its streams end, its jobs are dropped.
 
         Its id is free again. Raises NotFound, Draining.
         """
-        self._context.admit()
-        entry, at_ns = audit.noted(tenant, "session_deleted", key.name), self._context.clock.wall_ns()
-
-        def remove(uow: UnitOfWork) -> set[Blob]:
-            session = require_session(uow, tenant, key)
-            audit.append(uow, at_ns, entry)
-            return delete_session(uow, require_map(uow, tenant, key.map_id), session, at_ns)
-
-        doomed = await self._context.write(remove)
+        self._admission.require_running()
+        entry = audit.noted(tenant, "session_deleted", key.name)
+        doomed = await self._storage.write(partial(_delete, key=key, entry=entry, at_ns=self._clock.wall_ns()))
         failpoint("delete.after_rows")
-        self._context.stream_endings.end(tenant, key.map_id, key.session_id)
-        await collect_blobs_in_turns(self._context, tenant, doomed)
+        self._streams.end(tenant, key.map_id, key.session_id)
+        await self._collector.collect(tenant, doomed)
 
     def _record(self, tenant: TenantId, command: CreateSession) -> SessionRecord:
         return SessionRecord(
@@ -150,9 +142,34 @@ class Sessions:
             window_start_m=0.0,
             window_first_seq=1,
             emitted_to_m=None,
-            created_at_ns=self._context.clock.wall_ns(),
+            created_at_ns=self._clock.wall_ns(),
             finished_at_ns=None,
         )
+
+
+def _add(uow: UnitOfWork, record: SessionRecord) -> CreatedSession:
+    require_map(uow, record.tenant, record.map_id)
+    known = uow.sessions.get(record.tenant, record.map_id, record.session_id)
+    if known is None:
+        if record.robot_id is not None:
+            require_robot(uow, record.tenant, record.robot_id)
+        return CreatedSession(_view(uow, uow.sessions.add(record)), replay=False)
+    if known.content_hash != record.content_hash:
+        raise AlreadyExists(f"session {record.session_id} exists with other content")
+    return CreatedSession(_view(uow, known), replay=True)
+
+
+def _page(uow: UnitOfWork, tenant: TenantId, map_id: str, page: PageRequest) -> Page[SessionView]:
+    require_map(uow, tenant, map_id)
+    records = uow.sessions.find(tenant, after=page.after, limit=page.size + 1, map_id=map_id)
+    return page_of(records, page, partial(_view, uow))
+
+
+def _delete(uow: UnitOfWork, key: SessionKey, entry: AuditEntry, at_ns: int) -> set[Blob]:
+    tenant = TenantId(entry.tenant)
+    session = require_session(uow, tenant, key)
+    audit.append(uow, at_ns, entry)
+    return delete_session(uow, require_map(uow, tenant, key.map_id), session, at_ns)
 
 
 def _view(uow: UnitOfWork, record: SessionRecord) -> SessionView:
@@ -168,6 +185,3 @@ def _view(uow: UnitOfWork, record: SessionRecord) -> SessionView:
         finished_at_ns=record.finished_at_ns,
         committed_stamp_ns=None if last is None else last.stamp_ns,
     )
-
-
-__all__ = ["CreateSession", "CreatedSession", "SessionState", "SessionView", "Sessions"]

@@ -7,20 +7,11 @@ so they order lists, page them and stand for a record in the vector index. Poses
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Any
 
 from revisit.service.application.contract.identity import TenantId
 
 Pose = tuple[float, ...]
-
-
-class SubmapState(StrEnum):
-    """How far a submap has come."""
-
-    QUEUED = "QUEUED"
-    DESCRIBED = "DESCRIBED"
-    FAILED = "FAILED"
 
 
 @dataclass(frozen=True)

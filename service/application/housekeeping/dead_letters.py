@@ -7,22 +7,31 @@ operation's `failure` the reason, and here is the way back.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 from revisit.core.errors import BadField
-from revisit.service.application.contract.context import Context
+from revisit.service.application.capacity.admission import Admission
+from revisit.service.application.capacity.backlog import Backlog
 from revisit.service.application.contract.errors import NotFound
 from revisit.service.application.contract.identity import SubmapKey, TenantId
-from revisit.service.application.contract.ports import UnitOfWork
-from revisit.service.application.contract.records import JobRecord, SubmapRecord, SubmapState
-from revisit.service.application.query.operations import OperationKind, OperationState, OperationView, operation_view
+from revisit.service.application.contract.lookup import require_job
+from revisit.service.application.contract.policy import Policy
+from revisit.service.application.contract.records import JobRecord, SubmapRecord
+from revisit.service.application.contract.states import OperationKind, OperationState, SubmapState
+from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.transactions import UnitOfWork
+from revisit.service.application.contract.views import OperationView, operation_view
 
 
 class DeadLetters:
     """Queue failed operations again."""
 
-    def __init__(self, context: Context) -> None:
-        """All calls use `context`."""
-        self._context = context
+    def __init__(self, storage: Storage, admission: Admission, backlog: Backlog, policy: Policy) -> None:
+        """`policy` says how many attempts a job has."""
+        self._storage = storage
+        self._admission = admission
+        self._backlog = backlog
+        self._policy = policy
 
     async def retry(self, tenant: TenantId, operation_id: str) -> OperationView:
         """Queue a failed description again, with as many attempts as a new one; one that has not failed is left alone.
@@ -30,13 +39,11 @@ class DeadLetters:
         Raises NotFound, also where its submap was deleted; BadField for a search, whose cloud is not kept;
         WorkersBusy, Draining.
         """
-        self._context.admit()
-        return await self._context.write(lambda uow: self._retry(uow, tenant, operation_id))
+        self._admission.require_running()
+        return await self._storage.write(partial(self._retry, tenant=tenant, operation_id=operation_id))
 
     def _retry(self, uow: UnitOfWork, tenant: TenantId, operation_id: str) -> OperationView:
-        job = uow.jobs.get(tenant, operation_id)
-        if job is None:
-            raise NotFound(f"there is no operation {operation_id!r}"[:200])
+        job = require_job(uow, tenant, operation_id)
         if job.state != OperationState.FAILED:
             return operation_view(job)
         if job.kind != OperationKind.DESCRIBE_SUBMAP:
@@ -44,11 +51,11 @@ class DeadLetters:
         submap = _subject(uow, job)
         if submap is None:
             raise NotFound(f"the submap of operation {operation_id} was deleted")
-        self._context.require_queue_space(uow, tenant)
+        self._backlog.require_space(uow, tenant)
         queued = replace(
             job,
             state=OperationState.QUEUED.value,
-            max_attempts=job.attempts + self._context.policy.max_attempts,
+            max_attempts=job.attempts + self._policy.max_attempts,
             not_before_ms=0,
             failure_code=None,
             failure_message=None,
@@ -60,7 +67,7 @@ class DeadLetters:
 
 
 def mark_subject_failed(uow: UnitOfWork, job: JobRecord, code: str, message: str) -> None:
-    """Say on the submap itself that its description has failed for good."""
+    """Mark the submap as failed: its description has failed for good."""
     submap = _subject(uow, job) if job.kind == OperationKind.DESCRIBE_SUBMAP else None
     if submap is not None:
         failed = SubmapState.FAILED.value

@@ -1,15 +1,20 @@
-"""The gateway's index beside its database: loaded before the service is ready, audited and mended ever after."""
+"""The gateway's index: loaded before the service is ready, then compared with the database and repaired for ever."""
 
 from __future__ import annotations
 
+import asyncio
 import time
+from dataclasses import dataclass
+from functools import partial
 
 import structlog
 
-from revisit.service.application.contract.context import Context
-from revisit.service.application.contract.ports import IndexChange, UnitOfWork
+from revisit.service.application.contract.index import IndexChange, VectorIndex
 from revisit.service.application.contract.records import MapRecord, SubmapRecord
-from revisit.service.application.recognise.place_memory import PlaceMemory
+from revisit.service.application.contract.states import SubmapState
+from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.transactions import UnitOfWork
+from revisit.service.application.query.place_memory import PlaceMemory
 
 WINDOW = 256
 """Descriptors that one turn of the audit compares: a few milliseconds, for requests wait meanwhile."""
@@ -20,37 +25,51 @@ MAPS = 8
 log = structlog.get_logger(__name__)
 
 
-class IndexKeeper:
-    """Loads every map's index once, then compares it with the database a window at a time, for ever around."""
+@dataclass
+class IndexHealth:
+    """How this process's index compares with the database.
 
-    def __init__(self, context: Context) -> None:
-        """From now on the service is not ready, until `load` is done."""
-        self._context = context
-        self._memory = PlaceMemory(context.transactions, context.index)
+    `loading`: it is being loaded after a start, and the service is not ready. `drift`: the submaps found to differ, and
+    repaired, since then.
+    """
+
+    loading: bool = False
+    drift: int = 0
+
+
+class IndexKeeper:
+    """Loads the index of every map once, then compares it with the database, a window at a time."""
+
+    def __init__(self, storage: Storage, index: VectorIndex, memory: PlaceMemory, health: IndexHealth) -> None:
+        """`memory` brings `index` up to date. From now on the service is not ready, until `load` is done."""
+        self._storage = storage
+        self._index = index
+        self._memory = memory
+        self._health = health
         self._last_map = 0
         self._last_submap: dict[int, int] = {}
-        context.index_health.loading = True
+        health.loading = True
 
     async def load(self) -> None:
         """Bring the index of every map up to the database; nothing once that was done."""
-        if not self._context.index_health.loading:
+        if not self._health.loading:
             return
         began_s = time.perf_counter()
-        maps = await self._context.read(lambda uow: uow.maps.of_all_tenants())
+        maps = await self._storage.read(lambda uow: uow.maps.of_all_tenants())
         for record in maps:
-            await self._context.compute(self._memory.catch_up, record.tenant, record.number)
-        self._context.index_health.loading = False
-        submaps = sum(self._context.index.size(record.number) for record in maps)
+            await asyncio.to_thread(self._memory.catch_up, record.tenant, record.number)
+        self._health.loading = False
+        submaps = sum(self._index.size(record.number) for record in maps)
         log.info("index_loaded", maps=len(maps), submaps=submaps, took_s=round(time.perf_counter() - began_s, 3))
 
     async def audit(self) -> int:
         """Compare the next maps, until a window of descriptors is done; how many submaps differed and were mended."""
-        if self._context.index_health.loading:
+        if self._health.loading:
             return 0
-        maps = await self._context.read(lambda uow: uow.maps.of_all_tenants(after=self._last_map, limit=MAPS))
+        maps = await self._storage.read(lambda uow: uow.maps.of_all_tenants(after=self._last_map, limit=MAPS))
         drift = compared = 0
         for record in maps:
-            found, looked_at = await self._context.compute(self._audit_map, record)
+            found, looked_at = await asyncio.to_thread(self._audit_map, record)
             drift, compared = drift + found, compared + looked_at
             if record.number in self._last_submap:
                 return drift
@@ -63,17 +82,11 @@ class IndexKeeper:
 
     def _audit_map(self, record: MapRecord) -> tuple[int, int]:
         """The next window of a map's submaps; how many differed, how many were compared."""
-        tenant, number, index = record.tenant, record.number, self._context.index
+        tenant, number, index = record.tenant, record.number, self._index
         self._memory.catch_up(tenant, number)
         seq, held = index.numbers(number)
         after = self._last_submap.pop(number, 0)
-
-        def load(uow: UnitOfWork) -> list[SubmapRecord] | None:
-            if uow.maps.get(tenant, record.map_id) is None:
-                return None
-            return uow.submaps.find(tenant, after=after, limit=WINDOW, map_id=record.map_id, state="DESCRIBED")
-
-        window = self._context.transactions.read(load).result()
+        window = self._storage.transactions.read(partial(_window, record=record, after=after)).result()
         if window is None:
             return 0, 0
         held = held[held > after]
@@ -83,7 +96,7 @@ class IndexKeeper:
         live = {submap.number for submap in window}
         suspects = (live ^ set(held.tolist())).union(index.differing(number, [_place(submap) for submap in window]))
         # What has changed since the index was looked at differs rightly.
-        newer = self._context.transactions.read(lambda uow: uow.changes.since(tenant, number, seq)).result()
+        newer = self._storage.transactions.read(lambda uow: uow.changes.since(tenant, number, seq)).result()
         drift = suspects.difference(change.submap_number for change in newer)
         if drift:
             self._mend(record, len(drift))
@@ -92,9 +105,17 @@ class IndexKeeper:
     def _mend(self, record: MapRecord, drift: int) -> None:
         """Load the map's index anew; searches meanwhile wait for it (see `PlaceMemory.recall`)."""
         log.error("index_drift", tenant=record.tenant, map=record.map_id, submaps=drift)
-        self._context.index_health.drift += drift
-        self._context.index.drop(record.number)
+        self._health.drift += drift
+        self._index.drop(record.number)
         self._memory.catch_up(record.tenant, record.number)
+
+
+def _window(uow: UnitOfWork, record: MapRecord, after: int) -> list[SubmapRecord] | None:
+    """The next described submaps of a map; None where the map was deleted."""
+    if uow.maps.get(record.tenant, record.map_id) is None:
+        return None
+    described = {"map_id": record.map_id, "state": SubmapState.DESCRIBED.value}
+    return uow.submaps.find(record.tenant, after=after, limit=WINDOW, **described)
 
 
 def _place(submap: SubmapRecord) -> IndexChange:

@@ -1,20 +1,21 @@
-"""Sweeping: blobs that no row names any more, or never did, because a process ended between the two, are deleted."""
+"""Sweeping: deletes blobs without a row, left behind where a process ended between storing the two."""
 
 from __future__ import annotations
 
+import asyncio
 from itertools import groupby, islice
 
 import structlog
 
-from revisit.service.application.contract.context import Context
-from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.ports import StoredBlob
-from revisit.service.application.housekeeping.blob_references import (
+from revisit.service.application.catalogue.blob_references import (
     BLOBS_PER_TURN,
     Blob,
-    collect_blobs_in_turns,
+    BlobCollector,
     is_referenced,
 )
+from revisit.service.application.contract.blobs import StoredBlob
+from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.storage import Storage
 
 MIN_AGE_S = 3600.0
 """A blob is stored moments before the row that names it; what is younger may still be waiting for its row."""
@@ -22,21 +23,21 @@ MIN_AGE_S = 3600.0
 log = structlog.get_logger(__name__)
 
 
-async def sweep(context: Context, min_age_s: float = MIN_AGE_S) -> int:
+async def sweep(storage: Storage, min_age_s: float = MIN_AGE_S) -> int:
     """Delete every blob of every tenant that is old enough and that no row names; how many were found."""
-    stored = context.blobs.stored(min_age_s)
+    stored = storage.blobs.stored(min_age_s)
     found = 0
-    while turn := await context.compute(lambda: list(islice(stored, BLOBS_PER_TURN))):
+    while turn := await asyncio.to_thread(lambda: list(islice(stored, BLOBS_PER_TURN))):
         for tenant, blobs in groupby(turn, key=lambda blob: blob.tenant):
-            found += await _sweep_turn(context, tenant, list(blobs))
+            found += await _sweep_turn(storage, tenant, list(blobs))
     if found:
         log.info("blobs_swept", blobs=found)
     return found
 
 
-async def _sweep_turn(context: Context, tenant: TenantId, blobs: list[StoredBlob]) -> int:
+async def _sweep_turn(storage: Storage, tenant: TenantId, blobs: list[StoredBlob]) -> int:
     addresses: list[Blob] = [(blob.kind, blob.sha256) for blob in blobs]
-    orphans = await context.read(lambda uow: [blob for blob in addresses if not is_referenced(uow, tenant, *blob)])
+    orphans = await storage.read(lambda uow: [blob for blob in addresses if not is_referenced(uow, tenant, *blob)])
     # Looks again, alone in a write transaction: a row may name one of them by now.
-    await collect_blobs_in_turns(context, tenant, orphans)
+    await BlobCollector(storage).collect(tenant, orphans)
     return len(orphans)

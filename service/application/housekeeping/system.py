@@ -1,14 +1,20 @@
-"""The service itself: whether it can serve, what it is doing, whether it is stopping."""
+"""The service itself: readiness, status, drain."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 
 from revisit.core.errors import RevisitError
-from revisit.service.application.contract.context import Context
+from revisit.service.application.capacity.admission import Admission
+from revisit.service.application.contract.clock import Clock
+from revisit.service.application.contract.disk import DiskSpace
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.ports import UnitOfWork
+from revisit.service.application.contract.states import OperationState, SubmapState
+from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.transactions import UnitOfWork
+from revisit.service.application.housekeeping.index_keeping import IndexHealth
 
 WORKER_SEEN_WITHIN_MS = 15_000
 
@@ -49,64 +55,58 @@ class ServiceStatus:
 class System:
     """Readiness, status, drain."""
 
-    def __init__(self, context: Context, version: str) -> None:
-        """`version` is the product's."""
-        self._context = context
+    def __init__(
+        self, storage: Storage, admission: Admission, disk: DiskSpace, index: IndexHealth, clock: Clock, version: str
+    ) -> None:
+        """`index` is the state of this process's index; `version` is the product's."""
+        self._storage = storage
+        self._admission = admission
+        self._disk = disk
+        self._index = index
+        self._clock = clock
         self._version = version
 
     async def readiness(self) -> Readiness:
         """Ready when the database answers, the index is loaded and the service is not draining."""
         if self.draining:
             return Readiness(False, ("draining",))
-        if self._context.index_health.loading:
+        if self._index.loading:
             return Readiness(False, ("the index is being loaded",))
         try:
-            await self._context.read(lambda uow: uow.workers.alive("", 0))
+            await self._storage.read(lambda uow: uow.workers.alive("", 0))
         except RevisitError as error:
             return Readiness(False, (f"database: {error.message}",))
         return Readiness(True, (), tuple(self._degraded()))
 
     def _degraded(self) -> Iterator[str]:
-        if self._context.disk.full():
+        if self._disk.full():
             yield "storage full: no new scans or submaps until there is room"
-        wal_bytes = self._context.disk.wal_bytes()
+        wal_bytes = self._disk.wal_bytes()
         if wal_bytes > WAL_ALARM_BYTES:
             yield f"the log of the database has grown to {wal_bytes >> 20} MiB: searches and starts become slower"
 
     async def status(self, tenant: TenantId) -> ServiceStatus:
         """Queue depth, index size, workers and model version."""
-        now = self._context.clock.instant()
+        return await self._storage.read(partial(self._status, tenant=tenant))
 
-        def load(uow: UnitOfWork) -> ServiceStatus:
-            alive = uow.workers.alive(now.epoch, now.ms - WORKER_SEEN_WITHIN_MS)
-            return ServiceStatus(
-                version=self._version,
-                model_version=alive[0].model_version if alive else None,
-                queued_jobs=uow.jobs.count(tenant, state="QUEUED"),
-                running_jobs=uow.jobs.count(tenant, state="RUNNING"),
-                failed_jobs=uow.jobs.count(tenant, state="FAILED"),
-                indexed_submaps=uow.submaps.count(tenant, state="DESCRIBED"),
-                workers=tuple(WorkerView(worker.worker_id, worker.model_version) for worker in alive),
-            )
-
-        return await self._context.read(load)
-
-    def admit_cloud(self, tenant: TenantId) -> None:
-        """What can be said before a cloud is read. Raises Draining, RateLimited, WorkersBusy."""
-        self._context.admit()
-        self._context.intake.require_points(tenant)
-        self._context.intake.require_place(tenant)
-
-    async def admit_job(self, tenant: TenantId) -> None:
-        """As `admit_cloud`, for a cloud that becomes a job. Raises also WorkersBusy where the queue is full."""
-        self.admit_cloud(tenant)
-        await self._context.require_room(tenant)
+    def _status(self, uow: UnitOfWork, tenant: TenantId) -> ServiceStatus:
+        now = self._clock.instant()
+        alive = uow.workers.alive(now.epoch, now.ms - WORKER_SEEN_WITHIN_MS)
+        return ServiceStatus(
+            version=self._version,
+            model_version=alive[0].model_version if alive else None,
+            queued_jobs=uow.jobs.count(tenant, state=OperationState.QUEUED.value),
+            running_jobs=uow.jobs.count(tenant, state=OperationState.RUNNING.value),
+            failed_jobs=uow.jobs.count(tenant, state=OperationState.FAILED.value),
+            indexed_submaps=uow.submaps.count(tenant, state=SubmapState.DESCRIBED.value),
+            workers=tuple(WorkerView(worker.worker_id, worker.model_version) for worker in alive),
+        )
 
     def drain(self) -> None:
-        """From now on refuse new work with Draining; what is under way ends."""
-        self._context.stopping.set()
+        """From now on refuse new work with Draining; work in progress ends."""
+        self._admission.stop()
 
     @property
     def draining(self) -> bool:
         """Whether `drain` was called."""
-        return self._context.stopping.is_set()
+        return self._admission.stopping

@@ -1,11 +1,16 @@
-"""Clouds on their way in: encoded by the client or already decoded by a transport; validated; packed for storage."""
+"""Received clouds: decoded if they are encoded, validated, and packed for storage."""
 
 from __future__ import annotations
 
+import asyncio
 import re
 import struct
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from dataclasses import dataclass
-from typing import TypeAlias
+from functools import partial
+from typing import ParamSpec, TypeAlias, TypeVar
 
 import numpy as np
 import zstandard
@@ -16,9 +21,10 @@ from revisit.core.scan import CloudReport, Points, validate_cloud
 from revisit.formats import DecodedCloud, decode_cloud
 from revisit.service.application.contract import limits
 
-CLOUD_BLOB = "cloud"
-QUERY_CLOUD_BLOB = "query-cloud"
 QUERY_NONCE_BYTES = 16
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 _MAGIC = b"RVC1"
 _HEADER = struct.Struct("<4sIB")
@@ -61,6 +67,19 @@ def accept_cloud(cloud: CloudInput, max_points: int) -> tuple[StoredCloud, Cloud
         raise BadField("intensity must have one value per point", field="intensity")
     kept = decoded.intensity[np.isfinite(decoded.points).all(axis=1)]
     return StoredCloud(points, np.ascontiguousarray(kept, dtype=np.float32)), report
+
+
+class CloudDecoder:
+    """Decodes clouds beside the event loop, as many at a time as there are threads: a cloud keeps a core busy."""
+
+    def __init__(self, threads: int) -> None:
+        """Clouds beyond `threads` wait for their turn."""
+        self._pool = ThreadPoolExecutor(threads, "decode")
+
+    async def run(self, work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+        """What `work` returns, run in one of the threads with the context of the request."""
+        in_context = partial(copy_context().run, work, *args, **kwargs)
+        return await asyncio.get_running_loop().run_in_executor(self._pool, in_context)
 
 
 def pack_cloud(cloud: StoredCloud) -> bytes:

@@ -1,4 +1,4 @@
-"""Where a session's window of scans stands: `core.submap.SubmapBuilder` as a value that a row can hold.
+"""The current window of a session's scans: the state of `core.submap.SubmapBuilder` as a value that a row can hold.
 
 The builder keeps scans in memory; here they are rows, and a window is the range of their sequence numbers, so that an
 unfinished window survives a restart. A test holds the two against each other on random drives.
@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from revisit.core.config import SubmapConfig
 from revisit.core.submap import next_window_start
+from revisit.service.application.contract.records import SessionRecord
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,11 @@ class ScanRange:
 
     first: int
     last: int
+
+
+def window_of(session: SessionRecord) -> Window:
+    """The window that a session's row holds."""
+    return Window(session.window_first_seq, session.window_start_m, session.travelled_m, session.emitted_to_m)
 
 
 FirstSeqFrom = Callable[[float], int | None]

@@ -7,25 +7,32 @@ import hashlib
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from revisit.core.errors import BadField
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.scan import CloudReport, Scan
-from revisit.service.application.catalogue.maps import require_map
-from revisit.service.application.catalogue.session_lookup import require_active, require_session
-from revisit.service.application.catalogue.submaps import PostedSubmap
+from revisit.service.application.capacity.admission import Admission
+from revisit.service.application.capacity.backlog import JobPosting
+from revisit.service.application.capacity.in_flight import InFlight
 from revisit.service.application.contract import limits
-from revisit.service.application.contract.context import Context
+from revisit.service.application.contract.blobs import CLOUD_BLOB
+from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.errors import NotFound, SequenceGap
 from revisit.service.application.contract.identity import SessionKey, TenantId
-from revisit.service.application.contract.ports import UnitOfWork
+from revisit.service.application.contract.lookup import require_active, require_map, require_session
+from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.poses import pose_matrix, pose_row
 from revisit.service.application.contract.records import ScanRecord, SessionRecord
-from revisit.service.application.ingest.clouds import CLOUD_BLOB, CloudInput, accept_cloud, pack_cloud
-from revisit.service.application.ingest.scan_windows import Window, advance
-from revisit.service.application.ingest.window_submaps import add_window_submap, window_of
+from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.transactions import UnitOfWork
+from revisit.service.application.ingest.clouds import CloudDecoder, CloudInput, accept_cloud, pack_cloud
+from revisit.service.application.ingest.open_streams import OpenStreams
+from revisit.service.application.ingest.scan_windows import Window, advance, window_of
+from revisit.service.application.ingest.submap_posting import PostedSubmap
+from revisit.service.application.ingest.window_submaps import add_window_submap
 from revisit.service.failpoints import failpoint
 
 
@@ -86,9 +93,26 @@ class _Accepted:
 class Scans:
     """Open a session's stream and append scans to it."""
 
-    def __init__(self, context: Context) -> None:
-        """All calls use `context`."""
-        self._context = context
+    def __init__(
+        self,
+        storage: Storage,
+        admission: Admission,
+        decoder: CloudDecoder,
+        jobs: JobPosting,
+        in_flight: InFlight,
+        streams: OpenStreams,
+        clock: Clock,
+        policy: Policy,
+    ) -> None:
+        """Completed submaps are queued through `jobs`."""
+        self._storage = storage
+        self._admission = admission
+        self._decoder = decoder
+        self._jobs = jobs
+        self._in_flight = in_flight
+        self._streams = streams
+        self._clock = clock
+        self._policy = policy
 
     async def open(self, tenant: TenantId, session: SessionKey, resume: ResumePoint = ResumePoint()) -> OpenedStream:
         """Where the session stands.
@@ -96,8 +120,8 @@ class Scans:
         Raises NotFound, also where the token is another session's; SequenceGap where fewer scans are stored than were
         acknowledged (an older backup was restored); SessionFinished, Draining.
         """
-        self._context.admit()
-        record = await self._context.read(lambda uow: require_session(uow, tenant, session))
+        self._admission.require_running()
+        record = await self._storage.read(partial(require_session, tenant=tenant, key=session))
         token = f"{record.number:x}-{record.created_at_ns:x}"
         if resume.token not in ("", token):
             raise NotFound("the resume token is of another session")
@@ -106,34 +130,34 @@ class Scans:
         require_active(record)
         return OpenedStream(session, record.committed_seq, token)
 
-    def ending(self, tenant: TenantId, session: SessionKey) -> AbstractContextManager[asyncio.Event]:
-        """Set once the session was deleted; to be entered before `open`."""
-        return self._context.stream_endings.watched(tenant, session)
+    def deletion_of(self, tenant: TenantId, session: SessionKey) -> AbstractContextManager[asyncio.Event]:
+        """An event that is set when the session is deleted; to be entered before `open`."""
+        return self._streams.deletion_of(tenant, session)
 
-    def place_for_stream(self, tenant: TenantId, *, replaces: bool) -> AbstractContextManager[None]:
-        """A place for one more stream; one that `replaces` another, which ends, gets that one's. Raises RateLimited."""
-        return self._context.intake.stream(tenant, replaces=replaces)
+    def reserve_stream(self, tenant: TenantId, *, replaces: bool) -> AbstractContextManager[None]:
+        """The slot of one more stream (see `InFlight.reserve_stream`). Raises RateLimited."""
+        return self._in_flight.reserve_stream(tenant, replaces=replaces)
 
     async def append(self, tenant: TenantId, command: AppendScan, *, patient: bool = False) -> ScanAck:
-        """Store one scan durably; returns after the commit. One that is `patient` waits for its turn.
+        """Store one scan durably; returns after the commit. A `patient` one waits for a slot.
 
         Raises what decoding and validation raise, NotFound, SessionFinished, SequenceGap(expected), WorkersBusy,
         RateLimited, Draining, StorageFull, StorageUncertain.
         """
-        self._context.admit_data()
+        self._admission.require_storage()
         limits.SCAN_SEQ.validated(command.seq, "seq")
-        session = await self._context.read(lambda uow: require_session(uow, tenant, command.session))
+        session = await self._storage.read(partial(require_session, tenant=tenant, key=command.session))
         if _is_replay(session, command.seq):
             return ScanAck(session.committed_seq, replay=True, report=None, submap=None)
-        async with self._context.taking_in(tenant, patient=patient, queued=False) as spend:
-            return await self._store(tenant, command, spend)
+        async with self._admission.cloud(tenant, patient=patient, queued=False) as decoded:
+            return await self._store(tenant, command, decoded)
 
-    async def _store(self, tenant: TenantId, command: AppendScan, spend: Callable[[int], None]) -> ScanAck:
-        accepted = await self._context.decode(_accept, command)
-        spend(len(accepted.scan.points))
-        await self._context.compute(self._context.blobs.put, tenant, CLOUD_BLOB, accepted.packed)
+    async def _store(self, tenant: TenantId, command: AppendScan, decoded: Callable[[int], None]) -> ScanAck:
+        accepted = await self._decoder.run(_accept, command)
+        decoded(len(accepted.scan.points))
+        await self._storage.put_blob(tenant, CLOUD_BLOB, accepted.packed)
         failpoint("ingest.after_blob")
-        ack = await self._context.write(lambda uow: self._insert(uow, tenant, command.session, accepted))
+        ack = await self._storage.write(partial(self._insert, tenant=tenant, key=command.session, accepted=accepted))
         failpoint("ingest.after_commit")
         return ack
 
@@ -144,25 +168,21 @@ class Scans:
         last = uow.scans.get(session.tenant, session.map_id, session.session_id, session.committed_seq)
         step_m = _step_m(last, accepted.scan)
         sha256 = hashlib.sha256(accepted.packed).hexdigest()
-        # A delete may have collected the same content meanwhile (see blob_references.collect_blobs).
-        if not self._context.blobs.exists(tenant, CLOUD_BLOB, sha256):
-            self._context.blobs.put(tenant, CLOUD_BLOB, accepted.packed)
+        self._storage.keep_blob(tenant, CLOUD_BLOB, accepted.packed, sha256)
         uow.scans.add(_row(session, accepted, session.travelled_m + step_m, sha256))
         submap = self._advance(uow, session, accepted.seq, step_m)
         return ScanAck(accepted.seq, replay=False, report=accepted.report, submap=submap)
 
     def _advance(self, uow: UnitOfWork, session: SessionRecord, seq: int, step_m: float) -> PostedSubmap | None:
         """Move the session's window on; the submap that is complete now, if one is."""
-        config = self._context.policy.for_map(require_map(uow, session.tenant, session.map_id)).submap
-        stored = (session.tenant, session.map_id, session.session_id)
-        window, finished = advance(
-            window_of(session), seq, step_m, config, lambda start_m: uow.scans.first_seq_from(*stored, start_m)
-        )
+        config = self._policy.for_map(require_map(uow, session.tenant, session.map_id)).submap
+        first_seq_from = partial(uow.scans.first_seq_from, session.tenant, session.map_id, session.session_id)
+        window, finished = advance(window_of(session), seq, step_m, config, first_seq_from)
         moved = _with_window(replace(session, committed_seq=seq), window)
         if finished is None:
             uow.sessions.replace(moved)
             return None
-        return add_window_submap(uow, self._context, moved, finished)[0]
+        return add_window_submap(uow, self._jobs, moved, finished, self._clock.wall_ns())[0]
 
 
 def _accept(command: AppendScan) -> _Accepted:

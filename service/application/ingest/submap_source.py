@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from revisit.core.config import SubmapConfig
 from revisit.core.scan import CloudReport, Scan
 from revisit.core.submap import Submap
-from revisit.service.application.catalogue.maps import require_map
-from revisit.service.application.contract.context import Context
-from revisit.service.application.contract.ports import BlobStore, UnitOfWork
+from revisit.service.application.contract.blobs import CLOUD_BLOB, BlobStore
+from revisit.service.application.contract.lookup import require_map
+from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.poses import pose_matrix
 from revisit.service.application.contract.records import Pose, SubmapRecord
-from revisit.service.application.ingest.clouds import CLOUD_BLOB, unpack_cloud
+from revisit.service.application.contract.transactions import UnitOfWork
+from revisit.service.application.ingest.clouds import unpack_cloud
 
 MAX_SCANS = 400
 """A window of a robot that stood still can hold any number of scans: at most this many, evenly spread, are used."""
@@ -36,9 +37,9 @@ class SubmapSource:
     config: SubmapConfig
 
 
-def submap_source(uow: UnitOfWork, context: Context, record: SubmapRecord) -> SubmapSource:
+def submap_source(uow: UnitOfWork, policy: Policy, record: SubmapRecord) -> SubmapSource:
     """The source of a stored submap."""
-    config = context.policy.for_map(require_map(uow, record.tenant, record.map_id)).submap
+    config = policy.for_map(require_map(uow, record.tenant, record.map_id)).submap
     if record.first_seq is None or record.last_seq is None:
         posted = PosedCloud(str(record.cloud_sha256), record.T_odom_submap, record.stamp_ns)
         return SubmapSource((posted,), posted=True, config=config)

@@ -4,33 +4,29 @@ from __future__ import annotations
 
 import numpy as np
 
-from revisit.service.application.catalogue.submaps import PostedSubmap, add_submap, posted_submap
-from revisit.service.application.contract.context import Context
+from revisit.service.application.capacity.backlog import JobPosting
 from revisit.service.application.contract.identity import RESERVED_SUBMAP_PREFIX, content_hash
-from revisit.service.application.contract.ports import UnitOfWork
 from revisit.service.application.contract.poses import pose_matrix, position_row
-from revisit.service.application.contract.records import ScanRecord, SessionRecord, SubmapRecord, SubmapState
-from revisit.service.application.ingest.scan_windows import ScanRange, Window
+from revisit.service.application.contract.records import ScanRecord, SessionRecord, SubmapRecord
+from revisit.service.application.contract.states import SubmapState
+from revisit.service.application.contract.transactions import UnitOfWork
+from revisit.service.application.ingest.scan_windows import ScanRange
+from revisit.service.application.ingest.submap_posting import PostedSubmap, add_submap, posted_submap
 from revisit.service.application.ingest.submap_source import chosen_seqs
 
 
-def window_of(session: SessionRecord) -> Window:
-    """The window that a session's row holds."""
-    return Window(session.window_first_seq, session.window_start_m, session.travelled_m, session.emitted_to_m)
-
-
 def add_window_submap(
-    uow: UnitOfWork, context: Context, session: SessionRecord, scans: ScanRange
+    uow: UnitOfWork, jobs: JobPosting, session: SessionRecord, scans: ScanRange, now_ns: int
 ) -> tuple[PostedSubmap, SessionRecord]:
     """Add the submap of the stored `scans` and its job, in the caller's transaction. Raises WorkersBusy."""
     seqs = chosen_seqs(scans.first, scans.last)
     stored = uow.scans.with_seqs(session.tenant, session.map_id, session.session_id, seqs)
-    row = _row(context, session, stored, scans)
-    added, counted = add_submap(uow, context, session, row)
+    row = _row(session, stored, scans, now_ns)
+    added, counted = add_submap(uow, jobs, session, row)
     return posted_submap(uow, added, replay=False, report=None), counted
 
 
-def _row(context: Context, session: SessionRecord, stored: list[ScanRecord], scans: ScanRange) -> SubmapRecord:
+def _row(session: SessionRecord, stored: list[ScanRecord], scans: ScanRange, now_ns: int) -> SubmapRecord:
     """As `core.submap.Submap.from_scans`: the frame of the middle scan, the mean of the positions."""
     middle = stored[len(stored) // 2]
     positions = np.array([pose_matrix(scan.T_odom_sensor)[:3, 3] for scan in stored])
@@ -53,5 +49,5 @@ def _row(context: Context, session: SessionRecord, stored: list[ScanRecord], sca
         point_count=sum(scan.point_count for scan in stored),
         operation_id="",
         flags=(),
-        created_at_ns=context.clock.wall_ns(),
+        created_at_ns=now_ns,
     )

@@ -6,12 +6,13 @@ import asyncio
 import time
 from dataclasses import dataclass
 
-from revisit.service.application.catalogue.maps import require_map
+from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.contract import limits
-from revisit.service.application.contract.context import Context
 from revisit.service.application.contract.errors import SeqNotReached
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.ports import UnitOfWork
+from revisit.service.application.contract.lookup import require_map
+from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.transactions import UnitOfWork
 
 MAX_WAIT_S = limits.WAIT_S.most
 DEFAULT_WAIT_S = 10.0
@@ -36,7 +37,9 @@ class Freshness:
         return self
 
 
-async def await_freshness(context: Context, tenant: TenantId, map_id: str, wanted: Freshness) -> None:
+async def await_freshness(
+    storage: Storage, admission: Admission, tenant: TenantId, map_id: str, wanted: Freshness
+) -> None:
     """Return once whatever is read from now on holds what is `wanted`.
 
     Raises SeqNotReached after the time allowed, or at once for a number that was never given out; Draining where the
@@ -44,11 +47,11 @@ async def await_freshness(context: Context, tenant: TenantId, map_id: str, wante
     """
     if wanted.validated().min_seq == 0:
         return
-    if await context.read(lambda uow: _last(uow, tenant, map_id)) < wanted.min_seq:
+    if await storage.read(lambda uow: _last(uow, tenant, map_id)) < wanted.min_seq:
         raise SeqNotReached(f"no submap with seq {wanted.min_seq} was stored", field="min_seq")
     deadline, pause = time.monotonic() + wanted.timeout_s, _POLL_S[0]
-    while waiting := await context.read(lambda uow: _waiting(uow, tenant, map_id, wanted.min_seq)):
-        context.admit()
+    while waiting := await storage.read(lambda uow: _waiting(uow, tenant, map_id, wanted.min_seq)):
+        admission.require_running()
         left = deadline - time.monotonic()
         if left <= 0.0:
             message = f"{waiting} submaps up to seq {wanted.min_seq} are not described after {wanted.timeout_s:g} s"

@@ -2,44 +2,48 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 import secrets
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.errors import BadField, DescriptorModelMismatch
-from revisit.service.application.catalogue.maps import require_map
-from revisit.service.application.catalogue.submaps import require_submap
+from revisit.service.application.capacity.admission import Admission
+from revisit.service.application.capacity.backlog import JobPosting
 from revisit.service.application.contract import limits
-from revisit.service.application.contract.context import Context
+from revisit.service.application.contract.blobs import QUERY_CLOUD_BLOB
 from revisit.service.application.contract.errors import DeadlineExceeded, NotReady, error_of
 from revisit.service.application.contract.identity import SubmapKey, TenantId
-from revisit.service.application.contract.ports import UnitOfWork, VectorFilter
+from revisit.service.application.contract.index import VectorFilter
+from revisit.service.application.contract.lookup import require_map, require_submap
 from revisit.service.application.contract.records import MapRecord, SubmapRecord
+from revisit.service.application.contract.states import OperationKind
+from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.ingest.clouds import (
-    QUERY_CLOUD_BLOB,
     QUERY_NONCE_BYTES,
+    CloudDecoder,
     CloudInput,
     accept_cloud,
     pack_cloud,
 )
 from revisit.service.application.query.freshness import Freshness, await_freshness
-from revisit.service.application.query.operations import OperationKind, Operations, new_job
+from revisit.service.application.query.operations import Operations
+from revisit.service.application.query.place_memory import PlaceMemory, vector_filter
 from revisit.service.application.query.search_answers import (
     Localization,
-    LocalizedCandidate,
     SearchCriteria,
-    SearchHit,
     SearchResult,
     criteria_to_json,
     localization_from_json,
     search_result_from_json,
     validated_criteria,
 )
-from revisit.service.application.recognise.place_memory import PlaceMemory, vector_filter
 
 
 @dataclass(frozen=True)
@@ -56,11 +60,22 @@ class LocalizeQuery:
 class Searches:
     """Search by submap, by descriptor or by cloud; localise."""
 
-    def __init__(self, context: Context, operations: Operations) -> None:
-        """`operations` waits for the workers' answers."""
-        self._context = context
+    def __init__(
+        self,
+        storage: Storage,
+        admission: Admission,
+        decoder: CloudDecoder,
+        jobs: JobPosting,
+        memory: PlaceMemory,
+        operations: Operations,
+    ) -> None:
+        """Clouds are described by jobs posted through `jobs`; `operations` waits for their answers."""
+        self._storage = storage
+        self._admission = admission
+        self._decoder = decoder
+        self._jobs = jobs
+        self._memory = memory
         self._operations = operations
-        self._memory = PlaceMemory(context.transactions, context.index)
 
     async def by_submap(
         self, tenant: TenantId, key: SubmapKey, criteria: SearchCriteria, fresh: Freshness = Freshness()
@@ -70,18 +85,12 @@ class Searches:
         Raises NotFound, NotReady, BadField, SeqNotReached where `fresh` was not reached.
         """
         validated_criteria(criteria)
-        await await_freshness(self._context, tenant, key.map_id, fresh)
-
-        def load(uow: UnitOfWork) -> tuple[MapRecord, SubmapRecord, VectorFilter]:
-            record = require_submap(uow, tenant, key)
-            if record.descriptor is None:
-                raise NotReady
-            where = vector_filter(uow, tenant, key.map_id, criteria, record)
-            return require_map(uow, tenant, key.map_id), record, where
-
-        map_record, record, where = await self._context.read(load)
+        await await_freshness(self._storage, self._admission, tenant, key.map_id, fresh)
+        map_record, record, where = await self._storage.read(
+            partial(_asked_by, tenant=tenant, key=key, criteria=criteria)
+        )
         vector = np.frombuffer(record.descriptor or b"", dtype="<f4")
-        return await self._context.compute(self._memory.search, map_record, vector, criteria, where)
+        return await asyncio.to_thread(self._memory.search, map_record, vector, criteria, where)
 
     async def by_descriptor(
         self,
@@ -95,15 +104,13 @@ class Searches:
         """The submaps nearest to a descriptor (d,), once normalised. Raises as `by_submap`, DescriptorModelMismatch."""
         validated_criteria(criteria)
         unit = _unit(vector)
-        await await_freshness(self._context, tenant, map_id, fresh)
-
-        def load(uow: UnitOfWork) -> tuple[MapRecord, VectorFilter]:
-            return require_map(uow, tenant, map_id), vector_filter(uow, tenant, map_id, criteria, None)
-
-        map_record, where = await self._context.read(load)
+        await await_freshness(self._storage, self._admission, tenant, map_id, fresh)
+        map_record, where = await self._storage.read(
+            partial(_asked_in, tenant=tenant, map_id=map_id, criteria=criteria)
+        )
         if map_record.model_version not in (None, model_version):
             raise DescriptorModelMismatch(f"map {map_id} was described by model {map_record.model_version}")
-        return await self._context.compute(self._memory.search, map_record, unit, criteria, where)
+        return await asyncio.to_thread(self._memory.search, map_record, unit, criteria, where)
 
     async def by_cloud(
         self,
@@ -119,7 +126,7 @@ class Searches:
         Raises DeadlineExceeded, WorkersBusy, NotFound, SeqNotReached, ...
         """
         payload = {"map_id": map_id, "criteria": criteria_to_json(validated_criteria(criteria))}
-        await await_freshness(self._context, tenant, map_id, fresh)
+        await await_freshness(self._storage, self._admission, tenant, map_id, fresh)
         answer = await self._ask(tenant, OperationKind.SEARCH_CLOUD, payload, cloud, timeout_s)
         return search_result_from_json(answer)
 
@@ -130,7 +137,7 @@ class Searches:
         prior, radius = query.prior_position_m, query.radius_m
         criteria = validated_criteria(SearchCriteria(k=query.candidates, prior_position_m=prior, radius_m=radius))
         payload = {"map_id": query.map_id, "criteria": criteria_to_json(criteria)}
-        await await_freshness(self._context, tenant, query.map_id, fresh)
+        await await_freshness(self._storage, self._admission, tenant, query.map_id, fresh)
         answer = await self._ask(tenant, OperationKind.LOCALIZE, payload, query.cloud, timeout_s)
         return localization_from_json(answer)
 
@@ -138,31 +145,43 @@ class Searches:
         self, tenant: TenantId, kind: OperationKind, payload: dict[str, Any], cloud: CloudInput, timeout_s: float
     ) -> dict[str, Any]:
         """Queue the cloud for a worker and wait for the answer. Raises what the worker met, DeadlineExceeded."""
-        self._context.admit_data()
-        await self._context.read(lambda uow: require_map(uow, tenant, payload["map_id"]))
-        blobs = self._context.blobs
-        async with self._context.taking_in(tenant) as spend:
-            packed, points = await self._context.decode(_accept, cloud)
-            spend(points)
-            sha256 = await self._context.compute(blobs.put, tenant, QUERY_CLOUD_BLOB, packed)
-        subject = f"maps/{payload['map_id']}"
-        job = new_job(self._context, tenant, kind, subject, {**payload, "cloud_sha256": sha256})
-
-        def enqueue(uow: UnitOfWork) -> None:
-            self._context.require_queue_space(uow, tenant)
-            uow.queue.enqueue(job)
-
+        self._admission.require_storage()
+        await self._storage.read(partial(require_map, tenant=tenant, map_id=payload["map_id"]))
+        async with self._admission.cloud(tenant) as decoded:
+            packed, points = await self._decoder.run(_accept, cloud)
+            decoded(points)
+            sha256 = await self._storage.put_blob(tenant, QUERY_CLOUD_BLOB, packed)
         try:
-            await self._context.write(enqueue)
+            subject, content = f"maps/{payload['map_id']}", {**payload, "cloud_sha256": sha256}
+            post = partial(self._jobs.post, tenant=tenant, kind=kind, subject=subject, payload=content)
+            job = await self._storage.write(post)
             operation = await self._operations.wait(tenant, job.operation_id, timeout_s)
         finally:
-            await self._context.compute(blobs.delete, tenant, QUERY_CLOUD_BLOB, sha256)
+            await asyncio.to_thread(self._storage.blobs.delete, tenant, QUERY_CLOUD_BLOB, sha256)
         if operation.failure is not None:
             raise error_of(operation.failure.code, operation.failure.message)
         if operation.result is None:
-            self._context.admit()
+            self._admission.require_running()
             raise DeadlineExceeded(f"no worker answered within {timeout_s:g} s; see operation {job.operation_id}")
         return operation.result
+
+
+def _asked_by(
+    uow: UnitOfWork, tenant: TenantId, key: SubmapKey, criteria: SearchCriteria
+) -> tuple[MapRecord, SubmapRecord, VectorFilter]:
+    """The map, the described submap that asks, and which submaps may be hits. Raises NotFound, NotReady."""
+    record = require_submap(uow, tenant, key)
+    if record.descriptor is None:
+        raise NotReady
+    where = vector_filter(uow, tenant, key.map_id, criteria, record)
+    return require_map(uow, tenant, key.map_id), record, where
+
+
+def _asked_in(
+    uow: UnitOfWork, tenant: TenantId, map_id: str, criteria: SearchCriteria
+) -> tuple[MapRecord, VectorFilter]:
+    """The map, and which submaps may be hits. Raises NotFound."""
+    return require_map(uow, tenant, map_id), vector_filter(uow, tenant, map_id, criteria, None)
 
 
 def _accept(cloud: CloudInput) -> tuple[bytes, int]:
@@ -172,18 +191,6 @@ def _accept(cloud: CloudInput) -> tuple[bytes, int]:
     """
     accepted, _ = accept_cloud(cloud, limits.SUBMAP_POINTS)
     return secrets.token_bytes(QUERY_NONCE_BYTES) + pack_cloud(accepted), len(accepted.points)
-
-
-__all__ = [
-    "Freshness",
-    "Localization",
-    "LocalizeQuery",
-    "LocalizedCandidate",
-    "SearchCriteria",
-    "SearchHit",
-    "SearchResult",
-    "Searches",
-]
 
 
 def _unit(vector: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -1,4 +1,4 @@
-"""The one transaction that ends a description: the submap, its loops, its place in the index and its job, together."""
+"""The transaction that completes a description: the submap, its loops, its entry in the index and its job, together."""
 
 from __future__ import annotations
 
@@ -7,23 +7,19 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from revisit.core.errors import DescriptorModelMismatch
-from revisit.service.application.catalogue.loops import LoopState
-from revisit.service.application.catalogue.maps import require_map
-from revisit.service.application.catalogue.submaps import submap_key
-from revisit.service.application.contract.context import Context
-from revisit.service.application.contract.ports import (
-    IndexChange,
-    Lease,
-    LoopVerdict,
-    SubmapDescription,
-    UnitOfWork,
-    VectorFilter,
-)
+from revisit.service.application.catalogue.deletion import SUBMAP_DELETED
+from revisit.service.application.contract.blobs import BlobStore
+from revisit.service.application.contract.index import IndexChange, VectorFilter
+from revisit.service.application.contract.job_queue import Lease
+from revisit.service.application.contract.lookup import require_map
 from revisit.service.application.contract.poses import pose_row
+from revisit.service.application.contract.recogniser import LoopVerdict, SubmapDescription
 from revisit.service.application.contract.records import LoopRecord, MapRecord, SubmapRecord
+from revisit.service.application.contract.states import LoopState
+from revisit.service.application.contract.transactions import UnitOfWork
+from revisit.service.application.contract.views import submap_key
 from revisit.service.application.ingest.submap_source import SubmapSource
-from revisit.service.application.query.operations import SUBMAP_DELETED
-from revisit.service.application.recognise.place_memory import RecalledPlace
+from revisit.service.application.query.place_memory import RecalledPlace
 from revisit.service.failpoints import failpoint
 
 
@@ -57,13 +53,14 @@ class StoredDescription:
 class DescriptionCommit:
     """The one transaction that ends a description."""
 
-    context: Context
+    blobs: BlobStore
     lease: Lease
     task: DescriptionTask
     described: StoredDescription
     judged: list[JudgedPlace]
     where: VectorFilter
     seq: int
+    now_ns: int
 
     def __call__(self, uow: UnitOfWork) -> bool:
         """Commit, or change nothing and return False where a possible match came in since change `seq`.
@@ -92,7 +89,7 @@ class DescriptionCommit:
         return True
 
     def _store_submap(self, uow: UnitOfWork) -> None:
-        row, blobs = self.described.row, self.context.blobs
+        row, blobs = self.described.row, self.blobs
         for kind, data in self.described.blobs:
             # A delete may have collected the same content meanwhile (see blob_references.collect_blobs).
             if not blobs.exists(row.tenant, kind, hashlib.sha256(data).hexdigest()):
@@ -106,7 +103,7 @@ class DescriptionCommit:
             raise DescriptorModelMismatch(f"map {row.map_id} was described by model {current.model_version}")
 
     def _end(self, uow: UnitOfWork, result: dict[str, Any]) -> None:
-        uow.queue.complete(self.lease, result, self.context.clock.wall_ns())
+        uow.queue.complete(self.lease, result, self.now_ns)
 
     def _loop(self, item: JudgedPlace) -> LoopRecord:
         query, match, verdict = self.task.submap, item.place.submap, item.verdict
@@ -126,7 +123,7 @@ class DescriptionCommit:
             score=verdict.score,
             T_match_query=None if verdict.T_match_query is None else pose_row(verdict.T_match_query),
             evidence={**verdict.evidence, "model_version": self.described.row.model_version},
-            created_at_ns=self.context.clock.wall_ns(),
+            created_at_ns=self.now_ns,
         )
 
 

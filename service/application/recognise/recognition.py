@@ -8,6 +8,7 @@ workers describe at the same time is found by the one that commits second.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,27 +19,34 @@ from revisit.core.config import PipelineConfig
 from revisit.core.errors import DataLoss, DescriptorModelMismatch, ErrorCode, RevisitError
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
-from revisit.service.application.catalogue.maps import model_for_map, require_map
-from revisit.service.application.catalogue.submaps import submap_key
-from revisit.service.application.contract.context import Context
+from revisit.service.application.catalogue.deletion import SUBMAP_DELETED
+from revisit.service.application.catalogue.maps import model_for_map
+from revisit.service.application.catalogue.meshes import pack_mesh
+from revisit.service.application.contract.blobs import (
+    MESH_BLOB,
+    NEURAL_MAP_BLOB,
+    QUERY_CLOUD_BLOB,
+    SIGNATURE_BLOB,
+    BlobStore,
+)
+from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.errors import StaleLease, StorageFull, Unavailable
 from revisit.service.application.contract.identity import SubmapKey
-from revisit.service.application.contract.origin import current_origin
-from revisit.service.application.contract.ports import (
-    Lease,
-    LoopVerdict,
-    PlaceRecogniser,
-    SubmapDescription,
-    UnitOfWork,
-    VectorFilter,
-)
+from revisit.service.application.contract.index import VectorFilter
+from revisit.service.application.contract.job_queue import Lease
+from revisit.service.application.contract.lookup import require_map
+from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.poses import pose_matrix
-from revisit.service.application.contract.records import JobRecord, MapRecord, SubmapRecord, SubmapState
-from revisit.service.application.housekeeping.blob_references import NEURAL_MAP_BLOB, SIGNATURE_BLOB
+from revisit.service.application.contract.recogniser import LoopVerdict, PlaceRecogniser, SubmapDescription
+from revisit.service.application.contract.records import JobRecord, MapRecord, SubmapRecord
+from revisit.service.application.contract.states import OperationKind, SubmapState
+from revisit.service.application.contract.tracing import current_request
+from revisit.service.application.contract.transactions import Transactions, UnitOfWork
+from revisit.service.application.contract.views import submap_key
 from revisit.service.application.housekeeping.dead_letters import mark_subject_failed
-from revisit.service.application.ingest.clouds import QUERY_CLOUD_BLOB, QUERY_NONCE_BYTES, unpack_cloud
+from revisit.service.application.ingest.clouds import QUERY_NONCE_BYTES, unpack_cloud
 from revisit.service.application.ingest.submap_source import load_submap, submap_source
-from revisit.service.application.query.operations import SUBMAP_DELETED, OperationKind
+from revisit.service.application.query.place_memory import PlaceMemory, RecalledPlace, vector_filter
 from revisit.service.application.query.search_answers import (
     Localization,
     LocalizedCandidate,
@@ -52,8 +60,6 @@ from revisit.service.application.recognise.description_commit import (
     JudgedPlace,
     StoredDescription,
 )
-from revisit.service.application.recognise.meshes import MESH_BLOB, pack_mesh
-from revisit.service.application.recognise.place_memory import PlaceMemory, RecalledPlace, vector_filter
 from revisit.service.failpoints import failpoint
 
 log = structlog.get_logger(__name__)
@@ -62,11 +68,22 @@ log = structlog.get_logger(__name__)
 class Recognition:
     """Runs leased jobs in a worker process; all calls block."""
 
-    def __init__(self, context: Context, recogniser: PlaceRecogniser) -> None:
-        """`recogniser` is the method; `context.index` is this worker's own cache."""
-        self._context = context
+    def __init__(
+        self,
+        transactions: Transactions,
+        blobs: BlobStore,
+        memory: PlaceMemory,
+        clock: Clock,
+        policy: Policy,
+        recogniser: PlaceRecogniser,
+    ) -> None:
+        """`recogniser` is the method; `memory` searches this worker's own index."""
+        self._transactions = transactions
+        self._blobs = blobs
+        self._memory = memory
+        self._clock = clock
+        self._policy = policy
         self._recogniser = recogniser
-        self._memory = PlaceMemory(context.transactions, context.index)
 
     def run(self, lease: Lease) -> None:
         """Run a job and commit its end, good or bad. Raises only what storage raises while the end is committed."""
@@ -94,34 +111,34 @@ class Recognition:
         self._fail(lease, ErrorCode.INTERNAL, message, retry=True)
 
     def _fail(self, lease: Lease, code: ErrorCode, message: str, *, retry: bool) -> None:
-        clock = self._context.clock
-
-        def end(uow: UnitOfWork) -> None:
-            if uow.queue.fail(lease, code, message, clock.instant(), clock.wall_ns(), retry=retry):
-                mark_subject_failed(uow, lease.job, code, message)
-
+        end = partial(self._store_failure, lease=lease, code=code, message=message, retry=retry)
         failpoint("job.before_failure")
-        current_origin().span.fail(f"{code}: {message}")
+        current_request().span.fail(f"{code}: {message}")
         log.warning("job_failed", operation=lease.job.operation_id, code=code, reason=message, retry=retry)
         try:
-            self._context.transactions.write(end).result()
+            self._transactions.write(end).result()
         except StaleLease:
             log.warning("failure_refused", operation=lease.job.operation_id, token=lease.job.lease_token)
 
+    def _store_failure(self, uow: UnitOfWork, lease: Lease, code: ErrorCode, message: str, *, retry: bool) -> None:
+        now, now_ns = self._clock.instant(), self._clock.wall_ns()
+        if uow.queue.fail(lease, code, message, now, now_ns, retry=retry):
+            mark_subject_failed(uow, lease.job, code, message)
+
     def _complete(self, lease: Lease, result: dict[str, Any]) -> None:
-        finished_at_ns = self._context.clock.wall_ns()
-        self._context.transactions.write(lambda uow: uow.queue.complete(lease, result, finished_at_ns)).result()
+        finished_at_ns = self._clock.wall_ns()
+        self._transactions.write(lambda uow: uow.queue.complete(lease, result, finished_at_ns)).result()
 
     # -- describing a submap
 
     def _describe_submap(self, lease: Lease) -> None:
-        task = self._context.transactions.read(lambda uow: self._task(uow, lease.job)).result()
+        task = self._transactions.read(partial(self._task, job=lease.job)).result()
         if task is None:
             self._complete(lease, SUBMAP_DELETED)
             return
         self._require_same_model(task.map)
-        config = self._context.policy.for_map(task.map)
-        submap = load_submap(self._context.blobs, task.submap, task.source)
+        config = self._policy.for_map(task.map)
+        submap = load_submap(self._blobs, task.submap, task.source)
         described = self._store(task, self._recogniser.describe(submap, config))
         self._close_loops(lease, task, described, config)
 
@@ -131,7 +148,7 @@ class Recognition:
         if submap is None or submap.operation_id != job.operation_id:
             return None
         return DescriptionTask(
-            submap, submap_source(uow, self._context, submap), require_map(uow, job.tenant, key.map_id)
+            submap, submap_source(uow, self._policy, submap), require_map(uow, job.tenant, key.map_id)
         )
 
     def _store(self, task: DescriptionTask, description: SubmapDescription) -> StoredDescription:
@@ -141,7 +158,7 @@ class Recognition:
         if description.neural_map is not None:
             blobs.append((NEURAL_MAP_BLOB, description.neural_map))
         failpoint("job.after_description")
-        sha256 = {kind: self._context.blobs.put(submap.tenant, kind, data) for kind, data in blobs}
+        sha256 = {kind: self._blobs.put(submap.tenant, kind, data) for kind, data in blobs}
         failpoint("job.after_blobs")
         row = replace(
             submap,
@@ -171,15 +188,17 @@ class Recognition:
                 if place.submap.number not in judged:
                     judged[place.submap.number] = self._judge(described.description.signature, place, config)
             kept = [judged[place.submap.number] for place in recall.places]
-            commit = DescriptionCommit(self._context, lease, task, described, kept, where, recall.seq)
+            commit = DescriptionCommit(
+                self._blobs, lease, task, described, kept, where, recall.seq, self._clock.wall_ns()
+            )
             failpoint("job.before_commit")
-            if self._context.transactions.write(commit).result():
+            if self._transactions.write(commit).result():
                 return
 
     def _judge(self, signature: bytes, place: RecalledPlace, config: PipelineConfig) -> JudgedPlace:
         submap = place.submap
         try:
-            blob = self._context.blobs.get(submap.tenant, SIGNATURE_BLOB, str(submap.signature_sha256))
+            blob = self._blobs.get(submap.tenant, SIGNATURE_BLOB, str(submap.signature_sha256))
             verdict = self._recogniser.verify(signature, blob, place.similarity, config)
         except DataLoss as error:
             log.error("signature_lost", submap=submap_key(submap).name, reason=error.message)
@@ -205,29 +224,30 @@ class Recognition:
     def _localize(self, lease: Lease) -> None:
         map_record, where = self._query(lease)
         description = self._describe_query(lease, map_record)
-        config = self._context.policy.for_map(map_record)
+        config = self._policy.for_map(map_record)
         k = criteria_from_json(lease.job.payload["criteria"]).k
         recall = self._memory.recall(map_record, description.descriptor, k, where)
         judged = [self._judge(description.signature, place, config) for place in recall.places]
         self._complete(lease, localization_to_json(_localization(judged)))
 
     def _query(self, lease: Lease) -> tuple[MapRecord, VectorFilter]:
-        tenant, map_id = lease.job.tenant, str(lease.job.payload["map_id"])
-        criteria = criteria_from_json(lease.job.payload["criteria"])
-
-        def load(uow: UnitOfWork) -> tuple[MapRecord, VectorFilter]:
-            return require_map(uow, tenant, map_id), vector_filter(uow, tenant, map_id, criteria, None)
-
-        return self._context.transactions.read(load).result()
+        return self._transactions.read(partial(_queried, job=lease.job)).result()
 
     def _describe_query(self, lease: Lease, map_record: MapRecord) -> SubmapDescription:
         self._require_same_model(map_record)
         sha256 = str(lease.job.payload["cloud_sha256"])
-        blob = self._context.blobs.get(lease.job.tenant, QUERY_CLOUD_BLOB, sha256)
+        blob = self._blobs.get(lease.job.tenant, QUERY_CLOUD_BLOB, sha256)
         cloud = unpack_cloud(blob[QUERY_NONCE_BYTES:])
-        config = self._context.policy.for_map(map_record)
+        config = self._policy.for_map(map_record)
         submap = Submap.from_cloud(Scan.validated(cloud.points, np.eye(4), 0), config.submap)
         return self._recogniser.describe(submap, config)
+
+
+def _queried(uow: UnitOfWork, job: JobRecord) -> tuple[MapRecord, VectorFilter]:
+    """The map that a query is about, and which submaps may be hits. Raises NotFound."""
+    map_id, criteria = str(job.payload["map_id"]), criteria_from_json(job.payload["criteria"])
+    where = vector_filter(uow, job.tenant, map_id, criteria, None)
+    return require_map(uow, job.tenant, map_id), where
 
 
 def _loop_filter(submap: SubmapRecord, config: PipelineConfig) -> VectorFilter:

@@ -63,11 +63,11 @@ class IngestServicer(ingest_pb2_grpc.IngestServiceServicer):
         opening = await _open_of(requests)
         tenant, session = tenant_of(context), names.session_key(opening.session, "session")
         scans, resume = self._use_cases.scans, ResumePoint(opening.resume_token, opening.acknowledged_seq)
-        with scans.ending(tenant, session) as ended:
+        with scans.deletion_of(tenant, session) as ended:
             opened = await scans.open(tenant, session, resume)
             stream = _ScanStream(self._use_cases, tenant, session, ended)
             older = self._streams.get(stream.key)
-            with scans.place_for_stream(tenant, replaces=older is not None):
+            with scans.reserve_stream(tenant, replaces=older is not None):
                 self._streams[stream.key] = stream
                 if older is not None:
                     older.fence()

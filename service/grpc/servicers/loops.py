@@ -7,7 +7,7 @@ from typing import Any
 
 from revisit.core.errors import BadField
 from revisit.service.application import TenantId, UseCases
-from revisit.service.application.query.searches import SearchResult
+from revisit.service.application.query.search_answers import SearchResult
 from revisit.service.grpc.tenancy import tenant_of
 from revisit.service.wire import answers, names, requests
 from revisit.v1 import loop_closure_pb2 as pb

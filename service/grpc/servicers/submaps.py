@@ -20,10 +20,11 @@ class SubmapServicer(submap_pb2_grpc.SubmapServiceServicer):
     def __init__(self, use_cases: UseCases) -> None:
         """Answers from `use_cases`."""
         self._submaps = use_cases.submaps
+        self._posting = use_cases.posting
 
     async def PostSubmap(self, request: pb.PostSubmapRequest, context: Any) -> pb.PostSubmapResponse:
         """Store a submap and queue its description."""
-        posted = await self._submaps.post(tenant_of(context), requests.post_submap(request))
+        posted = await self._posting.post(tenant_of(context), requests.post_submap(request))
         return pb.PostSubmapResponse(**answers.of_posted(posted))
 
     async def GetSubmap(self, request: pb.GetSubmapRequest, context: Any) -> pb.GetSubmapResponse:

@@ -7,8 +7,8 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Response
 
 from revisit.service.application.access.callers import Scope
-from revisit.service.application.catalogue.loops import LoopState
 from revisit.service.application.contract import limits
+from revisit.service.application.contract.states import LoopState
 from revisit.service.rest.access import allows
 from revisit.service.rest.answers import LoopClosure, LoopClosurePage, answer, answers
 from revisit.service.rest.parameters import Cases, Fresh, Id, Paging, Tenant

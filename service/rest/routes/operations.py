@@ -8,7 +8,7 @@ from fastapi import APIRouter, Query, Response
 
 from revisit.service.application.access.callers import Scope
 from revisit.service.application.contract import limits
-from revisit.service.application.query.operations import OperationState
+from revisit.service.application.contract.states import OperationState
 from revisit.service.rest.access import allows
 from revisit.service.rest.answers import Operation, OperationPage, answer, answers
 from revisit.service.rest.parameters import Cases, Id, Paging, Tenant

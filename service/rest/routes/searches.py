@@ -13,7 +13,9 @@ from revisit.service.application import UseCases
 from revisit.service.application.access.callers import Scope
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.query.searches import Freshness, LocalizeQuery, SearchCriteria, SearchResult
+from revisit.service.application.query.freshness import Freshness
+from revisit.service.application.query.search_answers import SearchCriteria, SearchResult
+from revisit.service.application.query.searches import LocalizeQuery
 from revisit.service.rest.access import allows
 from revisit.service.rest.answers import LocalizeAnswer, SearchAnswer, answer, answers
 from revisit.service.rest.bodies import (

@@ -8,10 +8,10 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Query, Response
 
 from revisit.service.application.access.callers import Scope
-from revisit.service.application.catalogue.submaps import DownloadKind, PostSubmap
+from revisit.service.application.catalogue.downloads import MEDIA_TYPES, DownloadKind
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.identity import SubmapKey
-from revisit.service.application.query.downloads import MEDIA_TYPES
+from revisit.service.application.ingest.submap_posting import PostSubmap
 from revisit.service.rest.access import allows
 from revisit.service.rest.answers import Posted, Submap, SubmapPage, answer, answers
 from revisit.service.rest.bodies import ANY_BINARY, CLOUD_BODY
@@ -47,7 +47,7 @@ class View(StrEnum):
 
 async def _job_admitted(cases: Cases, tenant: Tenant) -> None:
     """Before the body is read."""
-    await cases.system.admit_job(tenant)
+    await cases.admission.precheck_job(tenant)
 
 
 @router.post(
@@ -67,7 +67,7 @@ async def post_submap(
 ) -> Response:
     """Store a submap durably and queue its description; wait for the operation of the answer."""
     command = PostSubmap(SubmapKey(key.map_id, key.session_id, submap_id), T_odom_submap, stamp_ns, cloud)
-    posted = await cases.submaps.post(tenant, command)
+    posted = await cases.posting.post(tenant, command)
     return answer(Posted, of_posted(posted), 202, replay=posted.replay)
 
 

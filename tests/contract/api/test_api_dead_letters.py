@@ -11,9 +11,10 @@ from typer.testing import CliRunner
 from revisit.cli.app import app
 from revisit.core.errors import BadField, DegenerateCloud
 from revisit.sdk.errors import ApiError, OperationFailed
+from revisit.service.application.capacity.backlog import JobPosting
 from revisit.service.application.contract.errors import NotFound, WorkersBusy
 from revisit.service.application.contract.identity import SubmapKey
-from revisit.service.application.query.operations import OperationKind, new_job
+from revisit.service.application.contract.states import OperationKind
 from revisit.service.application.query.search_answers import SearchCriteria, criteria_to_json
 from tests.support.fake_recogniser import CANNOT_BE_DESCRIBED, FakeRecogniser
 from tests.support.service_world import SESSION, TENANT, cloud_points, memory_world, open_session, submap
@@ -76,7 +77,7 @@ def test_the_command_line_lists_the_failed_and_queues_them_again(service, failed
 
 
 async def test_a_description_that_was_queued_again_succeeds_once_the_method_is_mended(world):
-    posted = await world.use_cases.submaps.post(TENANT, submap("poison", 1, points=CANNOT_BE_DESCRIBED))
+    posted = await world.use_cases.posting.post(TENANT, submap("poison", 1, points=CANNOT_BE_DESCRIBED))
     world.work_off()
     assert await state_of(world) == ("FAILED", DegenerateCloud().message)
     await world.use_cases.dead_letters.retry(TENANT, posted.operation.operation_id)
@@ -93,7 +94,7 @@ async def test_a_description_that_was_queued_again_succeeds_once_the_method_is_m
 
 
 async def test_what_has_not_failed_is_left_alone(world):
-    posted = await world.use_cases.submaps.post(TENANT, submap("good", 1))
+    posted = await world.use_cases.posting.post(TENANT, submap("good", 1))
     retry, operation_id = world.use_cases.dead_letters.retry, posted.operation.operation_id
     assert (await retry(TENANT, operation_id)).state.value == "QUEUED"
     world.work_off()
@@ -102,7 +103,7 @@ async def test_what_has_not_failed_is_left_alone(world):
 
 
 async def test_the_failed_description_of_a_deleted_submap_cannot_be_queued_again(world):
-    posted = await world.use_cases.submaps.post(TENANT, submap("poison", 1, points=CANNOT_BE_DESCRIBED))
+    posted = await world.use_cases.posting.post(TENANT, submap("poison", 1, points=CANNOT_BE_DESCRIBED))
     world.work_off()
     await world.use_cases.submaps.delete(TENANT, SubmapKey(SESSION.map_id, SESSION.session_id, "poison"))
     with pytest.raises(NotFound, match="was deleted"):
@@ -112,8 +113,10 @@ async def test_the_failed_description_of_a_deleted_submap_cannot_be_queued_again
 async def test_a_failed_search_cannot_be_queued_again(world):
     # Its cloud was never stored, so it fails at once.
     payload = {"map_id": "town", "criteria": criteria_to_json(SearchCriteria()), "cloud_sha256": "0" * 64}
-    job = new_job(world.context, TENANT, OperationKind.LOCALIZE, "maps/town", payload)
-    world.context.transactions.write(lambda uow: uow.queue.enqueue(job)).result()
+    jobs = JobPosting(world.context.backlog, world.clock, world.context.policy)
+    job = world.context.transactions.write(
+        lambda uow: jobs.post(uow, TENANT, OperationKind.LOCALIZE, "maps/town", payload)
+    ).result()
     world.work_off()
     with pytest.raises(BadField, match="ask again"):
         await world.use_cases.dead_letters.retry(TENANT, job.operation_id)
@@ -122,16 +125,16 @@ async def test_a_failed_search_cannot_be_queued_again(world):
 async def test_a_full_queue_takes_no_dead_letters():
     world = memory_world(max_queued_jobs=1)
     await open_session(world)
-    posted = await world.use_cases.submaps.post(TENANT, submap("poison", 1, points=CANNOT_BE_DESCRIBED))
+    posted = await world.use_cases.posting.post(TENANT, submap("poison", 1, points=CANNOT_BE_DESCRIBED))
     world.work_off()
-    await world.use_cases.submaps.post(TENANT, submap("good", 2))
+    await world.use_cases.posting.post(TENANT, submap("good", 2))
     with pytest.raises(WorkersBusy):
         await world.use_cases.dead_letters.retry(TENANT, posted.operation.operation_id)
     world.context.transactions.close()
 
 
 async def test_another_tenants_failed_operation_does_not_exist(world):
-    posted = await world.use_cases.submaps.post(TENANT, submap("poison", 1, points=CANNOT_BE_DESCRIBED))
+    posted = await world.use_cases.posting.post(TENANT, submap("poison", 1, points=CANNOT_BE_DESCRIBED))
     world.work_off()
     with pytest.raises(NotFound):
         await world.use_cases.dead_letters.retry("another", posted.operation.operation_id)

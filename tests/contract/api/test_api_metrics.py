@@ -30,7 +30,7 @@ async def test_jobs_submaps_and_loops_are_counted_by_state(metrics):
     world, _, server = metrics
     await open_session(world)
     for number in range(4):
-        await world.use_cases.submaps.post(TENANT, submap(f"a{number}", place=7 + number % 2))
+        await world.use_cases.posting.post(TENANT, submap(f"a{number}", place=7 + number % 2))
     assert 'revisit_jobs{state="QUEUED"} 4.0' in lines_of(server)
     world.work_off()
     found = lines_of(server)
@@ -45,9 +45,9 @@ async def test_the_oldest_queued_job_tells_how_long_it_has_waited(metrics):
     world, _, server = metrics
     assert "revisit_oldest_queued_job_seconds 0.0" in lines_of(server)
     await open_session(world)
-    await world.use_cases.submaps.post(TENANT, submap("first", place=1))
+    await world.use_cases.posting.post(TENANT, submap("first", place=1))
     world.clock.ms += 7_900
-    await world.use_cases.submaps.post(TENANT, submap("second", place=2))
+    await world.use_cases.posting.post(TENANT, submap("second", place=2))
     assert "revisit_oldest_queued_job_seconds 7.0" in lines_of(server)
     world.work_off()
     assert "revisit_oldest_queued_job_seconds 0.0" in lines_of(server)

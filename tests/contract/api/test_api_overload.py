@@ -16,8 +16,8 @@ from google.rpc import error_details_pb2, status_pb2
 from revisit import ApiError, Client, Cloud
 from revisit.formats import QUANTISED, encode_quantised
 from revisit.sdk.retry import RetryPolicy
-from revisit.service.application.capacity import intake
-from revisit.service.application.capacity.intake import CALL_POINTS, IntakeLimits
+from revisit.service.application.capacity import backlog
+from revisit.service.application.capacity.in_flight import CALL_POINTS, CapacityLimits
 from revisit.v1 import cloud_pb2, geometry_pb2, ingest_pb2, ingest_pb2_grpc
 from tests.support.live_service import live_service
 from tests.support.service_world import cloud_points, pose
@@ -38,13 +38,13 @@ def service():
 @pytest.fixture
 def limits(service, monkeypatch):
     """Bounds for one test; buckets start full."""
-    taking = service.world.context.intake
+    in_flight, jobs = service.world.context.in_flight, service.world.context.backlog
 
     def of(**bounds):
-        monkeypatch.setattr(taking, "limits", IntakeLimits(**bounds))
-        monkeypatch.setattr(taking, "_buckets", {})
-        monkeypatch.setattr(taking, "_waiting", {})
-        monkeypatch.setattr(taking, "_recounted_s", {})
+        monkeypatch.setattr(in_flight, "limits", CapacityLimits(**bounds))
+        monkeypatch.setattr(in_flight, "_buckets", {})
+        monkeypatch.setattr(jobs, "_waiting", {})
+        monkeypatch.setattr(jobs, "_recounted_s", {})
 
     of()
     yield of
@@ -82,7 +82,7 @@ def test_points_beyond_a_quota_are_refused_with_the_time_to_come_back(client, se
 
 
 def test_a_full_queue_refuses_one_more_job_on_either_transport(client, session, service, limits, monkeypatch):
-    monkeypatch.setattr(intake, "RECOUNT_S", 60.0)
+    monkeypatch.setattr(backlog, "RECOUNT_S", 60.0)
     queued = service.world.context.transactions.read(lambda uow: uow.jobs.count("default", state="QUEUED")).result()
     for number in range(5 - queued):
         post(client, session, number)
@@ -96,14 +96,14 @@ def test_a_full_queue_refuses_one_more_job_on_either_transport(client, session, 
     service.world.work_off()
     with pytest.raises(ApiError, match="WORKERS_BUSY"):
         post(client, session, 9)
-    monkeypatch.setattr(intake, "RECOUNT_S", 0.0)
+    monkeypatch.setattr(backlog, "RECOUNT_S", 0.0)
     post(client, session, 9)
 
 
 def test_a_stream_goes_on_where_the_queue_is_full(service, limits):
     with Client.grpc(service.grpc, retry=ONCE) as client:
         session = client.create_session(client.create_map("streaming"), "s")
-        service.world.context.intake.note_recount("default", 5)
+        service.world.context.backlog._waiting["default"] = 5
         with client.stream(session) as stream:
             stream.send(cloud_points(1, POINTS), pose(), 1)
         assert stream.committed_seq == 1
@@ -114,7 +114,7 @@ def test_a_refused_body_is_not_even_read(service, limits):
         http.post("/v1/maps", json={"map_id": "unread"})
         http.post("/v1/maps/unread/sessions", json={"session_id": "s"})
         limits(points_per_s=1.0)
-        service.world.context.intake.spend("default", 10_000)
+        service.world.context.in_flight.charge_call("default", 10_000)
         path = "/v1/maps/unread/sessions/s/submaps?submap_id=a&stamp_ns=1&T_odom_submap=0,0,0,0,0,0,1"
         head = (
             f"POST {path} HTTP/1.1\r\nHost: localhost\r\nContent-Type: {QUANTISED}\r\nContent-Length: 1000000\r\n\r\n"
@@ -172,8 +172,8 @@ def streams(service, limits):
 
 def await_streams(service, count):
     deadline = time.monotonic() + 10
-    while service.world.context.intake.streams != count:
-        assert time.monotonic() < deadline, service.world.context.intake.streams
+    while service.world.context.in_flight.streams != count:
+        assert time.monotonic() < deadline, service.world.context.in_flight.streams
         time.sleep(0.01)
 
 

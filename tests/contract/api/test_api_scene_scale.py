@@ -16,7 +16,7 @@ from revisit.service.application.catalogue.sessions import CreateSession
 from revisit.service.application.contract.errors import AlreadyExists
 from revisit.service.application.contract.identity import SubmapKey, content_hash
 from revisit.service.application.ingest.clouds import DecodedCloud
-from revisit.service.application.query.searches import SearchCriteria
+from revisit.service.application.query.search_answers import SearchCriteria
 from tests.support.fake_recogniser import FakeRecogniser
 from tests.support.service_world import SESSION, TENANT, cloud_points, memory_world, submap
 
@@ -88,7 +88,7 @@ async def test_a_create_of_before_there_were_scales_can_still_be_repeated(world)
 
 async def test_workers_and_searches_by_cloud_use_the_scale_of_the_map(world):
     recogniser = SeenScales()
-    await world.use_cases.submaps.post(TENANT, submap("a", place=1))
+    await world.use_cases.posting.post(TENANT, submap("a", place=1))
     world.work_off(recogniser)
     search = world.use_cases.searches.by_cloud(TENANT, SESSION.map_id, DecodedCloud(cloud_points(1)), SearchCriteria())
     answer = asyncio.create_task(search)
@@ -101,7 +101,7 @@ async def test_workers_and_searches_by_cloud_use_the_scale_of_the_map(world):
 
 
 async def test_descriptors_of_another_scale_are_not_compared(world):
-    await world.use_cases.submaps.post(TENANT, submap("a", place=1))
+    await world.use_cases.posting.post(TENANT, submap("a", place=1))
     world.work_off()
     found = await world.use_cases.submaps.get(TENANT, SubmapKey(SESSION.map_id, SESSION.session_id, "a"), full=True)
     assert found.model_version == "fake-1@scale-0.25"
@@ -113,10 +113,10 @@ async def test_descriptors_of_another_scale_are_not_compared(world):
 
 
 async def test_a_loop_is_closed_within_a_map_of_another_scale(world):
-    await world.use_cases.submaps.post(TENANT, submap("a", place=1))
+    await world.use_cases.posting.post(TENANT, submap("a", place=1))
     await world.use_cases.sessions.create(TENANT, CreateSession(SESSION.map_id, "tuesday"))
     again = dataclasses.replace(submap("b", place=1), key=SubmapKey(SESSION.map_id, "tuesday", "b"))
-    await world.use_cases.submaps.post(TENANT, again)
+    await world.use_cases.posting.post(TENANT, again)
     world.work_off()
     (loop,) = world.context.transactions.read(lambda uow: uow.loops.find(TENANT)).result()
     assert loop.state == "ACCEPTED" and np.isclose(loop.similarity, 1.0)

@@ -98,7 +98,7 @@ def test_a_silent_stream_of_what_is_deleted_ends_and_others_go_on(client, sessio
     assert ended.value.code() is grpc.StatusCode.NOT_FOUND
     if what == "session":
         assert going_on.answers.is_active()
-        assert len(service.world.context.stream_endings._open) == 1
+        assert len(service.world.context.open_streams._open) == 1
     silent.close()
     going_on.close()
 

@@ -14,7 +14,7 @@ from alembic.script import ScriptDirectory
 from revisit.service.__main__ import main
 from revisit.service.adapters.sqlite.migration import MIGRATIONS, current_revision
 from revisit.service.application.contract.records import WorkerRecord
-from revisit.service.composition import build_context
+from revisit.service.composition import build_installation
 from revisit.service.settings import Settings
 from revisit.service.telemetry import configure_logging
 
@@ -58,7 +58,7 @@ def test_a_worker_that_never_showed_itself_is_not_seen(capsys):
 
 def test_a_worker_that_beats_is_seen(home):
     main(["migrate"])
-    context = build_context(Settings(), gateway=False)
+    context = build_installation(Settings(), gateway=False)
     now = context.clock.instant()
     context.transactions.write(lambda uow: uow.workers.beat(WorkerRecord("w", "fake-1", now.epoch, now.ms))).result()
     context.transactions.close()

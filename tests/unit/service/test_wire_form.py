@@ -10,19 +10,24 @@ import pytest
 from google.protobuf.json_format import MessageToDict, ParseDict
 
 from revisit.core.scan import CloudReport
-from revisit.service.application.catalogue.loops import LoopClosureView, LoopState
 from revisit.service.application.catalogue.maps import MapView
 from revisit.service.application.catalogue.paging import Page
 from revisit.service.application.catalogue.robots import RobotView
-from revisit.service.application.catalogue.session_lookup import SessionState
 from revisit.service.application.catalogue.sessions import SessionView
-from revisit.service.application.catalogue.submaps import PostedSubmap, SubmapView
 from revisit.service.application.contract.identity import SessionKey, SubmapKey
 from revisit.service.application.contract.loop_policy import LoopPolicy
-from revisit.service.application.contract.records import SubmapState
+from revisit.service.application.contract.states import (
+    LoopState,
+    OperationKind,
+    OperationState,
+    SessionState,
+    SubmapState,
+)
+from revisit.service.application.contract.views import OperationFailure, OperationView, SubmapView
 from revisit.service.application.ingest.scans import ScanAck
-from revisit.service.application.query.operations import OperationFailure, OperationKind, OperationState, OperationView
-from revisit.service.application.query.searches import Localization, LocalizedCandidate, SearchHit, SearchResult
+from revisit.service.application.ingest.submap_posting import PostedSubmap
+from revisit.service.application.query.loops import LoopClosureView
+from revisit.service.application.query.search_answers import Localization, LocalizedCandidate, SearchHit, SearchResult
 from revisit.service.rest import answers as kinds
 from revisit.service.wire import answers, openapi
 from revisit.service.wire.json_form import json_form

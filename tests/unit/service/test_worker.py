@@ -23,7 +23,7 @@ async def world():
     made = memory_world()
     await open_session(made)
     for number in range(3):
-        await made.use_cases.submaps.post(TENANT, submap(f"s{number}", number))
+        await made.use_cases.posting.post(TENANT, submap(f"s{number}", number))
     yield made
     made.context.transactions.close()
 

@@ -1,4 +1,4 @@
-"""The outer edge of HTTP: each request has an origin, a span and a line in the log."""
+"""Tracing of HTTP requests: each has a request id, a span and a line in the log."""
 
 from __future__ import annotations
 
@@ -8,7 +8,13 @@ import structlog
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from revisit.service.application.contract.origin import Origin, Role, Tracer, originating, validated_traceparent
+from revisit.service.application.contract.tracing import (
+    RequestContext,
+    Role,
+    Tracer,
+    validated_traceparent,
+    within_request,
+)
 
 PROBES = ("/livez", "/readyz")
 
@@ -23,8 +29,8 @@ def call_of(scope: Scope) -> str:
     return f"{method} {scope['route'].path}" if "route" in scope else "unmatched"
 
 
-class RequestOrigin:
-    """Says where what follows comes from: the id of the request, and a span within the trace that the client names."""
+class RequestTracing:
+    """Sets the request context of each request: its id, and a span within the trace that the client names."""
 
     def __init__(self, app: ASGIApp, tracer: Tracer) -> None:
         self._app = app
@@ -46,7 +52,10 @@ class RequestOrigin:
             await send(message)
 
         about = {"http.request.method": method, "revisit.request_id": request_id}
-        with self._tracer.span(Role.REQUEST, "request", given, about) as span, originating(Origin(request_id, span)):
+        with (
+            self._tracer.span(Role.REQUEST, "request", given, about) as span,
+            within_request(RequestContext(request_id, span)),
+        ):
             try:
                 await self._app(scope, receive, send_noting)
             finally:

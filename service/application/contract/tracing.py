@@ -1,6 +1,7 @@
-"""Where a piece of work comes from: the request that asked for it, and its place in a distributed trace.
+"""Which request a piece of work belongs to, and its place in a distributed trace.
 
-A transport says it once, at its outer edge; from there it goes with the call into logs, into jobs and so to workers.
+A transport sets the request context when a call arrives. It goes with the call into logs and jobs, and with the job to
+a worker.
 """
 
 from __future__ import annotations
@@ -19,26 +20,26 @@ _TRACEPARENT = re.compile(r"00-(?!0{32})[0-9a-f]{32}-(?!0{16})[0-9a-f]{16}-[0-9a
 
 
 class Role(StrEnum):
-    """What a span is: the answer to a request, or the run of a job."""
+    """What a span covers: the answer to a request, or the run of a job."""
 
     REQUEST = "request"
     JOB = "job"
 
 
 class Span:
-    """A piece of work in a trace. This one is recorded nowhere; `traceparent` (W3C) is what it was given."""
+    """A piece of work in a trace. This one is recorded nowhere; `traceparent` (W3C) is the one it was given."""
 
     def __init__(self, traceparent: str | None = None) -> None:
         self.traceparent = traceparent
 
     def rename(self, name: str) -> None:
-        """Give it a name that was not known at its begin, e.g. that of the route."""
+        """Set a name that was not known when it began, e.g. that of the route."""
 
     def note(self, **attributes: str | int | float | bool) -> None:
-        """Say more about it."""
+        """Add attributes."""
 
     def fail(self, reason: str) -> None:
-        """Say that it did not end well."""
+        """Mark it as failed."""
 
 
 class Tracer(Protocol):
@@ -47,7 +48,7 @@ class Tracer(Protocol):
     def span(
         self, role: Role, name: str, traceparent: str | None, attributes: Mapping[str, str | int]
     ) -> AbstractContextManager[Span]:
-        """A span around a block of code; `traceparent` names what it belongs to. An exception fails it."""
+        """A span around a block of code, child of `traceparent`. An exception marks it as failed."""
         ...
 
     def close(self) -> None:
@@ -56,7 +57,7 @@ class Tracer(Protocol):
 
 
 class NoTracer:
-    """`Tracer` that records nothing and hands a client's `traceparent` on."""
+    """`Tracer` that records nothing and passes a client's `traceparent` on."""
 
     @contextmanager
     def span(
@@ -70,26 +71,26 @@ class NoTracer:
 
 
 @dataclass(frozen=True)
-class Origin:
-    """The request behind what is being done, if there is one, and the span that it belongs to."""
+class RequestContext:
+    """The request that caused some work, if there is one, and the span around the work."""
 
     request_id: str | None = None
     span: Span = field(default_factory=Span)
 
 
-_current: ContextVar[Origin | None] = ContextVar("origin", default=None)
+_current: ContextVar[RequestContext | None] = ContextVar("request_context", default=None)
 
 
-def current_origin() -> Origin:
-    """The origin of what is being done here; an empty one outside of any request or job."""
-    return _current.get() or Origin()
+def current_request() -> RequestContext:
+    """The context of the current request or job; an empty one outside of both."""
+    return _current.get() or RequestContext()
 
 
 @contextmanager
-def originating(origin: Origin) -> Iterator[None]:
-    """All that is done in the block comes from `origin`; its request id is in each line of the log."""
+def within_request(request: RequestContext) -> Iterator[None]:
+    """Make `request` the current one within the block; its id is in each line of the log."""
     before = _current.get()
-    _enter(origin)
+    _enter(request)
     try:
         yield
     finally:
@@ -97,14 +98,14 @@ def originating(origin: Origin) -> Iterator[None]:
         _enter(before)
 
 
-def _enter(origin: Origin | None) -> None:
-    _current.set(origin)
-    if origin is None:
+def _enter(request: RequestContext | None) -> None:
+    _current.set(request)
+    if request is None:
         structlog.contextvars.unbind_contextvars("request_id")
     else:
-        structlog.contextvars.bind_contextvars(request_id=origin.request_id)
+        structlog.contextvars.bind_contextvars(request_id=request.request_id)
 
 
 def validated_traceparent(text: str | None) -> str | None:
-    """`text` if it is a W3C traceparent of version 00, else None: what cannot be read is left out, as W3C asks."""
+    """`text` if it is a W3C traceparent of version 00, else None: W3C asks that an unreadable one be ignored."""
     return text if text is not None and _TRACEPARENT.fullmatch(text) else None

@@ -5,18 +5,20 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
+from functools import partial
 from typing import Any
 
 from revisit.core.geometry.se3 import Matrix4
-from revisit.service.application.catalogue.maps import require_map
+from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.catalogue.paging import Page, PageRequest, page_of
-from revisit.service.application.contract.context import Context
 from revisit.service.application.contract.errors import NotFound
 from revisit.service.application.contract.identity import SubmapKey, TenantId
-from revisit.service.application.contract.ports import UnitOfWork
+from revisit.service.application.contract.lookup import require_map
 from revisit.service.application.contract.poses import pose_matrix
 from revisit.service.application.contract.records import LoopRecord
+from revisit.service.application.contract.states import LoopState
+from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.query.freshness import Freshness, await_freshness
 
 _LAST_NUMBER = 2**63 - 1
@@ -24,13 +26,6 @@ _LAST_NUMBER = 2**63 - 1
 
 _WATCH_POLL_S = 0.25
 _WATCH_BATCH = 100
-
-
-class LoopState(StrEnum):
-    """The verdict."""
-
-    ACCEPTED = "ACCEPTED"
-    REJECTED = "REJECTED"
 
 
 @dataclass(frozen=True)
@@ -65,20 +60,15 @@ class LoopClosureView:
 class Loops:
     """Get, list and watch loop closures."""
 
-    def __init__(self, context: Context) -> None:
-        """All calls use `context`."""
-        self._context = context
+    def __init__(self, storage: Storage, admission: Admission) -> None:
+        """Watching ends when `admission` says that the service stops."""
+        self._storage = storage
+        self._admission = admission
 
     async def get(self, tenant: TenantId, map_id: str, loop_id: str) -> LoopClosureView:
         """Raises NotFound."""
-
-        def load(uow: UnitOfWork) -> LoopRecord:
-            record = uow.loops.get(tenant, map_id, loop_id)
-            if record is None:
-                raise NotFound(f"there is no loop closure {loop_id!r} in map {map_id!r}"[:300])
-            return record
-
-        return loop_view(await self._context.read(load))
+        record = await self._storage.read(partial(_require_loop, tenant=tenant, map_id=map_id, loop_id=loop_id))
+        return loop_view(record)
 
     async def list(
         self,
@@ -93,8 +83,8 @@ class Loops:
 
         Raises NotFound for the map, SeqNotReached where `fresh` was not reached.
         """
-        await await_freshness(self._context, tenant, map_id, fresh)
-        records = await self._context.read(
+        await await_freshness(self._storage, self._admission, tenant, map_id, fresh)
+        records = await self._storage.read(
             lambda uow: _load(uow, tenant, map_id, page.after, page.size + 1, state, session_id)
         )
         return page_of(records, page, loop_view)
@@ -107,7 +97,7 @@ class Loops:
         Ends when the service stops. Raises NotFound for the map.
         """
         seen = min(after, _LAST_NUMBER)
-        while not self._context.stopping.is_set():
+        while not self._admission.stopping:
             records = await self._accepted_after(tenant, map_id, seen, session_id)
             for record in records:
                 seen = record.number
@@ -118,7 +108,7 @@ class Loops:
     async def _accepted_after(
         self, tenant: TenantId, map_id: str, after: int, session_id: str | None
     ) -> Sequence[LoopRecord]:
-        return await self._context.read(
+        return await self._storage.read(
             lambda uow: _load(uow, tenant, map_id, after, _WATCH_BATCH, LoopState.ACCEPTED, session_id)
         )
 
@@ -139,6 +129,13 @@ def loop_view(record: LoopRecord) -> LoopClosureView:
         evidence=record.evidence,
         created_at_ns=record.created_at_ns,
     )
+
+
+def _require_loop(uow: UnitOfWork, tenant: TenantId, map_id: str, loop_id: str) -> LoopRecord:
+    record = uow.loops.get(tenant, map_id, loop_id)
+    if record is None:
+        raise NotFound(f"there is no loop closure {loop_id!r} in map {map_id!r}"[:300])
+    return record
 
 
 def _load(

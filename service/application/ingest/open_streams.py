@@ -1,4 +1,4 @@
-"""Ending the open streams of a session that was deleted: one that is silent would not notice by itself."""
+"""The open streams, which end when their session is deleted: an idle stream would not notice by itself."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from contextlib import contextmanager
 from revisit.service.application.contract.identity import SessionKey, TenantId
 
 
-class StreamEndings:
+class OpenStreams:
     """The open streams and whether their session is gone. All calls come from the event loop."""
 
     def __init__(self) -> None:
         self._open: list[tuple[TenantId, SessionKey, asyncio.Event]] = []
 
     @contextmanager
-    def watched(self, tenant: TenantId, session: SessionKey) -> Iterator[asyncio.Event]:
+    def deletion_of(self, tenant: TenantId, session: SessionKey) -> Iterator[asyncio.Event]:
         """While a stream is open: set once its session was deleted. To be entered before the session is looked up."""
         entry = (tenant, session, asyncio.Event())
         self._open.append(entry)

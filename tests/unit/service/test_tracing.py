@@ -6,25 +6,25 @@ import contextvars
 
 import structlog
 
-from revisit.service.application.contract.origin import Origin, current_origin, originating
+from revisit.service.application.contract.tracing import RequestContext, current_request, within_request
 
 
 def test_work_has_the_innermost_origin_and_the_outer_one_afterwards() -> None:
-    with originating(Origin("outer")):
-        with originating(Origin("inner")):
-            assert current_origin().request_id == "inner"
-        assert current_origin().request_id == "outer"
+    with within_request(RequestContext("outer")):
+        with within_request(RequestContext("inner")):
+            assert current_request().request_id == "inner"
+        assert current_request().request_id == "outer"
         assert structlog.contextvars.get_contextvars()["request_id"] == "outer"
-    assert current_origin().request_id is None
+    assert current_request().request_id is None
     assert "request_id" not in structlog.contextvars.get_contextvars()
 
 
 def test_a_stream_that_is_given_up_may_be_closed_in_another_context() -> None:
     def stream():
-        with originating(Origin("cut")):
-            yield current_origin().request_id
+        with within_request(RequestContext("cut")):
+            yield current_request().request_id
 
     answers = stream()
     assert contextvars.copy_context().run(next, answers) == "cut"
     contextvars.copy_context().run(answers.close)
-    assert current_origin().request_id is None
+    assert current_request().request_id is None

@@ -1,4 +1,4 @@
-"""The outer edge of gRPC: each call has an id, an origin, a span and a line in the log."""
+"""Tracing of gRPC calls: each has a request id, a span and a line in the log."""
 
 from __future__ import annotations
 
@@ -12,7 +12,13 @@ from typing import Any
 import grpc
 import structlog
 
-from revisit.service.application.contract.origin import Origin, Role, Tracer, originating, validated_traceparent
+from revisit.service.application.contract.tracing import (
+    RequestContext,
+    Role,
+    Tracer,
+    validated_traceparent,
+    within_request,
+)
 
 REQUEST_ID = "x-request-id"
 
@@ -22,8 +28,8 @@ _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}", re.ASCII)
 log = structlog.get_logger(__name__)
 
 
-class CallOrigin(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  # not generic at run time
-    """Says where what follows comes from: the call's id, and a span within the trace that the client names."""
+class CallTracing(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  # not generic at run time
+    """Sets the request context of each call: its id, and a span within the trace that the client names."""
 
     def __init__(self, tracer: Tracer) -> None:
         """Spans are made by `tracer`."""
@@ -71,7 +77,10 @@ class CallOrigin(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  # not g
         context.set_trailing_metadata(((REQUEST_ID, request_id),))
         about = {"rpc.system": "grpc", "rpc.method": method, "revisit.request_id": request_id}
         given = validated_traceparent(_text(sent.get("traceparent")))
-        with self._tracer.span(Role.REQUEST, method, given, about) as span, originating(Origin(request_id, span)):
+        with (
+            self._tracer.span(Role.REQUEST, method, given, about) as span,
+            within_request(RequestContext(request_id, span)),
+        ):
             try:
                 yield
             finally:

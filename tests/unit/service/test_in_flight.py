@@ -7,7 +7,7 @@ from contextlib import AsyncExitStack, ExitStack, suppress
 
 import pytest
 
-from revisit.service.application.capacity.intake import CALL_POINTS, CROWDED_S, Intake, IntakeLimits
+from revisit.service.application.capacity.in_flight import CALL_POINTS, OVERLOAD_S, CapacityLimits, InFlight
 from revisit.service.application.contract.errors import RateLimited, WorkersBusy
 
 
@@ -27,12 +27,12 @@ def clock():
 
 
 def intake(clock, **limits):
-    return Intake(IntakeLimits(burst_s=2.0, **limits), lambda: clock.client, clock)
+    return InFlight(CapacityLimits(burst_s=2.0, **limits), lambda: clock.client, clock)
 
 
 def wait_s(intake, tenant="anna"):
     try:
-        intake.require_points(tenant)
+        intake.check_rate(tenant)
     except RateLimited as refused:
         return refused.retry_after_s
     return 0.0
@@ -40,9 +40,9 @@ def wait_s(intake, tenant="anna"):
 
 def test_a_client_may_send_its_burst_and_then_its_rate(clock):
     bounded = intake(clock, client_points_per_s=5_000)
-    bounded.spend("anna", 10_000 - CALL_POINTS)
+    bounded.charge_call("anna", 10_000 - CALL_POINTS)
     assert wait_s(bounded) == 0.0  # nothing is left, nothing is owed
-    bounded.spend("anna", 5_000 - CALL_POINTS)
+    bounded.charge_call("anna", 5_000 - CALL_POINTS)
     assert wait_s(bounded) == pytest.approx(1.0)
     clock.now_s += 0.75
     assert wait_s(bounded) == pytest.approx(0.25)
@@ -54,7 +54,7 @@ def test_what_was_saved_is_never_more_than_the_burst(clock):
     bounded = intake(clock, client_points_per_s=5_000)
     assert wait_s(bounded) == 0.0
     clock.now_s += 1_000_000.0
-    bounded.spend("anna", 10_000)
+    bounded.charge_call("anna", 10_000)
     assert wait_s(bounded) == pytest.approx(CALL_POINTS / 5_000)
 
 
@@ -68,7 +68,7 @@ def test_what_was_saved_is_never_more_than_the_burst(clock):
 )
 def test_a_debt_is_felt_by_those_who_share_the_bucket(clock, limit, same_client, same_tenant, other_tenant):
     bounded = intake(clock, **{limit: 1_000})
-    bounded.spend("anna", 2_000)
+    bounded.charge_call("anna", 2_000)
     assert (wait_s(bounded) > 0.0) is same_client
     assert (wait_s(bounded, tenant="bert") > 0.0) is other_tenant
     clock.client = "other"
@@ -78,7 +78,7 @@ def test_a_debt_is_felt_by_those_who_share_the_bucket(clock, limit, same_client,
 def test_a_call_without_points_costs_something(clock):
     bounded = intake(clock, client_points_per_s=CALL_POINTS)
     for _ in range(3):
-        bounded.spend("anna", 0)
+        bounded.charge_call("anna", 0)
     assert wait_s(bounded) == pytest.approx(1.0)
 
 
@@ -87,7 +87,7 @@ async def test_a_cloud_is_paid_for_as_the_last_one_was_until_its_points_are_coun
 
     async def take(points):
         """The wait while a cloud is decoded, and after; None where it cannot be decoded."""
-        async with bounded.cloud("anna") as decoded:
+        async with bounded.reserve_cloud("anna") as decoded:
             meanwhile_s = wait_s(bounded)
             if points is not None:
                 decoded(points)
@@ -103,33 +103,33 @@ async def test_a_cloud_is_paid_for_as_the_last_one_was_until_its_points_are_coun
 
 async def test_one_cloud_too_many_is_refused_until_one_is_done(clock):
     bounded = intake(clock, clouds=4, tenant_share=1.0)
-    async with bounded.cloud("anna"), bounded.cloud("anna"), bounded.cloud("bert"):
-        async with bounded.cloud("carl"):
+    async with bounded.reserve_cloud("anna"), bounded.reserve_cloud("anna"), bounded.reserve_cloud("bert"):
+        async with bounded.reserve_cloud("carl"):
             assert bounded.clouds == 4
             with pytest.raises(WorkersBusy):
-                bounded.require_place("dora")
+                bounded.check_slot("dora")
             with pytest.raises(WorkersBusy) as refused:
-                async with bounded.cloud("dora"):
+                async with bounded.reserve_cloud("dora"):
                     pass
         assert refused.value.retry_after_s > 0
-        clock.now_s += 1.1 * CROWDED_S
-        async with bounded.cloud("dora"):
+        clock.now_s += 1.1 * OVERLOAD_S
+        async with bounded.reserve_cloud("dora"):
             assert bounded.clouds == 4
     assert bounded.clouds == 0
 
 
 async def test_one_tenant_leaves_a_place_for_another(clock):
     bounded = intake(clock, clouds=4, tenant_share=0.75)
-    async with bounded.cloud("anna"), bounded.cloud("anna"), bounded.cloud("anna"):
+    async with bounded.reserve_cloud("anna"), bounded.reserve_cloud("anna"), bounded.reserve_cloud("anna"):
         with pytest.raises(WorkersBusy):
-            async with bounded.cloud("anna"):
+            async with bounded.reserve_cloud("anna"):
                 pass
-        async with bounded.cloud("bert"):
+        async with bounded.reserve_cloud("bert"):
             assert bounded.clouds == 4
 
 
 async def test_where_more_keeps_coming_the_line_of_the_tenant_is_short(clock, monkeypatch):
-    monkeypatch.setattr("revisit.service.application.capacity.intake.DECODERS", 3)
+    monkeypatch.setattr("revisit.service.application.capacity.in_flight.DECODERS", 3)
     bounded = intake(clock, clouds=16, tenant_share=0.75)
 
     async def let_in(tenant, *, decode=False):
@@ -137,19 +137,19 @@ async def test_where_more_keeps_coming_the_line_of_the_tenant_is_short(clock, mo
         async with AsyncExitStack() as places:
             for _ in range(20):
                 with suppress(WorkersBusy):
-                    decoded = await places.enter_async_context(bounded.cloud(tenant))
+                    decoded = await places.enter_async_context(bounded.reserve_cloud(tenant))
                     if decode:
                         decoded(1)
             return bounded.clouds
 
     assert await let_in("anna") == 12
     for _ in range(3):
-        clock.now_s += 0.9 * CROWDED_S
+        clock.now_s += 0.9 * OVERLOAD_S
         assert await let_in("anna") == 3
     assert await let_in("anna", decode=True) == 12  # what is decoded and being stored is not in line
     assert await let_in("anna") == 3
     assert await let_in("bert") == 12
-    clock.now_s += 1.1 * CROWDED_S
+    clock.now_s += 1.1 * OVERLOAD_S
     assert await let_in("anna") == 12
 
 
@@ -158,11 +158,11 @@ async def test_the_patient_wait_for_their_turn_in_order(clock):
     order = []
 
     async def take(name, tenant):
-        async with bounded.cloud(tenant, patient=True):
+        async with bounded.reserve_cloud(tenant, patient=True):
             order.append(name)
             await asyncio.sleep(0)
 
-    async with bounded.cloud("anna"):
+    async with bounded.reserve_cloud("anna"):
         tasks = [asyncio.create_task(take(*who)) for who in (("a1", "anna"), ("a2", "anna"), ("b1", "bert"))]
         await asyncio.gather(tasks[2])
         assert order == ["b1"]  # bert need not wait behind anna's
@@ -172,16 +172,16 @@ async def test_the_patient_wait_for_their_turn_in_order(clock):
 
 
 async def test_the_patient_go_on_where_those_before_them_are_decoded(clock, monkeypatch):
-    monkeypatch.setattr("revisit.service.application.capacity.intake.DECODERS", 1)
+    monkeypatch.setattr("revisit.service.application.capacity.in_flight.DECODERS", 1)
     bounded = intake(clock, clouds=4, tenant_share=1.0)
-    bounded.note_crowd("anna")
+    bounded.note_overload("anna")
     entered = asyncio.Event()
 
     async def take():
-        async with bounded.cloud("anna", patient=True):
+        async with bounded.reserve_cloud("anna", patient=True):
             entered.set()
 
-    async with bounded.cloud("anna") as decoded:
+    async with bounded.reserve_cloud("anna") as decoded:
         waiting = asyncio.create_task(take())
         await asyncio.sleep(0)
         assert (bounded.clouds, entered.is_set()) == (1, False)
@@ -194,10 +194,10 @@ async def test_who_gives_up_waiting_takes_no_place(clock):
     bounded = intake(clock, clouds=1)
 
     async def take():
-        async with bounded.cloud("anna", patient=True):
+        async with bounded.reserve_cloud("anna", patient=True):
             pass
 
-    async with bounded.cloud("anna"):
+    async with bounded.reserve_cloud("anna"):
         waiting = [asyncio.create_task(take()) for _ in range(3)]
         await asyncio.sleep(0)
         waiting[0].cancel()
@@ -205,7 +205,7 @@ async def test_who_gives_up_waiting_takes_no_place(clock):
     waiting[1].cancel()  # given its place a moment ago
     await asyncio.gather(*waiting, return_exceptions=True)
     assert bounded.clouds == 0
-    async with bounded.cloud("anna"):
+    async with bounded.reserve_cloud("anna"):
         assert bounded.clouds == 1
 
 
@@ -213,41 +213,18 @@ def test_streams_are_bounded_for_a_client_and_for_all(clock):
     bounded = intake(clock, streams=5, client_streams=3)
     with ExitStack() as held:
         for _ in range(3):
-            held.enter_context(bounded.stream("anna", replaces=False))
+            held.enter_context(bounded.reserve_stream("anna", replaces=False))
         with pytest.raises(RateLimited, match="3 streams of this client"):
-            held.enter_context(bounded.stream("anna", replaces=False))
+            held.enter_context(bounded.reserve_stream("anna", replaces=False))
         # One that takes over from another, which ends, gets its place.
-        with bounded.stream("anna", replaces=True):
+        with bounded.reserve_stream("anna", replaces=True):
             assert bounded.streams == 4
-        held.enter_context(bounded.stream("bert", replaces=False))
+        held.enter_context(bounded.reserve_stream("bert", replaces=False))
         clock.client = "other"
-        held.enter_context(bounded.stream("anna", replaces=False))
+        held.enter_context(bounded.reserve_stream("anna", replaces=False))
         with pytest.raises(RateLimited, match="5 in all"):
-            held.enter_context(bounded.stream("anna", replaces=False))
+            held.enter_context(bounded.reserve_stream("anna", replaces=False))
     clock.client = "robot"
     assert bounded.streams == 0
-    with bounded.stream("anna", replaces=False):
+    with bounded.reserve_stream("anna", replaces=False):
         assert bounded.streams == 1
-
-
-def test_a_queue_is_full_with_what_is_being_taken_in(clock):
-    bounded = intake(clock, clouds=4, tenant_share=1.0)
-    bounded.expect_waiting("anna", 3)
-
-    async def seems_full():
-        async with bounded.cloud("anna"):
-            return [bounded.queue_seems_full("anna", most) for most in (5, 4)]
-
-    assert asyncio.run(seems_full()) == [False, True]
-    assert not bounded.queue_seems_full("anna", 4)
-    assert not bounded.queue_seems_full("bert", 1)
-
-
-def test_a_queue_is_counted_again_at_most_twenty_times_a_second(clock):
-    bounded = intake(clock)
-    assert not bounded.recounted_lately("anna")
-    bounded.note_recount("anna", 7)
-    assert bounded.recounted_lately("anna") and not bounded.recounted_lately("bert")
-    clock.now_s += 0.051
-    assert not bounded.recounted_lately("anna")
-    assert bounded.queue_seems_full("anna", 7) and not bounded.queue_seems_full("anna", 8)

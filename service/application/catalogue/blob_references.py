@@ -1,26 +1,29 @@
-"""Which blobs rows refer to, and forgetting those that no row refers to any more."""
+"""Which blobs the rows refer to, and deleting those that no row refers to any more."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import partial
 
-from revisit.service.application.contract.context import Context
+from revisit.service.application.contract.blobs import (
+    CLOUD_BLOB,
+    MESH_BLOB,
+    NEURAL_MAP_BLOB,
+    QUERY_CLOUD_BLOB,
+    SIGNATURE_BLOB,
+    BlobStore,
+)
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.ports import BlobStore, UnitOfWork
 from revisit.service.application.contract.records import SubmapRecord
-from revisit.service.application.ingest.clouds import CLOUD_BLOB, QUERY_CLOUD_BLOB
-from revisit.service.application.recognise.meshes import MESH_BLOB
+from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.failpoints import failpoint
-
-SIGNATURE_BLOB = "signature"
-NEURAL_MAP_BLOB = "neural-map"
 
 Blob = tuple[str, str]
 """(kind, sha256)."""
 
 BLOBS_PER_TURN = 200
-"""A large map has a million blobs: robots and workers, who wait for the one writer, get their turn in between."""
+"""Blobs that are deleted in one transaction: other writers get their turn in between."""
 
 
 FIELDS = {
@@ -46,20 +49,28 @@ def blobs_of_rows(uow: UnitOfWork, tenant: TenantId, **equals: str) -> set[Blob]
     return named
 
 
-async def collect_blobs_in_turns(context: Context, tenant: TenantId, doomed: Iterable[Blob]) -> None:
-    """`collect_blobs` of all of `doomed`, in as many short transactions as that takes."""
-    left = sorted(doomed)
-    for start in range(0, len(left), BLOBS_PER_TURN):
-        turn = left[start : start + BLOBS_PER_TURN]
-        await context.write(partial(collect_blobs, blobs=context.blobs, tenant=tenant, doomed=turn), alone=True)
+class BlobCollector:
+    """Deletes blobs that no row refers to any more."""
+
+    def __init__(self, storage: Storage) -> None:
+        """Rows and blobs are those of `storage`."""
+        self._storage = storage
+
+    async def collect(self, tenant: TenantId, doomed: Iterable[Blob]) -> None:
+        """`collect_blobs` for all of `doomed`, in as many short transactions as needed."""
+        left = sorted(doomed)
+        for start in range(0, len(left), BLOBS_PER_TURN):
+            turn = left[start : start + BLOBS_PER_TURN]
+            work = partial(collect_blobs, blobs=self._storage.blobs, tenant=tenant, doomed=turn)
+            await self._storage.write(work, alone=True)
 
 
 def collect_blobs(uow: UnitOfWork, blobs: BlobStore, tenant: TenantId, doomed: Iterable[Blob]) -> None:
     """Delete those of `doomed` that no row refers to.
 
-    Runs alone in a write transaction, after the rows are gone for good, for a file does not come back with a rollback.
-    Whoever is about to refer to such a blob makes sure of it in a write transaction too, so either that sees it missing
-    or this sees the reference.
+    Runs alone in a write transaction after the rows were deleted, because a rollback brings no file back. Who adds a
+    reference to such a blob checks in a write transaction too that the blob is there (`Storage.keep_blob`). So either
+    that transaction sees the blob missing, or this one sees the reference.
     """
     for kind, sha256 in doomed:
         if not is_referenced(uow, tenant, kind, sha256):

@@ -9,9 +9,7 @@ import zstandard
 from numpy.typing import NDArray
 
 from revisit.core.errors import DataLoss
-from revisit.service.application.contract.ports import Mesh
-
-MESH_BLOB = "mesh"
+from revisit.service.application.contract.recogniser import Mesh
 
 _MAGIC = b"RVM1"
 _HEADER = struct.Struct("<4sII")

@@ -1,4 +1,4 @@
-"""Place memory: a map's vector index kept up with the database, and its hits as submaps."""
+"""Place memory: searches a map's vector index after it has caught up with the database."""
 
 from __future__ import annotations
 
@@ -8,18 +8,12 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.service.application.catalogue.submaps import submap_key
 from revisit.service.application.contract.errors import NotFound
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.ports import (
-    IndexChange,
-    Transactions,
-    UnitOfWork,
-    VectorFilter,
-    VectorIndex,
-    VectorMatch,
-)
+from revisit.service.application.contract.index import IndexChange, VectorFilter, VectorIndex, VectorMatch
 from revisit.service.application.contract.records import MapRecord, SubmapRecord
+from revisit.service.application.contract.transactions import Transactions, UnitOfWork
+from revisit.service.application.contract.views import submap_key
 from revisit.service.application.query.search_answers import SearchCriteria, SearchHit, SearchResult
 from revisit.service.failpoints import failpoint
 

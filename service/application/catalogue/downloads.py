@@ -10,13 +10,12 @@ import numpy as np
 
 from revisit.core.errors import UnsupportedEncoding
 from revisit.formats import NPY, PCD, PLY, encode_npy, encode_pcd, encode_ply, encode_ply_mesh
+from revisit.service.application.catalogue.meshes import unpack_mesh
+from revisit.service.application.contract.blobs import CLOUD_BLOB, MESH_BLOB, NEURAL_MAP_BLOB, BlobStore
 from revisit.service.application.contract.errors import NotFound, NotReady
-from revisit.service.application.contract.ports import BlobStore
 from revisit.service.application.contract.records import SubmapRecord
-from revisit.service.application.housekeeping.blob_references import NEURAL_MAP_BLOB
-from revisit.service.application.ingest.clouds import CLOUD_BLOB, StoredCloud, unpack_cloud
+from revisit.service.application.ingest.clouds import StoredCloud, unpack_cloud
 from revisit.service.application.ingest.submap_source import SubmapSource, load_submap
-from revisit.service.application.recognise.meshes import MESH_BLOB, unpack_mesh
 
 
 class DownloadKind(StrEnum):

@@ -1,0 +1,69 @@
+"""Whether a request is accepted now: not while the service stops, the disk is full, or a limit is reached."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+
+from revisit.service.application.capacity.backlog import Backlog
+from revisit.service.application.capacity.in_flight import InFlight
+from revisit.service.application.contract.disk import DiskSpace
+from revisit.service.application.contract.errors import Draining, StorageFull
+from revisit.service.application.contract.identity import TenantId
+
+
+class Admission:
+    """Refuses requests that the service cannot serve now."""
+
+    def __init__(self, stopping: threading.Event, disk: DiskSpace, in_flight: InFlight, backlog: Backlog) -> None:
+        """`stopping` is set when the service begins to stop."""
+        self._stopping = stopping
+        self._disk = disk
+        self._in_flight = in_flight
+        self._backlog = backlog
+
+    @property
+    def stopping(self) -> bool:
+        """Whether the service stops."""
+        return self._stopping.is_set()
+
+    def stop(self) -> None:
+        """Refuse every new request from now on."""
+        self._stopping.set()
+
+    def require_running(self) -> None:
+        """Raises Draining once the service is stopping."""
+        if self.stopping:
+            raise Draining
+
+    def require_storage(self) -> None:
+        """As `require_running`, for a request that stores a cloud. Raises also StorageFull while the disk is full."""
+        self.require_running()
+        if self._disk.full():
+            raise StorageFull
+
+    def precheck_cloud(self, tenant: TenantId) -> None:
+        """What can be checked before a cloud is read. Raises Draining, RateLimited, WorkersBusy."""
+        self.require_running()
+        self._in_flight.check_rate(tenant)
+        self._in_flight.check_slot(tenant)
+
+    async def precheck_job(self, tenant: TenantId) -> None:
+        """As `precheck_cloud`, for a cloud that becomes a job. Raises also WorkersBusy where the backlog is full."""
+        self.precheck_cloud(tenant)
+        await self._backlog.precheck(tenant)
+
+    @asynccontextmanager
+    async def cloud(
+        self, tenant: TenantId, *, patient: bool = False, queued: bool = True
+    ) -> AsyncIterator[Callable[[int], None]]:
+        """Reserve capacity for one cloud, which becomes a job if it is `queued`; see `InFlight.reserve_cloud`.
+
+        Raises RateLimited; WorkersBusy where the backlog is full or, unless `patient`, all slots are taken.
+        """
+        self._in_flight.check_rate(tenant)
+        if queued:
+            await self._backlog.precheck(tenant)
+        async with self._in_flight.reserve_cloud(tenant, patient=patient) as decoded:
+            yield decoded

@@ -1,0 +1,107 @@
+"""A map's vector index, and the log of changes that keeps it up to date."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.service.application.contract.identity import TenantId
+
+
+@dataclass(frozen=True)
+class IndexChange:
+    """A submap entered (`vector` given) or left a map's index. `seq` grows in the order of commits."""
+
+    seq: int
+    submap_number: int
+    session_number: int
+    ordinal: int
+    position_m: tuple[float, float, float]
+    vector: bytes | None
+
+
+class ChangeLog(Protocol):
+    """The history of a map's index, which lets any process catch up: the database is the truth, an index a cache."""
+
+    def record_described(self, tenant: TenantId, map_number: int, submap_number: int) -> int:
+        """The submap has a descriptor now; the change's sequence number."""
+        ...
+
+    def record_removed(self, tenant: TenantId, map_number: int, submap_numbers: Collection[int]) -> None:
+        """The submaps are gone; a change for each."""
+        ...
+
+    def since(self, tenant: TenantId, map_number: int, seq: int, limit: int | None = None) -> list[IndexChange]:
+        """The changes above `seq` in order, the first `limit` of them.
+
+        A submap that has gone meanwhile appears only as removed.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class VectorFilter:
+    """Which submaps may be hits. Sessions and submaps by number.
+
+    `near_session`, `near_ordinal`, `min_gap`: submaps of that session nearer than `min_gap` ordinals are no hits.
+    """
+
+    exclude_submap: int | None = None
+    exclude_session: int | None = None
+    only_session: int | None = None
+    near_session: int | None = None
+    near_ordinal: int = 0
+    min_gap: int = 0
+    position_m: tuple[float, float, float] | None = None
+    radius_m: float | None = None
+
+
+@dataclass(frozen=True)
+class VectorMatch:
+    """A hit: submap number and cosine similarity."""
+
+    submap_number: int
+    similarity: float
+
+
+class IndexAudit(Protocol):
+    """What an index holds, for comparing it with the database."""
+
+    def numbers(self, map_number: int) -> tuple[int, NDArray[np.int64]]:
+        """`seq`, and the numbers of the submaps that it holds as of that change."""
+        ...
+
+    def differing(self, map_number: int, places: Sequence[IndexChange]) -> list[int]:
+        """The numbers of those `places`, which have vectors, that it does not hold exactly so."""
+        ...
+
+
+class VectorIndex(IndexAudit, Protocol):
+    """Nearest descriptors of one map each, keyed by map number: a cache that catches up with the change log."""
+
+    def seq(self, map_number: int) -> int:
+        """The last change applied, 0 for none."""
+        ...
+
+    def apply(self, map_number: int, changes: Sequence[IndexChange], after: int = 0) -> None:
+        """Apply the changes that follow change `after`, in order; those at or below `seq` are ignored.
+
+        All are where `seq` is below `after`: the map was forgotten since they were read.
+        """
+        ...
+
+    def search(self, map_number: int, vector: NDArray[np.float32], k: int, where: VectorFilter) -> list[VectorMatch]:
+        """The k nearest, most similar first, ties by number. Raises BadField for another dimension or NaN."""
+        ...
+
+    def size(self, map_number: int) -> int:
+        """How many submaps it holds."""
+        ...
+
+    def drop(self, map_number: int) -> None:
+        """Forget a map."""
+        ...

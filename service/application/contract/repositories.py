@@ -1,0 +1,122 @@
+"""Repositories: the rows of each record, by tenant."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol, TypeVar
+
+from revisit.service.application.contract.clock import Instant
+from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.records import JobRecord, ScanRecord, SubmapRecord
+
+R = TypeVar("R")
+
+
+class RowReader(Protocol[R]):
+    """Reads records of one kind. The tenant is part of every query."""
+
+    def get(self, tenant: TenantId, *key: str | int) -> R | None:
+        """The record with this key, or None."""
+        ...
+
+    def find(
+        self, tenant: TenantId, *, after: int = 0, limit: int | None = None, **equals: str | int | None
+    ) -> list[R]:
+        """Records whose fields equal `equals` and whose number is above `after`, by number, at most `limit`."""
+        ...
+
+    def numbered(self, tenant: TenantId, numbers: Sequence[int]) -> dict[int, R]:
+        """The records of this tenant with these numbers (at most 1000), by number; missing ones are left out."""
+        ...
+
+    def distinct(self, tenant: TenantId, field: str, **equals: str | int | None) -> set[Any]:
+        """The values that a field has in the records that `find` would give; without None."""
+        ...
+
+    def count(self, tenant: TenantId, **equals: str | int | None) -> int:
+        """How many records `find` would give."""
+        ...
+
+
+class RowWriter(Protocol[R]):
+    """Adds, changes and deletes records of one kind."""
+
+    def add(self, record: R) -> R:
+        """Store a new record and return it with its number. Raises AlreadyExists where its key is taken."""
+        ...
+
+    def replace(self, record: R) -> None:
+        """Overwrite the record of this number. Raises NotFound where there is none."""
+        ...
+
+    def delete(self, tenant: TenantId, **equals: str | int | None) -> int:
+        """Delete what `find` would give; how many."""
+        ...
+
+
+class RowsOfAllTenants(Protocol[R]):
+    """Reads records of one kind across tenants, for the upkeep of the service; no answer to a client rests on it."""
+
+    def count_of_all_tenants(self, **equals: str | int | None) -> int:
+        """How many records all tenants have together, for those who look after the service."""
+        ...
+
+    def of_all_tenants(self, *, after: int = 0, limit: int | None = None) -> list[R]:
+        """As `find`, of every tenant, for those who look after the service."""
+        ...
+
+
+class Repository(RowReader[R], RowWriter[R], RowsOfAllTenants[R], Protocol[R]):
+    """Records of one kind. The tenant is part of every key."""
+
+
+class ScanRepository(Repository[ScanRecord], Protocol):
+    """Scans, also by distance travelled and by range of sequence numbers."""
+
+    def first_seq_from(self, tenant: TenantId, map_id: str, session_id: str, travelled_m: float) -> int | None:
+        """The first scan of a session taken at or beyond `travelled_m`."""
+        ...
+
+    def with_seqs(self, tenant: TenantId, map_id: str, session_id: str, seqs: Sequence[int]) -> list[ScanRecord]:
+        """Those scans of a session that have one of these numbers, in order."""
+        ...
+
+
+class SubmapRepository(Repository[SubmapRecord], Protocol):
+    """Submaps, also by how far a map has come with them."""
+
+    def last_number(self) -> int:
+        """The last number that was given out, to whichever tenant, deleted since or not; 0 for none."""
+        ...
+
+    def waiting_up_to(self, tenant: TenantId, map_id: str, number: int) -> int:
+        """How many submaps of a map with numbers up to `number` are still queued."""
+        ...
+
+
+class JobRepository(Repository[JobRecord], Protocol):
+    """Jobs, also across tenants for those who run them."""
+
+    def next_runnable(self, now: Instant, after: str = "") -> JobRecord | None:
+        """A job that is queued and due, or whose lease has run out with attempts left: the most urgent, then oldest.
+
+        Tenants take turns: it is of the first tenant behind `after`, by name, that has one; behind the last comes the
+        first.
+        """
+        ...
+
+    def exhausted(self, now: Instant) -> list[JobRecord]:
+        """Jobs running on a lease that has run out, with no attempts left."""
+        ...
+
+    def leased_to(self, owner: str) -> list[JobRecord]:
+        """The running jobs of a worker."""
+        ...
+
+    def forget_answers(self, before_ns: int, limit: int) -> int:
+        """Delete the first `limit` queries (jobs of priority 0), of all tenants, that ended before then; how many."""
+        ...
+
+    def oldest_queued_ns(self) -> int | None:
+        """When the longest waiting job of any tenant was made, nanoseconds since 1970; None where none waits."""
+        ...

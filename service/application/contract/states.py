@@ -1,0 +1,44 @@
+"""The states of each resource and the kinds of jobs, as they are stored, compared and shown to clients."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class SessionState(StrEnum):
+    """Whether a session still takes data."""
+
+    ACTIVE = "ACTIVE"
+    FINISHED = "FINISHED"
+
+
+class SubmapState(StrEnum):
+    """Whether a submap has its description."""
+
+    QUEUED = "QUEUED"
+    DESCRIBED = "DESCRIBED"
+    FAILED = "FAILED"
+
+
+class LoopState(StrEnum):
+    """The verdict on a loop closure."""
+
+    ACCEPTED = "ACCEPTED"
+    REJECTED = "REJECTED"
+
+
+class OperationKind(StrEnum):
+    """What a job does."""
+
+    DESCRIBE_SUBMAP = "DESCRIBE_SUBMAP"
+    SEARCH_CLOUD = "SEARCH_CLOUD"
+    LOCALIZE = "LOCALIZE"
+
+
+class OperationState(StrEnum):
+    """The state of a job, which clients see as an operation."""
+
+    QUEUED = "QUEUED"
+    RUNNING = "RUNNING"
+    DONE = "DONE"
+    FAILED = "FAILED"

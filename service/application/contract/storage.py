@@ -1,0 +1,51 @@
+"""Storage as the use cases wait for it: transactions and blobs, from the event loop."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from concurrent.futures import Future
+from contextvars import copy_context
+from dataclasses import dataclass
+from typing import TypeVar
+
+from revisit.service.application.contract.blobs import BlobStore
+from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.transactions import Transactions, UnitOfWork
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Storage:
+    """The database and the blob store of the service."""
+
+    transactions: Transactions
+    blobs: BlobStore
+
+    async def write(self, work: Callable[[UnitOfWork], T], *, alone: bool = False) -> T:
+        """Commit `work` (see `Transactions.write`). A caller that is cancelled does not undo it."""
+        # The writer has a thread of its own: the request's context goes there with the work.
+        context = copy_context()
+        return await _outcome(self.transactions.write(lambda uow: context.run(work, uow), alone=alone))
+
+    async def read(self, work: Callable[[UnitOfWork], T]) -> T:
+        """Run `work` on a snapshot."""
+        return await _outcome(self.transactions.read(work))
+
+    async def put_blob(self, tenant: TenantId, kind: str, data: bytes) -> str:
+        """Store a blob durably, in a thread; its SHA-256. Raises StorageFull, StorageUncertain."""
+        return await asyncio.to_thread(self.blobs.put, tenant, kind, data)
+
+    def keep_blob(self, tenant: TenantId, kind: str, data: bytes, sha256: str) -> None:
+        """Store a blob again where it is missing, inside the write transaction of the row that names it.
+
+        It was stored before that transaction began, and a delete may have collected the same content meanwhile (see
+        `catalogue.blob_references`).
+        """
+        if not self.blobs.exists(tenant, kind, sha256):
+            self.blobs.put(tenant, kind, data)
+
+
+async def _outcome(future: Future[T]) -> T:
+    return await asyncio.shield(asyncio.wrap_future(future))

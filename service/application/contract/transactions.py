@@ -1,0 +1,108 @@
+"""Transactions: units of work over the repositories."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Protocol, TypeVar
+
+from revisit.service.application.contract.access_ports import AuditTrail, KeyRing
+from revisit.service.application.contract.index import ChangeLog
+from revisit.service.application.contract.job_queue import JobQueue, WorkerLog
+from revisit.service.application.contract.records import LoopRecord, MapRecord, RobotRecord, SessionRecord
+from revisit.service.application.contract.repositories import (
+    JobRepository,
+    Repository,
+    ScanRepository,
+    SubmapRepository,
+)
+
+T = TypeVar("T")
+
+
+class UnitOfWork(Protocol):
+    """One transaction: all of it is committed, or none.
+
+    Twelve properties and no methods: one for each kind of record, so that a transaction can change any of them.
+    """
+
+    @property
+    def maps(self) -> Repository[MapRecord]:
+        """Maps by (map_id)."""
+        ...
+
+    @property
+    def robots(self) -> Repository[RobotRecord]:
+        """Robots by (robot_id)."""
+        ...
+
+    @property
+    def sessions(self) -> Repository[SessionRecord]:
+        """Sessions by (map_id, session_id)."""
+        ...
+
+    @property
+    def scans(self) -> ScanRepository:
+        """Scans by (map_id, session_id, seq)."""
+        ...
+
+    @property
+    def submaps(self) -> SubmapRepository:
+        """Submaps by (map_id, session_id, submap_id)."""
+        ...
+
+    @property
+    def loops(self) -> Repository[LoopRecord]:
+        """Loop closures by (map_id, loop_id)."""
+        ...
+
+    @property
+    def jobs(self) -> JobRepository:
+        """Jobs by (operation_id)."""
+        ...
+
+    @property
+    def queue(self) -> JobQueue:
+        """The job queue."""
+        ...
+
+    @property
+    def changes(self) -> ChangeLog:
+        """The change log of the maps' indexes."""
+        ...
+
+    @property
+    def workers(self) -> WorkerLog:
+        """The living workers."""
+        ...
+
+    @property
+    def keys(self) -> KeyRing:
+        """API keys."""
+        ...
+
+    @property
+    def audit(self) -> AuditTrail:
+        """The audit log."""
+        ...
+
+
+class Transactions(Protocol):
+    """Runs units of work: writes one after another, reads beside them on a consistent snapshot."""
+
+    def write(self, work: Callable[[UnitOfWork], T], *, alone: bool = False) -> Future[T]:
+        """Run `work` and commit durably before the future is done; an exception rolls back and is passed on.
+
+        Writes that wait at the same time share a transaction and see each other's changes. One that does what a
+        rollback cannot undo runs `alone`, and so sees committed rows only. Raises through the future: StorageFull,
+        StorageUncertain, DataLoss, and what `work` raises.
+        """
+        ...
+
+    def read(self, work: Callable[[UnitOfWork], T]) -> Future[T]:
+        """Run `work` on a snapshot; it must not change anything."""
+        ...
+
+    def close(self) -> None:
+        """Finish what is queued and release everything."""
+        ...

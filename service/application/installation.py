@@ -1,0 +1,63 @@
+"""What one process of the service is built from: its adapters, its rules and its shared state."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from revisit.service.application.capacity.backlog import Backlog
+from revisit.service.application.capacity.in_flight import DECODERS, InFlight
+from revisit.service.application.contract.blobs import BlobStore
+from revisit.service.application.contract.clock import Clock
+from revisit.service.application.contract.disk import DiskSpace, UnlimitedDisk
+from revisit.service.application.contract.index import VectorIndex
+from revisit.service.application.contract.policy import Policy
+from revisit.service.application.contract.recogniser import PlaceRecogniser
+from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.transactions import Transactions
+from revisit.service.application.housekeeping.index_keeping import IndexHealth, IndexKeeper
+from revisit.service.application.ingest.clouds import CloudDecoder
+from revisit.service.application.ingest.open_streams import OpenStreams
+from revisit.service.application.query.place_memory import PlaceMemory
+from revisit.service.application.recognise.recognition import Recognition
+
+
+@dataclass(frozen=True)
+class Installation:
+    """Given to those who build; a use case is given only those of its parts that it uses."""
+
+    transactions: Transactions
+    blobs: BlobStore
+    index: VectorIndex
+    clock: Clock
+    policy: Policy
+    stopping: threading.Event = field(default_factory=threading.Event)
+    in_flight: InFlight = field(default_factory=InFlight)
+    disk: DiskSpace = field(default_factory=UnlimitedDisk)
+    index_health: IndexHealth = field(default_factory=IndexHealth)
+    open_streams: OpenStreams = field(default_factory=OpenStreams)
+    decoder: CloudDecoder = field(default_factory=lambda: CloudDecoder(DECODERS))
+
+    @cached_property
+    def storage(self) -> Storage:
+        """Transactions and blobs, from the event loop."""
+        return Storage(self.transactions, self.blobs)
+
+    @cached_property
+    def memory(self) -> PlaceMemory:
+        """Searches in the index."""
+        return PlaceMemory(self.transactions, self.index)
+
+    @cached_property
+    def backlog(self) -> Backlog:
+        """The limit of waiting jobs."""
+        return Backlog(self.storage, self.in_flight, self.policy.max_queued_jobs)
+
+    def recognition(self, recogniser: PlaceRecogniser) -> Recognition:
+        """What a worker does with a job; `recogniser` is the method, and the index this worker's own cache."""
+        return Recognition(self.transactions, self.blobs, self.memory, self.clock, self.policy, recogniser)
+
+    def index_keeper(self) -> IndexKeeper:
+        """What loads the index and compares it with the database. From now on the service is not ready until then."""
+        return IndexKeeper(self.storage, self.index, self.memory, self.index_health)
