@@ -7,12 +7,17 @@ The modules in the order of the paper:
     surface                 mesh, normals and occupancy out of the field           III-C
     clusters                ground removal and fast Euclidean clustering           III-C
     bev                     cluster-guided BEV image, Log-Gabor, keypoints         III-D, III-E, Eq. 7-9
-    cluster_normals         72-region angular histograms                           III-C
-    saliency                keypoints weigh and schedule the clusters              III-E, Eq. 10-12
-    vlad, descriptor        aggregation and fusion                                 III-D, III-E, Eq. 13-15
-    index                   nearest descriptors                                    III-E, Eq. 15
-    alignment, loop         SE(2) start, ICP, verdict                              III-E
+    micro                   saliency and angular histograms of the clusters        III-C, III-E, Eq. 10-12
+    spectra                 spectra of faces and plan                              decisions 0015, 0017
+    descriptor              aggregation and fusion                                 III-D, III-E, Eq. 13-15
+    index, candidates       nearest descriptors, and which may be loop closures    III-E, Eq. 15; IV-B
+    place                   what is kept of a submap for verification              III-E
+    verification            correspondences, start, registration, verdict          III-E
+    pose_graph              consistent loops, robust optimisation                  beyond the paper
     pipeline                the steps above, in order
+
+Beside them: geometry (transforms, level frame, voxel keys), kernels (compiled inner loops), config (all parameters),
+container (stored numbers), stages (their names and times), model_bundle (decoder and codebooks), errors.
 
 Nothing here knows a network, a database, a clock or a file.
 """

@@ -361,9 +361,9 @@ class VerificationConfig(Section):
 
     section: ClassVar[str] = "verification"
 
-    spacing: float = parameter(0.8, "m", "own", "edge of the cubes of which the signature keeps one surface point each")
-    standing_points: int = parameter(2500, "points", "own", "most surface points off the ground in a signature")
-    ground_points: int = parameter(800, "points", "own", "most ground points in a signature")
+    spacing: float = parameter(0.8, "m", "own", "edge of the cubes of which a place keeps one surface point each")
+    standing_points: int = parameter(2500, "points", "own", "most surface points off the ground in a place")
+    ground_points: int = parameter(800, "points", "own", "most ground points in a place")
     min_standing: int = parameter(100, "points", "own", "a place with fewer points off the ground is degenerate", low=0)
     min_spread: float = parameter(
         0.5, "m", "own", "smallest horizontal standard deviation of a place that is no line", low=0
@@ -383,7 +383,7 @@ class VerificationConfig(Section):
     coarse_share: int = parameter(5, "points", "own", "coarse steps use every so many-th point")
     coarse_distance: float = parameter(3.0, "m", "own", "reach of the coarse ICP steps")
     min_agreement: float = parameter(
-        0.2, "1", "own", "share of points on the other surface below which ICP ends early", low=0, high=1
+        0.2, "1", "own", "share of points on the other surface below which ICP ends early", low=0
     )
     fine_rounds: int = parameter(6, "steps", "own", "ICP steps on all points", low=0)
     fine_distance: float = parameter(1.0, "m", "own", "reach of the fine ICP steps")

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core import verification
 from revisit.core.bev import BevFeatures, describe_bev
 from revisit.core.candidates import CandidatePolicy
 from revisit.core.clusters import Clusters, segment_clusters
@@ -25,8 +26,7 @@ from revisit.core.scan import is_plane
 from revisit.core.spectra import describe_spectra
 from revisit.core.submap import Submap
 from revisit.core.surface import Surface, extract_surface
-from revisit.core.verification import verdict as loop
-from revisit.core.verification.verdict import RejectedLoop, VerifiedLoop
+from revisit.core.verification import RejectedLoop, VerifiedLoop
 
 
 @dataclass(frozen=True)
@@ -94,6 +94,7 @@ def recall(vector: NDArray[np.float32], index: PlaceIndex, policy: CandidatePoli
 def verify(query: Place, match: Place, similarity: float, config: VerificationConfig) -> VerifiedLoop | RejectedLoop:
     """Whether two places are the same and how they align: SE(2) start, ICP, gates (paper III-E, end).
 
-    `T_match_query` of the answer maps the frame of the query submap into that of the match submap.
+    `T_match_query` of the answer maps the frame of the query submap into that of the match submap. Exchanged places get
+    the same verdict and the inverse pose.
     """
-    return loop.verify(query, match, similarity, config)
+    return verification.verify(query, match, similarity, config)

@@ -131,14 +131,14 @@ def _real_quality(models: ModelBundle, config: PipelineConfig) -> list[Metric]:
     ]
 
 
-def _distances(submap: Submap, place: DescribedPlace) -> NDArray[np.float32]:
+def _distances(submap: Submap, described: DescribedPlace) -> NDArray[np.float32]:
     """Distances (n,) in metres of a sample of the returns to the surface of the neural map."""
     sample = submap.levelled().points[:: max(1, len(submap.points) // 40_000)]
-    return np.abs(place.neural_map.sdf(sample)[0])
+    return np.abs(described.neural_map.sdf(sample)[0])
 
 
-def _map_share(submap: Submap, place: DescribedPlace) -> float:
-    return len(place.neural_map.to_blob()) / (12 * len(submap.points))
+def _map_share(submap: Submap, described: DescribedPlace) -> float:
+    return len(described.neural_map.to_blob()) / (12 * len(submap.points))
 
 
 def _two_visits() -> tuple[Submap, Submap]:

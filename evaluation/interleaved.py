@@ -17,11 +17,11 @@ from revisit.core.index import ExactIndex, IndexEntry, Match, SearchFilter
 from revisit.evaluation.baselines import PlaceRecogniser, ScanContext
 from revisit.evaluation.cutting import Window, cut, load_submap
 from revisit.evaluation.datasets import Recording
+from revisit.evaluation.described_submaps import DescribedSubmap, DescriptionWork, describe_submaps, in_processes
+from revisit.evaluation.loop_closure_method import LoopClosureMethod, RevisitMethod
 from revisit.evaluation.matching import QueryMatches, VerificationWork, pose_error, verify_all
-from revisit.evaluation.methods import Method, PipelineMethod
 from revisit.evaluation.perturbations import turned
-from revisit.evaluation.places import DescriptionWork, Place, describe_places, in_processes
-from revisit.evaluation.runner import EvaluationOptions
+from revisit.evaluation.recording_evaluation import EvaluationOptions
 from revisit.evaluation.scene import estimate_scene_scale
 
 
@@ -55,7 +55,7 @@ def evaluate_interleaved(
     options: EvaluationOptions,
     *,
     radius_m: float = 10.0,
-    method: Method | None = None,
+    method: LoopClosureMethod | None = None,
     baselines: tuple[PlaceRecogniser, ...] = (ScanContext(),),
 ) -> InterleavedResult:
     """recall@1 within `radius_m` of odd-keyframe submaps among even-keyframe submaps, both turned at random.
@@ -63,20 +63,20 @@ def evaluate_interleaved(
     Turning uses `options.perturbation.rotate_seed`, or 0 where it is None. Raises what reading the recording raises.
     """
     config = options.pipeline(estimate_scene_scale(recording))
-    method = method or PipelineMethod(config, options.ablation)
+    method = method or RevisitMethod(config, options.ablation)
     seed = options.perturbation.rotate_seed
     perturbation = dataclasses.replace(options.perturbation, rotate_seed=0 if seed is None else seed)
     maps = cut(recording, config.submap, range(0, len(recording), 2))
     windows = maps + cut(recording, config.submap, range(1, len(recording), 2))
     work = DescriptionWork(recording, config.submap, perturbation, method, options.seed)
-    places = list(describe_places(work, windows, options.jobs))
+    places = list(describe_submaps(work, windows, options.jobs))
     candidates = _candidates(places, len(maps), config.loop.candidates)
     matches = list(verify_all(VerificationWork(places, method, radius_m), candidates, options.jobs))[len(maps) :]
     found = _baseline_matches(baselines, work, windows, len(maps), options.jobs)
     return _score(places, len(maps), matches, found, radius_m)
 
 
-def _candidates(places: list[Place], map_count: int, k: int) -> list[tuple[Match, ...]]:
+def _candidates(places: list[DescribedSubmap], map_count: int, k: int) -> list[tuple[Match, ...]]:
     """Nothing for the map's submaps; the most similar map submaps for each query."""
     described = [place for place in places[:map_count] if place.description is not None]
     if not described:
@@ -92,7 +92,11 @@ def _candidates(places: list[Place], map_count: int, k: int) -> list[tuple[Match
 
 
 def _score(
-    places: list[Place], map_count: int, matches: list[QueryMatches], found: dict[str, list[int]], radius_m: float
+    places: list[DescribedSubmap],
+    map_count: int,
+    matches: list[QueryMatches],
+    found: dict[str, list[int]],
+    radius_m: float,
 ) -> InterleavedResult:
     """All figures; found[baseline] is the map submap of every query."""
     queries = places[map_count:]
@@ -120,7 +124,7 @@ def _score(
     )  # fmt: skip
 
 
-def _within(query: Place, places: list[Place], match: int | None, radius_m: float) -> bool:
+def _within(query: DescribedSubmap, places: list[DescribedSubmap], match: int | None, radius_m: float) -> bool:
     return match is not None and bool(np.linalg.norm(places[match].position - query.position) <= radius_m)
 
 

@@ -13,8 +13,8 @@ from revisit.core.config import LoopConfig
 from revisit.core.geometry import se3
 from revisit.core.index import ExactIndex, IndexEntry, Match
 from revisit.core.pipeline import recall
-from revisit.evaluation.methods import Method, Verdict
-from revisit.evaluation.places import Place, in_processes
+from revisit.evaluation.described_submaps import DescribedSubmap, in_processes
+from revisit.evaluation.loop_closure_method import LoopClosureMethod, Verdict
 
 
 @dataclass(frozen=True)
@@ -44,18 +44,18 @@ class QueryMatches:
 class VerificationWork:
     """Everything a process needs to verify any query; submaps within `radius_m` are the same place."""
 
-    places: Sequence[Place]
-    method: Method
+    places: Sequence[DescribedSubmap]
+    method: LoopClosureMethod
     radius_m: float
 
 
-def pose_error(query: Place, match: Place, T_match_query: se3.Matrix4) -> tuple[float, float]:
+def pose_error(query: DescribedSubmap, match: DescribedSubmap, T_match_query: se3.Matrix4) -> tuple[float, float]:
     """Metres and degrees of inv(T_estimated) T_true, the true pose from the recording."""
     error = se3.inverse(T_match_query) @ se3.inverse(match.T_world_submap) @ query.T_world_submap
     return float(np.linalg.norm(error[:3, 3])), float(np.degrees(se3.rotation_angle(error)))
 
 
-def search_online(places: Sequence[Place], loop: LoopConfig) -> list[tuple[Match, ...]]:
+def search_online(places: Sequence[DescribedSubmap], loop: LoopConfig) -> list[tuple[Match, ...]]:
     """The candidates of every place among the earlier ones that differ by more than the index gap, best first."""
     described = [place.description for place in places if place.description is not None]
     index = ExactIndex(len(described[0].vector)) if described else None
@@ -86,11 +86,11 @@ def verify_query(work: VerificationWork, task: tuple[int, tuple[Match, ...]]) ->
     return QueryMatches(matches, tuple(ranked), time.perf_counter() - started)
 
 
-def _verified(work: VerificationWork, query: Place, match: Match) -> RankedCandidate:
+def _verified(work: VerificationWork, query: DescribedSubmap, match: Match) -> RankedCandidate:
     place = work.places[match.id]
     if query.description is None or place.description is None:
         raise ValueError(f"submaps {query.id} and {place.id} were matched without descriptions")
-    verdict = work.method.verify(query.description.signature, place.description.signature, match.similarity)
+    verdict = work.method.verify(query.description.place, place.description.place, match.similarity)
     T_match_query = verdict.T_match_query
     if T_match_query is not None:
         T_match_query = se3.from_yaw(-place.yaw) @ T_match_query @ se3.from_yaw(query.yaw)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from revisit.evaluation.calibration import CONFIDENCE, RATES, Threshold, calibrate, null_similarities
+from revisit.evaluation.described_submaps import DescribedSubmap
 from revisit.evaluation.matching import QueryMatches, pose_error
 from revisit.evaluation.metrics import (
     Flags,
@@ -21,12 +22,13 @@ from revisit.evaluation.metrics import (
     recall_at,
     score_recognition,
 )
-from revisit.evaluation.places import Place
 
 _BYTES_PER_RAW_POINT = 12
 
 
-def summarise(places: Sequence[Place], matches: Sequence[QueryMatches], protocol: LoopProtocol) -> dict[str, Any]:
+def summarise(
+    places: Sequence[DescribedSubmap], matches: Sequence[QueryMatches], protocol: LoopProtocol
+) -> dict[str, Any]:
     """All figures, JSON-ready.
 
     Counts, `descriptor` (cosine alone), `thresholds`, `verified`, `poses`, `seconds`, `bytes`.
@@ -66,7 +68,7 @@ def _recognition(ranked: list[list[int]], score: list[float], positives: Flags) 
     }
 
 
-def _thresholds(places: Sequence[Place]) -> dict[str, Any]:
+def _thresholds(places: Sequence[DescribedSubmap]) -> dict[str, Any]:
     """`min_similarity` that holds each false-alarm rate in this place, without labels; None where it is too small."""
     described = [(place.description.vector, place.position) for place in places if place.description is not None]
     if not described:
@@ -100,7 +102,7 @@ def _accepted(matches: Sequence[QueryMatches], positives: Flags) -> dict[str, in
     return {"accepted": len(near), "accepted_near": sum(near), "accepted_far": len(near) - sum(near)}
 
 
-def _pose_errors(places: Sequence[Place], matches: Sequence[QueryMatches]) -> dict[str, Any]:
+def _pose_errors(places: Sequence[DescribedSubmap], matches: Sequence[QueryMatches]) -> dict[str, Any]:
     """Errors of inv(T_estimated) T_true over all accepted loops, true poses from the recording.
 
     `false` counts poses that are off by more than 2 m or 5 degrees: a loop between submaps farther apart than the
@@ -124,7 +126,7 @@ def _pose_errors(places: Sequence[Place], matches: Sequence[QueryMatches]) -> di
     }  # fmt: skip
 
 
-def _seconds(places: Sequence[Place], matches: Sequence[QueryMatches]) -> dict[str, Any]:
+def _seconds(places: Sequence[DescribedSubmap], matches: Sequence[QueryMatches]) -> dict[str, Any]:
     """Median seconds a submap: reading, describing, each stage of it, verifying all candidates of a query."""
     stages: dict[str, list[float]] = {}
     for place in places:
@@ -139,7 +141,7 @@ def _seconds(places: Sequence[Place], matches: Sequence[QueryMatches]) -> dict[s
     }
 
 
-def _bytes(places: Sequence[Place]) -> dict[str, float | None]:
+def _bytes(places: Sequence[DescribedSubmap]) -> dict[str, float | None]:
     """Mean bytes a submap: raw float32 points, neural map and signature, and their shares of the raw points."""
     described = [(place.description, place.points) for place in places if place.description is not None]
     if not described:
@@ -149,7 +151,7 @@ def _bytes(places: Sequence[Place]) -> dict[str, float | None]:
     return {
         "raw_float32": raw,
         "neural_map": neural,
-        "signature": float(np.mean([len(description.signature) for description, _ in described])),
+        "signature": float(np.mean([len(description.place) for description, _ in described])),
         "descriptor": float(np.mean([description.vector.nbytes for description, _ in described])),
         "neural_map_share": neural / raw,
     }

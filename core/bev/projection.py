@@ -28,7 +28,7 @@ def cluster_supported(surface: Surface, clusters: Clusters, config: BevConfig) -
     standing = _voxels_near(surface, ~clusters.ground, config.cluster_distance)
     if not standing.any():
         return np.ones(len(surface.occupied), dtype=bool)
-    supported = _voxels_near(surface, clusters.labels >= 0, config.cluster_distance)
+    supported = _voxels_near(surface, clusters.labels >= 0, config.cluster_distance)  # Eq. 8: of any cluster
     return supported if supported.sum() >= config.min_support * standing.sum() else standing
 
 
@@ -42,7 +42,7 @@ def project(surface: Surface, voxels: Flags, config: BevConfig) -> Array:
     pixels = surface.occupied[voxels][:, :2] + size // 2
     inside = ((pixels >= 0) & (pixels < size)).all(axis=1)
     sums = np.zeros((size, size), dtype=np.float32)
-    np.add.at(sums, (pixels[inside, 1], pixels[inside, 0]), surface.occupancy[voxels][inside])
+    np.add.at(sums, (pixels[inside, 1], pixels[inside, 0]), surface.occupancy[voxels][inside])  # Eq. 9
     return normalise(sums, config)
 
 
@@ -65,4 +65,4 @@ def _voxels_near(surface: Surface, vertices: Flags, distance: float) -> Flags:
     centres = (surface.occupied + np.float32(0.5)) * np.float32(surface.resolution)
     tree = cKDTree(surface.vertices[vertices], balanced_tree=False, compact_nodes=False)
     gaps, _ = tree.query(centres, distance_upper_bound=distance * (1 + 1e-6))
-    return np.asarray(gaps <= distance)
+    return np.asarray(gaps <= distance)  # Eq. 7

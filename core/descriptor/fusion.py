@@ -29,7 +29,7 @@ class PlaceDescriptor:
         """The cosine of Eq. 15, in [-1, 1]. Raises DescriptorModelMismatch across models."""
         if self.model_version != other.model_version:
             raise DescriptorModelMismatch
-        return float(self.vector @ other.vector)
+        return float(self.vector @ other.vector)  # Eq. 15
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def fuse(features: PlaceFeatures, codebooks: Codebooks, config: FusionConfig, mo
         config.layout_weight * layout_descriptor(features.bev, codebooks),
         config.plan_weight * discriminated(features.spectra.plan, codebooks.plan_mean, codebooks.plan_basis),
     )
-    return PlaceDescriptor(unit(np.concatenate(parts)), model_version)
+    return PlaceDescriptor(unit(np.concatenate(parts)), model_version)  # Eq. 14
 
 
 def without_parts(vector: Array, config: FusionConfig, *, bev: bool = False, normals: bool = False) -> Array:
@@ -76,7 +76,7 @@ def macro_descriptor(bev: BevFeatures, codebooks: Codebooks) -> Array:
 def micro_descriptor(features: PlaceFeatures, codebooks: Codebooks, config: FusionConfig) -> Array:
     """F^G (q,): saliency-weighted VLAD of the cluster histograms (Eq. 13), and their normal spectrum beside it."""
     micro = features.micro
-    vlad = aggregate(micro.histograms, codebooks.micro_centres, micro.weights, config.literal_saliency)
+    vlad = aggregate(micro.histograms, codebooks.micro_centres, micro.weights, config.literal_saliency)  # Eq. 13
     histograms = fold(vlad, codebooks.micro_mean, codebooks.micro_folds)
     faces = discriminated(features.spectra.normal, codebooks.spectrum_mean, codebooks.spectrum_basis)
     return unit(np.concatenate([config.histogram_share * histograms, faces]))

@@ -48,9 +48,10 @@ class LevelFrame:
         matrix = np.array(submap_level, dtype=np.float64)
         if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
             raise BadTransform(f"a similarity must be (4, 4) and finite, got {matrix.shape}")
-        scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
-        if scale < 1e-6:
-            raise BadTransform("the similarity is a reflection or has no scale")
+        with np.errstate(over="ignore", under="ignore"):
+            scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
+        if not 1e-6 < scale < 1e6:
+            raise BadTransform("the similarity is a reflection or has no usable scale")
         matrix[:3, :3] /= scale
         return cls.from_upright(se3.validated(matrix), scale)
 

@@ -59,7 +59,10 @@ class DecoderWeights:
     @classmethod
     def from_bytes(cls, data: bytes, shapes: list[list[int]]) -> DecoderWeights:
         """The inverse of `to_bytes` for matrices of these `shapes`. Raises DataLoss where the sizes disagree."""
-        sizes = [*(out * into for out, into in shapes), *(out for out, _ in shapes)]
+        try:
+            sizes = [*(out * into for out, into in shapes), *(out for out, _ in shapes)]
+        except (TypeError, ValueError) as error:
+            raise DataLoss("the layers of the neural map's decoder are unreadable") from error
         values = np.frombuffer(data, "<f4")
         if sum(sizes) != len(values):
             raise DataLoss("the decoder of the neural map does not have the announced size")
@@ -95,7 +98,7 @@ def decode(parameters: list[Tensor], features: Tensor, encoding: Tensor, plane_d
     for layer in range(0, len(parameters) - 2, 2):
         hidden = torch.relu(torch.nn.functional.linear(hidden, parameters[layer], parameters[layer + 1]))
     correction = torch.nn.functional.linear(hidden, parameters[-2], parameters[-1])
-    return plane_distance + correction[:, 0]
+    return plane_distance + correction[:, 0]  # Eq. 5
 
 
 def orientations(normals: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -61,8 +61,9 @@ def without_dynamic_points(points: NeuralPoints, submap: Submap, config: Implici
         stable = points.subset(consistent)
         table = table_of(voxels_of(stable.positions, config.resolution))
         near = find_neighbourhood(points.positions[suspect], stable.positions, stable.normals, table, config)
-        # Eq. 6: S(p) > gamma_d and H(p) > gamma_mu; free space without any surface near is far from it
-        dynamic[suspect] = (near.plane_distance > config.dynamic_distance) | ~np.isfinite(near.nearest)
+        # free space without any surface near is far from it
+        far = (near.plane_distance > config.dynamic_distance) | ~np.isfinite(near.nearest)
+        dynamic[suspect] = far  # Eq. 6: S(p) > gamma_d, and H(p) > gamma_mu of the suspects
     return dataclasses.replace(points, stability=stability).subset(~dynamic)
 
 
@@ -97,7 +98,7 @@ def fit_features(
 
 def predict(parameters: list[Tensor], features: Tensor, near: Neighbourhood) -> Tensor:
     """Signed distances (m,) metres of a neighbourhood, differentiable in the features (n, F) and the decoder."""
-    blended = torch.nn.functional.embedding_bag(
+    blended = torch.nn.functional.embedding_bag(  # Eq. 4
         torch.from_numpy(near.indices), features, per_sample_weights=torch.from_numpy(near.weights), mode="sum"
     )
     return decode(parameters, blended, torch.from_numpy(near.encoding), torch.from_numpy(near.plane_distance))

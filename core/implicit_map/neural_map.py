@@ -119,7 +119,7 @@ class NeuralMap:
 
     def _decode(self, near: Neighbourhood) -> Array:
         with torch.no_grad():
-            blended = np.einsum("mk,mkf->mf", near.weights, self.features[near.indices])
+            blended = np.einsum("mk,mkf->mf", near.weights, self.features[near.indices])  # Eq. 4
             value = decode(
                 self.decoder.tensors(),
                 torch.from_numpy(blended),

@@ -22,7 +22,7 @@ NORMAL_PRIOR = 0.05
 
 
 @dataclass(frozen=True)
-class NeuralPoints:
+class NeuralPoints:  # Eq. 1
     """The points of one submap, Eq. 1 without the latent features.
 
     positions (n, 3) and normals (n, 3) float32; created and updated (n,) int32, the scans of t_c and t_u;

@@ -35,8 +35,7 @@ def blend_neighbours(
             if indices[m, j] < 0:
                 break
             distance = max(np.sqrt(squared[m, j]), np.float32(NEAREST_M))
-            # Eq. 3: inverse-distance weights
-            weights[m, j] = distance ** np.float32(-power)
+            weights[m, j] = distance ** np.float32(-power)  # Eq. 3
             total += weights[m, j]
         for j in range(k):
             i = indices[m, j]
@@ -45,11 +44,10 @@ def blend_neighbours(
             weights[m, j] /= total
             w = weights[m, j]
             for a in range(3):
-                # Eq. 2: the query in the frame of the neural point
                 d = np.float32(0.0)
                 for b in range(3):
-                    d += frames[i, a, b] * (queries[m, b] - positions[i, b])
-                encoding[m, a] += w * d * inverse
+                    d += frames[i, a, b] * (queries[m, b] - positions[i, b])  # Eq. 2
+                encoding[m, a] += w * d * inverse  # Eq. 4, and the two lines below
                 encoding[m, 3 + a] += w * np.sin(d * quarter)
                 encoding[m, 6 + a] += w * np.cos(d * quarter)
                 if a == 2:

@@ -38,7 +38,7 @@ def weigh_clusters(keypoints: Array, surface: Surface, clusters: Clusters, epsil
     rows = np.flatnonzero(clusters.labels >= 0)
     tree = cKDTree(surface.vertices[rows, :2], balanced_tree=False, compact_nodes=False)
     _, nearest = tree.query(keypoints)
-    assignment = clusters.labels[rows[nearest]].astype(np.int32)
-    counts = np.bincount(assignment, minlength=clusters.count)
+    assignment = clusters.labels[rows[nearest]].astype(np.int32)  # Eq. 10
+    counts = np.bincount(assignment, minlength=clusters.count)  # Eq. 11
     raised = counts + epsilon
-    return Saliency(assignment, counts, raised / raised.sum())
+    return Saliency(assignment, counts, raised / raised.sum())  # Eq. 12

@@ -1,6 +1,6 @@
 """Free space as evidence against an alignment: what one place has looked through cannot stand there in the other.
 
-A signature holds surface points, not rays; but whoever saw a surface in a direction saw nothing before it
+A place holds surface points and no rays. But a sensor that saw a surface in some direction saw nothing in front of it
 (docs/decisions/0018).
 """
 

@@ -1,7 +1,8 @@
 """MapClosures (Gupta et al., ICRA 2024) from its own package, which is not installed with this product.
 
 It learns every cloud it is asked about and compares it with all it has learned, so it is no `PlaceRecogniser`: clouds
-must come in the order of the drive (`evaluation.protocols.in_order`). It was made for maps of 100 m, not for submaps.
+must come in the order of the drive (`evaluation.protocols.sequential_baseline`). It was made for maps of 100 m, not for
+submaps.
 """
 
 from __future__ import annotations

@@ -1,8 +1,10 @@
-"""How recognition is judged: the same question put to every method.
+"""The protocols of the recognition benchmark: the same submaps and the same queries for every method.
 
-towns      the simulated drives and their seeds
-question   which submaps may answer, which answers are right
-contest    all methods on one question
-trial      the outcome, as numbers in a file
-programme  which trials make up the bench
+towns                the simulated drives and their seeds
+ground_truth         which map submaps a query may be matched with, and which of them show its place
+comparison           all methods on one set of queries
+experiment           the results of one protocol on one sequence, as numbers in a file
+directions           in which direction a place is passed again
+benchmark_plan       which experiments make up the benchmark
+sequential_baseline  MapClosures, which needs the submaps of a drive in their order
 """

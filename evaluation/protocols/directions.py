@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.evaluation.metrics import Floats
-from revisit.evaluation.protocols.trial import MethodOutcome, Trial
+from revisit.evaluation.protocols.experiment import Experiment, MethodResult
 
 
 class Direction(StrEnum):
@@ -19,11 +19,11 @@ class Direction(StrEnum):
     ACROSS = "across"
 
 
-def directions(trial: Trial) -> NDArray[np.object_]:
+def directions(experiment: Experiment) -> NDArray[np.object_]:
     """The Direction of every query (q,); None for a query without a loop."""
-    queries, known = (np.array(one).reshape(-1, 3) for one in (trial.query_positions, trial.map_positions))
+    queries, known = (np.array(one).reshape(-1, 3) for one in (experiment.query_positions, experiment.map_positions))
     query_courses, known_courses = courses(queries), courses(known)
-    positives = trial.question().positives
+    positives = experiment.ground_truth().positives
     found = np.full(len(queries), None, dtype=object)
     for query in np.flatnonzero(positives.any(axis=1)):
         distance = np.linalg.norm(known - queries[query], axis=1)
@@ -42,11 +42,11 @@ def courses(positions: Floats) -> Floats:
     return np.asarray(step / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9))
 
 
-def recall_by_direction(trial: Trial, outcome: MethodOutcome) -> dict[Direction, tuple[int, int]]:
+def recall_by_direction(experiment: Experiment, result: MethodResult) -> dict[Direction, tuple[int, int]]:
     """Of the queries passing in each direction: how many have a right first candidate, and how many there are."""
-    positives, found = trial.question().positives, {}
-    passed = directions(trial)
-    right = np.array([bool(ids) and bool(positives[query, ids[0]]) for query, ids in enumerate(outcome.candidates)])
+    positives, found = experiment.ground_truth().positives, {}
+    passed = directions(experiment)
+    right = np.array([bool(ids) and bool(positives[query, ids[0]]) for query, ids in enumerate(result.candidates)])
     for direction in Direction:
         chosen = np.array([one == direction for one in passed], dtype=bool)
         found[direction] = int(right[chosen].sum()), int(chosen.sum())

@@ -13,7 +13,7 @@ from revisit.core.pipeline import describe
 from revisit.evaluation.cutting import Window, load_submap
 from revisit.evaluation.datasets import Recording
 from revisit.evaluation.perturbations import Perturbation
-from revisit.evaluation.protocols.trial import MethodOutcome, Trial, classified, judged
+from revisit.evaluation.protocols.experiment import Experiment, MethodResult, classified, query_outcomes
 
 
 @dataclass(frozen=True)
@@ -33,19 +33,19 @@ class Failure:
         return f"submap {self.query} {kind} {self.match} at {self.distance_m:.0f} m, score {self.score:.2f}"
 
 
-def worst_failures(trial: Trial, outcome: MethodOutcome, count: int) -> list[Failure]:
+def worst_failures(experiment: Experiment, result: MethodResult, count: int) -> list[Failure]:
     """At most `count` wrong matches by falling score, and as many missed loops by rising score, at the best F1."""
-    question = trial.question()
-    rows = judged(outcome, question)
-    distance = _distances(trial)
+    ground_truth = experiment.ground_truth()
+    rows = query_outcomes(result, ground_truth)
+    distance = _distances(experiment)
     kinds = classified(rows)
     wrong, missed = np.flatnonzero(kinds == "wrong"), np.flatnonzero(kinds == "missed")
     found = []
     for query in wrong[np.argsort(-rows.score[wrong], kind="stable")][:count]:
-        match = outcome.candidates[query][0]
+        match = result.candidates[query][0]
         found.append(Failure(int(query), match, True, float(rows.score[query]), float(distance[query, match])))
     for query in missed[np.argsort(rows.score[missed], kind="stable")][:count]:
-        match = int(np.where(question.positives[query], distance[query], np.inf).argmin())
+        match = int(np.where(ground_truth.positives[query], distance[query], np.inf).argmin())
         score = max(float(rows.score[query]), 0.0)
         found.append(Failure(int(query), match, False, score, float(distance[query, match])))
     return found
@@ -57,7 +57,7 @@ def bev_image(recording: Recording, window: Window, config: PipelineConfig) -> N
     return describe(submap, load_packaged_models(), config).bev.image
 
 
-def _distances(trial: Trial) -> NDArray[np.float64]:
+def _distances(experiment: Experiment) -> NDArray[np.float64]:
     """Metres (q, m) between query and map submaps."""
-    queries, known = (np.array(rows).reshape(-1, 3) for rows in (trial.query_positions, trial.map_positions))
+    queries, known = (np.array(rows).reshape(-1, 3) for rows in (experiment.query_positions, experiment.map_positions))
     return np.asarray(np.linalg.norm(queries[:, None] - known[None], axis=2))

@@ -16,42 +16,42 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from revisit.evaluation.metrics import precision_recall
-from revisit.evaluation.protocols.contest import PRODUCT, VERIFIED
-from revisit.evaluation.protocols.trial import Trial, classified, judged
+from revisit.evaluation.protocols.comparison import PRODUCT, VERIFIED
+from revisit.evaluation.protocols.experiment import Experiment, classified, query_outcomes
 
 _COLOURS = {"right": "tab:green", "wrong": "tab:red", "missed": "tab:orange", "no loop": "lightgrey"}
 
 
-def draw_curves(trial: Trial, file: Path) -> None:
+def draw_curves(experiment: Experiment, file: Path) -> None:
     """Precision over recall of every method (paper Fig. 4); the product is drawn with thick lines."""
     figure, axes = plt.subplots(figsize=(7, 5.5), layout="constrained")
-    question = trial.question()
-    for outcome in trial.outcomes:
-        curve = precision_recall(judged(outcome, question))
+    ground_truth = experiment.ground_truth()
+    for result in experiment.results:
+        curve = precision_recall(query_outcomes(result, ground_truth))
         if len(curve.recall):
-            own = outcome.method in (PRODUCT, VERIFIED)
+            own = result.method in (PRODUCT, VERIFIED)
             recall, precision = np.append(0.0, curve.recall), np.append(curve.precision[0], curve.precision)
-            axes.plot(recall, precision, linewidth=2.4 if own else 1.1, label=outcome.method)
+            axes.plot(recall, precision, linewidth=2.4 if own else 1.1, label=result.method)
     axes.set(xlim=(0, 1.02), ylim=(0, 1.02), xlabel="recall", ylabel="precision")
-    axes.set_title(f"{trial.sequence}, {trial.protocol}")
+    axes.set_title(f"{experiment.sequence}, {experiment.protocol}")
     axes.grid(alpha=0.3)
     if axes.lines:
         axes.legend(fontsize=8, loc="lower left")
     _save(figure, file)
 
 
-def draw_map(trial: Trial, file: Path, columns: int = 4) -> None:
+def draw_map(experiment: Experiment, file: Path, columns: int = 4) -> None:
     """Every method's matches at the threshold of its best F1, on the map (paper Figs. 5 and 6)."""
-    rows = -(-len(trial.outcomes) // columns)
+    rows = -(-len(experiment.results) // columns)
     figure, grid = plt.subplots(rows, columns, figsize=(4 * columns, 4 * rows), layout="constrained", squeeze=False)
-    question, positions = trial.question(), np.array(trial.query_positions).reshape(-1, 3)
-    for axes in grid.flat[len(trial.outcomes) :]:
+    ground_truth, positions = experiment.ground_truth(), np.array(experiment.query_positions).reshape(-1, 3)
+    for axes in grid.flat[len(experiment.results) :]:
         axes.axis("off")
-    for axes, outcome in zip(grid.flat, trial.outcomes, strict=False):
-        kinds = classified(judged(outcome, question))
+    for axes, result in zip(grid.flat, experiment.results, strict=False):
+        kinds = classified(query_outcomes(result, ground_truth))
         _draw_kinds(axes, positions, kinds)
         counts = ", ".join(f"{int((kinds == kind).sum())} {kind}" for kind in ("right", "wrong", "missed"))
-        axes.set_title(f"{outcome.method}\n{counts}", fontsize=9)
+        axes.set_title(f"{result.method}\n{counts}", fontsize=9)
     _save(figure, file)
 
 

@@ -15,7 +15,7 @@ from revisit.cli.options import RECORDINGS, IndexGap, Json, PositiveRadius, Stri
 from revisit.cli.output import emit_json, emit_table, progress_bar, refuse, reporter, say
 
 if TYPE_CHECKING:
-    from revisit.evaluation.protocols.programme import Programme
+    from revisit.evaluation.protocols.benchmark_plan import BenchmarkPlan
 
 Update = Annotated[bool, typer.Option(help="Write the measured figures as the new baseline.")]
 
@@ -40,11 +40,11 @@ class Lengths:
     min_index_gap: int | None = None
     positive_radius_m: float | None = None
 
-    def of(self, programme: Programme) -> Programme:
-        """The programme with these lengths."""
+    def of(self, plan: BenchmarkPlan) -> BenchmarkPlan:
+        """The plan with these lengths."""
         submap = given(tau=self.tau, stride=self.stride)
         loops = given(min_index_gap=self.min_index_gap, positive_radius_m=self.positive_radius_m)
-        return replace(programme, submap=replace(programme.submap, **submap), loops=replace(programme.loops, **loops))
+        return replace(plan, submap=replace(plan.submap, **submap), loops=replace(plan.loops, **loops))
 
 
 @group.callback()
@@ -111,22 +111,22 @@ def _compare_methods(
     out: Path, recordings: Path, chosen: tuple[str, str], own: OwnRecordings, lengths: Lengths, jobs: int
 ) -> None:
     """Run the recognition bench on the simulated drives, or on the user's own recordings, and name its report."""
+    from revisit.evaluation import recognition_benchmark
     from revisit.evaluation.datasets import FORMATS
-    from revisit.evaluation.protocols import bench as recognition_bench
-    from revisit.evaluation.protocols.programme import PROTOCOLS, Programme
+    from revisit.evaluation.protocols.benchmark_plan import PROTOCOLS, BenchmarkPlan
 
     if own.file_format not in FORMATS:
         raise refuse(f"--format is one of {', '.join(FORMATS)}")
     protocols = _named("--protocols", chosen[1], PROTOCOLS)
-    programme = lengths.of(Programme(out, recordings, protocols=protocols, jobs=jobs, **_sources(chosen[0], own)))
+    plan = lengths.of(BenchmarkPlan(out, recordings, protocols=protocols, jobs=jobs, **_sources(chosen[0], own)))
     with progress_bar(quiet=False) as bar:
-        trials, (markdown, page) = recognition_bench.run_recognition_bench(programme, reporter(bar))
-    say(f"{len(trials)} trials in {markdown} and {page}")
+        experiments, (markdown, page) = recognition_benchmark.run_recognition_bench(plan, reporter(bar))
+    say(f"{len(experiments)} experiments in {markdown} and {page}")
 
 
 def _sources(drives: str, own: OwnRecordings) -> dict[str, Any]:
-    """What the programme runs on: own recordings where there are some."""
-    from revisit.evaluation.protocols.programme import RecordedDrive
+    """What the plan runs on: own recordings where there are some."""
+    from revisit.evaluation.protocols.benchmark_plan import RecordedDrive
     from revisit.evaluation.protocols.towns import DRIVES
 
     if own.single or own.pair:

@@ -13,7 +13,7 @@ from revisit.cli.output import emit_table, progress_bar, refuse, reporter, say
 
 if TYPE_CHECKING:
     from revisit.evaluation.perturbations import Perturbation
-    from revisit.evaluation.runner import EvaluationOptions
+    from revisit.evaluation.recording_evaluation import EvaluationOptions
 
 ABLATIONS = ("none", "no-implicit", "bev-only", "normals-only")
 
@@ -37,7 +37,7 @@ def evaluate(
     jobs: Annotated[int | None, typer.Option(min=1, help="Processes.")] = None,
 ) -> None:
     """Score place recognition on a recording with poses, as the paper does."""
-    from revisit.evaluation.runner import EvaluationOptions
+    from revisit.evaluation.recording_evaluation import EvaluationOptions
 
     lengths = {"tau": tau, "stride": stride, "min_index_gap": min_index_gap, "positive_radius": positive_radius}
     options = EvaluationOptions(
@@ -63,7 +63,7 @@ def _perturbation(keep_beams: int | None, keep_points: float, rotate_seed: int |
 
 def _evaluate_folder(folder: Path, file_format: str, options: EvaluationOptions, out: Path | None) -> None:
     """Evaluate a recording, write the rows, show the summary."""
-    from revisit.evaluation import runner
+    from revisit.evaluation import recording_evaluation
     from revisit.evaluation.datasets import FORMATS, open_recording
 
     if file_format not in FORMATS:
@@ -71,7 +71,7 @@ def _evaluate_folder(folder: Path, file_format: str, options: EvaluationOptions,
     if options.ablation not in ABLATIONS:
         raise refuse("--ablation is none, no-implicit, bev-only or normals-only")
     with progress_bar(quiet=False) as bar:
-        result = runner.evaluate(open_recording(folder, file_format), options, progress=reporter(bar))
+        result = recording_evaluation.evaluate(open_recording(folder, file_format), options, progress=reporter(bar))
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
         result.write_json(out)

@@ -91,8 +91,7 @@ class Fleet:
     def work_off(self) -> None:
         """Wait until every submap has been described."""
         with Client(self.service.url) as client:
-            submaps = lambda: client.list_submaps(SESSION)  # noqa: E731
-            eventually(lambda: all(s.state != "QUEUED" for s in submaps()), "jobs are left", timeout_s=600.0)
+            eventually(lambda: "QUEUED" not in {s.state for s in client.list_submaps(SESSION)}, "jobs are left", 600.0)
 
     def acknowledged(self) -> int:
         """How many submaps and scans were."""

@@ -15,7 +15,7 @@ from tests.support.processes import ServiceProcess, is_running
 from tests.support.town import eventually
 
 DRAINED_S = 15.0
-GATEWAY_EVERY = 5
+GATEWAY_EVERY = 4
 """Every so many kills hit the gateway, which takes its workers along; the others hit a worker."""
 
 
@@ -40,7 +40,7 @@ def kill_worker(fleet: Fleet, rng: random.Random) -> None:
     os.kill(rng.choice(fleet.service.worker_pids()), signal.SIGKILL)
 
 
-@pytest.mark.parametrize("kills", sizes("KILLS", 25, 1_000))
+@pytest.mark.parametrize("kills", sizes("KILLS", 20, 1_000))
 @pytest.mark.timeout(7200)
 def test_what_was_acknowledged_survives_kills_of_gateway_and_workers_once(fleet, folder, kills):
     rng, campaign = random.Random(17), Campaign("P1", kills)

@@ -11,7 +11,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from revisit.core import place as signature
+from revisit.core import place
 from revisit.core.errors import DataLoss, RevisitError
 from revisit.core.implicit_map import blob
 from revisit.core.place import Place
@@ -26,7 +26,7 @@ from revisit.service.rest.schemas import CreateMapRequest, SearchRequest
 
 LIMITS = CloudLimits(max_decoded_bytes=2**20, max_points=20_000)
 DIGEST_BYTES = 16
-"""How much of the SHA-256 a signature ends with."""
+"""How much of the SHA-256 a place ends with."""
 
 FILES = Path(__file__).resolve().parents[1] / "corpus/files"
 
@@ -94,9 +94,9 @@ TARGETS: dict[str, Target] = {
     "json search": refusing(lambda data: parse_json(data, SearchRequest, HttpLimits()), RevisitError),
     "page token": refusing(lambda data: PageRequest(token=data.decode("latin-1")).after, RevisitError),
     "neural map": refusing(blob.unpack, DataLoss),
-    "neural map behind its checksum": behind_checksum(blob.unpack, blob.MAGIC, 32),
+    "neural map behind its checksum": behind_checksum(blob.unpack, blob.CONTAINER.magic, 32),
     "signature": refusing(Place.from_blob, DataLoss),
-    "signature behind its checksum": behind_checksum(Place.from_blob, signature.MAGIC, DIGEST_BYTES),
+    "signature behind its checksum": behind_checksum(Place.from_blob, place.CONTAINER.magic, DIGEST_BYTES),
     "stored cloud": refusing(unpack_cloud, DataLoss),
     "stored mesh": refusing(unpack_mesh, DataLoss),
 }

@@ -13,7 +13,7 @@ import zstandard
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from revisit.core import place as signature
+from revisit.core import place
 from revisit.core.errors import DataLoss
 from revisit.core.implicit_map import blob
 from revisit.formats import MEDIA_TYPES
@@ -51,8 +51,8 @@ def seeds() -> dict[str, list[bytes]]:
         "json search": [b'{"descriptor": [1.0, 2e3], "model_version": "m", "k": 3, "prior_position_m": [0, 1, 2]}'],
         "page token": [b"YWZ0ZXI6MTI="],
         "neural map": [neural_map],
-        "neural map behind its checksum": [neural_map[len(blob.MAGIC) : -32]],
-        "signature": [signature.MAGIC + sections],
+        "neural map behind its checksum": [neural_map[len(blob.CONTAINER.magic) : -32]],
+        "signature": [place.CONTAINER.magic + sections],
         "signature behind its checksum": [sections],
         "stored cloud": [pack_cloud(StoredCloud(values[:, :3], values[:, 3]))],
         "stored mesh": [pack_mesh(triangle)],

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from revisit.service.application.catalogue.blob_references import blobs_of_submap
-from tests.support.service_world import SESSION, TENANT, open_session, sqlite_world, submap
+from tests.support.service_world import SESSION, TENANT, described, sqlite_world, submap
 
 
 def holds(home: Path, needle: bytes) -> bool:
@@ -29,10 +29,7 @@ def traces(world, submap_id: str) -> list[bytes]:
 @pytest.mark.parametrize("what", ["submap", "session", "map"])
 async def test_no_byte_of_what_was_deleted_is_left(tmp_path, what):
     world = sqlite_world(tmp_path)
-    await open_session(world)
-    await world.use_cases.posting.post(TENANT, submap("secret", 1))
-    await world.use_cases.posting.post(TENANT, submap("kept", 2))
-    world.work_off()
+    await described(world, secret=1, kept=2)
     secret, kept = traces(world, "secret"), traces(world, "kept")
     assert len(secret) == 6
     assert all(holds(tmp_path, trace) for trace in [*secret, *kept])

@@ -5,12 +5,14 @@ from __future__ import annotations
 import errno
 import resource
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from revisit.service.adapters.files.disk import Disk
 from revisit.service.adapters.files.durable_files import may_grow
+from revisit.service.application import UseCases
 from revisit.service.application.contract.errors import StorageFull
 from tests.support.processes import ServiceProcess
 from tests.support.service_world import open_session, sqlite_world, submap
@@ -62,7 +64,7 @@ def test_a_full_disk_refuses_data_serves_the_rest_and_heals_by_itself(tmp_path):
         disk = Path(f"/proc/{town.service.pid}/root") / (tmp_path / "home").relative_to("/")
         eventually((disk / "reserve").exists)
         assert [post(town, number) for number in range(5)] == [202] * 5
-        eventually(lambda: town.http.get("/v1/status").json()["indexed_submaps"] == "5")
+        eventually(lambda: town.http.get("/v1/status").json()["indexed_submaps"] == 5)
 
         filler = fill(disk)
         eventually(lambda: post(town, 99) == 507)
@@ -156,8 +158,8 @@ async def test_a_full_disk_refuses_before_the_cloud_is_even_decoded(tmp_path):
         def full(self) -> bool:
             return True
 
-    object.__setattr__(world.context, "disk", Full())
+    use_cases = UseCases.over(replace(world.context, disk=Full()), "test")
     with pytest.raises(StorageFull):
-        await world.use_cases.posting.post("default", submap("s1", 1))
+        await use_cases.posting.post("default", submap("s1", 1))
     assert not list((tmp_path / "blobs").rglob("cloud"))
     world.context.transactions.close()

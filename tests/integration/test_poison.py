@@ -34,7 +34,7 @@ def respawns_s(service):
 
 REASONS = {
     SEGFAULTS: "2 attempts, the last one ended because its worker was ended by signal 11 (Segmentation fault)",
-    HANGS: "the job took longer than 5 s",
+    HANGS: "the job took longer than 3 s",
     EATS_MEMORY: "the job needs more memory than a worker may take",
     # Whichever comes first: the end of the last lease, or the end that the gateway makes of its silent worker.
     HOLDS_EVERY_THREAD: "no worker survived the job: 2 attempts",
@@ -42,7 +42,7 @@ REASONS = {
 
 
 def test_poison_submaps_fail_with_their_reasons_and_others_are_described(start):
-    town = start(workers=2, max_attempts=2, job_timeout_s=5, lease_s=1.5, worker_memory_mb=512)
+    town = start(workers=2, max_attempts=2, job_timeout_s=3, lease_s=1.5, worker_memory_mb=512)
     poison = {mischief: town.posted(f"poison{mischief}", mischief, mischief) for mischief in REASONS}
     good = [town.posted(f"good{number}", number) for number in range(5)]
     assert [town.ended(operation)["state"] for operation in good] == ["DONE"] * 5

@@ -10,7 +10,7 @@ from revisit.service.application import SubmapKey
 from revisit.service.application.catalogue.paging import PageRequest
 from revisit.service.application.contract.states import LoopState, OperationState, SubmapState
 from tests.support.fake_recogniser import FakeRecogniser
-from tests.support.service_world import SESSION, TENANT, memory_world, open_session, sqlite_world, submap
+from tests.support.service_world import SESSION, TENANT, memory_world, open_session, posted, sqlite_world, submap
 
 
 @pytest.fixture(params=["memory", "sqlite"])
@@ -38,10 +38,8 @@ async def accepted(world):
 
 
 async def test_two_workers_that_describe_both_sides_of_a_loop_at_once_find_it_once(world):
-    await open_session(world)
     # b keeps a and c apart: neighbours are no candidates.
-    for submap_id, place in [("a", 1), ("b", 2), ("c", 1)]:
-        await world.use_cases.posting.post(TENANT, submap(submap_id, place))
+    await posted(world, a=1, b=2, c=1)
     barrier = threading.Barrier(2)
 
     class Together(FakeRecogniser):
@@ -61,9 +59,7 @@ async def test_two_workers_that_describe_both_sides_of_a_loop_at_once_find_it_on
 
 async def test_the_loop_is_found_when_the_match_is_committed_after_the_search(world):
     """The interleaving itself, forced: c has searched and verifies, a is committed, c comes to commit."""
-    await open_session(world)
-    for submap_id, place in [("old", 3), ("a", 1), ("b", 2), ("c", 1)]:
-        await world.use_cases.posting.post(TENANT, submap(submap_id, place))
+    await posted(world, old=3, a=1, b=2, c=1)
     lease_old, lease_a, _, lease_c = (world.claim(f"w{number}") for number in range(4))
     world.worker().run(lease_old)
     similarities = []
@@ -132,9 +128,7 @@ async def test_a_submap_deleted_while_it_is_described_stays_deleted(world):
 
 
 async def test_a_match_deleted_during_verification_makes_no_loop(world):
-    await open_session(world)
-    for submap_id, place in [("a", 1), ("b", 2), ("c", 1)]:
-        await world.use_cases.posting.post(TENANT, submap(submap_id, place))
+    await posted(world, a=1, b=2, c=1)
     for _ in range(2):
         world.worker().run(world.claim())
 

@@ -36,9 +36,11 @@ from tests.support.service_world import (
     TENANT,
     cloud,
     cloud_points,
+    described,
     memory_world,
     open_session,
     pose,
+    posted,
     scan,
     sqlite_world,
     submap,
@@ -59,9 +61,7 @@ def key(submap_id: str, session: SessionKey = SESSION) -> SubmapKey:
 
 
 async def test_a_posted_submap_becomes_a_description_with_a_loop_to_the_same_place(world):
-    await open_session(world)
-    for submap_id, place in [("a", 1), ("b", 2), ("c", 3), ("again", 1)]:
-        await world.use_cases.posting.post(TENANT, submap(submap_id, place))
+    await posted(world, a=1, b=2, c=3, again=1)
     assert world.work_off() == 4
     loops = await world.use_cases.loops.list(TENANT, "town", PageRequest(), state=LoopState.ACCEPTED)
     assert [(loop.query.submap_id, loop.match.submap_id) for loop in loops.items] == [("again", "a")]
@@ -73,10 +73,7 @@ async def test_a_posted_submap_becomes_a_description_with_a_loop_to_the_same_pla
 
 
 async def test_neighbours_in_one_session_are_no_candidates(world):
-    await open_session(world)
-    await world.use_cases.posting.post(TENANT, submap("a", 1))
-    await world.use_cases.posting.post(TENANT, submap("b", 1))
-    world.work_off()
+    await described(world, a=1, b=1)
     assert not (await world.use_cases.loops.list(TENANT, "town", PageRequest())).items
 
 
@@ -173,9 +170,7 @@ async def test_two_tenants_may_use_the_same_names_and_find_only_their_own(world)
 
 
 async def test_a_search_sees_every_submap_described_before_it_and_none_deleted(world):
-    await open_session(world)
-    for submap_id, place in [("a", 1), ("b", 2), ("c", 1)]:
-        await world.use_cases.posting.post(TENANT, submap(submap_id, place))
+    await posted(world, a=1, b=2, c=1)
     with pytest.raises(NotReady):
         await world.use_cases.searches.by_submap(TENANT, key("a"), SearchCriteria())
     world.work_off()
@@ -211,9 +206,7 @@ async def test_search_filters_narrow_the_hits(world):
 
 
 async def test_a_descriptor_of_another_model_is_refused(world):
-    await open_session(world)
-    await world.use_cases.posting.post(TENANT, submap("a", 1))
-    world.work_off()
+    await described(world, a=1)
     stored = await world.use_cases.submaps.download(TENANT, key("a"), DownloadKind.DESCRIPTOR)
     vector = np.frombuffer(stored.data[-256:], dtype="<f4")
     found = await world.use_cases.searches.by_descriptor(TENANT, "town", vector, "fake-1", SearchCriteria())
@@ -225,9 +218,7 @@ async def test_a_descriptor_of_another_model_is_refused(world):
 
 
 async def test_a_worker_with_another_model_does_not_add_to_a_map(world):
-    await open_session(world)
-    await world.use_cases.posting.post(TENANT, submap("a", 1))
-    world.work_off()
+    await described(world, a=1)
     posted = await world.use_cases.posting.post(TENANT, submap("b", 2))
     newer = FakeRecogniser()
     newer.model_version = "fake-2"
@@ -246,10 +237,7 @@ async def answered(world, call):
 
 
 async def test_a_cloud_is_searched_and_localised_without_being_stored(world):
-    await open_session(world)
-    await world.use_cases.posting.post(TENANT, submap("a", 7))
-    await world.use_cases.posting.post(TENANT, submap("b", 8))
-    world.work_off()
+    await described(world, a=7, b=8)
     found = await answered(world, world.use_cases.searches.by_cloud(TENANT, "town", cloud(7), SearchCriteria(k=1)))
     assert found.hits[0].submap == key("a")
     where = await answered(world, world.use_cases.searches.localize(TENANT, LocalizeQuery("town", cloud(7))))
@@ -286,8 +274,7 @@ async def test_answers_are_forgotten_after_their_time_but_not_what_became_of_sub
 
 async def test_a_search_by_cloud_that_is_refused_leaves_no_cloud_behind(tmp_path):
     world = sqlite_world(tmp_path, max_queued_jobs=1)
-    await open_session(world)
-    await world.use_cases.posting.post(TENANT, submap("a", 1))
+    await posted(world, a=1)
     with pytest.raises(WorkersBusy):
         await world.use_cases.searches.by_cloud(TENANT, "town", cloud(1), SearchCriteria())
     assert not list((tmp_path / "blobs").glob(f"*/{QUERY_CLOUD_BLOB}/*/*"))
@@ -354,8 +341,7 @@ async def test_finishing_a_session_without_scans_makes_no_submap(world):
 
 
 async def test_downloads_give_back_what_was_sent_and_what_was_made(world):
-    await open_session(world)
-    await world.use_cases.posting.post(TENANT, submap("a", 1))
+    await posted(world, a=1)
     points = await world.use_cases.submaps.download(TENANT, key("a"), DownloadKind.POINTS, "ply")
     assert points.data.endswith(cloud_points(1).tobytes()) and points.filename == "monday-a-points.ply"
     with pytest.raises(NotReady):
@@ -380,10 +366,7 @@ async def test_the_points_of_a_streamed_submap_are_its_scans_in_one_frame(world)
 
 
 async def test_deleting_a_submap_takes_its_loops_and_blobs_but_not_those_of_its_twin(world):
-    await open_session(world)
-    for submap_id, place in [("a", 1), ("b", 2), ("c", 3), ("twin", 1)]:
-        await world.use_cases.posting.post(TENANT, submap(submap_id, place))
-    world.work_off()
+    await described(world, a=1, b=2, c=3, twin=1)
     await world.use_cases.submaps.delete(TENANT, key("a"))
     with pytest.raises(NotFound):
         await world.use_cases.submaps.get(TENANT, key("a"))
@@ -396,16 +379,13 @@ async def test_deleting_a_submap_takes_its_loops_and_blobs_but_not_those_of_its_
 
 
 async def test_deleting_a_map_leaves_nothing_and_its_name_can_be_used_again(world):
-    await open_session(world)
-    await world.use_cases.posting.post(TENANT, submap("a", 1))
+    await posted(world, a=1)
     await world.use_cases.scans.append(TENANT, scan(1, 0.0))
     world.work_off()
     await world.use_cases.maps.delete(TENANT, "town")
     with pytest.raises(NotFound):
         await world.use_cases.sessions.get(TENANT, SESSION)
-    await open_session(world)
-    await world.use_cases.posting.post(TENANT, submap("a", 1))
-    world.work_off()
+    await described(world, a=1)
     found = await world.use_cases.searches.by_submap(TENANT, key("a"), SearchCriteria())
     assert (found.hits, found.searched) == ((), 1)
 
@@ -482,8 +462,7 @@ async def test_a_damaged_cloud_fails_its_own_job_only(tmp_path):
 
 async def test_a_full_queue_refuses_posts_and_completing_scans_without_storing_them():
     world = memory_world(max_queued_jobs=1)
-    await open_session(world)
-    await world.use_cases.posting.post(TENANT, submap("a", 1))
+    await posted(world, a=1)
     with pytest.raises(WorkersBusy) as busy:
         await world.use_cases.posting.post(TENANT, submap("b", 2))
     assert busy.value.retry_after_s > 0
@@ -565,9 +544,7 @@ async def test_a_map_has_its_own_rules_for_loop_closures(world):
 
 
 async def test_watching_gives_the_loops_that_are_there_and_those_to_come(world):
-    await open_session(world)
-    for submap_id, place in [("a", 1), ("b", 2), ("c", 1), ("d", 2)]:
-        await world.use_cases.posting.post(TENANT, submap(submap_id, place))
+    await posted(world, a=1, b=2, c=1, d=2)
     for _ in range(3):
         world.worker().run(world.claim())
     seen = []
@@ -588,8 +565,7 @@ async def test_watching_gives_the_loops_that_are_there_and_those_to_come(world):
 
 
 async def test_status_counts_jobs_and_submaps(world):
-    await open_session(world)
-    await world.use_cases.posting.post(TENANT, submap("a", 1))
+    await posted(world, a=1)
     await world.use_cases.posting.post(TENANT, submap("b", 2, points=CANNOT_BE_DESCRIBED))
     before = await world.use_cases.system.status(TENANT)
     world.work_off()

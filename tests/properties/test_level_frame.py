@@ -111,17 +111,18 @@ def test_a_scale_that_is_not_positive_and_finite_is_refused(scale):
         LevelFrame(scale=scale)
 
 
-@pytest.mark.parametrize(
-    "matrix",
-    [
-        np.eye(3),
-        np.zeros((4, 4)),
-        np.diag([1.0, 1.0, -1.0, 1.0]),
-        np.full((4, 4), np.nan),
-        np.diag([1.0, 2.0, 1.0, 1.0]),
-    ],
-    ids=["shape", "zero", "mirrored", "NaN", "stretched"],
-)
+NO_SIMILARITIES = {
+    "shape": np.eye(3),
+    "zero": np.zeros((4, 4)),
+    "mirrored": np.diag([1.0, 1.0, -1.0, 1.0]),
+    "NaN": np.full((4, 4), np.nan),
+    "stretched": np.diag([1.0, 2.0, 1.0, 1.0]),
+    "immense": np.diag([1e200, 1e200, 1e200, 1.0]),
+    "minute": np.diag([1e-200, 1e-200, 1e-200, 1.0]),
+}
+
+
+@pytest.mark.parametrize("matrix", NO_SIMILARITIES.values(), ids=NO_SIMILARITIES)
 def test_what_is_no_similarity_is_refused(matrix):
     with pytest.raises(BadTransform):
         LevelFrame.from_similarity(matrix)

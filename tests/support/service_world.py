@@ -105,6 +105,19 @@ async def open_session(world: World, session: SessionKey = SESSION, tenant=TENAN
     await world.use_cases.sessions.create(tenant, CreateSession(session.map_id, session.session_id))
 
 
+async def posted(world: World, session: SessionKey = SESSION, tenant=TENANT, **places: int) -> None:
+    """Create the map and the session, and post these submaps of these places, which wait for a worker."""
+    await open_session(world, session, tenant)
+    for submap_id, place in places.items():
+        await world.use_cases.posting.post(tenant, submap(submap_id, place, session))
+
+
+async def described(world: World, **places: int) -> None:
+    """As `posted`; the jobs are done."""
+    await posted(world, **places)
+    world.work_off()
+
+
 def cloud(place: int, points: int = 300) -> DecodedCloud:
     """A cloud of `place`: clouds of the same place match under the fake recogniser, others do not."""
     return DecodedCloud(cloud_points(place, points))

@@ -135,6 +135,7 @@ class Searches:
     ) -> Localization:
         """Describe a cloud in a worker, search, verify. No match is a result. Raises as `by_cloud`."""
         prior, radius = query.prior_position_m, query.radius_m
+        limits.LOCALIZE_CANDIDATES.validated(query.candidates, "candidates")
         criteria = validated_criteria(SearchCriteria(k=query.candidates, prior_position_m=prior, radius_m=radius))
         payload = {"map_id": query.map_id, "criteria": criteria_to_json(criteria)}
         await await_freshness(self._storage, self._admission, tenant, query.map_id, fresh)

@@ -115,7 +115,7 @@ def test_scans_that_were_left_out_do_not_make_a_second_run_send_others_twice(
     with httpx.Client(base_url=service.http, trust_env=False) as client:
         stored = client.get(f"/v1/maps/{map_id}/sessions/damaged").json()
     # From scan 0 at 0 m to scan 19 at 19 m, never back.
-    assert (stored["travelled_m"], stored["committed_stamp_ns"]) == (pytest.approx(19.0), str(19 * 10**8))
+    assert (stored["travelled_m"], int(stored["committed_stamp_ns"])) == (pytest.approx(19.0), 19 * 10**8)
 
 
 def test_a_spool_is_shown_and_sent_from_the_command_line(service, tmp_path):

@@ -10,7 +10,7 @@ import torch
 
 from revisit.core.config import ImplicitMapConfig, SurfaceConfig
 from revisit.core.errors import DataLoss, DescriptorModelMismatch
-from revisit.core.implicit_map import DecoderWeights, NeuralMap, fit_implicit_map
+from revisit.core.implicit_map import DecoderWeights, NeuralMap, blob, fit_implicit_map
 from revisit.core.implicit_map.decoder import orientations
 from revisit.core.implicit_map.fitting import sdf_loss
 from revisit.core.implicit_map.neural_points import ElasticAccumulator
@@ -175,6 +175,32 @@ def test_a_stored_map_answers_as_the_fitted_one_within_two_centimetres(make_driv
     queries, _ = near_wall(np.random.default_rng(7))
     assert len(stored.points) == len(field.points)
     assert np.percentile(np.abs(stored.sdf(queries)[0] - field.sdf(queries)[0]), 95) < 0.02
+
+
+def test_a_map_with_an_adapted_decoder_is_read_back_with_it(make_drive, shapes):
+    shipped = load_packaged_models().decoder
+    field = fit(make_drive(lambda _: [shapes["ground"]()]), dataclasses.replace(CONFIG, update_decoder=True))
+    stored = NeuralMap.from_blob(field.to_blob(), shipped, CONFIG)
+    assert stored.decoder.digest == field.decoder.digest != shipped.digest
+    again = NeuralMap.from_blob(stored.to_blob(), shipped, CONFIG)
+    queries = np.random.default_rng(3).uniform(-5, 5, (500, 3)).astype(np.float32) * [1, 1, 0.1] - [0, 0, SENSOR_HEIGHT]
+    assert np.array_equal(stored.sdf(queries)[0], again.sdf(queries)[0])
+    assert np.median(np.abs(stored.sdf(queries)[0] - field.sdf(queries)[0])) < 0.02
+
+
+def test_a_map_with_the_shared_decoder_does_not_store_it(make_drive, shapes):
+    submap = make_drive(lambda _: [shapes["ground"]()])
+    adapted = fit(submap, dataclasses.replace(CONFIG, update_decoder=True))
+    assert len(fit(submap).to_blob()) < len(adapted.to_blob()) - 4 * 32 * 17 // 2
+
+
+def test_an_adapted_decoder_of_another_size_is_refused(make_drive, shapes):
+    field = fit(make_drive(lambda _: [shapes["ground"]()]), dataclasses.replace(CONFIG, update_decoder=True))
+    header, sections = blob.unpack(field.to_blob())
+    for damage in ({"layers": [[32, 17]]}, {"decoder": "0" * 16}, {"layers": "many"}):
+        changed = {name: value for name, value in {**header, **damage}.items() if name != "sections"}
+        with pytest.raises((DataLoss, DescriptorModelMismatch)):
+            NeuralMap.from_blob(blob.pack(changed, sections), field.decoder, CONFIG)
 
 
 def test_a_stored_map_of_another_decoder_is_refused(make_drive, shapes):

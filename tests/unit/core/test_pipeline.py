@@ -11,8 +11,9 @@ import pytest
 from revisit.core.config import PipelineConfig
 from revisit.core.descriptor.fusion import without_parts
 from revisit.core.descriptor.vlad import folded_size
-from revisit.core.errors import DegenerateCloud, DescriptorModelMismatch
+from revisit.core.errors import DataLoss, DegenerateCloud, DescriptorModelMismatch
 from revisit.core.geometry import se3
+from revisit.core.implicit_map import NeuralMap, blob
 from revisit.core.model_bundle import load_packaged_models
 from revisit.core.pipeline import DescribedPlace, DescribedSurface, describe, verify
 from revisit.core.scan import Scan
@@ -119,9 +120,9 @@ def test_leaving_parts_out_afterwards_is_the_same_as_describing_without_them(see
 
 def test_a_floor_without_walls_is_flagged_and_never_a_loop(make_drive, shapes):
     floor = make_drive(lambda _: [shapes["ground"]()], scans=3)
-    place = describe(floor, load_packaged_models(), CONFIG)
-    assert place.flags == ("degenerate_plane",)
-    assert isinstance(verify(place.place, place.place, 1.0, CONFIG.verification), RejectedLoop)
+    described = describe(floor, load_packaged_models(), CONFIG)
+    assert described.flags == ("degenerate_plane",)
+    assert isinstance(verify(described.place, described.place, 1.0, CONFIG.verification), RejectedLoop)
 
 
 def test_walls_beyond_the_birds_eye_view_are_refused_instead_of_described_by_zeros():
@@ -135,9 +136,19 @@ def test_walls_beyond_the_birds_eye_view_are_refused_instead_of_described_by_zer
 
 def test_the_neural_map_knows_the_frame_of_its_submap(seen_from):
     turn = se3.exp([0, 0, 0, 0.2, 0, 0])
-    place, submap = seen_from(1, turn)
-    in_map = place.neural_map.frame.points_to_level(submap.points[::50])
-    assert np.median(np.abs(place.neural_map.sdf(in_map.astype(np.float32))[0])) < 0.03
+    described, submap = seen_from(1, turn)
+    in_map = described.neural_map.frame.points_to_level(submap.points[::50])
+    assert np.median(np.abs(described.neural_map.sdf(in_map.astype(np.float32))[0])) < 0.03
+
+
+def test_a_stored_neural_map_whose_frame_is_no_similarity_is_refused(seen_from):
+    field = seen_from(1)[0].neural_map
+    header, sections = blob.unpack(field.to_blob())
+    assert header["T_submap_map"] == field.frame.similarity.ravel().tolist()
+    for numbers in (np.zeros(16).tolist(), np.diag([1.0, 2.0, 1.0, 1.0]).ravel().tolist(), [1.0]):
+        header["T_submap_map"] = numbers
+        with pytest.raises(DataLoss, match="level frame"):
+            NeuralMap.from_blob(blob.pack(header, sections), field.decoder, field.config)
 
 
 def test_a_room_described_at_its_scale_is_aligned_in_metres(seen_from):

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 import pytest
 
 from revisit.core.errors import DataLoss
-from revisit.core.place import Place
+from revisit.core.geometry import se3
+from revisit.core.geometry.level_frame import LevelFrame
+from revisit.core.place import CONTAINER, Place
 from tests.support.yards import recognised, yard
 
 
@@ -26,6 +29,26 @@ def test_a_place_survives_its_blob_bit_by_bit() -> None:
         np.testing.assert_array_equal(getattr(restored, name), getattr(stored(), name), err_msg=name)
     assert restored.standing_count == stored().standing_count
     assert restored.to_blob() == blob
+
+
+def test_the_stored_frame_is_the_inverse_of_the_similarity_and_returns_within_rounding() -> None:
+    frame = LevelFrame.from_upright(se3.exp([1.0, 2.0, 3.0, 0.1, -0.2, 0.05]), 0.25)
+    blob = replace(stored(), frame=frame).to_blob()
+    header, _ = CONTAINER.unpack(blob)
+    np.testing.assert_array_equal(header["T_level_submap"], np.linalg.inv(frame.similarity)[:3])
+    restored = Place.from_blob(blob).frame
+    np.testing.assert_allclose(restored.similarity, frame.similarity, atol=1e-12)
+    assert restored.scale == pytest.approx(0.25, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "matrix", [np.zeros((3, 4)), np.diag([1.0, 2.0, 1.0, 0.0])[:3], 1e-200 * np.eye(3, 4), np.eye(2), "turned"]
+)
+def test_a_stored_frame_that_is_no_similarity_is_refused(matrix: object) -> None:
+    header = {"keypoints": 0, "size": 0, "points": 0, "standing": 0, "model": "m"}
+    rows = matrix.tolist() if isinstance(matrix, np.ndarray) else matrix
+    with pytest.raises(DataLoss, match="level frame"):
+        Place.from_blob(CONTAINER.pack(header | {"T_level_submap": rows}, b""))
 
 
 def test_a_place_fits_into_40_kilobytes() -> None:

@@ -133,7 +133,7 @@ def test_the_start_on_which_most_points_agree_is_refined():
 
 
 def test_a_start_on_which_too_few_points_agree_is_not_refined():
-    registration = register([np.eye(4)], surface(), surface(), replace(CONFIG, min_agreement=1.01))
+    registration = register([np.eye(4)], surface(1), surface(2), replace(CONFIG, min_agreement=1.0))
     assert not registration.refined
 
 

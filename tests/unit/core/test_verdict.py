@@ -209,16 +209,20 @@ def test_a_corridor_never_makes_a_loop_because_its_length_is_not_observed() -> N
     ("change", "reason"),
     [
         ({"min_common": 10**6}, RejectionReason.NO_COMMON_REGION),
-        ({"min_overlap": 1.01}, RejectionReason.LOW_OVERLAP),
-        ({"max_seen_through": -0.1}, RejectionReason.SEEN_THROUGH),
-        ({"min_score": 1.01}, RejectionReason.LOW_SCORE),
-        ({"max_tilt": -1.0}, RejectionReason.IMPLAUSIBLE_TILT),
+        ({"min_overlap": 1.0}, RejectionReason.LOW_OVERLAP),
+        ({"max_seen_through": 0.0}, RejectionReason.SEEN_THROUGH),
+        ({"min_score": 1.0}, RejectionReason.LOW_SCORE),
+        ({"max_tilt": 0.0}, RejectionReason.IMPLAUSIBLE_TILT),
     ],
 )
 def test_each_gate_rejects_with_its_own_reason_and_keeps_the_evidence(
     change: dict[str, float], reason: RejectionReason
 ) -> None:
-    verdict = verify(place(1), place(1), 1.0, replace(VERIFICATION, **change))
+    # Tilted, thinned, and with three new buildings where the first visit looked through.
+    changed = moved(yard(1, buildings=17), se3.exp([4.0, -3.0, 0.5, 0.03, 0.0, 1.0]))
+    revisit = recognised(thinned(changed, 0.7, seed=3))[1]
+    assert isinstance(verify(revisit, place(1), 1.0, VERIFICATION), VerifiedLoop)
+    verdict = verify(revisit, place(1), 1.0, replace(VERIFICATION, **change))
     assert isinstance(verdict, RejectedLoop)
     assert verdict.reason is reason
     assert verdict.measurement is not None
@@ -245,7 +249,7 @@ def test_a_house_among_others_has_contrast_and_a_hedge_along_the_street_has_none
 
 
 def test_a_pose_given_up_early_counts_as_the_worst_evidence() -> None:
-    verdict = verify(place(1), place(2), 1.0, replace(VERIFICATION, min_agreement=1.01))
+    verdict = verify(place(1), place(2), 1.0, replace(VERIFICATION, min_agreement=1.0))
     assert verdict.measurement is not None
     assert (verdict.measurement.contrast, verdict.measurement.seen_through) == (0.0, 1.0)
     assert verdict.measurement.score < 1e-3

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -134,3 +136,10 @@ def test_the_ports_are_published_on_this_machine_only():
 
 def test_a_container_that_stops_leaves_jobs_their_time():
     assert int(re.search(r"stop_grace_period: (\d+)s", COMPOSE)[1]) >= 15
+
+
+def test_the_systemd_unit_starts_a_command_that_the_service_has():
+    unit = (ROOT / "docs/how-to/run-as-a-service.md").read_text()
+    module, command = re.search(r"^ExecStart=\S+/python -m (\S+) (\S+)$", unit, re.MULTILINE).groups()
+    done = subprocess.run([sys.executable, "-m", module, command, "--help"], cwd=ROOT, capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr

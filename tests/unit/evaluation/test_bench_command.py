@@ -10,10 +10,9 @@ import pytest
 from typer.testing import CliRunner
 
 from revisit.cli.app import app
-from revisit.evaluation import benchmark
+from revisit.evaluation import benchmark, recognition_benchmark
 from revisit.evaluation.benchmark import Metric
-from revisit.evaluation.protocols import bench as recognition_bench
-from revisit.evaluation.protocols.programme import Programme, RecordedDrive
+from revisit.evaluation.protocols.benchmark_plan import BenchmarkPlan, RecordedDrive
 
 GOOD = Metric("surface_error_median", 0.05, "m", "up", 0.1)
 SHOWN = Metric("describe", 0.4, "CPU s", "up", np.inf)
@@ -52,15 +51,15 @@ def test_json_names_every_metric_and_holds_no_infinity(asked: list[bool]) -> Non
 
 
 @pytest.fixture
-def programmes(monkeypatch: pytest.MonkeyPatch) -> list[Programme]:
-    """Replaces the run; collects the programmes."""
-    collected: list[Programme] = []
+def plans(monkeypatch: pytest.MonkeyPatch) -> list[BenchmarkPlan]:
+    """Replaces the run; collects the plans."""
+    collected: list[BenchmarkPlan] = []
 
-    def run(programme: Programme, report: object) -> tuple[list[object], tuple[Path, Path]]:
-        collected.append(programme)
-        return [], (programme.folder / "recognition.md", programme.folder / "recognition.html")
+    def run(plan: BenchmarkPlan, report: object) -> tuple[list[object], tuple[Path, Path]]:
+        collected.append(plan)
+        return [], (plan.folder / "recognition.md", plan.folder / "recognition.html")
 
-    monkeypatch.setattr(recognition_bench, "run_recognition_bench", run)
+    monkeypatch.setattr(recognition_benchmark, "run_recognition_bench", run)
     return collected
 
 
@@ -68,33 +67,33 @@ def recognition(*words: str) -> int:
     return CliRunner().invoke(app, ["bench", "recognition", *words]).exit_code
 
 
-def test_the_named_drives_and_protocols_are_run(programmes: list[Programme], tmp_path: Path) -> None:
+def test_the_named_drives_and_protocols_are_run(plans: list[BenchmarkPlan], tmp_path: Path) -> None:
     assert recognition("--out", str(tmp_path), "--drives", "centre-os1", "--protocols", "online, rotation") == 0
-    (programme,) = programmes
-    assert [drive.name for drive in programme.drives] == ["centre-os1"]  # type: ignore[attr-defined]  # simulated
-    assert programme.protocols == ("online", "rotation")
-    assert programme.folder == tmp_path and programme.recordings == tmp_path / "recordings"
+    (plan,) = plans
+    assert [drive.name for drive in plan.drives] == ["centre-os1"]  # type: ignore[attr-defined]  # simulated
+    assert plan.protocols == ("online", "rotation")
+    assert plan.folder == tmp_path and plan.recordings == tmp_path / "recordings"
 
 
-def test_ones_own_recordings_take_the_place_of_the_simulated_ones(programmes: list[Programme], tmp_path: Path) -> None:
+def test_ones_own_recordings_take_the_place_of_the_simulated_ones(plans: list[BenchmarkPlan], tmp_path: Path) -> None:
     folders = [tmp_path / name for name in ("a", "b")]
     for folder in folders:
         folder.mkdir()
     words = ["--recording", str(folders[0]), "--sessions", str(folders[0]), str(folders[1]), "--format", "nclt"]
     assert recognition(*words) == 0
-    (programme,) = programmes
+    (plan,) = plans
     first, second = (RecordedDrive(folder, "nclt") for folder in folders)
-    assert list(programme.drives) == [first] and list(programme.sessions) == [(first, second)]
+    assert list(plan.drives) == [first] and list(plan.sessions) == [(first, second)]
 
 
-def test_lengths_that_were_given_replace_those_of_the_bench(programmes: list[Programme], tmp_path: Path) -> None:
+def test_lengths_that_were_given_replace_those_of_the_bench(plans: list[BenchmarkPlan], tmp_path: Path) -> None:
     words = ["--tau", "5", "--min-index-gap", "7", "--positive-radius", "4"]
     assert recognition("--out", str(tmp_path), *words) == 0
-    (programme,) = programmes
-    assert (programme.submap.tau, programme.submap.stride) == (5.0, 10.0)
-    assert (programme.loops.min_index_gap, programme.loops.positive_radius_m) == (7, 4.0)
+    (plan,) = plans
+    assert (plan.submap.tau, plan.submap.stride) == (5.0, 10.0)
+    assert (plan.loops.min_index_gap, plan.loops.positive_radius_m) == (7, 4.0)
 
 
 @pytest.mark.parametrize("words", [["--drives", "mars"], ["--protocols", "online,luck"], ["--format", "tape"]])
-def test_unknown_names_are_refused(programmes: list[Programme], words: list[str]) -> None:
-    assert recognition(*words) == 1 and programmes == []
+def test_unknown_names_are_refused(plans: list[BenchmarkPlan], words: list[str]) -> None:
+    assert recognition(*words) == 1 and plans == []

@@ -13,10 +13,10 @@ from revisit.evaluation.calibration import (
     null_similarities,
     places_needed,
 )
+from revisit.evaluation.described_submaps import DescribedSubmap
+from revisit.evaluation.loop_closure_method import Description
 from revisit.evaluation.matching import QueryMatches
-from revisit.evaluation.methods import Description
 from revisit.evaluation.metrics import LoopProtocol
-from revisit.evaluation.places import Place
 from revisit.evaluation.summary import summarise
 
 
@@ -90,7 +90,7 @@ def test_an_evaluation_names_the_similarity_for_each_rate_that_its_places_suppor
     vectors = np.eye(30, dtype=np.float32)
     vectors[29] = 0.6 * vectors[0] + 0.8 * vectors[29]
     places = [
-        Place(i, (i,), np.array([200.0 * i, 0.0, 0.0]), np.eye(4), 0.0, Description(vector, b""), None, 1,
+        DescribedSubmap(i, (i,), np.array([200.0 * i, 0.0, 0.0]), np.eye(4), 0.0, Description(vector, b""), None, 1,
               seconds={"load": 0.0, "describe": 0.0})
         for i, vector in enumerate(vectors)
     ]  # fmt: skip

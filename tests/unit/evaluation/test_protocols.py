@@ -15,15 +15,15 @@ from revisit.core.geometry import se3
 from revisit.core.submap import Submap
 from revisit.evaluation.baselines import ScanContext, Solid
 from revisit.evaluation.datasets import write_kitti
-from revisit.evaluation.methods import Description, PipelineMethod, Verdict
+from revisit.evaluation.loop_closure_method import Description, RevisitMethod, Verdict
 from revisit.evaluation.metrics import LoopProtocol, Outcomes
-from revisit.evaluation.protocols.bench import run_recognition_bench
-from revisit.evaluation.protocols.contest import PRODUCT, VERIFIED
+from revisit.evaluation.protocols.benchmark_plan import ABLATIONS, PROTOCOLS, BenchmarkPlan, RecordedDrive, run_plan
+from revisit.evaluation.protocols.comparison import PRODUCT, VERIFIED
 from revisit.evaluation.protocols.directions import Direction, directions, recall_by_direction
-from revisit.evaluation.protocols.programme import ABLATIONS, PROTOCOLS, Programme, RecordedDrive, run_programme
-from revisit.evaluation.protocols.question import Question
+from revisit.evaluation.protocols.experiment import Experiment, MethodResult, classified, scores
+from revisit.evaluation.protocols.ground_truth import GroundTruth
 from revisit.evaluation.protocols.towns import DRIVES, SESSIONS, TEST_SEEDS, SimulatedDrive
-from revisit.evaluation.protocols.trial import MethodOutcome, Trial, classified, scores
+from revisit.evaluation.recognition_benchmark import run_recognition_bench
 from revisit.evaluation.report.document import Document
 from revisit.evaluation.report.failures import Failure, worst_failures
 from revisit.evaluation.report.recognition import write_report
@@ -73,10 +73,10 @@ def drive_round(folder: Path, laps: int, start: float = 0.0) -> RecordedDrive:
 
 
 @pytest.fixture(scope="module")
-def programme(tmp_path_factory: pytest.TempPathFactory) -> Programme:
+def plan(tmp_path_factory: pytest.TempPathFactory) -> BenchmarkPlan:
     folder = tmp_path_factory.mktemp("bench")
     first, second = drive_round(folder / "first", 2), drive_round(folder / "second", 1, start=0.02)
-    return Programme(
+    return BenchmarkPlan(
         folder / "out", folder / "recordings", drives=[first], sessions=[(first, second)],
         protocols=("online", "rotation", "density", "bev-only", "sessions"), baselines=(ScanContext(), Solid()),
         submap=SubmapConfig(tau=10.0, stride=5.0), loops=LoopProtocol(10.0, 20), candidates=3,
@@ -84,79 +84,87 @@ def programme(tmp_path_factory: pytest.TempPathFactory) -> Programme:
 
 
 @pytest.fixture(scope="module")
-def trials(programme: Programme) -> list[Trial]:
-    return list(run_programme(programme, lambda *_: None, Compass()))
+def experiments(plan: BenchmarkPlan) -> list[Experiment]:
+    return list(run_plan(plan, lambda *_: None, Compass()))
 
 
-def test_a_recording_of_a_room_is_held_at_its_scale_by_every_method(programme: Programme, tmp_path: Path) -> None:
+def test_a_recording_of_a_room_is_held_at_its_scale_by_every_method(plan: BenchmarkPlan, tmp_path: Path) -> None:
     walls = np.array([[x, y, z] for x in (-3.0, 3.0) for y in np.linspace(-2, 2, 20) for z in np.linspace(0, 2, 10)])
     write_kitti(tmp_path, [(walls.astype(np.float32), se3.from_yaw(0.0), 0)])
     room = RecordedDrive(tmp_path)
     assert room.scene_scale == pytest.approx(np.percentile(np.linalg.norm(walls, axis=1), 90) / 20.0, rel=1e-3)
-    (_, product), (_, peers) = programme.contests("none", None, room.scene_scale)
-    assert isinstance(product.method, PipelineMethod)
+    (_, product), (_, peers) = plan.comparisons("none", None, room.scene_scale)
+    assert isinstance(product.method, RevisitMethod)
     assert product.method.config.scene_scale == peers.scene_scale == room.scene_scale
     assert product.submap == peers.submap == product.method.config.submap
-    assert product.submap.min_range == pytest.approx(programme.submap.min_range * room.scene_scale)
+    assert product.submap.min_range == pytest.approx(plan.submap.min_range * room.scene_scale)
 
 
-def by_name(trials: list[Trial], protocol: str) -> Trial:
-    return next(trial for trial in trials if trial.protocol == protocol)
+def by_name(experiments: list[Experiment], protocol: str) -> Experiment:
+    return next(experiment for experiment in experiments if experiment.protocol == protocol)
 
 
-def test_a_programme_holds_every_protocol_for_every_drive_and_pair(trials: list[Trial]) -> None:
-    assert [trial.protocol for trial in trials] == ["online", "rotation", "density", "bev-only", "sessions"]
-    methods = [outcome.method for outcome in by_name(trials, "online").outcomes]
+def test_a_programme_holds_every_protocol_for_every_drive_and_pair(experiments: list[Experiment]) -> None:
+    assert [experiment.protocol for experiment in experiments] == [
+        "online",
+        "rotation",
+        "density",
+        "bev-only",
+        "sessions",
+    ]
+    methods = [result.method for result in by_name(experiments, "online").results]
     assert methods == [PRODUCT, VERIFIED, "scan-context", "solid"]
-    assert [outcome.method for outcome in by_name(trials, "bev-only").outcomes] == [PRODUCT]
+    assert [result.method for result in by_name(experiments, "bev-only").results] == [PRODUCT]
 
 
 @pytest.mark.parametrize("protocol", ["online", "rotation", "density", "sessions"])
 def test_a_method_that_knows_where_it_is_is_always_right_and_poses_are_exact(
-    trials: list[Trial], protocol: str
+    experiments: list[Experiment], protocol: str
 ) -> None:
-    trial = by_name(trials, protocol)
-    verified = trial.outcome(VERIFIED)
-    figures = scores(verified, trial.question())
+    experiment = by_name(experiments, protocol)
+    verified = experiment.result(VERIFIED)
+    figures = scores(verified, experiment.ground_truth())
     assert figures.recall_at_1 == 1.0 and figures.recognition.loops > 20
     assert len(verified.accepted) >= figures.recognition.loops
     assert max(verified.poses.metres) < 1e-5 and max(verified.poses.degrees) < 1e-3
 
 
-def test_turning_costs_a_baseline_that_is_blind_to_yaw_little(trials: list[Trial]) -> None:
+def test_turning_costs_a_baseline_that_is_blind_to_yaw_little(experiments: list[Experiment]) -> None:
     plain, turned = (
-        scores(trial.outcome("solid"), trial.question()).recall_at_1
-        for trial in (by_name(trials, "online"), by_name(trials, "rotation"))
+        scores(experiment.result("solid"), experiment.ground_truth()).recall_at_1
+        for experiment in (by_name(experiments, "online"), by_name(experiments, "rotation"))
     )
     assert plain > 0.5 and abs(turned - plain) < 0.05
 
 
-def test_queries_of_a_session_meet_all_submaps_of_the_other(trials: list[Trial]) -> None:
-    trial = by_name(trials, "sessions")
-    assert trial.sequence == "second-in-first" and not trial.within_session
-    assert len(trial.query_positions) < len(trial.map_positions)
-    assert all(len(ids) > 0 for ids in trial.outcome(PRODUCT).candidates)
+def test_queries_of_a_session_meet_all_submaps_of_the_other(experiments: list[Experiment]) -> None:
+    experiment = by_name(experiments, "sessions")
+    assert experiment.sequence == "second-in-first" and not experiment.within_session
+    assert len(experiment.query_positions) < len(experiment.map_positions)
+    assert all(len(ids) > 0 for ids in experiment.result(PRODUCT).candidates)
 
 
-def test_thinned_queries_ask_the_untouched_map(trials: list[Trial]) -> None:
-    thinned, plain = by_name(trials, "density"), by_name(trials, "online")
+def test_thinned_queries_ask_the_untouched_map(experiments: list[Experiment]) -> None:
+    thinned, plain = by_name(experiments, "density"), by_name(experiments, "online")
     assert thinned.within_session and thinned.costs["raw_bytes"] < 0.2 * plain.costs["raw_bytes"]
-    assert thinned.outcome(PRODUCT).candidates == plain.outcome(PRODUCT).candidates
+    assert thinned.result(PRODUCT).candidates == plain.result(PRODUCT).candidates
 
 
-def test_outcomes_on_file_are_taken_and_equal_what_was_measured(programme: Programme, trials: list[Trial]) -> None:
-    again = list(run_programme(programme, lambda *_: None, Compass(asleep=True)))
-    assert again == trials
+def test_results_on_file_are_taken_and_equal_what_was_measured(
+    plan: BenchmarkPlan, experiments: list[Experiment]
+) -> None:
+    again = list(run_plan(plan, lambda *_: None, Compass(asleep=True)))
+    assert again == experiments
 
 
-def test_other_parameters_do_not_take_the_outcomes_on_file(programme: Programme, trials: list[Trial]) -> None:
-    other = dataclasses.replace(programme, candidates=2, protocols=("online",), jobs=1)
+def test_other_parameters_do_not_take_the_results_on_file(plan: BenchmarkPlan, experiments: list[Experiment]) -> None:
+    other = dataclasses.replace(plan, candidates=2, protocols=("online",), jobs=1)
     with pytest.raises(AssertionError, match="described again"):
-        list(run_programme(other, lambda *_: None, Compass(asleep=True)))
+        list(run_plan(other, lambda *_: None, Compass(asleep=True)))
 
 
-def test_the_report_shows_every_method_figure_and_picture(programme: Programme, trials: list[Trial]) -> None:
-    _, (markdown, page) = run_recognition_bench(programme, lambda *_: None, Compass(asleep=True))
+def test_the_report_shows_every_method_figure_and_picture(plan: BenchmarkPlan, experiments: list[Experiment]) -> None:
+    _, (markdown, page) = run_recognition_bench(plan, lambda *_: None, Compass(asleep=True))
     text, shown = markdown.read_text(), page.read_text()
     for word in (
         PRODUCT,
@@ -171,7 +179,7 @@ def test_the_report_shows_every_method_figure_and_picture(programme: Programme, 
         "by direction",
     ):
         assert word in text and word in shown
-    pictures = {file.name for file in (programme.folder / "pictures").glob("*.png")}
+    pictures = {file.name for file in (plan.folder / "pictures").glob("*.png")}
     assert {"first-online-curves.png", "first-online-map.png", "second-in-first-sessions-map.png"} <= pictures
     assert "first-bev-only-map.png" not in pictures
     assert shown.count("data:image/png;base64,") == text.count("](pictures/") == len(pictures)
@@ -180,7 +188,7 @@ def test_the_report_shows_every_method_figure_and_picture(programme: Programme, 
 def test_the_worst_failures_are_shown_with_their_images(tmp_path: Path) -> None:
     asked: list[int] = []
 
-    def images(trial: Trial, failure: Failure) -> tuple[np.ndarray, np.ndarray] | None:
+    def images(experiment: Experiment, failure: Failure) -> tuple[np.ndarray, np.ndarray] | None:
         asked.append(failure.query)
         return None if failure.query == 2 else (np.eye(4, dtype=np.float32), np.zeros((4, 4), dtype=np.float32))
 
@@ -192,28 +200,28 @@ def test_the_worst_failures_are_shown_with_their_images(tmp_path: Path) -> None:
 
 def test_within_a_session_only_the_past_beyond_the_gap_may_answer() -> None:
     positions = np.array([[0.0, 0, 0], [50.0, 0, 0], [1.0, 0, 0], [51.0, 0, 0]])
-    question = Question.within_session(positions, LoopProtocol(5.0, 1))
-    np.testing.assert_array_equal(np.argwhere(question.allowed), [[2, 0], [3, 0], [3, 1]])
-    np.testing.assert_array_equal(np.argwhere(question.positives), [[2, 0], [3, 1]])
+    ground_truth = GroundTruth.within_session(positions, LoopProtocol(5.0, 1))
+    np.testing.assert_array_equal(np.argwhere(ground_truth.allowed), [[2, 0], [3, 0], [3, 1]])
+    np.testing.assert_array_equal(np.argwhere(ground_truth.positives), [[2, 0], [3, 1]])
 
 
-def outcome(rows: list[tuple[tuple[int, ...], float | None]]) -> MethodOutcome:
-    return MethodOutcome(PRODUCT, tuple(ids for ids, _ in rows), tuple(score for _, score in rows), 0.0, 0.0, 0.0)
+def result(rows: list[tuple[tuple[int, ...], float | None]]) -> MethodResult:
+    return MethodResult(PRODUCT, tuple(ids for ids, _ in rows), tuple(score for _, score in rows), 0.0, 0.0, 0.0)
 
 
-def small_trial() -> Trial:
+def small_trial() -> Experiment:
     """A map of submaps at 0, 100, 200 m; queries at 0, 100, 200 and 500 m, the last one without a loop."""
     costs = {"raw_bytes": 1.0}
-    answers = outcome([((1, 0), 0.9), ((1, 0), 0.3), ((), None), ((0,), 0.2)])
-    return Trial(
+    answers = result([((1, 0), 0.9), ((1, 0), 0.3), ((), None), ((0,), 0.2)])
+    return Experiment(
         "s", "sessions", "b", "a", LoopProtocol(10.0, 0), tuple((float(x), 0.0, 0.0) for x in (0, 100, 200, 500)),
         tuple((float(x), 0.0, 0.0) for x in (0, 100, 200)), ((0,),) * 4, ((0,),) * 3, False, (answers,), costs,
     )  # fmt: skip
 
 
 def test_a_trial_is_read_back_as_it_was_written(tmp_path: Path) -> None:
-    small_trial().write(tmp_path / "deep" / "trial.json")
-    assert Trial.read(tmp_path / "deep" / "trial.json") == small_trial()
+    small_trial().write(tmp_path / "deep" / "experiment.json")
+    assert Experiment.read(tmp_path / "deep" / "experiment.json") == small_trial()
 
 
 def test_a_place_is_passed_in_the_same_direction_in_reverse_or_across() -> None:
@@ -226,22 +234,22 @@ def test_a_place_is_passed_in_the_same_direction_in_reverse_or_across() -> None:
         (200.0, 0.0, 0.0),
         (200.0, 100, 0),
     )
-    trial = dataclasses.replace(
+    experiment = dataclasses.replace(
         small_trial(), loops=LoopProtocol(10.0, 1), query_positions=way, map_positions=way, within_session=True
     )
-    found = list(directions(trial))
+    found = list(directions(experiment))
     assert found[:6] == [None] * 6
     # The last submap of the way back turns already, by a little more than 45 degrees.
     assert found[6:10] == [Direction.REVERSE] * 3 + [Direction.ACROSS]
     assert found[10:] == [None, Direction.ACROSS, None]
-    answers = outcome([((), None)] * 6 + [((3,), 0.9), ((0,), 0.9), ((1,), 0.9), ((0,), 0.9)] + [((2,), 0.5)] * 3)
-    counted = recall_by_direction(trial, answers)
+    answers = result([((), None)] * 6 + [((3,), 0.9), ((0,), 0.9), ((1,), 0.9), ((0,), 0.9)] + [((2,), 0.5)] * 3)
+    counted = recall_by_direction(experiment, answers)
     assert counted == {Direction.SAME: (0, 0), Direction.REVERSE: (2, 3), Direction.ACROSS: (2, 2)}
 
 
 def test_the_surest_wrong_match_and_the_least_sure_loop_come_first() -> None:
-    trial = small_trial()
-    found = worst_failures(trial, trial.outcomes[0], 5)
+    experiment = small_trial()
+    found = worst_failures(experiment, experiment.results[0], 5)
     # The best F1 accepts 0.9 (wrong, 100 m off) and 0.3 (right); query 2 is missed, query 3 has no loop.
     assert [(one.query, one.match, one.wrong) for one in found] == [(0, 1, True), (2, 2, False)]
     assert found[0].distance_m == 100.0 and found[1].score == 0.0

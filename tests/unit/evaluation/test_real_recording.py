@@ -12,7 +12,7 @@ import pytest
 
 from revisit.evaluation.datasets import KittiRecording
 from revisit.evaluation.interleaved import evaluate_interleaved
-from revisit.evaluation.runner import EvaluationOptions
+from revisit.evaluation.recording_evaluation import EvaluationOptions
 
 pytestmark = [
     pytest.mark.real_data,

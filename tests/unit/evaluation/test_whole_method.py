@@ -9,7 +9,7 @@ import pytest
 
 from revisit.evaluation.datasets import KittiRecording, write_kitti
 from revisit.evaluation.perturbations import Perturbation
-from revisit.evaluation.runner import EvaluationOptions, evaluate
+from revisit.evaluation.recording_evaluation import EvaluationOptions, evaluate
 from revisit.evaluation.simulator import OS1_64, Path, build_city, drive, simulate
 
 

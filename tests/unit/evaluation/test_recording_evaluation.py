@@ -1,4 +1,4 @@
-"""The runner with a method whose answers are known: a place's descriptor is the direction to where it stands."""
+"""The evaluation of a recording by a method whose results are known: its descriptor is the direction to the place."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from revisit.core.submap import Submap
 from revisit.evaluation.cutting import cut
 from revisit.evaluation.datasets import KittiRecording, write_kitti
 from revisit.evaluation.interleaved import evaluate_interleaved
-from revisit.evaluation.methods import Description, Verdict
+from revisit.evaluation.loop_closure_method import Description, Verdict
 from revisit.evaluation.perturbations import Perturbation, keep_beams
-from revisit.evaluation.runner import EvaluationOptions, evaluate
+from revisit.evaluation.recording_evaluation import EvaluationOptions, evaluate
 
 RADIUS_M = 40.0
 LAPS = 2
@@ -27,7 +27,7 @@ SCANS_PER_LAP = 100
 
 @dataclass(frozen=True)
 class Compass:
-    """Knows where it is: the vector is the position on the circle, the signature the pose. Accepts above 0.9."""
+    """Knows where it is: the vector is the position on the circle, the place the pose. Accepts above 0.9."""
 
     refuses_below_x: float = -1e9
 

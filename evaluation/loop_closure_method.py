@@ -1,4 +1,4 @@
-"""A place-recognition method as the runner sees it, and the product's own pipeline in that role."""
+"""A loop closure method under evaluation: it describes submaps and verifies candidates. The product is one."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from revisit.core.submap import Submap
 class Description:
     """What a method stores of a submap.
 
-    vector (d,) float32 of length 1; signature what verification needs; neural_map_bytes 0 where there is none; seconds
-    by stage.
+    vector (d,) float32 of length 1; `place` the bytes that verification needs; neural_map_bytes 0 where there is none;
+    seconds by stage.
     """
 
     vector: NDArray[np.float32]
-    signature: bytes
+    place: bytes
     neural_map_bytes: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
 
@@ -45,25 +45,25 @@ class Verdict:
         return self.reason is None
 
 
-class Method(Protocol):
+class LoopClosureMethod(Protocol):
     """Describes submaps and verifies candidates. It must be picklable: it is sent to worker processes."""
 
     def describe(self, submap: Submap, seed: int) -> Description:
         """What to store of a submap."""
 
     def verify(self, query: bytes, match: bytes, similarity: float) -> Verdict:
-        """Whether two signatures show the same place, and how they align."""
+        """Whether the places of two submaps are the same, and how they align."""
 
 
 @dataclass(frozen=True)
-class PipelineMethod:
+class RevisitMethod:
     """The product: core.pipeline with the packaged models. ablation: none, no-implicit, bev-only or normals-only."""
 
     config: PipelineConfig = field(default_factory=PipelineConfig)
     ablation: str = "none"
 
     def describe(self, submap: Submap, seed: int) -> Description:
-        """The fused descriptor, the signature and the size of the neural map. Raises core.errors.RevisitError."""
+        """The fused descriptor, the place and the size of the neural map. Raises core.errors.RevisitError."""
         from revisit.core.model_bundle import load_packaged_models
         from revisit.core.pipeline import DescribedPlace
         from revisit.core.stages import stage_times
@@ -76,7 +76,7 @@ class PipelineMethod:
         return Description(vector, place, neural_map_bytes, seconds)
 
     def verify(self, query: bytes, match: bytes, similarity: float) -> Verdict:
-        """The verdict of core.pipeline.verify. Raises DataLoss for damaged signatures."""
+        """The verdict of core.pipeline.verify. Raises DataLoss for damaged places."""
         from revisit.core.pipeline import verify
         from revisit.core.place import Place
         from revisit.core.verification import RejectedLoop

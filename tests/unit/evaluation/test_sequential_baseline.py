@@ -11,9 +11,9 @@ from revisit.core.geometry import se3
 from revisit.evaluation.baselines import map_closures
 from revisit.evaluation.datasets import KittiRecording, write_kitti
 from revisit.evaluation.metrics import LoopProtocol
-from revisit.evaluation.protocols.in_order import outcome_of, with_map_closures
-from revisit.evaluation.protocols.question import Question
-from revisit.evaluation.protocols.trial import Trial
+from revisit.evaluation.protocols.experiment import Experiment
+from revisit.evaluation.protocols.ground_truth import GroundTruth
+from revisit.evaluation.protocols.sequential_baseline import result_of, with_map_closures
 
 LOOPS = LoopProtocol(positive_radius_m=10.0, min_index_gap=3)
 
@@ -30,32 +30,32 @@ def quarter(seed: int) -> np.ndarray:
     return np.concatenate([ground, *walls]).astype(np.float32)
 
 
-def drive(folder: Path) -> tuple[KittiRecording, Trial]:
-    """Six submaps of one scan each, 30 m apart, the third without a point; and the question, not yet answered."""
+def drive(folder: Path) -> tuple[KittiRecording, Experiment]:
+    """Six submaps of one scan each, 30 m apart, the third without a point; and the ground_truth, not yet answered."""
     points = np.random.default_rng(0).uniform(-20, 20, (150, 3)).astype(np.float32)
     poses = [se3.from_yaw(0.0, (30.0 * index, 0.0, 0.0)) for index in range(6)]
     write_kitti(folder, [(points[:0] if i == 2 else points, pose, i * 10**9) for i, pose in enumerate(poses)])
     recording = KittiRecording(folder)
     windows = tuple((scan,) for scan in range(6))
     positions = tuple((30.0 * scan, 0.0, 0.0) for scan in range(6))
-    return recording, Trial(
+    return recording, Experiment(
         "drive", "online", "drive", "drive", LOOPS, positions, positions, windows, windows, True, (), {}
     )
 
 
-def test_the_submap_with_most_agreeing_points_answers_unless_the_question_forbids_it():
+def test_the_submap_with_most_agreeing_points_is_matched_first_unless_the_protocol_forbids_it():
     positions = np.array([[30.0 * i, 0.0, 0.0] for i in range(6)])
-    question = Question.within_session(positions, LOOPS)
+    ground_truth = GroundTruth.within_session(positions, LOOPS)
     # Submap 5 may be matched with 0 and 1 only: 2 agrees best, but is too near in the order, as 1 is for submap 4.
     found = [{}, {}, {}, {}, {1: 9}, {0: 4, 1: 7, 2: 30}]
-    outcome = outcome_of(found, question, search_s=0.25)
-    assert outcome.candidates == ((), (), (), (), (), (1, 0))
-    assert outcome.score == (None, None, None, None, None, 7.0)
-    assert outcome.search_s == 0.25 and outcome.method == "map-closures"
+    result = result_of(found, ground_truth, search_s=0.25)
+    assert result.candidates == ((), (), (), (), (), (1, 0))
+    assert result.score == (None, None, None, None, None, 7.0)
+    assert result.search_s == 0.25 and result.method == "map-closures"
 
 
 def test_a_submap_that_cannot_be_built_keeps_its_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    recording, trial = drive(tmp_path)
+    recording, experiment = drive(tmp_path)
     sizes = []
 
     def found_at_the_start(clouds):
@@ -64,15 +64,15 @@ def test_a_submap_that_cannot_be_built_keeps_its_number(tmp_path: Path, monkeypa
             yield {0: 5}
 
     monkeypatch.setattr(map_closures, "find_closures", found_at_the_start)
-    answered = with_map_closures(trial, recording, SubmapConfig())
+    answered = with_map_closures(experiment, recording, SubmapConfig())
     assert [size > 0 for size in sizes] == [True, True, False, True, True, True]
-    assert answered.outcome("map-closures").candidates == ((), (), (), (), (0,), (0,))
+    assert answered.result("map-closures").candidates == ((), (), (), (), (0,), (0,))
 
 
-def test_a_trial_between_two_recordings_is_not_its_question(tmp_path: Path):
-    recording, trial = drive(tmp_path)
+def test_an_experiment_between_two_recordings_is_refused(tmp_path: Path):
+    recording, experiment = drive(tmp_path)
     with pytest.raises(ValueError, match="one drive"):
-        with_map_closures(dataclasses.replace(trial, within_session=False), recording, SubmapConfig())
+        with_map_closures(dataclasses.replace(experiment, within_session=False), recording, SubmapConfig())
 
 
 def test_its_package_finds_a_quarter_again_from_the_other_side():

@@ -18,7 +18,7 @@ from revisit.core.errors import RevisitError
 from revisit.core.geometry import se3
 from revisit.evaluation.cutting import Window, load_submap
 from revisit.evaluation.datasets import Recording
-from revisit.evaluation.methods import Description, Method
+from revisit.evaluation.loop_closure_method import Description, LoopClosureMethod
 from revisit.evaluation.perturbations import Perturbation, turned
 
 Task = TypeVar("Task")
@@ -29,7 +29,7 @@ _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(frozen=True)
-class Place:
+class DescribedSubmap:
     """A submap as stored.
 
     `position` (3,) is the mean position of its scans in the world; `T_world_submap` the pose of its middle scan; `yaw`
@@ -56,16 +56,16 @@ class DescriptionWork:
     recording: Recording
     config: SubmapConfig
     perturbation: Perturbation
-    method: Method | None
+    method: LoopClosureMethod | None
     seed: int
 
 
-def describe_places(work: DescriptionWork, windows: Sequence[Window], jobs: int) -> Iterator[Place]:
+def describe_submaps(work: DescriptionWork, windows: Sequence[Window], jobs: int) -> Iterator[DescribedSubmap]:
     """One place a window, in order, as they become ready."""
-    return in_processes(describe_place, work, list(enumerate(windows)), jobs)
+    return in_processes(describe_submap, work, list(enumerate(windows)), jobs)
 
 
-def describe_place(work: DescriptionWork, task: tuple[int, Window]) -> Place:
+def describe_submap(work: DescriptionWork, task: tuple[int, Window]) -> DescribedSubmap:
     """Build, turn and describe one submap. A submap the method refuses becomes a place with its failure."""
     index, window = task
     yaw, started, points = work.perturbation.yaw(index), time.perf_counter(), 0
@@ -79,7 +79,7 @@ def describe_place(work: DescriptionWork, task: tuple[int, Window]) -> Place:
     except RevisitError as error:
         failure, loaded = f"{error.code}: {error.message}", time.perf_counter()
     poses = [work.recording.pose(scan) for scan in used or window]
-    return Place(
+    return DescribedSubmap(
         id=index, window=window, position=np.mean([pose[:3, 3] for pose in poses], axis=0),
         T_world_submap=poses[len(poses) // 2], yaw=yaw, description=description, failure=failure, points=points,
         bad_scans=tuple(scan for scan in window if scan not in used),

@@ -17,11 +17,11 @@ from revisit.core.config import LoopConfig, PipelineConfig, SubmapConfig
 from revisit.core.index import Match
 from revisit.evaluation.cutting import cut
 from revisit.evaluation.datasets import Recording
+from revisit.evaluation.described_submaps import DescribedSubmap, DescriptionWork, describe_submaps
+from revisit.evaluation.loop_closure_method import LoopClosureMethod, RevisitMethod
 from revisit.evaluation.matching import QueryMatches, RankedCandidate, VerificationWork, search_online, verify_all
-from revisit.evaluation.methods import Method, PipelineMethod
 from revisit.evaluation.metrics import LoopProtocol
 from revisit.evaluation.perturbations import Perturbation
-from revisit.evaluation.places import DescriptionWork, Place, describe_places
 from revisit.evaluation.scene import estimate_scene_scale
 from revisit.evaluation.summary import summarise
 
@@ -74,7 +74,11 @@ class EvaluationResult:
 
 
 def evaluate(
-    recording: Recording, options: EvaluationOptions, *, method: Method | None = None, progress: Progress | None = None
+    recording: Recording,
+    options: EvaluationOptions,
+    *,
+    method: LoopClosureMethod | None = None,
+    progress: Progress | None = None,
 ) -> EvaluationResult:
     """Describe every submap, match it against the earlier ones, verify, score. `method` defaults to the product.
 
@@ -84,12 +88,12 @@ def evaluate(
     """
     report = progress or _say_nothing
     config = options.pipeline(estimate_scene_scale(recording))
-    method = method or PipelineMethod(config, options.ablation)
+    method = method or RevisitMethod(config, options.ablation)
     started = time.perf_counter()
     windows = cut(recording, config.submap)
     work = DescriptionWork(recording, config.submap, options.perturbation, method, options.seed)
-    places: list[Place] = []
-    for place in describe_places(work, windows, options.jobs):
+    places: list[DescribedSubmap] = []
+    for place in describe_submaps(work, windows, options.jobs):
         places.append(place)
         report("describe", len(places), len(windows))
     candidates = search_online(places, config.loop)
@@ -109,7 +113,7 @@ def _say_nothing(_stage: str, _done: int, _total: int) -> None:
     """Progress that nobody watches."""
 
 
-def _row(place: Place, matches: QueryMatches, places: list[Place]) -> dict[str, Any]:
+def _row(place: DescribedSubmap, matches: QueryMatches, places: list[DescribedSubmap]) -> dict[str, Any]:
     """The JSON row of one query; nulls where there is no candidate."""
     best = matches.ranked[0] if matches.ranked else None
     first = matches.by_similarity[0] if matches.by_similarity else None
@@ -129,7 +133,7 @@ _BEST_FIELDS = (
 )  # fmt: skip
 
 
-def _best_fields(best: RankedCandidate | None, places: list[Place]) -> dict[str, Any]:
+def _best_fields(best: RankedCandidate | None, places: list[DescribedSubmap]) -> dict[str, Any]:
     """`similarity` belongs to the candidate after verification."""
     if best is None:
         return {**dict.fromkeys(_BEST_FIELDS), "evidence": {}}
@@ -145,7 +149,7 @@ def _best_fields(best: RankedCandidate | None, places: list[Place]) -> dict[str,
     }
 
 
-def _descriptor_fields(first: Match | None, places: list[Place]) -> dict[str, Any]:
+def _descriptor_fields(first: Match | None, places: list[DescribedSubmap]) -> dict[str, Any]:
     if first is None:
         return dict.fromkeys(("descriptor_candidate_id", "descriptor_candidate_position", "descriptor_similarity"))
     return {

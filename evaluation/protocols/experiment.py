@@ -1,4 +1,4 @@
-"""The outcome of one protocol on one sequence, for all methods: plain numbers that a file can hold."""
+"""An experiment: the results of all methods under one protocol on one sequence, as numbers in a file."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from revisit.evaluation.metrics import (
     recall_at,
     score_recognition,
 )
-from revisit.evaluation.protocols.question import Question
+from revisit.evaluation.protocols.ground_truth import GroundTruth
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,8 @@ class PoseErrors:
 
 
 @dataclass(frozen=True)
-class MethodOutcome:
-    """What a method answered.
+class MethodResult:
+    """The matches of one method.
 
     candidates[q]: the map submaps it ranks first, best first; score[q] of the first, None where there is none; times in
     seconds a submap; `accepted` queries whose loop was let through, and the errors of their poses, where it verifies.
@@ -51,8 +51,8 @@ class MethodOutcome:
 
 
 @dataclass(frozen=True)
-class Trial:
-    """All methods on one question. Positions in metres; windows are the scan indices of every submap.
+class Experiment:
+    """The results of all methods on the same queries. Positions in metres; windows are the scan indices of a submap.
 
     `query_recording` and `map_recording` are names, the same where a drive is its own map; `costs` holds bytes and
     seconds of the product by part.
@@ -68,22 +68,22 @@ class Trial:
     query_windows: tuple[tuple[int, ...], ...]
     map_windows: tuple[tuple[int, ...], ...]
     within_session: bool
-    outcomes: tuple[MethodOutcome, ...]
+    results: tuple[MethodResult, ...]
     costs: dict[str, float]
 
-    def question(self) -> Question:
-        """What was asked."""
+    def ground_truth(self) -> GroundTruth:
+        """Which matches were allowed, and which were right."""
         queries = np.array(self.query_positions).reshape(-1, 3)
         if self.within_session:
-            return Question.within_session(queries, self.loops)
+            return GroundTruth.within_session(queries, self.loops)
         known = np.array(self.map_positions).reshape(-1, 3)
-        return Question.between_sessions(queries, known, self.loops.positive_radius_m)
+        return GroundTruth.between_sessions(queries, known, self.loops.positive_radius_m)
 
-    def outcome(self, method: str) -> MethodOutcome:
-        """What `method` answered. Raises KeyError for a method that did not take part."""
-        for outcome in self.outcomes:
-            if outcome.method == method:
-                return outcome
+    def result(self, method: str) -> MethodResult:
+        """The result of `method`. Raises KeyError for a method that did not take part."""
+        for result in self.results:
+            if result.method == method:
+                return result
         raise KeyError(method)
 
     def write(self, file: Path) -> None:
@@ -92,28 +92,28 @@ class Trial:
         file.write_text(json.dumps(dataclasses.asdict(self), allow_nan=False))
 
     @classmethod
-    def read(cls, file: Path) -> Trial:
-        """The trial in a file that `write` wrote."""
+    def read(cls, file: Path) -> Experiment:
+        """The experiment in a file that `write` wrote."""
         fields: dict[str, Any] = json.loads(file.read_text())
-        outcomes = tuple(_outcome(values) for values in fields.pop("outcomes"))
+        results = tuple(_result(values) for values in fields.pop("results"))
         loops = LoopProtocol(**fields.pop("loops"))
-        return cls(**{name: _frozen(value) for name, value in fields.items()}, loops=loops, outcomes=outcomes)
+        return cls(**{name: _frozen(value) for name, value in fields.items()}, loops=loops, results=results)
 
 
 @dataclass(frozen=True)
 class Scores:
-    """A method's figures in one trial."""
+    """A method's figures in one experiment."""
 
     recognition: RecognitionScores
     recall_at_1: float
     recall_at_5: float
 
 
-def judged(outcome: MethodOutcome, question: Question) -> Outcomes:
+def query_outcomes(result: MethodResult, ground_truth: GroundTruth) -> Outcomes:
     """One row a query: its score, whether the first candidate is right, whether there was a loop."""
-    correct = [bool(ids) and bool(question.positives[query, ids[0]]) for query, ids in enumerate(outcome.candidates)]
-    has_loop = np.asarray(question.positives.any(axis=1))
-    score = [-np.inf if value is None else value for value in outcome.score]
+    correct = [bool(ids) and bool(ground_truth.positives[query, ids[0]]) for query, ids in enumerate(result.candidates)]
+    has_loop = np.asarray(ground_truth.positives.any(axis=1))
+    score = [-np.inf if value is None else value for value in result.score]
     return Outcomes(np.array(score, dtype=np.float64), np.array(correct, dtype=bool), has_loop)
 
 
@@ -125,20 +125,20 @@ def classified(outcomes: Outcomes) -> NDArray[np.str_]:
     return np.where(accepted, np.where(outcomes.correct, "right", "wrong"), kinds)
 
 
-def scores(outcome: MethodOutcome, question: Question) -> Scores:
-    """The figures of `outcome`, with bootstrap intervals over loop segments."""
-    rows = judged(outcome, question)
-    ranked = [list(ids) for ids in outcome.candidates]
+def scores(result: MethodResult, ground_truth: GroundTruth) -> Scores:
+    """The figures of `result`, with bootstrap intervals over loop segments."""
+    rows = query_outcomes(result, ground_truth)
+    ranked = [list(ids) for ids in result.candidates]
     return Scores(
         score_recognition(rows, loop_segments(rows.has_loop)),
-        recall_at(ranked, question.positives, 1),
-        recall_at(ranked, question.positives, 5),
+        recall_at(ranked, ground_truth.positives, 1),
+        recall_at(ranked, ground_truth.positives, 5),
     )
 
 
-def _outcome(values: dict[str, Any]) -> MethodOutcome:
+def _result(values: dict[str, Any]) -> MethodResult:
     poses = PoseErrors(**{name: tuple(errors) for name, errors in values.pop("poses").items()})
-    return MethodOutcome(**{name: _frozen(value) for name, value in values.items()}, poses=poses)
+    return MethodResult(**{name: _frozen(value) for name, value in values.items()}, poses=poses)
 
 
 def _frozen(value: Any) -> Any:

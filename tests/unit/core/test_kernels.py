@@ -1,0 +1,220 @@
+"""Compiled kernels against the plain formulas they speed up, on small random inputs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from revisit.core.clusters import Clusters
+from revisit.core.config import MicroConfig
+from revisit.core.implicit_map.decoder import encode_positions, orientations
+from revisit.core.implicit_map.visibility import count_seen_through
+from revisit.core.kernels.choose_returns import choose_returns
+from revisit.core.kernels.column_histograms import MIN_MEMBERS, column_histograms
+from revisit.core.kernels.elastic_points import POOLED_RETURNS, pooled_covariances
+from revisit.core.kernels.heading_profiles import face_profiles, plan_profiles
+from revisit.core.kernels.neighbour_blend import blend_neighbours
+from revisit.core.kernels.patch_histograms import patch_histograms
+from revisit.core.kernels.visibility import range_image
+from revisit.core.kernels.voxel_table import table_of, voxels_of
+from revisit.core.micro.cluster_normals import (
+    aligned_to_unit_sphere,
+    angular_histogram,
+    describe_clusters,
+    histogram_size,
+    pair_classes,
+    regional_means,
+)
+from revisit.core.micro.saliency import weigh_clusters
+from revisit.core.surface import Surface
+
+
+def unit_rows(rng: np.random.Generator, count: int) -> np.ndarray:
+    vectors = rng.normal(size=(count, 3))
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+def plain_column_histogram(
+    vertices: np.ndarray, normals: np.ndarray, keypoint: np.ndarray, config: MicroConfig
+) -> np.ndarray:
+    """psi of one column by the numpy functions of `micro.cluster_normals`."""
+    inside = np.hypot(*(vertices[:, :2] - keypoint).T) < config.radius
+    if inside.sum() < MIN_MEMBERS:
+        return np.zeros(histogram_size(config))
+    centred = vertices[inside] - [*keypoint, vertices[inside, 2].mean()]
+    x, y = centred[:, 0], centred[:, 1]
+    axis = 0.5 * np.arctan2(2.0 * (x * y).sum(), (x * x).sum() - (y * y).sum())
+    cosine, sine = np.cos(axis), np.sin(axis)
+    turn = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    means, places = regional_means(centred @ turn.T, normals[inside])
+    if len(means) < 2:
+        return np.zeros(histogram_size(config))
+    pairs = np.stack(np.triu_indices(len(means), 1), axis=1)
+    classes = pair_classes(places, pairs, config.radius, config)
+    return angular_histogram(means, pairs, classes, config.distance_bins * config.height_bins)
+
+
+@pytest.mark.parametrize(("distance_bins", "height_bins"), [(3, 1), (1, 1), (2, 3)])
+@pytest.mark.parametrize("seed", range(4))
+def test_angular_histograms_are_those_of_the_plain_functions(seed, distance_bins, height_bins):
+    rng = np.random.default_rng(seed)
+    config = MicroConfig(distance_bins=distance_bins, height_bins=height_bins)
+    vertices, normals = rng.uniform(-15, 15, (600, 3)) * [1, 1, 0.2], unit_rows(rng, 600)
+    keypoints = rng.uniform(-18, 18, (12, 2))
+    bounds = np.array([0, 400, 600])
+    assignment = rng.integers(0, 2, 12).astype(np.int32)
+    found = column_histograms(
+        vertices, normals, bounds, keypoints, assignment, config.radius, distance_bins, height_bins
+    )
+    for k, keypoint in enumerate(keypoints):
+        rows = slice(bounds[assignment[k]], bounds[assignment[k] + 1])
+        expected = plain_column_histogram(vertices[rows], normals[rows], keypoint, config)
+        assert np.array_equal(found[k], expected)
+    assert found.sum() > 1000
+
+
+def test_the_statistics_of_clusters_are_the_histograms_of_their_columns():
+    rng = np.random.default_rng(9)
+    vertices, normals = rng.uniform(-9, 9, (400, 3)).astype(np.float32), unit_rows(rng, 400).astype(np.float32)
+    labels = rng.integers(-1, 3, 400).astype(np.int32)
+    empty = np.zeros((0, 3), np.int32)
+    surface = Surface(vertices, normals, empty, empty, np.zeros(0, np.float32), 0.4)
+    clusters = Clusters(labels, 3, labels < 0)
+    keypoints = rng.uniform(-6, 6, (10, 2)).astype(np.float32)
+    saliency = weigh_clusters(keypoints, surface, clusters, 0.5)
+    found = describe_clusters(surface, clusters, keypoints, saliency, MicroConfig(), rng)
+    for k in range(10):
+        mine = labels == saliency.assignment[k]
+        counts = plain_column_histogram(
+            vertices[mine].astype(np.float64), normals[mine].astype(np.float64), keypoints[k].astype(np.float64),
+            MicroConfig(),
+        )  # fmt: skip
+        assert np.abs(found.histograms[k] ** 2 - counts / counts.sum()).sum() < 0.02  # float32 moves a pair at most
+
+
+def test_the_blend_of_neighbours_is_equations_2_to_4():
+    rng = np.random.default_rng(1)
+    positions, normals = rng.uniform(-1, 1, (40, 3)).astype(np.float32), unit_rows(rng, 40).astype(np.float32)
+    queries = rng.uniform(-1, 1, (15, 3)).astype(np.float32)
+    gaps = ((queries[:, None] - positions) ** 2).sum(axis=2)
+    indices = np.argsort(gaps, axis=1)[:, :6].astype(np.int32)
+    squared = np.take_along_axis(gaps, indices, axis=1)
+    indices[3, 2:], squared[3, 2:] = -1, np.inf
+    frames = orientations(normals)
+    weights, encoding, plane = blend_neighbours(queries, positions, frames, indices, squared, 1.0, 0.4)
+    inverse = np.where(indices >= 0, 1.0 / np.sqrt(squared), 0.0)
+    expected = inverse / inverse.sum(axis=1, keepdims=True)
+    local = np.einsum("mkab,mkb->mka", frames[indices], queries[:, None] - positions[indices])
+    np.testing.assert_allclose(weights, expected, atol=1e-5)
+    np.testing.assert_allclose(encoding, np.einsum("mk,mke->me", expected, encode_positions(local, 0.4)), atol=1e-4)
+    np.testing.assert_allclose(plane, np.einsum("mk,mk->m", expected, local[..., 2]), atol=1e-5)
+
+
+def test_pooled_covariances_are_those_of_the_returns_around_each_point():
+    rng = np.random.default_rng(2)
+    voxels = np.unique(rng.integers(-2, 2, (30, 3)), axis=0).astype(np.int32)
+    clouds = [(voxel + rng.uniform(0.05, 0.95, (rng.integers(3, 20), 3))) * 0.4 for voxel in voxels]
+    positions = np.array([cloud.mean(axis=0) for cloud in clouds]).astype(np.float32)
+    moments = np.array([
+        [len(cloud), *cloud.sum(axis=0), *(cloud.T @ cloud)[np.triu_indices(3)]] for cloud in clouds
+    ])  # fmt: skip
+    found = pooled_covariances(positions, moments, table_of(voxels), 0.4)
+    for i, here in enumerate(positions.astype(np.float64)):
+        total, samples, weights = 0.0, [], []
+        for j, cloud in enumerate(clouds):
+            gap = ((positions[j].astype(np.float64) - here) ** 2).sum()
+            if np.abs(voxels[j] - voxels[i]).max() <= 1 and gap <= 4 * 0.4**2:
+                weight = np.exp(-0.5 * gap / 0.28**2) * min(len(cloud), POOLED_RETURNS) / len(cloud)
+                samples.append(cloud)
+                weights.append(np.full(len(cloud), weight))
+                total += weight * len(cloud)
+        expected = np.cov(np.concatenate(samples).T, aweights=np.concatenate(weights), bias=True)
+        np.testing.assert_allclose(found[i], expected, atol=1e-6)
+        assert total > 0
+
+
+def test_returns_are_chosen_in_order_and_at_most_so_many_for_each_point():
+    rng = np.random.default_rng(3)
+    points = rng.uniform(-1, 1, (500, 3)).astype(np.float32)
+    voxels = np.unique(voxels_of(points[:250], 0.4), axis=0)
+    positions = ((voxels + 0.5) * 0.4).astype(np.float32)
+    order = rng.permutation(500)
+    chosen, owners = choose_returns(points, order, positions, table_of(voxels), 0.4, 2)
+    row_of = {tuple(voxel): row for row, voxel in enumerate(voxels.tolist())}
+    taken: dict[int, int] = {}
+    expected = []
+    for n in order:
+        row = row_of.get(tuple(voxels_of(points[n : n + 1], 0.4)[0].tolist()))
+        if row is not None and taken.get(row, 0) < 2:
+            taken[row] = taken.get(row, 0) + 1
+            expected.append((n, row))
+    assert list(zip(chosen.tolist(), owners.tolist(), strict=True)) == expected
+
+
+def test_a_range_image_holds_the_nearest_return_of_each_degree():
+    rng = np.random.default_rng(4)
+    points, origin = rng.uniform(-20, 20, (3000, 3)).astype(np.float32), np.array([1, 2, 0.5], np.float32)
+    ray = (points - origin).astype(np.float64)
+    distance = np.linalg.norm(ray, axis=1)
+    column = np.floor(np.degrees(np.arctan2(ray[:, 1], ray[:, 0])) + 180.0).astype(int) % 360
+    row = np.minimum(np.floor(np.degrees(np.arcsin(ray[:, 2] / distance)) + 90.0).astype(int), 179)
+    expected = np.full((180, 360), np.inf)
+    np.minimum.at(expected, (row, column), distance)
+    found = range_image(points, origin)
+    same = np.isclose(found, expected, rtol=1e-5) | (np.isinf(found) & np.isinf(expected))
+    assert same.mean() > 0.9995  # a return on the border of two pixels may fall to either side
+
+
+def test_a_scan_counts_only_its_own_returns_when_it_looks_through_a_point():
+    wall = np.array([[10.0, y, z] for y in np.linspace(-1, 1, 41) for z in np.linspace(-1, 1, 41)], np.float32)
+    points, scans = np.concatenate([wall, wall[:, [1, 0, 2]]]), np.repeat([0, 2], len(wall)).astype(np.int32)
+    positions = np.array([[5.0, 0.0, 0.0], [0.0, 5.0, 0.0], [-5.0, 0.0, 0.0]], np.float32)
+    assert count_seen_through(positions, points, scans, np.zeros((3, 3), np.float32)).tolist() == [1, 1, 0]
+
+
+def test_patch_histograms_are_those_of_plain_loops():
+    rng = np.random.default_rng(5)
+    index = rng.integers(0, 6, (60, 50)).astype(np.int8)
+    weights = rng.uniform(0, 1, (60, 50)).astype(np.float32) * (rng.uniform(size=(60, 50)) > 0.3)
+    pixels, angles = rng.integers(5, 45, (6, 2)), rng.uniform(0, np.pi, 6).astype(np.float32)
+    found = patch_histograms(index, weights.astype(np.float32), pixels, angles, 24, 2, 3, 6)
+    expected = np.zeros((6, 3, 3, 6))
+    for k, ((column, row), angle) in enumerate(zip(pixels, angles.astype(np.float64), strict=True)):
+        for i, j in np.ndindex(12, 12):
+            v, u = 2 * i + 1 - 12, 2 * j + 1 - 12
+            x = round(float(column + np.cos(angle) * u - np.sin(angle) * v))
+            y = round(float(row + np.sin(angle) * u + np.cos(angle) * v))
+            if 0 <= y < 60 and 0 <= x < 50:
+                relative = (index[y, x] - angle * 6 / np.pi) % 6
+                lower, share = int(relative), relative - int(relative)
+                expected[k, 2 * i * 3 // 24, 2 * j * 3 // 24, lower % 6] += weights[y, x] * (1 - share)
+                expected[k, 2 * i * 3 // 24, 2 * j * 3 // 24, (lower + 1) % 6] += weights[y, x] * share
+    np.testing.assert_allclose(found.reshape(expected.shape), expected, atol=1e-4)
+
+
+def test_profiles_are_weighted_counts_along_each_heading():
+    rng = np.random.default_rng(6)
+    places, weight = rng.uniform(-20, 20, (80, 2)), rng.uniform(0, 1, 80)
+    heading = rng.uniform(-np.pi, np.pi, 80)
+    plan, faces = np.zeros((12, 40)), np.zeros((12, 40))
+    for row in range(12):
+        half, full = row * np.pi / 12, row * 2 * np.pi / 12
+        column = np.floor(places @ [np.cos(half), np.sin(half)]).astype(int) + 20
+        inside = (column >= 0) & (column < 40)
+        np.add.at(plan[row], column[inside], weight[inside])
+        column = np.floor(places @ [np.cos(full), np.sin(full)]).astype(int) + 20
+        nearest = np.round(heading / (2 * np.pi / 12)).astype(int)
+        away = (row - nearest + 6) % 12 - 6
+        facing = np.cos(heading - full)
+        inside = (column >= 0) & (column < 40) & (np.abs(away) <= 2) & (facing > 0)
+        np.add.at(faces[row], column[inside], (weight * np.abs(facing) ** 4)[inside])
+    np.testing.assert_allclose(plan_profiles(places, weight, 12, 40, 1.0), plan, atol=1e-9)
+    np.testing.assert_allclose(face_profiles(places, heading, weight, 12, 40, 1.0, 4.0), faces, atol=1e-9)
+
+
+def test_the_sphere_of_a_whole_cluster_is_aligned_as_that_of_a_column():
+    rng = np.random.default_rng(7)
+    points = rng.normal(size=(100, 3)) * [4, 1, 1]
+    aligned, rotation = aligned_to_unit_sphere(points)
+    assert np.abs(np.cov(aligned.T)[0, 1]) < 1e-12
+    assert np.allclose(rotation @ rotation.T, np.eye(3))
