@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 import time
@@ -35,23 +36,36 @@ def invoke(*arguments, status=0):
     return result.stdout
 
 
-@pytest.mark.parametrize("name", ["rest_client.py", "grpc_client.py"])
-def test_an_example_is_a_client_of_ten_lines(name):
-    docstring, _, code = (ROOT / "docs" / "examples" / name).read_text().partition("\n")
+def code_of(example):
+    docstring, _, code = (ROOT / "docs" / "examples" / example).read_text().partition("\n")
     assert docstring.endswith('"""')
-    assert len([line for line in code.splitlines() if line]) <= 10
+    return code.strip()
 
 
-def test_the_rest_example_finds_the_place_again(service):
+@pytest.mark.parametrize("name", ["rest_client.py", "grpc_client.py"])
+def test_an_example_is_a_client_of_some_twenty_lines(name):
+    assert len([line for line in code_of(name).splitlines() if line]) <= 25
+
+
+def test_the_readme_shows_the_examples_as_they_run():
+    rest, grpc = re.findall(r"^```python\n(.+?)\n```$", (ROOT / "README.md").read_text(), re.MULTILINE | re.DOTALL)
+    assert rest == code_of("rest_client.py")
+    # Of the second example the README leaves out the yard, which is the first one's.
+    yard, client, _ = code_of("grpc_client.py").partition("client = ")
+    assert client + _ == grpc
+    assert rest.startswith(yard)
+
+
+def test_the_rest_example_compares_the_two_days(service):
+    # What the method makes of the yard is in tests/integration/test_documented_examples.py.
     output = run_example("rest_client.py", REVISIT_URL=service.http)
-    sessions = "maps/rest-example/sessions"
-    assert f"{sessions}/tuesday/submaps/start looks like {sessions}/monday/submaps/start: 1.00" in output
+    assert "maps/yard/sessions/tuesday/submaps/start is where maps/yard/sessions/monday/submaps/start was" in output
 
 
-def test_the_grpc_example_streams_a_drive_into_submaps(service):
+def test_the_grpc_example_streams_two_drives_that_meet(service):
     output = run_example("grpc_client.py", REVISIT_GRPC=service.grpc)
-    # 24 m of travel in windows of 10 m every 5 m: 0-10, 5-15, 10-20, and the rest when finished.
-    assert output.count("maps/grpc-example/sessions/monday/submaps/") == 4
+    sessions = "maps/streamed-yard/sessions"
+    assert re.search(f"{sessions}/tuesday/submaps/scans-1-11 is where {sessions}/monday/submaps/scans-", output)
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ import typer
 from revisit.cli.app import app
 from revisit.core.errors import ErrorCode
 from revisit.core.verification import RejectionReason
+from revisit.sdk.resources import LoopPolicy
 from revisit.service.rest.app import create_app
 from revisit.service.settings import Settings
 from revisit.v1 import (
@@ -79,11 +81,13 @@ def test_every_reason_for_a_rejection_is_explained():
     assert {reason.value for reason in RejectionReason} <= headings("how-to/read-an-answer.md")
 
 
-def test_every_parameter_that_a_rejection_names_exists():
-    named = set(re.findall(r"`verification\.(\w+)`", (DOCS / "how-to/read-an-answer.md").read_text()))
-    parameters = (DOCS / "reference/parameters.md").read_text()
-    assert named
-    assert {name for name in named if f"| {name} |" not in parameters and f"| `{name}` |" not in parameters} == set()
+def test_the_advice_for_a_rejection_names_rules_that_can_be_set_and_no_others():
+    page = (DOCS / "how-to/read-an-answer.md").read_text()
+    for rule in fields(LoopPolicy):
+        setting = rule.name if rule.name != "candidates" else "loop_candidates"
+        assert setting in Settings.model_fields
+        assert f"| `REVISIT_{setting.upper()}` | `{rule.name}` |" in page
+    assert "`verification." not in page
 
 
 def test_every_promise_names_tests_and_all_of_them_exist():
