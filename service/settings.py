@@ -38,12 +38,14 @@ class Settings(AccessSettings):
     )
     lease_s: float = Field(default=10.0, gt=0, description="a job is given to another worker after this silence")
     max_attempts: int = Field(default=3, ge=1, description="runs of a job before it fails")
-    max_queued_jobs: int = Field(default=1000, ge=1, description="waiting jobs per tenant before posts are refused")
-    points_per_s: float = Field(
-        default=40e6, gt=0, description="points a second that are taken in altogether, over 10 s on average"
+    max_queued_jobs: int = Field(
+        default=1000, ge=1, description="limit of a tenant's backlog (waiting jobs); posts beyond it are refused"
     )
-    tenant_points_per_s: float = Field(default=20e6, gt=0, description="points a second that one tenant may send")
-    client_points_per_s: float = Field(default=10e6, gt=0, description="points a second that one API key may send")
+    points_per_s: float = Field(
+        default=40e6, gt=0, description="rate limit of the whole service, points a second, averaged over 10 s"
+    )
+    tenant_points_per_s: float = Field(default=20e6, gt=0, description="rate limit of one tenant, points a second")
+    client_points_per_s: float = Field(default=10e6, gt=0, description="rate limit of one API key, points a second")
     clouds_at_once: int = Field(
         default_factory=lambda: CapacityLimits().clouds,
         ge=1,

@@ -56,6 +56,11 @@ def test_the_readme_shows_the_examples_as_they_run():
     assert rest.startswith(yard)
 
 
+def test_the_tutorial_shows_the_rest_example_as_it_runs():
+    page = (ROOT / "docs" / "tutorial" / "first-loop.md").read_text()
+    assert re.findall(r"^```python\n(.+?)\n```$", page, re.MULTILINE | re.DOTALL) == [code_of("rest_client.py")]
+
+
 def test_the_rest_example_compares_the_two_days(service):
     # What the method makes of the yard is in tests/integration/test_documented_examples.py.
     output = run_example("rest_client.py", REVISIT_URL=service.http)
