@@ -1,4 +1,4 @@
-"""A checked container for stored numbers: magic, lengths, JSON header, zstd body, SHA-256 over all of it."""
+"""Stored numbers: a checked container of magic, lengths, JSON header, zstd body and SHA-256, and its parts."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ import struct
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import zstandard
+from numpy.typing import NDArray
 
 from revisit.core.errors import DataLoss
 
@@ -46,7 +48,7 @@ class Container:
             raise DataLoss(f"the checksum of the {self.noun} does not fit")
         try:
             return self._opened(content)
-        except (struct.error, ValueError, RecursionError, zstandard.ZstdError) as error:
+        except (struct.error, ValueError, RecursionError) as error:
             raise DataLoss(f"the {self.noun} cannot be read") from error
 
     def _opened(self, content: bytes) -> tuple[dict[str, Any], bytes]:
@@ -57,10 +59,29 @@ class Container:
             raise DataLoss(f"the header of the {self.noun} is not an object")
         if self.body_length and len(packed) != lengths[1]:
             raise DataLoss(f"the {self.noun} is cut short or has bytes too many")
-        # A frame that announces its size is unpacked whole, whatever `max_output_size` says.
-        if zstandard.frame_content_size(packed) > self.max_body_bytes:
-            raise DataLoss(f"the {self.noun} is too large")
-        return header, zstandard.ZstdDecompressor().decompress(packed, max_output_size=self.max_body_bytes)
+        return header, decompressed(packed, self.max_body_bytes, self.noun)
 
     def _digest(self, content: bytes) -> bytes:
         return hashlib.sha256(content).digest()[: self.digest_bytes]
+
+
+def decompressed(packed: bytes, max_bytes: int, noun: str) -> bytes:
+    """What a zstd frame holds, at most `max_bytes`. Raises DataLoss for a larger or damaged one."""
+    try:
+        # A frame that announces its size is unpacked whole, whatever `max_output_size` says.
+        if zstandard.frame_content_size(packed) > max_bytes:
+            raise DataLoss(f"the {noun} is too large")
+        return zstandard.ZstdDecompressor().decompress(packed, max_output_size=max_bytes)
+    except zstandard.ZstdError as error:
+        raise DataLoss(f"the {noun} cannot be read") from error
+
+
+def to_byte_planes(rows: NDArray[np.generic]) -> bytes:
+    """Rows (n, w) of 4-byte numbers, column by column: all first bytes, then all second ones, ..., easy to compress."""
+    return np.ascontiguousarray(np.ascontiguousarray(rows.T).view(np.uint8).reshape(-1, 4).T).tobytes()
+
+
+def from_byte_planes(planes: bytes, width: int, dtype: str) -> NDArray[Any]:
+    """The rows (n, width) of `to_byte_planes`."""
+    columns = np.ascontiguousarray(np.frombuffer(planes, dtype=np.uint8).reshape(4, -1).T).view(dtype)
+    return columns.reshape(width, -1).T

@@ -36,7 +36,9 @@ class Submap:
 
     def __post_init__(self) -> None:
         if len(self.scan_index) != len(self.points) or len(self.stamps_ns) != len(self.origins):
-            raise BadField("a submap needs one scan index for each point and one time stamp for each origin", field="points")
+            raise BadField(
+                "a submap needs one scan index for each point and one time stamp for each origin", field="points"
+            )
         if len(self.scan_index) and not 0 <= self.scan_index[0] <= self.scan_index[-1] < len(self.origins):
             raise BadField("a point of the submap belongs to no scan", field="points")
         if (self.scan_index[1:] < self.scan_index[:-1]).any():

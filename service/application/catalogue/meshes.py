@@ -8,6 +8,7 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
+from revisit.core.container import decompressed, from_byte_planes, to_byte_planes
 from revisit.core.errors import DataLoss
 from revisit.service.application.contract.recogniser import Mesh
 
@@ -22,10 +23,9 @@ def pack_mesh(mesh: Mesh) -> bytes:
     """Vertices on a 1 mm grid, normals in 1/127 steps, and faces, as differences under zstd."""
     grid = np.round(mesh.vertices / _STEP_M).astype("<i4")
     rows = np.concatenate([_differences(grid), _differences(mesh.faces.astype("<i4"))])
-    planes = np.ascontiguousarray(rows.T).view(np.uint8).reshape(-1, 4).T
     normals = np.round(mesh.normals * _NORMAL_STEPS).astype(np.int8)
     header = _HEADER.pack(_MAGIC, len(mesh.vertices), len(mesh.faces))
-    return header + zstandard.ZstdCompressor(level=3).compress(planes.tobytes() + normals.T.tobytes())
+    return header + zstandard.ZstdCompressor(level=3).compress(to_byte_planes(rows) + normals.T.tobytes())
 
 
 def unpack_mesh(blob: bytes) -> Mesh:
@@ -36,13 +36,12 @@ def unpack_mesh(blob: bytes) -> Mesh:
         size = rows_size + vertices * 3
         if magic != _MAGIC or size > _MAX_BYTES:
             raise DataLoss("a stored mesh has a damaged header")
-        data = zstandard.ZstdDecompressor().decompress(blob[_HEADER.size :], max_output_size=size) if size else b""
-    except (struct.error, zstandard.ZstdError) as error:
+    except struct.error as error:
         raise DataLoss("a stored mesh is damaged") from error
+    data = decompressed(blob[_HEADER.size :], size, "stored mesh") if size else b""
     if len(data) != size:
         raise DataLoss("a stored mesh is incomplete")
-    planes = np.frombuffer(data, dtype=np.uint8, count=rows_size).reshape(4, -1)
-    rows = np.ascontiguousarray(planes.T).view("<i4").reshape(3, -1).T
+    rows = from_byte_planes(data[:rows_size], 3, "<i4")
     normals = np.frombuffer(data, dtype=np.int8, offset=rows_size).reshape(3, -1).T
     return Mesh(
         vertices=(np.cumsum(rows[:vertices], axis=0) * _STEP_M).astype(np.float32),

@@ -16,6 +16,7 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
+from revisit.core.container import decompressed, from_byte_planes, to_byte_planes
 from revisit.core.errors import BadField, DataLoss, TooLarge
 from revisit.core.scan import CloudReport, Points, validate_cloud
 from revisit.formats import DecodedCloud, decode_cloud
@@ -86,9 +87,8 @@ def pack_cloud(cloud: StoredCloud) -> bytes:
     """The cloud as a compact, lossless blob: a header, then the byte planes of its float32 columns under zstd."""
     columns = cloud.points if cloud.intensity is None else np.column_stack([cloud.points, cloud.intensity])
     table = np.ascontiguousarray(columns, dtype="<f4")
-    planes = np.ascontiguousarray(table.T).view(np.uint8).reshape(-1, 4).T
     header = _HEADER.pack(_MAGIC, len(table), table.shape[1])
-    return header + zstandard.ZstdCompressor(level=1).compress(planes.tobytes())
+    return header + zstandard.ZstdCompressor(level=1).compress(to_byte_planes(table))
 
 
 def unpack_cloud(blob: bytes) -> StoredCloud:
@@ -98,13 +98,12 @@ def unpack_cloud(blob: bytes) -> StoredCloud:
         size = count * width * 4
         if magic != _MAGIC or width not in (3, 4) or count > limits.SUBMAP_POINTS:
             raise DataLoss("a stored cloud has a damaged header")
-        data = zstandard.ZstdDecompressor().decompress(blob[_HEADER.size :], max_output_size=size)
-    except (struct.error, zstandard.ZstdError) as error:
+    except struct.error as error:
         raise DataLoss("a stored cloud is damaged") from error
+    data = decompressed(blob[_HEADER.size :], size, "stored cloud")
     if len(data) != size:
         raise DataLoss("a stored cloud is incomplete")
-    planes = np.frombuffer(data, dtype=np.uint8).reshape(4, -1)
-    table = np.ascontiguousarray(planes.T).view("<f4").reshape(width, count).T.astype(np.float32)
+    table = from_byte_planes(data, width, "<f4").astype(np.float32)
     return StoredCloud(np.ascontiguousarray(table[:, :3]), table[:, 3].copy() if width == 4 else None)
 
 
