@@ -317,6 +317,51 @@ async def test_a_scan_again_is_acknowledged_and_ignored_and_a_gap_is_refused(wor
     assert (await world.use_cases.scans.open(TENANT, SESSION)).committed_seq == 2
 
 
+async def test_a_robot_that_restarted_is_told_to_take_a_new_session(world):
+    await open_session(world)
+    for seq in (1, 2):
+        await world.use_cases.scans.append(TENANT, scan(seq, float(seq)))
+    first = scan(1, 1.0)
+    others = (
+        replace(first, stamp_ns=first.stamp_ns + 10**12),
+        replace(first, T_odom_sensor=pose(1.001)),
+        replace(first, cloud=cloud(7)),
+        replace(first, cloud=replace(first.cloud, intensity=np.ones(300, np.float32))),
+    )
+    for other in others:
+        with pytest.raises(AlreadyExists, match="create a new session; else go on with scan 3"):
+            await world.use_cases.scans.append(TENANT, other)
+    assert (await world.use_cases.scans.append(TENANT, first)).replay
+
+
+async def test_a_scan_is_known_again_after_another_compressor_packed_it(world, monkeypatch):
+    from revisit.service.application.ingest import clouds, scans
+
+    def packed_otherwise(accepted):
+        blob = clouds.pack_cloud(accepted)
+        header, body = blob[: clouds._HEADER.size], blob[clouds._HEADER.size :]
+        planes = clouds.zstandard.ZstdDecompressor().decompress(body)
+        return header + clouds.zstandard.ZstdCompressor(level=19).compress(planes)
+
+    await open_session(world)
+    monkeypatch.setattr(scans, "pack_cloud", packed_otherwise)
+    await world.use_cases.scans.append(TENANT, scan(1, 1.0))
+    monkeypatch.undo()
+    assert (await world.use_cases.scans.append(TENANT, scan(1, 1.0))).replay
+    with pytest.raises(AlreadyExists):
+        await world.use_cases.scans.append(TENANT, replace(scan(1, 1.0), cloud=cloud(2)))
+
+
+async def test_of_two_robots_that_send_the_same_number_at_once_one_is_refused(world):
+    await open_session(world)
+    calls = (
+        world.use_cases.scans.append(TENANT, scan(1, 1.0)),
+        world.use_cases.scans.append(TENANT, replace(scan(1, 1.0), cloud=cloud(9))),
+    )
+    outcomes = await asyncio.gather(*calls, return_exceptions=True)
+    assert sorted(type(outcome).__name__ for outcome in outcomes) == ["AlreadyExists", "ScanAck"]
+
+
 async def test_finishing_a_session_flushes_its_last_window_once(world):
     await open_session(world)
     for seq in range(1, 5):
