@@ -285,7 +285,43 @@ async def test_a_search_by_cloud_that_no_worker_answers_ends_at_its_deadline(wor
     await open_session(world)
     with pytest.raises(RevisitError) as refused:
         await world.use_cases.searches.by_cloud(TENANT, "town", cloud(1), SearchCriteria(), timeout_s=0.05)
-    assert refused.value.code == "DEADLINE_EXCEEDED"
+    assert refused.value.code == "NO_ANSWER"
+
+
+async def jobs_of(world) -> list[str]:
+    page = await world.use_cases.operations.list(TENANT, PageRequest())
+    return [operation.state.value for operation in page.items]
+
+
+async def test_a_query_that_nobody_waits_for_goes_with_its_cloud_and_its_job(tmp_path):
+    world = sqlite_world(tmp_path)
+    await open_session(world)
+    with pytest.raises(RevisitError, match="the query was dropped"):
+        await world.use_cases.searches.localize(TENANT, LocalizeQuery("town", cloud(1)), timeout_s=0.05)
+    left = asyncio.create_task(world.use_cases.searches.localize(TENANT, LocalizeQuery("town", cloud(1))))
+    while not await jobs_of(world):
+        await asyncio.sleep(0.01)
+    left.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await left
+    async with asyncio.timeout(5):
+        while await jobs_of(world) or list((tmp_path / "blobs").glob(f"*/{QUERY_CLOUD_BLOB}/*/*")):
+            await asyncio.sleep(0.01)
+    assert world.work_off() == 0
+    world.context.transactions.close()
+
+
+async def test_the_late_result_of_a_query_that_was_dropped_is_refused(world):
+    await described(world, a=1)
+    asked = asyncio.create_task(
+        world.use_cases.searches.localize(TENANT, LocalizeQuery("town", cloud(1)), timeout_s=0.3)
+    )
+    while (lease := world.claim()) is None:
+        await asyncio.sleep(0.01)
+    with pytest.raises(RevisitError, match="the query was dropped"):
+        await asked
+    world.worker().run(lease)
+    assert await jobs_of(world) == ["DONE"]
 
 
 async def test_a_stream_of_scans_is_cut_into_submaps_that_overlap(world):
