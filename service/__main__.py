@@ -1,4 +1,4 @@
-"""`python -m revisit.service serve | worker | seen | migrate`: settings come from REVISIT_* variables."""
+"""`python -m revisit.service serve | worker | seen | migrate | unit`: settings come from REVISIT_* variables."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import asyncio
 import multiprocessing
 import os
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
@@ -32,6 +33,9 @@ def main(arguments: list[str] | None = None) -> int:
     # Files are for this user only.
     os.umask(0o077)
     options = _parser().parse_args(arguments)
+    if options.command == "unit":
+        print(_unit(), end="")
+        return 0
     from revisit.service.failpoints import arm
     from revisit.service.settings import Settings
     from revisit.service.telemetry import configure_logging
@@ -70,12 +74,21 @@ def _run(options: argparse.Namespace, settings: Settings) -> int:
         return _serve(settings)
     if current_revision(settings.database) is None:
         return _refuse(f"there is no database at {settings.database} yet: run `revisit migrate` first")
+    from revisit.service.compiled_kernels import choose_cache
+
+    choose_cache(settings.home)
     from revisit.service.composition import run_worker, worker_seen
 
     if options.command == "seen":
         return 0 if worker_seen(settings, options.id) else _refuse(f"worker {options.id} has not shown itself lately")
     run_worker(settings, options.id, options.parent)
     return 0
+
+
+def _unit() -> str:
+    """The unit file for systemd, which starts the Python that runs now."""
+    text = (Path(__file__).parent / "systemd" / "revisit.service").read_text()
+    return text.replace("/opt/revisit/.venv/bin/python", sys.executable)
 
 
 def _serve(settings: Settings) -> int:
@@ -124,6 +137,7 @@ def _named(finding: Any) -> str:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m revisit.service", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
+    commands.add_parser("unit", help="print the unit file for systemd")
     commands.add_parser("serve", help="run the gateway (REST and gRPC) and its workers")
     worker = commands.add_parser("worker", help="run one more worker on this machine")
     worker.add_argument("--id", help="name of the worker; one is made up by default")

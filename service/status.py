@@ -53,6 +53,7 @@ STATUS: dict[ErrorCode, Status] = {
     ErrorCode.STORAGE_FULL: Status(507, "RESOURCE_EXHAUSTED", retryable=True),
     ErrorCode.DEADLINE_EXCEEDED: Status(504, "DEADLINE_EXCEEDED", retryable=True),
     ErrorCode.SEQ_NOT_REACHED: Status(504, "DEADLINE_EXCEEDED", retryable=True),
+    ErrorCode.NO_ANSWER: Status(504, "DEADLINE_EXCEEDED", retryable=True),
     ErrorCode.UNAUTHENTICATED: Status(401, "UNAUTHENTICATED"),
     ErrorCode.PERMISSION_DENIED: Status(403, "PERMISSION_DENIED"),
     ErrorCode.DATA_LOSS: Status(500, "DATA_LOSS"),

@@ -160,6 +160,7 @@ def _send(client: Client, session: Session, recording: Recording, count: int, sp
         refused_before, behind_ns = len(stream.rejected), _last_stamp_ns(client, session, stream)
         # Damaged and refused scans have no number in the session: an index is at least the number, its time tells.
         first = min(session.committed_seq, count)
+        _require_same_recording(session, recording, behind_ns)
         task = bar.add_task(f"{recording.name}: scans", total=count, completed=first)
         for index in range(first, count):
             bar.advance(task)
@@ -177,6 +178,26 @@ def _send(client: Client, session: Session, recording: Recording, count: int, sp
                 unusable += 1
         stream.flush()
         return Sent(sent, len(stream.rejected) - refused_before + unusable)
+
+
+def _require_same_recording(session: Session, recording: Recording, behind_ns: int) -> None:
+    """Exits unless the session's last scan is one of this recording: a second run would leave out or mix scans."""
+    if behind_ns < 0:
+        return
+    # Its place is that of its number, or later where scans before it were refused.
+    for index in range(max(0, session.committed_seq - 1), len(recording)):
+        try:
+            stamp_ns = recording.scan(index).stamp_ns
+        except RevisitError:
+            continue
+        if stamp_ns == behind_ns:
+            return
+        if stamp_ns > behind_ns:
+            break
+    raise refuse(
+        f"{session.name} ends with a scan of another recording (stamp {behind_ns} ns, which {recording.name} does not "
+        "have at its place): give this one a session of its own, with --session NAME"
+    )
 
 
 def _opened(

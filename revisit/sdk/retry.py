@@ -12,7 +12,7 @@ from revisit.sdk.errors import ApiError
 
 T = TypeVar("T")
 
-WAITED_FOR = "SEQ_NOT_REACHED"
+WAITED_FOR = ("SEQ_NOT_REACHED", "NO_ANSWER")
 """The service has waited as long as the caller allowed: only the caller knows whether to wait longer."""
 
 
@@ -35,7 +35,7 @@ class RetryPolicy:
             try:
                 return call()
             except ApiError as error:
-                if not error.retryable or error.reason == WAITED_FOR:
+                if not error.retryable or error.reason in WAITED_FOR:
                     raise
                 time.sleep(self.pause_s(failures, error.retry_after_s))
         return call()

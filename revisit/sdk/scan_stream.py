@@ -21,12 +21,15 @@ from google.protobuf.json_format import ParseDict
 
 from revisit.core.errors import RevisitError
 from revisit.sdk.clouds import Cloud
-from revisit.sdk.errors import ApiError, closed
+from revisit.sdk.errors import ApiError, ErrorDetails, closed, error_of
 from revisit.sdk.grpc_answers import Answers, LostCall
 from revisit.sdk.resources import Json
 from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.transport import Forgetful, StreamJournal
 from revisit.v1 import cloud_pb2, ingest_pb2
+
+ALREADY_EXISTS = "ALREADY_EXISTS"
+"""The reason of a refusal that ends the sending: the number is taken by another scan."""
 
 GIVE_UP_AFTER_S = 120.0
 OPENED_WITHIN_S = 30.0
@@ -235,6 +238,10 @@ class GrpcScanSink:
         self._held_bytes -= len(self._window.popleft().cloud.data)
 
     def _refused(self, nack: ingest_pb2.Nack) -> None:
+        if nack.reason == ALREADY_EXISTS:
+            # Another robot, or this one before it restarted, has used the number: no later scan belongs here either.
+            self._fail(error_of(ErrorDetails(ALREADY_EXISTS, nack.reason, nack.message)))
+            return
         if nack.seq != nack.expected_seq or not self._window:
             return
         if not nack.retryable:

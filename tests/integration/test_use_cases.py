@@ -285,7 +285,43 @@ async def test_a_search_by_cloud_that_no_worker_answers_ends_at_its_deadline(wor
     await open_session(world)
     with pytest.raises(RevisitError) as refused:
         await world.use_cases.searches.by_cloud(TENANT, "town", cloud(1), SearchCriteria(), timeout_s=0.05)
-    assert refused.value.code == "DEADLINE_EXCEEDED"
+    assert refused.value.code == "NO_ANSWER"
+
+
+async def jobs_of(world) -> list[str]:
+    page = await world.use_cases.operations.list(TENANT, PageRequest())
+    return [operation.state.value for operation in page.items]
+
+
+async def test_a_query_that_nobody_waits_for_goes_with_its_cloud_and_its_job(tmp_path):
+    world = sqlite_world(tmp_path)
+    await open_session(world)
+    with pytest.raises(RevisitError, match="the query was dropped"):
+        await world.use_cases.searches.localize(TENANT, LocalizeQuery("town", cloud(1)), timeout_s=0.05)
+    left = asyncio.create_task(world.use_cases.searches.localize(TENANT, LocalizeQuery("town", cloud(1))))
+    while not await jobs_of(world):
+        await asyncio.sleep(0.01)
+    left.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await left
+    async with asyncio.timeout(5):
+        while await jobs_of(world) or list((tmp_path / "blobs").glob(f"*/{QUERY_CLOUD_BLOB}/*/*")):
+            await asyncio.sleep(0.01)
+    assert world.work_off() == 0
+    world.context.transactions.close()
+
+
+async def test_the_late_result_of_a_query_that_was_dropped_is_refused(world):
+    await described(world, a=1)
+    asked = asyncio.create_task(
+        world.use_cases.searches.localize(TENANT, LocalizeQuery("town", cloud(1)), timeout_s=0.3)
+    )
+    while (lease := world.claim()) is None:
+        await asyncio.sleep(0.01)
+    with pytest.raises(RevisitError, match="the query was dropped"):
+        await asked
+    world.worker().run(lease)
+    assert await jobs_of(world) == ["DONE"]
 
 
 async def test_a_stream_of_scans_is_cut_into_submaps_that_overlap(world):
@@ -315,6 +351,51 @@ async def test_a_scan_again_is_acknowledged_and_ignored_and_a_gap_is_refused(wor
         await world.use_cases.scans.append(TENANT, scan(4, 4.0))
     assert gap.value.expected == 3
     assert (await world.use_cases.scans.open(TENANT, SESSION)).committed_seq == 2
+
+
+async def test_a_robot_that_restarted_is_told_to_take_a_new_session(world):
+    await open_session(world)
+    for seq in (1, 2):
+        await world.use_cases.scans.append(TENANT, scan(seq, float(seq)))
+    first = scan(1, 1.0)
+    others = (
+        replace(first, stamp_ns=first.stamp_ns + 10**12),
+        replace(first, T_odom_sensor=pose(1.001)),
+        replace(first, cloud=cloud(7)),
+        replace(first, cloud=replace(first.cloud, intensity=np.ones(300, np.float32))),
+    )
+    for other in others:
+        with pytest.raises(AlreadyExists, match="create a new session; else go on with scan 3"):
+            await world.use_cases.scans.append(TENANT, other)
+    assert (await world.use_cases.scans.append(TENANT, first)).replay
+
+
+async def test_a_scan_is_known_again_after_another_compressor_packed_it(world, monkeypatch):
+    from revisit.service.application.ingest import clouds, scans
+
+    def packed_otherwise(accepted):
+        blob = clouds.pack_cloud(accepted)
+        header, body = blob[: clouds._HEADER.size], blob[clouds._HEADER.size :]
+        planes = clouds.zstandard.ZstdDecompressor().decompress(body)
+        return header + clouds.zstandard.ZstdCompressor(level=19).compress(planes)
+
+    await open_session(world)
+    monkeypatch.setattr(scans, "pack_cloud", packed_otherwise)
+    await world.use_cases.scans.append(TENANT, scan(1, 1.0))
+    monkeypatch.undo()
+    assert (await world.use_cases.scans.append(TENANT, scan(1, 1.0))).replay
+    with pytest.raises(AlreadyExists):
+        await world.use_cases.scans.append(TENANT, replace(scan(1, 1.0), cloud=cloud(2)))
+
+
+async def test_of_two_robots_that_send_the_same_number_at_once_one_is_refused(world):
+    await open_session(world)
+    calls = (
+        world.use_cases.scans.append(TENANT, scan(1, 1.0)),
+        world.use_cases.scans.append(TENANT, replace(scan(1, 1.0), cloud=cloud(9))),
+    )
+    outcomes = await asyncio.gather(*calls, return_exceptions=True)
+    assert sorted(type(outcome).__name__ for outcome in outcomes) == ["AlreadyExists", "ScanAck"]
 
 
 async def test_finishing_a_session_flushes_its_last_window_once(world):

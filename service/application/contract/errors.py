@@ -52,6 +52,12 @@ class SeqNotReached(RevisitError):
     code = ErrorCode.SEQ_NOT_REACHED
 
 
+class NoAnswer(RevisitError):
+    """No worker has answered a query by cloud in time; the query was dropped, since nobody waits for it any more."""
+
+    code = ErrorCode.NO_ANSWER
+
+
 class Unavailable(RevisitError):
     """The service cannot do this now: try again after `retry_after_s`."""
 

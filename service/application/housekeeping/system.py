@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -11,6 +11,7 @@ from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.disk import DiskSpace
 from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.records import WorkerRecord
 from revisit.service.application.contract.states import OperationState, SubmapState
 from revisit.service.application.contract.storage import Storage
 from revisit.service.application.contract.transactions import UnitOfWork
@@ -73,12 +74,14 @@ class System:
         if self._index.loading:
             return Readiness(False, ("the index is being loaded",))
         try:
-            await self._storage.read(lambda uow: uow.workers.alive("", 0))
+            workers = await self._storage.read(self._alive)
         except RevisitError as error:
             return Readiness(False, (f"database: {error.message}",))
-        return Readiness(True, (), tuple(self._degraded()))
+        return Readiness(True, (), tuple(self._degraded(len(workers))))
 
-    def _degraded(self) -> Iterator[str]:
+    def _degraded(self, workers: int) -> Iterator[str]:
+        if not workers:
+            yield "no worker lives: what is posted waits, and no query by cloud is answered; the log says why they end"
         if self._disk.full():
             yield "storage full: no new scans or submaps until there is room"
         wal_bytes = self._disk.wal_bytes()
@@ -90,8 +93,7 @@ class System:
         return await self._storage.read(partial(self._status, tenant=tenant))
 
     def _status(self, uow: UnitOfWork, tenant: TenantId) -> ServiceStatus:
-        now = self._clock.instant()
-        alive = uow.workers.alive(now.epoch, now.ms - WORKER_SEEN_WITHIN_MS)
+        alive = self._alive(uow)
         return ServiceStatus(
             version=self._version,
             model_version=alive[0].model_version if alive else None,
@@ -101,6 +103,10 @@ class System:
             indexed_submaps=uow.submaps.count(tenant, state=SubmapState.DESCRIBED.value),
             workers=tuple(WorkerView(worker.worker_id, worker.model_version) for worker in alive),
         )
+
+    def _alive(self, uow: UnitOfWork) -> Sequence[WorkerRecord]:
+        now = self._clock.instant()
+        return uow.workers.alive(now.epoch, now.ms - WORKER_SEEN_WITHIN_MS)
 
     def drain(self) -> None:
         """From now on refuse new work with Draining; work in progress ends."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
-from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -21,7 +20,7 @@ from revisit.service.application.capacity.in_flight import InFlight
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.blobs import CLOUD_BLOB
 from revisit.service.application.contract.clock import Clock
-from revisit.service.application.contract.errors import NotFound, SequenceGap
+from revisit.service.application.contract.errors import AlreadyExists, NotFound, SequenceGap
 from revisit.service.application.contract.identity import SessionKey, TenantId
 from revisit.service.application.contract.lookup import require_active, require_map, require_session
 from revisit.service.application.contract.policy import Policy
@@ -29,12 +28,15 @@ from revisit.service.application.contract.poses import pose_matrix, pose_row
 from revisit.service.application.contract.records import ScanRecord, SessionRecord
 from revisit.service.application.contract.storage import Storage
 from revisit.service.application.contract.transactions import UnitOfWork
-from revisit.service.application.ingest.clouds import CloudDecoder, CloudInput, accept_cloud, pack_cloud
+from revisit.service.application.ingest.clouds import CloudDecoder, CloudInput, accept_cloud, pack_cloud, unpack_cloud
 from revisit.service.application.ingest.open_streams import OpenStreams
 from revisit.service.application.ingest.scan_windows import Window, advance, window_of
 from revisit.service.application.ingest.submap_posting import PostedSubmap
 from revisit.service.application.ingest.window_submaps import add_window_submap
 from revisit.service.failpoints import failpoint
+
+SAME_POSE = 1e-9
+"""Numbers of a pose that differ by less, metres or none, are the same number rounded twice."""
 
 SESSIONS_REMEMBERED = 4096
 """Sessions whose window rules are kept in memory, about 1 kB each."""
@@ -55,7 +57,7 @@ class AppendScan:
 class ScanAck:
     """The scan is durable. `committed_seq` is the last durable one; `submap` is the one that this scan completed.
 
-    A scan at or below `committed_seq` is acknowledged and ignored (`replay`).
+    A scan that is stored already is acknowledged and ignored (`replay`).
     """
 
     committed_seq: int
@@ -146,33 +148,55 @@ class Scans:
     async def append(self, tenant: TenantId, command: AppendScan, *, patient: bool = False) -> ScanAck:
         """Store one scan durably; returns after the commit. A `patient` one waits for a slot.
 
-        Raises what decoding and validation raise, NotFound, SessionFinished, SequenceGap(expected), WorkersBusy,
-        RateLimited, Draining, StorageFull, StorageUncertain.
+        Raises what decoding and validation raise, NotFound, SessionFinished, SequenceGap(expected), AlreadyExists for
+        other content under the number of a stored scan, WorkersBusy, RateLimited, Draining, StorageFull,
+        StorageUncertain.
         """
         self._admission.require_storage()
         limits.SCAN_SEQ.validated(command.seq, "seq")
         session = await self._storage.read(partial(require_session, tenant=tenant, key=command.session))
-        if _is_replay(session, command.seq):
-            return ScanAck(session.committed_seq, replay=True, report=None, submap=None)
+        replay = _is_replay(session, command.seq)
         async with self._admission.cloud(tenant, patient=patient, queued=False) as decoded:
-            return await self._store(tenant, command, decoded)
+            accepted = await self._decoder.run(_accept, command)
+            decoded(len(accepted.scan.points))
+            if replay:
+                return await self._replayed(session, accepted)
+            return await self._store(tenant, command.session, accepted)
 
-    async def _store(self, tenant: TenantId, command: AppendScan, decoded: Callable[[int], None]) -> ScanAck:
-        accepted = await self._decoder.run(_accept, command)
-        decoded(len(accepted.scan.points))
+    async def _replayed(self, session: SessionRecord, accepted: _Accepted) -> ScanAck:
+        """The answer to a scan whose number is taken. Raises AlreadyExists unless it is the stored one again."""
+        stored = await self._storage.read(partial(_stored_scan, session=session, seq=accepted.seq))
+        if stored is not None and not await self._is_stored(stored, accepted):
+            raise _taken(session, accepted.seq)
+        return ScanAck(session.committed_seq, replay=True, report=None, submap=None)
+
+    async def _is_stored(self, stored: ScanRecord, accepted: _Accepted) -> bool:
+        """Whether this is the stored scan. Another compressor may have packed the stored cloud: then points decide."""
+        if not _same_place(stored, accepted):
+            return False
+        if stored.cloud_sha256 == _sha256(accepted):
+            return True
+        packed = await asyncio.to_thread(self._storage.blobs.get, stored.tenant, CLOUD_BLOB, stored.cloud_sha256)
+        return await self._decoder.run(_same_points, packed, accepted.packed)
+
+    async def _store(self, tenant: TenantId, key: SessionKey, accepted: _Accepted) -> ScanAck:
         await self._storage.put_blob(tenant, CLOUD_BLOB, accepted.packed)
         failpoint("ingest.after_blob")
-        ack = await self._storage.write(partial(self._insert, tenant=tenant, key=command.session, accepted=accepted))
+        ack = await self._storage.write(partial(self._insert, tenant=tenant, key=key, accepted=accepted))
         failpoint("ingest.after_commit")
         return ack
 
     def _insert(self, uow: UnitOfWork, tenant: TenantId, key: SessionKey, accepted: _Accepted) -> ScanAck:
         session = require_session(uow, tenant, key)
         if _is_replay(session, accepted.seq):
+            stored = _stored_scan(uow, session, accepted.seq)
+            # It came a moment ago, by the same compressor.
+            if stored is not None and not (_same_place(stored, accepted) and stored.cloud_sha256 == _sha256(accepted)):
+                raise _taken(session, accepted.seq)
             return ScanAck(session.committed_seq, replay=True, report=None, submap=None)
         last = uow.scans.get(session.tenant, session.map_id, session.session_id, session.committed_seq)
         step_m = _step_m(last, accepted.scan)
-        sha256 = hashlib.sha256(accepted.packed).hexdigest()
+        sha256 = _sha256(accepted)
         self._storage.keep_blob(tenant, CLOUD_BLOB, accepted.packed, sha256)
         uow.scans.add(_row(session, accepted, session.travelled_m + step_m, sha256))
         submap = self._advance(uow, session, accepted.seq, step_m)
@@ -213,6 +237,35 @@ def _is_replay(session: SessionRecord, seq: int) -> bool:
     if seq != session.committed_seq + 1:
         raise SequenceGap(session.committed_seq + 1, seq)
     return False
+
+
+def _stored_scan(uow: UnitOfWork, session: SessionRecord, seq: int) -> ScanRecord | None:
+    return uow.scans.get(session.tenant, session.map_id, session.session_id, seq)
+
+
+def _sha256(accepted: _Accepted) -> str:
+    return hashlib.sha256(accepted.packed).hexdigest()
+
+
+def _same_place(stored: ScanRecord, accepted: _Accepted) -> bool:
+    """Whether time and pose are those of the stored scan, but for rounding."""
+    difference = pose_matrix(stored.T_odom_sensor) - accepted.scan.T_odom_sensor
+    return stored.stamp_ns == accepted.scan.stamp_ns and bool(np.abs(difference).max() < SAME_POSE)
+
+
+def _same_points(one: bytes, other: bytes) -> bool:
+    first, second = unpack_cloud(one), unpack_cloud(other)
+    if first.intensity is None or second.intensity is None:
+        return first.intensity is second.intensity and np.array_equal(first.points, second.points)
+    same_intensity = np.array_equal(first.intensity, second.intensity, equal_nan=True)
+    return same_intensity and np.array_equal(first.points, second.points)
+
+
+def _taken(session: SessionRecord, seq: int) -> AlreadyExists:
+    return AlreadyExists(
+        f"scan {seq} of session {session.session_id} is stored with other content. Where odometry began again (the "
+        f"robot restarted, another recording), create a new session; else go on with scan {session.committed_seq + 1}"
+    )
 
 
 def _step_m(last: ScanRecord | None, scan: Scan) -> float:

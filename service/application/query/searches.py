@@ -17,14 +17,15 @@ from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.capacity.backlog import JobPosting
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.blobs import QUERY_CLOUD_BLOB
-from revisit.service.application.contract.errors import DeadlineExceeded, NotReady, error_of
+from revisit.service.application.contract.errors import NoAnswer, NotReady, error_of
 from revisit.service.application.contract.identity import SubmapKey, TenantId
 from revisit.service.application.contract.index import VectorFilter
 from revisit.service.application.contract.lookup import require_map, require_submap
-from revisit.service.application.contract.records import MapRecord, SubmapRecord
-from revisit.service.application.contract.states import OperationKind
+from revisit.service.application.contract.records import JobRecord, MapRecord, SubmapRecord
+from revisit.service.application.contract.states import OperationKind, OperationState
 from revisit.service.application.contract.storage import Storage
 from revisit.service.application.contract.transactions import UnitOfWork
+from revisit.service.application.contract.views import OperationView
 from revisit.service.application.ingest.clouds import (
     QUERY_NONCE_BYTES,
     CloudDecoder,
@@ -123,7 +124,7 @@ class Searches:
     ) -> SearchResult:
         """Describe a cloud in a worker, store no submap, search.
 
-        Raises DeadlineExceeded, WorkersBusy, NotFound, SeqNotReached, ...
+        Raises NoAnswer, WorkersBusy, NotFound, SeqNotReached, ...
         """
         payload = {"map_id": map_id, "criteria": criteria_to_json(validated_criteria(criteria))}
         await await_freshness(self._storage, self._admission, tenant, map_id, fresh)
@@ -145,26 +146,55 @@ class Searches:
     async def _ask(
         self, tenant: TenantId, kind: OperationKind, payload: dict[str, Any], cloud: CloudInput, timeout_s: float
     ) -> dict[str, Any]:
-        """Queue the cloud for a worker and wait for the answer. Raises what the worker met, DeadlineExceeded."""
+        """Queue the cloud for a worker and wait for the answer. Raises what the worker met, NoAnswer.
+
+        A query that nobody waits for any more is dropped: its job goes with its cloud.
+        """
         self._admission.require_storage()
         await self._storage.read(partial(require_map, tenant=tenant, map_id=payload["map_id"]))
         async with self._admission.cloud(tenant) as decoded:
             packed, points = await self._decoder.run(_accept, cloud)
             decoded(points)
             sha256 = await self._storage.put_blob(tenant, QUERY_CLOUD_BLOB, packed)
+        posted: list[JobRecord] = []
+        operation: OperationView | None = None
         try:
             subject, content = f"maps/{payload['map_id']}", {**payload, "cloud_sha256": sha256}
             post = partial(self._jobs.post, tenant=tenant, kind=kind, subject=subject, payload=content)
-            job = await self._storage.write(post)
+            # Noted by the writer: a caller that leaves meanwhile does not undo the job.
+            job = await self._storage.write(lambda uow: _noted(post(uow), posted))
             operation = await self._operations.wait(tenant, job.operation_id, timeout_s)
         finally:
-            await asyncio.to_thread(self._storage.blobs.delete, tenant, QUERY_CLOUD_BLOB, sha256)
+            left = operation is None or not operation.done
+            await asyncio.shield(self._let_go(tenant, posted if left else None, sha256))
         if operation.failure is not None:
             raise error_of(operation.failure.code, operation.failure.message)
         if operation.result is None:
             self._admission.require_running()
-            raise DeadlineExceeded(f"no worker answered within {timeout_s:g} s; see operation {job.operation_id}")
+            raise NoAnswer(f"no worker answered within {timeout_s:g} s, and the query was dropped")
         return operation.result
+
+    async def _let_go(self, tenant: TenantId, left: list[JobRecord] | None, sha256: str) -> None:
+        """Delete the cloud of a query; before it the job that nobody waits for any more, if one is `left`."""
+        if left is not None:
+            await self._storage.write(partial(_drop, left=left))
+        await asyncio.to_thread(self._storage.blobs.delete, tenant, QUERY_CLOUD_BLOB, sha256)
+
+
+def _noted(job: JobRecord, posted: list[JobRecord]) -> JobRecord:
+    posted.append(job)
+    return job
+
+
+def _drop(uow: UnitOfWork, left: list[JobRecord]) -> None:
+    """Forget a query's job unless it has ended: a worker that runs it finds its lease gone, and its result is refused.
+
+    Runs behind the write that posted it, so `left` holds the job, also where its caller left before that write.
+    """
+    for job in left:
+        now = uow.jobs.get(job.tenant, job.operation_id)
+        if now is not None and now.state in (OperationState.QUEUED.value, OperationState.RUNNING.value):
+            uow.jobs.delete(job.tenant, operation_id=job.operation_id)
 
 
 def _asked_by(

@@ -30,7 +30,7 @@ from revisit.service.application.contract.blobs import (
     BlobStore,
 )
 from revisit.service.application.contract.clock import Clock
-from revisit.service.application.contract.errors import StaleLease, StorageFull, Unavailable
+from revisit.service.application.contract.errors import NoAnswer, StaleLease, StorageFull, Unavailable
 from revisit.service.application.contract.identity import SubmapKey
 from revisit.service.application.contract.index import VectorFilter
 from revisit.service.application.contract.job_queue import Lease
@@ -236,6 +236,8 @@ class Recognition:
     def _describe_query(self, lease: Lease, map_record: MapRecord) -> SubmapDescription:
         self._require_same_model(map_record)
         sha256 = str(lease.job.payload["cloud_sha256"])
+        if not self._blobs.exists(lease.job.tenant, QUERY_CLOUD_BLOB, sha256):
+            raise NoAnswer("nobody waits for this query any more: its cloud is gone")
         blob = self._blobs.get(lease.job.tenant, QUERY_CLOUD_BLOB, sha256)
         cloud = unpack_cloud(blob[QUERY_NONCE_BYTES:])
         config = self._policy.for_map(map_record)

@@ -93,6 +93,16 @@ def test_a_recording_is_ingested_in_two_goes_and_not_a_third_time(recording, ser
     assert (third["scans_sent"], third["submaps"]) == (0, second["submaps"])
 
 
+def test_another_recording_is_not_taken_for_the_rest_of_a_session(recording, service, tmp_path):
+    where = ("--map", "mixed", "--session", "tuesday", "--grpc", service.grpc, "--json", "--no-finish", "--no-wait")
+    invoke("ingest", recording, *where, "--limit", 12)
+    scans = ((cloud_points(20, 500), pose(float(number)), number * 10**8 + 7) for number in range(30))
+    write_kitti(tmp_path / "rebooted", scans)
+    refusal = CliRunner().invoke(app, [str(part) for part in ("ingest", tmp_path / "rebooted", *where)])
+    assert refusal.exit_code == 1 and "give this one a session of its own" in refusal.stderr
+    assert json.loads(invoke("ingest", recording, *where))["scans_stored"] == 30
+
+
 @pytest.fixture(scope="module")
 def damaged_recording(tmp_path_factory):
     """20 scans 1 m apart, of which 3, 8 and 12 cannot be read: they are left out and get no number in the session."""

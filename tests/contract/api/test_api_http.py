@@ -14,6 +14,7 @@ import zstandard
 
 from revisit.core.errors import ErrorCode
 from revisit.formats import QUANTISED, encode_quantised
+from revisit.service.application.contract.records import WorkerRecord
 from revisit.service.rest.routes.system import WEB
 from revisit.service.status import STATUS
 from tests.support.service_world import cloud_points
@@ -253,7 +254,19 @@ def test_a_draining_service_is_not_ready(http, service):
     finally:
         stopping.clear()
     assert (ready.status_code, ready.json()) == (503, {"ready": False, "reasons": ["draining"], "degraded": []})
-    assert http.get("/readyz").json() == {"ready": True, "reasons": [], "degraded": []}
+    assert http.get("/readyz").json()["ready"] is True
+
+
+def test_a_service_without_a_living_worker_says_so(http, service):
+    clock, transactions = service.world.clock, service.world.context.transactions
+    (degraded,) = http.get("/readyz").json()["degraded"]
+    assert degraded.startswith("no worker lives")
+    now = clock.instant()
+    transactions.write(lambda uow: uow.workers.beat(WorkerRecord("w1", "fake-1", now.epoch, now.ms))).result()
+    try:
+        assert http.get("/readyz").json() == {"ready": True, "reasons": [], "degraded": []}
+    finally:
+        transactions.write(lambda uow: uow.workers.forget("w1")).result()
 
 
 def test_health_version_and_status_answer(http):

@@ -11,6 +11,7 @@ import pytest
 
 from revisit import ApiError, Client, Cloud
 from revisit.formats import NPY, QUANTISED, encode_npy, encode_quantised
+from revisit.sdk.errors import AlreadyExists
 from revisit.sdk.retry import RetryPolicy
 from revisit.v1 import cloud_pb2, geometry_pb2, ingest_pb2, ingest_pb2_grpc
 from tests.support.service_world import cloud_points, pose
@@ -125,9 +126,30 @@ def test_a_replayed_scan_is_acknowledged_and_ignored(raw, session, service):
     talk = opened(raw, session)
     assert talk.say(scan=scan_message(1)).hear().ack.committed_seq == 1
     before = service.stored()
-    assert talk.say(scan=scan_message(1, x_m=99.0)).hear().ack.committed_seq == 1
+    assert talk.say(scan=scan_message(1)).hear().ack.committed_seq == 1
     assert talk.end() == []
     assert service.stored() == before
+
+
+def test_another_scan_under_a_used_number_is_refused_with_what_to_do(raw, session, service):
+    talk = opened(raw, session)
+    assert talk.say(scan=scan_message(1)).hear().ack.committed_seq == 1
+    before = service.stored()
+    for other in (
+        scan_message(1, x_m=99.0),
+        scan_message(1, stamp_ns=2),
+        scan_message(1, data=encode_quantised(cloud_points(2))),
+    ):
+        nack = talk.say(scan=other).hear().nack
+        assert (nack.seq, nack.reason, nack.retryable, nack.expected_seq) == (1, "ALREADY_EXISTS", False, 2)
+        assert "create a new session" in nack.message
+    assert talk.end() == []
+    assert service.stored() == before
+    with Client(service.http) as client:
+        unrotated = {"translation": dict.fromkeys("xyz", 0.0), "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+        cloud = Cloud(encode_quantised(cloud_points(1)), QUANTISED)
+        with pytest.raises(AlreadyExists, match="create a new session"):
+            client._transport.append_scan(session.name, 1, unrotated, 1, cloud)
 
 
 def test_a_gap_is_refused_with_the_expected_number_and_the_stream_lives(raw, session):

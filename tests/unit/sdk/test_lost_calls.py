@@ -9,7 +9,7 @@ import pytest
 
 from revisit.sdk import grpc_answers, scan_stream
 from revisit.sdk.clouds import Cloud
-from revisit.sdk.errors import Unavailable, unreachable
+from revisit.sdk.errors import AlreadyExists, Unavailable, unreachable
 from revisit.sdk.grpc_answers import Answers, LostCall, answer
 from revisit.sdk.grpc_transport import GrpcTransport, _api_error
 from revisit.sdk.retry import RetryPolicy
@@ -115,6 +115,26 @@ def test_a_stream_whose_opening_is_lost_is_opened_again(monkeypatch):
     sink.send(Cloud(b"cloud", "application/octet-stream"), {}, 1)
     sink.flush()
     assert (len(calls), sink.committed_seq) == (2, 1)
+    sink.close()
+
+
+def test_a_number_that_another_scan_has_ends_the_sending_with_what_to_do():
+    opened = ingest_pb2.StreamScansResponse(opened=ingest_pb2.Opened(credits=4))
+    taken = ingest_pb2.Nack(seq=1, reason="ALREADY_EXISTS", message="create a new session", expected_seq=6, credits=1)
+
+    class Refusing(SilentCall):
+        def __init__(self, requests):
+            self._requests = requests
+
+        def __iter__(self):
+            for request in self._requests:
+                answer = opened if request.HasField("open") else ingest_pb2.StreamScansResponse(nack=taken)
+                yield answer
+
+    sink = GrpcScanSink(Refusing, "maps/a/sessions/b", ONCE, lambda error: unreachable("robot:1", error))
+    sink.send(Cloud(b"cloud", "application/octet-stream"), {}, 1)
+    with pytest.raises(AlreadyExists, match="create a new session"):
+        sink.flush()
     sink.close()
 
 

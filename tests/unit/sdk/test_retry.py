@@ -47,6 +47,15 @@ def test_what_is_not_retryable_is_not_repeated():
     assert service.calls == 1
 
 
+@pytest.mark.parametrize("reason", ["SEQ_NOT_REACHED", "NO_ANSWER"])
+def test_what_the_service_has_waited_for_is_not_asked_again_in_silence(reason):
+    service = Service(failures=1)
+    service.error = error_of(ErrorDetails("DEADLINE_EXCEEDED", reason, "waited", retryable=True))
+    with pytest.raises(ApiError, match=reason):
+        QUICK.run(service.answer)
+    assert service.calls == 1
+
+
 def test_a_pause_is_at_least_what_the_service_asks_for_and_at_most_the_cap():
     policy = RetryPolicy(base_s=1.0, cap_s=3.0)
     assert policy.pause_s(1, asked_s=7.0) == 7.0

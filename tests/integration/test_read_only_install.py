@@ -1,0 +1,69 @@
+"""The service as systemd runs it: an installation that it may not write to, a user without a home directory."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from revisit.service import compiled_kernels
+from revisit.service.__main__ import main
+from revisit.service.compiled_kernels import choose_cache
+
+ROOT = Path(__file__).resolve().parents[2]
+KERNELS = ROOT / "core" / "kernels"
+READ_ONLY = 'mount --bind "$0" "$0" && mount -o remount,ro,bind "$0" && exec "$@"'
+
+
+def in_read_only_install(*command: str, home: Path) -> subprocess.CompletedProcess[str]:
+    """Run where the kernels' folder cannot be written to, and there is no home directory."""
+    namespace = ["unshare", "--mount", "--map-root-user", "sh", "-c", READ_ONLY, str(KERNELS)]
+    kept = {name: value for name, value in os.environ.items() if name not in ("HOME", "NUMBA_CACHE_DIR")}
+    environment = {**kept, "HOME": "/proc/none", "REVISIT_HOME": str(home), "PYTHONPATH": str(ROOT)}
+    return subprocess.run(
+        [*namespace, *command], env=environment, capture_output=True, text=True, check=False, timeout=240
+    )
+
+
+def may_mount() -> bool:
+    try:
+        return in_read_only_install("true", home=Path("/")).returncode == 0
+    except OSError:
+        return False
+
+
+needs_mount = pytest.mark.skipif(not may_mount(), reason="no user namespaces here: nothing can be mounted read-only")
+
+COMPILES = "from revisit.core.kernels import choose_returns"
+CHOOSES = "import os, pathlib; from revisit.service.compiled_kernels import choose_cache as c"
+CHOSEN = "print(c(pathlib.Path(os.environ['REVISIT_HOME'])))"
+
+
+@needs_mount
+def test_kernels_compile_in_an_installation_that_is_read_only_and_without_a_home_directory(tmp_path):
+    alone = in_read_only_install(sys.executable, "-c", COMPILES, home=tmp_path)
+    assert alone.returncode != 0 and "no locator available" in alone.stderr
+    chosen = in_read_only_install(sys.executable, "-c", f"{CHOOSES}; {CHOSEN}; {COMPILES}", home=tmp_path)
+    assert chosen.returncode == 0, chosen.stderr
+    assert chosen.stdout.strip() == str(tmp_path / "compiled-kernels")
+
+
+def test_a_worker_chooses_a_folder_in_its_home_where_the_code_is_read_only(tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "")
+    monkeypatch.setenv("REVISIT_HOME", str(tmp_path))
+    main(["migrate"])
+    monkeypatch.setattr(compiled_kernels, "_writable", lambda code: code != KERNELS)
+    main(["seen", "--id", "w"])
+    assert os.environ["NUMBA_CACHE_DIR"] == str(tmp_path / "compiled-kernels")
+    assert (tmp_path / "compiled-kernels").stat().st_mode & 0o077 == 0
+    # Who chose a folder keeps it.
+    assert choose_cache(tmp_path / "another") is None
+
+
+def test_a_folder_that_can_be_written_to_is_used_as_it_is(tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "")
+    monkeypatch.setattr(compiled_kernels, "_writable", lambda _: True)
+    assert choose_cache(tmp_path) is None and not list(tmp_path.iterdir())
