@@ -161,7 +161,7 @@ def _public(handler: Any, places: CallPlaces) -> Any:
 
 
 async def _only(requests: AsyncIterator[M], patience_s: float = MESSAGE_S) -> M:
-    """The message of a unary call. Raises DeadlineExceeded where it does not come, MalformedBody where there is none."""
+    """The message of a unary call. Raises DeadlineExceeded, and MalformedBody where there is none."""
     try:
         async with asyncio.timeout(patience_s):
             async for request in requests:
