@@ -6,9 +6,10 @@ INVALID_ARGUMENT (gRPC itself would answer INTERNAL or UNKNOWN with the name of 
 
 from __future__ import annotations
 
+import asyncio
 import uuid
 from collections.abc import AsyncIterator, Awaitable, Callable
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 import grpc
 import structlog
@@ -17,35 +18,52 @@ from google.protobuf.message import DecodeError, Message
 from google.rpc import error_details_pb2, status_pb2  # type: ignore[import-untyped]  # ships no types
 
 from revisit.core.errors import MalformedBody, RevisitError
+from revisit.service.application.contract.errors import DeadlineExceeded
 from revisit.service.application.contract.tracing import current_request
 from revisit.service.grpc.access import Gate
+from revisit.service.grpc.places import CallPlaces
 from revisit.service.grpc.tracing import OWN_METHODS, REQUEST_ID
 from revisit.service.status import ERROR_DOMAIN, STATUS, retry_after_s
 
 STATUS_DETAILS = "grpc-status-details-bin"
 MAX_MESSAGE_CHARACTERS = 800
 
+MESSAGE_S = 120.0
+"""Time for the message of a unary call of a caller that was admitted: a link of 1 Mbit/s brings 15 MB in it."""
+
+PUBLIC_MESSAGE_S = 10.0
+"""As `MESSAGE_S`, for a call that needs no credential."""
+
+M = TypeVar("M")
+
 _log = structlog.get_logger(__name__)
 
 
 class ErrorInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  # not generic at run time
-    """Turns what a handler raises into a status with details, for unary calls and streams; admits before it parses."""
+    """Turns what a handler raises into a status with details, for unary calls and streams.
 
-    def __init__(self, gate: Gate) -> None:
-        """`gate` admits the callers."""
+    Who calls is admitted, and given a place, before the message is read: a unary call is served as a stream of one
+    message, whose bytes wait with the client until then.
+    """
+
+    def __init__(self, gate: Gate, places: CallPlaces) -> None:
+        """`gate` admits the callers, `places` bounds what they hold open."""
         self._gate = gate
+        self._places = places
 
     async def intercept_service(
         self,
         continuation: Callable[[grpc.HandlerCallDetails], Awaitable[Any]],
         handler_call_details: grpc.HandlerCallDetails,
     ) -> Any:
-        """The handler of the call, wrapped where it is one of ours."""
+        """The handler of the call, wrapped."""
         handler = await continuation(handler_call_details)
         method = str(handler_call_details.method)
-        if handler is None or not method.startswith(OWN_METHODS):
-            return handler
-        return _guarded(handler, method, self._gate)
+        if handler is None:
+            return None
+        if not method.startswith(OWN_METHODS):
+            return _public(handler, self._places)
+        return _guarded(handler, method, self._gate, self._places)
 
 
 def rpc_status(error: RevisitError, request_id: str) -> status_pb2.Status:
@@ -78,39 +96,79 @@ def code_of(error: RevisitError) -> grpc.StatusCode:
     return grpc.StatusCode[STATUS[error.code].grpc]
 
 
-def _guarded(handler: Any, method: str, gate: Gate) -> Any:
+def _guarded(handler: Any, method: str, gate: Gate, places: CallPlaces) -> Any:
     parse = handler.request_deserializer
-    if handler.request_streaming and handler.response_streaming:
-
-        async def stream_stream(requests: AsyncIterator[bytes], context: Any) -> AsyncIterator[Any]:
-            try:
-                async with gate.watching(method, context):
-                    async for response in handler.stream_stream(_parsed(parse, requests), context):
-                        yield response
-            except Exception as error:  # noqa: BLE001  # the last resort of every call
-                await _abort(context, error)
-
-        return grpc.stream_stream_rpc_method_handler(stream_stream, None, handler.response_serializer)
     if handler.response_streaming:
 
-        async def unary_stream(request: bytes, context: Any) -> AsyncIterator[Any]:
+        async def stream(requests: AsyncIterator[bytes], context: Any) -> AsyncIterator[Any]:
             try:
                 async with gate.watching(method, context):
-                    async for response in handler.unary_stream(_parse(parse, request), context):
-                        yield response
+                    with places.of_caller(method, context):
+                        async for response in _streamed(handler, parse, requests, context):
+                            yield response
             except Exception as error:  # noqa: BLE001  # the last resort of every call
                 await _abort(context, error)
 
-        return grpc.unary_stream_rpc_method_handler(unary_stream, None, handler.response_serializer)
+        return grpc.stream_stream_rpc_method_handler(stream, None, handler.response_serializer)
 
-    async def unary_unary(request: bytes, context: Any) -> Any:
+    async def unary(requests: AsyncIterator[bytes], context: Any) -> Any:
         try:
             await gate.admit(method, context)
-            return await handler.unary_unary(_parse(parse, request), context)
+            with places.of_caller(method, context):
+                return await handler.unary_unary(_parse(parse, await _only(requests)), context)
         except Exception as error:  # noqa: BLE001  # the last resort of every call
             await _abort(context, error)
 
-    return grpc.unary_unary_rpc_method_handler(unary_unary, None, handler.response_serializer)
+    return grpc.stream_unary_rpc_method_handler(unary, None, handler.response_serializer)
+
+
+async def _streamed(
+    handler: Any, parse: Callable[[bytes], Any], requests: AsyncIterator[bytes], context: Any
+) -> AsyncIterator[Any]:
+    if handler.request_streaming:
+        answers = handler.stream_stream(_parsed(parse, requests), context)
+    else:
+        answers = handler.unary_stream(_parse(parse, await _only(requests)), context)
+    async for response in answers:
+        yield response
+
+
+def _public(handler: Any, places: CallPlaces) -> Any:
+    """A call that needs no credential: health and reflection, whose handlers parse their own messages."""
+    parts = (handler.request_deserializer, handler.response_serializer)
+    if handler.response_streaming:
+
+        async def stream(requests: AsyncIterator[Any], context: Any) -> AsyncIterator[Any]:
+            try:
+                with places.of_public(context, lasting=True):
+                    given = requests if handler.request_streaming else await _only(requests, PUBLIC_MESSAGE_S)
+                    answer = handler.stream_stream if handler.request_streaming else handler.unary_stream
+                    async for response in answer(given, context):
+                        yield response
+            except RevisitError as error:
+                await _abort(context, error)
+
+        return grpc.stream_stream_rpc_method_handler(stream, *parts)
+
+    async def unary(requests: AsyncIterator[Any], context: Any) -> Any:
+        try:
+            with places.of_public(context, lasting=False):
+                return await handler.unary_unary(await _only(requests, PUBLIC_MESSAGE_S), context)
+        except RevisitError as error:
+            await _abort(context, error)
+
+    return grpc.stream_unary_rpc_method_handler(unary, *parts)
+
+
+async def _only(requests: AsyncIterator[M], patience_s: float = MESSAGE_S) -> M:
+    """The message of a unary call. Raises DeadlineExceeded, and MalformedBody where there is none."""
+    try:
+        async with asyncio.timeout(patience_s):
+            async for request in requests:
+                return request
+    except TimeoutError as error:
+        raise DeadlineExceeded("the message came too slowly: repeat the call with the same id") from error
+    raise MalformedBody("the call carries no message")
 
 
 async def _parsed(parse: Callable[[bytes], Any], requests: AsyncIterator[bytes]) -> AsyncIterator[Any]:

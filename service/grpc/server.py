@@ -13,6 +13,7 @@ from revisit.service.application import UseCases
 from revisit.service.application.contract.tracing import NoTracer, Tracer
 from revisit.service.grpc.access import Gate, require_declared_scopes
 from revisit.service.grpc.errors import ErrorInterceptor
+from revisit.service.grpc.places import CallLimits, CallPlaces
 from revisit.service.grpc.servicers.health import HealthServicer
 from revisit.service.grpc.servicers.ingest import IngestServicer
 from revisit.service.grpc.servicers.loops import LoopClosureServicer
@@ -47,8 +48,7 @@ from revisit.v1 import (
 MAX_MESSAGE_BYTES = 16 * 2**20
 MAX_METADATA_BYTES = 16 * 2**10
 MAX_CONCURRENT_CALLS = 256
-"""Of one connection. All connections together may have twice as many, so that streams, of which there are at most 256,
-leave room for other calls."""
+"""Of one connection. `CallLimits` bounds what all together hold open."""
 
 OPTIONS = (
     ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES),
@@ -81,6 +81,7 @@ def create_server(
     requests: RequestMetrics | None = None,
     tracer: Tracer = NoTracer(),
     described: bool = True,
+    call_limits: CallLimits = CallLimits(),
 ) -> grpc.aio.Server:
     """A server over `use_cases` without a port: add one, start it on the running loop, stop it with a grace.
 
@@ -90,9 +91,9 @@ def create_server(
     require_declared_scopes(services)
     timers = [] if requests is None else [CallTimer(requests)]
     server = grpc.aio.server(
-        interceptors=[CallTracing(tracer), *timers, ErrorInterceptor(Gate(use_cases))],
+        interceptors=[CallTracing(tracer), *timers, ErrorInterceptor(Gate(use_cases), CallPlaces(call_limits))],
         options=OPTIONS,
-        maximum_concurrent_rpcs=2 * MAX_CONCURRENT_CALLS,
+        maximum_concurrent_rpcs=call_limits.total,
     )
     health = health_pb2.DESCRIPTOR.services_by_name["Health"].full_name
     names = [health, *(service.full_name for service in services)]

@@ -12,7 +12,7 @@ from revisit.service.metrics import RequestMetrics
 
 
 class CallTimer(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  # not generic at run time
-    """Measures each unary call under its method and status."""
+    """Measures each unary call under its method and status, from its head to its answer."""
 
     def __init__(self, requests: RequestMetrics) -> None:
         """Counts into `requests`."""
@@ -25,18 +25,18 @@ class CallTimer(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  # not ge
     ) -> Any:
         """The handler of the call, wrapped where it is unary. Unknown methods have none and are not counted."""
         handler = await continuation(handler_call_details)
-        if handler is None or handler.request_streaming or handler.response_streaming:
+        if handler is None or handler.response_streaming:
             return handler
         method = str(handler_call_details.method)
 
-        async def timed(request: Any, context: Any) -> Any:
+        async def timed(requests: Any, context: Any) -> Any:
             began_s, status = time.perf_counter(), "OK"
             try:
-                return await handler.unary_unary(request, context)
+                return await handler.stream_unary(requests, context)
             except grpc.aio.AbortError:
                 status = grpc.StatusCode(context.code()).name
                 raise
             finally:
                 self._requests.observe("grpc", method, status, time.perf_counter() - began_s)
 
-        return grpc.unary_unary_rpc_method_handler(timed, handler.request_deserializer, handler.response_serializer)
+        return grpc.stream_unary_rpc_method_handler(timed, handler.request_deserializer, handler.response_serializer)

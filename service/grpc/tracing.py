@@ -29,7 +29,10 @@ log = structlog.get_logger(__name__)
 
 
 class CallTracing(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  # not generic at run time
-    """Sets the request context of each call: its id, and a span within the trace that the client names."""
+    """Sets the request context of each call: its id, and a span within the trace that the client names.
+
+    It comes before `ErrorInterceptor`, which has made every handler one that reads its messages itself.
+    """
 
     def __init__(self, tracer: Tracer) -> None:
         """Spans are made by `tracer`."""
@@ -51,24 +54,18 @@ class CallTracing(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  # not 
         parts = (handler.request_deserializer, handler.response_serializer)
         if not handler.response_streaming:
 
-            async def unary_unary(request: Any, context: Any) -> Any:
+            async def unary(requests: Any, context: Any) -> Any:
                 with self._call(method, context):
-                    return await handler.unary_unary(request, context)
+                    return await handler.stream_unary(requests, context)
 
-            return grpc.unary_unary_rpc_method_handler(unary_unary, *parts)
-        answer = handler.stream_stream if handler.request_streaming else handler.unary_stream
-        wrap = (
-            grpc.stream_stream_rpc_method_handler
-            if handler.request_streaming
-            else (grpc.unary_stream_rpc_method_handler)
-        )
+            return grpc.stream_unary_rpc_method_handler(unary, *parts)
 
-        async def stream(request: Any, context: Any) -> AsyncIterator[Any]:
+        async def stream(requests: Any, context: Any) -> AsyncIterator[Any]:
             with self._call(method, context):
-                async for response in answer(request, context):
+                async for response in handler.stream_stream(requests, context):
                     yield response
 
-        return wrap(stream, *parts)
+        return grpc.stream_stream_rpc_method_handler(stream, *parts)
 
     @contextmanager
     def _call(self, method: str, context: Any) -> Iterator[None]:

@@ -13,7 +13,14 @@ from revisit.service.rest.access import describe_access, require_declared_scopes
 from revisit.service.rest.answers import describe_answers
 from revisit.service.rest.errors import PROBLEM_JSON, install_error_handlers
 from revisit.service.rest.limits import HttpLimits
-from revisit.service.rest.middleware import BodyLimit, HostGuard, OriginGuard, RequestEnvelope, RequestTimer
+from revisit.service.rest.middleware import (
+    BodyLimit,
+    HostGuard,
+    OriginGuard,
+    RequestEnvelope,
+    RequestPlaces,
+    RequestTimer,
+)
 from revisit.service.rest.routes import loops, maps, operations, robots, searches, sessions, submaps, system
 from revisit.service.rest.schemas import Problem
 from revisit.service.rest.tracing import RequestTracing
@@ -54,6 +61,7 @@ def create_app(
     app.add_middleware(OriginGuard)
     app.add_middleware(HostGuard, hosts=hosts)
     app.add_middleware(RequestTracing, tracer=tracer)
+    app.add_middleware(RequestPlaces, limits=limits)
     app.add_middleware(RequestEnvelope)
     if requests is not None:
         app.add_middleware(RequestTimer, requests=requests)

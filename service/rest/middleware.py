@@ -35,6 +35,11 @@ SECURITY_HEADERS = {
 }
 
 
+HEALTH_PATHS = frozenset({"/livez", "/readyz"})
+
+CLOSE = {"connection": "close"}
+"""The header of an answer after which the connection is closed."""
+
 HSTS = {"strict-transport-security": "max-age=31536000"}
 """Over TLS: for a year browsers do not come back without it."""
 
@@ -68,6 +73,30 @@ class RequestEnvelope:
             if started:
                 raise
             await unexpected(error, request_id)(scope, receive, send_with_headers)
+
+
+class RequestPlaces:
+    """Refuses a request where as many as may be are being answered; health is told in any case."""
+
+    def __init__(self, app: ASGIApp, limits: HttpLimits) -> None:
+        self._app = app
+        self._limits = limits
+        self._answering = 0
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle one ASGI connection."""
+        if scope["type"] != "http" or scope["path"] in HEALTH_PATHS:
+            await self._app(scope, receive, send)
+            return
+        if self._answering >= self._limits.requests:
+            refusal = WorkersBusy("too many requests are being answered; try again later with the same id")
+            await problem(refusal, scope["state"]["request_id"], CLOSE)(scope, receive, send)
+            return
+        self._answering += 1
+        try:
+            await self._app(scope, receive, send)
+        finally:
+            self._answering -= 1
 
 
 class OriginGuard:

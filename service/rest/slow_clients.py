@@ -1,4 +1,7 @@
-"""Slow clients: a connection that does not bring its request head in time is closed (bodies: see `BodyLimit`)."""
+"""Slow clients: a connection that brings no request head, or takes no answer, in time is closed.
+
+For bodies see `BodyLimit`, for what is answered where all places are taken `RequestPlaces`.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,21 @@ HEAD_BYTES = 32 * 2**10
 
 CONNECTIONS = 512
 """Open connections. One more takes the place of the one that has been awaited the longest; where all are being
-answered it is let in, and from twice as many on it is told 503 at once."""
+answered it is let in, up to twice as many and `RESERVED`."""
+
+RESERVED = 64
+"""Connections beyond those, on which only health is told: see `RequestPlaces`."""
+
+WRITE_S = 10.0
+"""A client takes all of its answer that waits in our memory in so long, or `WRITE_BYTES` of it, or is cut off."""
+
+WRITE_BYTES = 32 * 2**10
+
+STALLED_S = 1.0
+"""An answer of which nothing was taken for so long gives its place to a new connection, where none is free."""
+
+PIPELINED = 16
+"""Requests in a row that may come before the answer to the one before them; then the connection is closed."""
 
 KEEP_ALIVE_S = 15
 """How long a connection without a request stays open."""
@@ -33,16 +50,25 @@ class DeadlineProtocol(H11Protocol):
 
     head_s = HEAD_S
     rest_s = REST_S
+    write_s = WRITE_S
     most_connections = CONNECTIONS
+    most_pipelined = PIPELINED
     _deadline: asyncio.TimerHandle | None = None
+    _write_check: asyncio.TimerHandle | None = None
     _heard_s = 0.0
+    _taken_s = 0.0
+    _drained = False
+    _unread_bytes = 0
+    _pipelined = 0
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn has it
         """Start the clock of the first request."""
         super().connection_made(transport)
         self._heard_s = asyncio.get_running_loop().time()
-        if len(self.connections) > self.most_connections:
-            self._make_room()
+        crowded = len(self.connections) > self.most_connections and not self._make_room()
+        if crowded and len(self.connections) > 2 * self.most_connections + RESERVED:
+            transport.abort()
+            return
         self._watch()
 
     def data_received(self, data: bytes) -> None:
@@ -55,20 +81,82 @@ class DeadlineProtocol(H11Protocol):
 
     def on_response_complete(self) -> None:
         """Start the clock of what is left of the body, or of the next request."""
+        self._watch_writing()
+        self._pipelined = self._pipelined + 1 if self.conn.trailing_data[0] else 0
+        if self._pipelined > self.most_pipelined:
+            self.transport.close()
         super().on_response_complete()
         self._watch()
 
+    def pause_writing(self) -> None:
+        """The client takes its answer more slowly than it is made: start the clock of that."""
+        super().pause_writing()
+        if self._write_check is not None:
+            self._write_check.cancel()
+            self._write_check = None
+        self._watch_writing()
+
+    def resume_writing(self) -> None:
+        """The client has taken what there was."""
+        self._drained = True
+        super().resume_writing()
+
     def connection_lost(self, exc: Exception | None) -> None:
-        """Stop the clock."""
+        """Stop the clocks."""
         self._stop()
+        if self._write_check is not None:
+            self._write_check.cancel()
         super().connection_lost(exc)
 
-    def _make_room(self) -> None:
-        """Close the connection whose last request head is the longest ago and which owes us bytes: idle ones first."""
+    def _watch_writing(self) -> None:
+        """Look every now and then whether what waits for the client becomes less, until nothing does."""
+        if self._write_check is None and self.transport.get_write_buffer_size() > 0:
+            loop = asyncio.get_running_loop()
+            self._taken_s = loop.time()
+            self._look_again()
+
+    def _look_again(self) -> None:
+        self._drained, self._unread_bytes = False, self.transport.get_write_buffer_size()
+        self._write_check = asyncio.get_running_loop().call_later(self.write_s, self._check_writing)
+
+    def _check_writing(self) -> None:
+        self._write_check = None
+        left = self.transport.get_write_buffer_size()
+        if left == 0:
+            return
+        # What is not paused may have had an answer added meanwhile: there only a buffer that stands still says nothing.
+        taken = WRITE_BYTES if self.flow.write_paused else 1
+        if self._drained or left <= self._unread_bytes - taken or (taken == 1 and left > self._unread_bytes):
+            self._taken_s = asyncio.get_running_loop().time()
+            self._look_again()
+        else:
+            self.transport.abort()
+
+    def _stalled(self) -> bool:
+        """Whether an answer waits for the client, of which nothing was taken lately."""
+        if self._write_check is None or self._drained:
+            return False
+        unread = self.transport.get_write_buffer_size()
+        return unread >= self._unread_bytes > 0 and asyncio.get_running_loop().time() > self._taken_s + STALLED_S
+
+    def _make_room(self) -> bool:
+        """Close the connection whose last request head is the longest ago and which owes us bytes: idle ones first.
+
+        One that does not take its answer is as good. Whether there was one.
+        """
         others = (other for other in self.connections if isinstance(other, DeadlineProtocol) and other is not self)
-        awaited = [other for other in others if other._awaited() and not other.transport.is_closing()]
-        if awaited:
-            min(awaited, key=lambda other: (not other._idle(), other._heard_s)).transport.close()
+        awaited = [other for other in others if other._gives_way() and not other.transport.is_closing()]
+        if not awaited:
+            return False
+        chosen = min(awaited, key=lambda other: (not other._idle(), other._heard_s))
+        if chosen.transport.get_write_buffer_size() > 0:
+            chosen.transport.abort()
+        else:
+            chosen.transport.close()
+        return True
+
+    def _gives_way(self) -> bool:
+        return self._stalled() or (self._awaited() and self.transport.get_write_buffer_size() == 0)
 
     def _awaited(self) -> bool:
         """Whether it is the client's turn: to send a request, or the rest of one."""
@@ -105,9 +193,6 @@ def uvicorn_limits() -> dict[str, Any]:
         "http": DeadlineProtocol,
         "ws": "none",
         "h11_max_incomplete_event_size": HEAD_BYTES,
-        # Room is made above the limit, and what gives way is still counted for a moment; so uvicorn refuses only where
-        # far more are there because none could be given up.
-        "limit_concurrency": 2 * CONNECTIONS,
         "timeout_keep_alive": KEEP_ALIVE_S,
         "server_header": False,
         # Who asks is known by the connection, not by what a client writes into X-Forwarded-For.

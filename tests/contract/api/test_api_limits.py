@@ -7,6 +7,7 @@ import contextlib
 import socket
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import httpx
 import pytest
@@ -15,7 +16,7 @@ import uvicorn
 from revisit.formats import QUANTISED, encode_quantised
 from revisit.service.rest.app import create_app
 from revisit.service.rest.limits import HttpLimits
-from revisit.service.rest.slow_clients import HEAD_BYTES, DeadlineProtocol, uvicorn_limits
+from revisit.service.rest.slow_clients import HEAD_BYTES, PIPELINED, DeadlineProtocol, uvicorn_limits
 from tests.support.service_world import cloud_points, memory_world
 
 SHORT_S = 0.4
@@ -148,9 +149,87 @@ def gone(connection):
         return False
 
 
+PIPELINE = b"GET /dashboard.js HTTP/1.1\r\nHost: localhost\r\n\r\n" * 100
+
+
+class UnreadAnswers(DeadlineProtocol):
+    write_s = SHORT_S
+    most_pipelined = 10**6
+    lost = threading.Event()
+
+    def connection_lost(self, exc):
+        self.lost.set()
+        super().connection_lost(exc)
+
+
+class FewUnreadAnswers(FewConnections):
+    most_pipelined = 10**6
+
+
+def unread(address):
+    """A connection that asks for far more than the buffers of the kernel hold, and reads nothing."""
+    connection = socket.create_connection(address)
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    connection.setblocking(False)
+    give_up_s = time.monotonic() + 3.0
+    while time.monotonic() < give_up_s:
+        try:
+            connection.send(PIPELINE)
+        except BlockingIOError:
+            time.sleep(0.1)
+        except ConnectionError:
+            break
+    return connection
+
+
+def test_a_client_that_does_not_read_its_answers_is_cut_off():
+    UnreadAnswers.lost.clear()
+    with http_server(http=UnreadAnswers) as address, unread(address):
+        assert UnreadAnswers.lost.wait(5.0)
+
+
+def test_a_client_that_reads_slowly_but_steadily_gets_its_whole_answer():
+    with http_server(http=UnreadAnswers) as address, socket.create_connection(address) as connection:
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 65536)
+        connection.sendall(PIPELINE + PIPELINE.removesuffix(b"\r\n") + b"Connection: close\r\n\r\n")
+        received = 0
+        while data := connection.recv(32768):
+            received += len(data)
+            time.sleep(0.01)
+    assert received > 101 * 7_000
+
+
+def test_requests_in_a_row_that_wait_for_no_answer_are_bounded():
+    with http_server() as address, socket.create_connection(address) as connection:
+        connection.sendall(PIPELINE)
+        said = b""
+        with contextlib.suppress(ConnectionError):
+            while data := connection.recv(65536):
+                said += data
+    assert 0 < said.count(b"HTTP/1.1 200") <= PIPELINED + 1
+
+
+def test_clients_that_do_not_read_keep_nobody_out():
+    with http_server(HttpLimits(requests=3), http=FewUnreadAnswers) as address, contextlib.ExitStack() as held:
+        with ThreadPoolExecutor(5) as pool:
+            for made in pool.map(unread, [address] * 5):
+                held.enter_context(made)
+        for path in ("/livez", "/readyz", "/v1/maps"):
+            assert httpx.get(url(address) + path, trust_env=False, timeout=5).status_code == 200
+
+
+def test_health_is_told_where_every_place_is_taken_and_others_are_told_when_to_come_back():
+    with http_server(HttpLimits(requests=0)) as address:
+        for path, status in (("/livez", 200), ("/readyz", 200), ("/v1/maps", 503)):
+            answer = httpx.get(url(address) + path, trust_env=False)
+            assert answer.status_code == status
+        assert (answer.json()["reason"], answer.headers["connection"]) == ("WORKERS_BUSY", "close")
+        assert answer.headers["retry-after"]
+
+
 def test_one_connection_too_many_takes_the_place_of_the_one_that_is_awaited_the_longest():
     begun = b"POST /v1/maps HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 9\r\n\r\n{"
-    with http_server(http=FewConnections, limit_concurrency=4) as address, contextlib.ExitStack() as held:
+    with http_server(http=FewConnections) as address, contextlib.ExitStack() as held:
         connections = [held.enter_context(socket.create_connection(address)) for _ in range(3)]
         connections[0].sendall(begun)
         with httpx.Client(base_url=url(address), trust_env=False) as client:

@@ -1,0 +1,138 @@
+"""Whoever opens calls that last keeps nobody else out (P11, P22): each kind of call has places of its own."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import time
+
+import grpc
+import pytest
+from google.rpc import error_details_pb2, status_pb2
+from grpc_health.v1 import health_pb2, health_pb2_grpc
+
+from revisit.service.grpc import errors
+from revisit.v1 import loop_closure_pb2, loop_closure_pb2_grpc, map_pb2, map_pb2_grpc
+from tests.support.credentials import a_key
+from tests.support.http2 import OPENING, call_headers
+from tests.support.live_service import live_service
+from tests.support.service_world import SESSION, memory_world, open_session
+
+WATCHES = 600
+CONNECTIONS = 3
+SETTLED_S = 1.5
+SLOWEST_S = 1.0
+
+
+@pytest.fixture(scope="module")
+def crowded():
+    """A service with two tenants, each with a map."""
+    world = memory_world()
+    with live_service(world) as running:
+        for tenant in ("greedy", "other"):
+            asyncio.run_coroutine_threadsafe(open_session(world, SESSION, tenant), running.loop).result(10)
+        yield running
+
+
+@pytest.fixture(scope="module")
+def keys(crowded):
+    """The metadata of a client of each tenant."""
+    made = {tenant: a_key(crowded.world, tenant=tenant) for tenant in ("greedy", "other")}
+    return {tenant: (("authorization", f"Bearer {key.text}"),) for tenant, key in made.items()}
+
+
+async def watched(open_watch, targets):
+    """Open `WATCHES` watches on a few connections; those that live, and the refusals of the others."""
+    calls = [open_watch(channel) for channel in targets for _ in range(WATCHES // len(targets))]
+    heads = [asyncio.create_task(call.read()) for call in calls]
+    _, waiting = await asyncio.wait(heads, timeout=SETTLED_S)
+    ended = [head.exception() for head in heads if head not in waiting]
+    refused = [error for error in ended if isinstance(error, grpc.aio.AioRpcError)]
+    for head in waiting:
+        head.cancel()
+    return calls, refused
+
+
+@contextlib.asynccontextmanager
+async def channels(target, count):
+    """Connections of their own."""
+    options = [("grpc.use_local_subchannel_pool", 1)]
+    opened = [grpc.aio.insecure_channel(target, options) for _ in range(count)]
+    yield opened
+    await asyncio.gather(*(channel.close() for channel in opened))
+
+
+def told_when_to_come_back(refusal):
+    """The refusal is RESOURCE_EXHAUSTED and carries a retry delay."""
+    trailing = dict(refusal.trailing_metadata())
+    status = status_pb2.Status.FromString(trailing[errors.STATUS_DETAILS])
+    delays = [detail for detail in status.details if detail.Is(error_details_pb2.RetryInfo.DESCRIPTOR)]
+    return refusal.code() is grpc.StatusCode.RESOURCE_EXHAUSTED and len(delays) == 1
+
+
+async def serves(crowded, metadata):
+    """The other tenant lists and watches, and health is told, each within a second."""
+    async with channels(crowded.grpc, 1) as (channel,):
+        began_s = time.monotonic()
+        health = await health_pb2_grpc.HealthStub(channel).Check(health_pb2.HealthCheckRequest(), timeout=SLOWEST_S)
+        listed = await map_pb2_grpc.MapServiceStub(channel).ListMaps(
+            map_pb2.ListMapsRequest(), metadata=metadata, timeout=SLOWEST_S
+        )
+        watch = watch_loops(channel, metadata)
+        with pytest.raises(asyncio.TimeoutError):
+            await asyncio.wait_for(asyncio.shield(watch.read()), 0.3)
+        watch.cancel()
+        return health.status == 1 and len(listed.maps) == 1 and time.monotonic() - began_s < 3 * SLOWEST_S
+
+
+def watch_loops(channel, metadata):
+    stub = loop_closure_pb2_grpc.LoopClosureServiceStub(channel)
+    request = loop_closure_pb2.WatchLoopClosuresRequest(parent=f"maps/{SESSION.map_id}")
+    return stub.WatchLoopClosures(request, metadata=metadata)
+
+
+async def test_a_stranger_who_watches_health_keeps_nobody_out(crowded, keys):
+    async with channels(crowded.grpc, CONNECTIONS) as opened:
+        calls, refused = await watched(
+            lambda channel: health_pb2_grpc.HealthStub(channel).Watch(health_pb2.HealthCheckRequest()), opened
+        )
+        assert len(refused) == WATCHES - 8 * CONNECTIONS
+        assert all(told_when_to_come_back(refusal) for refusal in refused)
+        assert await serves(crowded, keys["other"])
+        for call in calls:
+            call.cancel()
+
+
+async def test_a_key_that_watches_loop_closures_keeps_no_other_tenant_out(crowded, keys):
+    async with channels(crowded.grpc, CONNECTIONS) as opened:
+        calls, refused = await watched(lambda channel: watch_loops(channel, keys["greedy"]), opened)
+        assert len(refused) == WATCHES - 32
+        assert all(told_when_to_come_back(refusal) for refusal in refused)
+        assert await serves(crowded, keys["other"])
+        for call in calls:
+            call.cancel()
+
+
+async def test_the_places_of_watches_that_ended_are_given_back(crowded, keys):
+    async with channels(crowded.grpc, 1) as (channel,):
+        for _ in range(3):
+            calls, refused = await watched(
+                lambda channel: health_pb2_grpc.HealthStub(channel).Watch(health_pb2.HealthCheckRequest()), [channel]
+            )
+            assert len(refused) == WATCHES - 8
+            for call in calls:
+                call.cancel()
+            await asyncio.sleep(0.7)
+
+
+@pytest.mark.parametrize("method", ["/grpc.health.v1.Health/Check", "/revisit.v1.MapService/ListMaps"])
+async def test_calls_whose_message_never_comes_keep_nobody_out(crowded, keys, monkeypatch, method):
+    monkeypatch.setattr(errors, "PUBLIC_MESSAGE_S", 0.5)
+    host, _, port = crowded.grpc.rpartition(":")
+    with contextlib.ExitStack() as held:
+        for _ in range(3):
+            connection = held.enter_context(socket.create_connection((host, int(port)), timeout=10))
+            connection.sendall(OPENING + b"".join(call_headers(method, call) for call in range(1, 400, 2)))
+        await asyncio.sleep(SETTLED_S)
+        assert await serves(crowded, keys["other"])
