@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from revisit.core.errors import BadField
+from revisit.evaluation.datasets.bag_files import is_bag
 from revisit.evaluation.datasets.cloud_folder import open_cloud_folder
 from revisit.evaluation.datasets.kitti import KittiRecording, write_kitti
 from revisit.evaluation.datasets.kitti360 import open_kitti360
@@ -13,11 +14,12 @@ from revisit.evaluation.datasets.mulran import open_mulran
 from revisit.evaluation.datasets.nclt import open_nclt
 from revisit.evaluation.datasets.posed_clouds import PosedClouds
 from revisit.evaluation.datasets.recording import Recording
-from revisit.evaluation.datasets.ros_bag import open_bag
+from revisit.evaluation.datasets.ros_bag import BagRecording, open_bag
+from revisit.evaluation.datasets.topic_choice import WantedTopics
 
 __all__ = [
-    "FORMATS", "KittiRecording", "PosedClouds", "Recording", "open_bag", "open_cloud_folder", "open_kitti360",
-    "open_mulran", "open_nclt", "open_recording", "write_kitti",
+    "AUTO", "FORMATS", "BagRecording", "KittiRecording", "PosedClouds", "Recording", "WantedTopics", "notes_of",
+    "open_bag", "open_cloud_folder", "open_kitti360", "open_mulran", "open_nclt", "open_recording", "write_kitti",
 ]  # fmt: skip
 
 FORMATS: dict[str, Callable[[Path], Recording]] = {
@@ -27,12 +29,37 @@ FORMATS: dict[str, Callable[[Path], Recording]] = {
     "nclt": open_nclt,
     "clouds": open_cloud_folder,
     "rosbag2": open_bag,
+    "rosbag1": open_bag,
 }
 """How a folder may be laid out: the name given to `--format`, and what opens it."""
 
 
-def open_recording(folder: Path, file_format: str) -> Recording:
-    """The recording in `folder`. Raises BadField for an unknown format, and what opening raises."""
+AUTO = "auto"
+"""Stands for a bag, a KITTI folder, or else any folder of clouds, by what lies in the folder."""
+
+
+def open_recording(folder: Path, file_format: str = AUTO, wanted: WantedTopics = WantedTopics()) -> Recording:
+    """The recording in `folder`. `wanted` is for bags.
+
+    Raises BadField for an unknown format, or where topics are named and it is no bag, and what opening raises.
+    """
+    if file_format == AUTO:
+        file_format = _format_of(folder)
     if file_format not in FORMATS:
-        raise BadField(f"the format is one of {', '.join(FORMATS)}, not {file_format[:40]!r}", field="format")
+        raise BadField(f"the format is one of {', '.join((AUTO, *FORMATS))}, not {file_format[:40]!r}", field="format")
+    if FORMATS[file_format] is open_bag:
+        return open_bag(folder, wanted)
+    if wanted != WantedTopics():
+        raise BadField("topics and the mounting of the sensor are for bags", field="topic")
     return FORMATS[file_format](folder)
+
+
+def notes_of(recording: Recording) -> tuple[str, ...]:
+    """Sentences on how the recording was read, where that was a choice."""
+    return recording.notes if isinstance(recording, BagRecording) else ()
+
+
+def _format_of(folder: Path) -> str:
+    if is_bag(folder):
+        return "rosbag2"
+    return "kitti" if (folder / "velodyne").is_dir() and (folder / "poses.txt").is_file() else "clouds"

@@ -8,7 +8,7 @@ from contextlib import closing
 from pathlib import Path
 
 from revisit.core.errors import MalformedBody
-from revisit.evaluation.datasets.mcap import Message, Place
+from revisit.evaluation.datasets.bag_message import Message, Place
 
 _MAGIC = b"SQLite format 3\0"
 _MESSAGES = (
@@ -23,6 +23,7 @@ class Db3File:
 
     def __init__(self, file: Path, types: tuple[str, ...]) -> None:
         """Only messages of the given types are read. Raises MalformedBody where the file is no SQLite database."""
+        self.topics: dict[str, str] = {}
         self._file, self._types = file, types
         with file.open("rb") as stream:
             if stream.read(len(_MAGIC)) != _MAGIC:
@@ -33,6 +34,7 @@ class Db3File:
         query = _MESSAGES.format(", ".join("?" * len(self._types)))
         try:
             with closing(self._open()) as connection:
+                self.topics.update(connection.execute("SELECT name, type FROM topics"))
                 for row, topic, kind, data in connection.execute(query, self._types):
                     yield Message(topic, kind, bytes(data), Place(None, row, len(data)))
         except sqlite3.Error as error:

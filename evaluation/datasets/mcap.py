@@ -1,41 +1,20 @@
 """MCAP files (https://mcap.dev/spec): where their messages lie, and the messages themselves.
 
-Chunks may be stored plainly or compressed with zstd. LZ4 needs a library this product does not have and is refused.
+Chunks may be stored plainly or compressed with zstd or LZ4.
 """
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
-from revisit.core.errors import MalformedBody, UnsupportedEncoding
-from revisit.formats.compression import decompress_zstd
+from revisit.core.errors import MalformedBody
+from revisit.evaluation.datasets.bag_message import MAX_CHUNK_BYTES, Message, Place, unpacked_chunk
 
 MAGIC = b"\x89MCAP0\r\n"
-MAX_CHUNK_BYTES = 1 << 30
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 3, 4, 5, 6
 _RECORD = struct.Struct("<BQ")
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where a message lies: byte `chunk` of the file, None outside of chunks, then `offset` and `size` within."""
-
-    chunk: int | None
-    offset: int
-    size: int
-
-
-@dataclass(frozen=True)
-class Message:
-    """A message with its topic and type."""
-
-    topic: str
-    message_type: str
-    data: bytes
-    place: Place
 
 
 class McapFile:
@@ -43,6 +22,7 @@ class McapFile:
 
     def __init__(self, file: Path) -> None:
         """Raises MalformedBody where the file is no MCAP."""
+        self.topics: dict[str, str] = {}
         self._file = file
         self._last: tuple[int, bytes] | None = None
         with file.open("rb") as stream:
@@ -59,8 +39,9 @@ class McapFile:
             elif record == _CHANNEL:
                 topic, after = _text(content, 4)
                 encoding = _text(content, after)[0]
+                self.topics[topic] = schemas.get(_u16(content, 2), "")
                 if encoding == "cdr":
-                    channels[_u16(content, 0)] = topic, schemas.get(_u16(content, 2), "")
+                    channels[_u16(content, 0)] = topic, self.topics[topic]
             elif record == _MESSAGE and _u16(content, 0) in channels:
                 topic, kind = channels[_u16(content, 0)]
                 yield Message(topic, kind, content[22:], Place(place.chunk, place.offset + 22, place.size - 22))
@@ -104,13 +85,7 @@ class McapFile:
             if max(size, stored) > MAX_CHUNK_BYTES:
                 raise MalformedBody(f"{self._file.name} has a chunk of {max(size, stored)} bytes")
             content = stream.read(stored)
-        if compression == "zstd":
-            content = decompress_zstd(content, size)
-        elif compression:
-            raise UnsupportedEncoding(f"{self._file.name} is compressed with {compression}: rewrite it with zstd")
-        if len(content) != size:
-            raise MalformedBody(f"{self._file.name} has a damaged chunk")
-        return content
+        return unpacked_chunk(content, compression, size)
 
 
 def _split(chunk: bytes, start: int) -> Iterator[tuple[int, bytes, Place]]:

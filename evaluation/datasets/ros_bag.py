@@ -1,42 +1,40 @@
-"""ROS 2 bags (.mcap or .db3) with PointCloud2 and odometry, read without ROS."""
+"""Bags of ROS 1 and ROS 2 (.bag, .mcap, .db3) with PointCloud2 and poses, read without ROS."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from revisit.core.errors import BadField
 from revisit.core.geometry import se3
 from revisit.core.scan import Scan
-from revisit.evaluation.datasets.db3 import Db3File
-from revisit.evaluation.datasets.mcap import McapFile, Message, Place
-from revisit.evaluation.datasets.posed_clouds import StampedPoses, Stamps
-from revisit.evaluation.datasets.ros_messages import CLOUD_TYPES, POSE_TYPES, read_points, read_pose, read_stamp
-
-
-class Bag(Protocol):
-    """A file of messages."""
-
-    def messages(self) -> Iterator[Message]:
-        """All messages, each with its place."""
-
-    def data(self, place: Place) -> bytes:
-        """The bytes of the message at a place."""
+from revisit.evaluation.datasets.bag_files import bag_files, open_files
+from revisit.evaluation.datasets.bag_message import Bag, Encoding, Place
+from revisit.evaluation.datasets.bag_topics import WANTED_TYPES, BagTopics, read_topics
+from revisit.evaluation.datasets.posed_clouds import Stamps
+from revisit.evaluation.datasets.ros_messages import read_points
+from revisit.evaluation.datasets.topic_choice import Pairing, Relation, WantedTopics, choose
 
 
 @dataclass(frozen=True)
 class BagRecording:
-    """The clouds of one topic with interpolated poses. A scan's points are read from the bag when asked for."""
+    """The clouds of one topic with interpolated poses. A scan's points are read from the bag when asked for.
+
+    T_sensor_cloud (n, 4, 4) moves the clouds as they lie in the bag into the sensor's frame; None where they are there.
+    `notes` are sentences about the choice of topics.
+    """
 
     name: str
     bag: Bag
     places: list[Place]
-    T_world_sensor: np.ndarray[tuple[int, ...], np.dtype[np.float64]]
+    encoding: Encoding
+    T_world_sensor: NDArray[np.float64]
+    T_sensor_cloud: NDArray[np.float64] | None
     stamps_ns: Stamps
+    notes: tuple[str, ...]
 
     def __len__(self) -> int:
         return len(self.places)
@@ -47,70 +45,62 @@ class BagRecording:
 
     def scan(self, index: int) -> Scan:
         """The scan with that index. Raises MalformedBody for a damaged message and what `Scan.validated` raises."""
-        points = read_points(self.bag.data(self.places[index]))
+        points = read_points(self.bag.data(self.places[index]), self.encoding)
+        if self.T_sensor_cloud is not None:
+            points = se3.apply(self.T_sensor_cloud[index], points.astype(np.float64)).astype(np.float32)
         return Scan.validated(points, self.pose(index), int(self.stamps_ns[index]))
 
     def __iter__(self) -> Iterator[Scan]:
         return (self.scan(index) for index in range(len(self)))
 
 
-@dataclass
-class _Found:
-    """What one topic holds."""
+def open_bag(path: Path, wanted: WantedTopics = WantedTopics()) -> BagRecording:
+    """A bag: one file, or a folder with one or with the files of a split one.
 
-    stamps: list[int] = field(default_factory=list)
-    places: list[Place] = field(default_factory=list)
-    poses: list[se3.Matrix4] = field(default_factory=list)
-
-
-def open_bag(folder: Path, T_body_sensor: se3.Matrix4 | None = None) -> BagRecording:
-    """A .mcap or .db3 file, or a folder with one: the topic with most clouds, the topic with most poses.
-
-    The odometry must be the LiDAR's (z up), or `T_body_sensor` must say how the LiDAR sits on what it tracks. Clouds
-    without a pose before and after them are left out. Raises FileNotFoundError, BadField, MalformedBody,
-    UnsupportedEncoding.
+    Clouds and poses are chosen by their frames (`topic_choice`), unless `wanted` names them. The world must have z up.
+    Clouds without a pose before and after them are left out. Raises FileNotFoundError, BadField, BadTransform,
+    MalformedBody, UnsupportedEncoding.
     """
-    file = _bag_file(folder)
-    bag: Bag = McapFile(file) if file.suffix == ".mcap" else Db3File(file, (*CLOUD_TYPES, *POSE_TYPES))
-    clouds, odometry = _topics(bag.messages())
-    stamps, first = np.unique(np.array(odometry.stamps, dtype=np.int64), return_index=True)
-    poses = StampedPoses(stamps, np.stack([odometry.poses[index] for index in first]))
-    order = np.argsort(np.array(clouds.stamps, dtype=np.int64), kind="stable")
-    cloud_stamps = np.array(clouds.stamps, dtype=np.int64)[order]
-    kept = np.flatnonzero(poses.covered(cloud_stamps))
-    if len(kept) == 0:
-        raise BadField(f"{file.name}: no cloud was taken while there were poses", field="poses")
-    mounted = np.eye(4) if T_body_sensor is None else se3.validated(T_body_sensor)
-    T_world_sensor = np.stack([poses.at(int(cloud_stamps[index])) @ mounted for index in kept])
-    return BagRecording(file.stem, bag, [clouds.places[order[i]] for i in kept], T_world_sensor, cloud_stamps[kept])
+    if wanted.T_body_sensor is not None:
+        se3.validated(wanted.T_body_sensor)
+    files = bag_files(path)
+    bag = open_files(files, WANTED_TYPES)
+    found = read_topics(bag)
+    pair = choose(found, wanted)
+    stamps = pair.clouds.stamps_ns
+    kept = np.flatnonzero(pair.covered())
+    kept = kept[np.argsort(stamps[kept], kind="stable")]
+    T_world_sensor = np.stack([pair.T_world_sensor(int(stamps[index])) for index in kept])
+    name = files[0].stem if len(files) == 1 else path.resolve().name
+    return BagRecording(
+        name, bag, [pair.clouds.places[index] for index in kept], pair.clouds.encoding, T_world_sensor,
+        _into_sensor(pair, stamps[kept], T_world_sensor), stamps[kept], _notes(pair, found, len(kept), len(files)),
+    )  # fmt: skip
 
 
-def _bag_file(folder: Path) -> Path:
-    if folder.is_file():
-        return folder
-    files = sorted(file for file in folder.glob("*") if file.suffix in (".mcap", ".db3"))
-    if not files:
-        raise FileNotFoundError(f"no .mcap or .db3 file in {folder}")
-    if len(files) > 1:
-        raise BadField(f"{folder} has {len(files)} bags: merge them or name one", field="folder")
-    return files[0]
+def _into_sensor(pair: Pairing, stamps: Stamps, T_world_sensor: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    if pair.cloud_frame is None:
+        return None
+    T_world_cloud = [pair.cloud_frame.at(int(stamp)) for stamp in stamps]
+    return np.stack([se3.inverse(pose) @ cloud for pose, cloud in zip(T_world_sensor, T_world_cloud, strict=True)])
 
 
-def _topics(messages: Iterator[Message]) -> tuple[_Found, _Found]:
-    """The fullest topic of clouds and the fullest of poses."""
-    clouds: dict[str, _Found] = {}
-    poses: dict[str, _Found] = {}
-    for message in messages:
-        if message.message_type in CLOUD_TYPES:
-            found = clouds.setdefault(message.topic, _Found())
-            found.places.append(message.place)
-        elif message.message_type in POSE_TYPES:
-            found = poses.setdefault(message.topic, _Found())
-            found.poses.append(read_pose(message.data, message.message_type))
-        else:
-            continue
-        found.stamps.append(read_stamp(message.data))
-    if not clouds or not poses:
-        raise BadField(f"the bag needs {' or '.join(CLOUD_TYPES)} and one of {', '.join(POSE_TYPES)}", field="topic")
-    fullest = [max(found.values(), key=lambda topic: len(topic.stamps)) for found in (clouds, poses)]
-    return fullest[0], fullest[1]
+def _notes(pair: Pairing, found: BagTopics, kept: int, files: int) -> tuple[str, ...]:
+    """What was taken, why, and what else there was."""
+    clouds = pair.clouds
+    notes = [f"clouds of {clouds.name} (frame {clouds.frame}), {kept} of {len(clouds.stamps)} with a pose"]
+    if pair.poses in found.poses:
+        topic = found.poses[pair.poses]
+        notes.append(f"poses of {pair.poses} (frame {topic.frame}, following {topic.body or 'what it does not name'})")
+    else:
+        notes.append(f"poses by the transforms of {pair.poses}")
+    notes.append(("warning: " if pair.relation is Relation.ASSUMED else "") + pair.why)
+    others = sorted(found.clouds.keys() - {clouds.name}), sorted(found.poses.keys() - {pair.poses})
+    for option, names in zip(("--topic", "--odometry"), others, strict=True):
+        if names:
+            notes.append(f"not used: {', '.join(names)}; {option} chooses")
+    if files > 1:
+        notes.append(f"{files} files read as one recording")
+    if found.broken_poses:
+        notes.append(f"warning: {found.broken_poses} messages with poses that are no rigid motions were left out")
+    return tuple(notes)

@@ -1,30 +1,54 @@
-"""ROS 2 messages as they lie in bags (CDR): PointCloud2, and poses out of Odometry or PoseStamped."""
+"""ROS messages as they lie in bags: clouds, poses and transforms, in the layout of ROS 2 (CDR) or of ROS 1."""
 
 from __future__ import annotations
 
 import struct
+from dataclasses import dataclass
 
 import numpy as np
 
 from revisit.core.errors import MalformedBody
 from revisit.core.geometry import se3
 from revisit.core.scan import Points
+from revisit.evaluation.datasets.bag_message import Encoding
 from revisit.formats.cloud import CloudLimits
 from revisit.formats.pointcloud2 import PackedCloud, PointField, decode_packed
 
 CLOUD_TYPES = ("sensor_msgs/msg/PointCloud2",)
-POSE_TYPES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped")
+ODOMETRY = "nav_msgs/msg/Odometry"
+POSE_TYPES = (ODOMETRY, "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped")
+TRANSFORM_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 MAX_FIELDS = 64
+MAX_TRANSFORMS = 10_000
 
 
-class _Cdr:
-    """Reads values in turn, each aligned to its own size, from behind the encapsulation header."""
+@dataclass(frozen=True)
+class Header:
+    """When a message's content was measured, nanoseconds, and in which frame; no slash in front of its name."""
 
-    def __init__(self, message: bytes) -> None:
-        if len(message) < 4 or message[0] != 0 or message[1] not in (0, 1):
+    stamp_ns: int
+    frame: str
+
+
+@dataclass(frozen=True)
+class StampedTransform:
+    """Where the frame `child` was in the frame `parent`. T_parent_child (4, 4); `child` is "" where nobody says it."""
+
+    stamp_ns: int
+    parent: str
+    child: str
+    T_parent_child: se3.Matrix4
+
+
+class _Fields:
+    """Reads values in turn: in CDR each aligned to its own size behind an encapsulation header, in ROS 1 packed."""
+
+    def __init__(self, message: bytes, encoding: Encoding) -> None:
+        self._aligned = encoding == "cdr"
+        if self._aligned and (len(message) < 4 or message[0] != 0 or message[1] not in (0, 1)):
             raise MalformedBody("the message is no CDR")
-        self._data = memoryview(message)[4:]
-        self._order = "<" if message[1] == 1 else ">"
+        self._data = memoryview(message)[4 if self._aligned else 0 :]
+        self._order = ">" if self._aligned and message[1] == 0 else "<"
         self._at = 0
 
     def number(self, code: str) -> float | int:
@@ -34,7 +58,8 @@ class _Cdr:
     def numbers(self, code: str, count: int) -> tuple[float | int, ...]:
         """`count` values of a struct code."""
         size = struct.calcsize(f"={code}")
-        self._at += -self._at % size
+        if self._aligned:
+            self._at += -self._at % size
         try:
             values = struct.unpack_from(f"{self._order}{count}{code}", self._data, self._at)
         except struct.error as error:
@@ -43,7 +68,7 @@ class _Cdr:
         return values
 
     def raw(self) -> bytes:
-        """A sequence of bytes, or a string with its final zero."""
+        """A sequence of bytes, or a string, in CDR with its final zero."""
         length = int(self.number("I"))
         if self._at + length > len(self._data):
             raise MalformedBody("the message ends too early")
@@ -55,47 +80,71 @@ class _Cdr:
         """A string."""
         return self.raw().rstrip(b"\0").decode("utf-8", errors="replace")
 
+    def header(self) -> Header:
+        """A std_msgs/Header; that of ROS 1 begins with a count."""
+        if not self._aligned:
+            self.number("I")
+        seconds, nanoseconds = int(self.number("i")), int(self.number("I"))
+        return Header(seconds * 10**9 + nanoseconds, self.frame())
 
-def read_stamp(message: bytes) -> int:
-    """The time in the header of a message, nanoseconds. Raises MalformedBody."""
-    return _header(_Cdr(message))
+    def frame(self) -> str:
+        """The name of a frame."""
+        return self.text().lstrip("/")
+
+    def quaternion_pose(self) -> se3.Matrix4:
+        """Position and quaternion (x, y, z, w). Raises BadTransform."""
+        values = np.array(self.numbers("d", 7), dtype=np.float64)
+        return se3.from_quaternion(values[3:], values[:3])
 
 
-def read_points(message: bytes) -> Points:
+def read_header(message: bytes, encoding: Encoding = "cdr") -> Header:
+    """The header of a message. Raises MalformedBody."""
+    return _Fields(message, encoding).header()
+
+
+def read_points(message: bytes, encoding: Encoding = "cdr") -> Points:
     """The points (n, 3) of a sensor_msgs/PointCloud2. Raises MalformedBody, BadField, TooLarge."""
-    cdr = _Cdr(message)
-    _header(cdr)
-    height, width = (int(value) for value in cdr.numbers("I", 2))
-    count = int(cdr.number("I"))
+    fields = _Fields(message, encoding)
+    fields.header()
+    height, width = (int(value) for value in fields.numbers("I", 2))
+    count = int(fields.number("I"))
     if count > MAX_FIELDS:
         raise MalformedBody(f"a cloud with {count} fields")
-    fields = tuple(_field(cdr) for _ in range(count))
-    big_endian = bool(cdr.number("B"))
-    point_step, row_step = (int(value) for value in cdr.numbers("I", 2))
-    data = cdr.raw()
+    columns = tuple(_column(fields) for _ in range(count))
+    big_endian = bool(fields.number("B"))
+    point_step, row_step = (int(value) for value in fields.numbers("I", 2))
+    data = fields.raw()
     if height > 1 and row_step != width * point_step:
         data = b"".join(data[row * row_step : row * row_step + width * point_step] for row in range(height))
-    packed = PackedCloud(fields, point_step, width, data, height, big_endian)
+    packed = PackedCloud(columns, point_step, width, data, height, big_endian)
     return decode_packed(packed, CloudLimits()).points
 
 
-def read_pose(message: bytes, message_type: str) -> se3.Matrix4:
-    """The pose in an Odometry or PoseStamped. Raises MalformedBody, BadTransform."""
-    cdr = _Cdr(message)
-    _header(cdr)
-    if message_type == "nav_msgs/msg/Odometry":
-        cdr.text()
-    values = np.array(cdr.numbers("d", 7), dtype=np.float64)
-    return se3.from_quaternion(values[3:], values[:3])
+def read_pose(message: bytes, message_type: str, encoding: Encoding = "cdr") -> StampedTransform:
+    """The pose in an Odometry or PoseStamped, of which only the former names a child frame.
+
+    Raises MalformedBody, BadTransform.
+    """
+    fields = _Fields(message, encoding)
+    header = fields.header()
+    child = fields.frame() if message_type == ODOMETRY else ""
+    return StampedTransform(header.stamp_ns, header.frame, child, fields.quaternion_pose())
 
 
-def _header(cdr: _Cdr) -> int:
-    """Reads a std_msgs/Header: its time in nanoseconds."""
-    seconds, nanoseconds = int(cdr.number("i")), int(cdr.number("I"))
-    cdr.text()
-    return seconds * 10**9 + nanoseconds
+def read_transforms(message: bytes, encoding: Encoding = "cdr") -> list[StampedTransform]:
+    """The transforms of a tf2_msgs/TFMessage. Raises MalformedBody, BadTransform."""
+    fields = _Fields(message, encoding)
+    count = int(fields.number("I"))
+    if count > MAX_TRANSFORMS:
+        raise MalformedBody(f"a message with {count} transforms")
+    return [_transform(fields) for _ in range(count)]
 
 
-def _field(cdr: _Cdr) -> PointField:
-    name, offset = cdr.text(), int(cdr.number("I"))
-    return PointField(name, offset, int(cdr.number("B")), int(cdr.number("I")))
+def _transform(fields: _Fields) -> StampedTransform:
+    header, child = fields.header(), fields.frame()
+    return StampedTransform(header.stamp_ns, header.frame, child, fields.quaternion_pose())
+
+
+def _column(fields: _Fields) -> PointField:
+    name, offset = fields.text(), int(fields.number("I"))
+    return PointField(name, offset, int(fields.number("B")), int(fields.number("I")))

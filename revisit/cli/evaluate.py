@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from revisit.cli.extras import needs
-from revisit.cli.options import RECORDINGS, IndexGap, PositiveRadius, Stride, Tau
+from revisit.cli.options import IndexGap, PositiveRadius, Stride, Tau
 from revisit.cli.output import emit_table, progress_bar, refuse, reporter, say
+from revisit.cli.recordings import Format, Mounting, Odometry, Topic, opened
 
 if TYPE_CHECKING:
+    from revisit.evaluation.datasets import Recording
     from revisit.evaluation.perturbations import Perturbation
     from revisit.evaluation.recording_evaluation import EvaluationOptions
 
@@ -21,7 +23,10 @@ ABLATIONS = ("none", "no-implicit", "bev-only", "normals-only")
 @needs("evaluation")
 def evaluate(
     folder: Annotated[Path, typer.Argument(exists=True, help="The recording.")],
-    file_format: Annotated[str, typer.Option("--format", help=RECORDINGS)] = "kitti",
+    file_format: Format = "auto",
+    topic: Topic = None,
+    odometry: Odometry = None,
+    mounting: Mounting = None,
     json: Annotated[Path | None, typer.Option("--json", help="Write rows and summary to this file.")] = None,
     tau: Tau = None,
     stride: Stride = None,
@@ -44,7 +49,9 @@ def evaluate(
         perturbation=_perturbation(keep_beams, keep_points, rotate_seed),
         ablation=ablation, scene_scale=scene_scale, **given(**lengths, jobs=jobs),
     )  # fmt: skip
-    _evaluate_folder(folder, file_format, options, json)
+    if options.ablation not in ABLATIONS:
+        raise refuse("--ablation is none, no-implicit, bev-only or normals-only")
+    _evaluate(opened(folder, file_format, topic, odometry, mounting), options, json)
 
 
 def given(**options: Any) -> dict[str, Any]:
@@ -61,17 +68,12 @@ def _perturbation(keep_beams: int | None, keep_points: float, rotate_seed: int |
         raise refuse(str(error)) from error
 
 
-def _evaluate_folder(folder: Path, file_format: str, options: EvaluationOptions, out: Path | None) -> None:
+def _evaluate(recording: Recording, options: EvaluationOptions, out: Path | None) -> None:
     """Evaluate a recording, write the rows, show the summary."""
     from revisit.evaluation import recording_evaluation
-    from revisit.evaluation.datasets import FORMATS, open_recording
 
-    if file_format not in FORMATS:
-        raise refuse(f"--format is one of {', '.join(FORMATS)}")
-    if options.ablation not in ABLATIONS:
-        raise refuse("--ablation is none, no-implicit, bev-only or normals-only")
     with progress_bar(quiet=False) as bar:
-        result = recording_evaluation.evaluate(open_recording(folder, file_format), options, progress=reporter(bar))
+        result = recording_evaluation.evaluate(recording, options, progress=reporter(bar))
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
         result.write_json(out)

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from revisit.cli.extras import needs
-from revisit.cli.options import GRPC, RECORDINGS, Grpc, Json, MapName
+from revisit.cli.options import GRPC, Grpc, Json, MapName
 from revisit.cli.output import emit_json, emit_table, progress_bar, refuse
+from revisit.cli.recordings import Format, Mounting, Odometry, Topic, opened
 from revisit.core.errors import RevisitError
 from revisit.sdk.errors import NotFound
 
@@ -73,7 +74,10 @@ def ingest(
     folder: Annotated[Path, typer.Argument(exists=True, help="The recording.")],
     map_id: MapName = "default",
     session_id: Annotated[str, typer.Option("--session", help="Id of the session; the folder's name by default.")] = "",
-    file_format: Annotated[str, typer.Option("--format", help=RECORDINGS)] = "kitti",
+    file_format: Format = "auto",
+    topic: Topic = None,
+    odometry: Odometry = None,
+    mounting: Mounting = None,
     scene_scale: Annotated[
         float | None, typer.Option(min=0.01, max=10.0, help="Size of a new map's scene compared with a street.")
     ] = None,
@@ -87,9 +91,7 @@ def ingest(
     json: Json = False,
 ) -> None:
     """Stream a recording; run it again to resume."""
-    from revisit.evaluation.datasets import open_recording
-
-    recording = open_recording(folder, file_format)
+    recording = opened(folder, file_format, topic, odometry, mounting)
     target = Target(grpc, map_id, session_id or recording.name, scene_scale)
     try:
         _transfer(recording, target, Extent(limit, spool, finish, wait), json)
@@ -156,7 +158,7 @@ def _send(client: Client, session: Session, recording: Recording, count: int, sp
     from revisit.sdk.spool import SpoolFull
 
     sent, unusable = 0, 0
-    with progress_bar(quiet) as bar, _opened(client, session, spool) as stream:
+    with progress_bar(quiet) as bar, _stream_of(client, session, spool) as stream:
         refused_before, behind_ns = len(stream.rejected), _last_stamp_ns(client, session, stream)
         # Damaged and refused scans have no number in the session: an index is at least the number, its time tells.
         first = min(session.committed_seq, count)
@@ -200,7 +202,7 @@ def _require_same_recording(session: Session, recording: Recording, behind_ns: i
     )
 
 
-def _opened(
+def _stream_of(
     client: Client, session: Session, spool: Path | None
 ) -> AbstractContextManager[ScanStream] | AbstractContextManager[SpooledStream]:
     if spool is None:

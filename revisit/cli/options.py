@@ -17,7 +17,10 @@ Stride = Annotated[float | None, typer.Option(help="Metres between submap starts
 IndexGap = Annotated[int | None, typer.Option(help="Nearer submaps are no loop.")]
 PositiveRadius = Annotated[float | None, typer.Option(help="Submaps nearer than this are the same place, m.")]
 
-RECORDINGS = "kitti, kitti360, mulran, nclt, clouds (pcd or ply with TUM or KITTI poses) or rosbag2 (mcap or db3)."
+RECORDINGS = (
+    "auto (by what is there), kitti, kitti360, mulran, nclt, clouds (pcd or ply with TUM or KITTI poses), "
+    "rosbag2 (mcap or db3) or rosbag1 (bag)."
+)
 
 HTTP = "http://127.0.0.1:8080"
 GRPC = "127.0.0.1:8090"

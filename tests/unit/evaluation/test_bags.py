@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import bz2
 import sqlite3
 import struct
+import tracemalloc
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 import zstandard
 
-from revisit.core.errors import BadField, MalformedBody, UnsupportedEncoding
+from revisit.core.errors import BadField, MalformedBody, TooLarge, UnsupportedEncoding
 from revisit.core.geometry import se3
-from revisit.evaluation.datasets import open_bag
+from revisit.evaluation.datasets import WantedTopics, open_bag
+from revisit.evaluation.datasets.bag_message import unpacked_chunk
 
 MAGIC = b"\x89MCAP0\r\n"
 COUNT = 120
@@ -39,8 +43,8 @@ class Cdr:
         self.data += content
         return self
 
-    def header(self, stamp_ns: int) -> Cdr:
-        return self.put("i", stamp_ns // 10**9).put("I", stamp_ns % 10**9).raw(b"lidar\0")
+    def header(self, stamp_ns: int, frame: bytes = b"lidar\0") -> Cdr:
+        return self.put("i", stamp_ns // 10**9).put("I", stamp_ns % 10**9).raw(frame)
 
     def message(self) -> bytes:
         return b"\0\1\0\0" + bytes(self.data)
@@ -57,7 +61,7 @@ def point_cloud(stamp_ns: int, points: np.ndarray, rows: int = 2) -> bytes:
 
 
 def odometry(stamp_ns: int, x: float) -> bytes:
-    return Cdr().header(stamp_ns).raw(b"base\0").put("d", x, 0, 0, 0, 0, 0, 1, *([0.0] * 36)).message()
+    return Cdr().header(stamp_ns, b"odom\0").raw(b"base\0").put("d", x, 0, 0, 0, 0, 0, 1, *([0.0] * 36)).message()
 
 
 def record(opcode: int, content: bytes) -> bytes:
@@ -78,7 +82,11 @@ def message(number: int, data: bytes) -> bytes:
 
 
 def chunk(records: bytes, compression: str) -> bytes:
-    stored = zstandard.compress(records) if compression == "zstd" else records
+    if compression == "lz4":
+        from lz4.frame import compress
+    else:
+        compress = zstandard.compress if compression == "zstd" else bytes
+    stored = compress(records)
     head = struct.pack("<QQQI", 0, 0, len(records), 0) + text(compression)
     return record(6, head + struct.pack("<Q", len(stored)) + stored)
 
@@ -112,7 +120,7 @@ def test_clouds_get_the_poses_between_which_they_were_taken(tmp_path: Path, comp
 
 def test_the_mounting_of_the_sensor_is_applied(tmp_path: Path) -> None:
     mounted = se3.from_yaw(np.pi, (1.0, 0.0, 2.0))
-    recording = open_bag(bag(tmp_path / "drive.mcap"), mounted)
+    recording = open_bag(bag(tmp_path / "drive.mcap"), WantedTopics(T_body_sensor=mounted))
     assert se3.yaw(recording.pose(0)) == pytest.approx(np.pi)
 
 
@@ -121,9 +129,26 @@ def test_a_bag_without_odometry_says_what_it_lacks(tmp_path: Path) -> None:
         open_bag(bag(tmp_path / "drive.mcap", with_odometry=False))
 
 
-def test_lz4_is_refused_with_the_way_out(tmp_path: Path) -> None:
+def test_an_unknown_compression_is_refused_with_the_way_out(tmp_path: Path) -> None:
     with pytest.raises(UnsupportedEncoding, match="zstd"):
-        open_bag(bag(tmp_path / "drive.mcap", "lz4"))
+        open_bag(bag(tmp_path / "drive.mcap", "brotli"))
+
+
+def test_lz4_chunks_are_read(tmp_path: Path) -> None:
+    pytest.importorskip("lz4", reason="in the extra `evaluation`")
+    np.testing.assert_array_equal(open_bag(bag(tmp_path / "drive.mcap", "lz4")).scan(1).points, cloud(2))
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4", "bz2"])
+def test_a_chunk_never_unpacks_to_more_than_it_says(compression: str) -> None:
+    pack = {"zstd": zstandard.compress, "bz2": bz2.compress}.get(compression)
+    pack = pack or pytest.importorskip("lz4.frame", reason="in the extra `evaluation`").compress
+    bomb = pack(bytes(200_000_000))
+    tracemalloc.start()
+    with suppress(MalformedBody, TooLarge):
+        assert len(unpacked_chunk(bomb, compression, 64)) == 64
+    assert tracemalloc.get_traced_memory()[1] < 20_000_000
+    tracemalloc.stop()
 
 
 @pytest.mark.parametrize("damage", [lambda content: b"PK\3\4" + content, lambda content: content[:2000]])

@@ -1,0 +1,109 @@
+"""The files of a bag: one .mcap, .db3 or .bag, or those that a split recording consists of, read as one."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from revisit.core.errors import BadField, UnsupportedEncoding
+from revisit.evaluation.datasets.bag1 import Bag1File
+from revisit.evaluation.datasets.bag_message import Bag, Message, Place
+from revisit.evaluation.datasets.db3 import Db3File
+from revisit.evaluation.datasets.mcap import McapFile
+
+SUFFIXES = (".mcap", ".db3", ".bag")
+_METADATA = "metadata.yaml"
+_LISTED = re.compile(r"^\s*-\s+['\"]?(?P<file>[^'\"]+?)['\"]?\s*$")
+
+
+class SplitBag:
+    """Several files of one recording. A message's place tells its file."""
+
+    def __init__(self, bags: Sequence[Bag]) -> None:
+        self.topics: dict[str, str] = {}
+        self._bags = bags
+
+    def messages(self) -> Iterator[Message]:
+        """All messages, file by file. Raises MalformedBody, UnsupportedEncoding."""
+        for number, bag in enumerate(self._bags):
+            for message in bag.messages():
+                yield replace(message, place=replace(message.place, file=number))
+            self.topics.update(bag.topics)
+
+    def data(self, place: Place) -> bytes:
+        """The bytes of a message."""
+        return self._bags[place.file].data(place)
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a file is a bag by its name, or a folder holds one."""
+    return path.suffix in SUFFIXES if path.is_file() else bool(_bags_in(path))
+
+
+def open_files(files: Sequence[Path], types: tuple[str, ...]) -> SplitBag:
+    """The files as one bag, of which at least the messages of `types` are read. Raises MalformedBody."""
+    openers: dict[str, Callable[[Path], Bag]] = {
+        ".mcap": McapFile,
+        ".bag": Bag1File,
+        ".db3": lambda file: Db3File(file, types),
+    }
+    return SplitBag([openers[file.suffix](file) for file in files])
+
+
+def bag_files(path: Path) -> list[Path]:
+    """The files of the bag at `path`, a file or a folder, in their order.
+
+    Raises FileNotFoundError where there are none, BadField for several bags, UnsupportedEncoding where the files or
+    messages as such are compressed.
+    """
+    if path.is_file():
+        if path.suffix not in SUFFIXES:
+            raise BadField(f"{path.name} is no {', '.join(SUFFIXES)} file", field="folder")
+        return [path]
+    if (path / _METADATA).is_file():
+        return _listed(path)
+    files = _bags_in(path)
+    if not files:
+        raise FileNotFoundError(f"no {', '.join(SUFFIXES)} file in {path}")
+    if len(files) > 1 and len({_numbered(file)[0] for file in files}) > 1:
+        raise BadField(f"{path} has {len(files)} bags and no {_METADATA}: name one of them", field="folder")
+    return files
+
+
+def _listed(folder: Path) -> list[Path]:
+    """The files that the metadata of a ROS 2 bag lists."""
+    text = (folder / _METADATA).read_text(errors="replace")
+    if re.search(r"^\s*compression_mode:\s*['\"]?(file|message)\b", text, re.MULTILINE | re.IGNORECASE):
+        raise UnsupportedEncoding(
+            f"{folder.name} is compressed by file or message: rewrite it with `ros2 bag convert`, uncompressed or with "
+            "the chunks of MCAP compressed"
+        )
+    _, _, after = text.partition("relative_file_paths:\n")
+    names = []
+    for line in after.splitlines():
+        if (found := _LISTED.match(line)) is None:
+            break
+        names.append(Path(found["file"]).name)
+    if not names:
+        raise BadField(f"{_METADATA} lists no files: name one of the bags in {folder}", field="folder")
+    return [_existing(folder / name) for name in names]
+
+
+def _existing(file: Path) -> Path:
+    if file.suffix not in SUFFIXES:
+        raise UnsupportedEncoding(f"{file.name} is no {', '.join(SUFFIXES)} file")
+    if not file.is_file():
+        raise FileNotFoundError(f"{_METADATA} lists {file.name}, which is not in {file.parent}")
+    return file
+
+
+def _bags_in(folder: Path) -> list[Path]:
+    return sorted((file for file in folder.glob("*") if file.suffix in SUFFIXES), key=_numbered)
+
+
+def _numbered(file: Path) -> tuple[str, int]:
+    """The name of a file without the number that splitting appends, and the number, -1 where it has none."""
+    name, _, number = file.stem.rpartition("_")
+    return (f"{name}{file.suffix}", int(number)) if name and number.isdecimal() else (file.name, -1)

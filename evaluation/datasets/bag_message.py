@@ -1,0 +1,91 @@
+"""What the readers of bags have in common: a message, where it lies, and how chunks are unpacked within bounds."""
+
+from __future__ import annotations
+
+import bz2
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+from revisit.core.errors import MalformedBody, UnsupportedEncoding
+from revisit.formats.compression import decompress_zstd
+
+MAX_CHUNK_BYTES = 1 << 30
+
+Encoding = Literal["cdr", "ros1"]
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a message lies: byte `chunk` of the file, None outside of chunks, then `offset` and `size` within.
+
+    `file` counts the files of a split bag.
+    """
+
+    chunk: int | None
+    offset: int
+    size: int
+    file: int = 0
+
+
+@dataclass(frozen=True)
+class Message:
+    """A message with its topic, its type as ROS 2 writes it, and how its fields are laid out."""
+
+    topic: str
+    message_type: str
+    data: bytes
+    place: Place
+    encoding: Encoding = "cdr"
+
+
+class Bag(Protocol):
+    """A file of messages."""
+
+    topics: dict[str, str]
+    """Topic -> type of all that `messages` came across, wanted or not."""
+
+    def messages(self) -> Iterator[Message]:
+        """All messages, each with its place."""
+
+    def data(self, place: Place) -> bytes:
+        """The bytes of the message at a place."""
+
+
+def unpacked_chunk(content: bytes, compression: str, size: int) -> bytes:
+    """The `size` bytes that a chunk says it holds; never more is unpacked.
+
+    Raises MalformedBody for damaged data or another size, UnsupportedEncoding for an unknown compression.
+    """
+    if size > MAX_CHUNK_BYTES:
+        raise MalformedBody(f"a chunk of {size} bytes")
+    match compression:
+        case "" | "none":
+            unpacked = content
+        case "zstd":
+            unpacked = decompress_zstd(content, size)
+        case "lz4":
+            unpacked = _lz4(content, size)
+        case "bz2":
+            unpacked = _bz2(content, size)
+        case _:
+            raise UnsupportedEncoding(f"chunks compressed with {compression[:40]!r}: rewrite the bag with zstd")
+    if len(unpacked) != size:
+        raise MalformedBody("a chunk is damaged")
+    return unpacked
+
+
+def _lz4(content: bytes, size: int) -> bytes:
+    from lz4.frame import LZ4FrameDecompressor
+
+    try:
+        return bytes(LZ4FrameDecompressor().decompress(content, max_length=size))
+    except RuntimeError as error:
+        raise MalformedBody("a chunk's LZ4 data is damaged") from error
+
+
+def _bz2(content: bytes, size: int) -> bytes:
+    try:
+        return bz2.BZ2Decompressor().decompress(content, max_length=size)
+    except OSError as error:
+        raise MalformedBody("a chunk's bzip2 data is damaged") from error

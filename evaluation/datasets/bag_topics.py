@@ -1,0 +1,116 @@
+"""What a bag holds of use: topics of clouds, topics of poses, and the tree of frames."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from revisit.core.errors import BadTransform
+from revisit.evaluation.datasets.bag_message import Bag, Encoding, Message, Place
+from revisit.evaluation.datasets.posed_clouds import Stamps
+from revisit.evaluation.datasets.ros_messages import (
+    CLOUD_TYPES,
+    POSE_TYPES,
+    TRANSFORM_TYPES,
+    StampedTransform,
+    read_header,
+    read_pose,
+    read_transforms,
+)
+from revisit.evaluation.datasets.transform_tree import TransformTree
+
+WANTED_TYPES = (*CLOUD_TYPES, *POSE_TYPES, *TRANSFORM_TYPES)
+
+
+@dataclass
+class CloudTopic:
+    """Clouds of one topic: when and where in the bag each was found, and the frames that their headers name."""
+
+    name: str
+    encoding: Encoding
+    stamps: list[int] = field(default_factory=list)
+    places: list[Place] = field(default_factory=list)
+    frames: Counter[str] = field(default_factory=Counter)
+
+    @property
+    def frame(self) -> str:
+        """The frame that most headers name."""
+        return self.frames.most_common(1)[0][0]
+
+    @property
+    def stamps_ns(self) -> Stamps:
+        """Times (n,) in the order of the bag, nanoseconds."""
+        return np.array(self.stamps, dtype=np.int64)
+
+
+@dataclass
+class PoseTopic:
+    """Poses of one topic. What it follows is named in an Odometry only."""
+
+    name: str
+    poses: list[StampedTransform] = field(default_factory=list)
+
+    @property
+    def frame(self) -> str:
+        """The frame the poses are told in."""
+        return self.poses[0].parent
+
+    @property
+    def body(self) -> str:
+        """The frame that is followed, "" where nobody says it."""
+        return self.poses[0].child
+
+
+@dataclass(frozen=True)
+class BagTopics:
+    """All that was found, with every topic's type and how many poses were no rigid motions and were left out."""
+
+    clouds: dict[str, CloudTopic]
+    poses: dict[str, PoseTopic]
+    tree: TransformTree
+    types: dict[str, str]
+    broken_poses: int
+
+
+@dataclass
+class _Pass:
+    """What one pass over the messages gathers."""
+
+    clouds: dict[str, CloudTopic] = field(default_factory=dict)
+    poses: dict[str, PoseTopic] = field(default_factory=dict)
+    moving: list[StampedTransform] = field(default_factory=list)
+    fixed: list[StampedTransform] = field(default_factory=list)
+    broken: int = 0
+
+    def take(self, message: Message) -> None:
+        """Note a message of use. Raises MalformedBody."""
+        try:
+            if message.message_type in CLOUD_TYPES:
+                self._cloud(message)
+            elif message.message_type in POSE_TYPES:
+                pose = read_pose(message.data, message.message_type, message.encoding)
+                self.poses.setdefault(message.topic, PoseTopic(message.topic)).poses.append(pose)
+            elif message.message_type in TRANSFORM_TYPES:
+                told = self.fixed if message.topic.endswith("tf_static") else self.moving
+                told += read_transforms(message.data, message.encoding)
+        except BadTransform:
+            # An odometry that has not started publishes zeros.
+            self.broken += 1
+
+    def _cloud(self, message: Message) -> None:
+        header = read_header(message.data, message.encoding)
+        topic = self.clouds.setdefault(message.topic, CloudTopic(message.topic, message.encoding))
+        topic.stamps.append(header.stamp_ns)
+        topic.places.append(message.place)
+        topic.frames[header.frame] += 1
+
+
+def read_topics(bag: Bag) -> BagTopics:
+    """Read a bag once, front to back. Raises MalformedBody, UnsupportedEncoding."""
+    gathered = _Pass()
+    for message in bag.messages():
+        gathered.take(message)
+    tree = TransformTree(gathered.moving, gathered.fixed)
+    return BagTopics(gathered.clouds, gathered.poses, tree, dict(bag.topics), gathered.broken)

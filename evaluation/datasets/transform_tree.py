@@ -1,0 +1,111 @@
+"""The tree of frames that a bag's transforms make, as ROS has it: each frame has one parent."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import reduce
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.errors import BadField
+from revisit.core.geometry import se3
+from revisit.evaluation.datasets.posed_clouds import StampedPoses, Stamps
+from revisit.evaluation.datasets.ros_messages import StampedTransform
+
+
+@dataclass(frozen=True)
+class _Edge:
+    """Where a frame is in its parent. What was told once, or by /tf_static, holds for ever."""
+
+    parent: str
+    poses: StampedPoses
+    moves: bool
+
+    def covered(self, stamps_ns: Stamps) -> NDArray[np.bool_]:
+        return self.poses.covered(stamps_ns) if self.moves else np.ones(len(stamps_ns), dtype=bool)
+
+    def at(self, stamp_ns: int) -> se3.Matrix4:
+        return self.poses.at(stamp_ns) if self.moves else np.asarray(self.poses.T_world_body[-1])
+
+
+class TransformTree:
+    """Frames and how they lie in each other at any time."""
+
+    def __init__(self, moving: Iterable[StampedTransform], fixed: Iterable[StampedTransform]) -> None:
+        """From the transforms of /tf and those of /tf_static. A frame keeps the parent that is told first."""
+        self._edges: dict[str, _Edge] = {}
+        for transforms, moves in ((fixed, False), (moving, True)):
+            told: dict[str, list[StampedTransform]] = {}
+            for transform in transforms:
+                if transform.child not in self._edges:
+                    told.setdefault(transform.child, []).append(transform)
+            self._edges |= {child: _edge(samples, moves) for child, samples in told.items()}
+
+    @property
+    def frames(self) -> set[str]:
+        """All frames that have a parent."""
+        return set(self._edges)
+
+    def ancestors(self, frame: str) -> list[str]:
+        """The frame's parent, its parent and so on; a circle ends where it closes."""
+        found: list[str] = []
+        while frame in self._edges and self._edges[frame].parent not in found:
+            frame = self._edges[frame].parent
+            found.append(frame)
+        return found
+
+    def linked(self, target: str, source: str) -> bool:
+        """Whether the transform between two frames can be told."""
+        return self._meeting(target, source) is not None
+
+    def moves(self, target: str, source: str) -> bool:
+        """Whether anything moves on the way between two linked frames."""
+        return any(edge.moves for edge in self._way(target, source))
+
+    def covered(self, target: str, source: str, stamps_ns: Stamps) -> NDArray[np.bool_]:
+        """At which of the times the transform between two linked frames is known."""
+        masks = [edge.covered(stamps_ns) for edge in self._way(target, source)]
+        return np.logical_and.reduce(masks) if masks else np.ones(len(stamps_ns), dtype=bool)
+
+    def at(self, target: str, source: str, stamp_ns: int) -> se3.Matrix4:
+        """T_target_source of two linked frames at a covered time, interpolated. Raises BadField."""
+        meeting = self._meeting(target, source)
+        if meeting is None:
+            raise BadField(f"no transform between the frames {target} and {source}", field="frame")
+        return se3.inverse(self._up(target, meeting, stamp_ns)) @ self._up(source, meeting, stamp_ns)
+
+    def _meeting(self, target: str, source: str) -> str | None:
+        """The lowest frame that both lie in."""
+        above = [target, *self.ancestors(target)]
+        return next((frame for frame in (source, *self.ancestors(source)) if frame in above), None)
+
+    def _edges_up(self, frame: str, ancestor: str) -> list[_Edge]:
+        edges = []
+        while frame != ancestor:
+            edges.append(self._edges[frame])
+            frame = edges[-1].parent
+        return edges
+
+    def _way(self, target: str, source: str) -> list[_Edge]:
+        meeting = self._meeting(target, source)
+        return [] if meeting is None else self._edges_up(target, meeting) + self._edges_up(source, meeting)
+
+    def _up(self, frame: str, ancestor: str, stamp_ns: int) -> se3.Matrix4:
+        """T_ancestor_frame."""
+        steps = [edge.at(stamp_ns) for edge in self._edges_up(frame, ancestor)]
+        return reduce(lambda T_frame, T_parent: T_parent @ T_frame, steps, np.eye(4))
+
+
+def stamped_poses(transforms: Iterable[StampedTransform]) -> StampedPoses:
+    """The poses by rising time; of several with one time the first."""
+    samples = list(transforms)
+    stamps, first = np.unique(np.array([sample.stamp_ns for sample in samples], dtype=np.int64), return_index=True)
+    return StampedPoses(stamps, np.stack([samples[index].T_parent_child for index in first]))
+
+
+def _edge(samples: list[StampedTransform], moves: bool) -> _Edge:
+    parent = samples[0].parent
+    poses = stamped_poses(sample for sample in samples if sample.parent == parent)
+    return _Edge(parent, poses, moves and len(poses.stamps_ns) > 1)

@@ -1,0 +1,55 @@
+"""Opening a recording for a command: the options that bags need, and what is told about the choice of topics."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from revisit.cli.options import RECORDINGS
+from revisit.cli.output import refuse
+
+if TYPE_CHECKING:
+    from revisit.core.geometry.se3 import Matrix4
+    from revisit.evaluation.datasets import Recording
+
+Format = Annotated[str, typer.Option("--format", help=RECORDINGS)]
+Topic = Annotated[str | None, typer.Option("--topic", help="Bags: topic of the clouds, instead of the fitting one.")]
+Odometry = Annotated[
+    str | None, typer.Option("--odometry", help="Bags: topic of the poses, or /tf, instead of the fitting one.")
+]
+Mounting = Annotated[
+    str | None,
+    typer.Option(
+        "--T-body-sensor",
+        help="Bags: where the sensor sits on what the poses follow: 'x y z qx qy qz qw', metres.",
+    ),
+]
+
+
+def opened(folder: Path, file_format: str, topic: str | None, odometry: str | None, mounting: str | None) -> Recording:
+    """The recording; which topics of a bag were taken, and why, goes to stderr. Exits for an unusable option."""
+    from revisit.evaluation.datasets import AUTO, FORMATS, WantedTopics, notes_of, open_recording
+
+    if file_format not in (AUTO, *FORMATS):
+        raise refuse(f"--format is one of {', '.join((AUTO, *FORMATS))}")
+    recording = open_recording(folder, file_format, WantedTopics(topic, odometry, _transform(mounting)))
+    for note in notes_of(recording):
+        typer.echo(f"{recording.name}: {note}", err=True)
+    return recording
+
+
+def _transform(text: str | None) -> Matrix4 | None:
+    """The transform of seven numbers: a position and a quaternion (x, y, z, w)."""
+    from revisit.core.geometry import se3
+
+    if text is None:
+        return None
+    try:
+        numbers = [float(word) for word in text.replace(",", " ").split()]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 7:
+        raise refuse("--T-body-sensor takes seven numbers: 'x y z qx qy qz qw'")
+    return se3.from_quaternion(numbers[3:], numbers[:3])
