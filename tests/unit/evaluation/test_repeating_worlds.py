@@ -1,0 +1,47 @@
+"""Made-up worlds that repeat look alike a period on, and their truth is true."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from revisit.core.config import PipelineConfig
+from revisit.core.geometry import se3
+from revisit.core.model_bundle import load_packaged_models
+from revisit.core.verification.oriented_points import OrientedPoints, contact
+from revisit.evaluation.repeating_worlds import WORLDS, RepeatingPair, World, repeating_pairs
+
+CONFIG = PipelineConfig()
+
+
+def pairs(world: World, count: int) -> list[RepeatingPair]:
+    return list(repeating_pairs(world, count, 5, load_packaged_models().codebooks, CONFIG))
+
+
+def overlap(pair: RepeatingPair, T_match_query: se3.Matrix4) -> float:
+    """The share of the standing points of the query that lie on the match."""
+    query, match = OrientedPoints.of(pair.query).standing.moved(T_match_query), OrientedPoints.of(pair.match)
+    return float(contact(query, match, CONFIG.verification).touching.mean())
+
+
+@pytest.mark.parametrize("world", WORLDS, ids=[world.name for world in WORLDS])
+def test_one_period_on_fits_about_as_well_as_the_truth_and_half_a_period_does_not(world: World) -> None:
+    same, shifted = pairs(world, 2)
+    assert same.same and not shifted.same
+    fits = {share: overlap(same, _along(same, share * world.period_m)) for share in (0.0, 1.0, 0.5)}
+    assert fits[0.0] > 0.5
+    assert fits[1.0] > 0.6 * fits[0.0]
+    assert fits[0.5] < 0.97 * fits[0.0]
+
+
+def test_two_runs_make_the_same_worlds() -> None:
+    first, second = pairs(WORLDS[0], 1)[0], pairs(WORLDS[0], 1)[0]
+    assert first.query.content_digest == second.query.content_digest
+    np.testing.assert_array_equal(first.T_match_query, second.T_match_query)
+
+
+def _along(pair: RepeatingPair, distance_m: float) -> se3.Matrix4:
+    """The true pose, moved along the x axis of the world."""
+    T_world_match = pair.T_world_match
+    T_shift = se3.from_yaw(0.0, (distance_m, 0.0, 0.0))
+    return se3.inverse(T_world_match) @ T_shift @ T_world_match @ pair.T_match_query
