@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 CONFIGURATION = 78
 """Exit status for settings that cannot be used (EX_CONFIG)."""
 
+TAKEN = 75
+"""Exit status where another gateway serves the data folder (EX_TEMPFAIL): it may have gone a moment later."""
+
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; the exit status."""
@@ -92,17 +95,22 @@ def _unit() -> str:
 
 
 def _serve(settings: Settings) -> int:
-    """Run the gateway, where its address is safe to listen on; the exit status."""
+    """Run the gateway, where its address is safe to listen on and no other serves the data folder; the exit status."""
     missing = _missing_protection(settings)
     if missing:
         return _refuse(
             f"refusing to listen on {settings.host}, which others can reach, without {' and '.join(missing)}. "
             "Listen on 127.0.0.1, or set REVISIT_INSECURE_BIND=1 if you mean it."
         )
+    from revisit.service.adapters.files.home_lock import HomeTaken, sole_gateway
     from revisit.service.gateway import serve
 
     try:
-        return serve(settings)
+        with sole_gateway(settings.home):
+            return serve(settings)
+    except HomeTaken as error:
+        print(error, file=sys.stderr)
+        return TAKEN
     except (OSError, ValueError) as error:
         return _refuse(f"cannot serve on {settings.host}: {error}")
 

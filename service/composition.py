@@ -21,6 +21,7 @@ from revisit.service.adapters.files.blobs import FileBlobStore
 from revisit.service.adapters.files.disk import Disk
 from revisit.service.adapters.files.fail_stop import FailStop
 from revisit.service.adapters.files.filesystem import require_local
+from revisit.service.adapters.sqlite.checkpoints import Checkpoints
 from revisit.service.adapters.sqlite.connections import write_ahead_log
 from revisit.service.adapters.sqlite.transactions import SqliteTransactions
 from revisit.service.adapters.vector_index import PlaceVectorIndex
@@ -35,16 +36,15 @@ from revisit.service.application.housekeeping.system import WORKER_SEEN_WITHIN_M
 from revisit.service.application.housekeeping.upkeep import Chore
 from revisit.service.settings import Settings
 from revisit.service.worker.confinement import confine
+from revisit.service.worker.ends import STORAGE_FAILED
 from revisit.service.worker.heartbeat import WorkerIdentity
 from revisit.service.worker.loop import Worker, WorkerLimits
 
 if TYPE_CHECKING:
     from revisit.core.index import PlaceIndex
 
-STORAGE_FAILED = 74
-"""Exit status after an I/O error of the storage (EX_IOERR): what was being committed is unknown until a restart."""
-
 TEND_DISK_EVERY_S = 0.5
+FOLD_LOG_BACK_EVERY_S = 1.0
 SWEEP_EVERY_S = 6 * 3600.0
 LOAD_INDEX_EVERY_S = 1.0
 AUDIT_INDEX_EVERY_S = 2.0
@@ -80,10 +80,13 @@ def build_disk(settings: Settings) -> Disk:
 
 def chores(settings: Settings, installation: Installation) -> tuple[Chore, ...]:
     """The periodic work of the gateway."""
-    disk, keeper = build_disk(settings), installation.index_keeper()
+    disk, keeper, checkpoints = build_disk(settings), installation.index_keeper(), Checkpoints(settings.database)
 
     async def tend_disk() -> None:
         await asyncio.to_thread(disk.tend)
+
+    async def fold_log_back() -> None:
+        await asyncio.to_thread(checkpoints.tend)
 
     async def sweep_blobs() -> None:
         await sweep(installation.storage)
@@ -97,6 +100,7 @@ def chores(settings: Settings, installation: Installation) -> tuple[Chore, ...]:
 
     return (
         Chore("tend_disk", TEND_DISK_EVERY_S, tend_disk),
+        Chore("fold_log_back", FOLD_LOG_BACK_EVERY_S, fold_log_back),
         Chore("sweep_blobs", SWEEP_EVERY_S, sweep_blobs),
         Chore("load_index", LOAD_INDEX_EVERY_S, keeper.load),
         Chore("audit_index", AUDIT_INDEX_EVERY_S, audit_index),

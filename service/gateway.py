@@ -21,10 +21,11 @@ from revisit.service.adapters.files.fail_stop import FailStop
 from revisit.service.adapters.sqlite.migration import migrate
 from revisit.service.application import Installation, UseCases
 from revisit.service.application.housekeeping.upkeep import Upkeep
-from revisit.service.composition import STORAGE_FAILED, build_installation, build_tracer, build_use_cases, chores
+from revisit.service.composition import build_installation, build_tracer, build_use_cases, chores
 from revisit.service.metrics import LoadMetrics, MetricsServer, RequestMetrics, StoreMetrics
 from revisit.service.settings import Settings
 from revisit.service.tls import grpc_credentials, http_context
+from revisit.service.worker.ends import STORAGE_FAILED
 from revisit.service.worker.metrics import WorkerMetrics
 from revisit.service.worker.supervisor import WorkerSupervisor
 
@@ -82,6 +83,7 @@ class _Gateway:
         rpc, grpc_port = self._grpc_server(use_cases)
         await rpc.start()
         serving = asyncio.create_task(http.serve(), name="http")
+        await supervisor.take_over()
         supervisor.start()
         upkeep = Upkeep(chores(self._settings, installation))
         upkeep.start()

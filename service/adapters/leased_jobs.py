@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from revisit.core.errors import ErrorCode
+from revisit.service.adapters.fair_turns import FairTurns
 from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.errors import StaleLease
 from revisit.service.application.contract.job_queue import Lease
@@ -19,24 +20,38 @@ from revisit.service.application.contract.states import OperationState
 
 RETRY_DELAY_MS = 500
 
+MOST_FORGIVEN = 20
+"""Runs of a job that may end for a reason that seems none of its own. A job that ends its worker in such a way every
+time is poison all the same: from then on its runs count."""
+
+STARTED_AGAIN = "the service was ended"
+"""Why a run did not come back that was under way then."""
+
 
 class LeasedJobs:
     """`JobQueue` over a `JobRepository`, inside whatever transaction that belongs to."""
 
-    def __init__(self, jobs: JobRepository, lease_ms: int) -> None:
-        """A lease lasts `lease_ms` milliseconds from its start or its last heartbeat."""
+    def __init__(self, jobs: JobRepository, turns: FairTurns, lease_ms: int) -> None:
+        """A lease lasts `lease_ms` milliseconds from its start or its last heartbeat; `turns` orders the tenants."""
         self._jobs = jobs
+        self._turns = turns
         self._lease_ms = lease_ms
 
     def enqueue(self, job: JobRecord) -> JobRecord:
         """See `JobQueue`."""
         return self._jobs.add(job)
 
-    def claim(self, owner: str, now: Instant, after: str = "") -> Lease | None:
+    def waits(self, now: Instant) -> bool:
         """See `JobQueue`."""
-        job = self._jobs.next_runnable(now, after)
+        return self._next(now) is not None or bool(self._jobs.exhausted(now))
+
+    def claim(self, owner: str, now: Instant) -> Lease | None:
+        """See `JobQueue`."""
+        job = self._next(now)
         if job is None:
             return None
+        if job.state == OperationState.RUNNING:
+            self._turns.end(job.tenant, job.lease_expires_ms - job.claimed_ms)
         leased = replace(
             job,
             state=OperationState.RUNNING.value,
@@ -45,8 +60,10 @@ class LeasedJobs:
             lease_token=job.lease_token + 1,
             lease_epoch=now.epoch,
             lease_expires_ms=now.ms + self._lease_ms,
+            claimed_ms=now.ms,
             failure_message=None,
         )
+        self._turns.begin(job.tenant)
         self._jobs.replace(leased)
         return Lease(leased)
 
@@ -59,15 +76,18 @@ class LeasedJobs:
         job = self._held(lease)
         self._jobs.replace(replace(job, lease_epoch=now.epoch, lease_expires_ms=now.ms + self._lease_ms))
 
-    def complete(self, lease: Lease, result: dict[str, Any], finished_at_ns: int) -> None:
+    def complete(self, lease: Lease, result: dict[str, Any], now: Instant, finished_at_ns: int) -> None:
         """See `JobQueue`."""
         job = self._held(lease)
-        self._jobs.replace(replace(job, state=OperationState.DONE.value, result=result, finished_at_ns=finished_at_ns))
+        self._turns.end(job.tenant, _ran_ms(job, now))
+        done = OperationState.DONE.value
+        self._jobs.replace(replace(job, state=done, result=result, failure_message=None, finished_at_ns=finished_at_ns))
 
     def fail(self, lease: Lease, code: str, message: str, now: Instant, finished_at_ns: int, *, retry: bool) -> bool:
         """See `JobQueue`."""
         job = self._held(lease)
-        if retry and job.attempts < job.max_attempts:
+        self._turns.end(job.tenant, _ran_ms(job, now))
+        if retry and job.counted_attempts < job.max_attempts:
             self._jobs.replace(_queued_again(job, now))
             return False
         self._jobs.replace(_failed(job, code, message, finished_at_ns))
@@ -77,17 +97,38 @@ class LeasedJobs:
         """See `JobQueue`."""
         dead = [_failed(job, ErrorCode.INTERNAL, _last_end(job), finished_at_ns) for job in self._jobs.exhausted(now)]
         for job in dead:
+            # The runs of a worker that was released were paid for then.
+            if job.lease_expires_ms:
+                self._turns.end(job.tenant, job.lease_expires_ms - job.claimed_ms)
             self._jobs.replace(job)
         return dead
 
-    def release(self, owner: str, now: Instant, reason: str) -> int:
+    def release(self, owner: str, now: Instant, reason: str, *, innocent: bool = False) -> int:
         """See `JobQueue`."""
         held = self._jobs.leased_to(owner)
         for job in held:
-            ended = replace(job, lease_expires_ms=0, failure_message=reason)
+            self._turns.end(job.tenant, _ran_ms(job, now))
+            # One that the service forgave at its start is not forgiven twice.
+            forgiven = innocent and job.failure_message is None
+            ended = replace(_forgiven(job) if forgiven else job, failure_message=reason)
             # A job without attempts left stays RUNNING until `fail_exhausted_jobs`, which marks its subject too.
-            self._jobs.replace(ended if job.attempts >= job.max_attempts else _queued_again(ended, now))
+            spent = ended.counted_attempts >= ended.max_attempts
+            again = ended if spent else _queued_again(ended, now)
+            self._jobs.replace(replace(again, lease_expires_ms=0))
         return len(held)
+
+    def forgive(self) -> int:
+        """See `JobQueue`."""
+        # A reason is there where the run was forgiven before, or was the last of a job that is to be buried.
+        under_way = [job for job in self._jobs.leased_to(None) if job.failure_message is None]
+        for job in under_way:
+            self._jobs.replace(replace(_forgiven(job), failure_message=STARTED_AGAIN))
+        return len(under_way)
+
+    def _next(self, now: Instant) -> JobRecord | None:
+        """The job that is to run next: the first of the first tenant, in the order of their turns, that has one."""
+        found = (self._jobs.next_runnable(now, tenant) for tenant in self._turns.order())
+        return next((job for job in found if job is not None), None)
 
     def _held(self, lease: Lease) -> JobRecord:
         """The stored job, if `lease` is still its newest. Raises StaleLease."""
@@ -97,9 +138,22 @@ class LeasedJobs:
         return job
 
 
+def _ran_ms(job: JobRecord, now: Instant) -> int:
+    """How long the run under way has lasted; 0 where the machine was started anew since."""
+    return now.ms - job.claimed_ms if job.lease_epoch == now.epoch else 0
+
+
+def _forgiven(job: JobRecord) -> JobRecord:
+    """The run under way does not count against the job, unless too many have not already."""
+    return job if job.forgiven >= MOST_FORGIVEN else replace(job, forgiven=job.forgiven + 1)
+
+
 def _queued_again(job: JobRecord, now: Instant) -> JobRecord:
-    """Back in the queue after a growing delay: a job that kills its workers lets other jobs run in between."""
-    later = now.ms + RETRY_DELAY_MS * job.attempts
+    """Back in the queue after a pause: a job that kills its workers, or takes long in vain, lets others run in between.
+
+    The pause grows with the attempts and is no shorter than the run was.
+    """
+    later = now.ms + max(RETRY_DELAY_MS * job.attempts, _ran_ms(job, now))
     return replace(job, state=OperationState.QUEUED.value, lease_epoch=now.epoch, not_before_ms=later)
 
 

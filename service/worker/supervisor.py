@@ -10,7 +10,6 @@ import sys
 from asyncio.subprocess import Process
 from collections import Counter
 from contextlib import suppress
-from enum import StrEnum
 from functools import partial
 from pathlib import Path
 
@@ -22,7 +21,7 @@ from revisit.service.application.contract.clock import Clock, Instant
 from revisit.service.application.contract.errors import Unavailable
 from revisit.service.application.contract.storage import Storage
 from revisit.service.application.contract.transactions import UnitOfWork
-from revisit.service.worker.heartbeat import OVERTIME
+from revisit.service.worker.ends import WorkerEnd, end_of, is_innocent, out_of_memory_kills, reason_of
 
 RESPAWN_S = (0.1, 2.0)
 STEADY_S = 30.0
@@ -32,16 +31,6 @@ SILENT_LEASES = 3
 """A worker that has not shown itself for so many leases is ended: something in it holds every thread."""
 
 log = structlog.get_logger(__name__)
-
-
-class WorkerEnd(StrEnum):
-    """How a worker process ended."""
-
-    STOPPED = "stopped"
-    KILLED = "killed"
-    SILENT = "silent"
-    OVERTIME = "overtime"
-    FAILED = "failed"
 
 
 class WorkerSupervisor:
@@ -60,6 +49,16 @@ class WorkerSupervisor:
         self._stopping = False
         self._count = count
         self.ends: Counter[WorkerEnd] = Counter(dict.fromkeys(WorkerEnd, 0))
+
+    async def take_over(self) -> None:
+        """Forgive the runs that were under way when the gateway before this one ended. Call it before `start`."""
+        try:
+            forgiven = await self._storage.write(lambda uow: uow.queue.forgive())
+        except Unavailable as error:
+            log.warning("runs_not_forgiven", reason=error.message)
+            return
+        if forgiven:
+            log.info("runs_forgiven", runs=forgiven)
 
     def start(self) -> None:
         """Start the workers; returns at once."""
@@ -98,7 +97,7 @@ class WorkerSupervisor:
 
     async def _run_once(self) -> WorkerEnd:
         """Run one worker process to its end, and let go of what it held; how it ended."""
-        worker_id = f"worker-{secrets.token_hex(4)}"
+        worker_id, killed_before = f"worker-{secrets.token_hex(4)}", out_of_memory_kills()
         arguments = ("worker", "--id", worker_id, "--parent", str(os.getpid()))
         process = await asyncio.create_subprocess_exec(
             sys.executable, "-m", "revisit.service", *arguments, env=_environment(), stdin=asyncio.subprocess.DEVNULL
@@ -112,10 +111,11 @@ class WorkerSupervisor:
         self._processes.discard(process)
         watch.cancel()
         silent = watch.done() and not watch.cancelled()
-        end = WorkerEnd.SILENT if silent else _end_of(status)
+        end = WorkerEnd.SILENT if silent else end_of(status)
         self.ends[end] += 1
         log.info("worker_ended", worker=worker_id, pid=process.pid, status=status, end=end.value)
-        await self._release(worker_id, _reason(end, status))
+        innocent = is_innocent(end, status, out_of_memory_kills() - killed_before)
+        await self._release(worker_id, reason_of(end, status), innocent=innocent)
         return end
 
     async def _end_when_silent(self, process: Process, worker_id: str) -> None:
@@ -143,15 +143,15 @@ class WorkerSupervisor:
             return True
         return any(worker.worker_id == worker_id for worker in alive)
 
-    async def _release(self, worker_id: str, reason: str) -> None:
-        now = self._clock.instant()
+    async def _release(self, worker_id: str, reason: str, *, innocent: bool) -> None:
+        release = partial(_release, worker_id=worker_id, now=self._clock.instant(), reason=reason, innocent=innocent)
         try:
-            released = await self._storage.write(partial(_release, worker_id=worker_id, now=now, reason=reason))
+            released = await self._storage.write(release)
         except Unavailable as error:
             log.warning("leases_not_released", worker=worker_id, reason=error.message)
             return
         if released:
-            log.warning("worker_died_at_work", worker=worker_id, reason=reason)
+            log.warning("worker_died_at_work", worker=worker_id, reason=reason, innocent=innocent)
 
 
 def _send(process: Process, number: signal.Signals) -> None:
@@ -160,27 +160,10 @@ def _send(process: Process, number: signal.Signals) -> None:
         process.send_signal(number)
 
 
-def _end_of(status: int) -> WorkerEnd:
-    if status == 0:
-        return WorkerEnd.STOPPED
-    if status == OVERTIME:
-        return WorkerEnd.OVERTIME
-    return WorkerEnd.KILLED if status < 0 else WorkerEnd.FAILED
-
-
-def _reason(end: WorkerEnd, status: int) -> str:
-    """Why a run did not come back, as the end of a sentence."""
-    if end is WorkerEnd.SILENT:
-        return "its worker hung without a sign of life"
-    if status < 0:
-        return f"its worker was ended by signal {-status} ({signal.strsignal(-status)})"
-    return f"its worker ended with status {status}"
-
-
-def _release(uow: UnitOfWork, worker_id: str, now: Instant, reason: str) -> int:
+def _release(uow: UnitOfWork, worker_id: str, now: Instant, reason: str, *, innocent: bool) -> int:
     """Forget a dead worker; how many jobs it held."""
     uow.workers.forget(worker_id)
-    return uow.queue.release(worker_id, now, reason)
+    return uow.queue.release(worker_id, now, reason, innocent=innocent)
 
 
 def _environment() -> dict[str, str]:

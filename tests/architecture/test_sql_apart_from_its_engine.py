@@ -11,10 +11,20 @@ from sqlalchemy import event
 from sqlalchemy.dialects import postgresql
 from sqlalchemy.schema import CreateIndex, CreateTable
 
-from revisit.service.adapters.sql import access, blob_addresses, change_log, jobs, repositories, tables, worker_log
+from revisit.service.adapters.sql import (
+    access,
+    blob_addresses,
+    change_log,
+    jobs,
+    repositories,
+    tables,
+    turns,
+    worker_log,
+)
+from revisit.service.adapters.sql.turns import SqlTenantTurns
 from revisit.service.application.contract.access_ports import AuditRecord, KeyRecord
 from revisit.service.application.contract.clock import Instant
-from revisit.service.application.contract.records import WorkerRecord
+from revisit.service.application.contract.records import TurnRecord, WorkerRecord
 from tests.contract.test_transactions import fill
 from tests.support.plain_engine import HIGHEST, PlainTransactions
 from tests.support.records import TENANT, a_job, a_map
@@ -42,11 +52,15 @@ CALLS = {
     "SqlScans.with_seqs": lambda uow: uow.scans.with_seqs(TENANT, "town", "monday", [1, 2]),
     "SqlSubmaps.last_number": lambda uow: uow.submaps.last_number(),
     "SqlSubmaps.waiting_up_to": lambda uow: uow.submaps.waiting_up_to(TENANT, "town", 2),
-    "SqlJobs.next_runnable": lambda uow: (uow.jobs.next_runnable(NOW), uow.jobs.add(a_job())),
+    "SqlJobs.next_runnable": lambda uow: (uow.jobs.next_runnable(NOW, TENANT), uow.jobs.add(a_job())),
     "SqlJobs.exhausted": lambda uow: uow.jobs.exhausted(NOW),
     "SqlJobs.leased_to": lambda uow: uow.jobs.leased_to("worker"),
     "SqlJobs.forget_answers": lambda uow: uow.jobs.forget_answers(5, 10),
     "SqlJobs.oldest_queued_ns": lambda uow: uow.jobs.oldest_queued_ns(),
+    "SqlTenantTurns.waiting": lambda uow: SqlTenantTurns(uow.connection).waiting(),
+    "SqlTenantTurns.of": lambda uow: SqlTenantTurns(uow.connection).of(TENANT),
+    "SqlTenantTurns.latest_start_ms": lambda uow: SqlTenantTurns(uow.connection).latest_start_ms(),
+    "SqlTenantTurns.keep": lambda uow: SqlTenantTurns(uow.connection).keep(TurnRecord(TENANT, 1, 2)),
     "SqlChangeLog.record_described": lambda uow: uow.changes.record_described(TENANT, 1, 1),
     "SqlChangeLog.record_removed": lambda uow: uow.changes.record_removed(TENANT, 1, [1, 2]),
     "SqlChangeLog.since": lambda uow: uow.changes.since(TENANT, 1, 0, 5),
@@ -87,7 +101,7 @@ def for_postgresql(statement) -> str:
 
 
 def test_every_method_of_the_repositories_is_called():
-    modules = (access, change_log, jobs, repositories, worker_log)
+    modules = (access, change_log, jobs, repositories, turns, worker_log)
     public = {
         f"{name}.{method}"
         for module in modules
@@ -107,7 +121,7 @@ def test_every_statement_compiles_for_postgresql(statements):
 
 @pytest.mark.parametrize("table", tables.metadata.sorted_tables, ids=lambda table: table.name)
 def test_every_table_compiles_for_postgresql(table):
-    assert "SERIAL" in for_postgresql(CreateTable(table)) or table.name == "workers"
+    assert "SERIAL" in for_postgresql(CreateTable(table)) or table.name in ("workers", "tenant_turns")
     assert all(index.name in for_postgresql(CreateIndex(index)) for index in table.indexes)
 
 

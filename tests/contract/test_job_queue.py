@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from revisit.service.adapters.leased_jobs import MOST_FORGIVEN
 from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.errors import StaleLease
 from tests.support.records import TENANT, a_job
@@ -22,14 +23,20 @@ def queue(write):
             for operation_id in ids:
                 write(lambda uow, operation_id=operation_id: uow.queue.enqueue(a_job(operation_id, **fields)))
 
-        def claim(self, ms=0, owner="w1", epoch="boot", after=""):
-            return write(lambda uow: uow.queue.claim(owner, at(ms, epoch), after))
+        def claim(self, ms=0, owner="w1", epoch="boot"):
+            return write(lambda uow: uow.queue.claim(owner, at(ms, epoch)))
 
         def fail(self, lease, ms=0, retry=True):
             return write(lambda uow: uow.queue.fail(lease, "INTERNAL", "why", at(ms), 7, retry=retry))
 
-        def complete(self, lease):
-            write(lambda uow: uow.queue.complete(lease, {"ok": True}, 7))
+        def complete(self, lease, ms=0):
+            write(lambda uow: uow.queue.complete(lease, {"ok": True}, at(ms), 7))
+
+        def release(self, owner, ms=0, **why):
+            return write(lambda uow: uow.queue.release(owner, at(ms), why.pop("reason", "it fell over"), **why))
+
+        def forgive(self):
+            return write(lambda uow: uow.queue.forgive())
 
         def extend(self, lease, ms):
             write(lambda uow: uow.queue.extend(lease, at(ms)))
@@ -61,7 +68,7 @@ def test_queries_that_ended_long_ago_are_forgotten_and_nothing_else(queue, write
     for operation_id, finished_at_ns in ends.items():
         queue.enqueue(operation_id, priority=0, tenant=f"of-{operation_id}")
         lease = queue.claim()
-        write(lambda uow, lease=lease, at=finished_at_ns: uow.queue.complete(lease, {}, at))
+        write(lambda uow, lease=lease, at=finished_at_ns: uow.queue.complete(lease, {}, Instant("boot", 0), at))
     queue.enqueue("described", priority=1)
     queue.complete(queue.claim())  # ended before all others, but belongs to a submap
     queue.enqueue("waiting", priority=0)
@@ -80,20 +87,76 @@ def test_tenants_take_turns_however_many_jobs_one_of_them_has(queue):
     queue.enqueue(*(f"a{number}" for number in range(50)), tenant="anna")
     queue.enqueue("b0", "b1", tenant="bert")
     queue.enqueue("c0", tenant="carl", priority=0)
-    order, last = [], ""
-    for _ in range(7):
-        job = queue.claim(after=last).job
-        order.append(job.operation_id)
-        last = job.tenant
-    assert order == ["a0", "b0", "c0", "a1", "b1", "a2", "a3"]
+    assert [queue.claim().job.operation_id for _ in range(7)] == ["a0", "b0", "c0", "a1", "b1", "a2", "a3"]
+
+
+def test_tenants_share_the_time_of_the_workers_not_their_number_of_jobs(queue):
+    queue.enqueue(*(f"a{number}" for number in range(5)), tenant="anna")
+    queue.enqueue(*(f"b{number}" for number in range(9)), tenant="bert")
+    ms, order = 0, []
+    while len(order) < 8:
+        lease = queue.claim(ms)
+        order.append(lease.job.operation_id)
+        ms += 4_000 if lease.job.tenant == "anna" else 1_000
+        queue.complete(lease, ms)
+    assert order == ["a0", "b0", "b1", "b2", "b3", "a1", "b4", "b5"]
+
+
+def test_a_tenant_that_had_nothing_to_do_has_saved_up_no_claim(queue):
+    queue.enqueue("a0", "a1", "a2", tenant="anna")
+    for ms in (0, 60_000):
+        queue.complete(queue.claim(ms), ms + 60_000)
+    queue.enqueue("b0", "b1", "b2", tenant="bert")
+    b0 = queue.claim(120_000)
+    queue.complete(b0, 180_001)
+    assert (b0.job.operation_id, queue.claim(180_001).job.operation_id) == ("b0", "a2")
+
+
+TIMEOUT_MS = 120_000
+
+
+def test_jobs_that_run_out_of_time_again_and_again_keep_another_tenant_waiting_for_one_of_them_at_most(queue):
+    queue.enqueue("a0", "a1", "a2", tenant="anna")
+    ms, waited_ms = 0, []
+    for round_number in range(6):
+        # Bert asks in the middle of the run; the worker that it ends is replaced by one that remembers nothing.
+        hopeless = queue.claim(ms, owner=f"w{round_number}")
+        assert hopeless.job.tenant == "anna"
+        queue.enqueue(f"b{round_number}", tenant="bert")
+        asked_ms, ms = ms + TIMEOUT_MS // 2, ms + TIMEOUT_MS
+        queue.fail(hopeless, ms)
+        again = queue.claim(ms, owner=f"v{round_number}")
+        assert again.job.tenant == "bert"
+        waited_ms.append(ms - asked_ms)
+        ms += 1_000
+        queue.complete(again, ms)
+    assert max(waited_ms) <= TIMEOUT_MS
+
+
+def test_a_job_that_ran_out_of_time_lets_the_others_of_its_tenant_go_first(queue):
+    queue.enqueue("a0", "a1", "a2", tenant="anna")
+    queue.fail(queue.claim(0), TIMEOUT_MS)
+    a1 = queue.claim(TIMEOUT_MS)
+    queue.complete(a1, TIMEOUT_MS + 1_000)
+    assert (a1.job.operation_id, queue.claim(TIMEOUT_MS + 1_000).job.operation_id) == ("a1", "a2")
+
+
+def test_the_time_of_a_worker_that_died_is_paid_by_its_tenant(queue):
+    queue.enqueue("a0", "a1", tenant="anna")
+    queue.claim(0, owner="dead")
+    queue.release("dead", 50_000)
+    queue.enqueue("b0", "b1", tenant="bert")
+    for number in range(2):
+        lease = queue.claim(50_000 + number * 1_000)
+        assert lease.job.operation_id == f"b{number}"
+        queue.complete(lease, 51_000 + number * 1_000)
 
 
 def test_a_job_that_a_dead_worker_left_is_claimed_in_its_tenants_turn(queue):
     queue.enqueue("b0", tenant="bert")
-    assert queue.claim(after="anna").job.operation_id == "b0"
+    assert queue.claim().job.operation_id == "b0"
     queue.enqueue("a0", "a1", tenant="anna")
-    assert queue.claim(ms=LEASE_MS, after="anna").job.operation_id == "b0"
-    assert queue.claim(ms=LEASE_MS, after="bert").job.operation_id == "a0"
+    assert [queue.claim(ms=LEASE_MS).job.operation_id for _ in range(3)] == ["a0", "a1", "b0"]
 
 
 def test_the_attempt_is_counted_before_the_run(queue, read):
@@ -142,7 +205,7 @@ def test_a_refused_result_undoes_what_came_with_it(queue, write, read):
 
     def result_with_effect(uow):
         uow.queue.enqueue(a_job("effect"))
-        uow.queue.complete(late, {}, 7)
+        uow.queue.complete(late, {}, at(0), 7)
 
     with pytest.raises(StaleLease):
         write(result_with_effect)
@@ -210,3 +273,58 @@ def test_a_job_whose_last_worker_died_is_buried_with_the_reason(queue, write, re
     assert [job.operation_id for job in queue.fail_exhausted_jobs(ms=3 * LEASE_MS)] == ["op-1"]
     message = "no worker survived the job: 3 attempts, the last one ended because fall 2 broke it"
     assert (stored(read).state, stored(read).failure_message) == ("FAILED", message)
+
+
+def test_runs_that_ended_from_outside_do_not_count_against_their_job(queue, read):
+    queue.enqueue("op-1")
+    ms = 0
+    for run in range(10):
+        queue.claim(ms, owner=f"w{run}")
+        queue.release(f"w{run}", ms, innocent=True)
+        ms += 10_000
+    assert queue.fail_exhausted_jobs(ms) == []
+    lease = queue.claim(ms)
+    assert (lease.job.attempts, lease.job.counted_attempts) == (11, 1)
+    queue.complete(lease, ms)
+    assert (stored(read).state, stored(read).failure_message) == ("DONE", None)
+
+
+def test_a_job_that_ends_its_worker_every_time_is_buried_even_where_it_looks_like_from_outside(queue, read):
+    queue.enqueue("op-1")
+    ms, runs = 0, 0
+    while stored(read).state != "FAILED":
+        assert queue.claim(ms, owner=f"w{runs}") is not None
+        queue.release(f"w{runs}", ms, innocent=True)
+        ms, runs = ms + 60_000, runs + 1
+        queue.fail_exhausted_jobs(ms)
+    assert (runs, stored(read).attempts) == (MOST_FORGIVEN + 3, MOST_FORGIVEN + 3)
+
+
+def test_a_service_that_starts_again_forgives_the_runs_that_were_under_way_once(queue, read):
+    queue.enqueue("op-1", "op-2")
+    queue.claim(0)
+    assert [queue.forgive(), queue.forgive()] == [1, 0]
+    assert (stored(read).attempts, stored(read).counted_attempts) == (1, 0)
+    assert stored(read, "op-2").forgiven == 0
+    queue.claim(1)
+    for run in range(1, 4):
+        assert queue.claim(run * LEASE_MS).job.operation_id == "op-1"
+    assert "op-1" in {job.operation_id for job in queue.fail_exhausted_jobs(4 * LEASE_MS)}
+
+
+def test_a_run_that_was_forgiven_can_still_end_well(queue, read):
+    queue.enqueue("op-1")
+    lease = queue.claim()
+    queue.forgive()
+    queue.complete(lease)
+    assert (stored(read).state, stored(read).failure_message) == ("DONE", None)
+
+
+def test_what_was_given_up_is_not_forgiven(queue, read):
+    queue.enqueue("op-1", max_attempts=1)
+    queue.claim(owner="dead")
+    queue.release("dead", reason="it crashed")
+    assert queue.forgive() == 0
+    assert [job.failure_message for job in queue.fail_exhausted_jobs(1)] == [
+        "no worker survived the job: 1 attempts, the last one ended because it crashed"
+    ]

@@ -21,8 +21,8 @@ GATEWAY_EVERY = 4
 
 @pytest.fixture
 def fleet(folder):
-    """Workers that die often must not use up the attempts of a job."""
-    settings = {"workers": 2, "fake_delay_s": 0.01, "lease_s": 2, "max_attempts": 1000}
+    """As it is shipped, but for the method: workers that die often must not use up the attempts of a job."""
+    settings = {"workers": 2, "fake_delay_s": 0.01}
     with closing(ServiceProcess(folder / "home", **settings)) as service, fleet_of(service) as robots:
         yield robots
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
+import stat
 import threading
 from pathlib import Path
 
@@ -251,3 +253,45 @@ async def test_the_commands_back_up_restore_and_scrub(world, home, tmp_path):
     assert scrubbed.exit_code == 1 and "damaged, moved aside" in scrubbed.output
     again = run.invoke(app, ["backup", str(tmp_path / "c"), "--home", str(tmp_path / "r")])
     assert again.exit_code == 1 and "lost before this backup" in again.output
+
+
+async def test_of_two_backups_into_one_folder_at_once_one_is_refused(world, home, tmp_path, monkeypatch):
+    copying, go_on, real = threading.Event(), threading.Event(), backup._copy_database
+
+    def wait_in_between(*arguments):
+        real(*arguments)
+        copying.set()
+        assert go_on.wait(30)
+
+    monkeypatch.setattr(backup, "_copy_database", wait_in_between)
+    first = asyncio.create_task(asyncio.to_thread(make_backup, home, tmp_path / "backup", "1.0"))
+    await asyncio.to_thread(copying.wait, 30)
+    with pytest.raises(FileExistsError, match="another process"):
+        make_backup(home, tmp_path / "backup", "1.0")
+    go_on.set()
+    assert (await first).blobs == 16
+    restore_backup(tmp_path / "backup", tmp_path / "restored")
+    assert healthy(tmp_path / "restored")
+
+
+async def test_what_an_interrupted_backup_left_is_not_in_the_next(world, home, tmp_path):
+    left = tmp_path / "backup.partial"
+    (left / "blobs").mkdir(parents=True)
+    (left / "blobs/stranger").touch()
+    (left / "revisit.db").write_bytes(b"half a database")
+    make_backup(home, tmp_path / "backup", "1.0")
+    assert not left.exists()
+    assert len(blobs(tmp_path / "backup")) == 16
+
+
+@pytest.mark.parametrize("umask", [0o000, 0o022])
+async def test_a_backup_and_what_is_restored_from_it_are_for_their_owner_only(world, home, tmp_path, umask):
+    before = os.umask(umask)
+    try:
+        make_backup(home, tmp_path / "backup", "1.0")
+        restore_backup(tmp_path / "backup", tmp_path / "restored")
+    finally:
+        os.umask(before)
+    for folder in (tmp_path / "backup", tmp_path / "restored"):
+        made = [folder, *folder.rglob("*")]
+        assert {stat.S_IMODE(path.stat().st_mode) for path in made} == {0o600, 0o700}

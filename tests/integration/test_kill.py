@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 
@@ -10,7 +11,7 @@ import pytest
 
 from tests.support.fake_recogniser import KILLS_THE_WORKER
 from tests.support.processes import ROOT, ServiceProcess, is_running
-from tests.support.town import SESSION, running_town
+from tests.support.town import SESSION, eventually, running_town
 
 
 @pytest.fixture
@@ -37,6 +38,34 @@ def test_a_submap_that_kills_its_worker_fails_after_three_attempts_and_others_pr
     assert town.worked_off() == {"poison": "FAILED", "good": "DESCRIBED"}
     operation = town.operation(poison)
     assert (operation["state"], operation["attempts"]) == ("FAILED", 3)
+
+
+def test_a_submap_whose_worker_is_killed_again_and_again_is_described_all_the_same(tmp_path):
+    with running_town(tmp_path / "home", fake_delay_s="0.5") as town:
+        operation = town.posted("innocent", 1)
+        for run in range(1, 5):
+            eventually(lambda run=run: running_attempt(town, operation) == run, f"run {run} did not begin")
+            (worker,) = town.service.worker_pids()
+            os.kill(worker, signal.SIGKILL)
+        ended = town.ended(operation)
+        assert (ended["state"], ended["attempts"]) == ("DONE", 5)
+
+
+def test_a_submap_that_was_under_way_when_the_service_was_killed_again_and_again_is_described(tmp_path):
+    with running_town(tmp_path / "home", fake_delay_s="0.5", lease_s=1) as town:
+        operation = town.posted("innocent", 1)
+        for run in range(1, 5):
+            eventually(lambda run=run: running_attempt(town, operation) == run, f"run {run} did not begin")
+            town.service.kill()
+            town.service.start()
+        ended = town.ended(operation)
+        assert (ended["state"], ended["attempts"]) == ("DONE", 5)
+
+
+def running_attempt(town, operation):
+    """The number of the run under way; 0 for none."""
+    seen = town.operation(operation)
+    return seen["attempts"] if seen["state"] == "RUNNING" else 0
 
 
 def test_sigterm_drains_and_leaves_no_process(town):

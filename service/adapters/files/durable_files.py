@@ -7,6 +7,7 @@ no data: it reserves blocks of the disk, which are released when the disk fills 
 from __future__ import annotations
 
 import errno
+import fcntl
 import os
 import resource
 import secrets
@@ -61,7 +62,7 @@ def make_directories(path: Path, root: Path) -> None:
 
 def sync_directory(path: Path) -> None:
     """Make the names in a directory survive a power cut."""
-    descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    descriptor = open_folder(path)
     try:
         os.fsync(descriptor)
     finally:
@@ -105,6 +106,22 @@ def move_durably(path: Path, target: Path) -> None:
 def open_lock(path: Path) -> int:
     """Open (or make) a file to be locked with `flock`; the descriptor, which the caller closes."""
     return os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+
+
+def open_folder(path: Path) -> int:
+    """Open a folder, to be synced or locked; the descriptor, which the caller closes."""
+    return os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+
+
+def try_lock(descriptor: int) -> bool:
+    """Take the `flock` of an open file or folder, unless somebody else has it; closing the descriptor gives it back."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno in (errno.EAGAIN, errno.EACCES):
+            return False
+        raise
+    return True
 
 
 def _private(path: str, flags: int) -> int:

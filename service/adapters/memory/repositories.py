@@ -15,6 +15,7 @@ from revisit.service.application.contract.records import (
     JobRecord,
     ScanRecord,
     SubmapRecord,
+    TurnRecord,
     WorkerRecord,
 )
 from revisit.service.application.contract.states import OperationState, SubmapState
@@ -134,18 +135,19 @@ class MemorySubmaps(MemoryRepository[SubmapRecord]):
 class MemoryJobs(MemoryRepository[JobRecord]):
     """`JobRepository`."""
 
-    def next_runnable(self, now: Instant, after: str = "") -> JobRecord | None:
+    def next_runnable(self, now: Instant, tenant: TenantId) -> JobRecord | None:
         """See `JobRepository`."""
-        due = [job for job in self._all() if _due(job, now)]
-        return min(due, key=lambda job: (job.tenant <= after, job.tenant, job.priority, job.number), default=None)
+        due = [job for job in self._all() if job.tenant == tenant and _due(job, now)]
+        return min(due, key=lambda job: (job.priority, job.number), default=None)
 
     def exhausted(self, now: Instant) -> list[JobRecord]:
         """See `JobRepository`."""
-        return [job for job in self._all() if _lost(job, now) and job.attempts >= job.max_attempts]
+        return [job for job in self._all() if _lost(job, now) and job.counted_attempts >= job.max_attempts]
 
-    def leased_to(self, owner: str) -> list[JobRecord]:
+    def leased_to(self, owner: str | None) -> list[JobRecord]:
         """See `JobRepository`."""
-        return [job for job in self._all() if job.state == OperationState.RUNNING and job.lease_owner == owner]
+        running = (job for job in self._all() if job.state == OperationState.RUNNING)
+        return [job for job in running if owner in (None, job.lease_owner)]
 
     def forget_answers(self, before_ns: int, limit: int) -> int:
         """See `JobRepository`."""
@@ -170,7 +172,7 @@ def _lost(job: JobRecord, now: Instant) -> bool:
 def _due(job: JobRecord, now: Instant) -> bool:
     if job.state == OperationState.QUEUED:
         return job.lease_epoch != now.epoch or job.not_before_ms <= now.ms
-    return _lost(job, now) and job.attempts < job.max_attempts
+    return _lost(job, now) and job.counted_attempts < job.max_attempts
 
 
 @dataclass(frozen=True)
@@ -245,3 +247,34 @@ class MemoryWorkerLog:
         kept = {number: row for number, row in self._rows.by_number.items() if row.worker_id != worker_id}
         self._rows.by_number.clear()
         self._rows.by_number.update(kept)
+
+
+class MemoryTenantTurns:
+    """`TenantTurns`."""
+
+    def __init__(self, turns: Rows, jobs: MemoryJobs) -> None:
+        """Turns by their place in `turns`; `jobs` tells who waits."""
+        self._turns = turns
+        self._jobs = jobs
+
+    def waiting(self) -> list[TurnRecord]:
+        """See `TenantTurns`."""
+        unfinished = (OperationState.QUEUED, OperationState.RUNNING)
+        tenants = {job.tenant for job in self._jobs.of_all_tenants() if job.state in unfinished}
+        return [self.of(tenant) for tenant in sorted(tenants)]
+
+    def of(self, tenant: TenantId) -> TurnRecord:
+        """See `TenantTurns`."""
+        turns = self._turns.by_number.values()
+        return next((turn for turn in turns if turn.tenant == tenant), TurnRecord(tenant))
+
+    def latest_start_ms(self) -> int:
+        """See `TenantTurns`."""
+        return max((turn.started_ms for turn in self._turns.by_number.values()), default=0)
+
+    def keep(self, turn: TurnRecord) -> None:
+        """See `TenantTurns`."""
+        others = {number: row for number, row in self._turns.by_number.items() if row.tenant != turn.tenant}
+        self._turns.last += 1
+        self._turns.by_number.clear()
+        self._turns.by_number.update({**others, self._turns.last: turn})

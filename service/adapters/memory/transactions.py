@@ -7,6 +7,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import TypeVar
 
+from revisit.service.adapters.fair_turns import FairTurns
 from revisit.service.adapters.leased_jobs import LeasedJobs
 from revisit.service.adapters.memory.access import MemoryAuditTrail, MemoryKeyRing
 from revisit.service.adapters.memory.repositories import (
@@ -15,6 +16,7 @@ from revisit.service.adapters.memory.repositories import (
     MemoryRepository,
     MemoryScans,
     MemorySubmaps,
+    MemoryTenantTurns,
     MemoryWorkerLog,
     Rows,
 )
@@ -23,7 +25,10 @@ from revisit.service.application.contract.transactions import UnitOfWork
 
 T = TypeVar("T")
 
-_TABLES = ("maps", "robots", "sessions", "scans", "submaps", "loops", "jobs", "changes", "workers", "keys", "audit")
+_TABLES = (
+    *("maps", "robots", "sessions", "scans", "submaps", "loops"),
+    *("jobs", "turns", "changes", "workers", "keys", "audit"),
+)
 
 
 class MemoryUnitOfWork:
@@ -38,7 +43,7 @@ class MemoryUnitOfWork:
         self.submaps = MemorySubmaps(tables["submaps"], ("map_id", "session_id", "submap_id"))
         self.loops: MemoryRepository[LoopRecord] = MemoryRepository(tables["loops"], ("map_id", "loop_id"))
         self.jobs = MemoryJobs(tables["jobs"], ("operation_id",))
-        self.queue = LeasedJobs(self.jobs, lease_ms)
+        self.queue = LeasedJobs(self.jobs, FairTurns(MemoryTenantTurns(tables["turns"], self.jobs)), lease_ms)
         self.changes = MemoryChangeLog(tables["changes"], tables["submaps"])
         self.workers = MemoryWorkerLog(tables["workers"])
         self.keys = MemoryKeyRing(tables["keys"].by_number)

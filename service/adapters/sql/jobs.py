@@ -10,6 +10,7 @@ from sqlalchemy import ColumnElement, Select, and_, bindparam, delete, func, or_
 from revisit.service.adapters.sql import tables
 from revisit.service.adapters.sql.repositories import SqlRepository
 from revisit.service.application.contract.clock import Instant
+from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.records import JobRecord
 from revisit.service.application.contract.states import OperationState
 
@@ -17,25 +18,23 @@ from revisit.service.application.contract.states import OperationState
 class SqlJobs(SqlRepository[JobRecord]):
     """`JobRepository`."""
 
-    def next_runnable(self, now: Instant, after: str = "") -> JobRecord | None:
+    def next_runnable(self, now: Instant, tenant: TenantId) -> JobRecord | None:
         """See `JobRepository`."""
-        moment = {**_moment(now), "after": after}
+        asked = {**_moment(now), "tenant": tenant}
         # One query per state: each walks the index of its state, however many jobs have finished.
-        for before in (False, True):
-            rows = [self._connection.execute(_runnable(lost, before), moment).first() for lost in (False, True)]
-            if first := [self._of(row) for row in rows if row is not None]:
-                return min(first, key=lambda job: (job.tenant, job.priority, job.number))
-        return None
+        rows = [self._connection.execute(_runnable(lost), asked).first() for lost in (False, True)]
+        first = [self._of(row) for row in rows if row is not None]
+        return min(first, key=lambda job: (job.priority, job.number), default=None)
 
     def exhausted(self, now: Instant) -> list[JobRecord]:
         """See `JobRepository`."""
         return [self._of(row) for row in self._connection.execute(_exhausted(), _moment(now))]
 
-    def leased_to(self, owner: str) -> list[JobRecord]:
+    def leased_to(self, owner: str | None) -> list[JobRecord]:
         """See `JobRepository`."""
-        query = select(tables.jobs).where(
-            tables.jobs.c.state == OperationState.RUNNING.value, tables.jobs.c.lease_owner == owner
-        )
+        query = select(tables.jobs).where(tables.jobs.c.state == OperationState.RUNNING.value)
+        if owner is not None:
+            query = query.where(tables.jobs.c.lease_owner == owner)
         return [self._of(row) for row in self._connection.execute(query)]
 
     def forget_answers(self, before_ns: int, limit: int) -> int:
@@ -54,26 +53,25 @@ class SqlJobs(SqlRepository[JobRecord]):
 
 
 @cache
-def _runnable(lost: bool, before: bool) -> Select[Any]:
-    """The next queued job, or the next whose lease is `lost`, of the tenants after `after`, or of those up to it.
-
-    Takes `_moment` and `after`.
-    """
+def _runnable(lost: bool) -> Select[Any]:
+    """The next queued job of a tenant, or the next whose lease is `lost`. Takes `_moment` and `tenant`."""
     jobs = tables.jobs.c
     due = or_(jobs.lease_epoch != bindparam("epoch"), jobs.not_before_ms <= bindparam("now_ms"))
     ready = (
-        and_(_lost(), jobs.attempts < jobs.max_attempts)
-        if lost
-        else and_(jobs.state == OperationState.QUEUED.value, due)
+        and_(_lost(), _counted() < jobs.max_attempts) if lost else and_(jobs.state == OperationState.QUEUED.value, due)
     )
-    turn = jobs.tenant <= bindparam("after") if before else jobs.tenant > bindparam("after")
-    return select(tables.jobs).where(ready, turn).order_by(jobs.tenant, jobs.priority, jobs.number).limit(1)
+    own = jobs.tenant == bindparam("tenant")
+    return select(tables.jobs).where(ready, own).order_by(jobs.priority, jobs.number).limit(1)
 
 
 @cache
 def _exhausted() -> Select[Any]:
     """The jobs whose last allowed lease is lost. Takes `_moment`."""
-    return select(tables.jobs).where(_lost(), tables.jobs.c.attempts >= tables.jobs.c.max_attempts)
+    return select(tables.jobs).where(_lost(), _counted() >= tables.jobs.c.max_attempts)
+
+
+def _counted() -> ColumnElement[int]:
+    return tables.jobs.c.attempts - tables.jobs.c.forgiven
 
 
 def _lost() -> ColumnElement[bool]:

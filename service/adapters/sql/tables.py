@@ -226,6 +226,7 @@ jobs = _numbered(
     _text("lease_owner", nullable=True),
     _integer("lease_token"),
     _text("lease_epoch"),
+    Column("claimed_ms", BigInteger, nullable=False, server_default="0"),
     _integer("not_before_ms"),
     _integer("lease_expires_ms"),
     _text("request_id", nullable=True),
@@ -234,6 +235,7 @@ jobs = _numbered(
     _text("failure_code", nullable=True),
     Column("failure_message", Text, nullable=True),
     _integer("finished_at_ns", nullable=True),
+    Column("forgiven", BigInteger, nullable=False, server_default="0"),
     Index(None, "state", "tenant", "priority"),
     Index(None, "tenant", "state"),
     Index(None, "finished_at_ns", info={"where": ANSWERED_QUERIES}),
@@ -257,4 +259,12 @@ workers = Table(
     Column("model_version", String(128), nullable=False),
     Column("epoch", String(64), nullable=False),
     Column("seen_ms", BigInteger, nullable=False),
+)
+
+tenant_turns = Table(
+    "tenant_turns",
+    metadata,
+    Column("tenant", String(64), primary_key=True),
+    Column("started_ms", BigInteger, nullable=False),
+    Column("spent_ms", BigInteger, nullable=False),
 )

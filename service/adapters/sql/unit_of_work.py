@@ -7,6 +7,7 @@ from functools import cached_property
 
 from sqlalchemy import Connection
 
+from revisit.service.adapters.fair_turns import FairTurns
 from revisit.service.adapters.leased_jobs import LeasedJobs
 from revisit.service.adapters.sql import tables
 from revisit.service.adapters.sql.access import SqlAuditTrail, SqlKeyRing
@@ -14,6 +15,7 @@ from revisit.service.adapters.sql.change_log import SqlChangeLog
 from revisit.service.adapters.sql.engine import DatabaseEngine
 from revisit.service.adapters.sql.jobs import SqlJobs
 from revisit.service.adapters.sql.repositories import SqlRepository, SqlScans, SqlSubmaps
+from revisit.service.adapters.sql.turns import SqlTenantTurns
 from revisit.service.adapters.sql.worker_log import SqlWorkerLog
 from revisit.service.application.contract.records import (
     JobRecord,
@@ -73,7 +75,7 @@ class SqlUnitOfWork:
     @cached_property
     def queue(self) -> LeasedJobs:
         """The job queue in this transaction."""
-        return LeasedJobs(self.jobs, self.lease_ms)
+        return LeasedJobs(self.jobs, FairTurns(SqlTenantTurns(self.connection)), self.lease_ms)
 
     @cached_property
     def changes(self) -> SqlChangeLog:

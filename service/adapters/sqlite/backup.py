@@ -12,7 +12,8 @@ import json
 import os
 import shutil
 import sqlite3
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -23,6 +24,8 @@ from revisit.service.adapters.files.durable_files import (
     durable_write,
     make_directories,
     move_durably,
+    open_folder,
+    try_lock,
     write_later_synced,
 )
 from revisit.service.adapters.sqlite.blob_rows import named_blobs
@@ -55,20 +58,46 @@ class BackupRefused(DataLoss):
 def make_backup(home: Path, out: Path, version: str) -> Manifest:
     """Back up the data folder `home` into the new folder `out`; the service may run.
 
-    Raises FileExistsError where `out` is there already, FileNotFoundError where there is no database, OSError.
+    Raises FileExistsError where `out` is there already or another backup into it is under way, FileNotFoundError where
+    there is no database, OSError.
     """
-    if out.exists():
-        raise FileExistsError(f"{out} exists already: a backup goes into a new folder")
+    _require_new(out)
     revision = current_revision(home / DATABASE)
     if revision is None:
         raise FileNotFoundError(f"there is no database in {home}")
-    partial = _emptied(out.with_name(f"{out.name}.partial"))
+    with _own_folder(out.with_name(f"{out.name}.partial")) as partial:
+        # Somebody may have finished one while this one waited for its turn.
+        _require_new(out)
+        manifest = _fill_backup(home, partial, version, revision)
+        durable_write(partial / MANIFEST, json.dumps(asdict(manifest), indent=2).encode())
+        _give_name(partial, out)
+    return manifest
+
+
+def restore_backup(archive: Path, home: Path) -> Manifest:
+    """Make the data folder `home`, which must be missing or empty, out of a backup; all of it or nothing.
+
+    Raises BackupRefused, FileExistsError, OSError.
+    """
+    _require_empty(home)
+    manifest = read_manifest(archive)
+    _check_database(archive / DATABASE, manifest)
+    with _own_folder(home.with_name(f"{home.name}.restoring")) as partial:
+        _require_empty(home)
+        _fill_home(archive, partial, manifest)
+        if home.exists():
+            home.rmdir()
+        _give_name(partial, home)
+    return manifest
+
+
+def _fill_backup(home: Path, partial: Path, version: str, revision: str) -> Manifest:
     (home / BLOBS).mkdir(exist_ok=True, mode=0o700)
     with nothing_deleted(home / BLOBS):
         _copy_database(home / DATABASE, partial / DATABASE)
         with closing(open_to_read(partial / DATABASE, at_rest=True)) as rows:
             count, size_bytes, lost = _copy_blobs(rows, home / BLOBS, partial / BLOBS)
-    manifest = Manifest(
+    return Manifest(
         format=FORMAT,
         version=version,
         revision=revision,
@@ -78,21 +107,10 @@ def make_backup(home: Path, out: Path, version: str) -> Manifest:
         blob_bytes=size_bytes,
         lost=lost,
     )
-    durable_write(partial / MANIFEST, json.dumps(asdict(manifest), indent=2).encode())
-    _give_name(partial, out)
-    return manifest
 
 
-def restore_backup(archive: Path, home: Path) -> Manifest:
-    """Make the data folder `home`, which must be missing or empty, out of a backup; all of it or nothing.
-
-    Raises BackupRefused, FileExistsError, OSError.
-    """
-    if home.exists() and any(home.iterdir()):
-        raise FileExistsError(f"{home} is not empty: a backup is restored into a new data folder")
-    manifest = read_manifest(archive)
-    _check_database(archive / DATABASE, manifest)
-    partial = _emptied(home.with_name(f"{home.name}.restoring"))
+def _fill_home(archive: Path, partial: Path, manifest: Manifest) -> None:
+    """Raises BackupRefused, and leaves nothing, where a blob is not as the manifest says."""
     _copy_file(archive / DATABASE, partial / DATABASE)
     with closing(open_to_read(archive / DATABASE, at_rest=True)) as rows:
         count, _, lost = _copy_blobs(rows, archive / BLOBS, partial / BLOBS)
@@ -102,10 +120,16 @@ def restore_backup(archive: Path, home: Path) -> Manifest:
         raise BackupRefused(
             f"{len(unexpected)} blobs of the backup are missing or damaged: {', '.join(unexpected[:3])}"
         )
-    if home.exists():
-        home.rmdir()
-    _give_name(partial, home)
-    return manifest
+
+
+def _require_new(out: Path) -> None:
+    if out.exists():
+        raise FileExistsError(f"{out} exists already: a backup goes into a new folder")
+
+
+def _require_empty(home: Path) -> None:
+    if home.exists() and any(home.iterdir()):
+        raise FileExistsError(f"{home} is not empty: a backup is restored into a new data folder")
 
 
 def read_manifest(archive: Path) -> Manifest:
@@ -135,6 +159,8 @@ def _check_database(database: Path, manifest: Manifest) -> None:
 
 def _copy_database(database: Path, target: Path) -> None:
     """Copy one snapshot in one step, which writers cannot change or restart."""
+    # SQLite would make the file for everyone to read, and its journal like it.
+    write_later_synced(target, b"")
     with closing(open_to_read(database)) as source, closing(sqlite3.connect(target)) as copy:
         source.backup(copy)
         # Without a write-ahead log the backup is one file.
@@ -151,10 +177,17 @@ def _copy_blobs(rows: sqlite3.Connection, source: Path, target: Path) -> tuple[i
             lost.append(f"{blob.tenant}/{blob.kind}/{blob.sha256}")
             continue
         path = blob_path(target, blob)
-        path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        _make_private(path.parent)
         write_later_synced(path, data)
         count, size_bytes = count + 1, size_bytes + len(data)
     return count, size_bytes, tuple(lost)
+
+
+def _make_private(folder: Path) -> None:
+    """Make the folder and the parents that it lacks, for this user only: mkdir would make the parents for everyone."""
+    if not folder.is_dir():
+        _make_private(folder.parent)
+        folder.mkdir(mode=0o700)
 
 
 def _copy_file(source: Path, target: Path) -> None:
@@ -162,11 +195,28 @@ def _copy_file(source: Path, target: Path) -> None:
         write_later_synced(target, file.read())
 
 
-def _emptied(folder: Path) -> Path:
-    """The folder, empty: what an interrupted attempt left in it is deleted."""
-    shutil.rmtree(folder, ignore_errors=True)
+@contextmanager
+def _own_folder(folder: Path) -> Iterator[Path]:
+    """The folder, empty and ours alone: what an interrupted attempt left in it is deleted.
+
+    Raises FileExistsError where another process fills it. The lock goes with the folder when that gets another name,
+    and with this process when it ends.
+    """
     make_directories(folder, folder.parent)
-    return folder
+    descriptor = open_folder(folder)
+    try:
+        if not try_lock(descriptor) or not _is(folder, descriptor):
+            raise FileExistsError(f"{folder} is being filled by another process")
+        for left in folder.iterdir():
+            shutil.rmtree(left) if left.is_dir() else left.unlink()
+        yield folder
+    finally:
+        os.close(descriptor)
+
+
+def _is(folder: Path, descriptor: int) -> bool:
+    """Whether the folder of this name is still the one that was opened."""
+    return folder.exists() and os.path.samestat(folder.stat(), os.fstat(descriptor))
 
 
 def _give_name(partial: Path, target: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import fcntl
 import os
 import time
@@ -10,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from revisit.service.adapters.files.durable_files import open_lock
+from revisit.service.adapters.files.durable_files import open_lock, try_lock
 from revisit.service.application.contract.errors import StorageUncertain
 
 LOCK_TIMEOUT_S = 5.0
@@ -48,7 +47,7 @@ class WriterLock:
 @contextmanager
 def _locked(descriptor: int, deadline: float) -> Iterator[None]:
     """Hold one `flock`. Raises StorageUncertain at `deadline` of the monotonic clock."""
-    while not _try_lock(descriptor):
+    while not try_lock(descriptor):
         if time.monotonic() > deadline:
             raise StorageUncertain("another process holds the database; nothing was stored")
         time.sleep(0.001)
@@ -56,13 +55,3 @@ def _locked(descriptor: int, deadline: float) -> Iterator[None]:
         yield
     finally:
         fcntl.flock(descriptor, fcntl.LOCK_UN)
-
-
-def _try_lock(descriptor: int) -> bool:
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        if error.errno in (errno.EAGAIN, errno.EACCES):
-            return False
-        raise
-    return True

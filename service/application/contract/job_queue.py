@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from revisit.service.application.contract.clock import Instant
-from revisit.service.application.contract.records import JobRecord, WorkerRecord
+from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.records import JobRecord, TurnRecord, WorkerRecord
 
 
 @dataclass(frozen=True)
@@ -19,8 +20,8 @@ class Lease:
 class LeasedRuns(Protocol):
     """What a worker does with one job: lease it, keep the lease, report its end."""
 
-    def claim(self, owner: str, now: Instant, after: str = "") -> Lease | None:
-        """Lease the next runnable job behind tenant `after` to `owner`; the attempt is counted before the run."""
+    def claim(self, owner: str, now: Instant) -> Lease | None:
+        """Lease the next runnable job, of the tenant whose turn it is, to `owner`; the attempt is counted before."""
         ...
 
     def require(self, lease: Lease) -> None:
@@ -31,7 +32,7 @@ class LeasedRuns(Protocol):
         """Keep the lease. Raises StaleLease where another worker holds the job by now."""
         ...
 
-    def complete(self, lease: Lease, result: dict[str, Any], finished_at_ns: int) -> None:
+    def complete(self, lease: Lease, result: dict[str, Any], now: Instant, finished_at_ns: int) -> None:
         """End the job well. Raises StaleLease."""
         ...
 
@@ -47,8 +48,18 @@ class LostRuns(Protocol):
         """Fail the jobs whose lease has run out with no attempts left; returns them."""
         ...
 
-    def release(self, owner: str, now: Instant, reason: str) -> int:
-        """End the runs of a worker that died of `reason`, without waiting for its leases to run out; how many."""
+    def release(self, owner: str, now: Instant, reason: str, *, innocent: bool = False) -> int:
+        """End the runs of a worker that died of `reason`, without waiting for its leases to run out; how many.
+
+        `innocent`: the job had no part in it, so the run does not count against it, up to a bound.
+        """
+        ...
+
+    def forgive(self) -> int:
+        """The service has started again: the runs under way do not count against their jobs, up to a bound; how many.
+
+        Their leases stay as they are, since a worker that needs no gateway may still finish one.
+        """
         ...
 
 
@@ -57,6 +68,30 @@ class JobQueue(LeasedRuns, LostRuns, Protocol):
 
     def enqueue(self, job: JobRecord) -> JobRecord:
         """Queue a job."""
+        ...
+
+    def waits(self, now: Instant) -> bool:
+        """Whether there is something to claim."""
+        ...
+
+
+class TenantTurns(Protocol):
+    """How much of the workers' time each tenant has had."""
+
+    def waiting(self) -> list[TurnRecord]:
+        """Of the tenants with queued or running jobs."""
+        ...
+
+    def of(self, tenant: TenantId) -> TurnRecord:
+        """That of one tenant; zero for one that never had a turn."""
+        ...
+
+    def latest_start_ms(self) -> int:
+        """Where the last job began that was claimed: nobody's time is counted from further back."""
+        ...
+
+    def keep(self, turn: TurnRecord) -> None:
+        """Store it."""
         ...
 
 

@@ -151,7 +151,9 @@ class JobRecord:
 
     Jobs of `priority` 0, for which a client waits, go before those of 1. `lease_token` grows with every claim: only
     the holder of the newest may complete the job (fencing). Lease times count on the monotonic clock of one boot of
-    the machine, named by `lease_epoch`. `request_id` and `traceparent` (W3C) name the request that the job came from.
+    the machine, named by `lease_epoch`; `claimed_ms` is when the last run began. `forgiven` of the `attempts` ended
+    for a reason that was none of the job's (docs/decisions/0082). `request_id` and `traceparent` (W3C) name the
+    request that the job came from.
     """
 
     tenant: TenantId
@@ -167,6 +169,7 @@ class JobRecord:
     lease_owner: str | None = None
     lease_token: int = 0
     lease_epoch: str = ""
+    claimed_ms: int = 0
     not_before_ms: int = 0
     lease_expires_ms: int = 0
     request_id: str | None = None
@@ -175,7 +178,25 @@ class JobRecord:
     failure_code: str | None = None
     failure_message: str | None = None
     finished_at_ns: int | None = None
+    forgiven: int = 0
     number: int = 0
+
+    @property
+    def counted_attempts(self) -> int:
+        """The attempts that count against `max_attempts`."""
+        return self.attempts - self.forgiven
+
+
+@dataclass(frozen=True)
+class TurnRecord:
+    """How much of the workers' time a tenant has had, milliseconds, on a scale that all tenants share.
+
+    A tenant that had nothing to do begins where the others stand; `started_ms` is where its last job began.
+    """
+
+    tenant: TenantId
+    started_ms: int = 0
+    spent_ms: int = 0
 
 
 @dataclass(frozen=True)

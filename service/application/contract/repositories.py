@@ -97,20 +97,16 @@ class SubmapRepository(Repository[SubmapRecord], Protocol):
 class JobRepository(Repository[JobRecord], Protocol):
     """Jobs, also across tenants for those who run them."""
 
-    def next_runnable(self, now: Instant, after: str = "") -> JobRecord | None:
-        """A job that is queued and due, or whose lease has run out with attempts left: the most urgent, then oldest.
-
-        Tenants take turns: it is of the first tenant behind `after`, by name, that has one; behind the last comes the
-        first.
-        """
+    def next_runnable(self, now: Instant, tenant: TenantId) -> JobRecord | None:
+        """A job that is queued and due, or whose lease has run out with attempts left: the most urgent, then oldest."""
         ...
 
     def exhausted(self, now: Instant) -> list[JobRecord]:
         """Jobs running on a lease that has run out, with no attempts left."""
         ...
 
-    def leased_to(self, owner: str) -> list[JobRecord]:
-        """The running jobs of a worker."""
+    def leased_to(self, owner: str | None) -> list[JobRecord]:
+        """The running jobs of a worker, or of all."""
         ...
 
     def forget_answers(self, before_ns: int, limit: int) -> int:

@@ -55,7 +55,7 @@ class DeadLetters:
         queued = replace(
             job,
             state=OperationState.QUEUED.value,
-            max_attempts=job.attempts + self._policy.max_attempts,
+            max_attempts=job.counted_attempts + self._policy.max_attempts,
             not_before_ms=0,
             failure_code=None,
             failure_message=None,

@@ -21,7 +21,6 @@ class JobClaims:
         self._clock = clock
         self._disk = disk
         self._owner = owner
-        self._last_tenant = ""
 
     def next(self) -> Lease | None:
         """The lease of the next job; None where no job waits, or the disk has no room for a result.
@@ -31,18 +30,11 @@ class JobClaims:
         if self._disk.exhausted():
             return None
         now = self._clock.instant()
-        if not self._transactions.read(partial(_some_wait, now=now)).result():
+        if not self._transactions.read(lambda uow: uow.queue.waits(now)).result():
             return None
-        lease = self._transactions.write(partial(self._claim, now=now)).result()
-        if lease is not None:
-            self._last_tenant = lease.job.tenant
-        return lease
+        return self._transactions.write(partial(self._claim, now=now)).result()
 
     def _claim(self, uow: UnitOfWork, now: Instant) -> Lease | None:
         for job in uow.queue.fail_exhausted_jobs(now, self._clock.wall_ns()):
             mark_subject_failed(uow, job, ErrorCode.INTERNAL, job.failure_message or "")
-        return uow.queue.claim(self._owner, now, self._last_tenant)
-
-
-def _some_wait(uow: UnitOfWork, now: Instant) -> bool:
-    return uow.jobs.next_runnable(now) is not None or bool(uow.jobs.exhausted(now))
+        return uow.queue.claim(self._owner, now)

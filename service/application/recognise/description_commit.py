@@ -9,6 +9,7 @@ from typing import Any
 from revisit.core.errors import DescriptorModelMismatch
 from revisit.service.application.catalogue.deletion import SUBMAP_DELETED
 from revisit.service.application.contract.blobs import BlobStore
+from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.index import IndexChange, VectorFilter
 from revisit.service.application.contract.job_queue import Lease
 from revisit.service.application.contract.lookup import require_map
@@ -60,6 +61,7 @@ class DescriptionCommit:
     judged: list[JudgedPlace]
     where: VectorFilter
     seq: int
+    now: Instant
     now_ns: int
 
     def __call__(self, uow: UnitOfWork) -> bool:
@@ -103,7 +105,7 @@ class DescriptionCommit:
             raise DescriptorModelMismatch(f"map {row.map_id} was described by model {current.model_version}")
 
     def _end(self, uow: UnitOfWork, result: dict[str, Any]) -> None:
-        uow.queue.complete(self.lease, result, self.now_ns)
+        uow.queue.complete(self.lease, result, self.now, self.now_ns)
 
     def _loop(self, item: JudgedPlace) -> LoopRecord:
         query, match, verdict = self.task.submap, item.place.submap, item.verdict

@@ -126,8 +126,8 @@ class Recognition:
             mark_subject_failed(uow, lease.job, code, message)
 
     def _complete(self, lease: Lease, result: dict[str, Any]) -> None:
-        finished_at_ns = self._clock.wall_ns()
-        self._transactions.write(lambda uow: uow.queue.complete(lease, result, finished_at_ns)).result()
+        now, now_ns = self._clock.instant(), self._clock.wall_ns()
+        self._transactions.write(lambda uow: uow.queue.complete(lease, result, now, now_ns)).result()
 
     # -- describing a submap
 
@@ -188,9 +188,8 @@ class Recognition:
                 if place.submap.number not in judged:
                     judged[place.submap.number] = self._judge(described.description.signature, place, config)
             kept = [judged[place.submap.number] for place in recall.places]
-            commit = DescriptionCommit(
-                self._blobs, lease, task, described, kept, where, recall.seq, self._clock.wall_ns()
-            )
+            now, now_ns = self._clock.instant(), self._clock.wall_ns()
+            commit = DescriptionCommit(self._blobs, lease, task, described, kept, where, recall.seq, now, now_ns)
             failpoint("job.before_commit")
             if self._transactions.write(commit).result():
                 return

@@ -1,0 +1,56 @@
+"""How much of the workers' time each tenant has had, in an SQL database."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+from sqlalchemy import Connection, Select, bindparam, delete, func, insert, select
+
+from revisit.service.adapters.sql import tables
+from revisit.service.adapters.sql.statements import column_values
+from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.records import TurnRecord
+from revisit.service.application.contract.states import OperationState
+
+
+class SqlTenantTurns:
+    """`TenantTurns`."""
+
+    def __init__(self, connection: Connection) -> None:
+        """All statements go through `connection`."""
+        self._connection = connection
+
+    def waiting(self) -> list[TurnRecord]:
+        """See `TenantTurns`."""
+        # One query per state: each walks an index that holds all it needs.
+        states = (OperationState.QUEUED, OperationState.RUNNING)
+        found = {row[0] for state in states for row in self._connection.execute(_at_work(), {"state": state.value})}
+        return [self.of(tenant) for tenant in sorted(found)]
+
+    def of(self, tenant: TenantId) -> TurnRecord:
+        """See `TenantTurns`."""
+        row = self._connection.execute(_turn(), {"tenant": tenant}).first()
+        return TurnRecord(tenant) if row is None else TurnRecord(**row._mapping)
+
+    def latest_start_ms(self) -> int:
+        """See `TenantTurns`."""
+        latest = self._connection.execute(select(func.max(tables.tenant_turns.c.started_ms))).scalar()
+        return int(latest or 0)
+
+    def keep(self, turn: TurnRecord) -> None:
+        """See `TenantTurns`."""
+        # No upsert, which is not standard SQL: the transaction holds the lock of the writers.
+        turns = tables.tenant_turns
+        self._connection.execute(delete(turns).where(turns.c.tenant == turn.tenant))
+        self._connection.execute(insert(turns).values(column_values(turn)))
+
+
+@cache
+def _at_work() -> Select[Any]:
+    return select(tables.jobs.c.tenant).where(tables.jobs.c.state == bindparam("state")).distinct()
+
+
+@cache
+def _turn() -> Select[Any]:
+    return select(tables.tenant_turns).where(tables.tenant_turns.c.tenant == bindparam("tenant"))

@@ -1,0 +1,68 @@
+"""Folding the write-ahead log back into the database by time and size, whoever wrote it.
+
+The gateway's own commits fold it back after every 1000 pages; what the workers commit (a heartbeat every 2 s, and their
+results) waited for the next of them, which in an idle or draining service never came.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+import time
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import structlog
+
+from revisit.service.adapters.sqlite.connections import write_ahead_log
+from revisit.service.adapters.sqlite.writer_lock import WriterLock
+
+SMALL_BYTES = 4 * 2**20
+"""A log beyond this is folded back at once."""
+
+OLD_S = 30.0
+"""A smaller one is folded back this long after the last time."""
+
+LARGE_BYTES = 32 * 2**20
+"""A file beyond this is cut to nothing, for which the readers of the moment are waited for."""
+
+READERS_S = 0.25
+
+log = structlog.get_logger(__name__)
+
+
+class Checkpoints:
+    """Keeps the log of one database short."""
+
+    def __init__(self, database: Path, now_s: Callable[[], float] = time.monotonic) -> None:
+        """`now_s` is a monotonic clock."""
+        self._database = database
+        self._log = write_ahead_log(database)
+        self._now_s = now_s
+        self._last_s = now_s()
+
+    def tend(self) -> None:
+        """Fold the log back where it is large or old; to be called often. Blocks for as long as that takes.
+
+        Raises StorageUncertain where a writer holds the database for 5 s.
+        """
+        size_bytes = self._log.stat().st_size if self._log.exists() else 0
+        old = self._now_s() - self._last_s >= OLD_S
+        if size_bytes > SMALL_BYTES or (old and size_bytes):
+            self._fold_back("TRUNCATE" if size_bytes > LARGE_BYTES else "PASSIVE")
+            self._last_s = self._now_s()
+
+    def _fold_back(self, mode: str) -> None:
+        """Checkpoint under the writers' lock: nobody else may write meanwhile (see `WriterLock`)."""
+        lock = WriterLock(self._database)
+        try:
+            with lock.held(), closing(sqlite3.connect(self._database, timeout=READERS_S)) as connection:
+                connection.execute("PRAGMA synchronous=FULL")
+                busy, pages, folded = connection.execute(f"PRAGMA wal_checkpoint({mode})").fetchone()
+        except sqlite3.Error as error:
+            # The next commit meets the same disk, and ends the service where it fails.
+            log.warning("log_not_folded_back", reason=str(error))
+            return
+        finally:
+            lock.close()
+        log.debug("log_folded_back", mode=mode, busy=busy, pages=pages, folded=folded)

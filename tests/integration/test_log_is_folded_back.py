@@ -1,0 +1,89 @@
+"""The write-ahead log stays short, whoever writes it: in an idle service with its workers, and in one that drains."""
+
+from __future__ import annotations
+
+import sqlite3
+from contextlib import closing
+
+import pytest
+
+from revisit.service.adapters.sqlite.checkpoints import LARGE_BYTES, OLD_S, SMALL_BYTES, Checkpoints
+from revisit.service.adapters.sqlite.connections import write_ahead_log
+from revisit.service.adapters.sqlite.examination import examine
+from revisit.service.adapters.sqlite.migration import migrate
+from revisit.service.adapters.sqlite.transactions import SqliteTransactions
+from revisit.service.application.contract.records import WorkerRecord
+from revisit.service.application.housekeeping.system import WAL_ALARM_BYTES
+from tests.support.processes import ServiceProcess
+from tests.support.town import eventually
+
+
+class World:
+    """A database, the transactions of a worker, which folds nothing back, and a clock that moves when told to."""
+
+    def __init__(self, database):
+        migrate(database)
+        self.log, self.now_s = write_ahead_log(database), 0.0
+        self.worker = SqliteTransactions(database, checkpoints=False)
+        self.checkpoints = Checkpoints(database, lambda: self.now_s)
+
+    def beat(self, bytes_more):
+        """Work of a worker until so many bytes more have been written."""
+        written, sent = 0, "v" * 100_000
+        while written < bytes_more:
+            self.worker.write(lambda uow: uow.workers.beat(WorkerRecord("w", sent, "boot", 1)), alone=True).result()
+            written += len(sent)
+
+    @property
+    def size_bytes(self):
+        return self.log.stat().st_size if self.log.exists() else 0
+
+
+@pytest.fixture
+def world(tmp_path):
+    made = World(tmp_path / "home/revisit.db")
+    yield made
+    made.worker.close()
+
+
+def test_a_log_that_only_workers_write_stays_short(world):
+    sizes = []
+    for _ in range(12):
+        world.beat(SMALL_BYTES // 2)
+        world.checkpoints.tend()
+        sizes.append(world.size_bytes)
+    assert max(sizes) < 3 * SMALL_BYTES
+
+
+def test_a_small_log_is_folded_back_after_a_while(world, tmp_path):
+    database = tmp_path / "home/revisit.db"
+    world.beat(1)
+    before = database.read_bytes()
+    world.checkpoints.tend()
+    assert database.read_bytes() == before
+    world.now_s += OLD_S
+    world.checkpoints.tend()
+    assert database.read_bytes() != before
+
+
+def test_a_log_that_a_reader_kept_from_being_folded_back_is_cut_once_the_reader_is_gone(world, tmp_path):
+    with closing(sqlite3.connect(tmp_path / "home/revisit.db")) as reader:
+        reader.execute("BEGIN")
+        reader.execute("SELECT * FROM workers").fetchall()
+        while world.size_bytes <= LARGE_BYTES:
+            world.beat(SMALL_BYTES)
+            world.checkpoints.tend()
+    world.checkpoints.tend()
+    assert world.size_bytes == 0
+
+
+def test_a_service_folds_back_what_was_left_while_it_is_idle_and_while_it_drains(world, tmp_path):
+    world.beat(WAL_ALARM_BYTES + 2**20)
+    with closing(ServiceProcess(tmp_path / "home", workers=1, fake_delay_s=3)) as service:
+        eventually(lambda: world.size_bytes < WAL_ALARM_BYTES, "the log stays large", 20.0)
+        assert all(finding.ok is not False for finding in examine(tmp_path / "home", full=False))
+        world.beat(WAL_ALARM_BYTES + 2**20)
+        eventually(lambda: world.size_bytes < WAL_ALARM_BYTES, "the log grows again", 20.0)
+        world.beat(WAL_ALARM_BYTES + 2**20)
+        service.terminate()
+        assert world.size_bytes < WAL_ALARM_BYTES
