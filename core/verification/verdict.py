@@ -18,6 +18,7 @@ from revisit.core.verification.correspondences import KeypointFit
 from revisit.core.verification.evidence import Evidence, gather_evidence
 from revisit.core.verification.oriented_points import OrientedPoints
 from revisit.core.verification.registration import Registration, observability, register
+from revisit.core.verification.rivals import Hypothesis, find_rivals
 from revisit.core.verification.start import find_start
 
 
@@ -31,6 +32,7 @@ class RejectionReason(StrEnum):
     LOW_OVERLAP = "LOW_OVERLAP"
     SEEN_THROUGH = "SEEN_THROUGH"
     LOW_SCORE = "LOW_SCORE"
+    AMBIGUOUS = "AMBIGUOUS"
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,8 @@ class LoopMeasurement:
     surfaces; contrast, how much of it is lost a few metres aside; seen_through 0..1, how much of what stands in one
     place the other has looked through; rmse_m of the point-to-plane residuals; score 0..1 (`loop_score`);
     T_match_query (4, 4) maps points of the query submap's frame into the match submap's frame; covariance (6, 6) of its
-    tangent (x, y, z, rx, ry, rz), metres and radians, in the match frame.
+    tangent (x, y, z, rx, ry, rz), metres and radians, in the match frame; rivals, other poses that fit about as well,
+    best first, sought only where nothing else speaks against the loop.
     """
 
     similarity: float
@@ -54,6 +57,7 @@ class LoopMeasurement:
     score: float
     T_match_query: se3.Matrix4
     covariance: NDArray[np.float64]
+    rivals: tuple[Hypothesis, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -99,8 +103,13 @@ def _verify_in_order(
     registration = register(start.poses, *surfaces, config)
     evidence = gather_evidence(registration, *surfaces, config)
     enough = max(config.min_common, config.min_common_share * min(query.standing_count, match.standing_count))
-    measurement = _unlevelled(_measure(start.fit, registration, evidence, similarity, config), query, match)
+    measurement = _measure(start.fit, registration, evidence, similarity, config)
     reason = _rejection(registration, evidence, measurement.score, enough, config)
+    if reason is None:
+        rivals = find_rivals(registration.T_match_query, *surfaces, config)
+        measurement = dataclasses.replace(measurement, rivals=rivals)
+        reason = RejectionReason.AMBIGUOUS if rivals else None
+    measurement = _unlevelled(measurement, query, match)
     return VerifiedLoop(measurement) if reason is None else RejectedLoop(reason, measurement)
 
 
@@ -151,6 +160,10 @@ def _unlevelled(measurement: LoopMeasurement, query: Place, match: Place) -> Loo
         T_match_query=motion_between_submaps(measurement.T_match_query, query.frame, match.frame),
         rmse_m=measurement.rmse_m * match.frame.scale,
         covariance=match.frame.covariance_to_submap(measurement.covariance),
+        rivals=tuple(
+            Hypothesis(one.overlap, motion_between_submaps(one.T_match_query, query.frame, match.frame))
+            for one in measurement.rivals
+        ),
     )
 
 
@@ -163,7 +176,10 @@ def _inverted(verdict: VerifiedLoop | RejectedLoop) -> VerifiedLoop | RejectedLo
     adjoint = se3.adjoint(T_query_match)
     covariance = adjoint @ measurement.covariance @ adjoint.T
     exchanged = dataclasses.replace(
-        measurement, T_match_query=T_query_match, covariance=0.5 * (covariance + covariance.T)
+        measurement,
+        T_match_query=T_query_match,
+        covariance=0.5 * (covariance + covariance.T),
+        rivals=tuple(Hypothesis(one.overlap, se3.inverse(one.T_match_query)) for one in measurement.rivals),
     )
     return dataclasses.replace(verdict, measurement=exchanged)
 
