@@ -109,7 +109,7 @@ def _verify_in_order(
         rivals = find_rivals(registration.T_match_query, *surfaces, config)
         measurement = dataclasses.replace(measurement, rivals=rivals)
         reason = RejectionReason.AMBIGUOUS if rivals else None
-    measurement = _unlevelled(measurement, query, match)
+    measurement = _unlevelled(measurement, query, match, config)
     return VerifiedLoop(measurement) if reason is None else RejectedLoop(reason, measurement)
 
 
@@ -120,6 +120,17 @@ def is_degenerate(place: Place, config: VerificationConfig) -> bool:
         return True
     spread = np.sqrt(np.clip(np.linalg.eigvalsh(np.cov(standing[:, :2].T)), 0.0, None))
     return bool(spread[0] < config.min_spread)
+
+
+def systematic_covariance(scale: float, config: VerificationConfig) -> NDArray[np.float64]:
+    """The covariance (6, 6), in a level frame of a scene scale, of what both places have wrong as a whole.
+
+    Poses drift within a submap and surfaces are rounded off; more points do not help (docs/decisions/0081). It is the
+    same in metres for any scene scale.
+    """
+    horizontal, vertical = config.systematic_horizontal / scale, config.systematic_vertical / scale
+    tilt, yaw = np.radians(config.systematic_tilt), np.radians(config.systematic_yaw)
+    return np.diag(np.square([horizontal, horizontal, vertical, tilt, tilt, yaw]))
 
 
 def loop_score(contrast: float, seen_through: float, rmse_m: float) -> float:
@@ -153,13 +164,16 @@ def _measure(
     )
 
 
-def _unlevelled(measurement: LoopMeasurement, query: Place, match: Place) -> LoopMeasurement:
+def _unlevelled(
+    measurement: LoopMeasurement, query: Place, match: Place, config: VerificationConfig
+) -> LoopMeasurement:
     """The measurement between the submap frames instead of the levelled, scaled ones."""
+    covariance = measurement.covariance + systematic_covariance(match.frame.scale, config)
     return dataclasses.replace(
         measurement,
         T_match_query=motion_between_submaps(measurement.T_match_query, query.frame, match.frame),
         rmse_m=measurement.rmse_m * match.frame.scale,
-        covariance=match.frame.covariance_to_submap(measurement.covariance),
+        covariance=match.frame.covariance_to_submap(covariance),
         rivals=tuple(
             Hypothesis(one.overlap, motion_between_submaps(one.T_match_query, query.frame, match.frame))
             for one in measurement.rivals

@@ -158,6 +158,27 @@ def test_the_covariance_is_symmetric_and_positive() -> None:
     assert np.linalg.eigvalsh(covariance)[0] > 0.0
 
 
+def test_many_points_do_not_make_a_pose_surer_than_the_submaps_are() -> None:
+    sure = replace(VERIFICATION, correlated_points=1e-6)
+    small = replace(place(1), frame=LevelFrame(scale=0.25))
+    for one in (place(1), small):
+        verdict = verify(one, one, 1.0, sure)
+        assert isinstance(verdict, VerifiedLoop)
+        deviations = np.sqrt(np.diag(verdict.measurement.covariance))
+        floor = [0.04, 0.04, 0.02, *np.radians([0.1, 0.1, 0.1])]
+        np.testing.assert_allclose(deviations, floor, rtol=1e-3)
+
+
+def test_the_error_of_a_made_up_revisit_lies_within_what_the_covariance_says() -> None:
+    for seed in range(1, 5):
+        T_match_query = se3.from_yaw(0.4 * seed, (2.0, -1.0, 0.3))
+        query = recognised(thinned(moved(yard(seed), se3.inverse(T_match_query)), 0.6, seed=3))[1]
+        verdict = verify(query, place(seed), 0.9, VERIFICATION)
+        assert isinstance(verdict, VerifiedLoop)
+        error = se3.log(verdict.measurement.T_match_query @ se3.inverse(T_match_query))
+        assert error @ np.linalg.solve(verdict.measurement.covariance, error) < 12.6  # 95 % of chi square of 6
+
+
 def test_places_of_different_codebooks_are_never_compared() -> None:
     with pytest.raises(DescriptorModelMismatch):
         verify(place(1), replace(place(1), model="another"), 0.9, VERIFICATION)
