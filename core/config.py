@@ -426,6 +426,25 @@ class VerificationConfig(Section):
     lever: float = parameter(15.0, "m", "own", "lever arm at which rotations are compared with translations")
     min_sigma: float = parameter(0.03, "m", "own", "residuals are trusted no better than this")
     correlated_points: float = parameter(20.0, "points", "own", "points that share one error")
+    systematic_horizontal: float = parameter(
+        0.04, "m", "own, decision 0081", "standard deviation along x and y that more points do not lower", low=0
+    )
+    systematic_vertical: float = parameter(0.02, "m", "own, decision 0081", "the same along z", low=0)
+    systematic_tilt: float = parameter(0.1, "deg", "own, decision 0081", "the same about x and y", low=0)
+    systematic_yaw: float = parameter(0.1, "deg", "own, decision 0081", "the same about z", low=0)
+    rival_distance: float = parameter(1.5, "m", "own, decision 0080", "poses farther apart than this are rivals")
+    rival_common: float = parameter(
+        0.5, "1", "own, decision 0080", "share of the common surface that a rival must have, too", low=0, high=1
+    )
+    rival_plan_share: float = parameter(
+        0.85, "1", "own, decision 0080", "share of the coarse overlap from which on a rival is looked at", low=0, high=1
+    )
+    rival_starts: int = parameter(12, "poses", "own, decision 0080", "most rivals that are refined", low=0)
+    rival_rounds: int = parameter(4, "steps", "own, decision 0080", "coarse ICP steps from each", low=0)
+    rival_reach: float = parameter(1.5, "m", "own, decision 0080", "reach of these steps")
+    rival_share: float = parameter(
+        0.85, "1", "own, decision 0080", "share of the overlap from which on a rival makes a loop ambiguous", low=0
+    )
     min_score: float = parameter(0.5, "1", "own", "smallest score of a verified loop", low=0, high=1)
 
     def __post_init__(self) -> None:

@@ -1,5 +1,6 @@
 """Verification of a loop candidate: correspondences, start, registration, evidence, verdict (paper III-E, end)."""
 
+from revisit.core.verification.rivals import Hypothesis
 from revisit.core.verification.verdict import (
     LoopMeasurement,
     RejectedLoop,
@@ -11,5 +12,6 @@ from revisit.core.verification.verdict import (
 )
 
 __all__ = [
-    "LoopMeasurement", "RejectedLoop", "RejectionReason", "VerifiedLoop", "is_degenerate", "loop_score", "verify",
+    "Hypothesis", "LoopMeasurement", "RejectedLoop", "RejectionReason", "VerifiedLoop", "is_degenerate", "loop_score",
+    "verify",
 ]  # fmt: skip

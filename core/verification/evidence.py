@@ -81,7 +81,7 @@ def mutually_seen_through(
 
 def in_region(surface: OrientedPoints, other: OrientedPoints) -> NDArray[np.bool_]:
     """Which points (n,) of a surface stand in a column in which the other place has seen anything."""
-    return np.isin(surface.columns, np.unique(other.columns))
+    return np.isin(surface.columns, other.seen_columns)
 
 
 def _one_sided_overlap(standing: OrientedPoints, match: OrientedPoints, config: VerificationConfig) -> float:

@@ -44,6 +44,11 @@ class OrientedPoints:
         """See `columns_of`."""
         return columns_of(self.points)
 
+    @cached_property
+    def seen_columns(self) -> NDArray[np.int64]:
+        """The distinct columns in which any point lies, in order."""
+        return np.unique(self.columns)
+
     @property
     def standing(self) -> OrientedPoints:
         """The points off the ground."""

@@ -18,6 +18,7 @@ from revisit.core.verification.correspondences import KeypointFit
 from revisit.core.verification.evidence import Evidence, gather_evidence
 from revisit.core.verification.oriented_points import OrientedPoints
 from revisit.core.verification.registration import Registration, observability, register
+from revisit.core.verification.rivals import Hypothesis, find_rivals
 from revisit.core.verification.start import find_start
 
 
@@ -31,6 +32,7 @@ class RejectionReason(StrEnum):
     LOW_OVERLAP = "LOW_OVERLAP"
     SEEN_THROUGH = "SEEN_THROUGH"
     LOW_SCORE = "LOW_SCORE"
+    AMBIGUOUS = "AMBIGUOUS"
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,8 @@ class LoopMeasurement:
     surfaces; contrast, how much of it is lost a few metres aside; seen_through 0..1, how much of what stands in one
     place the other has looked through; rmse_m of the point-to-plane residuals; score 0..1 (`loop_score`);
     T_match_query (4, 4) maps points of the query submap's frame into the match submap's frame; covariance (6, 6) of its
-    tangent (x, y, z, rx, ry, rz), metres and radians, in the match frame.
+    tangent (x, y, z, rx, ry, rz), metres and radians, in the match frame; rivals, other poses that fit about as well,
+    best first, sought only where nothing else speaks against the loop.
     """
 
     similarity: float
@@ -54,6 +57,7 @@ class LoopMeasurement:
     score: float
     T_match_query: se3.Matrix4
     covariance: NDArray[np.float64]
+    rivals: tuple[Hypothesis, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -99,8 +103,13 @@ def _verify_in_order(
     registration = register(start.poses, *surfaces, config)
     evidence = gather_evidence(registration, *surfaces, config)
     enough = max(config.min_common, config.min_common_share * min(query.standing_count, match.standing_count))
-    measurement = _unlevelled(_measure(start.fit, registration, evidence, similarity, config), query, match)
+    measurement = _measure(start.fit, registration, evidence, similarity, config)
     reason = _rejection(registration, evidence, measurement.score, enough, config)
+    if reason is None:
+        rivals = find_rivals(registration.T_match_query, *surfaces, config)
+        measurement = dataclasses.replace(measurement, rivals=rivals)
+        reason = RejectionReason.AMBIGUOUS if rivals else None
+    measurement = _unlevelled(measurement, query, match, config)
     return VerifiedLoop(measurement) if reason is None else RejectedLoop(reason, measurement)
 
 
@@ -111,6 +120,17 @@ def is_degenerate(place: Place, config: VerificationConfig) -> bool:
         return True
     spread = np.sqrt(np.clip(np.linalg.eigvalsh(np.cov(standing[:, :2].T)), 0.0, None))
     return bool(spread[0] < config.min_spread)
+
+
+def systematic_covariance(scale: float, config: VerificationConfig) -> NDArray[np.float64]:
+    """The covariance (6, 6), in a level frame of a scene scale, of what both places have wrong as a whole.
+
+    Poses drift within a submap and surfaces are rounded off; more points do not help (docs/decisions/0081). It is the
+    same in metres for any scene scale.
+    """
+    horizontal, vertical = config.systematic_horizontal / scale, config.systematic_vertical / scale
+    tilt, yaw = np.radians(config.systematic_tilt), np.radians(config.systematic_yaw)
+    return np.diag(np.square([horizontal, horizontal, vertical, tilt, tilt, yaw]))
 
 
 def loop_score(contrast: float, seen_through: float, rmse_m: float) -> float:
@@ -144,13 +164,20 @@ def _measure(
     )
 
 
-def _unlevelled(measurement: LoopMeasurement, query: Place, match: Place) -> LoopMeasurement:
+def _unlevelled(
+    measurement: LoopMeasurement, query: Place, match: Place, config: VerificationConfig
+) -> LoopMeasurement:
     """The measurement between the submap frames instead of the levelled, scaled ones."""
+    covariance = measurement.covariance + systematic_covariance(match.frame.scale, config)
     return dataclasses.replace(
         measurement,
         T_match_query=motion_between_submaps(measurement.T_match_query, query.frame, match.frame),
         rmse_m=measurement.rmse_m * match.frame.scale,
-        covariance=match.frame.covariance_to_submap(measurement.covariance),
+        covariance=match.frame.covariance_to_submap(covariance),
+        rivals=tuple(
+            Hypothesis(one.overlap, motion_between_submaps(one.T_match_query, query.frame, match.frame))
+            for one in measurement.rivals
+        ),
     )
 
 
@@ -163,7 +190,10 @@ def _inverted(verdict: VerifiedLoop | RejectedLoop) -> VerifiedLoop | RejectedLo
     adjoint = se3.adjoint(T_query_match)
     covariance = adjoint @ measurement.covariance @ adjoint.T
     exchanged = dataclasses.replace(
-        measurement, T_match_query=T_query_match, covariance=0.5 * (covariance + covariance.T)
+        measurement,
+        T_match_query=T_query_match,
+        covariance=0.5 * (covariance + covariance.T),
+        rivals=tuple(Hypothesis(one.overlap, se3.inverse(one.T_match_query)) for one in measurement.rivals),
     )
     return dataclasses.replace(verdict, measurement=exchanged)
 

@@ -18,7 +18,7 @@ from revisit.core.place import Place
 from revisit.core.scan import Scan
 from revisit.core.stages import stage_times
 from revisit.core.submap import Submap
-from revisit.core.verification import LoopMeasurement, RejectedLoop, VerifiedLoop
+from revisit.core.verification import Hypothesis, LoopMeasurement, RejectedLoop, VerifiedLoop
 from revisit.service.application.contract.recogniser import LoopVerdict, Mesh, SubmapDescription
 
 SETTABLE = ("min_score", "min_overlap", "max_seen_through")
@@ -125,6 +125,8 @@ def _as_json(record: Any) -> dict[str, Any]:
 
 
 def _json_value(value: Any) -> Any:
+    if isinstance(value, Hypothesis):
+        return _as_json(value)
     if isinstance(value, np.ndarray):
         return [_json_value(item) for item in value.tolist()]
     if isinstance(value, list | tuple):

@@ -24,7 +24,7 @@ from revisit.core.verification import RejectedLoop, RejectionReason, VerifiedLoo
 from revisit.evaluation.cutting import cut, load_submap
 from revisit.evaluation.datasets import KittiRecording
 from revisit.evaluation.perturbations import Perturbation, turned
-from tests.support.yards import CONFIG, moved, place_of_points, recognised, thinned, yard
+from tests.support.yards import CONFIG, moved, place_of_points, recognised, surface_of, thinned, yard
 
 VERIFICATION = CONFIG.verification
 
@@ -158,6 +158,27 @@ def test_the_covariance_is_symmetric_and_positive() -> None:
     assert np.linalg.eigvalsh(covariance)[0] > 0.0
 
 
+def test_many_points_do_not_make_a_pose_surer_than_the_submaps_are() -> None:
+    sure = replace(VERIFICATION, correlated_points=1e-6)
+    small = replace(place(1), frame=LevelFrame(scale=0.25))
+    for one in (place(1), small):
+        verdict = verify(one, one, 1.0, sure)
+        assert isinstance(verdict, VerifiedLoop)
+        deviations = np.sqrt(np.diag(verdict.measurement.covariance))
+        floor = [0.04, 0.04, 0.02, *np.radians([0.1, 0.1, 0.1])]
+        np.testing.assert_allclose(deviations, floor, rtol=1e-3)
+
+
+def test_the_error_of_a_made_up_revisit_lies_within_what_the_covariance_says() -> None:
+    for seed in range(1, 5):
+        T_match_query = se3.from_yaw(0.4 * seed, (2.0, -1.0, 0.3))
+        query = recognised(thinned(moved(yard(seed), se3.inverse(T_match_query)), 0.6, seed=3))[1]
+        verdict = verify(query, place(seed), 0.9, VERIFICATION)
+        assert isinstance(verdict, VerifiedLoop)
+        error = se3.log(verdict.measurement.T_match_query @ se3.inverse(T_match_query))
+        assert error @ np.linalg.solve(verdict.measurement.covariance, error) < 12.6  # 95 % of chi square of 6
+
+
 def test_places_of_different_codebooks_are_never_compared() -> None:
     with pytest.raises(DescriptorModelMismatch):
         verify(place(1), replace(place(1), model="another"), 0.9, VERIFICATION)
@@ -246,6 +267,52 @@ def test_a_house_among_others_has_contrast_and_a_hedge_along_the_street_has_none
     assert isinstance(verdict, RejectedLoop)
     assert verdict.reason is RejectionReason.DEGENERATE_ALIGNMENT
     assert verdict.measurement is not None and verdict.measurement.contrast < VERIFICATION.min_contrast
+
+
+def houses_along_a_street(seed: int, shift_m: float) -> Place:
+    """Equal houses every 10 m along a street, sampled anew in every visit, seen 30 m around from `shift_m` on."""
+    rng = np.random.default_rng(seed)
+    parts = [np.column_stack([rng.uniform(-35, 35, (6000, 2)), np.full(6000, -1.5)])]
+    normals = [np.tile([0.0, 0.0, 1.0], (6000, 1))]
+    for x in np.arange(-50.0, 51.0, 10.0) - shift_m:
+        for side in (-1.0, 1.0):
+            for point, normal in (([0, 9, 0], [0, -1, 0]), ([4, 10, 0], [1, 0, 0]), ([-4, 10, 0], [-1, 0, 0])):
+                along = np.array([abs(normal[1]) * 4.0, abs(normal[0]) * 2.0, 0.0])
+                steps = rng.uniform(-1, 1, (400, 1)) * along + rng.uniform(-1.5, 4, (400, 1)) * [0, 0, 1]
+                parts.append((np.array(point) + steps) * [1, side, 1] + [x, 0, 0])
+                normals.append(np.tile(np.array(normal) * [1.0, side, 1.0], (400, 1)))
+    points, facing = np.concatenate(parts), np.concatenate(normals)
+    near = np.linalg.norm(points[:, :2], axis=1) < 30.0
+    return recognised(surface_of(points[near], facing[near]))[1]
+
+
+def test_the_next_of_many_equal_houses_is_ambiguous_and_the_rivals_are_told() -> None:
+    verdict = verify(houses_along_a_street(1, 0.0), houses_along_a_street(2, 3.0), 0.9, VERIFICATION)
+    assert isinstance(verdict, RejectedLoop)
+    assert verdict.reason is RejectionReason.AMBIGUOUS
+    assert verdict.measurement is not None
+    rivals = verdict.measurement.rivals
+    poses = [verdict.measurement.T_match_query, *(rival.T_match_query for rival in rivals)]
+    assert any(abs(T[0, 3] + 3.0) < 0.3 and T[0, 0] > 0.99 for T in poses)
+    assert any(abs(T[0, 3] - 7.0) < 0.3 and T[0, 0] > 0.99 for T in poses)
+    assert [rival.overlap for rival in rivals] == sorted((rival.overlap for rival in rivals), reverse=True)
+
+
+def test_a_yard_that_does_not_repeat_has_no_rivals() -> None:
+    verdict = verify(recognised(thinned(yard(1), 0.6, seed=3))[1], place(1), 0.9, VERIFICATION)
+    assert isinstance(verdict, VerifiedLoop)
+    assert verdict.measurement.rivals == ()
+
+
+def test_an_ambiguous_verdict_does_not_depend_on_which_place_is_the_query() -> None:
+    one, other = houses_along_a_street(1, 0.0), replace(houses_along_a_street(2, 3.0), frame=rectified(3, 1.0))
+    forward, backward = verify(one, other, 0.9, VERIFICATION), verify(other, one, 0.9, VERIFICATION)
+    assert_exchanged(forward, backward)
+    assert forward.measurement is not None and backward.measurement is not None
+    assert forward.measurement.rivals
+    for here, there in zip(forward.measurement.rivals, backward.measurement.rivals, strict=True):
+        assert here.overlap == there.overlap
+        np.testing.assert_allclose(here.T_match_query, se3.inverse(there.T_match_query), rtol=0, atol=1e-12)
 
 
 def test_a_pose_given_up_early_counts_as_the_worst_evidence() -> None:

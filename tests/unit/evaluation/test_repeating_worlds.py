@@ -8,6 +8,7 @@ import pytest
 from revisit.core.config import PipelineConfig
 from revisit.core.geometry import se3
 from revisit.core.model_bundle import load_packaged_models
+from revisit.core.verification import RejectedLoop, RejectionReason, verify
 from revisit.core.verification.oriented_points import OrientedPoints, contact
 from revisit.evaluation.repeating_worlds import WORLDS, RepeatingPair, World, repeating_pairs
 
@@ -32,6 +33,19 @@ def test_one_period_on_fits_about_as_well_as_the_truth_and_half_a_period_does_no
     assert fits[0.0] > 0.5
     assert fits[1.0] > 0.6 * fits[0.0]
     assert fits[0.5] < 0.97 * fits[0.0]
+
+
+@pytest.mark.parametrize("world", [w for w in WORLDS if w.name in ("garage", "row houses", "corridor at scale 0.25")])
+def test_where_a_world_repeats_no_wrong_pose_is_accepted_and_the_true_one_is_told(world: World) -> None:
+    for pair in pairs(world, 2):
+        verdict = verify(pair.query, pair.match, 0.9, CONFIG.verification)
+        assert isinstance(verdict, RejectedLoop)
+        assert verdict.reason is RejectionReason.AMBIGUOUS
+        if pair.same and verdict.measurement is not None:
+            rivals = verdict.measurement.rivals
+            poses = [verdict.measurement.T_match_query, *(rival.T_match_query for rival in rivals)]
+            errors = [se3.inverse(pair.T_match_query) @ T for T in poses]
+            assert min(float(np.linalg.norm(error[:3, 3])) for error in errors) < 0.3
 
 
 def test_two_runs_make_the_same_worlds() -> None:
