@@ -179,6 +179,18 @@ def ground_plane(points: NDArray[np.floating], seed: int = 0) -> GroundPlane | N
     return GroundPlane(normals[best], float(offsets[best]), upright)
 
 
+def place_flags(points: NDArray[np.floating], scene_scale: float = 1.0) -> tuple[str, ...]:
+    """What is suspicious about a submap: "ground_tilted", "scene_too_small".
+
+    `points` (n, 3) in its level frame, whose lengths are divided by `scene_scale`. A scene that is too large does not
+    come so far: its points lie beyond the sensor's range.
+    """
+    plane = ground_plane(points)
+    size_m = scene_scale * float(np.percentile(np.linalg.norm(points[::4], axis=1), 95.0))
+    tilted = plane is not None and not plane.upright
+    return ("ground_tilted",) * tilted + ("scene_too_small",) * (size_m < MIN_SCENE_M)
+
+
 def _thinned(points: NDArray[np.floating]) -> tuple[Array, float]:
     """At most 3,000 of the nearer points, one a voxel, and the scene's scale compared with a street's."""
     points = points[:: max(1, len(points) // 30_000)]

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from revisit.core.geometry import se3
+from revisit.core.sanity import ground_plane, place_flags
 from revisit.core.scan import Scan
 from revisit.evaluation.datasets.kitti import read_velodyne
 from revisit.evaluation.inspection import inspect_recording
@@ -181,3 +182,19 @@ def test_a_slope_and_a_tilted_sensor_are_no_mistakes(drive: Drive) -> None:
     assert inspect_recording(sensor).findings == ()
     slope = se3.exp([0, 0, 0, 0.15, 0.0, 0.0])
     assert inspect_recording(replace(drive, poses=[slope @ pose for pose in drive.poses])).findings == ()
+
+
+def test_a_submap_is_flagged_where_its_ground_is_tilted_or_its_scene_too_small(drive: Drive) -> None:
+    cloud = drive.clouds[0]
+    assert place_flags(cloud) == ()
+    assert place_flags(se3.apply(CAMERA_LIDAR, cloud)) == ("ground_tilted",)
+    assert place_flags(cloud / 100) == ("scene_too_small",)
+    # The points of a map of rooms come divided by its scale: 30 of them are 1.2 m here, and 0.3 m there.
+    assert place_flags(cloud, 0.04) == ()
+    assert place_flags(cloud, 0.01) == ("scene_too_small",)
+
+
+def test_a_wall_beside_a_sensor_that_sees_no_ground_is_not_taken_for_one() -> None:
+    random = np.random.default_rng(4)
+    wall = np.column_stack([random.uniform(1, 20, 5000), np.full(5000, 4.0), random.uniform(0, 6, 5000)])
+    assert ground_plane(wall + random.normal(0, 0.01, wall.shape)) is None
