@@ -15,13 +15,12 @@ from scipy.spatial import cKDTree
 
 from revisit.core.geometry import se3
 from revisit.core.geometry.voxel_keys import voxel_keys
-from revisit.core.scan import Scan
+from revisit.core.scan import MAX_SCENE_M, Scan
 
 Array = NDArray[np.float64]
 Poses = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
-MAX_SCENE_M = 400.0
 MIN_SCENE_M = 1.0
 MAX_SPEED_M_PER_S = 70.0
 MIN_PERIOD_NS = 2_000_000
@@ -60,11 +59,6 @@ class ScenePair:
 
     first: Scan
     second: Scan
-
-
-def scene_size(scan: Scan) -> float:
-    """The range below which 95 % of the points lie, metres."""
-    return float(np.percentile(np.linalg.norm(scan.points[::4], axis=1), 95.0))
 
 
 def check_units(sizes_m: Sequence[float]) -> list[Finding]:

@@ -21,9 +21,8 @@ from revisit.core.sanity import (
     check_times,
     check_units,
     ground_plane,
-    scene_size,
 )
-from revisit.core.scan import Scan
+from revisit.core.scan import Scan, scene_size
 from revisit.evaluation.datasets import Recording
 
 ANCHORS = 8
