@@ -17,7 +17,8 @@ The modules in the order of the paper:
     pipeline                the steps above, in order
 
 Beside them: geometry (transforms, level frame, voxel keys), kernels (compiled inner loops), config (all parameters),
-container (stored numbers), stages (their names and times), model_bundle (decoder and codebooks), errors.
+container (stored numbers), stages (their names and times), model_bundle (decoder and codebooks), sanity
+(whether the input can be what it claims), errors.
 
 Nothing here knows a network, a database, a clock or a file.
 """

@@ -82,7 +82,7 @@ class DegenerateCloud(RevisitError):
 
 
 class OutOfRange(RevisitError):
-    """Coordinates lie beyond 10 km of the frame's origin: re-base the origin of the cloud."""
+    """Coordinates lie beyond 10 km of the frame's origin: give metres, not millimetres; else re-base the origin."""
 
     code = ErrorCode.OUT_OF_RANGE
 

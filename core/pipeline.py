@@ -22,6 +22,7 @@ from revisit.core.micro.cluster_normals import describe_clusters
 from revisit.core.micro.saliency import weigh_clusters
 from revisit.core.model_bundle import ModelBundle
 from revisit.core.place import Place, extract_place
+from revisit.core.sanity import place_flags
 from revisit.core.scan import is_plane
 from revisit.core.spectra import describe_spectra
 from revisit.core.submap import Submap
@@ -45,7 +46,8 @@ class DescribedSurface:
 class DescribedPlace(DescribedSurface):
     """What a submap becomes.
 
-    The neural map is in the level frame too; `flags` name what was noticed ("degenerate_plane").
+    The neural map is in the level frame too; `flags` name what was noticed ("degenerate_plane", and what
+    `place_flags` says).
     """
 
     neural_map: NeuralMap
@@ -64,7 +66,7 @@ def describe(submap: Submap, models: ModelBundle, config: PipelineConfig, seed: 
     neural_map = fit_implicit_map(level, models.decoder, config.implicit_map, rng)  # III-B, Eq. 1-6
     surface = extract_surface(neural_map, config.surface)  # III-C
     described = describe_surface(surface, frame, models, config, rng)  # III-C to III-E, Eq. 7-14
-    flags = ("degenerate_plane",) if is_plane(submap.points) else ()
+    flags = ("degenerate_plane",) * is_plane(submap.points) + place_flags(level.points, config.scene_scale)
     return DescribedPlace(**vars(described), neural_map=dataclasses.replace(neural_map, frame=frame), flags=flags)
 
 

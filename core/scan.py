@@ -15,6 +15,8 @@ Points = NDArray[np.float32]
 MIN_POINTS = 100
 MAX_COORDINATE_M = 10_000.0
 MAX_DROPPED_SHARE = 0.9
+# No LiDAR sees most of a scene farther away: such a cloud is not in metres.
+MAX_SCENE_M = 400.0
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,11 @@ class Scan:
             raise BadField("the time stamp must be in [0, 2^63) nanoseconds", field="stamp_ns")
         cloud, report = validate_cloud(points)
         return cls(cloud, se3.validated(T_odom_sensor), stamp_ns, report)
+
+
+def scene_size(scan: Scan) -> float:
+    """The range below which 95 % of the points lie, metres."""
+    return float(np.percentile(np.linalg.norm(scan.points[::4], axis=1), 95.0))
 
 
 def validate_cloud(points: NDArray[np.floating]) -> tuple[Points, CloudReport]:

@@ -97,7 +97,7 @@ class Submap:
             indices.append(np.full(len(cloud), index, dtype=np.int32))
             origins.append(T_submap_scan[:3, 3])
         return cls(
-            points=_enough(np.concatenate(clouds)),
+            points=_enough(np.concatenate(clouds), sum(len(scan.points) for scan in scans)),
             scan_index=np.concatenate(indices),
             origins=np.asarray(origins, dtype=np.float32),
             stamps_ns=np.array([scan.stamp_ns for scan in scans], dtype=np.int64),
@@ -112,7 +112,7 @@ class Submap:
         Points beyond range and tau are left out. Raises EmptyCloud where fewer than 100 points remain.
         """
         near = np.einsum("ij,ij->i", scan.points, scan.points) <= (config.max_range + config.tau) ** 2
-        points = _enough(scan.points[near])
+        points = _enough(scan.points[near], len(scan.points))
         return cls(
             points=points,
             scan_index=np.zeros(len(points), dtype=np.int32),
@@ -123,9 +123,11 @@ class Submap:
         )
 
 
-def _enough(points: Points) -> Points:
+def _enough(points: Points, given: int) -> Points:
     if len(points) < MIN_POINTS:
-        raise EmptyCloud(f"only {len(points)} points of the submap lie within the sensor's range", field="points")
+        raise EmptyCloud(
+            f"only {len(points)} of {given} points lie within the sensor's range: are they in metres?", field="points"
+        )
     return points
 
 

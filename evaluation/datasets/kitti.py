@@ -47,6 +47,11 @@ class KittiRecording:
         """The folder's name."""
         return self._folder.resolve().name
 
+    @property
+    def stamps_ns(self) -> NDArray[np.int64]:
+        """When each scan was taken (n,), nanoseconds."""
+        return self._stamps_ns
+
     def __len__(self) -> int:
         return len(self._files)
 
@@ -79,7 +84,8 @@ def read_velodyne(file: Path) -> Points:
     """The points (n, 3) of a .bin file of float32 x, y, z, reflectance. Raises MalformedBody for a torn file."""
     raw = file.read_bytes()
     if len(raw) % _BYTES_PER_POINT:
-        raise MalformedBody(f"{file.name} holds {len(raw)} bytes, which is no multiple of {_BYTES_PER_POINT}")
+        rows = next((f": rows of {count} numbers?" for count in (3, 5) if len(raw) % (4 * count) == 0), "")
+        raise MalformedBody(f"{file.name} holds {len(raw)} bytes, which is no multiple of {_BYTES_PER_POINT}{rows}")
     return np.frombuffer(raw, dtype="<f4").reshape(-1, 4)[:, :3].astype(np.float32)
 
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from revisit.core.geometry import se3
 from revisit.core.scan import Scan
 
@@ -15,6 +18,10 @@ class Recording(Protocol):
     @property
     def name(self) -> str:
         """What the recording is called in reports."""
+
+    @property
+    def stamps_ns(self) -> NDArray[np.int64]:
+        """When each scan was taken (n,), nanoseconds."""
 
     def __len__(self) -> int:
         """How many scans it holds."""

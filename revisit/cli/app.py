@@ -13,6 +13,7 @@ from revisit.cli import (
     evaluate,
     export,
     ingest,
+    inspect,
     keys,
     operations,
     queries,
@@ -29,8 +30,9 @@ app = typer.Typer(
 )
 
 COMMANDS = (
-    serve.serve, serve.worker, serve.migrate, ingest.ingest, spool.spool, queries.query, queries.loops, export.export,
-    demo.demo, evaluate.evaluate, doctor.doctor, backup.backup, backup.restore, backup.scrub,
+    serve.serve, serve.worker, serve.migrate, inspect.inspect, ingest.ingest, spool.spool, queries.query,
+    queries.loops, export.export, demo.demo, evaluate.evaluate, doctor.doctor, backup.backup, backup.restore,
+    backup.scrub,
 )  # fmt: skip
 GROUPS = {"operations": operations.group, "keys": keys.group, "audit": audit.group, "bench": bench.group}
 

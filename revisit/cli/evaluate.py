@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from revisit.cli.extras import needs
+from revisit.cli.inspect import warn
 from revisit.cli.options import IndexGap, PositiveRadius, Stride, Tau
 from revisit.cli.output import emit_table, progress_bar, refuse, reporter, say
 from revisit.cli.recordings import Format, Mounting, Odometry, Topic, opened
@@ -51,7 +52,9 @@ def evaluate(
     )  # fmt: skip
     if options.ablation not in ABLATIONS:
         raise refuse("--ablation is none, no-implicit, bev-only or normals-only")
-    _evaluate(opened(folder, file_format, topic, odometry, mounting), options, json)
+    recording = opened(folder, file_format, topic, odometry, mounting)
+    warn(recording)
+    _evaluate(recording, options, json)
 
 
 def given(**options: Any) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from revisit.cli.extras import needs
+from revisit.cli.inspect import warn
 from revisit.cli.options import GRPC, Grpc, Json, MapName
 from revisit.cli.output import emit_json, emit_table, progress_bar, refuse
 from revisit.cli.recordings import Format, Mounting, Odometry, Topic, opened
@@ -92,6 +93,7 @@ def ingest(
 ) -> None:
     """Stream a recording; run it again to resume."""
     recording = opened(folder, file_format, topic, odometry, mounting)
+    warn(recording)
     target = Target(grpc, map_id, session_id or recording.name, scene_scale)
     try:
         _transfer(recording, target, Extent(limit, spool, finish, wait), json)

@@ -72,6 +72,14 @@ async def test_a_posted_submap_becomes_a_description_with_a_loop_to_the_same_pla
     assert all(loop.reason == "TOO_DIFFERENT" and loop.T_match_query is None for loop in rejected.items)
 
 
+async def test_a_posted_cloud_in_centimetres_is_flagged_before_it_is_described(world):
+    await posted(world, metres=1)
+    assert (await world.use_cases.submaps.get(TENANT, key("metres"))).flags == ()
+    large = replace(cloud(2), points=cloud(2).points * np.float32(1000.0 / np.abs(cloud(2).points).max()))
+    answer = await world.use_cases.posting.post(TENANT, replace(submap("centimetres", 2), cloud=large))
+    assert answer.submap.flags == ("scene_too_large",)
+
+
 async def test_neighbours_in_one_session_are_no_candidates(world):
     await described(world, a=1, b=1)
     assert not (await world.use_cases.loops.list(TENANT, "town", PageRequest())).items

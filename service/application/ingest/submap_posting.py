@@ -11,7 +11,7 @@ import numpy as np
 
 from revisit.core.errors import BadField
 from revisit.core.geometry.se3 import Matrix4
-from revisit.core.scan import CloudReport, Scan
+from revisit.core.scan import MAX_SCENE_M, CloudReport, Scan, scene_size
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.capacity.backlog import JobPosting
 from revisit.service.application.contract import limits
@@ -182,6 +182,6 @@ def _row(
         scan_count=1,
         point_count=len(cloud.points),
         operation_id="",
-        flags=("degenerate_plane",) if report.degenerate_plane else (),
+        flags=("degenerate_plane",) * report.degenerate_plane + ("scene_too_large",) * (scene_size(scan) > MAX_SCENE_M),
         created_at_ns=now_ns,
     )

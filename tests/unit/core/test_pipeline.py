@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -123,6 +124,14 @@ def test_a_floor_without_walls_is_flagged_and_never_a_loop(make_drive, shapes):
     described = describe(floor, load_packaged_models(), CONFIG)
     assert described.flags == ("degenerate_plane",)
     assert isinstance(verify(described.place, described.place, 1.0, CONFIG.verification), RejectedLoop)
+
+
+def test_a_place_whose_ground_is_no_ground_in_the_odometry_s_frame_is_flagged(make_drive, shapes):
+    floor = make_drive(lambda _: [shapes["ground"]()], scans=3)
+    T_camera_lidar = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+    assert "ground_tilted" not in describe(floor, load_packaged_models(), CONFIG).flags
+    in_camera_axes = replace(floor, T_odom_submap=T_camera_lidar @ floor.T_odom_submap)
+    assert "ground_tilted" in describe(in_camera_axes, load_packaged_models(), CONFIG).flags
 
 
 def test_walls_beyond_the_birds_eye_view_are_refused_instead_of_described_by_zeros():
