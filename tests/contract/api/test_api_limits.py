@@ -8,12 +8,14 @@ import socket
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import httpx
 import pytest
 import uvicorn
 
 from revisit.formats import QUANTISED, encode_quantised
+from revisit.service.application.capacity.byte_budget import ByteBudget
 from revisit.service.rest.app import create_app
 from revisit.service.rest.limits import HttpLimits
 from revisit.service.rest.slow_clients import HEAD_BYTES, PIPELINED, DeadlineProtocol, uvicorn_limits
@@ -31,12 +33,13 @@ class FewConnections(DeadlineProtocol):
 
 
 @contextlib.contextmanager
-def http_server(limits=HttpLimits(), hosts=frozenset(), **settings):
+def http_server(limits=HttpLimits(), hosts=frozenset(), budget=ByteBudget(), **settings):
     """The HTTP side on a free port; yields its address."""
     world = memory_world()
+    use_cases = replace(world.use_cases, budget=budget)
     listener = socket.create_server(("127.0.0.1", 0))
     config = uvicorn.Config(
-        create_app(world.use_cases, limits, hosts=hosts), log_config=None, **{**uvicorn_limits(), **settings}
+        create_app(use_cases, limits, hosts=hosts), log_config=None, **{**uvicorn_limits(), **settings}
     )
     server = uvicorn.Server(config)
     server.capture_signals = contextlib.nullcontext
@@ -54,8 +57,8 @@ def http_server(limits=HttpLimits(), hosts=frozenset(), **settings):
 @pytest.fixture(scope="module")
 def impatient():
     """A server whose deadlines are short."""
-    limits = HttpLimits(body_grace_s=SHORT_S, bodies_bytes=100_000)
-    with http_server(limits, frozenset({"robots.example"}), http=ShortDeadline, timeout_keep_alive=1) as address:
+    limits, names = HttpLimits(body_grace_s=SHORT_S), frozenset({"robots.example"})
+    with http_server(limits, names, budget=ByteBudget(100_000), http=ShortDeadline, timeout_keep_alive=1) as address:
         yield address
 
 
