@@ -161,7 +161,8 @@ class BodyLimit:
         budget: ByteBudget = scope["app"].state.use_cases.budget
         refusal = _two_lengths(headers) or self._refusal(budget, headers.get("content-length", "0"))
         if refusal is not None:
-            await problem(refusal, scope["state"]["request_id"])(scope, receive, send)
+            # What follows on this connection may be a second request that was hidden in the first.
+            await problem(refusal, scope["state"]["request_id"], CLOSE)(scope, receive, send)
             return
         body = _Body(receive, self._limits)
         with ExitStack() as until_answered:

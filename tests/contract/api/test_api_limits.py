@@ -9,6 +9,7 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from urllib.parse import quote
 
 import httpx
 import pytest
@@ -293,3 +294,21 @@ def test_a_binary_cloud_that_happens_to_hold_such_words_is_taken(http_session):
     body = encode_quantised(cloud_points(3))
     answer = client.post(f"{path}&submap_id=binary", content=body, headers={"content-type": QUANTISED})
     assert answer.status_code == 202
+
+
+@pytest.mark.parametrize("stamp", ["1_000", "1.0", "+1", " 1", "1e3"])
+def test_a_number_of_the_query_string_is_written_in_digits_alone(http_session, stamp):
+    client, path = http_session
+    asked = f"{path}&submap_id=digits".replace("stamp_ns=1", f"stamp_ns={quote(stamp)}")
+    answer = client.post(asked, content=encode_quantised(cloud_points(3)), headers={"content-type": QUANTISED})
+    assert (answer.status_code, answer.json()["field"]) == (422, "stamp_ns")
+
+
+def test_a_request_with_two_lengths_ends_its_connection_and_hides_no_other(impatient):
+    hidden = b"GET /version HTTP/1.1\r\nHost: localhost\r\n\r\n"
+    head = b"POST /v1/maps HTTP/1.1\r\nHost: localhost\r\nContent-Length: 5\r\nTransfer-Encoding: chunked\r\n\r\n"
+    with socket.create_connection(impatient) as connection:
+        connection.sendall(head + b"0\r\n\r\n" + hidden)
+        _, said = closed_after_s(connection)
+    assert said.count(b"HTTP/1.1") == 1
+    assert said.startswith(b"HTTP/1.1 400")
