@@ -22,6 +22,7 @@ from revisit.service.adapters.sqlite.migration import migrate
 from revisit.service.application import Installation, UseCases
 from revisit.service.application.housekeeping.upkeep import Upkeep
 from revisit.service.composition import build_installation, build_tracer, build_use_cases, chores
+from revisit.service.large_blocks import return_large_blocks
 from revisit.service.metrics import LoadMetrics, MetricsServer, RequestMetrics, StoreMetrics
 from revisit.service.settings import Settings
 from revisit.service.tls import grpc_credentials, http_context
@@ -58,6 +59,7 @@ def serve(settings: Settings) -> int:
     """Run the gateway and its workers until SIGTERM or SIGINT; the exit status."""
     migrate(settings.database)
     sys.setswitchinterval(SWITCH_S)
+    return_large_blocks()
     with asyncio.Runner(loop_factory=_loop_factory()) as runner:
         return runner.run(_Gateway(settings).run())
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from enum import StrEnum
 from typing import Any
 
@@ -28,6 +28,7 @@ LAG_BOUND_S = 0.1
 """A loop that is later than this keeps health checks and acknowledgements waiting: it is logged."""
 
 LOOPBACK = "127.0.0.1"
+LOOPBACK_NAMES = frozenset({LOOPBACK, "localhost"})
 
 log = structlog.get_logger(__name__)
 
@@ -131,6 +132,7 @@ class MetricsServer:
         """Listens at once; `port` 0 takes a free one. Raises OSError where the port is taken."""
         requests.registry.register(store)
         self._server, self._thread = start_http_server(port, addr=LOOPBACK, registry=requests.registry)
+        self._server.set_app(_guarded(self._server.get_app()))
 
     @property
     def port(self) -> int:
@@ -142,3 +144,15 @@ class MetricsServer:
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()
+
+
+def _guarded(answer: Any) -> Callable[..., Any]:
+    """Answers only where it is addressed as loopback, so that no page can read it under a name of its own."""
+
+    def guarded(environ: dict[str, Any], start_response: Callable[..., Any]) -> Any:
+        if environ.get("HTTP_HOST", "").rpartition(":")[0] in LOOPBACK_NAMES:
+            return answer(environ, start_response)
+        start_response("403 Forbidden", [("Content-Type", "text/plain")])
+        return [b"The metrics are not known under this name.\n"]
+
+    return guarded

@@ -22,6 +22,7 @@ from revisit.service.application.access.api_keys import ApiKeys
 from revisit.service.application.access.audit import AuditLog
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.capacity.backlog import JobPosting
+from revisit.service.application.capacity.byte_budget import ByteBudget
 from revisit.service.application.catalogue.blob_references import BlobCollector
 from revisit.service.application.catalogue.maps import Maps
 from revisit.service.application.catalogue.robots import Robots
@@ -58,6 +59,7 @@ class UseCases:
     access: Access
     keys: ApiKeys
     audit: AuditLog
+    budget: ByteBudget
 
     @classmethod
     def over(cls, of: Installation, version: str, rules: AccessRules = AccessRules()) -> UseCases:
@@ -83,6 +85,7 @@ class UseCases:
             access=Access(storage, audit, clock, rules),
             keys=ApiKeys(storage, clock),
             audit=audit,
+            budget=of.budget,
         )
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from revisit.service.application.capacity.backlog import Backlog
+from revisit.service.application.capacity.byte_budget import ByteBudget
 from revisit.service.application.capacity.in_flight import DECODERS, InFlight
 from revisit.service.application.contract.blobs import BlobStore
 from revisit.service.application.contract.clock import Clock
@@ -37,6 +38,7 @@ class Installation:
     disk: DiskSpace = field(default_factory=UnlimitedDisk)
     index_health: IndexHealth = field(default_factory=IndexHealth)
     open_streams: OpenStreams = field(default_factory=OpenStreams)
+    budget: ByteBudget = field(default_factory=ByteBudget)
     decoder: CloudDecoder = field(default_factory=lambda: CloudDecoder(DECODERS))
 
     @cached_property

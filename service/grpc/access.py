@@ -106,8 +106,14 @@ class Gate:
 
 
 def credential_of(context: Any) -> Credential:
-    """The bearer token in the metadata, the names in a verified client certificate, and the peer's address."""
-    scheme, _, token = str(dict(context.invocation_metadata() or ()).get("authorization", "")).partition(" ")
+    """The bearer token in the metadata, the names in a verified client certificate, and the peer's address.
+
+    Raises Unauthenticated where authorization is sent more than once.
+    """
+    shown = [str(value) for name, value in context.invocation_metadata() or () if name == "authorization"]
+    if len(shown) > 1:
+        raise Unauthenticated("send authorization once")
+    scheme, _, token = "".join(shown).partition(" ")
     names = context.auth_context().get("x509_subject_alternative_name", ())
     return Credential(
         bearer=token.strip() if scheme.lower() == "bearer" else None,

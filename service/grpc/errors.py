@@ -7,6 +7,7 @@ INVALID_ARGUMENT (gRPC itself would answer INTERNAL or UNKNOWN with the name of 
 from __future__ import annotations
 
 import asyncio
+import traceback
 import uuid
 from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any, NoReturn, TypeVar
@@ -17,7 +18,9 @@ from google.protobuf.duration_pb2 import Duration
 from google.protobuf.message import DecodeError, Message
 from google.rpc import error_details_pb2, status_pb2  # type: ignore[import-untyped]  # ships no types
 
-from revisit.core.errors import MalformedBody, RevisitError
+from revisit.core.errors import MalformedBody, RevisitError, TooLarge
+from revisit.service.application.access.callers import current_tenant
+from revisit.service.application.capacity.byte_budget import ByteBudget, HeldBytes
 from revisit.service.application.contract.errors import DeadlineExceeded
 from revisit.service.application.contract.tracing import current_request
 from revisit.service.grpc.access import Gate
@@ -34,6 +37,19 @@ MESSAGE_S = 120.0
 PUBLIC_MESSAGE_S = 10.0
 """As `MESSAGE_S`, for a call that needs no credential."""
 
+UNREAD_S = 60.0
+"""A client that does not take a message of a stream for so long loses the stream."""
+
+WITH_CLOUD = frozenset({"PostSubmap", "SearchSubmaps", "Localize"})
+"""Unary calls whose message may be large; that of any other has at most `SMALL_MESSAGE_BYTES`."""
+
+SMALL_MESSAGE_BYTES = 64 * 2**10
+
+LARGEST_MESSAGE_BYTES = 16 * 2**20
+
+HELD_FORMS = 2
+"""A message is held in so many forms until its call is answered: parsed, and as the bytes of its cloud."""
+
 M = TypeVar("M")
 
 _log = structlog.get_logger(__name__)
@@ -46,10 +62,11 @@ class ErrorInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  #
     message, whose bytes wait with the client until then.
     """
 
-    def __init__(self, gate: Gate, places: CallPlaces) -> None:
-        """`gate` admits the callers, `places` bounds what they hold open."""
+    def __init__(self, gate: Gate, places: CallPlaces, budget: ByteBudget) -> None:
+        """`gate` admits the callers; `places` and `budget` bound what they hold open, in calls and in bytes."""
         self._gate = gate
         self._places = places
+        self._budget = budget
 
     async def intercept_service(
         self,
@@ -63,7 +80,7 @@ class ErrorInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  #
             return None
         if not method.startswith(OWN_METHODS):
             return _public(handler, self._places)
-        return _guarded(handler, method, self._gate, self._places)
+        return _guarded(handler, method, self._gate, self._places, self._budget)
 
 
 def rpc_status(error: RevisitError, request_id: str) -> status_pb2.Status:
@@ -96,7 +113,7 @@ def code_of(error: RevisitError) -> grpc.StatusCode:
     return grpc.StatusCode[STATUS[error.code].grpc]
 
 
-def _guarded(handler: Any, method: str, gate: Gate, places: CallPlaces) -> Any:
+def _guarded(handler: Any, method: str, gate: Gate, places: CallPlaces, budget: ByteBudget) -> Any:
     parse = handler.request_deserializer
     if handler.response_streaming:
 
@@ -104,8 +121,11 @@ def _guarded(handler: Any, method: str, gate: Gate, places: CallPlaces) -> Any:
             try:
                 async with gate.watching(method, context):
                     with places.of_caller(method, context):
-                        async for response in _streamed(handler, parse, requests, context):
-                            yield response
+                        async with asyncio.timeout(None) as unread:
+                            async for response in _streamed(handler, parse, requests, context):
+                                unread.reschedule(asyncio.get_running_loop().time() + UNREAD_S)
+                                yield response
+                                unread.reschedule(None)
             except Exception as error:  # noqa: BLE001  # the last resort of every call
                 await _abort(context, error)
 
@@ -114,12 +134,25 @@ def _guarded(handler: Any, method: str, gate: Gate, places: CallPlaces) -> Any:
     async def unary(requests: AsyncIterator[bytes], context: Any) -> Any:
         try:
             await gate.admit(method, context)
-            with places.of_caller(method, context):
-                return await handler.unary_unary(_parse(parse, await _only(requests)), context)
+            with places.of_caller(method, context), budget.hold(current_tenant()) as held:
+                return await handler.unary_unary(await _message(method, parse, requests, held), context)
         except Exception as error:  # noqa: BLE001  # the last resort of every call
             await _abort(context, error)
 
     return grpc.stream_unary_rpc_method_handler(unary, None, handler.response_serializer)
+
+
+async def _message(method: str, parse: Callable[[bytes], Any], requests: AsyncIterator[bytes], held: HeldBytes) -> Any:
+    """The parsed message of a unary call, within the budget. Raises TooLarge, WorkersBusy and what `_only` raises."""
+    if method.rpartition("/")[2] not in WITH_CLOUD:
+        message = await _only(requests, PUBLIC_MESSAGE_S)
+        if len(message) > SMALL_MESSAGE_BYTES:
+            raise TooLarge(f"a message of this call may have at most {SMALL_MESSAGE_BYTES} bytes")
+    else:
+        await held.wait_for(HELD_FORMS * LARGEST_MESSAGE_BYTES)
+        message = await _only(requests)
+        held.set(HELD_FORMS * len(message))
+    return _parse(parse, message)
 
 
 async def _streamed(
@@ -191,6 +224,8 @@ async def _abort(context: Any, error: Exception) -> NoReturn:
         _log.exception("call failed unexpectedly", request_id=request_id, exc_info=error)
         error = RevisitError("an internal error occurred; the request id leads to its log entry")
     status = rpc_status(error, request_id)
+    # The frames of what was refused hold its message, and would until the garbage collector comes round.
+    traceback.clear_frames(error.__traceback__)
     trailing = ((STATUS_DETAILS, status.SerializeToString()), (REQUEST_ID, request_id))
     await context.abort(code_of(error), status.message, trailing)
     raise AssertionError("abort does not return")

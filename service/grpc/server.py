@@ -12,7 +12,7 @@ from grpc_reflection.v1alpha import reflection
 from revisit.service.application import UseCases
 from revisit.service.application.contract.tracing import NoTracer, Tracer
 from revisit.service.grpc.access import Gate, require_declared_scopes
-from revisit.service.grpc.errors import ErrorInterceptor
+from revisit.service.grpc.errors import LARGEST_MESSAGE_BYTES, ErrorInterceptor
 from revisit.service.grpc.places import CallLimits, CallPlaces
 from revisit.service.grpc.servicers.health import HealthServicer
 from revisit.service.grpc.servicers.ingest import IngestServicer
@@ -45,7 +45,7 @@ from revisit.v1 import (
     system_pb2_grpc,
 )
 
-MAX_MESSAGE_BYTES = 16 * 2**20
+MAX_MESSAGE_BYTES = LARGEST_MESSAGE_BYTES
 MAX_METADATA_BYTES = 16 * 2**10
 MAX_CONCURRENT_CALLS = 256
 """Of one connection. `CallLimits` bounds what all together hold open."""
@@ -61,6 +61,8 @@ OPTIONS = (
     ("grpc.keepalive_timeout_ms", 10_000),
     ("grpc.http2.min_ping_interval_without_data_ms", 10_000),
     ("grpc.so_reuseport", 0),
+    # Else a stream's window grows to megabytes, and so much of a message that nobody reads yet is held for each.
+    ("grpc.http2.bdp_probe", 0),
 )
 
 _SERVICES: tuple[tuple[Any, Callable[[UseCases], object], Callable[..., None]], ...] = (
@@ -90,8 +92,9 @@ def create_server(
     services = [service for module, *_ in _SERVICES for service in module.DESCRIPTOR.services_by_name.values()]
     require_declared_scopes(services)
     timers = [] if requests is None else [CallTimer(requests)]
+    guard = ErrorInterceptor(Gate(use_cases), CallPlaces(call_limits), use_cases.budget)
     server = grpc.aio.server(
-        interceptors=[CallTracing(tracer), *timers, ErrorInterceptor(Gate(use_cases), CallPlaces(call_limits))],
+        interceptors=[CallTracing(tracer), *timers, guard],
         options=OPTIONS,
         maximum_concurrent_rpcs=call_limits.total,
     )

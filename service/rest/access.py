@@ -14,6 +14,7 @@ from starlette.routing import BaseRoute
 
 from revisit.service.application.access.admission import Credential
 from revisit.service.application.access.callers import Scope, enter
+from revisit.service.application.contract.errors import Unauthenticated
 from revisit.service.rest.tracing import call_of
 
 SCHEME = "bearer"
@@ -46,7 +47,12 @@ PUBLIC = Depends(anyone)
 
 
 def credential_of(request: Request) -> Credential:
-    """The bearer token of the Authorization header and the address of the connection."""
+    """The bearer token of the Authorization header and the address of the connection.
+
+    Raises Unauthenticated where there is more than one such header: proxies and transports differ in which one counts.
+    """
+    if len(request.headers.getlist("authorization")) > 1:
+        raise Unauthenticated("send one Authorization header")
     scheme, _, token = request.headers.get("authorization", "").partition(" ")
     address = request.client.host if request.client is not None else ""
     return Credential(token.strip() if scheme.lower() == "bearer" else None, address=address)

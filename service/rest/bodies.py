@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import re
 from typing import Any, TypeVar
@@ -13,7 +12,6 @@ from starlette.requests import ClientDisconnect, Request
 
 from revisit.core.errors import BadField, MalformedBody, TooLarge, UnsupportedEncoding
 from revisit.formats import MEDIA_TYPES
-from revisit.formats.compression import decode_content
 from revisit.service.application.ingest.clouds import EncodedCloud
 from revisit.service.rest.errors import bad_field
 from revisit.service.rest.limits import HttpLimits
@@ -81,15 +79,11 @@ def parse_json(data: bytes, schema: type[SchemaT], limits: HttpLimits) -> Schema
 
 
 async def cloud_body(request: Request) -> EncodedCloud:
-    """A dependency: the body as an encoded cloud."""
+    """A dependency: the body as an encoded cloud, still compressed where it was sent so."""
     content_type = media_type(request)
     if not content_type:
         raise UnsupportedEncoding("a cloud needs a Content-Type")
-    data = await body_bytes(request)
-    coding = request.headers.get("content-encoding")
-    # Threads are for what takes long: a body that is as it is need not wait for one.
-    decoded = decode_content(data, None) if coding is None else await asyncio.to_thread(decode_content, data, coding)
-    return EncodedCloud(decoded, content_type)
+    return EncodedCloud(await body_bytes(request), content_type, request.headers.get("content-encoding"))
 
 
 async def body_bytes(request: Request) -> bytes:

@@ -20,5 +20,3 @@ class HttpLimits:
     """The rate above which a body may take longer, on average since it began."""
     requests: int = 1024
     """Requests that are being answered at the same time; health is told beyond them."""
-    bodies_bytes: int = 512 * MIB
-    """Bodies that are read or held at the same time, of all clients together."""

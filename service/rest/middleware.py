@@ -7,12 +7,16 @@ import ipaddress
 import re
 import time
 import uuid
+from contextlib import ExitStack
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from revisit.core.errors import MalformedBody, RevisitError, TooLarge
+from revisit.service.application.access.callers import current_tenant_or_none
+from revisit.service.application.capacity.byte_budget import ByteBudget, HeldBytes
 from revisit.service.application.contract.errors import DeadlineExceeded, WorkersBusy
+from revisit.service.application.contract.identity import TenantId
 from revisit.service.metrics import RequestMetrics
 from revisit.service.rest.errors import ForeignOrigin, UnknownHost, problem, unexpected
 from revisit.service.rest.limits import HttpLimits
@@ -34,6 +38,9 @@ SECURITY_HEADERS = {
     ),
 }
 
+
+NOBODY = TenantId("")
+"""Whose bytes are counted before anybody was admitted."""
 
 HEALTH_PATHS = frozenset({"/livez", "/readyz"})
 
@@ -138,13 +145,12 @@ class HostGuard:
 class BodyLimit:
     """Refuses a body that is too large or too slow, by its declared length before reading or while it streams in.
 
-    All bodies together are bounded too: each counts until its answer is sent.
+    All bodies together are bounded too, by the budget: each counts until its answer is sent.
     """
 
     def __init__(self, app: ASGIApp, limits: HttpLimits) -> None:
         self._app = app
         self._limits = limits
-        self._held_bytes = 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle one ASGI connection."""
@@ -152,34 +158,35 @@ class BodyLimit:
             await self._app(scope, receive, send)
             return
         headers = Headers(scope=scope)
-        refusal = _two_lengths(headers) or self._refusal(headers.get("content-length", "0"))
+        budget: ByteBudget = scope["app"].state.use_cases.budget
+        refusal = _two_lengths(headers) or self._refusal(budget, headers.get("content-length", "0"))
         if refusal is not None:
-            await problem(refusal, scope["state"]["request_id"])(scope, receive, send)
+            # What follows on this connection may be a second request that was hidden in the first.
+            await problem(refusal, scope["state"]["request_id"], CLOSE)(scope, receive, send)
             return
         body = _Body(receive, self._limits)
+        with ExitStack() as until_answered:
+            held: HeldBytes | None = None
 
-        async def receive_within_limits() -> Message:
-            before = body.read_bytes
-            try:
+            async def receive_within_limits() -> Message:
+                nonlocal held
                 message = await body.receive()
-            finally:
-                self._held_bytes += body.read_bytes - before
-            if self._held_bytes > self._limits.bodies_bytes:
-                raise _too_many()
-            return message
+                if held is None and body.read_bytes > 0:
+                    # A body is read after its caller was admitted; what nobody was admitted for is not read.
+                    held = until_answered.enter_context(budget.hold(current_tenant_or_none() or NOBODY))
+                if held is not None:
+                    held.set(body.read_bytes)
+                return message
 
-        try:
             await self._app(scope, receive_within_limits, send)
-        finally:
-            self._held_bytes -= body.read_bytes
 
-    def _refusal(self, declared: str) -> RevisitError | None:
+    def _refusal(self, budget: ByteBudget, declared: str) -> RevisitError | None:
         if not declared.isascii() or not declared.isdigit():
             return MalformedBody("Content-Length is not a number")
         if int(declared[:20]) > self._limits.body_bytes:
             return _too_large(self._limits)
-        if self._held_bytes + int(declared) > self._limits.bodies_bytes:
-            return _too_many()
+        if int(declared) > 0 and not budget.has_room(NOBODY, int(declared)):
+            return WorkersBusy("too many bodies are being read; try again later with the same id")
         return None
 
 
@@ -245,10 +252,6 @@ def _two_lengths(headers: Headers) -> RevisitError | None:
 
 def _too_large(limits: HttpLimits) -> TooLarge:
     return TooLarge(f"a body may have at most {limits.body_bytes} bytes")
-
-
-def _too_many() -> WorkersBusy:
-    return WorkersBusy("too many bodies are being read; try again later with the same id")
 
 
 def _is_address(text: str) -> bool:

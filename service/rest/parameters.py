@@ -18,7 +18,7 @@ from revisit.service.application.ingest.clouds import EncodedCloud
 from revisit.service.application.query.freshness import DEFAULT_WAIT_S, Freshness
 from revisit.service.application.query.search_answers import SearchCriteria
 from revisit.service.rest.bodies import cloud_body, parse_numbers
-from revisit.service.rest.schemas import bounds
+from revisit.service.rest.schemas import IN_DIGITS, bounds
 
 POSE_HELP = "x,y,z,qx,qy,qz,qw: translation in metres and unit quaternion."
 
@@ -38,7 +38,7 @@ async def _tenant() -> TenantId:
 
 
 async def _page(
-    page_size: Annotated[int, Query(**bounds(limits.PAGE_SIZE))] = PageRequest().size,
+    page_size: Annotated[int, Query(**bounds(limits.PAGE_SIZE)), IN_DIGITS] = PageRequest().size,
     page_token: Annotated[str, Query(max_length=limits.PAGE_TOKEN_CHARACTERS)] = "",
 ) -> PageRequest:
     return PageRequest(page_size, page_token)
@@ -69,7 +69,7 @@ async def _submap_key(map_id: Id, session_id: Id, submap_id: Id) -> SubmapKey:
 
 SessionOf: TypeAlias = Annotated[SessionKey, Depends(_session_key)]
 SubmapOf: TypeAlias = Annotated[SubmapKey, Depends(_submap_key)]
-StampNs: TypeAlias = Annotated[int, Query(**bounds(limits.STAMP_NS))]
+StampNs: TypeAlias = Annotated[int, Query(**bounds(limits.STAMP_NS)), IN_DIGITS]
 
 
 def pose(text: str, field: str) -> Matrix4:
@@ -118,7 +118,7 @@ RadiusM: TypeAlias = Annotated[float | None, Query(**bounds(limits.RADIUS_M))]
 
 async def criteria_of_query(
     prior: Prior,
-    k: Annotated[int, Query(**bounds(limits.K))] = SearchCriteria().k,
+    k: Annotated[int, Query(**bounds(limits.K)), IN_DIGITS] = SearchCriteria().k,
     min_similarity: Annotated[float | None, Query(**bounds(limits.MIN_SIMILARITY))] = None,
     exclude_session: Annotated[str | None, Query(max_length=limits.ID_CHARACTERS)] = None,
     only_session: Annotated[str | None, Query(max_length=limits.ID_CHARACTERS)] = None,
@@ -129,7 +129,7 @@ async def criteria_of_query(
 
 
 async def freshness_of_query(
-    min_seq: Annotated[int, Query(**bounds(limits.MIN_SEQ), description=MIN_SEQ_HELP)] = 0,
+    min_seq: Annotated[int, Query(**bounds(limits.MIN_SEQ), description=MIN_SEQ_HELP), IN_DIGITS] = 0,
     min_seq_timeout_s: Annotated[float, Query(**bounds(limits.WAIT_S))] = DEFAULT_WAIT_S,
 ) -> Freshness:
     """What an answer must rest on, from the query string."""

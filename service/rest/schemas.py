@@ -5,9 +5,10 @@ Answers are no schemas of their own: they are the messages of `proto/revisit/v1`
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from revisit.service.application.catalogue.maps import CreateMap
 from revisit.service.application.catalogue.robots import CreateRobot
@@ -22,6 +23,16 @@ def bounds(of: Range) -> dict[str, Any]:
     """A range as the arguments of a pydantic or FastAPI field, finite."""
     return {"gt" if of.above else "ge": of.least, "le": of.most, "allow_inf_nan": False}
 
+
+def _in_digits(value: Any) -> Any:
+    """`value` as it was sent; raises ValueError for 1_000, 1.0 and other spellings that Python would take."""
+    if isinstance(value, str) and not re.fullmatch(r"-?[0-9]{1,20}", value, re.ASCII):
+        raise ValueError("must be an integer, in digits alone")
+    return value
+
+
+IN_DIGITS = BeforeValidator(_in_digits)
+"""Of an integer of a query string."""
 
 Id = Annotated[str, Field(pattern=f"^{limits.ID_PATTERN}$", examples=["yard-3"])]
 DisplayName = Annotated[str, Field(max_length=limits.DISPLAY_NAME_CHARACTERS, pattern=r"^[^\x00-\x1f\x7f]*$")]

@@ -58,6 +58,12 @@ def current_tenant() -> TenantId:
     return caller.tenant
 
 
+def current_tenant_or_none() -> TenantId | None:
+    """As `current_tenant`; None where nobody was admitted."""
+    caller = _CALLER.get(None)
+    return None if caller is None else caller.tenant
+
+
 def current_actor() -> str:
     """Who is to be named for what this request changes."""
     caller = _CALLER.get(None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -43,6 +44,13 @@ MEDIA_TYPES = {
 }
 
 
+RENDERING_BYTES = 48 * 2**20
+"""What a file is counted as in the budget until it is made and its size is known, as that of 2,000,000 points."""
+
+PIECE_BYTES = 2**18
+"""A file is sent in pieces: the next is handed over once the client has taken most of the one before."""
+
+
 @dataclass(frozen=True)
 class Download:
     """A file: its bytes, media type and a name to save it under."""
@@ -50,6 +58,11 @@ class Download:
     data: bytes
     media_type: str
     filename: str
+
+    def pieces(self) -> Iterator[bytes]:
+        """The file in pieces of `PIECE_BYTES`."""
+        for start in range(0, len(self.data), PIECE_BYTES):
+            yield self.data[start : start + PIECE_BYTES]
 
 
 def render_download(

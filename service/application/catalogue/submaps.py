@@ -39,6 +39,7 @@ class Submaps:
         self._collector = collector
         self._clock = clock
         self._policy = policy
+        self._rendering = asyncio.Lock()
 
     async def get(self, tenant: TenantId, key: SubmapKey, *, full: bool = False) -> SubmapView:
         """The submap, with its descriptor where `full`. Raises NotFound."""
@@ -69,7 +70,9 @@ class Submaps:
         Raises NotFound; NotReady where it is not described yet; UnsupportedEncoding for another format; DataLoss.
         """
         record, source = await self._storage.read(partial(self._with_source, tenant=tenant, key=key))
-        return await asyncio.to_thread(render_download, self._storage.blobs, record, source, kind, file_format)
+        # One at a time: to make the largest takes several times its size for a moment.
+        async with self._rendering:
+            return await asyncio.to_thread(render_download, self._storage.blobs, record, source, kind, file_format)
 
     def _with_source(self, uow: UnitOfWork, tenant: TenantId, key: SubmapKey) -> tuple[SubmapRecord, SubmapSource]:
         record = require_submap(uow, tenant, key)

@@ -20,6 +20,7 @@ from revisit.core.container import decompressed, from_byte_planes, to_byte_plane
 from revisit.core.errors import BadField, DataLoss, TooLarge
 from revisit.core.scan import CloudReport, Points, validate_cloud
 from revisit.formats import DecodedCloud, decode_cloud
+from revisit.formats.compression import decode_content
 from revisit.service.application.contract import limits
 
 QUERY_NONCE_BYTES = 16
@@ -36,10 +37,15 @@ _ASCII_HEADER = re.compile(rb"^(DATA|format)[ \t]+ascii", re.IGNORECASE | re.MUL
 
 @dataclass(frozen=True)
 class EncodedCloud:
-    """Bytes as the client sent them (after removal of any transport compression), with their content type."""
+    """Bytes as the client sent them, with their content type.
+
+    `coding` is the compression that is still on them (`gzip`, `zstd`): it is removed when the cloud's turn to be
+    decoded comes, so that a cloud that waits keeps its small form.
+    """
 
     data: bytes
     content_type: str
+    coding: str | None = None
 
 
 CloudInput: TypeAlias = EncodedCloud | DecodedCloud
@@ -110,6 +116,7 @@ def unpack_cloud(blob: bytes) -> StoredCloud:
 def _decoded(cloud: CloudInput) -> DecodedCloud:
     if not isinstance(cloud, EncodedCloud):
         return cloud
-    if len(cloud.data) > limits.ASCII_CLOUD_BYTES and _ASCII_HEADER.search(cloud.data, 0, _HEADER_BYTES):
+    data = decode_content(cloud.data, cloud.coding)
+    if len(data) > limits.ASCII_CLOUD_BYTES and _ASCII_HEADER.search(data, 0, _HEADER_BYTES):
         raise TooLarge(f"an ASCII cloud may have {limits.ASCII_CLOUD_BYTES} bytes; send the binary form of the format")
-    return decode_cloud(cloud.data, cloud.content_type)
+    return decode_cloud(data, cloud.content_type)

@@ -6,12 +6,11 @@ from collections.abc import AsyncIterator
 from typing import Any
 
 from revisit.service.application import UseCases
+from revisit.service.application.catalogue.downloads import RENDERING_BYTES
 from revisit.service.grpc.tenancy import tenant_of
 from revisit.service.wire import answers, names, requests
 from revisit.v1 import submap_pb2 as pb
 from revisit.v1 import submap_pb2_grpc
-
-CHUNK_BYTES = 2**20
 
 
 class SubmapServicer(submap_pb2_grpc.SubmapServiceServicer):
@@ -21,6 +20,7 @@ class SubmapServicer(submap_pb2_grpc.SubmapServiceServicer):
         """Answers from `use_cases`."""
         self._submaps = use_cases.submaps
         self._posting = use_cases.posting
+        self._budget = use_cases.budget
 
     async def PostSubmap(self, request: pb.PostSubmapRequest, context: Any) -> pb.PostSubmapResponse:
         """Store a submap and queue its description."""
@@ -49,9 +49,10 @@ class SubmapServicer(submap_pb2_grpc.SubmapServiceServicer):
     ) -> AsyncIterator[pb.DownloadSubmapResponse]:
         """A file in chunks; the first one says what it is."""
         key, what = names.submap_key(request.name), requests.download(request)
-        file = await self._submaps.download(tenant_of(context), key, *what)
-        yield pb.DownloadSubmapResponse(
-            media_type=file.media_type, filename=file.filename, data=file.data[:CHUNK_BYTES]
-        )
-        for start in range(CHUNK_BYTES, len(file.data), CHUNK_BYTES):
-            yield pb.DownloadSubmapResponse(data=file.data[start : start + CHUNK_BYTES])
+        with self._budget.hold(tenant_of(context)) as held:
+            await held.wait_for(RENDERING_BYTES)
+            file = await self._submaps.download(tenant_of(context), key, *what)
+            held.set(len(file.data))
+            yield pb.DownloadSubmapResponse(media_type=file.media_type, filename=file.filename)
+            for piece in file.pieces():
+                yield pb.DownloadSubmapResponse(data=piece)

@@ -37,7 +37,7 @@ from revisit.service.rest.parameters import (
     Tenant,
     criteria_of_query,
 )
-from revisit.service.rest.schemas import SearchRequest, bounds
+from revisit.service.rest.schemas import IN_DIGITS, SearchRequest, bounds
 from revisit.service.wire import names
 from revisit.service.wire.answers import of_localization, of_search
 
@@ -88,7 +88,7 @@ async def localize(
     prior: Prior,
     fresh: Fresh,
     radius_m: RadiusM = None,
-    candidates: Annotated[int, Query(**bounds(limits.LOCALIZE_CANDIDATES))] = 10,
+    candidates: Annotated[int, Query(**bounds(limits.LOCALIZE_CANDIDATES)), IN_DIGITS] = 10,
 ) -> Response:
     """Where in the map was this cloud taken? No match is an answer, not an error."""
     query = LocalizeQuery(map_id, cloud, prior, radius_m, candidates)

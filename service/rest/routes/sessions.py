@@ -14,7 +14,7 @@ from revisit.service.rest.access import allows
 from revisit.service.rest.answers import Ack, Session, SessionPage, answer, answers
 from revisit.service.rest.bodies import CLOUD_BODY, describe_json, json_body
 from revisit.service.rest.parameters import Cases, Cloud, Id, Paging, PoseOfSensor, SessionOf, StampNs, Tenant
-from revisit.service.rest.schemas import CreateSessionRequest, bounds
+from revisit.service.rest.schemas import IN_DIGITS, CreateSessionRequest, bounds
 from revisit.service.wire.answers import of_ack, of_page, of_session
 
 router = APIRouter(prefix="/v1/maps/{map_id}/sessions", tags=["sessions"])
@@ -67,7 +67,7 @@ async def delete_session(key: SessionOf, cases: Cases, tenant: Tenant) -> None:
 )
 async def append_scan(
     key: SessionOf,
-    seq: Annotated[int, Query(**bounds(limits.SCAN_SEQ))],
+    seq: Annotated[int, Query(**bounds(limits.SCAN_SEQ)), IN_DIGITS],
     stamp_ns: StampNs,
     T_odom_sensor: PoseOfSensor,
     cloud: Cloud,

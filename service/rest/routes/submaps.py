@@ -15,6 +15,7 @@ from revisit.service.application.ingest.submap_posting import PostSubmap
 from revisit.service.rest.access import allows
 from revisit.service.rest.answers import Posted, Submap, SubmapPage, answer, answers
 from revisit.service.rest.bodies import ANY_BINARY, CLOUD_BODY
+from revisit.service.rest.files import FileInPieces
 from revisit.service.rest.parameters import Cases, Cloud, Paging, PoseOfSubmap, SessionOf, StampNs, SubmapOf, Tenant
 from revisit.service.wire.answers import of_page, of_posted, of_submap
 
@@ -88,9 +89,7 @@ async def download_submap(
 ) -> Response:
     """Download a submap as a file."""
     kind, points_format = file_format.what()
-    download = await cases.submaps.download(tenant, key, kind, points_format)
-    headers = {"content-disposition": f'attachment; filename="{download.filename}"'}
-    return Response(download.data, media_type=download.media_type, headers=headers)
+    return FileInPieces(cases.budget, tenant, lambda: cases.submaps.download(tenant, key, kind, points_format))
 
 
 @router.get("/{submap_id}", **answers(Submap), dependencies=[allows(Scope.INGEST, Scope.QUERY)])

@@ -8,12 +8,15 @@ import socket
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from urllib.parse import quote
 
 import httpx
 import pytest
 import uvicorn
 
 from revisit.formats import QUANTISED, encode_quantised
+from revisit.service.application.capacity.byte_budget import ByteBudget
 from revisit.service.rest.app import create_app
 from revisit.service.rest.limits import HttpLimits
 from revisit.service.rest.slow_clients import HEAD_BYTES, PIPELINED, DeadlineProtocol, uvicorn_limits
@@ -31,12 +34,13 @@ class FewConnections(DeadlineProtocol):
 
 
 @contextlib.contextmanager
-def http_server(limits=HttpLimits(), hosts=frozenset(), **settings):
+def http_server(limits=HttpLimits(), hosts=frozenset(), budget=ByteBudget(), **settings):
     """The HTTP side on a free port; yields its address."""
     world = memory_world()
+    use_cases = replace(world.use_cases, budget=budget)
     listener = socket.create_server(("127.0.0.1", 0))
     config = uvicorn.Config(
-        create_app(world.use_cases, limits, hosts=hosts), log_config=None, **{**uvicorn_limits(), **settings}
+        create_app(use_cases, limits, hosts=hosts), log_config=None, **{**uvicorn_limits(), **settings}
     )
     server = uvicorn.Server(config)
     server.capture_signals = contextlib.nullcontext
@@ -54,8 +58,8 @@ def http_server(limits=HttpLimits(), hosts=frozenset(), **settings):
 @pytest.fixture(scope="module")
 def impatient():
     """A server whose deadlines are short."""
-    limits = HttpLimits(body_grace_s=SHORT_S, bodies_bytes=100_000)
-    with http_server(limits, frozenset({"robots.example"}), http=ShortDeadline, timeout_keep_alive=1) as address:
+    limits, names = HttpLimits(body_grace_s=SHORT_S), frozenset({"robots.example"})
+    with http_server(limits, names, budget=ByteBudget(100_000), http=ShortDeadline, timeout_keep_alive=1) as address:
         yield address
 
 
@@ -290,3 +294,21 @@ def test_a_binary_cloud_that_happens_to_hold_such_words_is_taken(http_session):
     body = encode_quantised(cloud_points(3))
     answer = client.post(f"{path}&submap_id=binary", content=body, headers={"content-type": QUANTISED})
     assert answer.status_code == 202
+
+
+@pytest.mark.parametrize("stamp", ["1_000", "1.0", "+1", " 1", "1e3"])
+def test_a_number_of_the_query_string_is_written_in_digits_alone(http_session, stamp):
+    client, path = http_session
+    asked = f"{path}&submap_id=digits".replace("stamp_ns=1", f"stamp_ns={quote(stamp)}")
+    answer = client.post(asked, content=encode_quantised(cloud_points(3)), headers={"content-type": QUANTISED})
+    assert (answer.status_code, answer.json()["field"]) == (422, "stamp_ns")
+
+
+def test_a_request_with_two_lengths_ends_its_connection_and_hides_no_other(impatient):
+    hidden = b"GET /version HTTP/1.1\r\nHost: localhost\r\n\r\n"
+    head = b"POST /v1/maps HTTP/1.1\r\nHost: localhost\r\nContent-Length: 5\r\nTransfer-Encoding: chunked\r\n\r\n"
+    with socket.create_connection(impatient) as connection:
+        connection.sendall(head + b"0\r\n\r\n" + hidden)
+        _, said = closed_after_s(connection)
+    assert said.count(b"HTTP/1.1") == 1
+    assert said.startswith(b"HTTP/1.1 400")

@@ -80,3 +80,10 @@ def test_a_store_that_does_not_answer_leaves_the_other_metrics(metrics, monkeypa
     found = lines_of(server)
     assert any(line.startswith("revisit_request_duration_seconds_count") for line in found)
     assert not any(line.startswith("revisit_jobs") for line in found)
+
+
+@pytest.mark.parametrize(("host", "status"), [("localhost:1", 200), ("127.0.0.1:1", 200), ("evil.example:1", 403)])
+def test_metrics_are_told_only_under_names_of_loopback(metrics, host, status):
+    _, _, server = metrics
+    url = f"http://127.0.0.1:{server.port}/metrics"
+    assert httpx.get(url, headers={"host": host}, trust_env=False).status_code == status

@@ -8,6 +8,7 @@ import socket
 import time
 
 import grpc
+import httpx
 import pytest
 from google.rpc import error_details_pb2, status_pb2
 from grpc_health.v1 import health_pb2, health_pb2_grpc
@@ -136,3 +137,14 @@ async def test_calls_whose_message_never_comes_keep_nobody_out(crowded, keys, mo
             connection.sendall(OPENING + b"".join(call_headers(method, call) for call in range(1, 400, 2)))
         await asyncio.sleep(SETTLED_S)
         assert await serves(crowded, keys["other"])
+
+
+async def test_authorization_that_is_sent_twice_is_refused_on_both_transports(crowded, keys):
+    twice = [*keys["other"], *keys["other"]]
+    async with httpx.AsyncClient(base_url=crowded.http, trust_env=False) as http:
+        assert (await http.get("/v1/maps", headers=twice)).status_code == 401
+        assert (await http.get("/v1/maps", headers=twice[:1])).status_code == 200
+    async with channels(crowded.grpc, 1) as (channel,):
+        with pytest.raises(grpc.aio.AioRpcError) as refused:
+            await map_pb2_grpc.MapServiceStub(channel).ListMaps(map_pb2.ListMapsRequest(), metadata=tuple(twice))
+    assert refused.value.code() is grpc.StatusCode.UNAUTHENTICATED

@@ -1,0 +1,20 @@
+"""Memory of large blocks goes back to the system as soon as it is free."""
+
+from __future__ import annotations
+
+import ctypes
+
+LARGE_BYTES = 2**20
+
+_M_MMAP_THRESHOLD = -3
+
+
+def return_large_blocks() -> None:
+    """Let the allocator map blocks of `LARGE_BYTES` and more by themselves.
+
+    glibc raises this threshold up to 32 MiB as soon as such a block is freed, and then keeps what large messages took
+    within its heaps, in which little is given back. Another C library has no such function, and no such habit.
+    """
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is not None:
+        mallopt(_M_MMAP_THRESHOLD, LARGE_BYTES)

@@ -1,0 +1,43 @@
+"""Files as answers: made when the budget has room for them, and sent in pieces."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+
+from fastapi import Response
+from starlette.types import Receive, Scope, Send
+
+from revisit.service.application.capacity.byte_budget import ByteBudget
+from revisit.service.application.catalogue.downloads import RENDERING_BYTES, Download
+from revisit.service.application.contract.identity import TenantId
+
+
+class FileInPieces(Response):
+    """A download that counts in the budget until its last piece is handed over, or its connection is lost."""
+
+    def __init__(self, budget: ByteBudget, tenant: TenantId, make: Callable[[], Awaitable[Download]]) -> None:
+        """`make` makes the file; what it raises is the answer."""
+        super().__init__()
+        self._budget = budget
+        self._tenant = tenant
+        self._make = make
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Make the file and send it. Raises WorkersBusy where the budget has no room, and what `make` raises."""
+        with self._budget.hold(self._tenant) as held:
+            await held.wait_for(RENDERING_BYTES)
+            file = await self._make()
+            held.set(len(file.data))
+            await send({"type": "http.response.start", "status": 200, "headers": _headers(file)})
+            for piece in file.pieces():
+                await send({"type": "http.response.body", "body": piece, "more_body": True})
+            await send({"type": "http.response.body", "body": b"", "more_body": False})
+
+
+def _headers(file: Download) -> list[tuple[bytes, bytes]]:
+    headers = {
+        "content-type": file.media_type,
+        "content-length": str(len(file.data)),
+        "content-disposition": f'attachment; filename="{file.filename}"',
+    }
+    return [(name.encode(), value.encode("latin-1")) for name, value in headers.items()]
