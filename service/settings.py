@@ -39,6 +39,12 @@ class Settings(AccessSettings):
     lease_s: float = Field(default=10.0, gt=0, description="a job is given to another worker after this silence")
     max_attempts: int = Field(default=3, ge=1, description="runs of a job before it fails")
     max_queued_jobs: int = Field(default=1000, ge=1, description="waiting jobs per tenant before posts are refused")
+    tenant_storage_mb: int | None = Field(
+        default=None,
+        ge=1,
+        description="room (MiB) for the clouds of one tenant, at 12 bytes a point whatever they take on the disk; "
+        "further scans and submaps are refused with QUOTA; unset for no limit",
+    )
     points_per_s: float = Field(
         default=40e6, gt=0, description="points a second that are taken in altogether, over 10 s on average"
     )
@@ -156,6 +162,7 @@ class Settings(AccessSettings):
             max_queued_jobs=self.max_queued_jobs,
             max_attempts=self.max_attempts,
             lease_ms=int(self.lease_s * 1000),
+            tenant_storage_bytes=None if self.tenant_storage_mb is None else self.tenant_storage_mb * 2**20,
         )
 
     @property

@@ -147,13 +147,14 @@ class Scans:
         """Store one scan durably; returns after the commit. A `patient` one waits for a slot.
 
         Raises what decoding and validation raise, NotFound, SessionFinished, SequenceGap(expected), WorkersBusy,
-        RateLimited, Draining, StorageFull, StorageUncertain.
+        RateLimited, QuotaReached, Draining, StorageFull, StorageUncertain.
         """
         self._admission.require_storage()
         limits.SCAN_SEQ.validated(command.seq, "seq")
         session = await self._storage.read(partial(require_session, tenant=tenant, key=command.session))
         if _is_replay(session, command.seq):
             return ScanAck(session.committed_seq, replay=True, report=None, submap=None)
+        await self._admission.require_room(tenant)
         async with self._admission.cloud(tenant, patient=patient, queued=False) as decoded:
             return await self._store(tenant, command, decoded)
 
@@ -163,6 +164,7 @@ class Scans:
         await self._storage.put_blob(tenant, CLOUD_BLOB, accepted.packed)
         failpoint("ingest.after_blob")
         ack = await self._storage.write(partial(self._insert, tenant=tenant, key=command.session, accepted=accepted))
+        self._admission.note_stored(tenant, len(accepted.scan.points))
         failpoint("ingest.after_commit")
         return ack
 
