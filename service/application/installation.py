@@ -56,9 +56,10 @@ class Installation:
         return Backlog(self.storage, self.in_flight, self.policy.max_queued_jobs)
 
     @cached_property
-    def quota(self) -> StorageQuota:
-        """The limit of what a tenant stores."""
-        return StorageQuota(self.storage, self.policy.tenant_storage_bytes)
+    def quota(self) -> StorageQuota | None:
+        """The limit of what a tenant stores, if there is one."""
+        most_bytes = self.policy.tenant_storage_bytes
+        return None if most_bytes is None else StorageQuota(self.storage, most_bytes)
 
     def recognition(self, recogniser: PlaceRecogniser) -> Recognition:
         """What a worker does with a job; `recogniser` is the method, and the index this worker's own cache."""

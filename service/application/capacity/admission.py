@@ -23,9 +23,9 @@ class Admission:
         disk: DiskSpace,
         in_flight: InFlight,
         backlog: Backlog,
-        quota: StorageQuota,
+        quota: StorageQuota | None,
     ) -> None:
-        """`stopping` is set when the service begins to stop."""
+        """`stopping` is set when the service begins to stop; `quota` is None where tenants may store what they like."""
         self._stopping = stopping
         self._disk = disk
         self._in_flight = in_flight
@@ -55,11 +55,13 @@ class Admission:
     async def require_room(self, tenant: TenantId) -> None:
         """As `require_storage`, for what the tenant keeps. Raises also QuotaReached."""
         self.require_storage()
-        await self._quota.require_room(tenant)
+        if self._quota is not None:
+            await self._quota.require_room(tenant)
 
     def note_stored(self, tenant: TenantId, points: int) -> None:
         """The tenant keeps so many points more."""
-        self._quota.note(tenant, points)
+        if self._quota is not None:
+            self._quota.note(tenant, points)
 
     def precheck_cloud(self, tenant: TenantId) -> None:
         """What can be checked before a cloud is read. Raises Draining, RateLimited, WorkersBusy."""

@@ -27,8 +27,8 @@ FREED_S = 60.0
 class StorageQuota:
     """What each tenant has stored, as last counted, and the limit."""
 
-    def __init__(self, storage: Storage, most_bytes: int | None, now_s: Callable[[], float] = time.monotonic) -> None:
-        """A tenant stores at most `most_bytes`, None for no limit; clouds under way may go beyond it."""
+    def __init__(self, storage: Storage, most_bytes: int, now_s: Callable[[], float] = time.monotonic) -> None:
+        """A tenant stores at most `most_bytes`; clouds under way may go beyond it."""
         self._storage = storage
         self._most_bytes = most_bytes
         self._now_s = now_s
@@ -37,8 +37,6 @@ class StorageQuota:
 
     async def require_room(self, tenant: TenantId) -> None:
         """Raises QuotaReached."""
-        if self._most_bytes is None:
-            return
         if self._reached(tenant) and self._now_s() >= self._counted_s.get(tenant, 0.0) + RECOUNT_S:
             self._counted_s[tenant] = self._now_s()
             self._stored[tenant] = POINT_BYTES * await self._storage.read(lambda uow: _points(uow, tenant))
@@ -54,7 +52,7 @@ class StorageQuota:
     def _reached(self, tenant: TenantId) -> bool:
         """Also for a tenant that was not counted yet."""
         stored = self._stored.get(tenant)
-        return stored is None or (self._most_bytes is not None and stored >= self._most_bytes)
+        return stored is None or stored >= self._most_bytes
 
 
 def _points(uow: UnitOfWork, tenant: TenantId) -> int:
