@@ -32,6 +32,7 @@ ADVICE = {
     "SEQ_GAP": "Send the scan of `expected_seq` next; the SDK does so.",
     "STREAM_NOT_OPEN": "Send Open first, then scans only.",
     "STREAM_FENCED": "Let only one client stream a session; the newest one keeps it.",
+    "QUOTA": "Delete sessions or maps that you do not need, or ask for more room; then send the same again.",
     "RATE": "Read the answers of your stream.",
     "WORKERS_BUSY": "Wait for `Retry-After` and send the same again; add workers if this stays.",
     "DRAINING": "Send the same again to the service that comes back.",

@@ -23,6 +23,7 @@ from revisit.service.adapters.files.fail_stop import FailStop
 from revisit.service.adapters.files.filesystem import require_local
 from revisit.service.adapters.sqlite.checkpoints import Checkpoints
 from revisit.service.adapters.sqlite.connections import write_ahead_log
+from revisit.service.adapters.sqlite.failures import StorageFailures
 from revisit.service.adapters.sqlite.transactions import SqliteTransactions
 from revisit.service.adapters.vector_index import PlaceVectorIndex
 from revisit.service.application import Installation, UseCases
@@ -78,9 +79,11 @@ def build_disk(settings: Settings) -> Disk:
     return Disk(settings.home, settings.reserve_mb * 2**20, write_ahead_log(settings.database))
 
 
-def chores(settings: Settings, installation: Installation) -> tuple[Chore, ...]:
-    """The periodic work of the gateway."""
-    disk, keeper, checkpoints = build_disk(settings), installation.index_keeper(), Checkpoints(settings.database)
+def chores(settings: Settings, installation: Installation, fail_stop: FailStop) -> tuple[Chore, ...]:
+    """The periodic work of the gateway; a failing disk trips `fail_stop`."""
+    disk, keeper = build_disk(settings), installation.index_keeper()
+    failures = StorageFailures(write_ahead_log(settings.database), fail_stop, disk.release)
+    checkpoints = Checkpoints(settings.database, failures)
 
     async def tend_disk() -> None:
         await asyncio.to_thread(disk.tend)

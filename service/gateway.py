@@ -76,9 +76,8 @@ class _Gateway:
     async def run(self) -> int:
         """Serve until told to stop, then drain; the exit status."""
         stop = self._stop_signal()
-        installation = build_installation(
-            self._settings, gateway=True, fail_stop=FailStop(self._failing_disk_ends(stop))
-        )
+        fail_stop = FailStop(self._failing_disk_ends(stop))
+        installation = build_installation(self._settings, gateway=True, fail_stop=fail_stop)
         use_cases = build_use_cases(installation, self._settings)
         supervisor = self._supervisor(installation)
         http, http_port = self._http_server(use_cases)
@@ -87,7 +86,7 @@ class _Gateway:
         serving = asyncio.create_task(http.serve(), name="http")
         await supervisor.take_over()
         supervisor.start()
-        upkeep = Upkeep(chores(self._settings, installation))
+        upkeep = Upkeep(chores(self._settings, installation, fail_stop))
         upkeep.start()
         metrics = self._metrics_server(installation)
         # Objects made during the start live on. Searching them for garbage would hold up requests for 70 to 90 ms.

@@ -41,6 +41,12 @@ class Settings(AccessSettings):
     max_queued_jobs: int = Field(
         default=1000, ge=1, description="limit of a tenant's backlog (waiting jobs); posts beyond it are refused"
     )
+    tenant_storage_mb: int | None = Field(
+        default=None,
+        ge=1,
+        description="room (MiB) for the clouds of one tenant, at 12 bytes a point whatever they take on the disk; "
+        "further scans and submaps are refused with QUOTA; unset for no limit",
+    )
     points_per_s: float = Field(
         default=40e6, gt=0, description="rate limit of the whole service, points a second, averaged over 10 s"
     )
@@ -158,6 +164,7 @@ class Settings(AccessSettings):
             max_queued_jobs=self.max_queued_jobs,
             max_attempts=self.max_attempts,
             lease_ms=int(self.lease_s * 1000),
+            tenant_storage_bytes=None if self.tenant_storage_mb is None else self.tenant_storage_mb * 2**20,
         )
 
     @property

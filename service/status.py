@@ -47,6 +47,7 @@ STATUS: dict[ErrorCode, Status] = {
     ErrorCode.STREAM_NOT_OPEN: _CONFLICT,
     ErrorCode.STREAM_FENCED: _CONFLICT,
     ErrorCode.RATE: _RATE,
+    ErrorCode.QUOTA: _RATE,
     ErrorCode.WORKERS_BUSY: _UNAVAILABLE,
     ErrorCode.DRAINING: _UNAVAILABLE,
     ErrorCode.STORAGE_UNCERTAIN: _UNAVAILABLE,

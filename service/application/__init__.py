@@ -66,7 +66,7 @@ class UseCases:
         """All use cases of an installation; `version` is the product's."""
         storage, clock, policy, streams, decoder = of.storage, of.clock, of.policy, of.open_streams, of.decoder
         backlog = of.backlog
-        admission = Admission(of.stopping, of.disk, of.in_flight, backlog)
+        admission = Admission(of.stopping, of.disk, of.in_flight, backlog, of.quota)
         jobs, collector = JobPosting(backlog, clock, policy), BlobCollector(storage)
         operations, audit = Operations(storage, admission), AuditLog(storage, clock)
         return cls(

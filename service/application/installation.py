@@ -9,6 +9,7 @@ from functools import cached_property
 from revisit.service.application.capacity.backlog import Backlog
 from revisit.service.application.capacity.byte_budget import ByteBudget
 from revisit.service.application.capacity.in_flight import DECODERS, InFlight
+from revisit.service.application.capacity.storage_quota import StorageQuota
 from revisit.service.application.contract.blobs import BlobStore
 from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.disk import DiskSpace, UnlimitedDisk
@@ -55,6 +56,12 @@ class Installation:
     def backlog(self) -> Backlog:
         """The limit of waiting jobs."""
         return Backlog(self.storage, self.in_flight, self.policy.max_queued_jobs)
+
+    @cached_property
+    def quota(self) -> StorageQuota | None:
+        """The limit of what a tenant stores, if there is one."""
+        most_bytes = self.policy.tenant_storage_bytes
+        return None if most_bytes is None else StorageQuota(self.storage, most_bytes)
 
     def recognition(self, recogniser: PlaceRecogniser) -> Recognition:
         """What a worker does with a job; `recogniser` is the method, and the index this worker's own cache."""

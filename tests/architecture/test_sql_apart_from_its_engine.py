@@ -49,6 +49,8 @@ CALLS = {
     "SqlRepository.replace": lambda uow: uow.maps.replace(uow.maps.get(TENANT, "town")),
     "SqlRepository.delete": lambda uow: uow.loops.delete(TENANT, map_id="town"),
     "SqlScans.first_seq_from": lambda uow: uow.scans.first_seq_from(TENANT, "town", "monday", 0.5),
+    "SqlScans.points_of": lambda uow: uow.scans.points_of(TENANT),
+    "SqlSubmaps.points_of": lambda uow: uow.submaps.points_of(TENANT),
     "SqlScans.with_seqs": lambda uow: uow.scans.with_seqs(TENANT, "town", "monday", [1, 2]),
     "SqlSubmaps.last_number": lambda uow: uow.submaps.last_number(),
     "SqlSubmaps.waiting_up_to": lambda uow: uow.submaps.waiting_up_to(TENANT, "town", 2),

@@ -7,11 +7,15 @@ from contextlib import closing
 
 import pytest
 
+from revisit.service.adapters.files.fail_stop import FailStop
+from revisit.service.adapters.sqlite import checkpoints
 from revisit.service.adapters.sqlite.checkpoints import LARGE_BYTES, OLD_S, SMALL_BYTES, Checkpoints
 from revisit.service.adapters.sqlite.connections import write_ahead_log
 from revisit.service.adapters.sqlite.examination import examine
+from revisit.service.adapters.sqlite.failures import StorageFailures
 from revisit.service.adapters.sqlite.migration import migrate
 from revisit.service.adapters.sqlite.transactions import SqliteTransactions
+from revisit.service.application.contract.errors import StorageUncertain
 from revisit.service.application.contract.records import WorkerRecord
 from revisit.service.application.housekeeping.system import WAL_ALARM_BYTES
 from tests.support.processes import ServiceProcess
@@ -25,7 +29,9 @@ class World:
         migrate(database)
         self.log, self.now_s = write_ahead_log(database), 0.0
         self.worker = SqliteTransactions(database, checkpoints=False)
-        self.checkpoints = Checkpoints(database, lambda: self.now_s)
+        self.failed = []
+        failures = StorageFailures(self.log, FailStop(lambda: self.failed.append(True)), lambda: None)
+        self.checkpoints = Checkpoints(database, failures, lambda: self.now_s)
 
     def beat(self, bytes_more):
         """Work of a worker until so many bytes more have been written."""
@@ -75,6 +81,19 @@ def test_a_log_that_a_reader_kept_from_being_folded_back_is_cut_once_the_reader_
             world.checkpoints.tend()
     world.checkpoints.tend()
     assert world.size_bytes == 0
+
+
+def test_a_disk_that_fails_while_the_log_is_folded_back_stops_the_service(world, monkeypatch):
+    def fail(*_, **__):
+        error = sqlite3.OperationalError("disk I/O error")
+        error.sqlite_errorname = "SQLITE_IOERR_FSYNC"
+        raise error
+
+    world.beat(2 * SMALL_BYTES)
+    monkeypatch.setattr(checkpoints.sqlite3, "connect", fail)
+    with pytest.raises(StorageUncertain):
+        world.checkpoints.tend()
+    assert world.failed == [True]
 
 
 def test_a_service_folds_back_what_was_left_while_it_is_idle_and_while_it_drains(world, tmp_path):

@@ -114,6 +114,10 @@ class MemoryScans(MemoryRepository[ScanRecord]):
         scans = self.find(tenant, map_id=map_id, session_id=session_id)
         return min((scan.seq for scan in scans if scan.travelled_m >= travelled_m), default=None)
 
+    def points_of(self, tenant: TenantId) -> int:
+        """See `ScanRepository`."""
+        return sum(scan.point_count for scan in self.find(tenant))
+
     def with_seqs(self, tenant: TenantId, map_id: str, session_id: str, seqs: Sequence[int]) -> list[ScanRecord]:
         """See `ScanRepository`."""
         scans = self.find(tenant, map_id=map_id, session_id=session_id)
@@ -126,6 +130,10 @@ class MemorySubmaps(MemoryRepository[SubmapRecord]):
     def last_number(self) -> int:
         """See `SubmapRepository`."""
         return self._rows.last
+
+    def points_of(self, tenant: TenantId) -> int:
+        """See `SubmapRepository`."""
+        return sum(row.point_count for row in self.find(tenant) if row.cloud_sha256 is not None)
 
     def waiting_up_to(self, tenant: TenantId, map_id: str, number: int) -> int:
         """See `SubmapRepository`."""

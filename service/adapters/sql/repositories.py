@@ -122,6 +122,12 @@ class SqlScans(SqlRepository[ScanRecord]):
         first: int | None = self._connection.execute(query, asked).scalar_one()
         return first
 
+    def points_of(self, tenant: TenantId) -> int:
+        """See `ScanRepository`."""
+        scans = tables.scans.c
+        query = select(func.coalesce(func.sum(scans.point_count), 0)).where(scans.tenant == tenant)
+        return int(self._connection.execute(query).scalar_one())
+
     def with_seqs(self, tenant: TenantId, map_id: str, session_id: str, seqs: Sequence[int]) -> list[ScanRecord]:
         """See `ScanRepository`."""
         seq, asked = tables.scans.c.seq, of_tenant(tenant, {"map_id": map_id, "session_id": session_id})
@@ -135,6 +141,13 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
     def last_number(self) -> int:
         """See `SubmapRepository`."""
         return self._engine.last_number(self._connection, tables.submaps)
+
+    def points_of(self, tenant: TenantId) -> int:
+        """See `SubmapRepository`."""
+        submaps = tables.submaps.c
+        posted = and_(submaps.tenant == tenant, submaps.cloud_sha256.is_not(None))
+        query = select(func.coalesce(func.sum(submaps.point_count), 0)).where(posted)
+        return int(self._connection.execute(query).scalar_one())
 
     def waiting_up_to(self, tenant: TenantId, map_id: str, number: int) -> int:
         """See `SubmapRepository`."""

@@ -13,8 +13,10 @@ from contextlib import closing
 from pathlib import Path
 
 import structlog
+from sqlalchemy.exc import DatabaseError
 
 from revisit.service.adapters.sqlite.connections import write_ahead_log
+from revisit.service.adapters.sqlite.failures import StorageFailures
 from revisit.service.adapters.sqlite.writer_lock import WriterLock
 
 SMALL_BYTES = 4 * 2**20
@@ -34,9 +36,10 @@ log = structlog.get_logger(__name__)
 class Checkpoints:
     """Keeps the log of one database short."""
 
-    def __init__(self, database: Path, now_s: Callable[[], float] = time.monotonic) -> None:
-        """`now_s` is a monotonic clock."""
+    def __init__(self, database: Path, failures: StorageFailures, now_s: Callable[[], float] = time.monotonic) -> None:
+        """`failures` acts on a disk that fails or is full; `now_s` is a monotonic clock."""
         self._database = database
+        self._failures = failures
         self._log = write_ahead_log(database)
         self._now_s = now_s
         self._last_s = now_s()
@@ -44,7 +47,7 @@ class Checkpoints:
     def tend(self) -> None:
         """Fold the log back where it is large or old; to be called often. Blocks for as long as that takes.
 
-        Raises StorageUncertain where a writer holds the database for 5 s.
+        Raises StorageUncertain where a writer holds the database for 5 s or the disk fails; StorageFull, DataLoss.
         """
         size_bytes = self._log.stat().st_size if self._log.exists() else 0
         old = self._now_s() - self._last_s >= OLD_S
@@ -56,13 +59,19 @@ class Checkpoints:
         """Checkpoint under the writers' lock: nobody else may write meanwhile (see `WriterLock`)."""
         lock = WriterLock(self._database)
         try:
-            with lock.held(), closing(sqlite3.connect(self._database, timeout=READERS_S)) as connection:
-                connection.execute("PRAGMA synchronous=FULL")
-                busy, pages, folded = connection.execute(f"PRAGMA wal_checkpoint({mode})").fetchone()
-        except sqlite3.Error as error:
-            # The next commit meets the same disk, and ends the service where it fails.
-            log.warning("log_not_folded_back", reason=str(error))
-            return
+            with self._failures.translated(), lock.held():
+                busy, pages, folded = _checkpoint(self._database, mode)
         finally:
             lock.close()
         log.debug("log_folded_back", mode=mode, busy=busy, pages=pages, folded=folded)
+
+
+def _checkpoint(database: Path, mode: str) -> tuple[int, int, int]:
+    """What SQLite says of a checkpoint: whether it was kept from ending, pages in the log, pages folded back."""
+    try:
+        with closing(sqlite3.connect(database, timeout=READERS_S)) as connection:
+            connection.execute("PRAGMA synchronous=FULL")
+            row: tuple[int, int, int] = connection.execute(f"PRAGMA wal_checkpoint({mode})").fetchone()
+            return row
+    except sqlite3.Error as error:
+        raise DatabaseError("wal_checkpoint", None, error) from error

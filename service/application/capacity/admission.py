@@ -8,6 +8,7 @@ from contextlib import asynccontextmanager
 
 from revisit.service.application.capacity.backlog import Backlog
 from revisit.service.application.capacity.in_flight import InFlight
+from revisit.service.application.capacity.storage_quota import StorageQuota
 from revisit.service.application.contract.disk import DiskSpace
 from revisit.service.application.contract.errors import Draining, StorageFull
 from revisit.service.application.contract.identity import TenantId
@@ -16,12 +17,20 @@ from revisit.service.application.contract.identity import TenantId
 class Admission:
     """Refuses requests that the service cannot serve now."""
 
-    def __init__(self, stopping: threading.Event, disk: DiskSpace, in_flight: InFlight, backlog: Backlog) -> None:
-        """`stopping` is set when the service begins to stop."""
+    def __init__(
+        self,
+        stopping: threading.Event,
+        disk: DiskSpace,
+        in_flight: InFlight,
+        backlog: Backlog,
+        quota: StorageQuota | None,
+    ) -> None:
+        """`stopping` is set when the service begins to stop; `quota` is None where tenants may store what they like."""
         self._stopping = stopping
         self._disk = disk
         self._in_flight = in_flight
         self._backlog = backlog
+        self._quota = quota
 
     @property
     def stopping(self) -> bool:
@@ -42,6 +51,17 @@ class Admission:
         self.require_running()
         if self._disk.full():
             raise StorageFull
+
+    async def require_room(self, tenant: TenantId) -> None:
+        """As `require_storage`, for what the tenant keeps. Raises also QuotaReached."""
+        self.require_storage()
+        if self._quota is not None:
+            await self._quota.require_room(tenant)
+
+    def note_stored(self, tenant: TenantId, points: int) -> None:
+        """The tenant keeps so many points more."""
+        if self._quota is not None:
+            self._quota.note(tenant, points)
 
     def precheck_cloud(self, tenant: TenantId) -> None:
         """What can be checked before a cloud is read. Raises Draining, RateLimited, WorkersBusy."""

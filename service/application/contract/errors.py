@@ -81,6 +81,12 @@ class RateLimited(Unavailable):
     code = ErrorCode.RATE
 
 
+class QuotaReached(Unavailable):
+    """The tenant has stored as much as it may: nothing was stored. Delete something, then send it again."""
+
+    code = ErrorCode.QUOTA
+
+
 class Draining(Unavailable):
     """The service is shutting down: try again with the same id."""
 

@@ -13,12 +13,13 @@ N = TypeVar("N", int, float)
 
 @dataclass(frozen=True)
 class Policy:
-    """The parameters of the method, and the bounds of the job queue."""
+    """The parameters of the method, the bounds of the job queue, and how much a tenant may store (None: no bound)."""
 
     pipeline: PipelineConfig = field(default_factory=PipelineConfig)
     max_queued_jobs: int = 1000
     max_attempts: int = 3
     lease_ms: int = 10_000
+    tenant_storage_bytes: int | None = None
 
     def for_map(self, record: MapRecord) -> PipelineConfig:
         """The parameters of the method with what the map overrides."""

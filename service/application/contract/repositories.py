@@ -77,6 +77,10 @@ class ScanRepository(Repository[ScanRecord], Protocol):
         """The first scan of a session taken at or beyond `travelled_m`."""
         ...
 
+    def points_of(self, tenant: TenantId) -> int:
+        """How many points the clouds of a tenant's scans have together."""
+        ...
+
     def with_seqs(self, tenant: TenantId, map_id: str, session_id: str, seqs: Sequence[int]) -> list[ScanRecord]:
         """Those scans of a session that have one of these numbers, in order."""
         ...
@@ -87,6 +91,10 @@ class SubmapRepository(Repository[SubmapRecord], Protocol):
 
     def last_number(self) -> int:
         """The last number that was given out, to whichever tenant, deleted since or not; 0 for none."""
+        ...
+
+    def points_of(self, tenant: TenantId) -> int:
+        """How many points the clouds have together that a tenant has posted as submaps."""
         ...
 
     def waiting_up_to(self, tenant: TenantId, map_id: str, number: int) -> int:

@@ -149,13 +149,15 @@ class Scans:
         """Store one scan durably; returns after the commit. A `patient` one waits for a slot.
 
         Raises what decoding and validation raise, NotFound, SessionFinished, SequenceGap(expected), AlreadyExists for
-        other content under the number of a stored scan, WorkersBusy, RateLimited, Draining, StorageFull,
+        other content under the number of a stored scan, WorkersBusy, RateLimited, QuotaReached, Draining, StorageFull,
         StorageUncertain.
         """
         self._admission.require_storage()
         limits.SCAN_SEQ.validated(command.seq, "seq")
         session = await self._storage.read(partial(require_session, tenant=tenant, key=command.session))
         replay = _is_replay(session, command.seq)
+        if not replay:
+            await self._admission.require_room(tenant)
         async with self._admission.cloud(tenant, patient=patient, queued=False) as decoded:
             accepted = await self._decoder.run(_accept, command)
             decoded(len(accepted.scan.points))
@@ -183,6 +185,7 @@ class Scans:
         await self._storage.put_blob(tenant, CLOUD_BLOB, accepted.packed)
         failpoint("ingest.after_blob")
         ack = await self._storage.write(partial(self._insert, tenant=tenant, key=key, accepted=accepted))
+        self._admission.note_stored(tenant, len(accepted.scan.points))
         failpoint("ingest.after_commit")
         return ack
 

@@ -83,8 +83,8 @@ class SubmapPosting:
         """Store a submap durably and queue its description; returns after the commit.
 
         Raises what decoding and validation raise, BadField, BadTransform, NotFound for the session, SessionFinished,
-        AlreadyExists for other content under the same id, WorkersBusy, RateLimited, Draining, StorageFull,
-        StorageUncertain.
+        AlreadyExists for other content under the same id, WorkersBusy, RateLimited, QuotaReached, Draining,
+        StorageFull, StorageUncertain.
         """
         self._admission.require_storage()
         async with self._admission.cloud(tenant) as decoded:
@@ -96,9 +96,11 @@ class SubmapPosting:
         replay = await self._storage.read(partial(_replayed, row=accepted.row))
         if replay is not None:
             return replay
+        await self._admission.require_room(tenant)
         await self._storage.put_blob(tenant, CLOUD_BLOB, accepted.packed)
         failpoint("ingest.after_blob")
         posted = await self._storage.write(partial(self._insert, accepted=accepted))
+        self._admission.note_stored(tenant, accepted.row.point_count)
         failpoint("ingest.after_commit")
         return posted
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from revisit.core.config import SubmapConfig
 from revisit.core.scan import CloudReport, Scan
 from revisit.core.submap import Submap
@@ -18,12 +20,16 @@ from revisit.service.application.ingest.clouds import unpack_cloud
 MAX_SCANS = 400
 """A window of a robot that stood still can hold any number of scans: at most this many, evenly spread, are used."""
 
+WINDOW_POINTS = 16_000_000
+"""Of a window whose scans hold more together, every second, third ... point is used: a worker's memory is bounded."""
+
 
 @dataclass(frozen=True)
 class PosedCloud:
-    """A stored cloud and where it was taken from."""
+    """A stored cloud of so many points and where it was taken from."""
 
     cloud_sha256: str
+    point_count: int
     T_odom_sensor: Pose
     stamp_ns: int
 
@@ -36,16 +42,21 @@ class SubmapSource:
     posted: bool
     config: SubmapConfig
 
+    @property
+    def every(self) -> int:
+        """1 where all points are used; else one of so many."""
+        return 1 if self.posted else -(-sum(cloud.point_count for cloud in self.clouds) // WINDOW_POINTS) or 1
+
 
 def submap_source(uow: UnitOfWork, policy: Policy, record: SubmapRecord) -> SubmapSource:
     """The source of a stored submap."""
     config = policy.for_map(require_map(uow, record.tenant, record.map_id)).submap
     if record.first_seq is None or record.last_seq is None:
-        posted = PosedCloud(str(record.cloud_sha256), record.T_odom_submap, record.stamp_ns)
+        posted = PosedCloud(str(record.cloud_sha256), record.point_count, record.T_odom_submap, record.stamp_ns)
         return SubmapSource((posted,), posted=True, config=config)
     seqs = chosen_seqs(record.first_seq, record.last_seq)
     scans = uow.scans.with_seqs(record.tenant, record.map_id, record.session_id, seqs)
-    clouds = (PosedCloud(scan.cloud_sha256, scan.T_odom_sensor, scan.stamp_ns) for scan in scans)
+    clouds = (PosedCloud(scan.cloud_sha256, scan.point_count, scan.T_odom_sensor, scan.stamp_ns) for scan in scans)
     return SubmapSource(tuple(clouds), posted=False, config=config)
 
 
@@ -60,10 +71,13 @@ def chosen_seqs(first: int, last: int) -> list[int]:
 
 
 def load_submap(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) -> Submap:
-    """The submap with its points. Raises DataLoss."""
+    """The submap with its points, at most about WINDOW_POINTS of them. Raises DataLoss."""
     scans = [
         Scan(
-            unpack_cloud(blobs.get(record.tenant, CLOUD_BLOB, cloud.cloud_sha256)).points,
+            # Contiguous: a view of a thinned cloud would keep all of it in memory.
+            np.ascontiguousarray(
+                unpack_cloud(blobs.get(record.tenant, CLOUD_BLOB, cloud.cloud_sha256)).points[:: source.every]
+            ),
             pose_matrix(cloud.T_odom_sensor),
             cloud.stamp_ns,
             CloudReport(0, "degenerate_plane" in record.flags),

@@ -1,0 +1,80 @@
+"""What a tenant may store is bounded, on both transports; others go on, and what is deleted makes room."""
+
+from __future__ import annotations
+
+import pytest
+
+from revisit import ApiError, Client
+from revisit.sdk.retry import RetryPolicy
+from revisit.service.application.capacity import storage_quota
+from revisit.service.application.capacity.storage_quota import POINT_BYTES
+from revisit.service.application.contract.errors import QuotaReached
+from revisit.service.application.contract.identity import TenantId
+from tests.support.live_service import live_service
+from tests.support.service_world import TENANT, cloud_points, memory_world, open_session, pose, posted, scan, submap
+
+POINTS = 300
+ROOM = 3 * POINTS * POINT_BYTES
+OTHER = TenantId("other")
+
+
+@pytest.fixture(params=["rest", "grpc"])
+def client(request):
+    with live_service(tenant_storage_bytes=ROOM) as service:
+        once = RetryPolicy(attempts=1)
+        made = Client(service.http, retry=once) if request.param == "rest" else Client.grpc(service.grpc, retry=once)
+        with made:
+            made.create_session(made.create_map("town"), "monday")
+            yield made
+
+
+def post(client, number):
+    return client.post_submap("maps/town/sessions/monday", f"s{number}", cloud_points(number, POINTS), pose(), 1)
+
+
+def test_a_tenant_that_has_stored_what_it_may_is_refused_until_it_deletes_something(client, monkeypatch):
+    for number in range(3):
+        post(client, number)
+    with pytest.raises(ApiError) as refused:
+        post(client, 3)
+    error = refused.value
+    assert (error.reason, error.code, error.retryable) == ("QUOTA", "RESOURCE_EXHAUSTED", True)
+    assert error.retry_after_s > 1.0
+    post(client, 2)  # What is stored already takes no more room.
+    client.delete("maps/town/sessions/monday/submaps/s0")
+    monkeypatch.setattr(storage_quota, "RECOUNT_S", 0.0)
+    post(client, 3)
+
+
+async def test_scans_count_and_what_another_tenant_has_does_not():
+    world = memory_world(tenant_storage_bytes=ROOM)
+    await open_session(world)
+    await posted(world, tenant=OTHER, a=1, b=2)
+    for seq in range(1, 4):
+        await world.use_cases.scans.append(TENANT, scan(seq, float(seq)))
+    with pytest.raises(QuotaReached):
+        await world.use_cases.scans.append(TENANT, scan(4, 4.0))
+    assert (await world.use_cases.scans.append(TENANT, scan(3, 3.0))).replay
+    await world.use_cases.posting.post(OTHER, submap("c", 3))
+    with pytest.raises(QuotaReached):
+        await world.use_cases.posting.post(OTHER, submap("d", 4))
+
+
+async def test_a_submap_of_scans_is_not_counted_beside_its_scans():
+    world = memory_world(tenant_storage_bytes=14 * POINTS * POINT_BYTES)
+    await open_session(world)
+    for seq in range(1, 14):
+        await world.use_cases.scans.append(TENANT, scan(seq, float(seq)))
+    # Only a count from the rows sees the submap that came with the scans.
+    world.context.quota._stored.clear()
+    world.context.quota._counted_s.clear()
+    assert world.context.transactions.read(lambda uow: uow.submaps.count(TENANT)).result() > 0
+    await world.use_cases.scans.append(TENANT, scan(14, 14.0))
+    with pytest.raises(QuotaReached):
+        await world.use_cases.scans.append(TENANT, scan(15, 15.0))
+
+
+async def test_without_a_setting_there_is_no_limit():
+    world = memory_world()
+    await posted(world, **{f"s{number}": number for number in range(5)})
+    assert world.context.quota is None
