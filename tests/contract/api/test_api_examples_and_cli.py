@@ -148,11 +148,17 @@ def test_loops_query_and_export_answer_for_an_ingested_recording(recording, serv
     invoke("ingest", recording, "--map", "asked", "--grpc", service.grpc, "--json")
     found = json.loads(invoke("loops", *at, "--state", "all", "--json"))
     assert all(loop["query"].startswith("maps/asked/sessions/short/submaps/") for loop in found)
-    assert "loop closure" in invoke("loops", *at)
+    shown = invoke("loops", *at)
+    assert "loop closure" in shown and "yaw deg" in shown
+    refusal = CliRunner().invoke(app, ["loops", *at, "--session", "nope"])
+    assert refusal.exit_code != 0 and "nope" in str(refusal.exception)
 
     cloud = tmp_path / "cloud.npy"
     np.save(cloud, cloud_points(3, 500))
     assert json.loads(invoke("query", cloud, *at, "--json"))["candidates"]
+    without = json.loads(invoke("query", cloud, *at, "--exclude-session", "short", "--level", "0,0,0,1", "--json"))
+    assert without["candidates"] == []
+    assert "--level is" in CliRunner().invoke(app, ["query", str(cloud), *at, "--level", "1,2"]).stderr
     submap = json.loads(invoke("query", "--submap", "short/scans-1-11", *at, "--k", 2, "--json"))
     assert len(submap) == 2
 
