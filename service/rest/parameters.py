@@ -79,7 +79,7 @@ StampNs: TypeAlias = Annotated[int, Query(**bounds(limits.STAMP_NS))]
 
 def pose(text: str, field: str) -> Matrix4:
     """The (4, 4) transform of `x,y,z,qx,qy,qz,qw`. Raises BadField or BadTransform."""
-    numbers = parse_numbers(text, 7, field)
+    numbers = parse_numbers(text, 7, field, "x,y,z,qx,qy,qz,qw")
     return se3.from_quaternion(numbers[3:], numbers[:3])
 
 
@@ -113,7 +113,7 @@ async def prior_position(
     """The prior of a search by cloud. Raises BadField."""
     if prior_position_m is None:
         return None
-    x, y, z = parse_numbers(prior_position_m, 3, "prior_position_m")
+    x, y, z = parse_numbers(prior_position_m, 3, "prior_position_m", "x,y,z")
     return (x, y, z)
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import shutil
 import subprocess
 import sys
 import time
@@ -66,6 +68,19 @@ def test_the_grpc_example_streams_two_drives_that_meet(service):
     output = run_example("grpc_client.py", REVISIT_GRPC=service.grpc)
     sessions = "maps/streamed-yard/sessions"
     assert re.search(f"{sessions}/tuesday/submaps/scans-1-11 is where {sessions}/monday/submaps/scans-", output)
+
+
+@pytest.mark.skipif(shutil.which("curl") is None, reason="needs curl")
+def test_the_curl_example_posts_a_cloud(service, tmp_path):
+    page = (ROOT / "docs/how-to/ingest-a-recording.md").read_text()
+    (commands,) = [block for block in re.findall(r"```sh\n(.+?)```", page, re.DOTALL) if "curl" in block]
+    np.save(tmp_path / "cloud.npy", cloud_points(3))
+    variables = {"REVISIT_URL": service.http, "PATH": os.environ["PATH"], "no_proxy": "*"}
+    done = subprocess.run(
+        ["sh", "-e", "-c", commands], cwd=tmp_path, env=variables, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert "maps/by-curl/sessions/monday/submaps/s1" in done.stdout
 
 
 @pytest.fixture(scope="module")
