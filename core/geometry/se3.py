@@ -37,7 +37,7 @@ def from_quaternion(quaternion_xyzw: ArrayLike, translation: ArrayLike) -> Matri
         raise BadTransform("the pose holds NaN or infinity")
     norm = float(np.linalg.norm(quaternion))
     if abs(norm - 1.0) > 1e-3:
-        raise BadTransform(f"the quaternion must have norm 1 within 0.001, got {norm:.6g}")
+        raise BadTransform(f"the quaternion (x, y, z, w; w is the last) must have norm 1 within 0.001, got {norm:.6g}")
     x, y, z, w = quaternion / norm
     rotation = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],

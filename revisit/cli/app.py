@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import typer
 
 from revisit.cli import (
@@ -16,6 +18,7 @@ from revisit.cli import (
     inspect,
     keys,
     operations,
+    optimise,
     queries,
     serve,
     spool,
@@ -25,16 +28,36 @@ app = typer.Typer(
     name="revisit",
     help="Loop closure as a service for robot fleets.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
 
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from importlib import metadata
+
+        from revisit.cli.extras import DISTRIBUTION
+
+        typer.echo(f"revisit {metadata.version(DISTRIBUTION)}")
+        raise typer.Exit
+
+
 COMMANDS = (
     serve.serve, serve.worker, serve.migrate, inspect.inspect, ingest.ingest, spool.spool, queries.query,
-    queries.loops, export.export, demo.demo, evaluate.evaluate, doctor.doctor, backup.backup, backup.restore,
-    backup.scrub,
+    queries.loops, export.export, optimise.optimise, demo.demo, evaluate.evaluate, doctor.doctor, backup.backup,
+    backup.restore, backup.scrub,
 )  # fmt: skip
 GROUPS = {"operations": operations.group, "keys": keys.group, "audit": audit.group, "bench": bench.group}
+
+
+@app.callback()
+def about(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version and exit.", callback=_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Loop closure as a service for robot fleets."""
+
 
 for command in COMMANDS:
     app.command()(command)

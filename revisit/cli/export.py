@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from revisit.cli.extras import what_is_missing
 from revisit.cli.options import HTTP, Http, Json, MapName
 from revisit.cli.output import emit_json, refuse, say
 
@@ -23,16 +24,19 @@ def export(
     http: Http = HTTP,
     json: Json = False,
 ) -> None:
-    """Write submap poses and accepted loops as a pose graph (g2o), a trajectory (tum) or a table of loops (csv)."""
-    from revisit.cli.pose_graph_files import as_csv, as_g2o, as_tum
+    """Write a map as an optimised pose graph (g2o), a session as a trajectory (tum), or a table of loops (csv)."""
+    from revisit.cli.pose_graph_files import as_csv, as_g2o, as_tum, read_graph
 
     writers: dict[str, Callable[[Graph], str]] = {"g2o": as_g2o, "tum": as_tum, "csv": as_csv}
     if file_format not in writers:
         raise refuse("--format is g2o, tum or csv")
     if file_format == "tum" and not session_id:
         raise refuse("a tum file holds one trajectory: give --session")
-    graph = _read(http, map_id, session_id)
-    text = writers[file_format](graph)
+    graph = read_graph(http, map_id, session_id)
+    try:
+        text = writers[file_format](graph)
+    except ModuleNotFoundError as error:
+        raise refuse(what_is_missing("service", error)) from error
     if out is None:
         say(text.rstrip("\n"))
         return
@@ -42,20 +46,3 @@ def export(
         emit_json(summary)
     else:
         say(f"{out}: {summary['submaps']} submaps, {summary['loops']} loops")
-
-
-def _read(http: str, map_id: str, session_id: str) -> Graph:
-    """The submaps and accepted loops of a map, or of one session of it."""
-    from revisit.cli.pose_graph_files import Graph
-    from revisit.sdk.client import Client
-
-    map_name = f"maps/{map_id}"
-    with Client(http) as client:
-        if session_id:
-            names = [f"{map_name}/sessions/{session_id}"]
-        else:
-            names = [session.name for session in client.list_sessions(map_name)]
-        tracks = [client.list_submaps(name) for name in names]
-        loops = client.loop_closures(map_name, state="ACCEPTED")
-    chosen = {submap.name for track in tracks for submap in track}
-    return Graph(tracks, [loop for loop in loops if {loop.query, loop.match} <= chosen])

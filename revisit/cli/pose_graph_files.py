@@ -1,20 +1,29 @@
-"""Submap poses and loop closures in files that other tools read: g2o, TUM and CSV."""
+"""The submaps and loops of a map as a pose graph, and in files that other tools read: g2o, TUM and CSV."""
 
 from __future__ import annotations
 
 import csv
 import io
-from dataclasses import dataclass
-from itertools import pairwise
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
+from revisit.sdk.client import Client
 from revisit.sdk.resources import LoopClosure, Submap
 
-ODOMETRY_INFORMATION = np.diag([100.0, 100.0, 100.0, 1000.0, 1000.0, 1000.0])
-"""Assumed, as odometry comes without covariance: 0.1 m and 1.8 degrees between two submaps."""
+if TYPE_CHECKING:
+    from revisit.core.pose_graph import LoopEdge, Node, OptimisedGraph, PoseGraph
+
+ASSUMED_COVARIANCE = np.diag([0.1**2] * 3 + [np.radians(1.8) ** 2] * 3)
+"""Of a loop that came without a covariance: 0.1 m and 1.8 degrees."""
+
+LEAST_VARIANCE = 1e-8
+"""m^2 and rad^2: no measurement is surer, and an information matrix stays finite."""
 
 
 @dataclass(frozen=True)
@@ -25,27 +34,69 @@ class Graph:
     loops: list[LoopClosure]
 
 
+def read_graph(http: str, map_id: str, session_id: str = "") -> Graph:
+    """The submaps and accepted loops of a map, or of one session of it."""
+    map_name = f"maps/{map_id}"
+    with Client(http) as client:
+        if session_id:
+            names = [f"{map_name}/sessions/{session_id}"]
+        else:
+            names = [session.name for session in client.list_sessions(map_name)]
+        tracks = [client.list_submaps(name) for name in names]
+        loops = client.loop_closures(map_name, state="ACCEPTED")
+    chosen = {submap.name for track in tracks for submap in track}
+    return Graph(tracks, [loop for loop in loops if {loop.query, loop.match} <= chosen])
+
+
+def pose_graph(graph: Graph) -> PoseGraph:
+    """The graph that `core.pose_graph` optimises; steps are as uncertain as its model of odometry says."""
+    from revisit.core.pose_graph import Node, PoseGraph, Trajectory
+
+    tracks = [track for track in graph.tracks if track]
+    node = {submap.name: Node(_session(submap), n) for track in tracks for n, submap in enumerate(track)}
+    trajectories = [
+        Trajectory.from_odometry(_session(track[0]), np.stack([submap.T_odom_submap for submap in track]))
+        for track in tracks
+    ]
+    edges = [_edge(loop, loop.T_match_query, node) for loop in graph.loops if loop.T_match_query is not None]
+    return PoseGraph.of(trajectories, edges)
+
+
 def as_g2o(graph: Graph) -> str:
-    """SE(3) vertices of all submaps, odometry edges within sessions, loop edges. Sessions keep their own frames."""
-    number = {submap.name: index for index, submap in enumerate(s for track in graph.tracks for s in track)}
-    lines = [f"VERTEX_SE3:QUAT {number[s.name]} {_numbers(s.T_odom_submap)}" for track in graph.tracks for s in track]
-    for track in graph.tracks:
-        for first, second in pairwise(track):
-            T_first_second = se3.inverse(first.T_odom_submap) @ second.T_odom_submap
-            lines.append(_edge(number[first.name], number[second.name], T_first_second, ODOMETRY_INFORMATION))
-    for loop in graph.loops:
-        if loop.T_match_query is not None and {loop.match, loop.query} <= number.keys():
-            lines.append(_edge(number[loop.match], number[loop.query], loop.T_match_query, _information(loop)))
-    return "\n".join(lines) + "\n"
+    """The optimised graph with its odometry and the loops it rests on.
+
+    Sessions that loops join lie in one frame; the first vertex of each group of sessions is fixed.
+    """
+    from revisit.core.pose_graph import optimise
+
+    posed = pose_graph(graph)
+    return optimised_g2o(posed, optimise(posed)) if posed.trajectories else ""
+
+
+def optimised_g2o(graph: PoseGraph, optimised: OptimisedGraph) -> str:
+    """`as_g2o` of a graph that was optimised."""
+    from revisit.core.pose_graph import LoopState
+    from revisit.core.pose_graph.g2o import write_g2o
+
+    states = zip(graph.loops, optimised.loops, strict=True)
+    kept = tuple(loop for loop, state in states if state is LoopState.IN_MAP)
+    text = write_g2o(replace(graph, loops=kept), optimised.T_map_submap)
+    first, fixed = 0, []
+    for one in graph.trajectories:
+        if one.session in {group[0] for group in optimised.components}:
+            fixed.append(f"FIX {first}")
+        first += len(one)
+    return text.replace("FIX 0\n", "\n".join(fixed) + "\n", 1)
 
 
 def as_tum(graph: Graph) -> str:
-    """`stamp x y z qx qy qz qw`, stamp in seconds."""
-    lines = [
-        f"{submap.stamp_ns // 10**9}.{submap.stamp_ns % 10**9:09d} {_numbers(submap.T_odom_submap)}"
-        for track in graph.tracks
-        for submap in track
-    ]
+    """`stamp x y z qx qy qz qw`, stamp in seconds, of the submaps in their odometry frame."""
+    return tum_lines((submap, submap.T_odom_submap) for track in graph.tracks for submap in track)
+
+
+def tum_lines(poses: Iterable[tuple[Submap, Matrix4]]) -> str:
+    """`stamp x y z qx qy qz qw` of each submap and its pose (4, 4)."""
+    lines = [f"{one.stamp_ns // 10**9}.{one.stamp_ns % 10**9:09d} {_numbers(pose)}" for one, pose in poses]
     return "\n".join(lines) + "\n"
 
 
@@ -60,21 +111,23 @@ def as_csv(graph: Graph) -> str:
     return buffer.getvalue()
 
 
-def _edge(first: int, second: int, T_first_second: Matrix4, information: np.ndarray) -> str:
-    upper = " ".join(f"{value:.9g}" for value in information[np.triu_indices(6)])
-    return f"EDGE_SE3:QUAT {first} {second} {_numbers(T_first_second)} {upper}"
+def _session(submap: Submap) -> str:
+    return submap.name.partition("/submaps/")[0]
 
 
-def _information(loop: LoopClosure) -> np.ndarray:
-    """The inverse of the loop's covariance (x, y, z, rx, ry, rz) where it came with one, else as for odometry.
+def _edge(loop: LoopClosure, T_match_query: Matrix4, node: dict[str, Node]) -> LoopEdge:
+    from revisit.core.pose_graph import LoopEdge
 
-    The service states it in the match frame; a g2o edge wants it in the frame that the edge leads to, the query's.
-    """
+    return LoopEdge(loop.name, node[loop.match], node[loop.query], T_match_query, _covariance(loop))
+
+
+def _covariance(loop: LoopClosure) -> NDArray[np.float64]:
+    """The covariance (x, y, z, rx, ry, rz) in the match frame, as verification measured it."""
     measured = np.asarray(loop.evidence.get("measurement", {}).get("covariance", []), dtype=np.float64)
-    if measured.size != 36 or not np.isfinite(measured).all() or loop.T_match_query is None:
-        return ODOMETRY_INFORMATION
-    turn = se3.adjoint(se3.inverse(loop.T_match_query))
-    return np.linalg.pinv(turn @ measured.reshape(6, 6) @ turn.T, hermitian=True)
+    if measured.size != 36 or not np.isfinite(measured).all():
+        return ASSUMED_COVARIANCE
+    variances, axes = np.linalg.eigh(measured.reshape(6, 6))
+    return np.asarray(axes * np.maximum(variances, LEAST_VARIANCE) @ axes.T)
 
 
 def _numbers(transform: Matrix4) -> str:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from revisit.cli.options import HTTP, Http, Json, MapName
 from revisit.cli.output import emit_json, emit_table, refuse, say
+from revisit.core.errors import RevisitError
 
 if TYPE_CHECKING:
+    from revisit.core.geometry.se3 import Matrix4
     from revisit.sdk.client import Client
 
 
@@ -22,6 +25,10 @@ def query(
     map_id: MapName = "default",
     submap: Annotated[str, typer.Option(help="Search by SESSION/SUBMAP instead of localising a cloud.")] = "",
     k: Annotated[int, typer.Option(min=1, max=100, help="How many to compare or to show.")] = 10,
+    exclude_session: Annotated[str, typer.Option(help="Leave out the submaps of this session.")] = "",
+    level: Annotated[
+        str, typer.Option(help="Where z points up: qx,qy,qz,qw of the cloud in a level frame; else its own z is up.")
+    ] = "",
     http: Http = HTTP,
     json: Json = False,
 ) -> None:
@@ -32,9 +39,10 @@ def query(
         raise refuse("give either a cloud file or --submap SESSION/SUBMAP")
     with Client(http) as client:
         if cloud is not None:
-            _localize(client, map_id, cloud, k, json)
+            where = {"exclude_session": exclude_session or None, "T_level_query": _level(level)}
+            _localize(client, map_id, cloud, k, where, json)
         else:
-            _search(client, map_id, submap, k, json)
+            _search(client, map_id, submap, k, exclude_session or None, json)
 
 
 def loops(
@@ -57,21 +65,30 @@ def loops(
         emit_json([asdict(loop) for loop in found])
         return
     rows = [
-        (_short(loop.query), _short(loop.match), loop.state, loop.reason, loop.similarity, loop.score) for loop in found
+        (
+            _short(loop.query),
+            _short(loop.match),
+            loop.state,
+            loop.reason,
+            loop.similarity,
+            loop.score,
+            *_planar(loop.T_match_query),
+        )
+        for loop in found
     ]
     emit_table(
         f"{len(found)} loop closure{'' if len(found) == 1 else 's'}",
-        ("query", "match", "verdict", "reason", "similarity", "score"),
+        ("query", "match", "verdict", "reason", "similarity", "score", "x m", "y m", "z m", "yaw deg"),
         rows,
     )
 
 
-def _localize(client: Client, map_id: str, cloud: Path, k: int, as_json: bool) -> None:
+def _localize(client: Client, map_id: str, cloud: Path, k: int, where: dict[str, Any], as_json: bool) -> None:
     from revisit.formats import media_type_for_suffix
     from revisit.sdk.clouds import Cloud
 
     encoded = Cloud(cloud.read_bytes(), media_type_for_suffix(cloud.suffix))
-    found = client.localize(f"maps/{map_id}", encoded, candidates=k)
+    found = client.localize(f"maps/{map_id}", encoded, candidates=k, **where)
     if as_json:
         emit_json(asdict(found))
         return
@@ -84,13 +101,35 @@ def _localize(client: Client, map_id: str, cloud: Path, k: int, as_json: bool) -
     say(f"Taken at x {x:.2f} m, y {y:.2f} m, z {z:.2f} m in the odometry frame of {_short(found.session or '')}.")
 
 
-def _search(client: Client, map_id: str, submap: str, k: int, as_json: bool) -> None:
+def _level(quaternion: str) -> Matrix4 | None:
+    """T_level_query (4, 4) of `qx,qy,qz,qw`, None where there is none. Exits where it is no rotation."""
+    from revisit.core.geometry import se3
+
+    if not quaternion:
+        return None
+    try:
+        x, y, z, w = (float(number) for number in quaternion.split(","))
+        return se3.from_quaternion((x, y, z, w), (0.0, 0.0, 0.0))
+    except (ValueError, RevisitError) as error:
+        raise refuse("--level is qx,qy,qz,qw: a unit quaternion") from error
+
+
+def _search(client: Client, map_id: str, submap: str, k: int, without: str | None, as_json: bool) -> None:
     session_id, _, submap_id = submap.partition("/")
-    hits = client.search(f"maps/{map_id}", submap=f"maps/{map_id}/sessions/{session_id}/submaps/{submap_id}", k=k)
+    name = f"maps/{map_id}/sessions/{session_id}/submaps/{submap_id}"
+    hits = client.search(f"maps/{map_id}", submap=name, k=k, exclude_session=without)
     if as_json:
         emit_json([asdict(hit) for hit in hits])
         return
     emit_table("Most similar", ("submap", "similarity"), [(_short(hit.submap), hit.similarity) for hit in hits])
+
+
+def _planar(T_match_query: Matrix4 | None) -> tuple[str, ...]:
+    """Where the match has the query: x, y, z in metres and the yaw in degrees."""
+    if T_match_query is None:
+        return ("", "", "", "")
+    yaw_deg = math.degrees(math.atan2(T_match_query[1, 0], T_match_query[0, 0]))
+    return (*(f"{value:.2f}" for value in T_match_query[:3, 3]), f"{yaw_deg:.1f}")
 
 
 def _short(name: str) -> str:

@@ -10,6 +10,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Self
 
+from google.protobuf.json_format import ParseDict
+
 from revisit.core.errors import RevisitError
 from revisit.sdk.clouds import PointsLike, encoded
 from revisit.sdk.credentials import Credentials
@@ -225,10 +227,13 @@ class Client:
         points: PointsLike | None = None,
         descriptor: Sequence[float] | None = None,
         model_version: str = "",
+        T_level_query: Any = None,
         k: int = 20,
         **criteria: Any,
     ) -> list[SearchHit]:
         """The submaps most like a submap, a cloud or a descriptor (give one), most similar first.
+
+        `T_level_query` (4, 4): the pose of `points` in a frame whose z points up; its rotation turns them upright.
 
         `criteria`: min_similarity, exclude_session, only_session (a session, its name or id), min_index_gap,
         prior_position_m with radius_m. `min_seq` (of an operation, a submap or a stream): the answer sees every submap
@@ -244,6 +249,7 @@ class Client:
             request.submap = _name(submap)
         elif points is not None:
             request.cloud.CopyFrom(cloud_message(encoded(points)))
+            _turn_upright(request, T_level_query)
         else:
             of_descriptor = {"vector": [float(v) for v in descriptor or ()], "model_version": model_version}
             request.descriptor.CopyFrom(request_of(loop_closure_pb2.Descriptor, of_descriptor))
@@ -257,10 +263,15 @@ class Client:
         prior_position_m: Sequence[float] | None = None,
         radius_m: float | None = None,
         candidates: int = 10,
+        exclude_session: str | Session | None = None,
+        T_level_query: Any = None,
         **freshness: Any,
     ) -> Localization:
         """Where in the map a cloud was taken; `best` is None where the place is unknown.
 
+        `T_level_query` (4, 4) is the cloud's pose in a frame whose z points up (from odometry or an IMU); its rotation
+        turns the cloud upright. Without it, z of the cloud itself must point up. `exclude_session` (a session, its name
+        or id): a robot that asks with a place it has just posted finds its own submap else.
         `freshness`: min_seq with min_seq_timeout_s, as in `search`.
         """
         fields = {
@@ -268,19 +279,24 @@ class Client:
             "prior_position_m": None if prior_position_m is None else vector(prior_position_m),
             "radius_m": radius_m,
             "candidates": candidates,
+            "exclude_session": None if exclude_session is None else _session_name(map_, exclude_session),
         }
         request = request_of(loop_closure_pb2.LocalizeRequest, {**fields, **freshness})
         request.cloud.CopyFrom(cloud_message(encoded(points)))
+        _turn_upright(request, T_level_query)
         return Localization.of(self._transport.localize(request))
 
     def loop_closures(
         self, map_: str | Map, *, state: str | None = None, session: str | Session | None = None, **freshness: Any
     ) -> list[LoopClosure]:
-        """The loop closures of a map, oldest first; `state` ACCEPTED or REJECTED, `session` of the query submap.
+        """The loop closures of a map, oldest first; `state` ACCEPTED, REJECTED or ALL.
+
+        `session` (a session, its name or id) keeps those whose query submap is of it; NotFound where there is none.
 
         `freshness`: min_seq with min_seq_timeout_s, as in `search`.
         """
-        of_session = None if session is None else _name(session)
+        of_session = None if session is None else _session_name(map_, session)
+        state = None if state == "ALL" else state
         fields = {"parent": _name(map_), "state": state, "session": of_session, **freshness}
         request = request_of(loop_closure_pb2.ListLoopClosuresRequest, fields)
         return [LoopClosure.of(item) for item in self._transport.list("loopClosures", request)]
@@ -379,6 +395,11 @@ def _name(resource: Any) -> str:
 def _session_name(map_: Any, session: Any) -> str:
     name = _name(session)
     return name if "/" in name else f"{_name(map_)}/sessions/{name}"
+
+
+def _turn_upright(request: Any, T_level_query: Any) -> None:
+    if T_level_query is not None:
+        ParseDict(_pose(T_level_query, "T_level_query"), request.t_level_query)
 
 
 def _pose(transform: Any, field: str) -> Json:

@@ -257,6 +257,8 @@ def _criteria(request: Any) -> Json:
     if "prior_position_m" in criteria:
         prior = request.prior_position_m
         criteria["prior_position_m"] = [prior.x, prior.y, prior.z]
+    if criteria.pop("t_level_query", None) is not None:
+        criteria["T_level_query"] = _pose_text(request.t_level_query)
     return criteria
 
 

@@ -53,7 +53,7 @@ class Descriptor(_message.Message):
     def __init__(self, vector: _Optional[_Iterable[float]] = ..., model_version: _Optional[str] = ...) -> None: ...
 
 class SearchSubmapsRequest(_message.Message):
-    __slots__ = ("parent", "submap", "descriptor", "cloud", "k", "min_similarity", "exclude_session", "only_session", "min_index_gap", "prior_position_m", "radius_m", "min_seq", "min_seq_timeout_s")
+    __slots__ = ("parent", "submap", "descriptor", "cloud", "k", "min_similarity", "exclude_session", "only_session", "min_index_gap", "prior_position_m", "radius_m", "min_seq", "min_seq_timeout_s", "t_level_query")
     PARENT_FIELD_NUMBER: _ClassVar[int]
     SUBMAP_FIELD_NUMBER: _ClassVar[int]
     DESCRIPTOR_FIELD_NUMBER: _ClassVar[int]
@@ -67,6 +67,7 @@ class SearchSubmapsRequest(_message.Message):
     RADIUS_M_FIELD_NUMBER: _ClassVar[int]
     MIN_SEQ_FIELD_NUMBER: _ClassVar[int]
     MIN_SEQ_TIMEOUT_S_FIELD_NUMBER: _ClassVar[int]
+    T_LEVEL_QUERY_FIELD_NUMBER: _ClassVar[int]
     parent: str
     submap: str
     descriptor: Descriptor
@@ -80,7 +81,8 @@ class SearchSubmapsRequest(_message.Message):
     radius_m: float
     min_seq: int
     min_seq_timeout_s: float
-    def __init__(self, parent: _Optional[str] = ..., submap: _Optional[str] = ..., descriptor: _Optional[_Union[Descriptor, _Mapping]] = ..., cloud: _Optional[_Union[_cloud_pb2.Cloud, _Mapping]] = ..., k: _Optional[int] = ..., min_similarity: _Optional[float] = ..., exclude_session: _Optional[str] = ..., only_session: _Optional[str] = ..., min_index_gap: _Optional[int] = ..., prior_position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., radius_m: _Optional[float] = ..., min_seq: _Optional[int] = ..., min_seq_timeout_s: _Optional[float] = ...) -> None: ...
+    t_level_query: _geometry_pb2.Transform
+    def __init__(self, parent: _Optional[str] = ..., submap: _Optional[str] = ..., descriptor: _Optional[_Union[Descriptor, _Mapping]] = ..., cloud: _Optional[_Union[_cloud_pb2.Cloud, _Mapping]] = ..., k: _Optional[int] = ..., min_similarity: _Optional[float] = ..., exclude_session: _Optional[str] = ..., only_session: _Optional[str] = ..., min_index_gap: _Optional[int] = ..., prior_position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., radius_m: _Optional[float] = ..., min_seq: _Optional[int] = ..., min_seq_timeout_s: _Optional[float] = ..., t_level_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ...) -> None: ...
 
 class SearchHit(_message.Message):
     __slots__ = ("submap", "similarity", "position_m")
@@ -101,7 +103,7 @@ class SearchSubmapsResponse(_message.Message):
     def __init__(self, hits: _Optional[_Iterable[_Union[SearchHit, _Mapping]]] = ..., searched: _Optional[int] = ...) -> None: ...
 
 class LocalizeRequest(_message.Message):
-    __slots__ = ("parent", "cloud", "prior_position_m", "radius_m", "candidates", "min_seq", "min_seq_timeout_s")
+    __slots__ = ("parent", "cloud", "prior_position_m", "radius_m", "candidates", "min_seq", "min_seq_timeout_s", "exclude_session", "t_level_query")
     PARENT_FIELD_NUMBER: _ClassVar[int]
     CLOUD_FIELD_NUMBER: _ClassVar[int]
     PRIOR_POSITION_M_FIELD_NUMBER: _ClassVar[int]
@@ -109,6 +111,8 @@ class LocalizeRequest(_message.Message):
     CANDIDATES_FIELD_NUMBER: _ClassVar[int]
     MIN_SEQ_FIELD_NUMBER: _ClassVar[int]
     MIN_SEQ_TIMEOUT_S_FIELD_NUMBER: _ClassVar[int]
+    EXCLUDE_SESSION_FIELD_NUMBER: _ClassVar[int]
+    T_LEVEL_QUERY_FIELD_NUMBER: _ClassVar[int]
     parent: str
     cloud: _cloud_pb2.Cloud
     prior_position_m: _geometry_pb2.Vector3
@@ -116,7 +120,9 @@ class LocalizeRequest(_message.Message):
     candidates: int
     min_seq: int
     min_seq_timeout_s: float
-    def __init__(self, parent: _Optional[str] = ..., cloud: _Optional[_Union[_cloud_pb2.Cloud, _Mapping]] = ..., prior_position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., radius_m: _Optional[float] = ..., candidates: _Optional[int] = ..., min_seq: _Optional[int] = ..., min_seq_timeout_s: _Optional[float] = ...) -> None: ...
+    exclude_session: str
+    t_level_query: _geometry_pb2.Transform
+    def __init__(self, parent: _Optional[str] = ..., cloud: _Optional[_Union[_cloud_pb2.Cloud, _Mapping]] = ..., prior_position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., radius_m: _Optional[float] = ..., candidates: _Optional[int] = ..., min_seq: _Optional[int] = ..., min_seq_timeout_s: _Optional[float] = ..., exclude_session: _Optional[str] = ..., t_level_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ...) -> None: ...
 
 class LocalizedCandidate(_message.Message):
     __slots__ = ("submap", "accepted", "reason", "similarity", "score", "t_match_query", "evidence")

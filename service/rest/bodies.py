@@ -134,13 +134,13 @@ def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return dict(pairs)
 
 
-def parse_numbers(text: str, count: int, field: str) -> list[float]:
-    """`count` finite numbers separated by commas. Raises BadField naming `field`."""
+def parse_numbers(text: str, count: int, field: str, order: str) -> list[float]:
+    """`count` finite numbers separated by commas, in the `order` that errors name. Raises BadField naming `field`."""
     parts = text.split(",")
     try:
         numbers = [_finite(part) for part in parts if part.isascii() and "_" not in part]
     except ValueError as error:
-        raise BadField(f"{field} must be {count} numbers separated by commas", field=field) from error
+        raise BadField(f"{field} must be {count} numbers separated by commas: {order}", field=field) from error
     if len(numbers) != count or len(parts) != count or any(number != number for number in numbers):
-        raise BadField(f"{field} must be {count} finite numbers separated by commas", field=field)
+        raise BadField(f"{field} must be {count} finite numbers separated by commas: {order}", field=field)
     return numbers

@@ -22,6 +22,11 @@ from revisit.service.rest.schemas import IN_DIGITS, bounds
 
 POSE_HELP = "x,y,z,qx,qy,qz,qw: translation in metres and unit quaternion."
 
+LEVEL_HELP = (
+    "x,y,z,qx,qy,qz,qw: the pose of a cloud in a frame whose z points up, of which the rotation counts. Without it, "
+    "z of the cloud itself must point up."
+)
+
 MIN_SEQ_HELP = (
     "The seq of a submap: the answer rests on every submap of the map up to it, or is a 504 (SEQ_NOT_REACHED)."
 )
@@ -74,7 +79,7 @@ StampNs: TypeAlias = Annotated[int, Query(**bounds(limits.STAMP_NS)), IN_DIGITS]
 
 def pose(text: str, field: str) -> Matrix4:
     """The (4, 4) transform of `x,y,z,qx,qy,qz,qw`. Raises BadField or BadTransform."""
-    numbers = parse_numbers(text, 7, field)
+    numbers = parse_numbers(text, 7, field, "x,y,z,qx,qy,qz,qw")
     return se3.from_quaternion(numbers[3:], numbers[:3])
 
 
@@ -108,7 +113,7 @@ async def prior_position(
     """The prior of a search by cloud. Raises BadField."""
     if prior_position_m is None:
         return None
-    x, y, z = parse_numbers(prior_position_m, 3, "prior_position_m")
+    x, y, z = parse_numbers(prior_position_m, 3, "prior_position_m", "x,y,z")
     return (x, y, z)
 
 
@@ -116,12 +121,23 @@ Prior: TypeAlias = Annotated[tuple[float, float, float] | None, Depends(prior_po
 RadiusM: TypeAlias = Annotated[float | None, Query(**bounds(limits.RADIUS_M))]
 
 
+async def level_pose(
+    T_level_query: Annotated[str | None, Query(description=LEVEL_HELP, max_length=400)] = None,
+) -> Matrix4 | None:
+    """Which way is up in a cloud that asks. Raises BadField, BadTransform."""
+    return None if T_level_query is None else pose(T_level_query, "T_level_query")
+
+
+LevelPose: TypeAlias = Annotated[Matrix4 | None, Depends(level_pose)]
+SessionId: TypeAlias = Annotated[str | None, Query(max_length=limits.ID_CHARACTERS)]
+
+
 async def criteria_of_query(
     prior: Prior,
     k: Annotated[int, Query(**bounds(limits.K)), IN_DIGITS] = SearchCriteria().k,
     min_similarity: Annotated[float | None, Query(**bounds(limits.MIN_SIMILARITY))] = None,
-    exclude_session: Annotated[str | None, Query(max_length=limits.ID_CHARACTERS)] = None,
-    only_session: Annotated[str | None, Query(max_length=limits.ID_CHARACTERS)] = None,
+    exclude_session: SessionId = None,
+    only_session: SessionId = None,
     radius_m: RadiusM = None,
 ) -> SearchCriteria:
     """The criteria of a search by cloud, from the query string."""

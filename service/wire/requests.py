@@ -121,8 +121,15 @@ def localize(request: loop_closure_pb2.LocalizeRequest) -> LocalizeQuery:
         cloud=cloud(request.cloud),
         prior_position_m=_position(request),
         radius_m=_optional(request, "radius_m"),
+        exclude_session=names.session_id_in(request.parent, request.exclude_session, "exclude_session"),
+        T_level_query=level_pose(request),
         **given,
     )
+
+
+def level_pose(request: Any) -> Matrix4 | None:
+    """`T_level_query` of a query by cloud, None where there is none. Raises BadTransform."""
+    return _pose(request, "t_level_query") if request.HasField("t_level_query") else None
 
 
 def vector(message: loop_closure_pb2.Descriptor) -> np.ndarray[Any, np.dtype[np.float32]]:

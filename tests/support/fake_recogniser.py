@@ -78,7 +78,7 @@ class FakeRecogniser:
             raise RuntimeError("the method has a fault")
         if len(submap.points) == CANNOT_BE_DESCRIBED:
             raise DegenerateCloud
-        counts, _ = np.histogram(submap.points[:, 2], bins=BINS, range=(-8.0, 8.0))
+        counts, _ = np.histogram(submap.levelled().points[:, 2], bins=BINS, range=(-8.0, 8.0))
         descriptor = (counts / np.linalg.norm(counts)).astype(np.float32)
         mesh = Mesh(submap.points[:3], np.tile(np.float32([0, 0, 1]), (3, 1)), np.array([[0, 1, 2]], dtype=np.int32))
         neural_map = b"neural " + descriptor.tobytes()

@@ -14,7 +14,8 @@ def show(report: LoopReport, console: Console) -> None:
     """Print some loops with their errors, then the figures against their targets."""
     table = Table(title=f"{len(report.loops)} accepted loop closures, some of them")
     for heading in ("query", "match", "truly apart", "position error", "rotation error"):
-        table.add_column(heading, justify="left" if heading in ("query", "match") else "right")
+        named = heading in ("query", "match")
+        table.add_column(heading, justify="left" if named else "right", overflow="fold", no_wrap=False)
     step = max(1, len(report.loops) // SHOWN_LOOPS)
     for judged in report.loops[::step][:SHOWN_LOOPS]:
         table.add_row(
@@ -29,7 +30,7 @@ def _figures(report: LoopReport) -> Table:
     targets = report.targets
     table = Table(title="Against the known truth")
     for heading in ("figure", "value", "target", ""):
-        table.add_column(heading)
+        table.add_column(heading, overflow="fold")
     share = f"{report.revisits_found} of {report.revisits} ({100 * report.found_share:.1f} %)"
     pose = f"{report.median_m:.2f} m, {report.median_deg:.2f} deg"
     rows = [

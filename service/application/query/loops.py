@@ -12,8 +12,8 @@ from revisit.core.geometry.se3 import Matrix4
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.catalogue.paging import Page, PageRequest, page_of
 from revisit.service.application.contract.errors import NotFound
-from revisit.service.application.contract.identity import SubmapKey, TenantId
-from revisit.service.application.contract.lookup import require_map
+from revisit.service.application.contract.identity import SessionKey, SubmapKey, TenantId
+from revisit.service.application.contract.lookup import require_map, require_session
 from revisit.service.application.contract.poses import pose_matrix
 from revisit.service.application.contract.records import LoopRecord
 from revisit.service.application.contract.states import LoopState
@@ -81,7 +81,7 @@ class Loops:
     ) -> Page[LoopClosureView]:
         """The closures of a map, oldest first; `session_id` keeps those whose query submap is of that session.
 
-        Raises NotFound for the map, SeqNotReached where `fresh` was not reached.
+        Raises NotFound for the map and the session, SeqNotReached where `fresh` was not reached.
         """
         await await_freshness(self._storage, self._admission, tenant, map_id, fresh)
         records = await self._storage.read(
@@ -94,7 +94,7 @@ class Loops:
     ) -> AsyncIterator[LoopClosureView]:
         """The accepted closures with a number above `after`, those to come too, until the caller stops.
 
-        Ends when the service stops. Raises NotFound for the map.
+        Ends when the service stops. Raises NotFound for the map and the session.
         """
         seen = min(after, _LAST_NUMBER)
         while not self._admission.stopping:
@@ -152,5 +152,6 @@ def _load(
     if state is not None:
         equals["state"] = state.value
     if session_id is not None:
+        require_session(uow, tenant, SessionKey(map_id, session_id))
         equals["query_session_id"] = session_id
     return uow.loops.find(tenant, after=after, limit=limit, **equals)

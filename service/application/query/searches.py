@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.errors import BadField, DescriptorModelMismatch
+from revisit.core.geometry import se3
+from revisit.core.geometry.se3 import Matrix4
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.capacity.backlog import JobPosting
 from revisit.service.application.contract import limits
@@ -21,6 +23,7 @@ from revisit.service.application.contract.errors import NoAnswer, NotReady, erro
 from revisit.service.application.contract.identity import SubmapKey, TenantId
 from revisit.service.application.contract.index import VectorFilter
 from revisit.service.application.contract.lookup import require_map, require_submap
+from revisit.service.application.contract.poses import pose_row
 from revisit.service.application.contract.records import JobRecord, MapRecord, SubmapRecord
 from revisit.service.application.contract.states import OperationKind, OperationState
 from revisit.service.application.contract.storage import Storage
@@ -49,13 +52,18 @@ from revisit.service.application.query.search_answers import (
 
 @dataclass(frozen=True)
 class LocalizeQuery:
-    """Where was this cloud taken? `prior_position_m` and `radius_m` (metres) narrow the search."""
+    """Where was this cloud taken? `prior_position_m` and `radius_m` (metres) and `exclude_session` narrow the search.
+
+    The rotation of `T_level_query` (4, 4) turns the cloud upright; None where its z points up already.
+    """
 
     map_id: str
     cloud: CloudInput
     prior_position_m: tuple[float, float, float] | None = None
     radius_m: float | None = None
     candidates: int = 10
+    exclude_session: str | None = None
+    T_level_query: Matrix4 | None = None
 
 
 class Searches:
@@ -121,12 +129,13 @@ class Searches:
         criteria: SearchCriteria,
         fresh: Freshness = Freshness(),
         timeout_s: float = 30.0,
+        T_level_query: Matrix4 | None = None,
     ) -> SearchResult:
-        """Describe a cloud in a worker, store no submap, search.
+        """Describe a cloud, turned upright by `T_level_query` (4, 4), in a worker, store no submap, search.
 
         Raises NoAnswer, WorkersBusy, NotFound, SeqNotReached, ...
         """
-        payload = {"map_id": map_id, "criteria": criteria_to_json(validated_criteria(criteria))}
+        payload = _payload(map_id, validated_criteria(criteria), T_level_query)
         await await_freshness(self._storage, self._admission, tenant, map_id, fresh)
         answer = await self._ask(tenant, OperationKind.SEARCH_CLOUD, payload, cloud, timeout_s)
         return search_result_from_json(answer)
@@ -135,10 +144,15 @@ class Searches:
         self, tenant: TenantId, query: LocalizeQuery, fresh: Freshness = Freshness(), timeout_s: float = 30.0
     ) -> Localization:
         """Describe a cloud in a worker, search, verify. No match is a result. Raises as `by_cloud`."""
-        prior, radius = query.prior_position_m, query.radius_m
         limits.LOCALIZE_CANDIDATES.validated(query.candidates, "candidates")
-        criteria = validated_criteria(SearchCriteria(k=query.candidates, prior_position_m=prior, radius_m=radius))
-        payload = {"map_id": query.map_id, "criteria": criteria_to_json(criteria)}
+        narrowed = SearchCriteria(
+            k=query.candidates,
+            exclude_session=query.exclude_session,
+            prior_position_m=query.prior_position_m,
+            radius_m=query.radius_m,
+        )
+        criteria = validated_criteria(narrowed)
+        payload = _payload(query.map_id, criteria, query.T_level_query)
         await await_freshness(self._storage, self._admission, tenant, query.map_id, fresh)
         answer = await self._ask(tenant, OperationKind.LOCALIZE, payload, query.cloud, timeout_s)
         return localization_from_json(answer)
@@ -179,6 +193,12 @@ class Searches:
         if left is not None:
             await self._storage.write(partial(_drop, left=left))
         await asyncio.to_thread(self._storage.blobs.delete, tenant, QUERY_CLOUD_BLOB, sha256)
+
+
+def _payload(map_id: str, criteria: SearchCriteria, T_level_query: Matrix4 | None) -> dict[str, Any]:
+    """What a worker needs to know of a query by cloud. Raises BadTransform."""
+    level = {} if T_level_query is None else {"T_level_query": pose_row(se3.validated(T_level_query))}
+    return {"map_id": map_id, "criteria": criteria_to_json(criteria), **level}
 
 
 def _noted(job: JobRecord, posted: list[JobRecord]) -> JobRecord:

@@ -240,7 +240,10 @@ class Recognition:
         blob = self._blobs.get(lease.job.tenant, QUERY_CLOUD_BLOB, sha256)
         cloud = unpack_cloud(blob[QUERY_NONCE_BYTES:])
         config = self._policy.for_map(map_record)
-        submap = Submap.from_cloud(Scan.validated(cloud.points, np.eye(4), 0), config.submap)
+        # Submaps are described upright by their pose; a query has no other.
+        level = lease.job.payload.get("T_level_query")
+        T_level_query = np.eye(4) if level is None else pose_matrix(tuple(level))
+        submap = Submap.from_cloud(Scan.validated(cloud.points, T_level_query, 0), config.submap)
         return self._recogniser.describe(submap, config)
 
 

@@ -65,5 +65,6 @@ class LoopClosureServicer(loop_closure_pb2_grpc.LoopClosureServiceServicer):
                 vector, version = requests.vector(request.descriptor), request.descriptor.model_version
                 return await self._searches.by_descriptor(tenant, map_id, vector, version, criteria, fresh)
             case "cloud":
-                return await self._searches.by_cloud(tenant, map_id, requests.cloud(request.cloud), criteria, fresh)
+                cloud, level = requests.cloud(request.cloud), requests.level_pose(request)
+                return await self._searches.by_cloud(tenant, map_id, cloud, criteria, fresh, T_level_query=level)
         raise BadField("give a submap, a descriptor or a cloud", field="query")

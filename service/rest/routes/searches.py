@@ -32,8 +32,10 @@ from revisit.service.rest.parameters import (
     Cloud,
     Fresh,
     Id,
+    LevelPose,
     Prior,
     RadiusM,
+    SessionId,
     Tenant,
     criteria_of_query,
 )
@@ -66,6 +68,7 @@ async def search_submaps(
     request: Request,
     criteria: Annotated[SearchCriteria, Depends(criteria_of_query)],
     fresh: Fresh,
+    level: LevelPose,
     cases: Cases,
     tenant: Tenant,
 ) -> Response:
@@ -74,7 +77,8 @@ async def search_submaps(
         body = parse_json(await json_bytes(request), SearchRequest, limits_of(request))
         return answer(SearchAnswer, of_search(await _search_by_json(cases, tenant, map_id, body)))
     cloud = await cloud_body(request)
-    return answer(SearchAnswer, of_search(await cases.searches.by_cloud(tenant, map_id, cloud, criteria, fresh)))
+    found = await cases.searches.by_cloud(tenant, map_id, cloud, criteria, fresh, T_level_query=level)
+    return answer(SearchAnswer, of_search(found))
 
 
 @router.post(
@@ -87,11 +91,13 @@ async def localize(
     tenant: Tenant,
     prior: Prior,
     fresh: Fresh,
+    level: LevelPose,
     radius_m: RadiusM = None,
     candidates: Annotated[int, Query(**bounds(limits.LOCALIZE_CANDIDATES)), IN_DIGITS] = 10,
+    exclude_session: SessionId = None,
 ) -> Response:
     """Where in the map was this cloud taken? No match is an answer, not an error."""
-    query = LocalizeQuery(map_id, cloud, prior, radius_m, candidates)
+    query = LocalizeQuery(map_id, cloud, prior, radius_m, candidates, exclude_session, level)
     return answer(LocalizeAnswer, of_localization(await cases.searches.localize(tenant, query, fresh)))
 
 

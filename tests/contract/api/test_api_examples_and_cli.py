@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import shutil
 import subprocess
 import sys
 import time
@@ -71,6 +73,19 @@ def test_the_grpc_example_streams_two_drives_that_meet(service):
     output = run_example("grpc_client.py", REVISIT_GRPC=service.grpc)
     sessions = "maps/streamed-yard/sessions"
     assert re.search(f"{sessions}/tuesday/submaps/scans-1-11 is where {sessions}/monday/submaps/scans-", output)
+
+
+@pytest.mark.skipif(shutil.which("curl") is None, reason="needs curl")
+def test_the_curl_example_posts_a_cloud(service, tmp_path):
+    page = (ROOT / "docs/how-to/ingest-a-recording.md").read_text()
+    (commands,) = [block for block in re.findall(r"```sh\n(.+?)```", page, re.DOTALL) if "curl" in block]
+    np.save(tmp_path / "cloud.npy", cloud_points(3))
+    variables = {"REVISIT_URL": service.http, "PATH": os.environ["PATH"], "no_proxy": "*"}
+    done = subprocess.run(
+        ["sh", "-e", "-c", commands], cwd=tmp_path, env=variables, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert "maps/by-curl/sessions/monday/submaps/s1" in done.stdout
 
 
 @pytest.fixture(scope="module")
@@ -153,11 +168,17 @@ def test_loops_query_and_export_answer_for_an_ingested_recording(recording, serv
     invoke("ingest", recording, "--map", "asked", "--grpc", service.grpc, "--json")
     found = json.loads(invoke("loops", *at, "--state", "all", "--json"))
     assert all(loop["query"].startswith("maps/asked/sessions/short/submaps/") for loop in found)
-    assert "loop closure" in invoke("loops", *at)
+    shown = invoke("loops", *at)
+    assert "loop closure" in shown and "yaw deg" in shown
+    refusal = CliRunner().invoke(app, ["loops", *at, "--session", "nope"])
+    assert refusal.exit_code != 0 and "nope" in str(refusal.exception)
 
     cloud = tmp_path / "cloud.npy"
     np.save(cloud, cloud_points(3, 500))
     assert json.loads(invoke("query", cloud, *at, "--json"))["candidates"]
+    without = json.loads(invoke("query", cloud, *at, "--exclude-session", "short", "--level", "0,0,0,1", "--json"))
+    assert without["candidates"] == []
+    assert "--level is" in CliRunner().invoke(app, ["query", str(cloud), *at, "--level", "1,2"]).stderr
     submap = json.loads(invoke("query", "--submap", "short/scans-1-11", *at, "--k", 2, "--json"))
     assert len(submap) == 2
 

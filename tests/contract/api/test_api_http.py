@@ -315,3 +315,12 @@ def test_what_is_not_http_is_refused_and_the_service_goes_on(case, service, http
             answer = b""
     assert answer == b"" or answer.startswith(b"HTTP/1.1 4")
     assert http.get("/livez").status_code == 200
+
+
+def test_a_pose_that_is_not_one_is_refused_with_the_order_of_its_numbers(http, submaps):
+    asked = {"submap_id": "p", "stamp_ns": 1, "T_odom_submap": "0,0,0,1"}
+    headers = {"content-type": QUANTISED}
+    few = http.post(submaps, params=asked, content=encode_quantised(cloud_points(1)), headers=headers)
+    assert "x,y,z,qx,qy,qz,qw" in few.json()["detail"]
+    long = http.post(submaps, params={**asked, "T_odom_submap": "0,0,0,1,1,0,1"}, content=b"", headers=headers)
+    assert "w is the last" in long.json()["detail"]

@@ -110,6 +110,34 @@ def test_a_submap_finds_its_like_in_another_session(client, session, town):
     assert client.get_loop_closure(loop.name) == loop
     assert client.loop_closures(town, session=tuesday, state="ACCEPTED") == [loop]
     assert client.loop_closures(town, session=session, state="ACCEPTED") == []
+    assert client.loop_closures(town, session="tuesday", state="ALL") == client.loop_closures(town, session=tuesday)
+    with pytest.raises(NotFound, match="wednesday"):
+        client.loop_closures(town, session="wednesday")
+
+
+def test_a_robot_that_asks_where_it_is_can_leave_out_what_it_has_just_posted(client, session, town):
+    client.wait(post(client, session, "a", place=1), timeout_s=20)
+    tuesday = client.create_session(town, "tuesday")
+    client.wait(post(client, tuesday, "own", place=1), timeout_s=20)
+    compared = [one.submap for one in client.localize(town, cloud_points(1)).candidates]
+    assert f"{tuesday.name}/submaps/own" in compared
+    for own in (tuesday, tuesday.name, "tuesday"):
+        found = client.localize(town, cloud_points(1), exclude_session=own)
+        assert found.session == session.name
+        assert [one.submap for one in found.candidates] == [f"{session.name}/submaps/a"]
+
+
+def test_a_tilted_cloud_is_turned_upright_by_the_pose_that_comes_with_it(client, session, town):
+    posted = client.wait(post(client, session, "a", place=1), timeout_s=20).subject
+    T_level_query = se3.exp([5.0, -3.0, 1.0, 0.4, -1.1, 0.0])
+    tilted = cloud_points(1) @ T_level_query[:3, :3]
+    assert client.localize(town, tilted).best is None
+    found = client.localize(town, tilted, T_level_query=T_level_query)
+    assert found.best is not None and found.best.submap == posted
+    assert client.search(town, points=tilted)[0].similarity < 0.9
+    assert client.search(town, points=tilted, T_level_query=T_level_query)[0].similarity > 0.98
+    with pytest.raises(InvalidArgument, match="BAD_TRANSFORM"):
+        client.localize(town, tilted, T_level_query=np.diag([2.0, 1.0, 1.0, 1.0]))
 
 
 def test_a_descriptor_of_the_models_in_use_can_be_searched_for(client, session, town):
