@@ -85,7 +85,10 @@ async def test_a_description_that_was_queued_again_succeeds_once_the_method_is_m
 
     class Mended(FakeRecogniser):
         def describe(self, submap, config):
-            return super().describe(type(submap)(**{**vars(submap), "points": submap.points[:300]}), config)
+            return super().describe(
+                type(submap)(**{**vars(submap), "points": submap.points[:300], "scan_index": submap.scan_index[:300]}),
+                config,
+            )
 
     assert world.work_off(Mended()) == 1
     assert await state_of(world) == ("DESCRIBED", None)
