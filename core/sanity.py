@@ -142,7 +142,11 @@ def check_points(scans: Sequence[Scan]) -> list[Finding]:
 def _columns(scan: Scan) -> int:
     """How many numbers a row of the source had: rows of 3 or 5 that are read as 4 change their meaning periodically."""
     for period in (3, 5):
-        spread = np.array([np.median(np.abs(scan.points[start::period]), axis=0) for start in range(period)])
+        rows = [scan.points[start::period] for start in range(period)]
+        there = [part[(part != 0.0).any(axis=1)] for part in rows]
+        if min(len(part) for part in there) == 0:
+            continue
+        spread = np.array([np.median(np.abs(part), axis=0) for part in there])
         if (spread.max(axis=0) > 3.0 * np.maximum(spread.min(axis=0), 1e-6)).sum() >= 2:
             return period
     return 4
@@ -188,7 +192,10 @@ def place_flags(points: NDArray[np.floating], scene_scale: float = 1.0) -> tuple
 def _thinned(points: NDArray[np.floating]) -> tuple[Array, float]:
     """At most 3,000 of the nearer points, one a voxel, and the scene's scale compared with a street's."""
     points = points[:: max(1, len(points) // 30_000)]
+    points = points[(points != 0.0).any(axis=1)]  # returns that did not come back, as some drivers store them
     ranges = np.linalg.norm(points, axis=1)
+    if len(points) == 0:
+        return np.empty((0, 3)), 1.0
     scale = float(np.clip(np.median(ranges) / 10.0, 0.02, 1_000.0))
     near = points[ranges < 3.0 * np.median(ranges)].astype(np.float64)
     _, first = np.unique(voxel_keys(np.floor(near / (0.4 * scale)).astype(np.int64)), return_index=True)
@@ -247,6 +254,8 @@ def agreement(pair: ScenePair, T_first_second: se3.Matrix4) -> float:
     """The share of the second scan's points that lie near a point of the first one, once moved by the transform."""
     first = pair.first.points[:: max(1, len(pair.first.points) // 30_000)]
     second, scale = _thinned(pair.second.points)
+    if len(second) == 0:
+        return 0.0
     distances, _ = cKDTree(first).query(se3.apply(T_first_second, second), distance_upper_bound=0.2 * scale)
     return float(np.isfinite(distances).mean())
 

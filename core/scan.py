@@ -47,7 +47,7 @@ class Scan:
 
 def scene_size(scan: Scan) -> float:
     """The range below which 95 % of the points lie, metres."""
-    return float(np.percentile(np.linalg.norm(scan.points[::4], axis=1), 95.0))
+    return float(np.percentile(np.linalg.norm(scan.points, axis=1), 95.0))
 
 
 def validate_cloud(points: NDArray[np.floating]) -> tuple[Points, CloudReport]:

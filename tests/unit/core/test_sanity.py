@@ -172,6 +172,11 @@ def test_a_mistake_is_found_with_its_cause(drive: Drive, tmp_path: Path, name: s
     assert cause in findings[code].cause
 
 
+def test_returns_that_did_not_come_back_hide_nothing_else_and_add_nothing(drive: Drive, tmp_path: Path) -> None:
+    findings = inspect_recording(MISTAKES["zeros"][0](drive, tmp_path)).findings
+    assert [finding.code for finding in findings] == ["zeros"]
+
+
 def test_a_slope_and_a_tilted_sensor_are_no_mistakes(drive: Drive) -> None:
     tilted = se3.exp([0, 0, 0, 0.0, 0.4, 0.0])
     sensor = replace(
