@@ -62,6 +62,8 @@ async def _serve(world: World, started: list[LiveService], ready: threading.Even
     grpc_port = rpc.add_insecure_port("127.0.0.1:0")
     await rpc.start()
     listener = socket.create_server(("127.0.0.1", 0))
+    # asyncio, unlike the gateway's uvloop, leaves Nagle's algorithm on: 40 ms for each answer.
+    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     config = uvicorn.Config(create_app(world.use_cases), log_config=None, **uvicorn_limits())
     http = uvicorn.Server(config)
     http.capture_signals = contextlib.nullcontext
