@@ -103,7 +103,7 @@ def chores(settings: Settings, installation: Installation, fail_stop: FailStop) 
 
     return (
         Chore("tend_disk", TEND_DISK_EVERY_S, tend_disk),
-        Chore("fold_log_back", FOLD_LOG_BACK_EVERY_S, fold_log_back),
+        Chore("fold_log_back", FOLD_LOG_BACK_EVERY_S, fold_log_back, at_end=True),
         Chore("sweep_blobs", SWEEP_EVERY_S, sweep_blobs),
         Chore("load_index", LOAD_INDEX_EVERY_S, keeper.load),
         Chore("audit_index", AUDIT_INDEX_EVERY_S, audit_index),

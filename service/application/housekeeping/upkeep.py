@@ -16,11 +16,12 @@ log = structlog.get_logger(__name__)
 
 @dataclass(frozen=True)
 class Chore:
-    """Work that is done at the start and again `every_s` seconds after it has ended."""
+    """Work that is done at the start and again `every_s` seconds after it has ended; `at_end`: once more at the end."""
 
     name: str
     every_s: float
     work: Callable[[], Awaitable[None]]
+    at_end: bool = False
 
 
 class Upkeep:
@@ -36,20 +37,27 @@ class Upkeep:
         self._tasks = [asyncio.create_task(_repeat(chore), name=chore.name) for chore in self._chores]
 
     async def stop(self) -> None:
-        """End every chore where it stands."""
+        """End every chore where it stands; those that are due `at_end` are done once more."""
         for task in self._tasks:
             task.cancel()
         for task in self._tasks:
             with suppress(asyncio.CancelledError):
                 await task
+        for chore in self._chores:
+            if chore.at_end:
+                await _once(chore)
 
 
 async def _repeat(chore: Chore) -> None:
     while True:
-        try:
-            await chore.work()
-        except RevisitError as error:
-            log.warning("chore_failed", chore=chore.name, reason=error.message)
-        except Exception:  # a defect in one chore must not end the gateway
-            log.exception("chore_crashed", chore=chore.name)
+        await _once(chore)
         await asyncio.sleep(chore.every_s)
+
+
+async def _once(chore: Chore) -> None:
+    try:
+        await chore.work()
+    except RevisitError as error:
+        log.warning("chore_failed", chore=chore.name, reason=error.message)
+    except Exception:  # a defect in one chore must not end the gateway
+        log.exception("chore_crashed", chore=chore.name)
