@@ -56,9 +56,9 @@ def oriented(loop: LoopEdge, session: str) -> LoopEdge:
     if loop.match.session == session:
         return loop
     T_query_match = se3.inverse(loop.T_match_query)
-    turn = se3.adjoint(T_query_match)
-    covariance = turn @ loop.covariance @ turn.T
-    return LoopEdge(loop.name, loop.query, loop.match, T_query_match, covariance, loop.independent_share)
+    return LoopEdge(
+        loop.name, loop.query, loop.match, T_query_match, loop.covariance_in_query, loop.independent_share
+    )  # fmt: skip
 
 
 def agreement(loops: list[LoopEdge], first: Trajectory, second: Trajectory) -> Flags:

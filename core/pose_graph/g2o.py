@@ -38,8 +38,7 @@ def write_g2o(graph: PoseGraph, T_map_submap: dict[str, Array64]) -> str:
             first = numbers[Node(one.session, ordinal)]
             lines.append(_edge_text(first, first + 1, T_step, covariance))
     for loop in graph.loops:
-        turn = se3.adjoint(se3.inverse(loop.T_match_query))
-        covariance = turn @ loop.covariance @ turn.T / loop.independent_share
+        covariance = loop.covariance_in_query / loop.independent_share
         lines.append(_edge_text(numbers[loop.match], numbers[loop.query], loop.T_match_query, covariance))
     return "\n".join(lines) + "\n"
 

@@ -104,6 +104,12 @@ class LoopEdge:
     covariance: Array64
     independent_share: float = 1.0
 
+    @property
+    def covariance_in_query(self) -> Array64:
+        """The covariance (6, 6) of the tangent in the query frame: also that of the inverse, T_query_match."""
+        turn = se3.adjoint(se3.inverse(self.T_match_query))
+        return np.asarray(turn @ self.covariance @ turn.T)
+
 
 @dataclass(frozen=True)
 class PoseGraph:

@@ -116,7 +116,7 @@ class _Problem:
         nodes = [Node(one.session, ordinal) for one in trajectories for ordinal in range(len(one))]
         keys = {node: key for key, node in enumerate(nodes)}
         loops = {n: loop for n, loop in enumerate(graph.loops) if loop.match in keys and loop.query in keys}
-        noises = {n: _noise(_right_covariance(loop) / loop.independent_share) for n, loop in loops.items()}
+        noises = {n: _noise(loop.covariance_in_query / loop.independent_share) for n, loop in loops.items()}
         factors = {n: _between(keys[loop.match], keys[loop.query], loop.T_match_query, noises[n])
                    for n, loop in loops.items()}  # fmt: skip
         return cls(
@@ -245,12 +245,6 @@ def _between(
     first: int, second: int, T_first_second: se3.Matrix4, noise: gtsam.noiseModel.Base
 ) -> gtsam.NonlinearFactor:
     return gtsam.BetweenFactorPose3(first, second, gtsam.Pose3(T_first_second), noise)
-
-
-def _right_covariance(loop: LoopEdge) -> Array64:
-    """The covariance of a loop's tangent in the query frame, where gtsam measures errors."""
-    turn = se3.adjoint(se3.inverse(loop.T_match_query))
-    return np.asarray(turn @ loop.covariance @ turn.T)
 
 
 def _noise(covariance: Array64) -> gtsam.noiseModel.Gaussian:
