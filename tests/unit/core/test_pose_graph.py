@@ -277,3 +277,24 @@ def test_half_wrong_loops_do_not_move_a_recorded_graph() -> None:
         assert not [name for name in in_map(spoilt, result.loops) if name.startswith("wrong")]
         gap = result.T_map_submap["g2o"][:, :3, 3] - best
         assert np.sqrt(np.mean(np.sum(gap**2, axis=1))) < 0.1
+
+
+def test_covariances_of_a_straight_drive_are_the_sums_of_its_steps() -> None:
+    T_odom_submap = np.tile(np.eye(4), (4, 1, 1))
+    T_odom_submap[:, 0, 3] = [0.0, 5.0, 10.0, 15.0]
+    graph = PoseGraph.of([Trajectory.from_odometry("a", T_odom_submap)], [])
+    optimised = optimise(graph)
+    step = MODEL.covariances(np.array([5.0]))[0]
+    along = [optimised.covariances["a"][n][0, 0] for n in range(4)]
+    assert along == pytest.approx([n * step[0, 0] + 1e-8 for n in range(4)], rel=1e-6)
+    turns = sum(step[5, 5] * distance_m**2 for distance_m in (10.0, 5.0, 0.0))
+    across = 3 * step[1, 1] + turns + 1e-8 + 1e-8 * 15.0**2
+    assert optimised.covariances["a"][3][1, 1] == pytest.approx(across, rel=1e-6)
+    assert (optimised.chi2, optimised.degrees_of_freedom) == (pytest.approx(0.0, abs=1e-9), 0)
+
+
+def test_chi2_of_right_loops_is_about_its_degrees_of_freedom() -> None:
+    optimised = optimise(fleet(3, 0.0).graph)
+    kept = optimised.loops.count(LoopState.IN_MAP)
+    assert optimised.degrees_of_freedom == 6 * (kept - 3 + 1)
+    assert 0.7 < optimised.chi2 / optimised.degrees_of_freedom < 1.3
