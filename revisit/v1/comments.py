@@ -132,6 +132,7 @@ COMMENTS = {
     'revisit.v1.LoopPolicy.min_score': 'The least score: 0 to 1.',
     'revisit.v1.Map': 'A map. `tau_m`, `stride_m` and `min_index_gap` are the values in force.',
     'revisit.v1.Map.loop_policy': 'Which loop closures of this map are accepted: the values in force.',
+    'revisit.v1.Map.map_version': 'The version of its poses that answers rest on (maps/{map}/versions/{version}), 0 before the first.',
     'revisit.v1.Map.min_index_gap': 'Submaps of one session nearer than this in order are no loop.',
     'revisit.v1.Map.name': 'maps/{map}',
     'revisit.v1.Map.scene_scale': 'Size of its scene compared with a street.',

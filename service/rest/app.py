@@ -21,7 +21,7 @@ from revisit.service.rest.middleware import (
     RequestPlaces,
     RequestTimer,
 )
-from revisit.service.rest.routes import loops, maps, operations, robots, searches, sessions, submaps, system
+from revisit.service.rest.routes import loops, mapping, maps, operations, robots, searches, sessions, submaps, system
 from revisit.service.rest.schemas import Problem
 from revisit.service.rest.tracing import RequestTracing
 from revisit.service.status import STATUS
@@ -53,7 +53,7 @@ def create_app(
     )
     app.state.use_cases = use_cases
     app.state.limits = limits
-    for module in (maps, robots, searches, submaps, sessions, loops, operations, system):
+    for module in (mapping, maps, robots, searches, submaps, sessions, loops, operations, system):
         app.include_router(module.router)
     require_declared_scopes(app)
     install_error_handlers(app)

@@ -20,13 +20,22 @@ from revisit.service.adapters.memory.repositories import (
     MemoryWorkerLog,
     Rows,
 )
-from revisit.service.application.contract.records import LoopRecord, MapRecord, RobotRecord, SessionRecord
+from revisit.service.application.contract.records import (
+    LoopEventRecord,
+    LoopRecord,
+    MapRecord,
+    MapVersionRecord,
+    RobotRecord,
+    SessionPosesRecord,
+    SessionRecord,
+)
 from revisit.service.application.contract.transactions import UnitOfWork
 
 T = TypeVar("T")
 
 _TABLES = (
     *("maps", "robots", "sessions", "scans", "submaps", "loops"),
+    *("loop_events", "map_versions", "session_poses"),
     *("jobs", "turns", "changes", "workers", "keys", "audit"),
 )
 
@@ -42,6 +51,13 @@ class MemoryUnitOfWork:
         self.scans = MemoryScans(tables["scans"], ("map_id", "session_id", "seq"))
         self.submaps = MemorySubmaps(tables["submaps"], ("map_id", "session_id", "submap_id"))
         self.loops: MemoryRepository[LoopRecord] = MemoryRepository(tables["loops"], ("map_id", "loop_id"))
+        self.loop_events: MemoryRepository[LoopEventRecord] = MemoryRepository(tables["loop_events"], ("number",))
+        self.map_versions: MemoryRepository[MapVersionRecord] = MemoryRepository(
+            tables["map_versions"], ("map_id", "version")
+        )
+        self.session_poses: MemoryRepository[SessionPosesRecord] = MemoryRepository(
+            tables["session_poses"], ("map_id", "version", "session_id")
+        )
         self.jobs = MemoryJobs(tables["jobs"], ("operation_id",))
         self.queue = LeasedJobs(self.jobs, FairTurns(MemoryTenantTurns(tables["turns"], self.jobs)), lease_ms)
         self.changes = MemoryChangeLog(tables["changes"], tables["submaps"])
