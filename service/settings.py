@@ -65,6 +65,11 @@ class Settings(AccessSettings):
         gt=0,
         description="hours for which the operation of a query by cloud can be read after its end, with the answer",
     )
+    events_kept: int = Field(
+        default=50_000,
+        ge=1000,
+        description="events of a tenant that are kept for those who watch and were away: about 4 for each submap",
+    )
     jobs_per_worker: int = Field(default=500, ge=1, description="jobs after which a worker is replaced")
     job_timeout_s: float = Field(default=120.0, gt=0, description="a run of a job that takes longer is ended")
     worker_memory_mb: int = Field(

@@ -35,7 +35,8 @@ from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.spool import DEFAULT_MAX_BYTES, Spool
 from revisit.sdk.spooled_stream import RECONNECT, SpooledStream
 from revisit.sdk.transport import ScanSink, Transport
-from revisit.v1 import loop_closure_pb2, map_pb2, operation_pb2, robot_pb2, session_pb2, submap_pb2
+from revisit.sdk.watching import Watch
+from revisit.v1 import event_pb2, loop_closure_pb2, map_pb2, operation_pb2, robot_pb2, session_pb2, submap_pb2
 
 DEFAULT_HTTP = "http://127.0.0.1:8080"
 DEFAULT_GRPC = "127.0.0.1:8090"
@@ -304,6 +305,15 @@ class Client:
     def get_loop_closure(self, name: str) -> LoopClosure:
         """Get `maps/{map}/loopClosures/{loop_closure}` with its evidence."""
         return LoopClosure.of(self._transport.get(name))
+
+    def watch(self, map_: str | Map, *, after: int | None = None, kinds: Sequence[str] = ()) -> Watch:
+        """The events of a map as they happen, in a loop: `for event in client.watch("maps/yard"): ...`.
+
+        `after` is the number of the last event that was seen, 0 for all that are kept; without it, from now on.
+        `kinds` keeps LOOP_CLOSURE or OPERATION. The watch bridges lost connections; leave the loop to end it.
+        """
+        fields = {"parent": _name(map_), "after": after, "kinds": list(kinds)}
+        return Watch(self._transport, request_of(event_pb2.WatchEventsRequest, fields))
 
     def get_operation(self, name: str) -> Operation:
         """Get `operations/{operation}`."""

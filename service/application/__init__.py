@@ -6,6 +6,7 @@
     ingest         scans and submaps coming in
     catalogue      maps, robots, sessions, submaps: create, get, list, delete
     query          searches, loop closures, operations
+    push           watching the events of a map
     housekeeping   sweeping, retention, the index, dead letters, readiness
     recognise      what a worker does with a job
 
@@ -35,6 +36,7 @@ from revisit.service.application.housekeeping.system import System
 from revisit.service.application.ingest.scans import Scans
 from revisit.service.application.ingest.submap_posting import SubmapPosting
 from revisit.service.application.installation import Installation
+from revisit.service.application.push.events import Events, Glance
 from revisit.service.application.query.loops import Loops
 from revisit.service.application.query.operations import Operations
 from revisit.service.application.query.searches import Searches
@@ -53,6 +55,7 @@ class UseCases:
     searches: Searches
     loops: Loops
     operations: Operations
+    events: Events
     dead_letters: DeadLetters
     system: System
     admission: Admission
@@ -79,6 +82,7 @@ class UseCases:
             searches=Searches(storage, admission, decoder, jobs, of.memory, operations),
             loops=Loops(storage, admission),
             operations=operations,
+            events=Events(storage, admission, Glance(storage)),
             dead_letters=DeadLetters(storage, admission, backlog, policy),
             system=System(storage, admission, of.disk, of.index_health, clock, version),
             admission=admission,

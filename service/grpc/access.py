@@ -45,6 +45,7 @@ SCOPES: dict[str, dict[str, frozenset[Scope]]] = {
         "ListLoopClosures": _QUERY,
         "WatchLoopClosures": _QUERY,
     },
+    "EventService": {"WatchEvents": _QUERY},
     "OperationService": {
         "GetOperation": _EITHER,
         "ListOperations": _EITHER,

@@ -23,6 +23,7 @@ from revisit.service.application.contract.views import OperationFailure, Operati
 from revisit.service.application.housekeeping.system import ServiceStatus
 from revisit.service.application.ingest.scans import ScanAck
 from revisit.service.application.ingest.submap_posting import PostedSubmap
+from revisit.service.application.push.events import EventView
 from revisit.service.application.query.loops import LoopClosureView
 from revisit.service.application.query.search_answers import Localization, LocalizedCandidate, SearchHit, SearchResult
 
@@ -144,6 +145,17 @@ def of_loop(view: LoopClosureView) -> Fields:
         "t_match_query": _transform(view.T_match_query),
         "evidence": view.evidence,
         "created_at_ns": view.created_at_ns,
+    }
+
+
+def of_event(view: EventView) -> Fields:
+    """The fields of an Event."""
+    return {
+        "number": view.number,
+        "kind": view.kind.value,
+        "map": f"maps/{view.map_id}" if view.map_id else "",
+        "loop_closure": None if view.loop is None else of_loop(view.loop),
+        "operation": None if view.operation is None else of_operation(view.operation),
     }
 
 

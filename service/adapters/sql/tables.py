@@ -252,6 +252,17 @@ index_changes = Table(
     Index(None, "tenant", "map_number", "seq"),
 )
 
+events = Table(
+    "events",
+    metadata,
+    Column("number", Integer, primary_key=True, autoincrement=True),
+    Column("tenant", String(64), nullable=False),
+    _text("map_id"),
+    _text("kind", length=16),
+    _text("subject"),
+    Index(None, "tenant", "number"),
+)
+
 workers = Table(
     "workers",
     metadata,

@@ -27,6 +27,15 @@ class LoopState(StrEnum):
     REJECTED = "REJECTED"
 
 
+class EventKind(StrEnum):
+    """What an event tells of."""
+
+    LOOP_CLOSURE = "LOOP_CLOSURE"
+    OPERATION = "OPERATION"
+    OPENED = "OPENED"
+    FORGOTTEN = "FORGOTTEN"
+
+
 class OperationKind(StrEnum):
     """What a job does."""
 
