@@ -288,17 +288,24 @@ class Client:
         return Localization.of(self._transport.localize(request))
 
     def loop_closures(
-        self, map_: str | Map, *, state: str | None = None, session: str | Session | None = None, **freshness: Any
+        self,
+        map_: str | Map,
+        *,
+        state: str | None = None,
+        session: str | Session | None = None,
+        reason: str | None = None,
+        **freshness: Any,
     ) -> list[LoopClosure]:
         """The loop closures of a map, oldest first; `state` ACCEPTED, REJECTED or ALL.
 
         `session` (a session, its name or id) keeps those whose query submap is of it; NotFound where there is none.
+        `reason` keeps those that were rejected for it, e.g. AMBIGUOUS.
 
         `freshness`: min_seq with min_seq_timeout_s, as in `search`.
         """
         of_session = None if session is None else _session_name(map_, session)
         state = None if state == "ALL" else state
-        fields = {"parent": _name(map_), "state": state, "session": of_session, **freshness}
+        fields = {"parent": _name(map_), "state": state, "session": of_session, "reason": reason, **freshness}
         request = request_of(loop_closure_pb2.ListLoopClosuresRequest, fields)
         return [LoopClosure.of(item) for item in self._transport.list("loopClosures", request)]
 

@@ -73,6 +73,7 @@ COMMENTS = {
     'revisit.v1.ListLoopClosuresRequest.min_seq_timeout_s': 'How long to wait for min_seq, 0 to 60 seconds; absent means 10.',
     'revisit.v1.ListLoopClosuresRequest.page_size': '1 to 500; 0 means 50.',
     'revisit.v1.ListLoopClosuresRequest.parent': 'maps/{map}',
+    'revisit.v1.ListLoopClosuresRequest.reason': 'Keep those that were rejected for this reason; empty keeps all.',
     'revisit.v1.ListLoopClosuresRequest.session': 'Keep those whose query submap is of this session (maps/{map}/sessions/{session}); empty keeps all.',
     'revisit.v1.ListLoopClosuresRequest.state': 'Keep those in this state; unspecified keeps all.',
     'revisit.v1.ListMapsRequest.page_size': '1 to 500; 0 means 50.',

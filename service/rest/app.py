@@ -22,7 +22,18 @@ from revisit.service.rest.middleware import (
     RequestPlaces,
     RequestTimer,
 )
-from revisit.service.rest.routes import events, loops, maps, operations, robots, searches, sessions, submaps, system
+from revisit.service.rest.routes import (
+    events,
+    loops,
+    maps,
+    operations,
+    page,
+    robots,
+    searches,
+    sessions,
+    submaps,
+    system,
+)
 from revisit.service.rest.schemas import Problem
 from revisit.service.rest.tracing import RequestTracing
 from revisit.service.status import STATUS
@@ -55,7 +66,7 @@ def create_app(
     app.state.use_cases = use_cases
     app.state.limits = limits
     app.state.watches = Places()
-    for module in (maps, robots, searches, submaps, sessions, loops, events, operations, system):
+    for module in (maps, robots, searches, submaps, sessions, loops, events, operations, system, page):
         app.include_router(module.router)
     require_declared_scopes(app)
     install_error_handlers(app)

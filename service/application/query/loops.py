@@ -78,14 +78,17 @@ class Loops:
         state: LoopState | None = None,
         session_id: str | None = None,
         fresh: Freshness = Freshness(),
+        reason: str | None = None,
     ) -> Page[LoopClosureView]:
         """The closures of a map, oldest first; `session_id` keeps those whose query submap is of that session.
+
+        `reason` keeps those that were rejected for it.
 
         Raises NotFound for the map and the session, SeqNotReached where `fresh` was not reached.
         """
         await await_freshness(self._storage, self._admission, tenant, map_id, fresh)
         records = await self._storage.read(
-            lambda uow: _load(uow, tenant, map_id, page.after, page.size + 1, state, session_id)
+            lambda uow: _load(uow, tenant, map_id, page.after, page.size + 1, state, session_id, reason)
         )
         return page_of(records, page, loop_view)
 
@@ -146,11 +149,14 @@ def _load(
     limit: int,
     state: LoopState | None,
     session_id: str | None,
+    reason: str | None = None,
 ) -> list[LoopRecord]:
     require_map(uow, tenant, map_id)
     equals: dict[str, str] = {"map_id": map_id}
     if state is not None:
         equals["state"] = state.value
+    if reason:
+        equals["reason"] = reason
     if session_id is not None:
         require_session(uow, tenant, SessionKey(map_id, session_id))
         equals["query_session_id"] = session_id

@@ -26,9 +26,10 @@ async def list_loop_closures(
     fresh: Fresh,
     state: LoopState | None = None,
     session_id: Annotated[str | None, Query(max_length=limits.ID_CHARACTERS)] = None,
+    reason: Annotated[str | None, Query(max_length=limits.REASON_CHARACTERS)] = None,
 ) -> Response:
     """List the loop closures of a map with their evidence, oldest first."""
-    page = await cases.loops.list(tenant, map_id, paging, state, session_id, fresh)
+    page = await cases.loops.list(tenant, map_id, paging, state, session_id, fresh, reason)
     return answer(LoopClosurePage, of_page("loop_closures", page, of_loop))
 
 
