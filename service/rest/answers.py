@@ -16,6 +16,7 @@ from revisit.v1 import (
     ingest_pb2,
     loop_closure_pb2,
     map_pb2,
+    mapping_pb2,
     operation_pb2,
     robot_pb2,
     session_pb2,
@@ -24,6 +25,10 @@ from revisit.v1 import (
 )
 
 Event = event_pb2.Event
+Correction = mapping_pb2.Correction
+MapVersion = mapping_pb2.MapVersion
+MapVersionPage = mapping_pb2.ListMapVersionsResponse
+SubmapPosePage = mapping_pb2.ListSubmapPosesResponse
 Ack = ingest_pb2.AppendScanResponse
 LocalizeAnswer = loop_closure_pb2.LocalizeResponse
 LoopClosure = loop_closure_pb2.LoopClosure
@@ -44,7 +49,7 @@ SubmapPage = submap_pb2.ListSubmapsResponse
 
 _DESCRIBED = (
     Ack, Event, LocalizeAnswer, LoopClosurePage, MapPage, OperationPage, Posted, RobotPage, SearchAnswer, SessionPage,
-    Status, SubmapPage,
+    Status, SubmapPage, Correction, MapVersionPage, SubmapPosePage,
 )  # fmt: skip
 
 

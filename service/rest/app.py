@@ -25,6 +25,7 @@ from revisit.service.rest.middleware import (
 from revisit.service.rest.routes import (
     events,
     loops,
+    mapping,
     maps,
     operations,
     page,
@@ -66,7 +67,7 @@ def create_app(
     app.state.use_cases = use_cases
     app.state.limits = limits
     app.state.watches = Places()
-    for module in (maps, robots, searches, submaps, sessions, loops, events, operations, system, page):
+    for module in (mapping, maps, robots, searches, submaps, sessions, loops, events, operations, system, page):
         app.include_router(module.router)
     require_declared_scopes(app)
     install_error_handlers(app)

@@ -20,7 +20,7 @@ from revisit.service.application.catalogue.sessions import CreateSession
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.identity import SessionKey
 from revisit.service.application.contract.loop_policy import LoopPolicy
-from revisit.service.application.contract.states import EventKind, LoopState, OperationState
+from revisit.service.application.contract.states import EventKind, GraphState, LoopState, OperationState
 from revisit.service.application.ingest.clouds import EncodedCloud
 from revisit.service.application.ingest.scans import AppendScan
 from revisit.service.application.ingest.submap_posting import PostSubmap
@@ -164,6 +164,11 @@ def operation_state(value: int) -> OperationState | None:
 def loop_state(value: int) -> LoopState | None:
     """The state of a filter, None where unspecified. Raises BadField for an unknown number."""
     return None if value == 0 else LoopState(_enum_name(loop_closure_pb2.LoopClosure.State, value))
+
+
+def graph_state(value: int) -> GraphState | None:
+    """The verdict of the graph in a filter, None where unspecified. Raises BadField for an unknown number."""
+    return None if value == 0 else GraphState(_enum_name(loop_closure_pb2.LoopClosure.GraphState, value))
 
 
 def _optional(message: Any, field: str) -> Any:

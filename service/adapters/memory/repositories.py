@@ -19,6 +19,7 @@ from revisit.service.application.contract.records import (
     TurnRecord,
     WorkerRecord,
 )
+from revisit.service.application.contract.repositories import PlacedSubmap
 from revisit.service.application.contract.states import EventKind, OperationState, SubmapState
 
 R = TypeVar("R")
@@ -141,6 +142,11 @@ class MemorySubmaps(MemoryRepository[SubmapRecord]):
     def points_of(self, tenant: TenantId) -> int:
         """See `SubmapRepository`."""
         return sum(row.point_count for row in self.find(tenant) if row.cloud_sha256 is not None)
+
+    def placed(self, tenant: TenantId, map_id: str) -> list[PlacedSubmap]:
+        """See `SubmapRepository`."""
+        of_map = sorted(self.find(tenant, map_id=map_id), key=lambda one: (one.session_number, one.ordinal))
+        return [PlacedSubmap(one.number, one.session_number, one.ordinal, one.T_odom_submap) for one in of_map]
 
     def waiting_up_to(self, tenant: TenantId, map_id: str, number: int) -> int:
         """See `SubmapRepository`."""

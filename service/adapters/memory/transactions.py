@@ -22,13 +22,22 @@ from revisit.service.adapters.memory.repositories import (
     Rows,
 )
 from revisit.service.application.contract.events import on_job_change, on_loop_change
-from revisit.service.application.contract.records import LoopRecord, MapRecord, RobotRecord, SessionRecord
+from revisit.service.application.contract.records import (
+    LoopEventRecord,
+    LoopRecord,
+    MapRecord,
+    MapVersionRecord,
+    RobotRecord,
+    SessionPosesRecord,
+    SessionRecord,
+)
 from revisit.service.application.contract.transactions import UnitOfWork
 
 T = TypeVar("T")
 
 _TABLES = (
     *("maps", "robots", "sessions", "scans", "submaps", "loops"),
+    *("loop_events", "map_versions", "session_poses"),
     *("jobs", "turns", "changes", "events", "workers", "keys", "audit"),
 )
 
@@ -47,6 +56,13 @@ class MemoryUnitOfWork:
         told = on_loop_change(self.events)
         self.loops: MemoryRepository[LoopRecord] = MemoryRepository(tables["loops"], ("map_id", "loop_id"), told)
         self.jobs = MemoryJobs(tables["jobs"], ("operation_id",), on_job_change(self.events))
+        self.loop_events: MemoryRepository[LoopEventRecord] = MemoryRepository(tables["loop_events"], ("number",))
+        self.map_versions: MemoryRepository[MapVersionRecord] = MemoryRepository(
+            tables["map_versions"], ("map_id", "version")
+        )
+        self.session_poses: MemoryRepository[SessionPosesRecord] = MemoryRepository(
+            tables["session_poses"], ("map_id", "version", "session_id")
+        )
         self.queue = LeasedJobs(self.jobs, FairTurns(MemoryTenantTurns(tables["turns"], self.jobs)), lease_ms)
         self.changes = MemoryChangeLog(tables["changes"], tables["submaps"])
         self.workers = MemoryWorkerLog(tables["workers"])

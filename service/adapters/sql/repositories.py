@@ -26,6 +26,7 @@ from revisit.service.application.contract.errors import AlreadyExists, NotFound
 from revisit.service.application.contract.events import ChangeOf
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.records import ScanRecord, SubmapRecord
+from revisit.service.application.contract.repositories import PlacedSubmap
 from revisit.service.application.contract.states import SubmapState
 
 R = TypeVar("R")
@@ -162,6 +163,13 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
         posted = and_(submaps.tenant == tenant, submaps.cloud_sha256.is_not(None))
         query = select(func.coalesce(func.sum(submaps.point_count), 0)).where(posted)
         return int(self._connection.execute(query).scalar_one())
+
+    def placed(self, tenant: TenantId, map_id: str) -> list[PlacedSubmap]:
+        """See `SubmapRepository`."""
+        submaps, asked = tables.submaps.c, of_tenant(tenant, {"map_id": map_id})
+        columns = (submaps.number, submaps.session_number, submaps.ordinal, submaps.T_odom_submap)
+        query = select(*columns).where(matches(tables.submaps, asked)).order_by(submaps.session_number, submaps.ordinal)
+        return [PlacedSubmap(*row) for row in self._connection.execute(query, asked)]
 
     def waiting_up_to(self, tenant: TenantId, map_id: str, number: int) -> int:
         """See `SubmapRepository`."""

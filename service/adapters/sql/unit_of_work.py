@@ -21,10 +21,13 @@ from revisit.service.adapters.sql.worker_log import SqlWorkerLog
 from revisit.service.application.contract.events import on_job_change, on_loop_change
 from revisit.service.application.contract.records import (
     JobRecord,
+    LoopEventRecord,
     LoopRecord,
     MapRecord,
+    MapVersionRecord,
     RobotRecord,
     ScanRecord,
+    SessionPosesRecord,
     SessionRecord,
     SubmapRecord,
 )
@@ -69,6 +72,23 @@ class SqlUnitOfWork:
         """Loop closures by (map_id, loop_id)."""
         key, told = ("map_id", "loop_id"), on_loop_change(self.events)
         return SqlRepository(self.connection, self.engine, tables.loops, LoopRecord, key, told)
+
+    @cached_property
+    def loop_events(self) -> SqlRepository[LoopEventRecord]:
+        """Changes of loop closures by (number)."""
+        return SqlRepository(self.connection, self.engine, tables.loop_events, LoopEventRecord, ("number",))
+
+    @cached_property
+    def map_versions(self) -> SqlRepository[MapVersionRecord]:
+        """Versions of maps by (map_id, version)."""
+        key = ("map_id", "version")
+        return SqlRepository(self.connection, self.engine, tables.map_versions, MapVersionRecord, key)
+
+    @cached_property
+    def session_poses(self) -> SqlRepository[SessionPosesRecord]:
+        """The poses of sessions in versions of maps by (map_id, version, session_id)."""
+        key = ("map_id", "version", "session_id")
+        return SqlRepository(self.connection, self.engine, tables.session_poses, SessionPosesRecord, key)
 
     @cached_property
     def jobs(self) -> SqlJobs:

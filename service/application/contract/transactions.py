@@ -10,7 +10,15 @@ from revisit.service.application.contract.access_ports import AuditTrail, KeyRin
 from revisit.service.application.contract.events import EventLog
 from revisit.service.application.contract.index import ChangeLog
 from revisit.service.application.contract.job_queue import JobQueue, WorkerLog
-from revisit.service.application.contract.records import LoopRecord, MapRecord, RobotRecord, SessionRecord
+from revisit.service.application.contract.records import (
+    LoopEventRecord,
+    LoopRecord,
+    MapRecord,
+    MapVersionRecord,
+    RobotRecord,
+    SessionPosesRecord,
+    SessionRecord,
+)
 from revisit.service.application.contract.repositories import (
     JobRepository,
     Repository,
@@ -24,7 +32,7 @@ T = TypeVar("T")
 class UnitOfWork(Protocol):
     """One transaction: all of it is committed, or none.
 
-    Thirteen properties and no methods: one for each kind of record, so that a transaction can change any of them.
+    Sixteen properties and no methods: one for each kind of record, so that a transaction can change any of them.
     """
 
     @property
@@ -55,6 +63,21 @@ class UnitOfWork(Protocol):
     @property
     def loops(self) -> Repository[LoopRecord]:
         """Loop closures by (map_id, loop_id)."""
+        ...
+
+    @property
+    def loop_events(self) -> Repository[LoopEventRecord]:
+        """Changes of loop closures by (number)."""
+        ...
+
+    @property
+    def map_versions(self) -> Repository[MapVersionRecord]:
+        """Versions of maps by (map_id, version)."""
+        ...
+
+    @property
+    def session_poses(self) -> Repository[SessionPosesRecord]:
+        """The poses of sessions in versions of maps by (map_id, version, session_id)."""
         ...
 
     @property

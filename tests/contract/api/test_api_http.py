@@ -15,7 +15,7 @@ import zstandard
 from revisit.core.errors import ErrorCode
 from revisit.formats import QUANTISED, encode_quantised
 from revisit.service.application.contract.records import WorkerRecord
-from revisit.service.rest.routes.system import WEB
+from revisit.service.rest.routes.page import WEB
 from revisit.service.status import STATUS
 from tests.support.service_world import cloud_points
 
@@ -293,8 +293,8 @@ def test_the_page_is_served_with_its_scripts_and_style_and_nothing_inline(http):
 
 
 def test_what_the_page_needs_of_others_comes_from_the_service_and_may_be_kept(http):
-    imports = re.compile(r"""from ["'](/[^"']+)["']|(?:src|href)="(/[^"]+)"""")
-    named = {path for file in WEB.glob("*.*") for pair in imports.findall(file.read_text()) for path in pair if path}
+    imports = re.compile("""(?:from |src=|href=)["'](/[^"']+)["']""")
+    named = {path for file in WEB.glob("*.*") for path in imports.findall(file.read_text())}
     for path in sorted(named):
         assert http.get(path).status_code == 200, path
     three = http.get("/vendor/three-0.187.0/three.module.js")
