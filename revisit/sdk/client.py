@@ -331,7 +331,7 @@ class Client:
         """The events of a map as they happen, in a loop: `for event in client.watch("maps/yard"): ...`.
 
         `after` is the number of the last event that was seen, 0 for all that are kept; without it, from now on.
-        `kinds` keeps LOOP_CLOSURE or OPERATION. The watch bridges lost connections; leave the loop to end it.
+        `kinds` keeps LOOP_CLOSURE, OPERATION or MAP_VERSION. It bridges lost connections; leave the loop to end it.
         """
         fields = {"parent": _name(map_), "after": after, "kinds": list(kinds)}
         return Watch(self._transport, request_of(event_pb2.WatchEventsRequest, fields))

@@ -444,7 +444,7 @@ class Correction:
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened in a map: `kind` LOOP_CLOSURE or OPERATION, with the resource as it stands by now.
+    """Something that happened in a map: `kind` LOOP_CLOSURE, OPERATION or MAP_VERSION, with it as it stands by now.
 
     FORGOTTEN says that earlier events were asked for and are no longer kept: list again what is of interest.
     """
@@ -454,6 +454,7 @@ class Event:
     map: str
     loop_closure: LoopClosure | None = None
     operation: Operation | None = None
+    map_version: MapVersion | None = None
 
     @classmethod
     def of(cls, message: event_pb2.Event) -> Self:
@@ -464,6 +465,7 @@ class Event:
             map=message.map,
             loop_closure=LoopClosure.of(message.loop_closure) if message.HasField("loop_closure") else None,
             operation=Operation.of(message.operation) if message.HasField("operation") else None,
+            map_version=MapVersion.of(message.map_version) if message.HasField("map_version") else None,
         )
 
 

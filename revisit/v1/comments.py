@@ -54,6 +54,7 @@ COMMENTS = {
     'revisit.v1.Event.Kind': 'What the event tells of.',
     'revisit.v1.Event.Kind.FORGOTTEN': 'Events with lower numbers were asked for and are no longer kept: list what is of interest again.',
     'revisit.v1.Event.Kind.LOOP_CLOSURE': 'A loop closure that is new or has another state or pose.',
+    'revisit.v1.Event.Kind.MAP_VERSION': "A new version of the map's poses: the corrections of its sessions are others.",
     'revisit.v1.Event.Kind.OPENED': 'The watch has begun; it tells the events with a higher number.',
     'revisit.v1.Event.Kind.OPERATION': 'An operation that is new or has another state.',
     'revisit.v1.Event.map': 'maps/{map}; empty where it concerns every map.',

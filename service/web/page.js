@@ -5,7 +5,7 @@ import { KeyNeeded, Refused, hasKey, read, readAll, useKey } from "/api.js";
 import { sessionColour } from "/colours.js";
 import { byId, element, lastOf, plural, press, sessionOf, shortName, soon } from "/dom.js";
 import { Watch } from "/events.js";
-import { inverse, matrixOf, placements, product } from "/frames.js";
+import { inverse, mainFrame, matrixOf, placements, product } from "/frames.js";
 import { listen } from "/keyboard.js";
 import { PairView } from "/pair.js";
 import { actionsOf } from "/review.js";
@@ -29,7 +29,7 @@ const model = {
   listed: LISTED_AT_ONCE,
   rejectedRead: false,
   selected: null,
-  corrected: true,
+  corrected: 1,
   status: null,
 };
 
@@ -93,6 +93,8 @@ function take(event) {
     model.operations.set(event.operation.name, event.operation);
     if (event.operation.subject.includes("/submaps/")) stale.add(event.operation.subject);
   }
+  // With a new version of the map every submap may lie elsewhere.
+  if (event.kind === "MAP_VERSION") readMap().then(renderSoon, tellError);
   catchUp();
   renderSoon();
 }
@@ -134,7 +136,6 @@ function tracks() {
   return [...model.sessions.values()].map((session, index) => ({
     name: session.name,
     colour: sessionColour(index),
-    T_map_odom: model.corrected ? session.t_map_odom : null,
     submaps: (bySession.get(session.name) ?? []).sort((a, b) => a.ordinal - b.ordinal),
   }));
 }
@@ -152,15 +153,18 @@ function render(refit = false) {
 function renderStage(loops, refit) {
   const every = tracks();
   const submaps = every.reduce((sum, track) => sum + track.submaps.length, 0);
-  model.placed = placements(every, [...model.loops.values()].filter((loop) => loop.state === "ACCEPTED"));
+  model.frame = mainFrame(model.submaps.values());
+  model.placed = placements(every, [...model.loops.values()].filter((loop) => loop.state === "ACCEPTED"), model.frame);
   const drawn = every.filter((track) => model.placed.has(track.name) && !model.hidden.has(track.name));
-  byId("frames").hidden = ![...model.sessions.values()].some((session) => session.t_map_odom);
+  byId("frames").hidden = model.frame === null;
   if (view) {
     if (refit) view.places.clear();
     view.show({
       tracks: drawn.map((track) => ({ ...track, T_drawing_odom: model.placed.get(track.name) })),
       loops: loops.map((loop) => ({ loop, state: stateOf(loop) })),
       lift: liftPerSubmap(),
+      frame: model.frame,
+      corrected: model.corrected,
     });
   }
   Object.assign(document.body.dataset, { submaps, drawnSubmaps: view?.places.size ?? 0, drawnLoops: view?.drawnLoops ?? 0, listedLoops: loops.length });
@@ -177,11 +181,27 @@ function liftPerSubmap() {
 
 function tellCaption(every, drawn) {
   const apart = every.filter((track) => track.submaps.length && !model.placed.has(track.name) && !model.hidden.has(track.name));
-  const frame = [...model.sessions.values()].some((session) => session.t_map_odom) && model.corrected;
   const said = [`${plural(drawn.length, "session")}, ${plural(view?.places.size ?? 0, "submap")}`];
+  if (model.frame !== null) said.push(model.corrected > 0.5 ? `in the frame of the map, version ${versionShown()}` : `as odometry has it: up to ${driftInWords(drawn)} off`);
+  else if (drawn.length > 1) said.push("sessions placed by their best loop closure");
   if (apart.length) said.push(`${plural(apart.length, "session")} not drawn: no loop closure leads there yet`);
-  else if (drawn.length > 1) said.push(frame ? "in the frame of the map" : "sessions placed by their best loop closure");
   byId("caption").textContent = said.join(" \u00b7 ");
+}
+
+const versionShown = () => Math.max(0, ...[...model.submaps.values()].map((submap) => Number(submap.map_version)));
+
+/** How far odometry alone puts the worst submap from where the map has it. */
+function driftInWords(drawn) {
+  let most = 0;
+  for (const track of drawn) {
+    for (const submap of track.submaps) {
+      if (!submap.t_map_submap || submap.frame !== model.frame) continue;
+      const driven = product(model.placed.get(track.name), matrixOf(submap.t_odom_submap)).elements;
+      const { x, y, z } = submap.t_map_submap.translation;
+      most = Math.max(most, Math.hypot(driven[12] - x, driven[13] - y, driven[14] - z));
+    }
+  }
+  return `${most.toFixed(most < 10 ? 1 : 0)} m`;
 }
 
 function tellEmpty(submaps) {
@@ -415,10 +435,21 @@ function setView(name) {
   if (name !== "fit") press(byId("camera"), "view", name);
 }
 
+const FRAMES_MS = 900;
+
+/** Move from odometry to the frame of the map, or back, so that one sees what the loop closures have done. */
 function setFrames(moment) {
-  model.corrected = moment === "after";
   press(byId("frames"), "frames", moment);
-  render();
+  const [from, to, began_ms] = [model.corrected, moment === "after" ? 1 : 0, performance.now()];
+  const still = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
+  const step = (now_ms) => {
+    const done = still ? 1 : Math.min(1, Math.max(0, (now_ms - began_ms) / FRAMES_MS));
+    model.corrected = from + (to - from) * done * done * (3 - 2 * done);
+    renderStage(visibleLoops(), false);
+    renderSelection();
+    if (done < 1) requestAnimationFrame(step);
+  };
+  requestAnimationFrame(step);
 }
 
 function switchTheme() {
@@ -441,6 +472,7 @@ listen(
     [["t"], "look from above", () => setView("top")],
     [["p"], "look tilted", () => setView("tilted")],
     [["f"], "show everything", () => setView("fit")],
+    [["o"], "odometry, or the frame of the map", () => model.frame !== null && setFrames(model.corrected > 0.5 ? "before" : "after")],
     [["s"], "points of the submaps", () => toggle("points", "none")],
     [["m"], "surfaces of the submaps", () => toggle("mesh", "none")],
     [["1"], "accepted loop closures", () => setStates("accepted")],

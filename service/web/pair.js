@@ -6,7 +6,7 @@ import { OrbitControls } from "/vendor/three-0.187.0/OrbitControls.js";
 import { extentOf, geometryOf } from "/clouds.js";
 import { MATCH_COLOUR, QUERY_COLOUR, themed } from "/colours.js";
 import { byId, element, press, shortName } from "/dom.js";
-import { inverse, matrixOf, matrixOfRows, product } from "/frames.js";
+import { between, inverse, matrixOf, matrixOfRows, product } from "/frames.js";
 import { pointsMaterial, surfaceMaterial } from "/scene.js";
 import { apart, measures, rivalsOf, sentences, stateOf, verdictOf } from "/words.js";
 
@@ -162,13 +162,7 @@ export class PairView {
   }
 
   poseAt(share) {
-    const parts = [this.T_before, this.T_shown ?? this.T_before].map((matrix) => {
-      const [t, q, s] = [new THREE.Vector3(), new THREE.Quaternion(), new THREE.Vector3()];
-      matrix.decompose(t, q, s);
-      return { t, q };
-    });
-    const [before, after] = parts;
-    return new THREE.Matrix4().compose(before.t.lerp(after.t, share), before.q.slerp(after.q, share), new THREE.Vector3(1, 1, 1));
+    return between(this.T_before, this.T_shown ?? this.T_before, share);
   }
 
   draw() {

@@ -10,7 +10,7 @@ import { LineSegments2 } from "/vendor/three-0.187.0/LineSegments2.js";
 import { LineSegmentsGeometry } from "/vendor/three-0.187.0/LineSegmentsGeometry.js";
 import { forgetWaiting, geometryOf } from "/clouds.js";
 import { themed } from "/colours.js";
-import { matrixOf, product } from "/frames.js";
+import { between, matrixOf, product } from "/frames.js";
 
 const NEAR_PX = 14;
 const NEAR_LOOP_PX = 7;
@@ -88,13 +88,14 @@ export class MapView {
   }
 
   /**
-   * `tracks` is [{ name, colour, submaps, T_drawing_odom, poses }] of the visible sessions, `poses` (by submap name) the
-   * corrected ones where there are any; `loops` [{ loop, state }]; `lift` in metres a submap.
+   * `tracks` is [{ name, colour, submaps, T_drawing_odom }] of the visible sessions; `loops` [{ loop, state }]; `lift` in
+   * metres a submap; `frame` is that of the map in which submaps are drawn, null for none, and `corrected` 0..1 how far
+   * they are there, on the way from where odometry has them.
    */
-  show({ tracks, loops, lift }) {
+  show({ tracks, loops, lift, frame = null, corrected = 1 }) {
     const first = !this.places.size;
     this.map = { tracks, loops };
-    this.place(lift);
+    this.place(lift, frame, corrected);
     this.drawPaths();
     this.drawLoops();
     this.drawGrid();
@@ -104,12 +105,14 @@ export class MapView {
   }
 
   /** Where each submap is drawn: its matrix, with the lift. */
-  place(lift) {
+  place(lift, frame, corrected) {
     this.places.clear();
     let floor = 0;
     for (const track of this.map.tracks) {
       track.submaps.forEach((submap, index) => {
-        const pose = track.poses?.get(submap.name) ?? product(track.T_drawing_odom, matrixOf(submap.t_odom_submap));
+        const driven = product(track.T_drawing_odom, matrixOf(submap.t_odom_submap));
+        const known = frame !== null && submap.t_map_submap && submap.frame === frame;
+        const pose = known ? between(driven, matrixOf(submap.t_map_submap), corrected) : driven;
         const raised = new THREE.Matrix4().makeTranslation(0, 0, floor + lift * index).multiply(pose);
         const at = new THREE.Vector3().setFromMatrixPosition(raised);
         this.places.set(submap.name, { submap, track, matrix: raised, at });

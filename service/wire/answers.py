@@ -201,6 +201,7 @@ def of_event(view: EventView) -> Fields:
         "map": f"maps/{view.map_id}" if view.map_id else "",
         "loop_closure": None if view.loop is None else of_loop(view.loop),
         "operation": None if view.operation is None else of_operation(view.operation),
+        "map_version": None if view.map_version is None else of_map_version(view.map_version),
     }
 
 

@@ -21,7 +21,7 @@ from revisit.service.adapters.memory.repositories import (
     MemoryWorkerLog,
     Rows,
 )
-from revisit.service.application.contract.events import on_job_change, on_loop_change
+from revisit.service.application.contract.events import on_job_change, on_loop_change, on_version_change
 from revisit.service.application.contract.records import (
     LoopEventRecord,
     LoopRecord,
@@ -58,7 +58,7 @@ class MemoryUnitOfWork:
         self.jobs = MemoryJobs(tables["jobs"], ("operation_id",), on_job_change(self.events))
         self.loop_events: MemoryRepository[LoopEventRecord] = MemoryRepository(tables["loop_events"], ("number",))
         self.map_versions: MemoryRepository[MapVersionRecord] = MemoryRepository(
-            tables["map_versions"], ("map_id", "version")
+            tables["map_versions"], ("map_id", "version"), on_version_change(self.events)
         )
         self.session_poses: MemoryRepository[SessionPosesRecord] = MemoryRepository(
             tables["session_poses"], ("map_id", "version", "session_id")

@@ -18,7 +18,7 @@ from revisit.service.adapters.sql.jobs import SqlJobs
 from revisit.service.adapters.sql.repositories import SqlRepository, SqlScans, SqlSubmaps
 from revisit.service.adapters.sql.turns import SqlTenantTurns
 from revisit.service.adapters.sql.worker_log import SqlWorkerLog
-from revisit.service.application.contract.events import on_job_change, on_loop_change
+from revisit.service.application.contract.events import on_job_change, on_loop_change, on_version_change
 from revisit.service.application.contract.records import (
     JobRecord,
     LoopEventRecord,
@@ -81,8 +81,8 @@ class SqlUnitOfWork:
     @cached_property
     def map_versions(self) -> SqlRepository[MapVersionRecord]:
         """Versions of maps by (map_id, version)."""
-        key = ("map_id", "version")
-        return SqlRepository(self.connection, self.engine, tables.map_versions, MapVersionRecord, key)
+        key, told = ("map_id", "version"), on_version_change(self.events)
+        return SqlRepository(self.connection, self.engine, tables.map_versions, MapVersionRecord, key, told)
 
     @cached_property
     def session_poses(self) -> SqlRepository[SessionPosesRecord]:

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Protocol, TypeAlias, TypeVar
 
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.records import JobRecord, LoopRecord
-from revisit.service.application.contract.states import EventKind, LoopState, OperationKind
+from revisit.service.application.contract.records import JobRecord, LoopRecord, MapVersionRecord
+from revisit.service.application.contract.states import EventKind, GraphState, LoopState, OperationKind
 
 R = TypeVar("R", contravariant=True)
 
@@ -64,7 +64,8 @@ ChangeOf: TypeAlias = Callable[[R | None, R], None]
 def on_loop_change(log: EventLog) -> ChangeOf[LoopRecord]:
     """Records loop closures that are new or have another state or pose.
 
-    Candidates that were rejected at once are no news, unless they are ambiguous.
+    Candidates that were rejected at once are no news, unless they are ambiguous. Of the verdicts of the pose graph, that
+    a loop was set aside is news, or no longer is.
     """
 
     def record(before: LoopRecord | None, after: LoopRecord) -> None:
@@ -73,6 +74,10 @@ def on_loop_change(log: EventLog) -> ChangeOf[LoopRecord]:
         else:
             told = ("state", "reason", "T_match_query")
             news = any(getattr(before, name) != getattr(after, name) for name in told)
+            news |= before.graph_state != after.graph_state and GraphState.SET_ASIDE in (
+                before.graph_state,
+                after.graph_state,
+            )
         if news:
             log.record(EventRecord(after.tenant, after.map_id, EventKind.LOOP_CLOSURE.value, after.loop_id))
 
@@ -87,6 +92,16 @@ def on_job_change(log: EventLog) -> ChangeOf[JobRecord]:
         if known == after.state or after.kind in WAITED_FOR:
             return
         log.record(EventRecord(after.tenant, map_of(after.subject), EventKind.OPERATION.value, after.operation_id))
+
+    return record
+
+
+def on_version_change(log: EventLog) -> ChangeOf[MapVersionRecord]:
+    """Records new versions of maps: with each, the corrections of their sessions are others."""
+
+    def record(before: MapVersionRecord | None, after: MapVersionRecord) -> None:
+        if before is None:
+            log.record(EventRecord(after.tenant, after.map_id, EventKind.MAP_VERSION.value, str(after.version)))
 
     return record
 

@@ -101,7 +101,7 @@ class MapVersions:
 
     async def get(self, tenant: TenantId, map_id: str, version: int) -> MapVersionView:
         """Raises NotFound."""
-        return await self._storage.read(partial(_get, tenant=tenant, map_id=map_id, version=version))
+        return await self._storage.read(partial(version_seen, tenant=tenant, map_id=map_id, version=version))
 
     async def poses(self, tenant: TenantId, map_id: str, version: int, page: PageRequest) -> Page[SubmapPoseView]:
         """The submaps of a version, by session and in the order of the drive. Raises NotFound."""
@@ -150,7 +150,8 @@ def _page(uow: UnitOfWork, tenant: TenantId, map_id: str, page: PageRequest) -> 
     return page_of(rows, page, partial(_view, uow, record))
 
 
-def _get(uow: UnitOfWork, tenant: TenantId, map_id: str, version: int) -> MapVersionView:
+def version_seen(uow: UnitOfWork, tenant: TenantId, map_id: str, version: int) -> MapVersionView:
+    """A version of a map as clients see it. Raises NotFound."""
     record = require_map(uow, tenant, map_id)
     return _view(uow, record, _require_version(uow, record, version))
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from revisit.service.application.capacity.admission import Admission
+from revisit.service.application.contract.errors import NotFound
 from revisit.service.application.contract.events import EventRecord
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.lookup import require_map
@@ -15,6 +16,7 @@ from revisit.service.application.contract.states import EventKind
 from revisit.service.application.contract.storage import Storage
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.views import OperationView, operation_view
+from revisit.service.application.mapping.versions import MapVersionView, version_seen
 from revisit.service.application.query.loops import LoopClosureView, loop_view
 
 LOOK_EVERY_S = 0.2
@@ -40,6 +42,7 @@ class EventView:
     map_id: str
     loop: LoopClosureView | None = None
     operation: OperationView | None = None
+    map_version: MapVersionView | None = None
 
 
 @dataclass(frozen=True)
@@ -136,4 +139,10 @@ def event_of(uow: UnitOfWork, row: EventRecord) -> EventView | None:
     if kind is EventKind.OPERATION:
         job = uow.jobs.get(row.tenant, row.subject)
         return None if job is None else EventView(row.number, kind, row.map_id, operation=operation_view(job))
+    if kind is EventKind.MAP_VERSION:
+        try:
+            version = version_seen(uow, row.tenant, row.map_id, int(row.subject))
+        except NotFound:
+            return None
+        return EventView(row.number, kind, row.map_id, map_version=version)
     return EventView(row.number, kind, row.map_id)
