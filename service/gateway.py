@@ -17,7 +17,7 @@ import structlog
 import uvicorn
 from prometheus_client import ProcessCollector
 
-from revisit.service.adapters.files.fail_stop import FailStop
+from revisit.service.adapters.files.disk import FailStop
 from revisit.service.adapters.sqlite.migration import migrate
 from revisit.service.application import Installation, UseCases
 from revisit.service.application.housekeeping.upkeep import Upkeep

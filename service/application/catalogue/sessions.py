@@ -21,8 +21,7 @@ from revisit.service.application.contract.states import SessionState
 from revisit.service.application.contract.storage import Storage
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.ingest.open_streams import OpenStreams
-from revisit.service.application.ingest.scan_windows import remainder, window_of
-from revisit.service.application.ingest.window_submaps import add_window_submap
+from revisit.service.application.ingest.windows import add_window_submap, remainder, window_of
 from revisit.service.failpoints import failpoint
 
 

@@ -53,7 +53,7 @@ class RobotRecord:
 
 @dataclass(frozen=True)
 class SessionRecord:
-    """A session and where its current window of scans stands (see `scan_windows`)."""
+    """A session and where its current window of scans stands (see `ingest.windows`)."""
 
     tenant: TenantId
     map_id: str

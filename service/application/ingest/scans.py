@@ -12,7 +12,7 @@ import numpy as np
 
 from revisit.core.config import SubmapConfig
 from revisit.core.errors import BadField
-from revisit.core.geometry.se3 import Matrix4
+from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
 from revisit.core.scan import CloudReport, Scan
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.capacity.backlog import JobPosting
@@ -24,15 +24,13 @@ from revisit.service.application.contract.errors import AlreadyExists, NotFound,
 from revisit.service.application.contract.identity import SessionKey, TenantId
 from revisit.service.application.contract.lookup import require_active, require_map, require_session
 from revisit.service.application.contract.policy import Policy
-from revisit.service.application.contract.poses import pose_matrix, pose_row
 from revisit.service.application.contract.records import ScanRecord, SessionRecord
 from revisit.service.application.contract.storage import Storage
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.ingest.clouds import CloudDecoder, CloudInput, accept_cloud, pack_cloud, unpack_cloud
 from revisit.service.application.ingest.open_streams import OpenStreams
-from revisit.service.application.ingest.scan_windows import Window, advance, window_of
 from revisit.service.application.ingest.submap_posting import PostedSubmap
-from revisit.service.application.ingest.window_submaps import add_window_submap
+from revisit.service.application.ingest.windows import Window, add_window_submap, advance, window_of
 from revisit.service.failpoints import failpoint
 
 SAME_POSE = 1e-9

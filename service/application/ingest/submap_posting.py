@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from revisit.core.errors import BadField
-from revisit.core.geometry.se3 import Matrix4
+from revisit.core.geometry.se3 import Matrix4, pose_row, position_row
 from revisit.core.scan import MAX_SCENE_M, CloudReport, Scan, scene_size
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.capacity.backlog import JobPosting
@@ -27,7 +27,6 @@ from revisit.service.application.contract.identity import (
     validated_id,
 )
 from revisit.service.application.contract.lookup import require_active, require_job, require_session
-from revisit.service.application.contract.poses import pose_row, position_row
 from revisit.service.application.contract.records import SessionRecord, SubmapRecord
 from revisit.service.application.contract.states import OperationKind, SubmapState
 from revisit.service.application.contract.storage import Storage

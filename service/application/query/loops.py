@@ -8,13 +8,12 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from revisit.core.geometry.se3 import Matrix4
+from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.catalogue.paging import Page, PageRequest, page_of
 from revisit.service.application.contract.errors import NotFound
 from revisit.service.application.contract.identity import SessionKey, SubmapKey, TenantId
 from revisit.service.application.contract.lookup import require_map, require_session
-from revisit.service.application.contract.poses import pose_matrix
 from revisit.service.application.contract.records import LoopRecord
 from revisit.service.application.contract.states import LoopState
 from revisit.service.application.contract.storage import Storage

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from revisit.core.errors import BadField, DescriptorModelMismatch
 from revisit.core.geometry import se3
-from revisit.core.geometry.se3 import Matrix4
+from revisit.core.geometry.se3 import Matrix4, pose_row
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.capacity.backlog import JobPosting
 from revisit.service.application.contract import limits
@@ -23,7 +23,6 @@ from revisit.service.application.contract.errors import NoAnswer, NotReady, erro
 from revisit.service.application.contract.identity import SubmapKey, TenantId
 from revisit.service.application.contract.index import VectorFilter
 from revisit.service.application.contract.lookup import require_map, require_submap
-from revisit.service.application.contract.poses import pose_row
 from revisit.service.application.contract.records import JobRecord, MapRecord, SubmapRecord
 from revisit.service.application.contract.states import OperationKind, OperationState
 from revisit.service.application.contract.storage import Storage

@@ -17,6 +17,7 @@ import structlog
 from revisit.core.candidates import candidate_policy
 from revisit.core.config import PipelineConfig
 from revisit.core.errors import DataLoss, DescriptorModelMismatch, ErrorCode, RevisitError
+from revisit.core.geometry.se3 import pose_matrix
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
 from revisit.service.application.catalogue.deletion import SUBMAP_DELETED
@@ -36,7 +37,6 @@ from revisit.service.application.contract.index import VectorFilter
 from revisit.service.application.contract.job_queue import Lease
 from revisit.service.application.contract.lookup import require_map
 from revisit.service.application.contract.policy import Policy
-from revisit.service.application.contract.poses import pose_matrix
 from revisit.service.application.contract.recogniser import LoopVerdict, PlaceRecogniser, SubmapDescription
 from revisit.service.application.contract.records import JobRecord, MapRecord, SubmapRecord
 from revisit.service.application.contract.states import OperationKind, SubmapState
