@@ -92,8 +92,7 @@ class _Gateway:
         # Objects made during the start live on. Searching them for garbage would hold up requests for 70 to 90 ms.
         gc.freeze()
         self._announce(http_port, grpc_port)
-        if self._settings.exposed and await use_cases.access.is_open():
-            log.warning("open_to_everyone", hint="create an API key: `revisit keys create`")
+        await self._warn_of_access(use_cases)
         stopped = asyncio.create_task(stop.wait(), name="stop")
         await asyncio.wait([stopped, serving], return_when=asyncio.FIRST_COMPLETED)
         if not stopped.done():
@@ -112,6 +111,14 @@ class _Gateway:
         await asyncio.to_thread(installation.transactions.close)
         log.info("stopped", status=self._status)
         return self._status
+
+    async def _warn_of_access(self, use_cases: UseCases) -> None:
+        """Tell the operator where anyone gets in, or nobody."""
+        if self._settings.exposed and await use_cases.access.is_open():
+            log.warning("open_to_everyone", hint="create an API key: `revisit keys create`")
+        needs_key = self._settings.credential_required and not self._settings.knows_callers_without_keys
+        if needs_key and not await use_cases.keys.any_live():
+            log.warning("closed_to_everyone", hint="create the first API key: `revisit keys create`")
 
     def _supervisor(self, installation: Installation) -> WorkerSupervisor:
         """The supervisor of the workers; the metrics of this process and of them."""

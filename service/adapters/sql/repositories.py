@@ -121,7 +121,7 @@ class SqlRepository(Generic[R]):
         return [self._of(row) for row in self._connection.execute(query, asked)]
 
     def _of(self, row: Row[Any]) -> R:
-        return self._record(**row._mapping)
+        return self._record(**dict(zip(self._table.columns.keys(), row, strict=True)))
 
 
 class SqlScans(SqlRepository[ScanRecord]):
@@ -151,9 +151,19 @@ class SqlScans(SqlRepository[ScanRecord]):
 class SqlSubmaps(SqlRepository[SubmapRecord]):
     """`SubmapRepository`."""
 
-    def last_number(self) -> int:
+    def add(self, record: SubmapRecord) -> SubmapRecord:
+        """See `Repository`; the number is noted for `last_number`."""
+        added = super().add(record)
+        later = {"its_tenant": added.tenant, "its_number": added.number}
+        # No upsert, which is not standard SQL: the transaction holds the lock of the writers.
+        if self._connection.execute(_later_number(), later).rowcount == 0:
+            first = {"tenant": added.tenant, "number": added.number}
+            self._connection.execute(insert(tables.last_submaps), first)
+        return added
+
+    def last_number(self, tenant: TenantId) -> int:
         """See `SubmapRepository`."""
-        return self._engine.last_number(self._connection, tables.submaps)
+        return int(self._connection.execute(_last_number(), {"tenant": tenant}).scalar() or 0)
 
     def points_of(self, tenant: TenantId) -> int:
         """See `SubmapRepository`."""
@@ -210,6 +220,19 @@ def _given_and_absent(asked: Asked) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """The columns that must equal the parameter of their name, and those that must be null."""
     given = tuple(name for name, value in asked.items() if value is not None)
     return given, tuple(name for name, value in asked.items() if value is None)
+
+
+@cache
+def _later_number() -> Update:
+    """Makes `its_number` the last number of tenant `its_tenant`."""
+    last = tables.last_submaps
+    return update(last).where(last.c.tenant == bindparam("its_tenant")).values(number=bindparam("its_number"))
+
+
+@cache
+def _last_number() -> Select[int]:
+    last = tables.last_submaps.c
+    return select(last.number).where(last.tenant == bindparam("tenant"))
 
 
 @cache

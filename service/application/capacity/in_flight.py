@@ -15,6 +15,7 @@ from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 
+from revisit.core.errors import RevisitError
 from revisit.service.application.contract.errors import RateLimited, WorkersBusy
 from revisit.service.application.contract.identity import TenantId
 
@@ -153,11 +154,14 @@ class InFlight:
             raise WorkersBusy(message, retry_after_s=BUSY_RETRY_S)
 
     @asynccontextmanager
-    async def reserve_cloud(self, tenant: TenantId, *, patient: bool = False) -> AsyncIterator[Callable[[int], None]]:
+    async def reserve_cloud(
+        self, tenant: TenantId, refused_points: int = 0, *, patient: bool = False
+    ) -> AsyncIterator[Callable[[int], None]]:
         """Reserve the slot of one cloud until it is stored; call the given function with its points once decoded.
 
         Points are charged in advance, as many as the tenant's last cloud had; the difference is charged or refunded
         once the cloud is decoded. Otherwise a burst of clouds would pass the limit before any of them is counted.
+        One that is refused is charged `refused_points`: reading it took as long.
         Raises WorkersBusy where all slots, or the tenant's share of them, are taken. A `patient` cloud waits for a slot
         instead: one of a stream, which sends its next cloud after the answer.
         """
@@ -170,6 +174,10 @@ class InFlight:
         self.charge_call(tenant, reservation.prepaid)
         try:
             yield partial(self._count, reservation)
+        except RevisitError:
+            if not reservation.decoded:
+                self._charge_difference(reservation, refused_points)
+            raise
         finally:
             if not reservation.decoded:
                 self._charge_difference(reservation, 0)

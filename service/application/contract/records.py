@@ -113,7 +113,7 @@ class SubmapRecord:
     created_at_ns: int
     model_version: str | None = None
     descriptor: bytes | None = None
-    signature_sha256: str | None = None
+    place_sha256: str | None = None
     neural_map_sha256: str | None = None
     neural_map_bytes: int | None = None
     mesh_sha256: str | None = None

@@ -10,7 +10,7 @@ from typing import Any
 
 from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.service.application.capacity.admission import Admission
-from revisit.service.application.catalogue.paging import Page, PageRequest, page_of
+from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract.errors import NotFound
 from revisit.service.application.contract.identity import SessionKey, SubmapKey, TenantId
 from revisit.service.application.contract.lookup import require_map, require_session
@@ -59,9 +59,10 @@ class LoopClosureView:
 class Loops:
     """Get, list and watch loop closures."""
 
-    def __init__(self, storage: Storage, admission: Admission) -> None:
+    def __init__(self, storage: Storage, lists: Lists, admission: Admission) -> None:
         """Watching ends when `admission` says that the service stops."""
         self._storage = storage
+        self._lists = lists
         self._admission = admission
 
     async def get(self, tenant: TenantId, map_id: str, loop_id: str) -> LoopClosureView:
@@ -83,10 +84,12 @@ class Loops:
         Raises NotFound for the map and the session, SeqNotReached where `fresh` was not reached.
         """
         await await_freshness(self._storage, self._admission, tenant, map_id, fresh)
-        records = await self._storage.read(
-            lambda uow: _load(uow, tenant, map_id, page.after, page.size + 1, state, session_id)
+        return await self._lists.page(
+            tenant,
+            page,
+            lambda uow, after, limit: _load(uow, tenant, map_id, after, limit, state, session_id),
+            lambda _, record: loop_view(record),
         )
-        return page_of(records, page, loop_view)
 
     async def watch(
         self, tenant: TenantId, map_id: str, after: int = 0, session_id: str | None = None

@@ -34,6 +34,7 @@ from revisit.service.application.ingest.clouds import (
     CloudInput,
     accept_cloud,
     pack_cloud,
+    reading_points,
 )
 from revisit.service.application.query.freshness import Freshness, await_freshness
 from revisit.service.application.query.operations import Operations
@@ -165,8 +166,8 @@ class Searches:
         """
         self._admission.require_storage()
         await self._storage.read(partial(require_map, tenant=tenant, map_id=payload["map_id"]))
-        async with self._admission.cloud(tenant) as decoded:
-            packed, points = await self._decoder.run(_accept, cloud)
+        async with self._admission.cloud(tenant, refused_points=reading_points(cloud)) as decoded:
+            packed, points = await self._decoder.run(tenant, _accept, cloud)
             decoded(points)
             sha256 = await self._storage.put_blob(tenant, QUERY_CLOUD_BLOB, packed)
         posted: list[JobRecord] = []
