@@ -23,9 +23,9 @@ from revisit.service.rest.limits import HttpLimits
 from revisit.service.rest.schemas import Request as Body
 
 SHORT_JSON_BYTES = 16 * 2**10
-"""A longer body is read beside the event loop, one of each tenant at a time."""
+"""A longer body waits for its turn, one of each tenant at a time, and is parsed beside the event loop."""
 
-LONG_BODIES_AT_A_TIME = 2
+LONG_BODIES_AT_A_TIME = 16
 
 SchemaT = TypeVar("SchemaT", bound=Body)
 
@@ -71,13 +71,12 @@ async def read_json(request: Request, schema: type[SchemaT]) -> SchemaT:
     """
     if media_type(request) != "application/json" or request.headers.get("content-encoding"):
         raise UnsupportedEncoding("this call takes application/json without Content-Encoding")
-    admission: Admission = request.app.state.use_cases.admission
-    data = await body_bytes(request, schema.most_bytes)
-    admission.charge_call(current_tenant(), len(data) // JSON_BYTES_A_POINT)
-    if len(data) <= SHORT_JSON_BYTES:
-        return parse_json(data, schema, limits_of(request))
+    if _declared_bytes(request, schema.most_bytes) <= SHORT_JSON_BYTES:
+        return parse_json(await _charged_body(request, SHORT_JSON_BYTES), schema, limits_of(request))
     turns: Turns = request.app.state.long_bodies
+    # Its turn comes before it is read: a client that sends many at once waits for itself.
     async with turns.of(current_tenant()):
+        data = await _charged_body(request, schema.most_bytes)
         return await asyncio.to_thread(parse_json, data, schema, limits_of(request))
 
 
@@ -101,6 +100,13 @@ def parse_json(data: bytes, schema: type[SchemaT], limits: HttpLimits) -> Schema
         raise bad_field(error.errors(include_url=False, include_context=False, include_input=False)) from error
 
 
+async def _charged_body(request: Request, most: int) -> bytes:
+    admission: Admission = request.app.state.use_cases.admission
+    data = await body_bytes(request, most)
+    admission.charge_call(current_tenant(), len(data) // JSON_BYTES_A_POINT)
+    return data
+
+
 async def cloud_body(request: Request) -> EncodedCloud:
     """A dependency: the body as an encoded cloud, still compressed where it was sent so."""
     content_type = media_type(request)
@@ -115,11 +121,9 @@ async def body_bytes(request: Request, most: int | None = None) -> bytes:
     Raises TooLarge, mostly before anything is read; MalformedBody where the client left.
     """
     most = limits_of(request).body_bytes if most is None else most
-    declared = request.headers.get("content-length", "0")
+    _declared_bytes(request, most)
     data = bytearray()
     try:
-        if int(declared[:20]) > most:
-            raise TooLarge(f"this body may have at most {most} bytes")
         async for chunk in request.stream():
             data += chunk
             if len(data) > most:
@@ -127,6 +131,15 @@ async def body_bytes(request: Request, most: int | None = None) -> bytes:
     except ClientDisconnect as error:
         raise MalformedBody("the client went away before the body was complete") from error
     return bytes(data)
+
+
+def _declared_bytes(request: Request, most: int) -> int:
+    """The length that a body declares; where it declares none, `most`. Raises TooLarge beyond that."""
+    # The middleware has refused what is no number.
+    declared = int(request.headers.get("content-length", str(most))[:20])
+    if declared > most:
+        raise TooLarge(f"this body may have at most {most} bytes")
+    return declared
 
 
 def media_type(request: Request) -> str:

@@ -101,7 +101,7 @@ def test_strange_json_is_refused_and_nothing_is_stored(case, http, service):
     body, status = STRANGE_JSON[case]
     before = service.stored()
     answer = http.post("/v1/maps", content=body, headers={"content-type": "application/json"})
-    assert_problem(answer, status, "MALFORMED_BODY" if status == 400 else "BAD_FIELD")
+    assert_problem(answer, status, {400: "MALFORMED_BODY", 413: "TOO_LARGE"}.get(status, "BAD_FIELD"))
     assert service.stored() == before
 
 
