@@ -10,9 +10,9 @@ from revisit.service.application.access.callers import Scope
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.states import GraphState, LoopState
 from revisit.service.rest.access import allows
-from revisit.service.rest.answers import LoopClosure, LoopClosurePage, answer, answers
+from revisit.service.rest.answers import LoopClosure, LoopClosurePage, answer, answers, page_answer
 from revisit.service.rest.parameters import Cases, Fresh, Id, Paging, Tenant
-from revisit.service.wire.answers import of_loop, of_page
+from revisit.service.wire.answers import of_loop
 
 router = APIRouter(prefix="/v1/maps/{map_id}/loopClosures", tags=["loop closures"])
 
@@ -31,7 +31,7 @@ async def list_loop_closures(
 ) -> Response:
     """List the loop closures of a map with their evidence, oldest first."""
     page = await cases.loops.list(tenant, map_id, paging, state, session_id, fresh, graph_state, reason)
-    return answer(LoopClosurePage, of_page("loop_closures", page, of_loop))
+    return await page_answer(LoopClosurePage, "loop_closures", page, of_loop)
 
 
 @router.get("/{loop_id}", **answers(LoopClosure), dependencies=[allows(Scope.QUERY)])
