@@ -65,6 +65,11 @@ class Settings(AccessSettings):
         gt=0,
         description="hours for which the operation of a query by cloud can be read after its end, with the answer",
     )
+    events_kept: int = Field(
+        default=50_000,
+        ge=1000,
+        description="events of a tenant that are kept for those who watch and were away: about 4 for each submap",
+    )
     optimise_after_loops: int = Field(
         default=1,
         ge=0,

@@ -15,8 +15,10 @@ from revisit.sdk.grpc_answers import LOST_AFTER_S, Answers, LostCall, answer
 from revisit.sdk.messages import COLLECTIONS, collection_of, request_of
 from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.scan_stream import GrpcScanSink
-from revisit.sdk.transport import Forgetful, StreamJournal
+from revisit.sdk.transport import SILENT_S, Forgetful, StreamJournal
 from revisit.v1 import (
+    event_pb2,
+    event_pb2_grpc,
     ingest_pb2_grpc,
     loop_closure_pb2,
     loop_closure_pb2_grpc,
@@ -176,6 +178,17 @@ class GrpcTransport:
         request = getattr(loop_closure_pb2, f"{method}Request")(name=name, note=note)
         changed: loop_closure_pb2.LoopClosure = self._answer(_STUBS["loopClosures"], method, request).loop_closure
         return changed
+
+    def watch(self, request: event_pb2.WatchEventsRequest) -> Iterator[event_pb2.Event | None]:
+        """See Transport."""
+        call = self._method(event_pb2_grpc.EventServiceStub, "WatchEvents")(request, metadata=self._metadata)
+        try:
+            for response in Answers(call).all(SILENT_S):
+                yield response.event if response.HasField("event") else None
+        except (grpc.RpcError, LostCall) as error:
+            raise _api_error(error, self._address) from error
+        finally:
+            call.cancel()
 
     def optimise_map(self, name: str) -> operation_pb2.Operation:
         """See Transport."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
 from revisit.v1 import (
+    event_pb2,
     geometry_pb2,
     loop_closure_pb2,
     map_pb2,
@@ -475,6 +476,33 @@ class Correction:
             map_version=message.map_version,
             covariance=_covariance(message),
             created_at_ns=message.created_at_ns,
+        )
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened in a map: `kind` LOOP_CLOSURE, OPERATION or MAP_VERSION, with it as it stands by now.
+
+    FORGOTTEN says that earlier events were asked for and are no longer kept: list again what is of interest.
+    """
+
+    number: int
+    kind: str
+    map: str
+    loop_closure: LoopClosure | None = None
+    operation: Operation | None = None
+    map_version: MapVersion | None = None
+
+    @classmethod
+    def of(cls, message: event_pb2.Event) -> Self:
+        """From its message."""
+        return cls(
+            number=message.number,
+            kind=_word(message, "kind"),
+            map=message.map,
+            loop_closure=LoopClosure.of(message.loop_closure) if message.HasField("loop_closure") else None,
+            operation=Operation.of(message.operation) if message.HasField("operation") else None,
+            map_version=MapVersion.of(message.map_version) if message.HasField("map_version") else None,
         )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 import time
 from collections import deque
@@ -18,9 +19,10 @@ from revisit.sdk.errors import ApiError, ErrorDetails, FailedPrecondition, error
 from revisit.sdk.messages import COLLECTIONS, cloud_message, collection_of
 from revisit.sdk.resources import Json
 from revisit.sdk.retry import RetryPolicy
-from revisit.sdk.transport import Forgetful, StreamJournal
+from revisit.sdk.transport import SILENT_S, Forgetful, StreamJournal
 from revisit.v1 import (
     cloud_pb2,
+    event_pb2,
     geometry_pb2,
     ingest_pb2,
     loop_closure_pb2,
@@ -150,6 +152,22 @@ class RestTransport:
         """See Transport."""
         return self._message(loop_closure_pb2.LoopClosure, "POST", f"{_path(name)}:{decision}", json={"note": note})
 
+    def watch(self, request: event_pb2.WatchEventsRequest) -> Iterator[event_pb2.Event | None]:
+        """See Transport."""
+        names = event_pb2.Event.Kind
+        params: Json = {"kinds": [names.Name(kind) for kind in request.kinds]}
+        if request.HasField("after"):
+            params["after"] = request.after
+        path, timeout = _path(request.parent, "events"), httpx.Timeout(SILENT_S, connect=CONNECT_TIMEOUT_S)
+        try:
+            with self._http.stream("GET", path, params=params, timeout=timeout) as answered:
+                if not answered.is_success:
+                    answered.read()
+                    raise error_of(_details(answered))
+                yield from events_of(answered.iter_lines())
+        except httpx.TransportError as error:
+            raise unreachable(self._base_url, error) from error
+
     def optimise_map(self, name: str) -> operation_pb2.Operation:
         """See Transport."""
         return self._message(operation_pb2.Operation, "POST", f"{_path(name)}:optimise")
@@ -245,6 +263,37 @@ class RestScanSink:
         """See ScanSink: the connection is the transport's."""
 
 
+def events_of(lines: Iterator[str]) -> Iterator[event_pb2.Event | None]:
+    """The events of a stream of server-sent events. Raises ApiError for a problem that is told in it."""
+    kind, data = "", ""
+    for line in lines:
+        name, _, value = line.partition(": ")
+        if name == "event":
+            kind = value
+        elif name == "data":
+            data = value
+        elif line.startswith(":"):
+            yield None
+        elif not line and data:
+            if kind == "problem":
+                raise error_of(_problem_details(json.loads(data)))
+            yield ParseDict(json.loads(data), event_pb2.Event(), ignore_unknown_fields=True)
+            kind, data = "", ""
+
+
+def _problem_details(problem: Json, retry_after_s: float | None = None) -> ErrorDetails:
+    return ErrorDetails(
+        code=problem["code"],
+        reason=problem["reason"],
+        message=problem["detail"],
+        retryable=bool(problem["retryable"]),
+        request_id=problem["request_id"],
+        field=problem.get("field"),
+        retry_after_s=retry_after_s,
+        expected_seq=problem.get("expected_seq"),
+    )
+
+
 class RestCorrectionFeed:
     """`revisit.sdk.transport.CorrectionFeed` by asking for the version of the map again and again."""
 
@@ -287,17 +336,8 @@ class RestCorrectionFeed:
 
 def _details(answer: httpx.Response) -> ErrorDetails:
     try:
-        problem = answer.json()
-        return ErrorDetails(
-            code=problem["code"],
-            reason=problem["reason"],
-            message=problem["detail"],
-            retryable=bool(problem["retryable"]),
-            request_id=problem["request_id"],
-            field=problem.get("field"),
-            retry_after_s=float(answer.headers["retry-after"]) if "retry-after" in answer.headers else None,
-            expected_seq=problem.get("expected_seq"),
-        )
+        retry_after_s = float(answer.headers["retry-after"]) if "retry-after" in answer.headers else None
+        return _problem_details(answer.json(), retry_after_s)
     except (ValueError, KeyError, TypeError):
         # Not our service's answer: a proxy's page, for example.
         unavailable = answer.status_code in (502, 503, 504)

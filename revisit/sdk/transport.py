@@ -7,7 +7,10 @@ from typing import Any, Protocol
 
 from revisit.sdk.clouds import Cloud
 from revisit.sdk.resources import Json
-from revisit.v1 import loop_closure_pb2, mapping_pb2, operation_pb2, session_pb2, submap_pb2, system_pb2
+from revisit.v1 import event_pb2, loop_closure_pb2, mapping_pb2, operation_pb2, session_pb2, submap_pb2, system_pb2
+
+SILENT_S = 45.0
+"""A watch of which nothing was heard for so long is dead: the service gives a sign of life every 15 s."""
 
 
 class ScanSink(Protocol):
@@ -143,6 +146,10 @@ class Transport(Protocol):
 
     def decide_loop(self, decision: str, name: str, note: str) -> loop_closure_pb2.LoopClosure:
         """`accept`, `reject` or `revert` a loop closure."""
+        ...
+
+    def watch(self, request: event_pb2.WatchEventsRequest) -> Iterator[event_pb2.Event | None]:
+        """The events of a map over one connection, None for a sign of life; ends where the service ends it."""
         ...
 
     def optimise_map(self, name: str) -> operation_pb2.Operation:

@@ -204,7 +204,7 @@ class GetLoopClosureResponse(_message.Message):
     def __init__(self, loop_closure: _Optional[_Union[LoopClosure, _Mapping]] = ...) -> None: ...
 
 class ListLoopClosuresRequest(_message.Message):
-    __slots__ = ("parent", "page_size", "page_token", "state", "session", "min_seq", "min_seq_timeout_s", "graph_state")
+    __slots__ = ("parent", "page_size", "page_token", "state", "session", "min_seq", "min_seq_timeout_s", "graph_state", "reason")
     PARENT_FIELD_NUMBER: _ClassVar[int]
     PAGE_SIZE_FIELD_NUMBER: _ClassVar[int]
     PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
@@ -213,6 +213,7 @@ class ListLoopClosuresRequest(_message.Message):
     MIN_SEQ_FIELD_NUMBER: _ClassVar[int]
     MIN_SEQ_TIMEOUT_S_FIELD_NUMBER: _ClassVar[int]
     GRAPH_STATE_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
     parent: str
     page_size: int
     page_token: str
@@ -221,7 +222,8 @@ class ListLoopClosuresRequest(_message.Message):
     min_seq: int
     min_seq_timeout_s: float
     graph_state: LoopClosure.GraphState
-    def __init__(self, parent: _Optional[str] = ..., page_size: _Optional[int] = ..., page_token: _Optional[str] = ..., state: _Optional[_Union[LoopClosure.State, str]] = ..., session: _Optional[str] = ..., min_seq: _Optional[int] = ..., min_seq_timeout_s: _Optional[float] = ..., graph_state: _Optional[_Union[LoopClosure.GraphState, str]] = ...) -> None: ...
+    reason: str
+    def __init__(self, parent: _Optional[str] = ..., page_size: _Optional[int] = ..., page_token: _Optional[str] = ..., state: _Optional[_Union[LoopClosure.State, str]] = ..., session: _Optional[str] = ..., min_seq: _Optional[int] = ..., min_seq_timeout_s: _Optional[float] = ..., graph_state: _Optional[_Union[LoopClosure.GraphState, str]] = ..., reason: _Optional[str] = ...) -> None: ...
 
 class ListLoopClosuresResponse(_message.Message):
     __slots__ = ("loop_closures", "next_page_token")

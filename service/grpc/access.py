@@ -50,6 +50,7 @@ SCOPES: dict[str, dict[str, frozenset[Scope]]] = {
         "RevertLoopClosure": _ADMIN,
         "ListLoopClosureEvents": _QUERY,
     },
+    "EventService": {"WatchEvents": _QUERY},
     "MappingService": {
         "OptimiseMap": _INGEST | _ADMIN,
         "ListMapVersions": _EITHER,

@@ -27,6 +27,7 @@ from revisit.service.application.ingest.submap_posting import PostedSubmap
 from revisit.service.application.mapping.corrections import CorrectionView
 from revisit.service.application.mapping.loop_decisions import LoopEventView, ProposedLoop
 from revisit.service.application.mapping.versions import MapVersionView, SubmapPoseView
+from revisit.service.application.push.events import EventView
 from revisit.service.application.query.loops import LoopClosureView
 from revisit.service.application.query.search_answers import Localization, LocalizedCandidate, SearchHit, SearchResult
 
@@ -216,6 +217,18 @@ def of_correction(view: CorrectionView) -> Fields:
         "map_version": view.map_version,
         "covariance": view.covariance.ravel().tolist(),
         "created_at_ns": view.created_at_ns,
+    }
+
+
+def of_event(view: EventView) -> Fields:
+    """The fields of an Event."""
+    return {
+        "number": view.number,
+        "kind": view.kind.value,
+        "map": f"maps/{view.map_id}" if view.map_id else "",
+        "loop_closure": None if view.loop is None else of_loop(view.loop),
+        "operation": None if view.operation is None else of_operation(view.operation),
+        "map_version": None if view.map_version is None else of_map_version(view.map_version),
     }
 
 

@@ -172,7 +172,8 @@ submaps = _numbered(
     _integer("created_at_ns"),
     _text("model_version", length=128, nullable=True),
     Column("descriptor", LargeBinary, nullable=True),
-    _text("signature_sha256", nullable=True),
+    # Its name in the database is that of version 0.1 (docs/decisions/0085).
+    Column("signature_sha256", String(64), key="place_sha256", nullable=True),
     _text("neural_map_sha256", nullable=True),
     _integer("neural_map_bytes", nullable=True),
     _text("mesh_sha256", nullable=True),
@@ -183,7 +184,7 @@ submaps = _numbered(
     ),
     Index(None, "state", "tenant", "map_id"),
     Index(None, "tenant", "cloud_sha256"),
-    Index(None, "tenant", "signature_sha256"),
+    Index(None, "tenant", "place_sha256"),
     Index(None, "tenant", "neural_map_sha256"),
     Index(None, "tenant", "mesh_sha256"),
 )
@@ -317,6 +318,17 @@ index_changes = Table(
     Index(None, "tenant", "map_number", "seq"),
 )
 
+events = Table(
+    "events",
+    metadata,
+    Column("number", Integer, primary_key=True, autoincrement=True),
+    Column("tenant", String(64), nullable=False),
+    _text("map_id"),
+    _text("kind", length=16),
+    _text("subject"),
+    Index(None, "tenant", "number"),
+)
+
 workers = Table(
     "workers",
     metadata,
@@ -332,4 +344,11 @@ tenant_turns = Table(
     Column("tenant", String(64), primary_key=True),
     Column("started_ms", BigInteger, nullable=False),
     Column("spent_ms", BigInteger, nullable=False),
+)
+
+last_submaps = Table(
+    "last_submaps",
+    metadata,
+    Column("tenant", String(64), primary_key=True),
+    Column("number", BigInteger, nullable=False),
 )

@@ -91,6 +91,10 @@ DESCRIPTOR_LENGTH = Range(1, 4096)
 PAGE_SIZE = Range(1, 500)
 PAGE_TOKEN_CHARACTERS = 200
 MIN_SEQ = Range(0, LARGEST_INTEGER)
+REASON_CHARACTERS = 64
+"""Of the reason by which rejected loop closures are kept in a list."""
+EVENT_NUMBER = Range(0, LARGEST_INTEGER)
+"""Of the event behind which a watch goes on."""
 WAIT_S = Range(0.0, 60.0, "seconds")
 """For an operation, or for the submaps that an answer must rest on."""
 

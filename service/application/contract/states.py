@@ -47,6 +47,16 @@ class LoopEventKind(StrEnum):
     JUDGED = "JUDGED"
 
 
+class EventKind(StrEnum):
+    """What an event tells of."""
+
+    LOOP_CLOSURE = "LOOP_CLOSURE"
+    OPERATION = "OPERATION"
+    MAP_VERSION = "MAP_VERSION"
+    OPENED = "OPENED"
+    FORGOTTEN = "FORGOTTEN"
+
+
 class OperationKind(StrEnum):
     """What a job does."""
 

@@ -7,6 +7,7 @@ from concurrent.futures import Future
 from typing import Protocol, TypeVar
 
 from revisit.service.application.contract.access_ports import AuditTrail, KeyRing
+from revisit.service.application.contract.events import EventLog
 from revisit.service.application.contract.index import ChangeLog
 from revisit.service.application.contract.job_queue import JobQueue, WorkerLog
 from revisit.service.application.contract.records import (
@@ -31,7 +32,7 @@ T = TypeVar("T")
 class UnitOfWork(Protocol):
     """One transaction: all of it is committed, or none.
 
-    Fifteen properties and no methods: one for each kind of record, so that a transaction can change any of them.
+    Sixteen properties and no methods: one for each kind of record, so that a transaction can change any of them.
     """
 
     @property
@@ -92,6 +93,11 @@ class UnitOfWork(Protocol):
     @property
     def changes(self) -> ChangeLog:
         """The change log of the maps' indexes."""
+        ...
+
+    @property
+    def events(self) -> EventLog:
+        """The log of what happens in the maps."""
         ...
 
     @property

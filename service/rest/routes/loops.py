@@ -18,12 +18,13 @@ from revisit.service.rest.answers import (
     ProposedLoop,
     answer,
     answers,
+    page_answer,
 )
 from revisit.service.rest.bodies import describe_json, json_body
 from revisit.service.rest.parameters import Cases, Fresh, Id, Paging, Tenant, pose
 from revisit.service.rest.schemas import CreateLoopClosureRequest, DecisionRequest
 from revisit.service.wire import names
-from revisit.service.wire.answers import of_loop, of_loop_event, of_page, of_proposed_loop
+from revisit.service.wire.answers import of_loop, of_loop_event, of_proposed_loop
 
 router = APIRouter(prefix="/v1/maps/{map_id}/loopClosures", tags=["loop closures"])
 
@@ -38,10 +39,11 @@ async def list_loop_closures(
     state: LoopState | None = None,
     session_id: Annotated[str | None, Query(max_length=limits.ID_CHARACTERS)] = None,
     graph_state: GraphState | None = None,
+    reason: Annotated[str | None, Query(max_length=limits.REASON_CHARACTERS)] = None,
 ) -> Response:
     """List the loop closures of a map with their evidence, oldest first."""
-    page = await cases.loops.list(tenant, map_id, paging, state, session_id, fresh, graph_state)
-    return answer(LoopClosurePage, of_page("loop_closures", page, of_loop))
+    page = await cases.loops.list(tenant, map_id, paging, state, session_id, fresh, graph_state, reason)
+    return await page_answer(LoopClosurePage, "loop_closures", page, of_loop)
 
 
 @router.post(
@@ -94,7 +96,7 @@ async def revert_loop_closure(map_id: Id, loop_id: Id, body: Decision, cases: Ca
 async def list_loop_closure_events(map_id: Id, loop_id: Id, cases: Cases, tenant: Tenant, paging: Paging) -> Response:
     """What happened to a loop closure, by whom and why, oldest first."""
     page = await cases.loop_decisions.events(tenant, map_id, loop_id, paging)
-    return answer(LoopClosureEventPage, of_page("loop_closure_events", page, of_loop_event))
+    return await page_answer(LoopClosureEventPage, "loop_closure_events", page, of_loop_event)
 
 
 @router.get("/{loop_id}", **answers(LoopClosure), dependencies=[allows(Scope.QUERY)])
