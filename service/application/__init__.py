@@ -6,6 +6,8 @@
     ingest         scans and submaps coming in
     catalogue      maps, robots, sessions, submaps: create, get, list, delete
     query          searches, loop closures, operations
+    push           watching the events of a map
+    mapping        one map out of many sessions: versions of its poses, corrections, decisions on loops
     housekeeping   sweeping, retention, the index, dead letters, readiness
     recognise      what a worker does with a job
 
@@ -36,6 +38,9 @@ from revisit.service.application.housekeeping.system import System
 from revisit.service.application.ingest.scans import Scans
 from revisit.service.application.ingest.submap_posting import SubmapPosting
 from revisit.service.application.installation import Installation
+from revisit.service.application.mapping.corrections import Corrections
+from revisit.service.application.mapping.versions import MapVersions
+from revisit.service.application.push.events import Events, Glance
 from revisit.service.application.query.loops import Loops
 from revisit.service.application.query.operations import Operations
 from revisit.service.application.query.searches import Searches
@@ -54,6 +59,9 @@ class UseCases:
     searches: Searches
     loops: Loops
     operations: Operations
+    events: Events
+    map_versions: MapVersions
+    corrections: Corrections
     dead_letters: DeadLetters
     system: System
     admission: Admission
@@ -80,6 +88,9 @@ class UseCases:
             searches=Searches(storage, admission, decoder, jobs, of.memory, operations),
             loops=Loops(storage, lists, admission),
             operations=operations,
+            events=Events(storage, admission, Glance(storage)),
+            map_versions=MapVersions(storage, lists, admission, clock, policy),
+            corrections=Corrections(storage, admission),
             dead_letters=DeadLetters(storage, admission, backlog, policy),
             system=System(storage, admission, of.disk, of.index_health, clock, version),
             admission=admission,

@@ -15,9 +15,11 @@ from revisit.service.wire.answers import Fields, of_page
 from revisit.service.wire.json_form import json_form
 from revisit.service.wire.rendering import rendered
 from revisit.v1 import (
+    event_pb2,
     ingest_pb2,
     loop_closure_pb2,
     map_pb2,
+    mapping_pb2,
     operation_pb2,
     robot_pb2,
     session_pb2,
@@ -25,6 +27,11 @@ from revisit.v1 import (
     system_pb2,
 )
 
+Event = event_pb2.Event
+Correction = mapping_pb2.Correction
+MapVersion = mapping_pb2.MapVersion
+MapVersionPage = mapping_pb2.ListMapVersionsResponse
+SubmapPosePage = mapping_pb2.ListSubmapPosesResponse
 Ack = ingest_pb2.AppendScanResponse
 LocalizeAnswer = loop_closure_pb2.LocalizeResponse
 LoopClosure = loop_closure_pb2.LoopClosure
@@ -46,8 +53,8 @@ SubmapPage = submap_pb2.ListSubmapsResponse
 T = TypeVar("T")
 
 _DESCRIBED = (
-    Ack, LocalizeAnswer, LoopClosurePage, MapPage, OperationPage, Posted, RobotPage, SearchAnswer, SessionPage, Status,
-    SubmapPage,
+    Ack, Event, LocalizeAnswer, LoopClosurePage, MapPage, OperationPage, Posted, RobotPage, SearchAnswer, SessionPage,
+    Status, SubmapPage, Correction, MapVersionPage, SubmapPosePage,
 )  # fmt: skip
 
 
@@ -60,6 +67,12 @@ def answers(message: type[Message], status: int = 200) -> dict[str, Any]:
         "response_model": None,
         "responses": {status: {"content": content}},
     }
+
+
+def event_answers() -> dict[str, Any]:
+    """The arguments of a route that answers with events as they happen: in OpenAPI, the data of one of them."""
+    content = {"text/event-stream": {"schema": {"type": "string", "description": "Server-sent events: see Event."}}}
+    return {"response_class": Response, "response_model": None, "responses": {200: {"content": content}}}
 
 
 def answer(message: type[Message], fields: Fields, status: int = 200, *, replay: bool = False) -> Response:

@@ -7,6 +7,7 @@ from typing import Any
 from fastapi import FastAPI
 
 from revisit.service.application import UseCases
+from revisit.service.application.capacity.places import Places
 from revisit.service.application.capacity.turns import Turns
 from revisit.service.application.contract.tracing import NoTracer, Tracer
 from revisit.service.metrics import RequestMetrics
@@ -23,7 +24,19 @@ from revisit.service.rest.middleware import (
     RequestPlaces,
     RequestTimer,
 )
-from revisit.service.rest.routes import loops, maps, operations, robots, searches, sessions, submaps, system
+from revisit.service.rest.routes import (
+    events,
+    loops,
+    mapping,
+    maps,
+    operations,
+    page,
+    robots,
+    searches,
+    sessions,
+    submaps,
+    system,
+)
 from revisit.service.rest.schemas import Problem
 from revisit.service.rest.tracing import RequestTracing
 from revisit.service.status import STATUS
@@ -56,7 +69,8 @@ def create_app(
     app.state.use_cases = use_cases
     app.state.limits = limits
     app.state.long_bodies = Turns(LONG_BODIES_AT_A_TIME, of_tenant=1)
-    for module in (maps, robots, searches, submaps, sessions, loops, operations, system):
+    app.state.watches = Places()
+    for module in (mapping, maps, robots, searches, submaps, sessions, loops, events, operations, system, page):
         app.include_router(module.router)
     require_declared_scopes(app)
     install_error_handlers(app)

@@ -23,3 +23,8 @@ class HttpLimits:
     """The rate above which a body may take longer, on average since it began."""
     requests: int = 1024
     """Requests that are being answered at the same time; health is told beyond them."""
+    watches: int = 128
+    """Streams of events that are open at the same time."""
+    tenant_watches: int = 64
+    client_watches: int = 16
+    """Of one API key; a page in a browser holds one."""

@@ -105,6 +105,12 @@ class CreateSessionRequest(Request):
     robot_id: Id | None = None
 
 
+class RevertMapRequest(Request):
+    """Which version of the map comes back."""
+
+    version: Annotated[int, Field(**bounds(limits.MAP_VERSION))]
+
+
 class SearchRequest(Request):
     """Search by `submap` (a resource name) or by `descriptor` with its `model_version`; exactly one of the two.
 

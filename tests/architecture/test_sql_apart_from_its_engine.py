@@ -52,6 +52,7 @@ CALLS = {
     "SqlScans.points_of": lambda uow: uow.scans.points_of(TENANT),
     "SqlSubmaps.points_of": lambda uow: uow.submaps.points_of(TENANT),
     "SqlScans.with_seqs": lambda uow: uow.scans.with_seqs(TENANT, "town", "monday", [1, 2]),
+    "SqlSubmaps.placed": lambda uow: uow.submaps.placed(TENANT, "town"),
     "SqlSubmaps.add": lambda uow: uow.submaps.add(a_submap(submap_id="another")),
     "SqlSubmaps.last_number": lambda uow: uow.submaps.last_number(TENANT),
     "SqlSubmaps.waiting_up_to": lambda uow: uow.submaps.waiting_up_to(TENANT, "town", 2),

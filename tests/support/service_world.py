@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from revisit.core.config import PipelineConfig
 from revisit.formats import DecodedCloud
+from revisit.service.adapters.core_map_optimiser import CoreMapOptimiser
 from revisit.service.adapters.files.blobs import FileBlobStore
 from revisit.service.adapters.memory import MemoryBlobStore, MemoryTransactions, MemoryVectorIndex
 from revisit.service.adapters.sqlite.migration import migrate
@@ -57,7 +58,7 @@ class World:
     def worker(self, recogniser: PlaceRecogniser | None = None) -> Recognition:
         """Another worker's recognition, with an index of its own."""
         own = replace(self.context, index=MemoryVectorIndex())
-        return own.recognition(recogniser or FakeRecogniser())
+        return own.recognition(recogniser or FakeRecogniser(), CoreMapOptimiser())
 
     def claim(self, owner: str = "w1"):
         """The next lease, or None."""

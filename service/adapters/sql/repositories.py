@@ -32,8 +32,10 @@ from sqlalchemy.sql.dml import ReturningInsert
 from revisit.service.adapters.sql import tables
 from revisit.service.adapters.sql.engine import DatabaseEngine
 from revisit.service.application.contract.errors import AlreadyExists, NotFound
+from revisit.service.application.contract.events import ChangeOf
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.records import ScanRecord, SubmapRecord
+from revisit.service.application.contract.repositories import PlacedSubmap
 from revisit.service.application.contract.states import SubmapState
 
 Scalar = str | int | None
@@ -47,14 +49,21 @@ class SqlRepository(Generic[R]):
     """`Repository` over a table whose columns are the fields of the record."""
 
     def __init__(
-        self, connection: Connection, engine: DatabaseEngine, table: Table, record: type[R], key: tuple[str, ...]
+        self,
+        connection: Connection,
+        engine: DatabaseEngine,
+        table: Table,
+        record: type[R],
+        key: tuple[str, ...],
+        on_change: ChangeOf[R] | None = None,
     ) -> None:
-        """`key` names the columns that, with the tenant, identify a record."""
+        """`key` names the columns that, with the tenant, identify a record; `on_change` hears each add and replace."""
         self._connection = connection
         self._engine = engine
         self._table = table
         self._record = record
         self._key = key
+        self._on_change = on_change
 
     def add(self, record: R) -> R:
         """See `Repository`."""
@@ -66,7 +75,10 @@ class SqlRepository(Generic[R]):
             if self._engine.is_duplicate(error):
                 raise AlreadyExists from error
             raise NotFound("the parent of this resource does not exist") from error
-        return dataclasses.replace(record, number=number)  # type: ignore[type-var]  # R is always a record dataclass
+        added: R = dataclasses.replace(record, number=number)  # type: ignore[type-var]  # R is always a record dataclass
+        if self._on_change is not None:
+            self._on_change(None, added)
+        return added
 
     def get(self, tenant: TenantId, *key: str | int) -> R | None:
         """See `Repository`."""
@@ -106,9 +118,12 @@ class SqlRepository(Generic[R]):
     def replace(self, record: R) -> None:
         """See `Repository`."""
         row = column_values(record)
+        before = None if self._on_change is None else self.numbered(row["tenant"], [row["number"]]).get(row["number"])
         which = {"its_number": row.pop("number"), "its_tenant": row.pop("tenant")}
         if self._connection.execute(changed_row(self._table), {**row, **which}).rowcount != 1:
             raise NotFound
+        if self._on_change is not None:
+            self._on_change(before, record)
 
     def delete(self, tenant: TenantId, **equals: Scalar) -> int:
         """See `Repository`."""
@@ -171,6 +186,13 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
         posted = and_(submaps.tenant == tenant, submaps.cloud_sha256.is_not(None))
         query = select(func.coalesce(func.sum(submaps.point_count), 0)).where(posted)
         return int(self._connection.execute(query).scalar_one())
+
+    def placed(self, tenant: TenantId, map_id: str) -> list[PlacedSubmap]:
+        """See `SubmapRepository`."""
+        submaps, asked = tables.submaps.c, of_tenant(tenant, {"map_id": map_id})
+        columns = (submaps.number, submaps.session_number, submaps.ordinal, submaps.T_odom_submap)
+        query = select(*columns).where(matches(tables.submaps, asked)).order_by(submaps.session_number, submaps.ordinal)
+        return [PlacedSubmap(*row) for row in self._connection.execute(query, asked)]
 
     def waiting_up_to(self, tenant: TenantId, map_id: str, number: int) -> int:
         """See `SubmapRepository`."""

@@ -45,7 +45,10 @@ class CreateMap:
 
 @dataclass(frozen=True)
 class MapView:
-    """A map as clients see it; `tau_m`, `stride_m`, `min_index_gap` and `loop_policy` are the values in force."""
+    """A map as clients see it; `tau_m`, `stride_m`, `min_index_gap` and `loop_policy` are the values in force.
+
+    `map_version` is the version of its poses that answers rest on, 0 before the first.
+    """
 
     map_id: str
     display_name: str
@@ -57,6 +60,7 @@ class MapView:
     submap_count: int
     created_at_ns: int
     loop_policy: LoopPolicy = LoopPolicy()
+    map_version: int = 0
 
 
 @dataclass(frozen=True)
@@ -165,6 +169,7 @@ class Maps:
             submap_count=uow.submaps.count(record.tenant, map_id=record.map_id),
             created_at_ns=record.created_at_ns,
             loop_policy=_policy_in_force(config),
+            map_version=record.map_version,
         )
 
 

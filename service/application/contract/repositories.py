@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
 from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.records import JobRecord, ScanRecord, SubmapRecord
+from revisit.service.application.contract.records import JobRecord, Pose, ScanRecord, SubmapRecord
 
 R = TypeVar("R")
 
@@ -86,6 +87,16 @@ class ScanRepository(Repository[ScanRecord], Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class PlacedSubmap:
+    """Number of a submap, number of its session, place in the order of the drive, and pose in the odometry frame."""
+
+    number: int
+    session_number: int
+    ordinal: int
+    T_odom_submap: Pose
+
+
 class SubmapRepository(Repository[SubmapRecord], Protocol):
     """Submaps, also by how far a map has come with them."""
 
@@ -95,6 +106,10 @@ class SubmapRepository(Repository[SubmapRecord], Protocol):
 
     def points_of(self, tenant: TenantId) -> int:
         """How many points the clouds have together that a tenant has posted as submaps."""
+        ...
+
+    def placed(self, tenant: TenantId, map_id: str) -> list[PlacedSubmap]:
+        """Every submap of a map with its place in its session, by session and then in the order of the drive."""
         ...
 
     def waiting_up_to(self, tenant: TenantId, map_id: str, number: int) -> int:

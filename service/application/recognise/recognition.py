@@ -36,6 +36,7 @@ from revisit.service.application.contract.identity import SubmapKey
 from revisit.service.application.contract.index import VectorFilter
 from revisit.service.application.contract.job_queue import Lease
 from revisit.service.application.contract.lookup import require_map
+from revisit.service.application.contract.map_frames import MapPose, submap_in_map
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.recogniser import LoopVerdict, PlaceRecogniser, SubmapDescription
 from revisit.service.application.contract.records import JobRecord, MapRecord, SubmapRecord
@@ -46,6 +47,7 @@ from revisit.service.application.contract.views import submap_key
 from revisit.service.application.housekeeping.dead_letters import mark_subject_failed
 from revisit.service.application.ingest.clouds import QUERY_NONCE_BYTES, unpack_cloud
 from revisit.service.application.ingest.submap_source import load_submap, submap_source
+from revisit.service.application.mapping.optimisation import MapOptimisation
 from revisit.service.application.query.place_memory import PlaceMemory, RecalledPlace, vector_filter
 from revisit.service.application.query.search_answers import (
     Localization,
@@ -76,14 +78,16 @@ class Recognition:
         clock: Clock,
         policy: Policy,
         recogniser: PlaceRecogniser,
+        mapping: MapOptimisation,
     ) -> None:
-        """`recogniser` is the method; `memory` searches this worker's own index."""
+        """`recogniser` is the method; `memory` searches this worker's own index; `mapping` optimises maps."""
         self._transactions = transactions
         self._blobs = blobs
         self._memory = memory
         self._clock = clock
         self._policy = policy
         self._recogniser = recogniser
+        self._mapping = mapping
 
     def run(self, lease: Lease) -> None:
         """Run a job and commit its end, good or bad. Raises only what storage raises while the end is committed."""
@@ -91,6 +95,7 @@ class Recognition:
             OperationKind.DESCRIBE_SUBMAP: self._describe_submap,
             OperationKind.SEARCH_CLOUD: self._search_cloud,
             OperationKind.LOCALIZE: self._localize,
+            OperationKind.OPTIMISE_MAP: self._mapping.run,
         }
         try:
             failpoint("job.after_claim")
@@ -189,7 +194,9 @@ class Recognition:
                     judged[place.submap.number] = self._judge(described.description.place, place, config)
             kept = [judged[place.submap.number] for place in recall.places]
             now, now_ns = self._clock.instant(), self._clock.wall_ns()
-            commit = DescriptionCommit(self._blobs, lease, task, described, kept, where, recall.seq, now, now_ns)
+            commit = DescriptionCommit(
+                self._blobs, self._policy, lease, task, described, kept, where, recall.seq, now, now_ns
+            )
             failpoint("job.before_commit")
             if self._transactions.write(commit).result():
                 return
@@ -227,7 +234,9 @@ class Recognition:
         k = criteria_from_json(lease.job.payload["criteria"]).k
         recall = self._memory.recall(map_record, description.descriptor, k, where)
         judged = [self._judge(description.place, place, config) for place in recall.places]
-        self._complete(lease, localization_to_json(_localization(judged)))
+        found = _localization(judged)
+        in_map = self._transactions.read(partial(_in_map, found=found, judged=judged)).result()
+        self._complete(lease, localization_to_json(replace(found, in_map=in_map)))
 
     def _query(self, lease: Lease) -> tuple[MapRecord, VectorFilter]:
         return self._transactions.read(partial(_queried, job=lease.job)).result()
@@ -252,6 +261,16 @@ def _queried(uow: UnitOfWork, job: JobRecord) -> tuple[MapRecord, VectorFilter]:
     map_id, criteria = str(job.payload["map_id"]), criteria_from_json(job.payload["criteria"])
     where = vector_filter(uow, job.tenant, map_id, criteria, None)
     return require_map(uow, job.tenant, map_id), where
+
+
+def _in_map(uow: UnitOfWork, found: Localization, judged: list[JudgedPlace]) -> MapPose | None:
+    """Where the cloud lies in the map, if the session of the best candidate does."""
+    best = found.best
+    if best is None or best.T_match_query is None:
+        return None
+    match = next(item.place.submap for item in judged if submap_key(item.place.submap) == best.submap)
+    T_map_match = submap_in_map(uow, match)
+    return None if T_map_match is None else T_map_match.of_child(best.T_match_query)
 
 
 def _loop_filter(submap: SubmapRecord, config: PipelineConfig) -> VectorFilter:

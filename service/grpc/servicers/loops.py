@@ -43,7 +43,10 @@ class LoopClosureServicer(loop_closure_pb2_grpc.LoopClosureServiceServicer):
         map_id = names.map_id(request.parent, "parent")
         session_id = names.session_id_in(request.parent, request.session, "session")
         paging, state, fresh = requests.page(request), requests.loop_state(request.state), requests.freshness(request)
-        page = await self._loops.list(tenant_of(context), map_id, paging, state, session_id, fresh)
+        graph_state = requests.graph_state(request.graph_state)
+        page = await self._loops.list(
+            tenant_of(context), map_id, paging, state, session_id, fresh, graph_state, request.reason
+        )
         return await page_message(pb.ListLoopClosuresResponse, "loop_closures", page, answers.of_loop)
 
     async def WatchLoopClosures(

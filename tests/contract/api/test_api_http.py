@@ -15,7 +15,7 @@ import zstandard
 from revisit.core.errors import ErrorCode
 from revisit.formats import QUANTISED, encode_quantised
 from revisit.service.application.contract.records import WorkerRecord
-from revisit.service.rest.routes.system import WEB
+from revisit.service.rest.routes.page import WEB
 from revisit.service.status import STATUS
 from tests.support.service_world import cloud_points
 
@@ -279,10 +279,10 @@ def test_health_version_and_status_answer(http):
     assert http.get("/v1/status").json()["failed_jobs"] >= 0
 
 
-def test_the_dashboard_is_served_with_its_script_and_style_and_nothing_inline(http):
+def test_the_page_is_served_with_its_scripts_and_style_and_nothing_inline(http):
     page = http.get("/")
     assert page.headers["content-type"].startswith("text/html")
-    for source in ("/dashboard.js", "/dashboard.css"):
+    for source in ("/page.js", "/page.css", "/theme.js", "/mark.svg"):
         assert source in page.text
         assert http.get(source).status_code == 200
     assert "<script>" not in page.text
@@ -294,6 +294,16 @@ def test_the_dashboard_is_served_with_its_script_and_style_and_nothing_inline(ht
         assert served.headers["content-type"].startswith("text/javascript")
         assert not re.search(r"innerHTML|outerHTML|insertAdjacentHTML|eval\(", served.text)
     assert http.get("/settings.js").status_code == 404
+
+
+def test_what_the_page_needs_of_others_comes_from_the_service_and_may_be_kept(http):
+    imports = re.compile("""(?:from |src=|href=)["'](/[^"']+)["']""")
+    named = {path for file in WEB.glob("*.*") for path in imports.findall(file.read_text())}
+    for path in sorted(named):
+        assert http.get(path).status_code == 200, path
+    three = http.get("/vendor/three-0.187.0/three.module.js")
+    assert three.headers["cache-control"] == "public, max-age=86400, immutable"
+    assert http.get("/page.js").headers["cache-control"] == "no-store"
 
 
 RAW_REQUESTS = {
