@@ -53,6 +53,7 @@ CALLS = {
     "SqlSubmaps.points_of": lambda uow: uow.submaps.points_of(TENANT),
     "SqlScans.with_seqs": lambda uow: uow.scans.with_seqs(TENANT, "town", "monday", [1, 2]),
     "SqlSubmaps.last_number": lambda uow: uow.submaps.last_number(),
+    "SqlSubmaps.flag_counts": lambda uow: uow.submaps.flag_counts(TENANT, "town", "monday"),
     "SqlSubmaps.waiting_up_to": lambda uow: uow.submaps.waiting_up_to(TENANT, "town", 2),
     "SqlJobs.next_runnable": lambda uow: (uow.jobs.next_runnable(NOW, TENANT), uow.jobs.add(a_job())),
     "SqlJobs.exhausted": lambda uow: uow.jobs.exhausted(NOW),

@@ -45,7 +45,7 @@ from revisit.service.application.contract.transactions import Transactions, Unit
 from revisit.service.application.contract.views import submap_key
 from revisit.service.application.housekeeping.dead_letters import mark_subject_failed
 from revisit.service.application.ingest.clouds import QUERY_NONCE_BYTES, unpack_cloud
-from revisit.service.application.ingest.submap_source import load_submap, submap_source
+from revisit.service.application.ingest.submap_source import load_scans, submap_of, submap_source
 from revisit.service.application.query.place_memory import PlaceMemory, RecalledPlace, vector_filter
 from revisit.service.application.query.search_answers import (
     Localization,
@@ -63,6 +63,10 @@ from revisit.service.application.recognise.description_commit import (
 from revisit.service.failpoints import failpoint
 
 log = structlog.get_logger(__name__)
+
+INSPECTED_FIRST = 3
+INSPECTED_EVERY = 20
+"""Mistakes about units, frames and times run through a session: its first submaps are inspected, then some."""
 
 
 class Recognition:
@@ -138,8 +142,10 @@ class Recognition:
             return
         self._require_same_model(task.map)
         config = self._policy.for_map(task.map)
-        submap = load_submap(self._blobs, task.submap, task.source)
-        described = self._store(task, self._recogniser.describe(submap, config))
+        scans = load_scans(self._blobs, task.submap, task.source)
+        noticed = self._recogniser.inspect(scans) if _is_inspected(task.submap) else ()
+        description = self._recogniser.describe(submap_of(scans, task.source), config)
+        described = self._store(task, replace(description, flags=(*noticed, *description.flags)))
         self._close_loops(lease, task, described, config)
 
     def _task(self, uow: UnitOfWork, job: JobRecord) -> DescriptionTask | None:
@@ -286,3 +292,9 @@ def _localization(judged: list[JudgedPlace]) -> Localization:
     T_odom_match = pose_matrix(judged[best].place.submap.T_odom_submap)
     T_odom_query = None if T_match_query is None else T_odom_match @ T_match_query
     return Localization(candidates[best], T_odom_query, tuple(candidates))
+
+
+def _is_inspected(submap: SubmapRecord) -> bool:
+    """Whether the scans of a submap are looked at for mistakes. A posted cloud has no others to be compared with."""
+    of_scans = submap.first_seq is not None
+    return of_scans and (submap.ordinal < INSPECTED_FIRST or submap.ordinal % INSPECTED_EVERY == 0)
