@@ -178,6 +178,7 @@ def load_recogniser(name: str) -> PlaceRecogniser:
 
 
 def _new_index(dimension: int) -> PlaceIndex:
+    from revisit.core.adapted_index import AdaptedIndex
     from revisit.core.index import FaissIndex
 
-    return FaissIndex(dimension)
+    return AdaptedIndex(dimension, FaissIndex)
