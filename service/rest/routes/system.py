@@ -59,3 +59,5 @@ _serve("/", "index.html", "text/html")
 _serve("/dashboard.css", "dashboard.css", "text/css")
 for _script in ("dashboard", "drawing", "placement", "reading"):
     _serve(f"/{_script}.js", f"{_script}.js", "text/javascript")
+_serve("/docs", "docs.html", "text/html")
+_serve("/docs.css", "docs.css", "text/css")
