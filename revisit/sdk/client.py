@@ -17,6 +17,7 @@ from revisit.sdk.clouds import PointsLike, encoded
 from revisit.sdk.corrections import CorrectionWatch
 from revisit.sdk.credentials import Credentials
 from revisit.sdk.errors import ErrorDetails, InvalidArgument, OperationFailed
+from revisit.sdk.input_watch import InputWatch, warn_of_session
 from revisit.sdk.messages import cloud_message, request_of, vector
 from revisit.sdk.resources import (
     Correction,
@@ -170,8 +171,13 @@ class Client:
         return [Session.of(item) for item in self._transport.list("sessions", request)]
 
     def finish_session(self, session: str | Session) -> Session:
-        """Finish a session; the scans of its last, shorter window become a submap."""
-        return Session.of(self._transport.finish_session(_name(session)))
+        """Finish a session; the scans of its last, shorter window become a submap.
+
+        Warns of what the service has found in it so far (`SuspiciousInput`, `Session.findings`).
+        """
+        finished = Session.of(self._transport.finish_session(_name(session)))
+        warn_of_session(finished.findings)
+        return finished
 
     def post_submap(
         self, session: str | Session, submap_id: str, points: PointsLike, T_odom_submap: Any, stamp_ns: int
@@ -464,6 +470,7 @@ class ScanStream:
 
     def __init__(self, sink: ScanSink) -> None:
         self._sink = sink
+        self._watch = InputWatch()
 
     @property
     def committed_seq(self) -> int:
@@ -486,7 +493,8 @@ class ScanStream:
         return self._sink.rejected
 
     def send(self, points: PointsLike, T_odom_sensor: Any, stamp_ns: int) -> None:
-        """Send the next scan; waits while the service has enough to do."""
+        """Send the next scan; waits while the service has enough to do. Warns of `SuspiciousInput`."""
+        self._watch.look(points, T_odom_sensor, stamp_ns)
         self._sink.send(encoded(points), _pose(T_odom_sensor, "T_odom_sensor"), stamp_ns)
 
     def flush(self) -> None:
