@@ -19,6 +19,8 @@ from revisit.core.kernels.voxel_table import VoxelTable, empty_slots
 
 Array = NDArray[np.float32]
 
+_RETURNS_EACH = 8  # in a voxel of a usual submap, or more
+
 
 @dataclass(frozen=True)
 class NeuralPoints:  # Eq. 1
@@ -50,9 +52,11 @@ class ElasticAccumulator:
     """Takes scan after scan and keeps one elastic neural point a voxel."""
 
     def __init__(self, resolution: float, expected: int = 0) -> None:
-        """Voxels of edge `resolution` metres; `expected` neural points find room without long chains in the table."""
+        """Voxels of edge `resolution` metres; `expected` returns, several a voxel, find room without long chains."""
         self._resolution = resolution
-        self._table = VoxelTable(empty_slots(expected), np.zeros(0, np.int32), np.zeros((0, 3), np.int32))
+        self._table = VoxelTable(
+            empty_slots(expected // _RETURNS_EACH), np.zeros(0, np.int32), np.zeros((0, 3), np.int32)
+        )
         self._moments = np.zeros((0, 10))
         self._views = np.zeros((0, 3))
         self._scans = np.zeros((0, 3), dtype=np.int32)

@@ -78,7 +78,7 @@ def add(
     slots[slot] = row
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _fill(slots: NDArray[np.int32], following: NDArray[np.int32], voxels: NDArray[np.int32]) -> None:
     for row in range(len(voxels) - 1, -1, -1):
         x, y, z = voxels[row, 0], voxels[row, 1], voxels[row, 2]
