@@ -46,6 +46,12 @@ class NeuralPoints:  # Eq. 1
             self.stability[keep],
         )  # fmt: skip
 
+    @classmethod
+    def remembered(cls, positions: Array, normals: Array, hits: NDArray[np.int32], scans: int) -> NeuralPoints:
+        """Points read from a store, which keeps no times: each seen from the first to the last of so many scans."""
+        created, updated = np.zeros(len(positions), np.int32), np.full(len(positions), scans - 1, np.int32)
+        return cls(positions, normals, created, updated, hits, hits.astype(np.float32))
+
 
 class ElasticAccumulator:
     """Takes scan after scan and keeps one elastic neural point a voxel."""

@@ -77,3 +77,12 @@ def _fill(table: VoxelTable) -> None:
         x, y, z = table.voxels[row]
         if find(table, x, y, z) < 0:
             add(table, row, x, y, z)
+
+
+@numba.njit(cache=True)
+def rows_of(table: VoxelTable, voxels: NDArray[np.int32]) -> NDArray[np.int64]:
+    """The rows (n,) of `voxels` (n, 3) in the table, -1 where one is not there."""
+    rows = np.empty(len(voxels), dtype=np.int64)
+    for n in range(len(voxels)):
+        rows[n] = find(table, voxels[n, 0], voxels[n, 1], voxels[n, 2])
+    return rows
