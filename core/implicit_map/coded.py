@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from revisit.core.errors import DataLoss
 from revisit.core.geometry import octahedral
-from revisit.core.implicit_map.settled import PlaneCodes
+from revisit.core.implicit_map.settled import PlaneCodes, distinct_rows
 from revisit.core.kernels.feature_coder import code_features, feature_models
 from revisit.core.kernels.octree_coder import OCTREE_MODELS, code_octree
 from revisit.core.kernels.plane_coder import FIXED, PLANE_MODELS, code_planes
@@ -51,7 +51,12 @@ class Form:
 
 
 def write_points(codes: PlaneCodes, features: Codes, normal_steps: int, offset_unit: int) -> tuple[Form, bytes]:
-    """The stream of n points with `features` (n, F) int32, and its form. Their order is not kept."""
+    """The stream of n points with `features` (n, F) int32, and its form.
+
+    Their order is not kept; of several points in one voxel the first is written.
+    """
+    rows = distinct_rows(codes.voxels)
+    codes, features = codes[rows], features[rows]
     low = codes.voxels.min(axis=0, initial=1 << 30) if len(codes.voxels) else np.zeros(3, np.int32)
     voxels = np.asarray(codes.voxels - low, dtype=np.int32)
     depth = int(voxels.max(initial=0)).bit_length()

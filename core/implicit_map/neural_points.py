@@ -39,8 +39,8 @@ class NeuralPoints:  # Eq. 1
     def __len__(self) -> int:
         return len(self.positions)
 
-    def subset(self, keep: NDArray[np.bool_]) -> NeuralPoints:
-        """Only the points where `keep` (n,) holds."""
+    def subset(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> NeuralPoints:
+        """Only the points where `keep` (n,) holds, or those of the rows `keep` (m,)."""
         return NeuralPoints(
             self.positions[keep], self.normals[keep], self.created[keep], self.updated[keep], self.hits[keep],
             self.stability[keep],

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import octahedral
+from revisit.core.geometry.voxel_keys import voxel_keys
 from revisit.core.implicit_map.neural_points import NeuralPoints
 from revisit.core.kernels.plane_coder import FIXED, HIT_CLASSES
 
@@ -37,9 +38,20 @@ class PlaneCodes:
 
 
 def settle(points: NeuralPoints, resolution: float) -> NeuralPoints:
-    """Neural points moved along their tangent planes to the spot nearest the voxel centre, as they are stored."""
-    positions, normals = geometry(plane_codes(points, resolution), resolution)
-    return dataclasses.replace(points, positions=positions, normals=normals)
+    """Neural points moved along their tangent planes to the spot nearest the voxel centre, as they are stored.
+
+    Where the mean of returns was rounded over the edge of a voxel into an occupied one, one of the two stays.
+    """
+    codes = plane_codes(points, resolution)
+    rows = distinct_rows(codes.voxels)
+    positions, normals = geometry(codes[rows], resolution)
+    return dataclasses.replace(points.subset(rows), positions=positions, normals=normals)
+
+
+def distinct_rows(voxels: NDArray[np.int32]) -> NDArray[np.int64]:
+    """The first row of each of `voxels` (n, 3), ascending."""
+    _, rows = np.unique(voxel_keys(voxels.astype(np.int64)), return_index=True)
+    return np.sort(rows)
 
 
 def plane_codes(points: NeuralPoints, resolution: float) -> PlaneCodes:

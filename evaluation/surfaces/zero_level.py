@@ -26,22 +26,30 @@ class Mesh:
 
 
 def zero_level(field: NeuralMap, step: float, config: SurfaceConfig = SurfaceConfig()) -> Mesh:
-    """The zero level where the field was observed, by marching cubes on cells of edge `step` metres.
+    """The zero level where the field was observed, by marching cubes on cells of about `step` metres.
 
     The edge is shortened or lengthened so that it divides that of the map's voxels.
     """
     points, edge = field.points, field.config.resolution
     parts = max(1, round(edge / step))
-    step = edge / parts
-    cells = _subdivided(cells_near_planes(points.positions, points.normals, edge).cells, parts)
-    values, _ = field.sdf(((cells + 0.5) * step).astype(np.float32))
-    cells = cells[np.abs(values) < 2.0 * step]
+    observed = max(config.observed_distance, 1.5 * edge)
+    cells = _subdivided(_crossed(field, cells_near_planes(points.positions, points.normals, edge).cells, edge), parts)
     corners, cell_corners = _corners(cells)
-    positions = (corners * step).astype(np.float32)
+    positions = (corners * (edge / parts)).astype(np.float32)
     values, nearest = field.sdf(positions)
-    values[nearest > max(config.observed_distance, 1.5 * edge)] = np.nan
-    vertices, faces, _ = polygonise(cell_corners, positions, values, case_table(), edge_table(), step)
+    values[nearest > observed] = np.nan
+    vertices, faces, _ = polygonise(cell_corners, positions, values, case_table(), edge_table(), edge / parts)
     return Mesh(vertices, faces)
+
+
+def _crossed(field: NeuralMap, cells: NDArray[np.int32], edge: float) -> NDArray[np.int32]:
+    """Those of `cells` (n, 3) that the zero level can pass: corners of both signs, or the middle near it."""
+    corners, cell_corners = _corners(cells)
+    solid = (field.sdf((corners * edge).astype(np.float32))[0] < 0)[cell_corners]
+    mixed = np.asarray(solid.any(axis=1) & ~solid.all(axis=1))
+    middle = np.abs(field.sdf(((cells[~mixed] + 0.5) * edge).astype(np.float32))[0]) < 0.3 * edge
+    mixed[~mixed] = middle
+    return cells[mixed]
 
 
 def _subdivided(cells: NDArray[np.int32], parts: int) -> NDArray[np.int32]:

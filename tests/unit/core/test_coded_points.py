@@ -48,6 +48,15 @@ def test_what_is_written_is_read_whatever_it_is(count, reach, features):
     assert np.array_equal(in_order(read, found), in_order(codes, values))
 
 
+def test_of_two_points_in_one_voxel_the_first_is_written():
+    voxels = np.array([[3, 1, 2], [0, 0, 0], [3, 1, 2]], np.int32)
+    planes = np.array([[1, 2, 3, 0], [4, 5, 6, 1], [7, 8, 9, 2]], np.int32)
+    form, stream = write_points(PlaneCodes(voxels, planes), np.zeros((3, 0), np.int32), 15, 48)
+    read, _ = read_points(form, stream)
+    assert form.count == 2
+    assert sorted(map(tuple, read.planes.tolist())) == [(1, 2, 3, 0), (4, 5, 6, 1)]
+
+
 def test_nothing_is_written_as_nothing():
     form, stream = write_points(PlaneCodes(np.zeros((0, 3), np.int32), np.zeros((0, 4), np.int32)),
                                 np.zeros((0, 0), np.int32), 15, 48)  # fmt: skip
