@@ -23,6 +23,7 @@ from revisit.sdk.resources import (
     Json,
     Localization,
     LoopClosure,
+    LoopClosureEvent,
     LoopPolicy,
     Map,
     MapVersion,
@@ -335,6 +336,40 @@ class Client:
         """
         fields = {"parent": _name(map_), "after": after, "kinds": list(kinds)}
         return Watch(self._transport, request_of(event_pb2.WatchEventsRequest, fields))
+
+    def create_loop_closure(
+        self, query: str | Submap, match: str | Submap, *, T_match_query: Any = None, note: str = ""
+    ) -> Operation:
+        """Store a loop closure that a person has found: the operation that verifies it, whose subject is the loop.
+
+        `T_match_query` (4, 4) is roughly how the two lie to each other: where registration starts.
+        """
+        fields = {
+            "parent": "/".join(_name(query).split("/")[:2]),
+            "query": _name(query),
+            "match": _name(match),
+            "t_match_query": None if T_match_query is None else _pose(T_match_query, "T_match_query"),
+            "note": note,
+        }
+        request = request_of(loop_closure_pb2.CreateLoopClosureRequest, fields)
+        return Operation.of(self._transport.propose_loop(request).operation)
+
+    def accept_loop_closure(self, loop: str | LoopClosure, *, note: str = "") -> LoopClosure:
+        """Accept a loop closure whatever its verdict was; `note` says why."""
+        return LoopClosure.of(self._transport.decide_loop("accept", _name(loop), note))
+
+    def reject_loop_closure(self, loop: str | LoopClosure, *, note: str = "") -> LoopClosure:
+        """Reject a loop closure, so that the map does not rest on it; `note` says why."""
+        return LoopClosure.of(self._transport.decide_loop("reject", _name(loop), note))
+
+    def revert_loop_closure(self, loop: str | LoopClosure, *, note: str = "") -> LoopClosure:
+        """Take back the last decision of a person on a loop closure."""
+        return LoopClosure.of(self._transport.decide_loop("revert", _name(loop), note))
+
+    def loop_closure_events(self, loop: str | LoopClosure) -> list[LoopClosureEvent]:
+        """What happened to a loop closure, oldest first."""
+        request = loop_closure_pb2.ListLoopClosureEventsRequest(parent=_name(loop))
+        return [LoopClosureEvent.of(item) for item in self._transport.list("events", request)]
 
     def optimise_map(self, map_: str | Map) -> Operation:
         """Optimise the pose graph of a map: the operation whose end is a new version. One that waits is answered."""

@@ -59,6 +59,7 @@ _STUBS: dict[str, Any] = {
     "robots": robot_pb2_grpc.RobotServiceStub,
     "sessions": session_pb2_grpc.SessionServiceStub,
     "submaps": submap_pb2_grpc.SubmapServiceStub,
+    "events": loop_closure_pb2_grpc.LoopClosureServiceStub,
     "versions": mapping_pb2_grpc.MappingServiceStub,
     "poses": mapping_pb2_grpc.MappingServiceStub,
     "operations": operation_pb2_grpc.OperationServiceStub,
@@ -69,6 +70,7 @@ _MODULES: dict[str, Any] = {
     "robots": robot_pb2,
     "sessions": session_pb2,
     "submaps": submap_pb2,
+    "events": loop_closure_pb2,
     "versions": mapping_pb2,
     "poses": mapping_pb2,
     "operations": operation_pb2,
@@ -172,6 +174,21 @@ class GrpcTransport:
             raise _api_error(error, self._address) from error
         finally:
             call.cancel()
+
+    def propose_loop(
+        self, request: loop_closure_pb2.CreateLoopClosureRequest
+    ) -> loop_closure_pb2.CreateLoopClosureResponse:
+        """See Transport."""
+        stub = _STUBS["loopClosures"]
+        answered: loop_closure_pb2.CreateLoopClosureResponse = self._answer(stub, "CreateLoopClosure", request)
+        return answered
+
+    def decide_loop(self, decision: str, name: str, note: str) -> loop_closure_pb2.LoopClosure:
+        """See Transport."""
+        method = f"{decision.capitalize()}LoopClosure"
+        request = getattr(loop_closure_pb2, f"{method}Request")(name=name, note=note)
+        changed: loop_closure_pb2.LoopClosure = self._answer(_STUBS["loopClosures"], method, request).loop_closure
+        return changed
 
     def optimise_map(self, name: str) -> operation_pb2.Operation:
         """See Transport."""

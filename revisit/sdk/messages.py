@@ -39,6 +39,9 @@ COLLECTIONS = {
     "robots": Collection(robot_pb2.Robot, "robot", robot_pb2.ListRobotsResponse),
     "sessions": Collection(session_pb2.Session, "session", session_pb2.ListSessionsResponse),
     "submaps": Collection(submap_pb2.Submap, "submap", submap_pb2.ListSubmapsResponse),
+    "events": Collection(
+        loop_closure_pb2.LoopClosureEvent, "loop_closure_event", loop_closure_pb2.ListLoopClosureEventsResponse
+    ),
     "versions": Collection(mapping_pb2.MapVersion, "map_version", mapping_pb2.ListMapVersionsResponse),
     "poses": Collection(mapping_pb2.SubmapPose, "submap_pose", mapping_pb2.ListSubmapPosesResponse),
     "operations": Collection(operation_pb2.Operation, "operation", operation_pb2.ListOperationsResponse),

@@ -345,6 +345,43 @@ class LoopClosure:
 
 
 @dataclass(frozen=True)
+class LoopClosureEvent:
+    """A change of a loop closure: its state from then on, who made it, and why.
+
+    `details` holds thresholds and model version of a verdict, or the squared distance from the poses of a version.
+    """
+
+    number: int
+    kind: str
+    state: str
+    reason: str | None
+    graph_state: str | None
+    T_match_query: Matrix4 | None = field(compare=False)
+    actor: str
+    note: str
+    map_version: int | None
+    details: Json
+    at_ns: int
+
+    @classmethod
+    def of(cls, message: loop_closure_pb2.LoopClosureEvent) -> Self:
+        """From its message."""
+        return cls(
+            number=message.number,
+            kind=_word(message, "kind"),
+            state=_word(message, "state"),
+            reason=message.reason or None,
+            graph_state=_word(message, "graph_state") if message.graph_state else None,
+            T_match_query=_optional_matrix(message, "t_match_query"),
+            actor=message.actor,
+            note=message.note,
+            map_version=message.map_version or None,
+            details=_json(message, "details") or {},
+            at_ns=message.at_ns,
+        )
+
+
+@dataclass(frozen=True)
 class MapVersion:
     """A version of a map's poses. `summary` says what it rests on; `restored_from` is None where it was optimised."""
 

@@ -142,6 +142,16 @@ class Transport(Protocol):
         """The events of a map over one connection, None for a sign of life; ends where the service ends it."""
         ...
 
+    def propose_loop(
+        self, request: loop_closure_pb2.CreateLoopClosureRequest
+    ) -> loop_closure_pb2.CreateLoopClosureResponse:
+        """Store a loop closure that a person has found."""
+        ...
+
+    def decide_loop(self, decision: str, name: str, note: str) -> loop_closure_pb2.LoopClosure:
+        """`accept`, `reject` or `revert` a loop closure."""
+        ...
+
     def optimise_map(self, name: str) -> operation_pb2.Operation:
         """Queue the optimisation of a map."""
         ...

@@ -1,6 +1,7 @@
 from google.protobuf import struct_pb2 as _struct_pb2
 from revisit.v1 import cloud_pb2 as _cloud_pb2
 from revisit.v1 import geometry_pb2 as _geometry_pb2
+from revisit.v1 import operation_pb2 as _operation_pb2
 from google.protobuf.internal import containers as _containers
 from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
 from google.protobuf import descriptor as _descriptor
@@ -247,3 +248,129 @@ class WatchLoopClosuresResponse(_message.Message):
     LOOP_CLOSURE_FIELD_NUMBER: _ClassVar[int]
     loop_closure: LoopClosure
     def __init__(self, loop_closure: _Optional[_Union[LoopClosure, _Mapping]] = ...) -> None: ...
+
+class LoopClosureEvent(_message.Message):
+    __slots__ = ("number", "kind", "state", "reason", "graph_state", "t_match_query", "actor", "note", "map_version", "details", "at_ns")
+    class Kind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        KIND_UNSPECIFIED: _ClassVar[LoopClosureEvent.Kind]
+        VERIFIED: _ClassVar[LoopClosureEvent.Kind]
+        PROPOSED: _ClassVar[LoopClosureEvent.Kind]
+        ACCEPTED: _ClassVar[LoopClosureEvent.Kind]
+        REJECTED: _ClassVar[LoopClosureEvent.Kind]
+        REVERTED: _ClassVar[LoopClosureEvent.Kind]
+        JUDGED: _ClassVar[LoopClosureEvent.Kind]
+    KIND_UNSPECIFIED: LoopClosureEvent.Kind
+    VERIFIED: LoopClosureEvent.Kind
+    PROPOSED: LoopClosureEvent.Kind
+    ACCEPTED: LoopClosureEvent.Kind
+    REJECTED: LoopClosureEvent.Kind
+    REVERTED: LoopClosureEvent.Kind
+    JUDGED: LoopClosureEvent.Kind
+    NUMBER_FIELD_NUMBER: _ClassVar[int]
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    STATE_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    GRAPH_STATE_FIELD_NUMBER: _ClassVar[int]
+    T_MATCH_QUERY_FIELD_NUMBER: _ClassVar[int]
+    ACTOR_FIELD_NUMBER: _ClassVar[int]
+    NOTE_FIELD_NUMBER: _ClassVar[int]
+    MAP_VERSION_FIELD_NUMBER: _ClassVar[int]
+    DETAILS_FIELD_NUMBER: _ClassVar[int]
+    AT_NS_FIELD_NUMBER: _ClassVar[int]
+    number: int
+    kind: LoopClosureEvent.Kind
+    state: LoopClosure.State
+    reason: str
+    graph_state: LoopClosure.GraphState
+    t_match_query: _geometry_pb2.Transform
+    actor: str
+    note: str
+    map_version: int
+    details: _struct_pb2.Struct
+    at_ns: int
+    def __init__(self, number: _Optional[int] = ..., kind: _Optional[_Union[LoopClosureEvent.Kind, str]] = ..., state: _Optional[_Union[LoopClosure.State, str]] = ..., reason: _Optional[str] = ..., graph_state: _Optional[_Union[LoopClosure.GraphState, str]] = ..., t_match_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., actor: _Optional[str] = ..., note: _Optional[str] = ..., map_version: _Optional[int] = ..., details: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ..., at_ns: _Optional[int] = ...) -> None: ...
+
+class CreateLoopClosureRequest(_message.Message):
+    __slots__ = ("parent", "query", "match", "t_match_query", "note")
+    PARENT_FIELD_NUMBER: _ClassVar[int]
+    QUERY_FIELD_NUMBER: _ClassVar[int]
+    MATCH_FIELD_NUMBER: _ClassVar[int]
+    T_MATCH_QUERY_FIELD_NUMBER: _ClassVar[int]
+    NOTE_FIELD_NUMBER: _ClassVar[int]
+    parent: str
+    query: str
+    match: str
+    t_match_query: _geometry_pb2.Transform
+    note: str
+    def __init__(self, parent: _Optional[str] = ..., query: _Optional[str] = ..., match: _Optional[str] = ..., t_match_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., note: _Optional[str] = ...) -> None: ...
+
+class CreateLoopClosureResponse(_message.Message):
+    __slots__ = ("loop_closure", "operation", "replay")
+    LOOP_CLOSURE_FIELD_NUMBER: _ClassVar[int]
+    OPERATION_FIELD_NUMBER: _ClassVar[int]
+    REPLAY_FIELD_NUMBER: _ClassVar[int]
+    loop_closure: LoopClosure
+    operation: _operation_pb2.Operation
+    replay: bool
+    def __init__(self, loop_closure: _Optional[_Union[LoopClosure, _Mapping]] = ..., operation: _Optional[_Union[_operation_pb2.Operation, _Mapping]] = ..., replay: _Optional[bool] = ...) -> None: ...
+
+class AcceptLoopClosureRequest(_message.Message):
+    __slots__ = ("name", "note")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    NOTE_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    note: str
+    def __init__(self, name: _Optional[str] = ..., note: _Optional[str] = ...) -> None: ...
+
+class AcceptLoopClosureResponse(_message.Message):
+    __slots__ = ("loop_closure",)
+    LOOP_CLOSURE_FIELD_NUMBER: _ClassVar[int]
+    loop_closure: LoopClosure
+    def __init__(self, loop_closure: _Optional[_Union[LoopClosure, _Mapping]] = ...) -> None: ...
+
+class RejectLoopClosureRequest(_message.Message):
+    __slots__ = ("name", "note")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    NOTE_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    note: str
+    def __init__(self, name: _Optional[str] = ..., note: _Optional[str] = ...) -> None: ...
+
+class RejectLoopClosureResponse(_message.Message):
+    __slots__ = ("loop_closure",)
+    LOOP_CLOSURE_FIELD_NUMBER: _ClassVar[int]
+    loop_closure: LoopClosure
+    def __init__(self, loop_closure: _Optional[_Union[LoopClosure, _Mapping]] = ...) -> None: ...
+
+class RevertLoopClosureRequest(_message.Message):
+    __slots__ = ("name", "note")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    NOTE_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    note: str
+    def __init__(self, name: _Optional[str] = ..., note: _Optional[str] = ...) -> None: ...
+
+class RevertLoopClosureResponse(_message.Message):
+    __slots__ = ("loop_closure",)
+    LOOP_CLOSURE_FIELD_NUMBER: _ClassVar[int]
+    loop_closure: LoopClosure
+    def __init__(self, loop_closure: _Optional[_Union[LoopClosure, _Mapping]] = ...) -> None: ...
+
+class ListLoopClosureEventsRequest(_message.Message):
+    __slots__ = ("parent", "page_size", "page_token")
+    PARENT_FIELD_NUMBER: _ClassVar[int]
+    PAGE_SIZE_FIELD_NUMBER: _ClassVar[int]
+    PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
+    parent: str
+    page_size: int
+    page_token: str
+    def __init__(self, parent: _Optional[str] = ..., page_size: _Optional[int] = ..., page_token: _Optional[str] = ...) -> None: ...
+
+class ListLoopClosureEventsResponse(_message.Message):
+    __slots__ = ("loop_closure_events", "next_page_token")
+    LOOP_CLOSURE_EVENTS_FIELD_NUMBER: _ClassVar[int]
+    NEXT_PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
+    loop_closure_events: _containers.RepeatedCompositeFieldContainer[LoopClosureEvent]
+    next_page_token: str
+    def __init__(self, loop_closure_events: _Optional[_Iterable[_Union[LoopClosureEvent, _Mapping]]] = ..., next_page_token: _Optional[str] = ...) -> None: ...

@@ -12,6 +12,7 @@ import numpy as np
 
 from revisit.core.config import PipelineConfig, VerificationConfig
 from revisit.core.errors import RevisitError
+from revisit.core.geometry.se3 import Matrix4
 from revisit.core.model_bundle import ModelBundle, load_packaged_models
 from revisit.core.pipeline import DescribedPlace, describe, verify
 from revisit.core.place import Place
@@ -52,10 +53,12 @@ class CoreRecogniser:
             timings_s=timings_s,
         )
 
-    def verify(self, query: bytes, match: bytes, similarity: float, config: PipelineConfig) -> LoopVerdict:
+    def verify(
+        self, query: bytes, match: bytes, similarity: float, config: PipelineConfig, near: Matrix4 | None = None
+    ) -> LoopVerdict:
         """See `PlaceRecogniser`."""
         places = Place.from_blob(query), Place.from_blob(match)
-        verdict = verify(*places, similarity, config.verification)
+        verdict = verify(*places, similarity, config.verification, near)
         evidence = _evidence(verdict, config)
         if isinstance(verdict, VerifiedLoop):
             measured = verdict.measurement

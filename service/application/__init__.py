@@ -38,6 +38,7 @@ from revisit.service.application.ingest.scans import Scans
 from revisit.service.application.ingest.submap_posting import SubmapPosting
 from revisit.service.application.installation import Installation
 from revisit.service.application.mapping.corrections import Corrections
+from revisit.service.application.mapping.loop_decisions import LoopDecisions
 from revisit.service.application.mapping.versions import MapVersions
 from revisit.service.application.push.events import Events, Glance
 from revisit.service.application.query.loops import Loops
@@ -61,6 +62,7 @@ class UseCases:
     events: Events
     map_versions: MapVersions
     corrections: Corrections
+    loop_decisions: LoopDecisions
     dead_letters: DeadLetters
     system: System
     admission: Admission
@@ -90,6 +92,7 @@ class UseCases:
             events=Events(storage, admission, Glance(storage)),
             map_versions=MapVersions(storage, admission, clock, policy),
             corrections=Corrections(storage, admission),
+            loop_decisions=LoopDecisions(storage, admission, jobs, clock, policy),
             dead_letters=DeadLetters(storage, admission, backlog, policy),
             system=System(storage, admission, of.disk, of.index_health, clock, version),
             admission=admission,

@@ -44,6 +44,11 @@ SCOPES: dict[str, dict[str, frozenset[Scope]]] = {
         "GetLoopClosure": _QUERY,
         "ListLoopClosures": _QUERY,
         "WatchLoopClosures": _QUERY,
+        "CreateLoopClosure": _ADMIN,
+        "AcceptLoopClosure": _ADMIN,
+        "RejectLoopClosure": _ADMIN,
+        "RevertLoopClosure": _ADMIN,
+        "ListLoopClosureEvents": _QUERY,
     },
     "EventService": {"WatchEvents": _QUERY},
     "MappingService": {

@@ -33,6 +33,8 @@ Ack = ingest_pb2.AppendScanResponse
 LocalizeAnswer = loop_closure_pb2.LocalizeResponse
 LoopClosure = loop_closure_pb2.LoopClosure
 LoopClosurePage = loop_closure_pb2.ListLoopClosuresResponse
+LoopClosureEventPage = loop_closure_pb2.ListLoopClosureEventsResponse
+ProposedLoop = loop_closure_pb2.CreateLoopClosureResponse
 Map = map_pb2.Map
 MapPage = map_pb2.ListMapsResponse
 Operation = operation_pb2.Operation
@@ -50,6 +52,7 @@ SubmapPage = submap_pb2.ListSubmapsResponse
 _DESCRIBED = (
     Ack, Event, LocalizeAnswer, LoopClosurePage, MapPage, OperationPage, Posted, RobotPage, SearchAnswer, SessionPage,
     Status, SubmapPage, Correction, MapVersionPage, SubmapPosePage,
+    LoopClosureEventPage, ProposedLoop,
 )  # fmt: skip
 
 

@@ -106,6 +106,29 @@ class RevertMapRequest(Request):
     version: Annotated[int, Field(**bounds(limits.MAP_VERSION))]
 
 
+Note = Annotated[str, Field(max_length=limits.NOTE_CHARACTERS)]
+Name = Annotated[str, Field(max_length=limits.RESOURCE_NAME_CHARACTERS)]
+
+
+class DecisionRequest(Request):
+    """Why somebody decides on a loop closure, in their own words."""
+
+    note: Note = ""
+
+
+class CreateLoopClosureRequest(Request):
+    """A loop closure that a person has found between two described submaps, `query` and `match`, by resource name.
+
+    `T_match_query` as x,y,z,qx,qy,qz,qw (metres, unit quaternion) is roughly how the two lie to each other: where
+    registration starts.
+    """
+
+    query: Name
+    match: Name
+    T_match_query: Annotated[str, Field(max_length=400)] | None = None
+    note: Note = ""
+
+
 class SearchRequest(Request):
     """Search by `submap` (a resource name) or by `descriptor` with its `model_version`; exactly one of the two.
 

@@ -25,6 +25,7 @@ from revisit.service.application.housekeeping.system import ServiceStatus
 from revisit.service.application.ingest.scans import ScanAck
 from revisit.service.application.ingest.submap_posting import PostedSubmap
 from revisit.service.application.mapping.corrections import CorrectionView
+from revisit.service.application.mapping.loop_decisions import LoopEventView, ProposedLoop
 from revisit.service.application.mapping.versions import MapVersionView, SubmapPoseView
 from revisit.service.application.push.events import EventView
 from revisit.service.application.query.loops import LoopClosureView
@@ -154,6 +155,32 @@ def of_loop(view: LoopClosureView) -> Fields:
         "manual": view.manual,
         **_in_map("t_map_query", None if view.in_map is None else view.in_map.query),
         "t_map_match": _transform(matrix_of(None if view.in_map is None else view.in_map.match)),
+    }
+
+
+def of_proposed_loop(proposed: ProposedLoop) -> Fields:
+    """The fields of a CreateLoopClosureResponse."""
+    return {
+        "loop_closure": of_loop(proposed.loop),
+        "operation": of_operation(proposed.operation),
+        "replay": proposed.replay,
+    }
+
+
+def of_loop_event(view: LoopEventView) -> Fields:
+    """The fields of a LoopClosureEvent."""
+    return {
+        "number": view.number,
+        "kind": view.kind.value,
+        "state": view.state.value,
+        "reason": view.reason,
+        "graph_state": None if view.graph_state is None else view.graph_state.value,
+        "t_match_query": _transform(view.T_match_query),
+        "actor": view.actor,
+        "note": view.note,
+        "map_version": view.map_version,
+        "details": view.details,
+        "at_ns": view.at_ns,
     }
 
 

@@ -36,9 +36,9 @@ def submap_key(name: str, field: str = "name") -> SubmapKey:
     return SubmapKey(*segments(name, "maps/*/sessions/*/submaps/*", field))
 
 
-def loop_key(name: str) -> tuple[str, str]:
+def loop_key(name: str, field: str = "name") -> tuple[str, str]:
     """Map id and loop id of `maps/{map}/loopClosures/{loop_closure}`."""
-    of_map, loop_id = segments(name, "maps/*/loopClosures/*", "name")
+    of_map, loop_id = segments(name, "maps/*/loopClosures/*", field)
     return of_map, loop_id
 
 

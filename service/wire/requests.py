@@ -24,6 +24,7 @@ from revisit.service.application.contract.states import EventKind, GraphState, L
 from revisit.service.application.ingest.clouds import EncodedCloud
 from revisit.service.application.ingest.scans import AppendScan
 from revisit.service.application.ingest.submap_posting import PostSubmap
+from revisit.service.application.mapping.loop_decisions import ProposeLoop
 from revisit.service.application.query.freshness import DEFAULT_WAIT_S, Freshness
 from revisit.service.application.query.search_answers import SearchCriteria
 from revisit.service.application.query.searches import LocalizeQuery
@@ -131,6 +132,16 @@ def localize(request: loop_closure_pb2.LocalizeRequest) -> LocalizeQuery:
         exclude_session=names.session_id_in(request.parent, request.exclude_session, "exclude_session"),
         T_level_query=level_pose(request),
         **given,
+    )
+
+
+def propose_loop(request: loop_closure_pb2.CreateLoopClosureRequest) -> ProposeLoop:
+    """The loop that a person has found. Raises BadField, BadTransform."""
+    return ProposeLoop(
+        query=names.submap_key_in(request.parent, request.query, "query"),
+        match=names.submap_key_in(request.parent, request.match, "match"),
+        T_match_query=_pose(request, "t_match_query") if request.HasField("t_match_query") else None,
+        note=request.note,
     )
 
 

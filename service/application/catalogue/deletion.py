@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from revisit.service.application.catalogue.blob_references import Blob, blobs_of_rows, blobs_of_submap
+from revisit.service.application.contract.graph_edits import note_edit
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.lookup import require_map
 from revisit.service.application.contract.records import MapRecord, SessionRecord, SubmapRecord
 from revisit.service.application.contract.session_poses import forget_submap
 from revisit.service.application.contract.states import OperationState, SubmapState
@@ -26,7 +26,7 @@ def delete_submap(uow: UnitOfWork, record: MapRecord, submap: SubmapRecord, at_n
         rows.delete(submap.tenant, query_number=submap.number)
         rows.delete(submap.tenant, match_number=submap.number)
     forget_submap(uow, submap.tenant, submap.map_id, submap.session_id, submap.number)
-    _make_graph_void(uow, submap.tenant, submap.map_id)
+    note_edit(uow, submap.tenant, submap.map_id)
     _remove_from_index(uow, record, at_ns, number=submap.number)
     uow.submaps.delete(submap.tenant, number=submap.number)
     return blobs_of_submap(submap)
@@ -42,7 +42,7 @@ def delete_session(uow: UnitOfWork, record: MapRecord, session: SessionRecord, a
             rows.delete(tenant, map_id=session.map_id, **{side: session.session_id})
     for of_it in (uow.session_poses, uow.submaps, uow.scans, uow.sessions):
         of_it.delete(tenant, **of_session)
-    _make_graph_void(uow, tenant, session.map_id)
+    note_edit(uow, tenant, session.map_id)
     return doomed
 
 
@@ -55,12 +55,6 @@ def delete_map(uow: UnitOfWork, record: MapRecord, at_ns: int) -> set[Blob]:
     for rows in (*versions, uow.loop_events, uow.loops, uow.submaps, uow.scans, uow.sessions, uow.maps):
         rows.delete(record.tenant, **of_map)
     return doomed
-
-
-def _make_graph_void(uow: UnitOfWork, tenant: TenantId, map_id: str) -> None:
-    """What an optimisation under way has read of the map is no longer all there: it reads again."""
-    record = require_map(uow, tenant, map_id)
-    uow.maps.replace(replace(record, graph_edits=record.graph_edits + 1))
 
 
 def _remove_from_index(uow: UnitOfWork, record: MapRecord, at_ns: int, **submaps: str | int) -> None:

@@ -54,6 +54,8 @@ RESOURCE_NAME_CHARACTERS = 300
 DISPLAY_NAME_CHARACTERS = 256
 """Also of an API key's label."""
 MODEL_VERSION_CHARACTERS = 100
+NOTE_CHARACTERS = 1000
+"""Why a person decided what they decided."""
 
 # Maps
 TAU_M = Range(0.1, 1000.0, "metres")

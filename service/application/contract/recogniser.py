@@ -57,6 +57,11 @@ class PlaceRecogniser(Protocol):
         """Neural map, descriptor and signature of a submap. Raises RevisitError where it cannot be described."""
         ...
 
-    def verify(self, query: bytes, match: bytes, similarity: float, config: PipelineConfig) -> LoopVerdict:
-        """Compare two signatures geometrically. Raises DataLoss for damaged ones."""
+    def verify(
+        self, query: bytes, match: bytes, similarity: float, config: PipelineConfig, near: Matrix4 | None = None
+    ) -> LoopVerdict:
+        """Compare two signatures geometrically, around T_match_query `near` (4, 4) where somebody names one.
+
+        Raises DataLoss for damaged ones.
+        """
         ...

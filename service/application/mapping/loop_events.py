@@ -49,6 +49,22 @@ def standing_after(events: Iterable[LoopEventRecord]) -> LoopStanding | None:
     return standing
 
 
+def before_last_decision(events: Iterable[LoopEventRecord]) -> LoopStanding | None:
+    """The state of a loop before the last decision of a person that still holds; None where there is none.
+
+    The verdict of the pose graph in it is that of then, and no longer of use.
+    """
+    standings: list[LoopStanding] = []
+    for event in events:
+        if event.kind in (LoopEventKind.VERIFIED, LoopEventKind.PROPOSED):
+            standings = [LoopStanding.of(event)]
+        elif event.kind in (LoopEventKind.ACCEPTED, LoopEventKind.REJECTED):
+            standings.append(LoopStanding.of(event))
+        elif event.kind == LoopEventKind.REVERTED:
+            standings.pop()
+    return standings[-2] if len(standings) > 1 else None
+
+
 def add_loop(uow: UnitOfWork, record: LoopRecord, change: Change) -> LoopRecord:
     """Store a new loop with its first event."""
     added = uow.loops.add(record)

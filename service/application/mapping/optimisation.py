@@ -61,13 +61,25 @@ class MapOptimisation:
         self._transactions.write(lambda uow: uow.queue.complete(lease, result, now, now_ns)).result()
 
 
-def optimise_soon(uow: UnitOfWork, tenant: TenantId, map_id: str, policy: Policy, now: Instant, now_ns: int) -> None:
-    """Let a map be optimised once its new loops have settled, where the service does that by itself and enough wait."""
+def optimise_soon(
+    uow: UnitOfWork,
+    tenant: TenantId,
+    map_id: str,
+    policy: Policy,
+    now: Instant,
+    now_ns: int,
+    *,
+    decided: bool = False,
+) -> None:
+    """Let a map be optimised once its new loops have settled, where the service does that by itself.
+
+    Enough of them must wait, or a person have `decided` on one.
+    """
     least = policy.optimise_after_loops
     if not least or waiting_optimisation(uow, tenant, map_id) is not None:
         return
     unasked = {"map_id": map_id, "state": LoopState.ACCEPTED.value, "graph_state": None}
-    if least == 1 or uow.loops.count(tenant, **unasked) >= least:
+    if decided or least == 1 or uow.loops.count(tenant, **unasked) >= least:
         due = Instant(now.epoch, now.ms + policy.optimise_delay_ms)
         post_optimisation(uow, tenant, map_id, policy, now_ns, due)
 

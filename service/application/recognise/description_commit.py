@@ -24,6 +24,7 @@ from revisit.service.application.ingest.submap_source import SubmapSource
 from revisit.service.application.mapping.loop_events import Change, add_loop
 from revisit.service.application.mapping.optimisation import optimise_soon
 from revisit.service.application.query.place_memory import RecalledPlace
+from revisit.service.application.recognise.proposed_loops import rules_of
 from revisit.service.failpoints import failpoint
 
 
@@ -115,9 +116,7 @@ class DescriptionCommit:
 
     def _rules(self, item: JudgedPlace) -> dict[str, Any]:
         """What the verdict was given by: the model and the thresholds."""
-        told = ("thresholds", "thresholds_version")
-        rules = {name: item.verdict.evidence[name] for name in told if name in item.verdict.evidence}
-        return {"model_version": self.described.row.model_version, **rules}
+        return {"model_version": self.described.row.model_version, **rules_of(item.verdict)}
 
     def _loop(self, item: JudgedPlace) -> LoopRecord:
         query, match, verdict = self.task.submap, item.place.submap, item.verdict

@@ -17,6 +17,7 @@ import structlog
 from revisit.core.candidates import candidate_policy
 from revisit.core.config import PipelineConfig
 from revisit.core.errors import DataLoss, DescriptorModelMismatch, ErrorCode, RevisitError
+from revisit.core.geometry.se3 import Matrix4
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
 from revisit.service.application.catalogue.deletion import SUBMAP_DELETED
@@ -62,6 +63,7 @@ from revisit.service.application.recognise.description_commit import (
     JudgedPlace,
     StoredDescription,
 )
+from revisit.service.application.recognise.proposed_loops import VerdictCommit, proposed_pair
 from revisit.service.failpoints import failpoint
 
 log = structlog.get_logger(__name__)
@@ -96,6 +98,7 @@ class Recognition:
             OperationKind.SEARCH_CLOUD: self._search_cloud,
             OperationKind.LOCALIZE: self._localize,
             OperationKind.OPTIMISE_MAP: self._mapping.run,
+            OperationKind.VERIFY_LOOP: self._verify_loop,
         }
         try:
             failpoint("job.after_claim")
@@ -201,11 +204,13 @@ class Recognition:
             if self._transactions.write(commit).result():
                 return
 
-    def _judge(self, signature: bytes, place: RecalledPlace, config: PipelineConfig) -> JudgedPlace:
+    def _judge(
+        self, signature: bytes, place: RecalledPlace, config: PipelineConfig, near: Matrix4 | None = None
+    ) -> JudgedPlace:
         submap = place.submap
         try:
             blob = self._blobs.get(submap.tenant, SIGNATURE_BLOB, str(submap.signature_sha256))
-            verdict = self._recogniser.verify(signature, blob, place.similarity, config)
+            verdict = self._recogniser.verify(signature, blob, place.similarity, config, near)
         except DataLoss as error:
             log.error("signature_lost", submap=submap_key(submap).name, reason=error.message)
             verdict = LoopVerdict(False, "SIGNATURE_LOST", 0.0, None, {"message": error.message})
@@ -217,6 +222,17 @@ class Recognition:
             raise DescriptorModelMismatch(
                 f"map {record.map_id} was described by model {record.model_version}, this worker has {own}"
             )
+
+    def _verify_loop(self, lease: Lease) -> None:
+        """Register the two submaps of a loop that a person has made."""
+        pair = self._transactions.read(partial(proposed_pair, job=lease.job)).result()
+        verdict = None
+        if pair is not None:
+            signature = self._blobs.get(pair.query.tenant, SIGNATURE_BLOB, str(pair.query.signature_sha256))
+            verdict = self._judge(signature, pair.match, self._policy.for_map(pair.map), pair.near).verdict
+        now, now_ns = self._clock.instant(), self._clock.wall_ns()
+        commit = VerdictCommit(lease, self._recogniser.model_version, self._policy, pair, verdict, now, now_ns)
+        self._transactions.write(commit).result()
 
     # -- searching by cloud
 

@@ -21,6 +21,7 @@ class LoopClosureServicer(loop_closure_pb2_grpc.LoopClosureServiceServicer):
         """Answers from `use_cases`."""
         self._loops = use_cases.loops
         self._searches = use_cases.searches
+        self._decisions = use_cases.loop_decisions
 
     async def SearchSubmaps(self, request: pb.SearchSubmapsRequest, context: Any) -> pb.SearchSubmapsResponse:
         """The submaps most like a submap, a descriptor or a cloud."""
@@ -56,6 +57,42 @@ class LoopClosureServicer(loop_closure_pb2_grpc.LoopClosureServiceServicer):
         session_id = names.session_id_in(request.parent, request.session, "session")
         async for view in self._loops.watch(tenant_of(context), map_id, request.after, session_id):
             yield pb.WatchLoopClosuresResponse(loop_closure=answers.of_loop(view))
+
+    async def CreateLoopClosure(
+        self, request: pb.CreateLoopClosureRequest, context: Any
+    ) -> pb.CreateLoopClosureResponse:
+        """A loop closure that a person has found."""
+        proposed = await self._decisions.propose(tenant_of(context), requests.propose_loop(request))
+        return pb.CreateLoopClosureResponse(**answers.of_proposed_loop(proposed))
+
+    async def AcceptLoopClosure(
+        self, request: pb.AcceptLoopClosureRequest, context: Any
+    ) -> pb.AcceptLoopClosureResponse:
+        """Accept a loop closure."""
+        view = await self._decisions.accept(tenant_of(context), *names.loop_key(request.name), request.note)
+        return pb.AcceptLoopClosureResponse(loop_closure=answers.of_loop(view))
+
+    async def RejectLoopClosure(
+        self, request: pb.RejectLoopClosureRequest, context: Any
+    ) -> pb.RejectLoopClosureResponse:
+        """Reject a loop closure."""
+        view = await self._decisions.reject(tenant_of(context), *names.loop_key(request.name), request.note)
+        return pb.RejectLoopClosureResponse(loop_closure=answers.of_loop(view))
+
+    async def RevertLoopClosure(
+        self, request: pb.RevertLoopClosureRequest, context: Any
+    ) -> pb.RevertLoopClosureResponse:
+        """Take back the last decision on a loop closure."""
+        view = await self._decisions.revert(tenant_of(context), *names.loop_key(request.name), request.note)
+        return pb.RevertLoopClosureResponse(loop_closure=answers.of_loop(view))
+
+    async def ListLoopClosureEvents(
+        self, request: pb.ListLoopClosureEventsRequest, context: Any
+    ) -> pb.ListLoopClosureEventsResponse:
+        """What happened to a loop closure."""
+        key, paging = names.loop_key(request.parent, "parent"), requests.page(request)
+        page = await self._decisions.events(tenant_of(context), *key, paging)
+        return pb.ListLoopClosureEventsResponse(**answers.of_page("loop_closure_events", page, answers.of_loop_event))
 
     async def _search(self, tenant: TenantId, request: pb.SearchSubmapsRequest) -> SearchResult:
         map_id, criteria = names.map_id(request.parent, "parent"), requests.criteria(request)

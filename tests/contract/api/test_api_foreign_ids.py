@@ -82,8 +82,13 @@ def ask(http, channel, metadata, ids):
     for method, path in rest_calls():
         filled = re.sub(r"{(\w+)_id}", lambda m: ids[m[1]], path)
         body = {"json": {"session_id": "new"}} if path.endswith("/sessions") else {}
-        if path.endswith(":revert"):
+        if path.endswith(("}:accept", "}:reject", "loop_id}:revert")):
+            body = {"json": {"note": "mine"}}
+        elif path.endswith(":revert"):
             body = {"json": {"version": 1}}
+        if path.endswith("/loopClosures"):
+            submap = f"maps/{ids['map']}/sessions/{ids['session']}/submaps"
+            body = {"json": {"query": f"{submap}/b", "match": f"{submap}/a"}}
         if not body:
             body = {"content": CLOUD, "headers": {"content-type": QUANTISED}}
         query = {**QUERY, "seq": 1, "T_odom_sensor": POSE} if method == "post" else QUERY
@@ -142,6 +147,10 @@ def message(method, ids):
     for name, value in values.items():
         if name in fields and value and fields[name].type == FieldDescriptor.TYPE_STRING:
             setattr(request, name, value)
+    if method.name == "ListLoopClosureEvents":
+        request.parent = names["LoopClosure"]
+    if method.name == "CreateLoopClosure":
+        request.query, request.match = f"{session}/submaps/b", f"{session}/submaps/a"
     if method.name == "RevertMap":
         request.version = 1
     if "open" in fields:
