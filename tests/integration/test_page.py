@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from revisit import Client
+from revisit.service.application.access.callers import Scope
 from tests.support.browser import Page, browser
 from tests.support.credentials import a_key
 from tests.support.live_service import live_service
@@ -21,6 +22,7 @@ from tests.support.service_world import cloud_points, memory_world, pose, sqlite
 REFERENCE = Path(__file__).with_name("page.png")
 PLACES = {"monday": (1, 30, 60, 90, 1), "tuesday": (30, 1, 60)}
 MANY = 1000
+READ, READ_WRITE = frozenset({Scope.QUERY}), frozenset({Scope.QUERY, Scope.INGEST})
 SECONDS_FOR_MANY = 3.0
 
 
@@ -134,6 +136,20 @@ def test_a_loop_closure_is_opened_with_its_evidence_and_stepped_through_by_keys(
     assert page.complaints == []
 
 
+def test_a_loop_closure_is_rejected_with_a_note_and_the_decision_taken_back(page, service):
+    page.tab.locator("#loops button").first.click()
+    page.tab.locator(".actions input").fill("two houses alike")
+    page.tab.get_by_role("button", name="Reject", exact=True).click()
+    page.tab.get_by_text("Rejected: by a person").first.wait_for()
+    page.tab.get_by_text("two houses alike").wait_for()
+    page.until("drawn-loops", 4)
+    assert sum(loop.reason == "OVERRULED" for loop in loops_of(service)) == 1
+    page.tab.get_by_role("button", name="Take back").click()
+    page.tab.get_by_text("decision taken back").wait_for()
+    page.until("drawn-loops", 5)
+    assert page.complaints == []
+
+
 @pytest.mark.parametrize("kind", ["points", "mesh"])
 def test_what_a_submap_consists_of_is_shown_on_demand(page, kind):
     assert not [url for url in page.asked if ":download" in url]
@@ -184,8 +200,8 @@ def test_with_keys_it_asks_for_one_and_opens_with_it(chromium):
     world = memory_world()
     # The browser's event loop runs in this thread.
     with ThreadPoolExecutor(1) as elsewhere:
-        key = elsewhere.submit(a_key, world).result()
-    with live_service(world) as running, Client(running.http, api_key=key.text) as client:
+        writing, key = (elsewhere.submit(a_key, world, scopes=scopes).result() for scopes in (READ_WRITE, READ))
+    with live_service(world) as running, Client(running.http, api_key=writing.text) as client:
         fill(client)
         shown = Page(chromium, running.http)
         shown.tab.get_by_text("An API key is needed").wait_for()
@@ -196,6 +212,10 @@ def test_with_keys_it_asks_for_one_and_opens_with_it(chromium):
         shown.tab.keyboard.press("Enter")
         shown.drawn()
         assert shown.data("drawn-submaps") == "8"
+        shown.tab.locator("#loops button").first.click()
+        shown.tab.get_by_role("button", name="Reject", exact=True).click()
+        shown.tab.get_by_text("that needs the scope admin").wait_for()
+        assert shown.data("drawn-loops") == "5"
         shown.tab.close()
 
 
