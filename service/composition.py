@@ -19,12 +19,10 @@ from revisit.service.access_rules import access_rules
 from revisit.service.adapters.clock import SystemClock
 from revisit.service.adapters.core_map_optimiser import CoreMapOptimiser
 from revisit.service.adapters.files.blobs import FileBlobStore
-from revisit.service.adapters.files.disk import Disk
-from revisit.service.adapters.files.fail_stop import FailStop
+from revisit.service.adapters.files.disk import Disk, FailStop
 from revisit.service.adapters.files.filesystem import require_local
 from revisit.service.adapters.sqlite.checkpoints import Checkpoints
-from revisit.service.adapters.sqlite.connections import write_ahead_log
-from revisit.service.adapters.sqlite.failures import StorageFailures
+from revisit.service.adapters.sqlite.connections import StorageFailures, write_ahead_log
 from revisit.service.adapters.sqlite.transactions import SqliteTransactions
 from revisit.service.adapters.vector_index import PlaceVectorIndex
 from revisit.service.application import Installation, UseCases
@@ -186,6 +184,7 @@ def load_recogniser(name: str) -> PlaceRecogniser:
 
 
 def _new_index(dimension: int) -> PlaceIndex:
+    from revisit.core.adapted_index import AdaptedIndex
     from revisit.core.index import FaissIndex
 
-    return FaissIndex(dimension)
+    return AdaptedIndex(dimension, FaissIndex)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -209,14 +209,19 @@ class Client:
         *,
         max_bytes: int = DEFAULT_MAX_BYTES,
         full_wait_s: float = 0.0,
+        prepare: Callable[[], None] | None = None,
     ) -> Iterator[SpooledStream]:
         """A stream by way of the file `spool` on this machine's disk; needs no connection to be opened.
 
         `send` returns once the scan is on that disk; a full spool refuses it after `full_wait_s` with
         `SpoolFull`. On leaving, what was not acknowledged stays in the file, for the next stream on it.
+
+        `prepare` is called in the sending thread before the first connection, again after a retryable error: a robot
+        that starts without a link creates its session there.
         """
         name = _name(session)
-        stream = SpooledStream(self._transport, name, Spool(Path(spool), name, max_bytes), full_wait_s, RECONNECT)
+        opened = Spool(Path(spool), name, max_bytes)
+        stream = SpooledStream(self._transport, name, opened, full_wait_s, RECONNECT, prepare)
         try:
             yield stream
         finally:

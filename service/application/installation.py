@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 import threading
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -42,6 +43,8 @@ class Installation:
     index_health: IndexHealth = field(default_factory=IndexHealth)
     open_streams: OpenStreams = field(default_factory=OpenStreams)
     budget: ByteBudget = field(default_factory=ByteBudget)
+    secret: bytes = field(default_factory=lambda: secrets.token_bytes(32))
+    """Known to nobody else: makes the tokens of pages unreadable."""
     decoder: CloudDecoder = field(default_factory=lambda: CloudDecoder(DECODERS))
 
     @cached_property

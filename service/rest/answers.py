@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 from fastapi import Response
 from google.protobuf.message import Message
 from pydantic_core import to_json
 
+from revisit.service.application.catalogue.paging import Page
 from revisit.service.wire import openapi
-from revisit.service.wire.answers import Fields
+from revisit.service.wire.answers import Fields, of_page
 from revisit.service.wire.json_form import json_form
+from revisit.service.wire.rendering import rendered
 from revisit.v1 import (
     event_pb2,
     ingest_pb2,
@@ -49,6 +52,8 @@ Status = system_pb2.GetStatusResponse
 Submap = submap_pb2.Submap
 SubmapPage = submap_pb2.ListSubmapsResponse
 
+T = TypeVar("T")
+
 _DESCRIBED = (
     Ack, Event, LocalizeAnswer, LoopClosurePage, MapPage, OperationPage, Posted, RobotPage, SearchAnswer, SessionPage,
     Status, SubmapPage, Correction, MapVersionPage, SubmapPosePage,
@@ -77,6 +82,11 @@ def answer(message: type[Message], fields: Fields, status: int = 200, *, replay:
     """The JSON of a message; an identical create answers as the first did, with `Idempotent-Replay: true`."""
     headers = {"idempotent-replay": "true"} if replay else None
     return Response(to_json(json_form(message, fields), inf_nan_mode="null"), status, headers, "application/json")
+
+
+async def page_answer(message: type[Message], collection: str, page: Page[T], of: Callable[[T], Fields]) -> Response:
+    """As `answer`, of a List...Response that holds `collection`; made beside the event loop where it is long."""
+    return await rendered(page, lambda: answer(message, of_page(collection, page, of)))
 
 
 def describe_answers(document: dict[str, Any]) -> None:

@@ -8,10 +8,12 @@ from fastapi import FastAPI
 
 from revisit.service.application import UseCases
 from revisit.service.application.capacity.places import Places
+from revisit.service.application.capacity.turns import Turns
 from revisit.service.application.contract.tracing import NoTracer, Tracer
 from revisit.service.metrics import RequestMetrics
 from revisit.service.rest.access import describe_access, require_declared_scopes
 from revisit.service.rest.answers import describe_answers
+from revisit.service.rest.bodies import LONG_BODIES_AT_A_TIME
 from revisit.service.rest.errors import PROBLEM_JSON, install_error_handlers
 from revisit.service.rest.limits import HttpLimits
 from revisit.service.rest.middleware import (
@@ -66,6 +68,7 @@ def create_app(
     )
     app.state.use_cases = use_cases
     app.state.limits = limits
+    app.state.long_bodies = Turns(LONG_BODIES_AT_A_TIME, of_tenant=1)
     app.state.watches = Places()
     for module in (mapping, maps, robots, searches, submaps, sessions, loops, events, operations, system, page):
         app.include_router(module.router)

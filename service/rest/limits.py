@@ -12,8 +12,11 @@ class HttpLimits:
     """Sizes in bytes, of a body as it is sent; times in seconds."""
 
     body_bytes: int = 32 * MIB
-    json_bytes: int = 1 * MIB
     json_depth: int = 16
+    json_containers: int = 256
+    """Arrays and objects in a body."""
+    json_keys: int = 64
+    """Of one object."""
     body_grace_s: float = 10.0
     """Time that any body may take."""
     body_bytes_per_s: int = 8 * 1024

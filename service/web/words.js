@@ -11,7 +11,7 @@ const REASONS = {
   LOW_SCORE: ["Not convincing", "Every check was passed, but the evidence as a whole does not convince."],
   AMBIGUOUS: ["Other poses fit as well", "Every check was passed, but other poses, metres away or turned, fit about as well: the next bay, the next aisle, identical houses. Geometry alone cannot tell which one is right."],
   OVERRULED: ["By a person", "A person has rejected it; what was measured is below."],
-  SIGNATURE_LOST: ["Data lost", "The stored data of the candidate are damaged, so it could not be compared."],
+  PLACE_LOST: ["Data lost", "The stored data of the candidate are damaged, so it could not be compared."],
 };
 
 /** accepted, ambiguous or rejected: how the page shows a loop closure. */

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from revisit.core.geometry import se3
+from revisit.core.geometry.se3 import pose_row, position_row
 from revisit.core.pose_graph import LoopEdge
 from revisit.service.application.contract.identity import SessionKey, TenantId
-from revisit.service.application.contract.poses import pose_row, position_row
 from revisit.service.application.contract.records import LoopRecord, MapRecord, SessionRecord, SubmapRecord
 from revisit.service.application.contract.states import LoopEventKind
 from revisit.service.application.mapping.loop_events import Change, add_loop

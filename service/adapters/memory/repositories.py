@@ -29,14 +29,15 @@ Scalar = str | int | None
 
 @dataclass
 class Rows:
-    """The rows of one table by number, and the last number given out."""
+    """The rows of one table by number, and the last number given out, in all and to each tenant."""
 
     by_number: dict[int, Any] = field(default_factory=dict)
     last: int = 0
+    last_of: dict[str, int] = field(default_factory=dict)
 
     def copy(self) -> Rows:
         """An independent copy; records are immutable."""
-        return Rows(dict(self.by_number), self.last)
+        return Rows(dict(self.by_number), self.last, dict(self.last_of))
 
 
 class MemoryRepository(Generic[R]):
@@ -135,9 +136,15 @@ class MemoryScans(MemoryRepository[ScanRecord]):
 class MemorySubmaps(MemoryRepository[SubmapRecord]):
     """`SubmapRepository`."""
 
-    def last_number(self) -> int:
+    def add(self, record: SubmapRecord) -> SubmapRecord:
+        """See `Repository`; the number is noted for `last_number`."""
+        added = super().add(record)
+        self._rows.last_of[record.tenant] = added.number
+        return added
+
+    def last_number(self, tenant: TenantId) -> int:
         """See `SubmapRepository`."""
-        return self._rows.last
+        return self._rows.last_of.get(tenant, 0)
 
     def points_of(self, tenant: TenantId) -> int:
         """See `SubmapRepository`."""

@@ -9,7 +9,7 @@ from sqlalchemy import Connection, Select, bindparam, delete, func, or_, select,
 
 from revisit.service.adapters.sql import tables
 from revisit.service.adapters.sql.engine import DatabaseEngine
-from revisit.service.adapters.sql.statements import column_values, new_row
+from revisit.service.adapters.sql.repositories import column_values, new_row
 from revisit.service.application.contract.events import EventRecord
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.states import EventKind

@@ -172,7 +172,8 @@ submaps = _numbered(
     _integer("created_at_ns"),
     _text("model_version", length=128, nullable=True),
     Column("descriptor", LargeBinary, nullable=True),
-    _text("signature_sha256", nullable=True),
+    # Its name in the database is that of version 0.1 (docs/decisions/0085).
+    Column("signature_sha256", String(64), key="place_sha256", nullable=True),
     _text("neural_map_sha256", nullable=True),
     _integer("neural_map_bytes", nullable=True),
     _text("mesh_sha256", nullable=True),
@@ -183,7 +184,7 @@ submaps = _numbered(
     ),
     Index(None, "state", "tenant", "map_id"),
     Index(None, "tenant", "cloud_sha256"),
-    Index(None, "tenant", "signature_sha256"),
+    Index(None, "tenant", "place_sha256"),
     Index(None, "tenant", "neural_map_sha256"),
     Index(None, "tenant", "mesh_sha256"),
 )
@@ -343,4 +344,11 @@ tenant_turns = Table(
     Column("tenant", String(64), primary_key=True),
     Column("started_ms", BigInteger, nullable=False),
     Column("spent_ms", BigInteger, nullable=False),
+)
+
+last_submaps = Table(
+    "last_submaps",
+    metadata,
+    Column("tenant", String(64), primary_key=True),
+    Column("number", BigInteger, nullable=False),
 )

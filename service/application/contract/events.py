@@ -64,8 +64,8 @@ ChangeOf: TypeAlias = Callable[[R | None, R], None]
 def on_loop_change(log: EventLog) -> ChangeOf[LoopRecord]:
     """Records loop closures that are new or have another state or pose.
 
-    Candidates that were rejected at once are no news, unless they are ambiguous. Of the verdicts of the pose graph it
-    is news that a loop was set aside, or no longer is.
+    Candidates that were rejected at once are no news, unless they are ambiguous. Of the verdicts of the pose graph,
+    that a loop was set aside is news, or no longer is.
     """
 
     def record(before: LoopRecord | None, after: LoopRecord) -> None:

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from revisit.core.geometry.se3 import Matrix4
+from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.poses import pose_matrix, pose_row
 from revisit.service.application.contract.records import LoopRecord, Pose, SubmapRecord
 from revisit.service.application.contract.session_poses import PackedSubmaps
 from revisit.service.application.contract.transactions import UnitOfWork

@@ -56,7 +56,7 @@ class RobotRecord:
 
 @dataclass(frozen=True)
 class SessionRecord:
-    """A session and where its current window of scans stands (see `scan_windows`)."""
+    """A session and where its current window of scans stands (see `ingest.windows`)."""
 
     tenant: TenantId
     map_id: str
@@ -116,7 +116,7 @@ class SubmapRecord:
     created_at_ns: int
     model_version: str | None = None
     descriptor: bytes | None = None
-    signature_sha256: str | None = None
+    place_sha256: str | None = None
     neural_map_sha256: str | None = None
     neural_map_bytes: int | None = None
     mesh_sha256: str | None = None

@@ -100,8 +100,8 @@ class PlacedSubmap:
 class SubmapRepository(Repository[SubmapRecord], Protocol):
     """Submaps, also by how far a map has come with them."""
 
-    def last_number(self) -> int:
-        """The last number that was given out, to whichever tenant, deleted since or not; 0 for none."""
+    def last_number(self, tenant: TenantId) -> int:
+        """The last number that a submap of the tenant was given, deleted since or not; 0 for none."""
         ...
 
     def points_of(self, tenant: TenantId) -> int:

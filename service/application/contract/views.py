@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.geometry.se3 import Matrix4
+from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.service.application.contract.identity import SubmapKey
 from revisit.service.application.contract.map_frames import MapPose
-from revisit.service.application.contract.poses import pose_matrix
 from revisit.service.application.contract.records import JobRecord, SubmapRecord
 from revisit.service.application.contract.states import OperationKind, OperationState, SubmapState
 

@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.geometry.se3 import Matrix4
+from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.contract.errors import NotReady
 from revisit.service.application.contract.identity import SessionKey, TenantId
 from revisit.service.application.contract.lookup import require_map, require_session
-from revisit.service.application.contract.poses import pose_matrix
 from revisit.service.application.contract.records import SessionPosesRecord
 from revisit.service.application.contract.session_poses import PackedSubmaps
 from revisit.service.application.contract.storage import Storage

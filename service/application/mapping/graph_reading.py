@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.geometry.se3 import pose_matrix
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.map_optimiser import MapGraph, SessionTrack, TrackLoop
 from revisit.service.application.contract.policy import Policy
-from revisit.service.application.contract.poses import pose_matrix
 from revisit.service.application.contract.records import LoopRecord, MapRecord, SessionPosesRecord
 from revisit.service.application.contract.states import LoopState
 from revisit.service.application.contract.transactions import UnitOfWork

@@ -8,19 +8,18 @@ from typing import Any
 
 from revisit.core.errors import BadField
 from revisit.core.geometry import se3
-from revisit.core.geometry.se3 import Matrix4
+from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
 from revisit.service.application.access import audit
 from revisit.service.application.access.callers import current_actor
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.capacity.backlog import JobPosting
-from revisit.service.application.catalogue.paging import Page, PageRequest, page_of
+from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.errors import AlreadyExists, NotReady
 from revisit.service.application.contract.graph_edits import note_edit
 from revisit.service.application.contract.identity import SubmapKey, TenantId, content_hash, validated_note
 from revisit.service.application.contract.lookup import require_job, require_map, require_submap
 from revisit.service.application.contract.policy import Policy
-from revisit.service.application.contract.poses import pose_matrix, pose_row
 from revisit.service.application.contract.records import LoopEventRecord, LoopRecord, SubmapRecord
 from revisit.service.application.contract.states import (
     GraphState,
@@ -84,9 +83,12 @@ class LoopEventView:
 class LoopDecisions:
     """What people decide about loop closures."""
 
-    def __init__(self, storage: Storage, admission: Admission, jobs: JobPosting, clock: Clock, policy: Policy) -> None:
+    def __init__(
+        self, storage: Storage, lists: Lists, admission: Admission, jobs: JobPosting, clock: Clock, policy: Policy
+    ) -> None:
         """Loops made by hand are verified by jobs posted through `jobs`."""
         self._storage = storage
+        self._lists = lists
         self._admission = admission
         self._jobs = jobs
         self._clock = clock
@@ -120,7 +122,8 @@ class LoopDecisions:
 
     async def events(self, tenant: TenantId, map_id: str, loop_id: str, page: PageRequest) -> Page[LoopEventView]:
         """What happened to a loop, oldest first. Raises NotFound."""
-        return await self._storage.read(partial(_events, tenant=tenant, map_id=map_id, loop_id=loop_id, page=page))
+        find = partial(_events, tenant=tenant, map_id=map_id, loop_id=loop_id)
+        return await self._lists.page(tenant, page, find, lambda _, record: _view(record))
 
     async def _decide(
         self, tenant: TenantId, map_id: str, loop_id: str, kind: LoopEventKind, note: str
@@ -219,10 +222,11 @@ def _new_loop(query: SubmapRecord, match: SubmapRecord, ordinal: int, T: Matrix4
     )
 
 
-def _events(uow: UnitOfWork, tenant: TenantId, map_id: str, loop_id: str, page: PageRequest) -> Page[LoopEventView]:
+def _events(
+    uow: UnitOfWork, after: int, limit: int, *, tenant: TenantId, map_id: str, loop_id: str
+) -> list[LoopEventRecord]:
     require_loop(uow, tenant, map_id, loop_id)
-    found = uow.loop_events.find(tenant, after=page.after, limit=page.size + 1, map_id=map_id, loop_id=loop_id)
-    return page_of(found, page, _view)
+    return uow.loop_events.find(tenant, after=after, limit=limit, map_id=map_id, loop_id=loop_id)
 
 
 def _view(record: LoopEventRecord) -> LoopEventView:

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.geometry.se3 import pose_row
 from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.job_queue import Lease
 from revisit.service.application.contract.map_frames import frame_name
 from revisit.service.application.contract.map_optimiser import JudgedLoop, OptimisedMap, OptimisedTrack
-from revisit.service.application.contract.poses import pose_row
 from revisit.service.application.contract.records import LoopRecord, MapRecord, MapVersionRecord, SessionPosesRecord
 from revisit.service.application.contract.session_poses import (
     PackedSubmaps,

@@ -13,7 +13,7 @@ from revisit.core.geometry.se3 import Matrix4
 from revisit.service.application.access import audit
 from revisit.service.application.access.audit import AuditEntry
 from revisit.service.application.capacity.admission import Admission
-from revisit.service.application.catalogue.paging import Page, PageRequest, page_of
+from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.errors import NotFound
@@ -46,7 +46,7 @@ class PostedOptimisation:
 
 @dataclass(frozen=True)
 class MapVersionView:
-    """A version of a map as clients see it; `summary` has the fields of a MapVersionSummary."""
+    """A version of a map; `summary` has the fields of a MapVersionSummary, `number` is the place of its row."""
 
     map_id: str
     version: int
@@ -56,6 +56,7 @@ class MapVersionView:
     operation_id: str | None
     summary: dict[str, Any]
     created_at_ns: int
+    number: int
 
 
 @dataclass(frozen=True)
@@ -75,9 +76,10 @@ class SubmapPoseView:
 class MapVersions:
     """Optimise, get, list and bring back."""
 
-    def __init__(self, storage: Storage, admission: Admission, clock: Clock, policy: Policy) -> None:
+    def __init__(self, storage: Storage, lists: Lists, admission: Admission, clock: Clock, policy: Policy) -> None:
         """Versions are kept in `storage`."""
         self._storage = storage
+        self._lists = lists
         self._admission = admission
         self._clock = clock
         self._policy = policy
@@ -97,7 +99,8 @@ class MapVersions:
 
     async def list(self, tenant: TenantId, map_id: str, page: PageRequest) -> Page[MapVersionView]:
         """The versions that are kept, oldest first. Raises NotFound for the map."""
-        return await self._storage.read(partial(_page, tenant=tenant, map_id=map_id, page=page))
+        find = partial(_versions, tenant=tenant, map_id=map_id)
+        return await self._lists.page(tenant, page, find, lambda _, view: view)
 
     async def get(self, tenant: TenantId, map_id: str, version: int) -> MapVersionView:
         """Raises NotFound."""
@@ -105,7 +108,8 @@ class MapVersions:
 
     async def poses(self, tenant: TenantId, map_id: str, version: int, page: PageRequest) -> Page[SubmapPoseView]:
         """The submaps of a version, by session and in the order of the drive. Raises NotFound."""
-        return await self._storage.read(partial(_poses, tenant=tenant, map_id=map_id, version=version, page=page))
+        find = partial(_poses, tenant=tenant, map_id=map_id, version=version)
+        return await self._lists.page(tenant, page, find, lambda _, view: view)
 
     async def revert(self, tenant: TenantId, map_id: str, version: int) -> MapVersionView:
         """Bring back the rows of an earlier version as a new one; the one in force is left as it is.
@@ -144,10 +148,10 @@ def _restore(uow: UnitOfWork, wanted: MapVersionRecord, version: int, now_ns: in
     return row
 
 
-def _page(uow: UnitOfWork, tenant: TenantId, map_id: str, page: PageRequest) -> Page[MapVersionView]:
+def _versions(uow: UnitOfWork, after: int, limit: int, *, tenant: TenantId, map_id: str) -> list[MapVersionView]:
     record = require_map(uow, tenant, map_id)
-    rows = uow.map_versions.find(tenant, after=page.after, limit=page.size + 1, map_id=map_id)
-    return page_of(rows, page, partial(_view, uow, record))
+    rows = uow.map_versions.find(tenant, after=after, limit=limit, map_id=map_id)
+    return [_view(uow, record, row) for row in rows]
 
 
 def version_seen(uow: UnitOfWork, tenant: TenantId, map_id: str, version: int) -> MapVersionView:
@@ -174,6 +178,7 @@ def _view(uow: UnitOfWork, record: MapRecord, row: MapVersionRecord) -> MapVersi
         operation_id=row.operation_id,
         summary=row.summary,
         created_at_ns=row.created_at_ns,
+        number=row.number,
     )
 
 
@@ -183,13 +188,15 @@ def _sessions(uow: UnitOfWork, row: MapVersionRecord) -> list[SessionPosesRecord
     return sorted(rows, key=lambda poses: poses.session_number)
 
 
-def _poses(uow: UnitOfWork, tenant: TenantId, map_id: str, version: int, page: PageRequest) -> Page[SubmapPoseView]:
+def _poses(
+    uow: UnitOfWork, after: int, limit: int, *, tenant: TenantId, map_id: str, version: int
+) -> list[SubmapPoseView]:
     row = _require_version(uow, require_map(uow, tenant, map_id), version)
     sessions = [(poses, PackedSubmaps.of(poses.submaps)) for poses in _sessions(uow, row)]
     places = [(poses, packed, place) for poses, packed in sessions for place in range(len(packed.numbers))]
-    shown = places[page.after : page.after + page.size + 1]
+    shown = places[after : after + limit]
     known = uow.submaps.numbered(tenant, [int(packed.numbers[place]) for _, packed, place in shown])
-    views = [
+    return [
         SubmapPoseView(
             key=SubmapKey(map_id, poses.session_id, known[int(packed.numbers[place])].submap_id),
             T_map_submap=packed.T_map_submap[place],
@@ -197,6 +204,5 @@ def _poses(uow: UnitOfWork, tenant: TenantId, map_id: str, version: int, page: P
             covariance=packed.covariances[place],
             number=number,
         )
-        for number, (poses, packed, place) in enumerate(shown, page.after + 1)
+        for number, (poses, packed, place) in enumerate(shown, after + 1)
     ]
-    return page_of(views, page, lambda view: view)

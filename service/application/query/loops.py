@@ -8,14 +8,13 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from revisit.core.geometry.se3 import Matrix4
+from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.service.application.capacity.admission import Admission
-from revisit.service.application.catalogue.paging import Page, PageRequest, page_of
+from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract.errors import NotFound
 from revisit.service.application.contract.identity import SessionKey, SubmapKey, TenantId
 from revisit.service.application.contract.lookup import require_map, require_session
 from revisit.service.application.contract.map_frames import LoopInMap, MapFrames
-from revisit.service.application.contract.poses import pose_matrix
 from revisit.service.application.contract.records import LoopRecord
 from revisit.service.application.contract.states import GraphState, LoopState
 from revisit.service.application.contract.storage import Storage
@@ -65,9 +64,10 @@ class LoopClosureView:
 class Loops:
     """Get, list and watch loop closures."""
 
-    def __init__(self, storage: Storage, admission: Admission) -> None:
+    def __init__(self, storage: Storage, lists: Lists, admission: Admission) -> None:
         """Watching ends when `admission` says that the service stops."""
         self._storage = storage
+        self._lists = lists
         self._admission = admission
 
     async def get(self, tenant: TenantId, map_id: str, loop_id: str) -> LoopClosureView:
@@ -93,7 +93,8 @@ class Loops:
         """
         await await_freshness(self._storage, self._admission, tenant, map_id, fresh)
         wanted = Wanted(map_id, state, session_id, graph_state, reason or None)
-        return await self._storage.read(partial(_page, tenant=tenant, wanted=wanted, page=page))
+        find = partial(_views, tenant=tenant, wanted=wanted)
+        return await self._lists.page(tenant, page, find, lambda _, view: view)
 
     async def watch(
         self, tenant: TenantId, map_id: str, after: int = 0, session_id: str | None = None
@@ -179,11 +180,7 @@ def require_loop(uow: UnitOfWork, tenant: TenantId, map_id: str, loop_id: str) -
     return record
 
 
-def _page(uow: UnitOfWork, tenant: TenantId, wanted: Wanted, page: PageRequest) -> Page[LoopClosureView]:
-    return page_of(_views(uow, tenant, wanted, page.after, page.size + 1), page, lambda view: view)
-
-
-def _views(uow: UnitOfWork, tenant: TenantId, wanted: Wanted, after: int, limit: int) -> list[LoopClosureView]:
+def _views(uow: UnitOfWork, after: int, limit: int, *, tenant: TenantId, wanted: Wanted) -> list[LoopClosureView]:
     require_map(uow, tenant, wanted.map_id)
     if wanted.session_id is not None:
         require_session(uow, tenant, SessionKey(wanted.map_id, wanted.session_id))

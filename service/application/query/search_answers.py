@@ -6,11 +6,10 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from revisit.core.errors import BadField
-from revisit.core.geometry.se3 import Matrix4
+from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.identity import SessionKey, SubmapKey
 from revisit.service.application.contract.map_frames import MapPose
-from revisit.service.application.contract.poses import pose_matrix, pose_row
 
 
 @dataclass(frozen=True)

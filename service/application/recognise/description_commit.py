@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from revisit.core.errors import DescriptorModelMismatch
+from revisit.core.geometry.se3 import pose_row
 from revisit.service.application.catalogue.deletion import SUBMAP_DELETED
 from revisit.service.application.contract.blobs import BlobStore
 from revisit.service.application.contract.clock import Instant
@@ -14,7 +15,6 @@ from revisit.service.application.contract.index import IndexChange, VectorFilter
 from revisit.service.application.contract.job_queue import Lease
 from revisit.service.application.contract.lookup import require_map
 from revisit.service.application.contract.policy import Policy
-from revisit.service.application.contract.poses import pose_row
 from revisit.service.application.contract.recogniser import LoopVerdict, SubmapDescription
 from revisit.service.application.contract.records import LoopRecord, MapRecord, SubmapRecord
 from revisit.service.application.contract.states import LoopEventKind, LoopState

@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from revisit.core.geometry.se3 import Matrix4
+from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
 from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.job_queue import Lease
 from revisit.service.application.contract.lookup import require_map
 from revisit.service.application.contract.policy import Policy
-from revisit.service.application.contract.poses import pose_matrix, pose_row
 from revisit.service.application.contract.recogniser import LoopVerdict
 from revisit.service.application.contract.records import JobRecord, LoopRecord, MapRecord, SubmapRecord
 from revisit.service.application.contract.states import LoopEventKind, LoopState

@@ -17,7 +17,7 @@ import structlog
 from revisit.core.candidates import candidate_policy
 from revisit.core.config import PipelineConfig
 from revisit.core.errors import DataLoss, DescriptorModelMismatch, ErrorCode, RevisitError
-from revisit.core.geometry.se3 import Matrix4
+from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
 from revisit.service.application.catalogue.deletion import SUBMAP_DELETED
@@ -26,8 +26,8 @@ from revisit.service.application.catalogue.meshes import pack_mesh
 from revisit.service.application.contract.blobs import (
     MESH_BLOB,
     NEURAL_MAP_BLOB,
+    PLACE_BLOB,
     QUERY_CLOUD_BLOB,
-    SIGNATURE_BLOB,
     BlobStore,
 )
 from revisit.service.application.contract.clock import Clock
@@ -38,7 +38,6 @@ from revisit.service.application.contract.job_queue import Lease
 from revisit.service.application.contract.lookup import require_map
 from revisit.service.application.contract.map_frames import MapPose, submap_in_map
 from revisit.service.application.contract.policy import Policy
-from revisit.service.application.contract.poses import pose_matrix
 from revisit.service.application.contract.recogniser import LoopVerdict, PlaceRecogniser, SubmapDescription
 from revisit.service.application.contract.records import JobRecord, MapRecord, SubmapRecord
 from revisit.service.application.contract.states import OperationKind, SubmapState
@@ -162,7 +161,7 @@ class Recognition:
     def _store(self, task: DescriptionTask, description: SubmapDescription) -> StoredDescription:
         """Make the blobs of a description durable before any row names them."""
         submap = task.submap
-        blobs = [(SIGNATURE_BLOB, description.signature), (MESH_BLOB, pack_mesh(description.mesh))]
+        blobs = [(PLACE_BLOB, description.place), (MESH_BLOB, pack_mesh(description.mesh))]
         if description.neural_map is not None:
             blobs.append((NEURAL_MAP_BLOB, description.neural_map))
         failpoint("job.after_description")
@@ -174,7 +173,7 @@ class Recognition:
             flags=tuple(dict.fromkeys((*submap.flags, *description.flags))),
             model_version=model_for_map(task.map, self._recogniser.model_version),
             descriptor=np.asarray(description.descriptor, dtype="<f4").tobytes(),
-            signature_sha256=sha256[SIGNATURE_BLOB],
+            place_sha256=sha256[PLACE_BLOB],
             mesh_sha256=sha256[MESH_BLOB],
             neural_map_sha256=sha256.get(NEURAL_MAP_BLOB),
             neural_map_bytes=None if description.neural_map is None else len(description.neural_map),
@@ -194,7 +193,7 @@ class Recognition:
             recall = self._memory.recall(task.map, described.description.descriptor, config.loop.candidates, where)
             for place in recall.places:
                 if place.submap.number not in judged:
-                    judged[place.submap.number] = self._judge(described.description.signature, place, config)
+                    judged[place.submap.number] = self._judge(described.description.place, place, config)
             kept = [judged[place.submap.number] for place in recall.places]
             now, now_ns = self._clock.instant(), self._clock.wall_ns()
             commit = DescriptionCommit(
@@ -205,16 +204,16 @@ class Recognition:
                 return
 
     def _judge(
-        self, signature: bytes, place: RecalledPlace, config: PipelineConfig, near: Matrix4 | None = None
+        self, place: bytes, recalled: RecalledPlace, config: PipelineConfig, near: Matrix4 | None = None
     ) -> JudgedPlace:
-        submap = place.submap
+        submap = recalled.submap
         try:
-            blob = self._blobs.get(submap.tenant, SIGNATURE_BLOB, str(submap.signature_sha256))
-            verdict = self._recogniser.verify(signature, blob, place.similarity, config, near)
+            blob = self._blobs.get(submap.tenant, PLACE_BLOB, str(submap.place_sha256))
+            verdict = self._recogniser.verify(place, blob, recalled.similarity, config, near)
         except DataLoss as error:
-            log.error("signature_lost", submap=submap_key(submap).name, reason=error.message)
-            verdict = LoopVerdict(False, "SIGNATURE_LOST", 0.0, None, {"message": error.message})
-        return JudgedPlace(place, verdict)
+            log.error("place_lost", submap=submap_key(submap).name, reason=error.message)
+            verdict = LoopVerdict(False, "PLACE_LOST", 0.0, None, {"message": error.message})
+        return JudgedPlace(recalled, verdict)
 
     def _require_same_model(self, record: MapRecord) -> None:
         own = model_for_map(record, self._recogniser.model_version)
@@ -228,8 +227,8 @@ class Recognition:
         pair = self._transactions.read(partial(proposed_pair, job=lease.job)).result()
         verdict = None
         if pair is not None:
-            signature = self._blobs.get(pair.query.tenant, SIGNATURE_BLOB, str(pair.query.signature_sha256))
-            verdict = self._judge(signature, pair.match, self._policy.for_map(pair.map), pair.near).verdict
+            place = self._blobs.get(pair.query.tenant, PLACE_BLOB, str(pair.query.place_sha256))
+            verdict = self._judge(place, pair.match, self._policy.for_map(pair.map), pair.near).verdict
         now, now_ns = self._clock.instant(), self._clock.wall_ns()
         commit = VerdictCommit(lease, self._recogniser.model_version, self._policy, pair, verdict, now, now_ns)
         self._transactions.write(commit).result()
@@ -249,7 +248,7 @@ class Recognition:
         config = self._policy.for_map(map_record)
         k = criteria_from_json(lease.job.payload["criteria"]).k
         recall = self._memory.recall(map_record, description.descriptor, k, where)
-        judged = [self._judge(description.signature, place, config) for place in recall.places]
+        judged = [self._judge(description.place, place, config) for place in recall.places]
         found = _localization(judged)
         in_map = self._transactions.read(partial(_in_map, found=found, judged=judged)).result()
         self._complete(lease, localization_to_json(replace(found, in_map=in_map)))

@@ -18,12 +18,13 @@ from revisit.service.rest.answers import (
     ProposedLoop,
     answer,
     answers,
+    page_answer,
 )
 from revisit.service.rest.bodies import describe_json, json_body
 from revisit.service.rest.parameters import Cases, Fresh, Id, Paging, Tenant, pose
 from revisit.service.rest.schemas import CreateLoopClosureRequest, DecisionRequest
 from revisit.service.wire import names
-from revisit.service.wire.answers import of_loop, of_loop_event, of_page, of_proposed_loop
+from revisit.service.wire.answers import of_loop, of_loop_event, of_proposed_loop
 
 router = APIRouter(prefix="/v1/maps/{map_id}/loopClosures", tags=["loop closures"])
 
@@ -42,7 +43,7 @@ async def list_loop_closures(
 ) -> Response:
     """List the loop closures of a map with their evidence, oldest first."""
     page = await cases.loops.list(tenant, map_id, paging, state, session_id, fresh, graph_state, reason)
-    return answer(LoopClosurePage, of_page("loop_closures", page, of_loop))
+    return await page_answer(LoopClosurePage, "loop_closures", page, of_loop)
 
 
 @router.post(
@@ -95,7 +96,7 @@ async def revert_loop_closure(map_id: Id, loop_id: Id, body: Decision, cases: Ca
 async def list_loop_closure_events(map_id: Id, loop_id: Id, cases: Cases, tenant: Tenant, paging: Paging) -> Response:
     """What happened to a loop closure, by whom and why, oldest first."""
     page = await cases.loop_decisions.events(tenant, map_id, loop_id, paging)
-    return answer(LoopClosureEventPage, of_page("loop_closure_events", page, of_loop_event))
+    return await page_answer(LoopClosureEventPage, "loop_closure_events", page, of_loop_event)
 
 
 @router.get("/{loop_id}", **answers(LoopClosure), dependencies=[allows(Scope.QUERY)])

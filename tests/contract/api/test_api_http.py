@@ -73,7 +73,9 @@ STRANGE_JSON = {
     "1e400": (b'{"map_id": "x", "tau_m": 1e400}', 400),
     "5000 digits": (b'{"map_id": "x", "min_index_gap": ' + b"9" * 5000 + b"}", 400),
     "2^64": (b'{"map_id": "x", "min_index_gap": 18446744073709551616}', 422),
-    "200,000 brackets": (b"[" * 200_000, 400),
+    "200,000 brackets": (b"[" * 200_000, 413),
+    "16,000 brackets": (b"[" * 16_000, 400),
+    "300 arrays side by side": (b"[" + b"[]," * 300 + b"[]]", 400),
     "17 levels": (b"[" * 17 + b"]" * 17, 400),
     "duplicate keys": (b'{"map_id": "x", "map_id": "y"}', 400),
     "unknown field": (b'{"map_id": "x", "tenant_id": "y"}', 422),
@@ -85,7 +87,9 @@ STRANGE_JSON = {
     "a lone surrogate": (b'{"map_id": "\\ud800"}', 422),
     "a NUL": (b'{"map_id": "a\\u0000"}', 422),
     "nothing": (b"", 400),
-    "400 KB of wrong items": (json.dumps({"map_id": "x", **{f"f{n}": n for n in range(30_000)}}).encode(), 422),
+    "400 KB of wrong items": (json.dumps({"map_id": "x", **{f"f{n}": n for n in range(30_000)}}).encode(), 413),
+    "more keys than any call has": (json.dumps({"map_id": "x", **{f"f{n}": n for n in range(64)}}).encode(), 400),
+    "60 wrong items": (json.dumps({"map_id": "x", **{f"f{n}": n for n in range(60)}}).encode(), 422),
     "an unknown rule for loops": (b'{"map_id": "x", "loop_policy": {"min_scor": 0.5}}', 422),
     "a rule for loops out of bounds": (b'{"map_id": "x", "loop_policy": {"min_score": 1.5}}', 422),
     "control characters in a label": (b'{"map_id": "x", "display_name": "a\\r\\n\\u001b[31m"}', 422),
@@ -97,7 +101,7 @@ def test_strange_json_is_refused_and_nothing_is_stored(case, http, service):
     body, status = STRANGE_JSON[case]
     before = service.stored()
     answer = http.post("/v1/maps", content=body, headers={"content-type": "application/json"})
-    assert_problem(answer, status, "MALFORMED_BODY" if status == 400 else "BAD_FIELD")
+    assert_problem(answer, status, {400: "MALFORMED_BODY", 413: "TOO_LARGE"}.get(status, "BAD_FIELD"))
     assert service.stored() == before
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from google.protobuf.json_format import MessageToDict, ParseDict
 
+from revisit.core.geometry.se3 import pose_row
 from revisit.core.scan import CloudReport
 from revisit.service.application.catalogue.maps import MapView
 from revisit.service.application.catalogue.paging import Page
@@ -18,7 +19,6 @@ from revisit.service.application.catalogue.sessions import SessionView
 from revisit.service.application.contract.identity import SessionKey, SubmapKey
 from revisit.service.application.contract.loop_policy import LoopPolicy
 from revisit.service.application.contract.map_frames import LoopInMap, MapPose
-from revisit.service.application.contract.poses import pose_row
 from revisit.service.application.contract.states import (
     GraphState,
     LoopState,

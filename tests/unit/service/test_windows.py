@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from revisit.core.config import SubmapConfig
 from revisit.core.scan import CloudReport, Scan
 from revisit.core.submap import SubmapBuilder
-from revisit.service.application.ingest.scan_windows import ScanRange, Window, advance, remainder
+from revisit.service.application.ingest.windows import ScanRange, Window, advance, remainder
 
 STEPS_M = st.lists(st.one_of(st.just(0.0), st.floats(0.01, 3.0), st.floats(8.0, 40.0)), min_size=1, max_size=60)
 
