@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 
-from hypothesis import settings
+from hypothesis import Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from revisit.core.errors import BadField
 from revisit.service.application import SessionKey
 from revisit.service.application.catalogue.paging import PageRequest
+from revisit.service.application.contract.errors import AlreadyExists
 from revisit.service.application.mapping.loop_decisions import ProposeLoop
 from revisit.service.application.mapping.loop_events import LoopStanding, standing_after
 from tests.support.fleet_in_service import fleet_in
@@ -49,7 +51,11 @@ class LoopsOfAMap(RuleBasedStateMachine):
     def decide(self, number, accepted):
         loop, cases = self.chosen(number), self.world.use_cases.loop_decisions
         wanted = "ACCEPTED" if accepted else "REJECTED"
-        self.runner.run((cases.accept if accepted else cases.reject)(TENANT, MAP, loop.loop_id))
+        try:
+            self.runner.run((cases.accept if accepted else cases.reject)(TENANT, MAP, loop.loop_id))
+        except BadField:
+            assert accepted and loop.T_match_query is None
+            return
         if wanted != loop.state:
             self.decided.setdefault(loop.loop_id, [loop.state]).append(wanted)
 
@@ -95,7 +101,8 @@ class LoopsOfAMap(RuleBasedStateMachine):
                 (loop.query_session_id, loop.query_submap_id),
             )
         )
-        self.runner.run(self.world.use_cases.loop_decisions.propose(TENANT, ProposeLoop(*keys)))
+        with contextlib.suppress(AlreadyExists):
+            self.runner.run(self.world.use_cases.loop_decisions.propose(TENANT, ProposeLoop(*keys)))
 
     @invariant()
     def the_events_of_a_loop_give_its_state(self):
@@ -116,4 +123,5 @@ class LoopsOfAMap(RuleBasedStateMachine):
 
 
 TestLoopsOfAMap = LoopsOfAMap.TestCase
-TestLoopsOfAMap.settings = settings(max_examples=25, stateful_step_count=20, deadline=None)
+# Without shrinking, which takes minutes here: the steps are told as they were.
+TestLoopsOfAMap.settings = settings(max_examples=30, stateful_step_count=20, deadline=None, phases=[Phase.generate])

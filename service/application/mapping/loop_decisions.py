@@ -152,7 +152,8 @@ class LoopDecisions:
         require_map(uow, tenant, command.query.map_id)
         query, match = (_described(uow, tenant, key) for key in (command.query, command.match))
         known = _by_hand(uow, tenant, query, match)
-        asked = content_hash([None if T is None else T.astype("<f8").tobytes(), command.note])
+        near = None if T is None else T.astype("<f8").tobytes()
+        asked = content_hash([query.number, match.number, near, command.note])
         if known:
             first = uow.loop_events.find(tenant, limit=1, map_id=query.map_id, loop_id=known[-1].loop_id)[0]
             if first.details["content_hash"] == asked:
@@ -195,9 +196,10 @@ def _described(uow: UnitOfWork, tenant: TenantId, key: SubmapKey) -> SubmapRecor
 
 
 def _by_hand(uow: UnitOfWork, tenant: TenantId, query: SubmapRecord, match: SubmapRecord) -> list[LoopRecord]:
-    """The loops that people have made between two submaps, oldest first."""
+    """The loops that people have made between two submaps, whichever of them is the query, oldest first."""
     found = uow.loops.find(tenant, query_number=query.number, match_number=match.number)
-    return [loop for loop in found if loop.manual]
+    found += uow.loops.find(tenant, query_number=match.number, match_number=query.number)
+    return sorted((loop for loop in found if loop.manual), key=lambda loop: loop.number)
 
 
 def _new_loop(query: SubmapRecord, match: SubmapRecord, ordinal: int, T: Matrix4 | None, now_ns: int) -> LoopRecord:

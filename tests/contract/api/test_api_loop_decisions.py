@@ -114,8 +114,9 @@ def test_the_same_loop_by_hand_again_answers_again_and_another_one_is_a_conflict
     assert client.create_loop_closure(c, a, T_match_query=pose(1.0), note="x").name == first.name
     client.wait(first, 20.0)
     assert client.create_loop_closure(c, a, T_match_query=pose(1.0), note="x").subject == first.subject
-    with pytest.raises(AlreadyExists):
-        client.create_loop_closure(c, a, T_match_query=pose(2.0))
+    for query, match in ((c, a), (a, c)):
+        with pytest.raises(AlreadyExists):
+            client.create_loop_closure(query, match, T_match_query=pose(2.0))
 
 
 def test_a_loop_by_hand_needs_two_described_submaps_of_one_map(client, service, session, town, loops):
