@@ -56,9 +56,10 @@ async function openMap(name) {
 async function readMap() {
   const name = model.map;
   const sessions = await readAll(`/v1/${name}/sessions`, "sessions");
-  const [accepted, ambiguous, running, failed, ...tracks] = await Promise.all([
+  const [accepted, ambiguous, proposed, running, failed, ...tracks] = await Promise.all([
     readAll(`/v1/${name}/loopClosures?state=ACCEPTED`, "loop_closures"),
     readAll(`/v1/${name}/loopClosures?state=REJECTED&reason=AMBIGUOUS`, "loop_closures"),
+    readAll(`/v1/${name}/loopClosures?state=PROPOSED`, "loop_closures"),
     readAll("/v1/operations?state=RUNNING", "operations"),
     readAll("/v1/operations?state=FAILED", "operations"),
     ...sessions.map((session) => readAll(`/v1/${session.name}/submaps`, "submaps")),
@@ -66,7 +67,7 @@ async function readMap() {
   if (name !== model.map) return;
   for (const session of sessions) model.sessions.set(session.name, session);
   for (const submap of tracks.flat()) model.submaps.set(submap.name, submap);
-  for (const loop of [...accepted, ...ambiguous]) model.loops.set(loop.name, loop);
+  for (const loop of [...accepted, ...ambiguous, ...proposed]) model.loops.set(loop.name, loop);
   for (const operation of [...running, ...failed]) if (ofMap(operation)) model.operations.set(operation.name, operation);
   if (model.states.has("rejected")) await readRejected();
 }

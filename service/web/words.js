@@ -10,19 +10,22 @@ const REASONS = {
   SEEN_THROUGH: ["Seen through", "In this pose one place has walls where the other has looked into the distance. Mostly these are two places that resemble each other."],
   LOW_SCORE: ["Not convincing", "Every check was passed, but the evidence as a whole does not convince."],
   AMBIGUOUS: ["Other poses fit as well", "Every check was passed, but other poses, metres away or turned, fit about as well: the next bay, the next aisle, identical houses. Geometry alone cannot tell which one is right."],
-  SIGNATURE_LOST: ["Data lost", "The stored data of the candidate are damaged, so it could not be compared."],
+  OVERRULED: ["By a person", "A person has rejected it; what was measured is below."],
+  PLACE_LOST: ["Data lost", "The stored data of the candidate are damaged, so it could not be compared."],
 };
 
 /** accepted, ambiguous or rejected: how the page shows a loop closure. */
 export function stateOf(loop) {
   if (loop.state === "ACCEPTED") return "accepted";
+  if (loop.state === "PROPOSED") return "ambiguous";
   return loop.reason === "AMBIGUOUS" ? "ambiguous" : "rejected";
 }
 
 /** A few words for a list. */
 export function verdictOf(loop) {
   const state = stateOf(loop);
-  if (state === "accepted") return "Accepted";
+  if (state === "accepted") return loop.graph_state === "SET_ASIDE" ? "Accepted, but set aside by the map" : "Accepted";
+  if (loop.state === "PROPOSED") return "Proposed by a person";
   const reason = REASONS[loop.reason]?.[0] ?? loop.reason.toLowerCase().replaceAll("_", " ");
   return state === "ambiguous" ? "Ambiguous" : `Rejected: ${reason.toLowerCase()}`;
 }
@@ -38,7 +41,8 @@ function metres(length) {
 export function sentences(loop) {
   const measured = loop.evidence?.measurement ?? {};
   const said = [];
-  if (loop.state === "ACCEPTED") said.push("Both submaps show the same place.");
+  if (loop.state === "ACCEPTED") said.push(loop.manual ? "A person says that both submaps show the same place." : "Both submaps show the same place.");
+  else if (loop.state === "PROPOSED") said.push("A person has found it; it waits to be verified.");
   else said.push(REASONS[loop.reason]?.[1] ?? `Rejected: ${loop.reason}.`);
   if (measured.overlap !== undefined && measured.overlap !== null) {
     const residual = measured.rmse_m ? `, ${metres(measured.rmse_m)} apart on average` : "";
@@ -54,6 +58,8 @@ export function sentences(loop) {
   if (measured.inliers) said.push(`${measured.inliers} keypoints agree with one motion.`);
   const pose = precision(measured.covariance);
   if (pose && loop.state === "ACCEPTED") said.push(`The pose is known to about ${pose}.`);
+  if (loop.graph_state === "SET_ASIDE") said.push("It does not fit the other loop closures of the map, so the map does not rest on it.");
+  if (loop.graph_state === "UNCONNECTED") said.push("Too few loop closures join its two sessions: they share no frame yet.");
   const rivals = measured.rivals?.length ?? 0;
   if (rivals) said.push(rivals === 1 ? "One other pose fits about as well." : `${rivals} other poses fit about as well.`);
   return said;
