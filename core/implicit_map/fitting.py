@@ -17,6 +17,7 @@ from revisit.core.implicit_map.neural_points import ElasticAccumulator, NeuralPo
 from revisit.core.implicit_map.samples import draw_samples
 from revisit.core.implicit_map.settled import settle
 from revisit.core.implicit_map.visibility import count_seen_through
+from revisit.core.kernels.point_columns import columns_of
 from revisit.core.kernels.voxel_table import table_of, voxels_of
 from revisit.core.stages import stage
 from revisit.core.submap import Submap
@@ -32,7 +33,8 @@ def fit_implicit_map(
     points = settle(without_dynamic_points(accumulate(submap, config), submap, config), config.resolution)
     table = table_of(voxels_of(points.positions, config.resolution))
     samples = draw_samples(submap.points, submap.origins[submap.scan_index], points, table, config, rng)
-    near = find_neighbourhood(samples.positions, points.positions, points.normals, table, config)
+    columns = columns_of(points.positions, config.resolution)
+    near = find_neighbourhood(samples.positions, points.positions, points.normals, columns, config)
     features, fitted = fit_features(near, samples.labels, len(points), decoder, config, rng)
     return NeuralMap(points, features, submap.stamps_ns, fitted, config, adapted=config.update_decoder)
 
@@ -59,8 +61,8 @@ def without_dynamic_points(points: NeuralPoints, submap: Submap, config: Implici
     consistent = seen_through == 0
     if suspect.any() and consistent.any():
         stable = points.subset(consistent)
-        table = table_of(voxels_of(stable.positions, config.resolution))
-        near = find_neighbourhood(points.positions[suspect], stable.positions, stable.normals, table, config)
+        columns = columns_of(stable.positions, config.resolution)
+        near = find_neighbourhood(points.positions[suspect], stable.positions, stable.normals, columns, config)
         # free space without any surface near is far from it
         far = (near.plane_distance > config.dynamic_distance) | ~np.isfinite(near.nearest)
         dynamic[suspect] = far  # Eq. 6: S(p) > gamma_d, and H(p) > gamma_mu of the suspects

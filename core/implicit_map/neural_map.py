@@ -17,7 +17,9 @@ from revisit.core.implicit_map.decoder import DecoderWeights, decode
 from revisit.core.implicit_map.neighbourhood import Neighbourhood, find_neighbourhood
 from revisit.core.implicit_map.neural_points import NeuralPoints
 from revisit.core.implicit_map.settled import geometry, geometry_codes
-from revisit.core.kernels.voxel_table import VoxelTable, table_of, voxels_of
+from revisit.core.kernels.nearest_points import nearest_points
+from revisit.core.kernels.neighbour_blend import blend_normals
+from revisit.core.kernels.point_columns import PointColumns, columns_of
 
 Array = NDArray[np.float32]
 
@@ -93,14 +95,14 @@ class NeuralMap:
         )  # fmt: skip
 
     @cached_property
-    def table(self) -> VoxelTable:
-        """The neural points by voxel."""
-        return table_of(voxels_of(self.points.positions, self.config.resolution))
+    def columns(self) -> PointColumns:
+        """The neural points by the column of voxels that they lie in."""
+        return columns_of(self.points.positions, self.config.resolution)
 
     def neighbourhood(self, queries: Array) -> Neighbourhood:
         """The K nearest neural points of `queries` (m, 3) with their weights (paper Eq. 2-4)."""
         cloud = np.ascontiguousarray(queries, dtype=np.float32)
-        return find_neighbourhood(cloud, self.points.positions, self.points.normals, self.table, self.config)
+        return find_neighbourhood(cloud, self.points.positions, self.points.normals, self.columns, self.config)
 
     def sdf(self, queries: Array) -> tuple[Array, Array]:
         """Signed distances (m,) metres of `queries` (m, 3), positive in free space, cut at the truncation (Eq. 5).
@@ -136,10 +138,9 @@ class NeuralMap:
         The blend of the neural points' normals: the gradient of the tangent-plane part of the field, without the small
         correction of the decoder. Zero where no neural point is near.
         """
-        near = self.neighbourhood(queries)
-        blended = np.einsum("mk,mka->ma", near.weights, self.points.normals[near.indices])
-        length = np.linalg.norm(blended, axis=1, keepdims=True)
-        return np.asarray(blended / np.maximum(length, 1e-9), dtype=np.float32)
+        cloud, config = np.ascontiguousarray(queries, dtype=np.float32), self.config
+        near = nearest_points(cloud, self.columns, config.resolution, config.neighbours, config.search_rings)
+        return np.asarray(blend_normals(*near, self.points.normals, config.weight_power))
 
 
 def _frame(numbers: ArrayLike) -> LevelFrame:

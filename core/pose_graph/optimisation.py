@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import gtsam
@@ -30,6 +30,7 @@ MAX_VOUCHED = 100
 """Loops, at most, that are held against the covariances of the poses."""
 
 _ROTATION_FIRST = [3, 4, 5, 0, 1, 2]
+_TRANSLATION_FIRST = np.ix_([3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2])
 _ANCHOR_SIGMA = 1e-4
 
 
@@ -62,16 +63,19 @@ class OptimisedGraph:
 
     T_map_submap (n, 4, 4) of each session; components, the sessions that share a frame, the first of which gives it;
     loops, the state of every loop of the graph in its order; residuals (l,), its squared Mahalanobis distance from the
-    poses, NaN where its sessions share no frame; covariances (6, 6), that of the last submap of each session against
-    the first submap of its component, tangent (x, y, z, rx, ry, rz) in the frame of the last submap; NaN where it is
-    too large to be computed.
+    poses, NaN where its sessions share no frame. covariances (n, 6, 6) of the poses of each session, of the tangent
+    (x, y, z, rx, ry, rz) in the submap's frame, metres and radians, as of the first submap of the component, which is
+    held fast; NaN where they are too large to be computed. chi2, the squared errors of all steps and of the loops in
+    the map; degrees_of_freedom, what it is to be compared with.
     """
 
     T_map_submap: dict[str, Array64]
     components: tuple[tuple[str, ...], ...]
     loops: tuple[LoopState, ...]
     residuals: Array64
-    covariances: dict[str, Array64] = field(default_factory=dict)
+    covariances: dict[str, Array64]
+    chi2: float
+    degrees_of_freedom: int
 
     def T_map_odom(self, trajectory: Trajectory) -> se3.Matrix4:
         """The correction of a session: where its odometry frame lies in the map, as of its last submap."""
@@ -85,19 +89,21 @@ def optimise(graph: PoseGraph, robustness: Robustness = Robustness.COMMIT) -> Op
     trusted = Trusted.of(graph, sets, within)
     poses: dict[str, Array64] = {}
     covariances: dict[str, Array64] = {}
+    chi2, degrees_of_freedom = 0.0, 0
     states = [LoopState.UNCONNECTED] * len(graph.loops)
     residuals = np.full(len(graph.loops), np.nan)
     for component in components:
         problem = Problem.of(graph, component, trusted)
         solution, kept = _solve(problem, robustness)
         covariances.update(problem.covariances(solution, kept))
+        chi2 += 2.0 * problem.graph(kept).error(solution)
+        degrees_of_freedom += 6 * (len(kept) - len(problem.trajectories) + 1)
         poses.update(poses_of(problem.trajectories, solution))
         for number, residual in zip(problem.loops, problem.residuals(solution), strict=True):
             residuals[number] = residual
             states[number] = LoopState.IN_MAP if number in kept else LoopState.SET_ASIDE
-    return OptimisedGraph(
-        poses, tuple(tuple(one.T_map_odom) for one in components), tuple(states), residuals, covariances
-    )
+    groups = tuple(tuple(one.T_map_odom) for one in components)
+    return OptimisedGraph(poses, groups, tuple(states), residuals, covariances, chi2, degrees_of_freedom)
 
 
 @dataclass(frozen=True)
@@ -189,12 +195,14 @@ class Problem:
         return _between(*ends, loop.T_match_query, _noise(loop.covariance_in_query / loop.independent_share))
 
     def covariances(self, values: gtsam.Values, kept: set[int]) -> dict[str, Array64]:
-        """Covariances (6, 6) of the last submap of each session, tangent (x, y, z, rx, ry, rz) in its own frame."""
-        last = {one.session: self.keys[Node(one.session, len(one) - 1)] for one in self.trajectories}
+        """The marginal covariances (n, 6, 6) of the poses of each session, translations first."""
         if (marginals := _marginals(self.graph(kept), values)) is None:
-            return {session: np.full((6, 6), np.nan) for session in last}
-        order = np.ix_(_ROTATION_FIRST, _ROTATION_FIRST)
-        return {session: np.asarray(marginals.marginalCovariance(key)[order]) for session, key in last.items()}
+            return {one.session: np.full((len(one), 6, 6), np.nan) for one in self.trajectories}
+        keys = {one.session: [self.keys[Node(one.session, i)] for i in range(len(one))] for one in self.trajectories}
+        return {
+            session: np.stack([marginals.marginalCovariance(key)[_TRANSLATION_FIRST] for key in of_session])
+            for session, of_session in keys.items()
+        }
 
 
 def poses_of(trajectories: tuple[Trajectory, ...], values: gtsam.Values) -> dict[str, Array64]:

@@ -98,7 +98,7 @@ def graphs(
     folder: Annotated[Path, typer.Argument(exists=True, help="Folder of pose graphs, NAME.g2o.")],
     names: Annotated[str, typer.Option(help="Graphs by name, with commas; by default all of the table.")] = "",
     out: Annotated[Path, typer.Option(help="Folder for the table, its figures and the picture.")] = Path("out/graphs"),
-    limit: Annotated[float, typer.Option(min=1.0, help="Seconds after which a method is stopped on a graph.")] = 60.0,
+    limit: Annotated[float, typer.Option(min=1.0, help="CPU seconds after which a method is stopped.")] = 60.0,
 ) -> None:
     """Put wrong loops into pose graphs: how far each method is from the optimum without them."""
     from revisit.evaluation import pose_graph_benchmark as benchmark

@@ -1,7 +1,7 @@
 """The g2o files that we write, read and optimised by code that shares nothing with the product.
 
-The residuals are those of the format's own definition: t and the vector part of the quaternion of Z^-1 Xi^-1 Xj, weighed
-by the information matrix; the optimiser is SciPy's.
+The residuals are those of the format's own definition: t and the vector part of the quaternion of Z^-1 Xi^-1 Xj,
+weighed by the information matrix; the optimiser is SciPy's.
 """
 
 from __future__ import annotations
