@@ -408,7 +408,7 @@ class VerificationConfig(Section):
     coarse_share: int = parameter(5, "points", "own", "coarse steps use every so many-th point")
     coarse_distance: float = parameter(3.0, "m", "own", "reach of the coarse ICP steps")
     min_agreement: float = parameter(
-        0.2, "1", "own", "share of points on the other surface below which ICP ends early", low=0
+        0.1, "1", "own, decision 0121", "share of points on the other surface below which ICP ends early", low=0
     )
     fine_rounds: int = parameter(6, "steps", "own", "ICP steps on all points", low=0)
     fine_distance: float = parameter(1.0, "m", "own", "reach of the fine ICP steps")
