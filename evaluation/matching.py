@@ -24,8 +24,8 @@ class RankedCandidate:
     """A candidate with its cosine and the verdict; T_match_query with the turns of both submaps undone.
 
     `score` orders candidates and queries: 0.5 to 1 for an accepted one by the verdict's score, less where the answer
-    itself puts the two submaps far apart (`nearness`); below 0.5, by its cosine, for any other: a verdict that found too
-    little evidence says nothing about which place is more likely.
+    itself puts the two submaps far apart (`nearness`); below 0.5, by its cosine, for any other: a verdict that found
+    too little evidence says nothing about which place is more likely.
     """
 
     id: int
