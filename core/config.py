@@ -345,6 +345,9 @@ class FusionConfig(Section):
     histogram_share: float = parameter(
         0.3, "1", "own, decision 0015", "weight of the VLAD beside the normal spectrum", low=0
     )
+    spectrum_weight: float = parameter(
+        1.0, "1", "own, decision 0015; paper: 0", "weight of the normal spectrum within the cluster part", low=0
+    )
     layout_weight: float = parameter(0.7, "1", "own, decision 0006", "weight of the layout part", low=0)
     plan_weight: float = parameter(0.7, "1", "own, decision 0017", "weight of the plan part", low=0)
     literal_saliency: bool = parameter(False, "", "paper Eq. 13", "weigh cluster histograms before assignment")

@@ -62,7 +62,7 @@ def evaluate_interleaved(
     Turning uses `options.perturbation.rotate_seed`, or 0 where it is None. Raises what reading the recording raises.
     """
     config = options.pipeline(estimate_scene_scale(recording))
-    method = method or RevisitMethod(config, options.ablation)
+    method = method or RevisitMethod(config, options.ablation, options.profile)
     seed = options.perturbation.rotate_seed
     perturbation = dataclasses.replace(options.perturbation, rotate_seed=0 if seed is None else seed)
     maps = cut(recording, config.submap, range(0, len(recording), 2))
