@@ -35,6 +35,8 @@ class Survey:
     rows: list[Stored] = field(default_factory=list)
     committed: dict[str, int] = field(default_factory=dict)
     states: Counter[str] = field(default_factory=Counter)
+    failures: list[str] = field(default_factory=list)
+    """Why submaps are FAILED."""
     problems: list[str] = field(default_factory=list)
 
     def against(self, history: History) -> list[str]:
@@ -66,6 +68,7 @@ def _survey(uow: UnitOfWork, blobs: BlobStore, tenant: TenantId) -> Survey:
     submaps, scans = uow.submaps.find(tenant), uow.scans.find(tenant)
     for record in submaps:
         found.states[record.state] += 1
+        found.failures.extend([record.failure_message] if record.failure_message else [])
         found.problems.extend(_missing_blobs(record, blobs))
         if record.cloud_sha256 is not None:
             found.rows.extend(_stored(f"submap/{record.submap_id}", record.cloud_sha256, blobs, tenant, found.problems))

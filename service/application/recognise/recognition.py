@@ -111,7 +111,9 @@ class Recognition:
         except StaleLease:
             log.warning("result_refused", operation=lease.job.operation_id, token=lease.job.lease_token)
         except RevisitError as error:
-            self._fail(lease, error.code, error.message, retry=isinstance(error, Unavailable | StorageFull))
+            # A store that is full, or does not answer, says nothing about the job.
+            of_storage = isinstance(error, Unavailable | StorageFull)
+            self._fail(lease, error.code, error.message, retry=of_storage, innocent=of_storage)
         except MemoryError:
             self.fail(lease, "the job needs more memory than a worker may take")
         except Exception as error:  # whatever the method raises must not end the worker
@@ -122,8 +124,8 @@ class Recognition:
         """End this run of a job: back to the queue, or failed for good after its last attempt."""
         self._fail(lease, ErrorCode.INTERNAL, message, retry=True)
 
-    def _fail(self, lease: Lease, code: ErrorCode, message: str, *, retry: bool) -> None:
-        end = partial(self._store_failure, lease=lease, code=code, message=message, retry=retry)
+    def _fail(self, lease: Lease, code: ErrorCode, message: str, *, retry: bool, innocent: bool = False) -> None:
+        end = partial(self._store_failure, lease=lease, code=code, message=message, retry=retry, innocent=innocent)
         failpoint("job.before_failure")
         current_request().span.fail(f"{code}: {message}")
         log.warning("job_failed", operation=lease.job.operation_id, code=code, reason=message, retry=retry)
@@ -132,9 +134,11 @@ class Recognition:
         except StaleLease:
             log.warning("failure_refused", operation=lease.job.operation_id, token=lease.job.lease_token)
 
-    def _store_failure(self, uow: UnitOfWork, lease: Lease, code: ErrorCode, message: str, *, retry: bool) -> None:
+    def _store_failure(
+        self, uow: UnitOfWork, lease: Lease, code: ErrorCode, message: str, *, retry: bool, innocent: bool
+    ) -> None:
         now, now_ns = self._clock.instant(), self._clock.wall_ns()
-        if uow.queue.fail(lease, code, message, now, now_ns, retry=retry):
+        if uow.queue.fail(lease, code, message, now, now_ns, retry=retry, innocent=innocent):
             mark_subject_failed(uow, lease.job, code, message)
 
     def _complete(self, lease: Lease, result: dict[str, Any]) -> None:

@@ -28,8 +28,11 @@ TENANTS = ("greedy", "modest")
 SUBMAPS = 500
 POSTS = 30
 EVERY_S = 0.05
-MOST_SLOWER_MS = 400.0
-"""By which the median of the posts may grow; the attackers work on the same two cores. Before, it was seconds."""
+MOST_MS, MOST_TIMES = 400.0, 10.0
+"""What the median of the posts may be, or how many times that without attackers, who work on the same two cores.
+
+Before there were bounds it was seconds, and a hundred times.
+"""
 PLACE = "T_odom_submap=0,0,0,0,0,0,1&stamp_ns=1"
 SUBMAPS_OF_MONDAY = "/v1/maps/town/sessions/monday/submaps"
 
@@ -153,4 +156,4 @@ def test_what_is_cheap_to_send_delays_no_other_tenant(service, name):
     middle = [round(statistics.median(times), 1) for times in (alone, beside)]
     publish("cheap bodies", attack=name, alone_ms=middle[0], beside_ms=middle[1], p99_ms=beside[-1], answers=answered)
     assert sum(answered.values()) > len(alone) // 10, answered
-    assert middle[1] < middle[0] + MOST_SLOWER_MS, (alone, beside, answered)
+    assert middle[1] < max(MOST_MS, MOST_TIMES * middle[0]), (alone, beside, answered)

@@ -202,7 +202,7 @@ class CountingGate(grpc_access.Gate):
 async def test_a_stream_ends_soon_after_its_key_is_gone(monkeypatch, cause):
     monkeypatch.setattr("revisit.service.grpc.server.Gate", CountingGate)
     monkeypatch.setattr(CountingGate, "admitted", 0)
-    assert grpc_access.STREAM_RECHECK_S <= 15  # seconds: half of what is promised
+    assert grpc_access.STREAM_RECHECK_S <= 1  # second: of three that are promised
     world = memory_world()
     made = await world.use_cases.keys.create(CreateKey("acme", ["ingest", "query"], "", 3600))
     await world.use_cases.maps.create(made.record.tenant, CreateMap("town"))
