@@ -23,7 +23,7 @@ from revisit.core.micro.cluster_normals import describe_clusters
 from revisit.core.micro.saliency import weigh_clusters
 from revisit.core.model_bundle import ModelBundle
 from revisit.core.place import Place, extract_place
-from revisit.core.sanity import place_flags
+from revisit.core.sanity.ground import place_flags
 from revisit.core.scan import is_plane
 from revisit.core.spectra import describe_spectra
 from revisit.core.submap import Submap

@@ -10,6 +10,7 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 import structlog
@@ -21,6 +22,7 @@ from revisit.service.adapters.core_map_optimiser import CoreMapOptimiser
 from revisit.service.adapters.files.blobs import FileBlobStore
 from revisit.service.adapters.files.disk import Disk, FailStop
 from revisit.service.adapters.files.filesystem import require_local
+from revisit.service.adapters.files.secret_files import SECRET_BYTES, kept_secret
 from revisit.service.adapters.sqlite.checkpoints import Checkpoints
 from revisit.service.adapters.sqlite.connections import StorageFailures, write_ahead_log
 from revisit.service.adapters.sqlite.transactions import SqliteTransactions
@@ -55,6 +57,9 @@ FORGET_ANSWERS_EVERY_S = 60.0
 FORGET_EVENTS_EVERY_S = 60.0
 DELIVER_WEBHOOKS_EVERY_S = 1.0
 
+PAGE_SECRET = "pages.key"
+"""The file in the data folder that makes the tokens of pages good beyond a restart."""
+
 STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
 log = structlog.get_logger(__name__)
@@ -75,7 +80,17 @@ def build_installation(settings: Settings, *, gateway: bool, fail_stop: FailStop
         policy=policy,
         in_flight=InFlight(settings.capacity, current_actor),
         disk=disk,
+        secret=_page_secret(settings.home),
     )
+
+
+def _page_secret(home: Path) -> bytes:
+    """What makes the tokens of pages unreadable. On a full disk it is forgotten at the end, and so are the tokens."""
+    try:
+        return kept_secret(home / PAGE_SECRET)
+    except (OSError, ValueError) as error:
+        log.warning("page_secret_not_kept", reason=str(error))
+        return secrets.token_bytes(SECRET_BYTES)
 
 
 def build_disk(settings: Settings) -> Disk:

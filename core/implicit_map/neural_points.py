@@ -19,6 +19,8 @@ from revisit.core.kernels.voxel_table import VoxelTable, empty_slots
 
 Array = NDArray[np.float32]
 
+_RETURNS_EACH = 8  # in a voxel of a usual submap, or more
+
 
 @dataclass(frozen=True)
 class NeuralPoints:  # Eq. 1
@@ -38,21 +40,29 @@ class NeuralPoints:  # Eq. 1
     def __len__(self) -> int:
         return len(self.positions)
 
-    def subset(self, keep: NDArray[np.bool_]) -> NeuralPoints:
-        """Only the points where `keep` (n,) holds."""
+    def subset(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> NeuralPoints:
+        """Only the points where `keep` (n,) holds, or those of the rows `keep` (m,)."""
         return NeuralPoints(
             self.positions[keep], self.normals[keep], self.created[keep], self.updated[keep], self.hits[keep],
             self.stability[keep],
         )  # fmt: skip
+
+    @classmethod
+    def remembered(cls, positions: Array, normals: Array, hits: NDArray[np.int32], scans: int) -> NeuralPoints:
+        """Points read from a store, which keeps no times: each seen from the first to the last of so many scans."""
+        created, updated = np.zeros(len(positions), np.int32), np.full(len(positions), scans - 1, np.int32)
+        return cls(positions, normals, created, updated, hits, hits.astype(np.float32))
 
 
 class ElasticAccumulator:
     """Takes scan after scan and keeps one elastic neural point a voxel."""
 
     def __init__(self, resolution: float, expected: int = 0) -> None:
-        """Voxels of edge `resolution` metres; `expected` neural points find room without long chains in the table."""
+        """Voxels of edge `resolution` metres; `expected` returns, several a voxel, find room without long chains."""
         self._resolution = resolution
-        self._table = VoxelTable(empty_slots(expected), np.zeros(0, np.int32), np.zeros((0, 3), np.int32))
+        self._table = VoxelTable(
+            empty_slots(expected // _RETURNS_EACH), np.zeros(0, np.int32), np.zeros((0, 3), np.int32)
+        )
         self._moments = np.zeros((0, 10))
         self._views = np.zeros((0, 3))
         self._scans = np.zeros((0, 3), dtype=np.int32)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from revisit.core.kernels.voxel_table import VoxelTable, find
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def choose_returns(
     points: NDArray[np.float32],
     order: NDArray[np.int64],

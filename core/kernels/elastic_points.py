@@ -10,8 +10,10 @@ from revisit.core.kernels.voxel_table import VoxelTable, add, find
 
 POOLED_RETURNS = 8.0
 
+_CHUNK = 1024
 
-@numba.njit(cache=True)
+
+@numba.njit(cache=True, error_model="numpy")
 def insert_returns(
     points: NDArray[np.float32],
     origin: NDArray[np.float32],
@@ -30,41 +32,72 @@ def insert_returns(
     scans that saw it.
     """
     slots, following, voxels = table.slots, table.following, table.voxels
-    for n in range(len(points)):
-        x, y, z = points[n, 0], points[n, 1], points[n, 2]
-        vx, vy, vz = int(np.floor(x / resolution)), int(np.floor(y / resolution)), int(np.floor(z / resolution))
-        i = find(slots, following, voxels, vx, vy, vz)
-        if i < 0:
-            i = size
-            size += 1
-            add(slots, following, voxels, i, vx, vy, vz)
-            moments[i] = 0.0
-            views[i] = 0.0
-            scans[i, 0] = scan
-            scans[i, 1] = -1
-            scans[i, 2] = 0
-        moments[i, 0] += 1.0
-        moments[i, 1] += x
-        moments[i, 2] += y
-        moments[i, 3] += z
-        moments[i, 4] += x * x
-        moments[i, 5] += x * y
-        moments[i, 6] += x * z
-        moments[i, 7] += y * y
-        moments[i, 8] += y * z
-        moments[i, 9] += z * z
-        dx, dy, dz = origin[0] - x, origin[1] - y, origin[2] - z
-        norm = np.sqrt(dx * dx + dy * dy + dz * dz) + 1e-9
-        views[i, 0] += dx / norm
-        views[i, 1] += dy / norm
-        views[i, 2] += dz / norm
-        if scans[i, 1] != scan:
-            scans[i, 1] = scan
-            scans[i, 2] += 1
+    cells, units = np.empty((3, _CHUNK), dtype=np.int32), np.empty((3, _CHUNK))
+    for start in range(0, len(points), _CHUNK):
+        count = min(_CHUNK, len(points) - start)
+        _prepare(points, start, count, origin, resolution, cells, units)
+        k = 0
+        while k < count:
+            x, y, z = cells[0, k], cells[1, k], cells[2, k]
+            i = find(slots, following, voxels, x, y, z)
+            if i < 0:
+                i = size
+                size += 1
+                add(slots, following, voxels, i, x, y, z)
+                moments[i], views[i] = 0.0, 0.0
+                scans[i, 0], scans[i, 1], scans[i, 2] = scan, -1, 0
+            if scans[i, 1] != scan:
+                scans[i, 1] = scan
+                scans[i, 2] += 1
+            first = k
+            while k < count and cells[0, k] == x and cells[1, k] == y and cells[2, k] == z:
+                k += 1
+            _gather(points, start, first, k, units, moments, views, i)
     return size
 
 
-@numba.njit(cache=True)
+@numba.njit(inline="always")
+def _prepare(
+    points: NDArray[np.float32], start: int, count: int, origin: NDArray[np.float32], resolution: float,
+    cells: NDArray[np.int32], units: NDArray[np.float64],
+) -> None:  # fmt: skip
+    """Voxels and unit vectors towards `origin` of `count` returns from row `start` on, many at once."""
+    ox, oy, oz = origin[0], origin[1], origin[2]
+    for k in range(count):
+        units[0, k], units[1, k], units[2, k] = points[start + k, 0], points[start + k, 1], points[start + k, 2]
+    for k in range(count):
+        cells[0, k] = np.int32(np.floor(units[0, k] / resolution))
+        cells[1, k] = np.int32(np.floor(units[1, k] / resolution))
+        cells[2, k] = np.int32(np.floor(units[2, k] / resolution))
+    for k in range(count):
+        dx, dy, dz = ox - units[0, k], oy - units[1, k], oz - units[2, k]
+        inverse = 1.0 / (np.sqrt(dx * dx + dy * dy + dz * dz) + 1e-9)
+        units[0, k], units[1, k], units[2, k] = dx * inverse, dy * inverse, dz * inverse
+
+
+@numba.njit(inline="always")
+def _gather(
+    points: NDArray[np.float32], start: int, first: int, last: int, units: NDArray[np.float64],
+    moments: NDArray[np.float64], views: NDArray[np.float64], i: int,
+) -> None:  # fmt: skip
+    """Add the returns from start + first up to start + last, all in one voxel, to neural point i."""
+    sx, sy, sz, xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    ux, uy, uz = 0.0, 0.0, 0.0
+    for k in range(first, last):
+        x, y, z = points[start + k, 0], points[start + k, 1], points[start + k, 2]
+        sx, sy, sz = sx + x, sy + y, sz + z
+        xx, xy, xz = xx + x * x, xy + x * y, xz + x * z
+        yy, yz, zz = yy + y * y, yz + y * z, zz + z * z
+        ux, uy, uz = ux + units[0, k], uy + units[1, k], uz + units[2, k]
+    sums = float(last - first), sx, sy, sz, xx, xy, xz, yy, yz, zz
+    for a in range(10):
+        moments[i, a] += sums[a]
+    views[i, 0] += ux
+    views[i, 1] += uy
+    views[i, 2] += uz
+
+
+@numba.njit(cache=True, error_model="numpy")
 def pooled_covariances(
     positions: NDArray[np.float32], moments: NDArray[np.float64], table: VoxelTable, resolution: float
 ) -> NDArray[np.float64]:

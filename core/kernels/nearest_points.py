@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from revisit.core.kernels.point_columns import PointColumns, span
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def nearest_points(
     queries: NDArray[np.float32], columns: PointColumns, resolution: float, count: int, rings: int
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
@@ -50,3 +50,26 @@ def nearest_points(
             else:
                 found[q, k] = rows[found[q, k]]
     return found, squared
+
+
+@numba.njit(cache=True, error_model="numpy")
+def any_within(queries: NDArray[np.float32], columns: PointColumns, distance: float) -> NDArray[np.bool_]:
+    """Whether any point lies within `distance` metres of each query (m, 3); `columns` have that edge."""
+    points, keys, grid = columns.points, columns.keys, columns.grid
+    x_low, y_low, width, depth = columns.low[0], columns.low[1], columns.shape[0], columns.shape[1]
+    found = np.zeros(len(queries), dtype=np.bool_)
+    for q in range(len(queries)):
+        px, py, pz = np.float64(queries[q, 0]), np.float64(queries[q, 1]), np.float64(queries[q, 2])
+        cx, cy = int(np.floor(px / distance)) - x_low, int(np.floor(py / distance)) - y_low
+        for step in range(9):
+            x = cx + (0, 1, -1)[step // 3]
+            y = cy + (0, 1, -1)[step % 3]
+            first, last = span(keys, grid, width, depth, x, y, y)
+            for i in range(first, last):
+                dx, dy, dz = points[i, 0] - px, points[i, 1] - py, points[i, 2] - pz
+                if dx * dx + dy * dy + dz * dz <= distance * distance:
+                    found[q] = True
+                    break
+            if found[q]:
+                break
+    return found

@@ -13,7 +13,7 @@ _SWEEPS = 12
 _NEGLIGIBLE = 1e-30
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def oriented_normals(covariances: Array64, views: Array64) -> NDArray[np.float32]:
     """Unit normals (n, 3) towards the sensor: least variance, with a prior for the viewing direction.
 

@@ -11,7 +11,7 @@ from revisit.core.kernels.voxel_table import VoxelTable, add, find
 NEAR_PLANE = 0.9
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def enter_observed_corners(positions: NDArray[np.float32], resolution: float, reach: float, corners: VoxelTable) -> int:
     """Enter the voxel corners within `reach` metres of any of `positions` (n, 3); returns how many there are.
 
@@ -36,44 +36,40 @@ def enter_observed_corners(positions: NDArray[np.float32], resolution: float, re
     return count
 
 
-@numba.njit(cache=True)
-def enter_cells(
-    positions: NDArray[np.float32],
-    normals: NDArray[np.float32],
-    resolution: float,
-    corners: VoxelTable,
-    cells: VoxelTable,
-) -> tuple[NDArray[np.int32], int]:
-    """Enter the voxels among the 27 around each of `positions` (n, 3) that its tangent plane comes near.
+@numba.njit(cache=True, error_model="numpy")
+def find_cells(
+    positions: NDArray[np.float32], normals: NDArray[np.float32], resolution: float, corners: VoxelTable, count: int
+) -> NDArray[np.int32]:
+    """The voxels among the 27 around each of `positions` (n, 3) that its tangent plane comes near, in this order.
 
-    Near: the centre lies within 0.9 edges of the plane. Voxels without all eight corners in `corners` are left out.
-    `cells` has room for all, 27 n. Returns the rows (room, 8) of each cell's corners, corner c at + (c & 1, c >> 1 & 1,
-    c >> 2 & 1), and how many cells there are.
+    Near: the centre lies within 0.9 edges of the plane. Voxels without all eight corners among the `count` of `corners`
+    are left out. Returns the rows (m, 8) of each voxel's corners, corner c at + (c & 1, c >> 1 & 1, c >> 2 & 1).
     """
-    slots, following, voxels = cells.slots, cells.following, cells.voxels
-    corner_slots, corner_following, corner_voxels = corners.slots, corners.following, corners.voxels
-    rows = np.empty((len(voxels), 8), dtype=np.int32)
-    count, reach = 0, NEAR_PLANE * resolution
+    slots, following, voxels = corners.slots, corners.following, corners.voxels
+    rows = np.empty((count, 8), dtype=np.int32)
+    tried = np.zeros(count, dtype=np.bool_)  # a voxel is named by its lowest corner
+    found, reach = 0, NEAR_PLANE * resolution
     for i in range(len(positions)):
-        vx, vy = int(np.floor(positions[i, 0] / resolution)), int(np.floor(positions[i, 1] / resolution))
-        vz = int(np.floor(positions[i, 2] / resolution))
+        px, py, pz = positions[i, 0], positions[i, 1], positions[i, 2]
+        vx, vy, vz = int(np.floor(px / resolution)), int(np.floor(py / resolution)), int(np.floor(pz / resolution))
         for x in range(vx - 1, vx + 2):
             for y in range(vy - 1, vy + 2):
                 for z in range(vz - 1, vz + 2):
-                    height = ((x + 0.5) * resolution - positions[i, 0]) * normals[i, 0]
-                    height += ((y + 0.5) * resolution - positions[i, 1]) * normals[i, 1]
-                    height += ((z + 0.5) * resolution - positions[i, 2]) * normals[i, 2]
-                    if abs(height) > reach or find(slots, following, voxels, x, y, z) >= 0:
+                    height = ((x + 0.5) * resolution - px) * normals[i, 0]
+                    height += ((y + 0.5) * resolution - py) * normals[i, 1]
+                    height += ((z + 0.5) * resolution - pz) * normals[i, 2]
+                    if abs(height) > reach:
                         continue
+                    row = find(slots, following, voxels, x, y, z)
+                    if row < 0 or tried[row]:
+                        continue
+                    tried[row] = True
                     known = 0
-                    while known < 8:
-                        step = known & 1, (known >> 1) & 1, (known >> 2) & 1
-                        row = find(corner_slots, corner_following, corner_voxels, x + step[0], y + step[1], z + step[2])
-                        if row < 0:
-                            break
-                        rows[count, known] = row
+                    while known < 8 and row >= 0:
+                        rows[found, known] = row
                         known += 1
-                    if known == 8:
-                        add(slots, following, voxels, count, x, y, z)
-                        count += 1
-    return rows, count
+                        step = known & 1, (known >> 1) & 1, (known >> 2) & 1
+                        if known < 8:
+                            row = find(slots, following, voxels, x + step[0], y + step[1], z + step[2])
+                    found += known == 8
+    return rows[:found].copy()

@@ -78,9 +78,31 @@ def add(
     slots[slot] = row
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _fill(slots: NDArray[np.int32], following: NDArray[np.int32], voxels: NDArray[np.int32]) -> None:
     for row in range(len(voxels) - 1, -1, -1):
         x, y, z = voxels[row, 0], voxels[row, 1], voxels[row, 2]
         if find(slots, following, voxels, x, y, z) < 0:
             add(slots, following, voxels, row, x, y, z)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def rows_of(table: VoxelTable, voxels: NDArray[np.int32]) -> NDArray[np.int64]:
+    """The rows (n,) of `voxels` (n, 3) in the table, -1 where one is not there."""
+    slots, following, known = table.slots, table.following, table.voxels
+    rows = np.empty(len(voxels), dtype=np.int64)
+    for n in range(len(voxels)):
+        rows[n] = find(slots, following, known, voxels[n, 0], voxels[n, 1], voxels[n, 2])
+    return rows
+
+
+@numba.njit(inline="always")
+def find_in(table: VoxelTable, x: int, y: int, z: int) -> int:
+    """`find` in a table, where speed matters less than the length of the call."""
+    return int(find(table.slots, table.following, table.voxels, x, y, z))
+
+
+@numba.njit(inline="always")
+def add_to(table: VoxelTable, row: int, x: int, y: int, z: int) -> None:
+    """`add` to a table, where speed matters less than the length of the call."""
+    add(table.slots, table.following, table.voxels, row, x, y, z)

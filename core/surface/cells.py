@@ -7,15 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.surface_cells import enter_cells, enter_observed_corners
+from revisit.core.kernels.surface_cells import enter_observed_corners, find_cells
 from revisit.core.kernels.voxel_table import VoxelTable, empty_slots
 
 Array = NDArray[np.float32]
 Voxels = NDArray[np.int32]
 
-_CELLS_EACH = 4
 _CORNERS_EACH = 8
-"""Cells and corners that a neural point may add before its hash table becomes slow."""
+"""Corners that a neural point may add before the hash table becomes slow."""
 
 
 @dataclass(frozen=True)
@@ -36,9 +35,9 @@ def cells_near_planes(positions: Array, normals: Array, resolution: float, obser
     block = (2 * int(np.ceil(observed / resolution))) ** 3
     corners = _room_for(block * len(positions), _CORNERS_EACH * len(positions))
     count = enter_observed_corners(positions, resolution, observed, corners)
-    found = _room_for(27 * len(positions), _CELLS_EACH * len(positions))
-    cell_corners, cells = enter_cells(positions, normals, resolution, corners, found)
-    return SurfaceCells(found.voxels[:cells].copy(), cell_corners[:cells].copy(), corners.voxels[:count].copy())
+    cell_corners = find_cells(positions, normals, resolution, corners, count)
+    voxels = corners.voxels[:count].copy()
+    return SurfaceCells(voxels[cell_corners[:, 0]], cell_corners, voxels)
 
 
 def _room_for(rows: int, expected: int) -> VoxelTable:

@@ -17,6 +17,7 @@ from revisit.sdk.clouds import PointsLike, encoded
 from revisit.sdk.corrections import CorrectionWatch
 from revisit.sdk.credentials import Credentials
 from revisit.sdk.errors import ErrorDetails, InvalidArgument, OperationFailed
+from revisit.sdk.input_watch import InputWatch, warn_of_session
 from revisit.sdk.messages import cloud_message, request_of, vector
 from revisit.sdk.resources import (
     Correction,
@@ -173,8 +174,13 @@ class Client:
         return [Session.of(item) for item in self._transport.list("sessions", request)]
 
     def finish_session(self, session: str | Session) -> Session:
-        """Finish a session; the scans of its last, shorter window become a submap."""
-        return Session.of(self._transport.finish_session(_name(session)))
+        """Finish a session; the scans of its last, shorter window become a submap.
+
+        Warns of what the service has found in it so far (`SuspiciousInput`, `Session.findings`).
+        """
+        finished = Session.of(self._transport.finish_session(_name(session)))
+        warn_of_session(finished.findings)
+        return finished
 
     def post_submap(
         self, session: str | Session, submap_id: str, points: PointsLike, T_odom_submap: Any, stamp_ns: int
@@ -364,15 +370,6 @@ class Client:
         """The last attempts to deliver, oldest first."""
         return [WebhookDelivery.of(item) for item in self._transport.webhook_deliveries(_name(webhook))]
 
-    def watch(self, map_: str | Map, *, after: int | None = None, kinds: Sequence[str] = ()) -> Watch:
-        """The events of a map as they happen, in a loop: `for event in client.watch("maps/yard"): ...`.
-
-        `after` is the number of the last event that was seen, 0 for all that are kept; without it, from now on.
-        `kinds` keeps LOOP_CLOSURE, OPERATION or MAP_VERSION. It bridges lost connections; leave the loop to end it.
-        """
-        fields = {"parent": _name(map_), "after": after, "kinds": list(kinds)}
-        return Watch(self._transport, request_of(event_pb2.WatchEventsRequest, fields))
-
     def create_loop_closure(
         self, query: str | Submap, match: str | Submap, *, T_match_query: Any = None, note: str = ""
     ) -> Operation:
@@ -406,6 +403,15 @@ class Client:
         """What happened to a loop closure, oldest first."""
         request = loop_closure_pb2.ListLoopClosureEventsRequest(parent=_name(loop))
         return [LoopClosureEvent.of(item) for item in self._transport.list("events", request)]
+
+    def watch(self, map_: str | Map, *, after: int | None = None, kinds: Sequence[str] = ()) -> Watch:
+        """The events of a map as they happen, in a loop: `for event in client.watch("maps/yard"): ...`.
+
+        `after` is the number of the last event that was seen, 0 for all that are kept; without it, from now on.
+        `kinds` keeps LOOP_CLOSURE, OPERATION or MAP_VERSION. It bridges lost connections; leave the loop to end it.
+        """
+        fields = {"parent": _name(map_), "after": after, "kinds": list(kinds)}
+        return Watch(self._transport, request_of(event_pb2.WatchEventsRequest, fields))
 
     def optimise_map(self, map_: str | Map) -> Operation:
         """Optimise the pose graph of a map: the operation whose end is a new version. One that waits is answered."""
@@ -495,6 +501,7 @@ class ScanStream:
 
     def __init__(self, sink: ScanSink) -> None:
         self._sink = sink
+        self._watch = InputWatch()
 
     @property
     def committed_seq(self) -> int:
@@ -517,7 +524,8 @@ class ScanStream:
         return self._sink.rejected
 
     def send(self, points: PointsLike, T_odom_sensor: Any, stamp_ns: int) -> None:
-        """Send the next scan; waits while the service has enough to do."""
+        """Send the next scan; waits while the service has enough to do. Warns of `SuspiciousInput`."""
+        self._watch.look(points, T_odom_sensor, stamp_ns)
         self._sink.send(encoded(points), _pose(T_odom_sensor, "T_odom_sensor"), stamp_ns)
 
     def flush(self) -> None:

@@ -189,17 +189,6 @@ class GrpcTransport:
                 return
             request.page_token = page.next_page_token
 
-    def watch(self, request: event_pb2.WatchEventsRequest) -> Iterator[event_pb2.Event | None]:
-        """See Transport."""
-        call = self._method(event_pb2_grpc.EventServiceStub, "WatchEvents")(request, metadata=self._metadata)
-        try:
-            for response in Answers(call).all(SILENT_S):
-                yield response.event if response.HasField("event") else None
-        except (grpc.RpcError, LostCall) as error:
-            raise _api_error(error, self._address) from error
-        finally:
-            call.cancel()
-
     def propose_loop(
         self, request: loop_closure_pb2.CreateLoopClosureRequest
     ) -> loop_closure_pb2.CreateLoopClosureResponse:
@@ -214,6 +203,17 @@ class GrpcTransport:
         request = getattr(loop_closure_pb2, f"{method}Request")(name=name, note=note)
         changed: loop_closure_pb2.LoopClosure = self._answer(_STUBS["loopClosures"], method, request).loop_closure
         return changed
+
+    def watch(self, request: event_pb2.WatchEventsRequest) -> Iterator[event_pb2.Event | None]:
+        """See Transport."""
+        call = self._method(event_pb2_grpc.EventServiceStub, "WatchEvents")(request, metadata=self._metadata)
+        try:
+            for response in Answers(call).all(SILENT_S):
+                yield response.event if response.HasField("event") else None
+        except (grpc.RpcError, LostCall) as error:
+            raise _api_error(error, self._address) from error
+        finally:
+            call.cancel()
 
     def optimise_map(self, name: str) -> operation_pb2.Operation:
         """See Transport."""

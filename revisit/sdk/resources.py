@@ -116,8 +116,26 @@ class Robot:
 
 
 @dataclass(frozen=True)
+class Finding:
+    """Something about scans that is unlikely to be meant, in so many submaps: its likely cause, and what to do."""
+
+    code: str
+    submaps: int
+    cause: str
+    advice: str
+
+    @classmethod
+    def of(cls, message: session_pb2.Finding) -> Self:
+        """From its message."""
+        return cls(message.code, message.submaps, message.cause, message.advice)
+
+
+@dataclass(frozen=True)
 class Session:
-    """A session; `committed_seq` is the last scan that is stored durably, 0 for none, taken at `committed_stamp_ns`."""
+    """A session; `committed_seq` is the last scan that is stored durably, 0 for none, taken at `committed_stamp_ns`.
+
+    `findings` say what is unlikely to be meant about its scans so far; empty in lists of sessions.
+    """
 
     name: str
     robot: str | None
@@ -128,6 +146,7 @@ class Session:
     created_at_ns: int
     finished_at_ns: int | None
     committed_stamp_ns: int | None
+    findings: tuple[Finding, ...] = ()
 
     @classmethod
     def of(cls, message: session_pb2.Session) -> Self:
@@ -142,6 +161,7 @@ class Session:
             created_at_ns=message.created_at_ns,
             finished_at_ns=_optional(message, "finished_at_ns"),
             committed_stamp_ns=_optional(message, "committed_stamp_ns"),
+            findings=tuple(Finding.of(finding) for finding in message.findings),
         )
 
 

@@ -160,6 +160,20 @@ class RestTransport:
                 return
             params["page_token"] = page.next_page_token
 
+    def propose_loop(
+        self, request: loop_closure_pb2.CreateLoopClosureRequest
+    ) -> loop_closure_pb2.CreateLoopClosureResponse:
+        """See Transport."""
+        body = plain(request)
+        path = _path(body.pop("parent"), "loopClosures")
+        if body.pop("t_match_query", None) is not None:
+            body["T_match_query"] = _pose_text(request.t_match_query)
+        return self._message(loop_closure_pb2.CreateLoopClosureResponse, "POST", path, json=body)
+
+    def decide_loop(self, decision: str, name: str, note: str) -> loop_closure_pb2.LoopClosure:
+        """See Transport."""
+        return self._message(loop_closure_pb2.LoopClosure, "POST", f"{_path(name)}:{decision}", json={"note": note})
+
     def watch(self, request: event_pb2.WatchEventsRequest) -> Iterator[event_pb2.Event | None]:
         """See Transport."""
         params: Json = {"kinds": _kind_names(request.kinds)}
@@ -174,20 +188,6 @@ class RestTransport:
                 yield from events_of(answered.iter_lines())
         except httpx.TransportError as error:
             raise unreachable(self._base_url, error) from error
-
-    def propose_loop(
-        self, request: loop_closure_pb2.CreateLoopClosureRequest
-    ) -> loop_closure_pb2.CreateLoopClosureResponse:
-        """See Transport."""
-        body = plain(request)
-        path = _path(body.pop("parent"), "loopClosures")
-        if body.pop("t_match_query", None) is not None:
-            body["T_match_query"] = _pose_text(request.t_match_query)
-        return self._message(loop_closure_pb2.CreateLoopClosureResponse, "POST", path, json=body)
-
-    def decide_loop(self, decision: str, name: str, note: str) -> loop_closure_pb2.LoopClosure:
-        """See Transport."""
-        return self._message(loop_closure_pb2.LoopClosure, "POST", f"{_path(name)}:{decision}", json={"note": note})
 
     def optimise_map(self, name: str) -> operation_pb2.Operation:
         """See Transport."""

@@ -10,6 +10,7 @@ from typing import Any
 from revisit.core.errors import RevisitError
 from revisit.sdk.clouds import PointsLike, encoded
 from revisit.sdk.errors import ApiError
+from revisit.sdk.input_watch import InputWatch
 from revisit.sdk.resources import pose_json
 from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.spool import DeadLetter, Spool, SpoolState
@@ -41,6 +42,7 @@ class SpooledStream:
         """A full spool refuses a scan after `full_wait_s`; for `prepare` see `SpoolSender`."""
         self._spool = spool
         self._full_wait_s = full_wait_s
+        self._watch = InputWatch()
         self._sender = SpoolSender(transport, session, spool, reconnect, prepare)
 
     @property
@@ -74,7 +76,11 @@ class SpooledStream:
         return self._sender.submaps
 
     def send(self, points: PointsLike, T_odom_sensor: Any, stamp_ns: int) -> None:
-        """Store the next scan on the robot. Raises core.errors.BadTransform, SpoolFull, SpoolUnusable."""
+        """Store the next scan on the robot. Raises core.errors.BadTransform, SpoolFull, SpoolUnusable.
+
+        Warns of `SuspiciousInput`.
+        """
+        self._watch.look(points, T_odom_sensor, stamp_ns)
         self._spool.append(encoded(points), pose_json(T_odom_sensor), stamp_ns, self._full_wait_s)
 
     def flush(self, timeout_s: float = float("inf")) -> None:

@@ -159,10 +159,6 @@ class Transport(Protocol):
         """The last attempts to deliver."""
         ...
 
-    def watch(self, request: event_pb2.WatchEventsRequest) -> Iterator[event_pb2.Event | None]:
-        """The events of a map over one connection, None for a sign of life; ends where the service ends it."""
-        ...
-
     def propose_loop(
         self, request: loop_closure_pb2.CreateLoopClosureRequest
     ) -> loop_closure_pb2.CreateLoopClosureResponse:
@@ -171,6 +167,10 @@ class Transport(Protocol):
 
     def decide_loop(self, decision: str, name: str, note: str) -> loop_closure_pb2.LoopClosure:
         """`accept`, `reject` or `revert` a loop closure."""
+        ...
+
+    def watch(self, request: event_pb2.WatchEventsRequest) -> Iterator[event_pb2.Event | None]:
+        """The events of a map over one connection, None for a sign of life; ends where the service ends it."""
         ...
 
     def optimise_map(self, name: str) -> operation_pb2.Operation:

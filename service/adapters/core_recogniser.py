@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -16,6 +17,7 @@ from revisit.core.geometry.se3 import Matrix4
 from revisit.core.model_bundle import ModelBundle, load_packaged_models
 from revisit.core.pipeline import DescribedPlace, describe, verify
 from revisit.core.place import Place
+from revisit.core.sanity.window import window_findings
 from revisit.core.scan import Scan
 from revisit.core.stages import stage_times
 from revisit.core.submap import Submap
@@ -39,6 +41,10 @@ class CoreRecogniser:
     def model_version(self) -> str:
         """See `PlaceRecogniser`."""
         return self._models.version
+
+    def inspect(self, scans: Sequence[Scan]) -> tuple[str, ...]:
+        """See `PlaceRecogniser`."""
+        return tuple(finding.code for finding in window_findings(scans))
 
     def describe(self, submap: Submap, config: PipelineConfig) -> SubmapDescription:
         """See `PlaceRecogniser`."""

@@ -96,7 +96,7 @@ class UseCases:
             webhooks=Webhooks(storage, lists, admission, clock, policy.webhook_private_networks),
             map_versions=MapVersions(storage, lists, admission, clock, policy),
             corrections=Corrections(storage, admission),
-            loop_decisions=LoopDecisions(storage, lists, admission, jobs, clock, policy),
+            loop_decisions=LoopDecisions(storage, admission, lists, jobs, clock, policy),
             dead_letters=DeadLetters(storage, admission, backlog, policy),
             system=System(storage, admission, of.disk, of.index_health, clock, version),
             admission=admission,

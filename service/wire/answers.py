@@ -75,6 +75,7 @@ def of_session(view: SessionView) -> Fields:
         "created_at_ns": view.created_at_ns,
         "finished_at_ns": view.finished_at_ns,
         "committed_stamp_ns": view.committed_stamp_ns,
+        "findings": [asdict(finding) for finding in view.findings],
     }
 
 

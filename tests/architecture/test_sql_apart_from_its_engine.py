@@ -55,6 +55,7 @@ CALLS = {
     "SqlSubmaps.placed": lambda uow: uow.submaps.placed(TENANT, "town"),
     "SqlSubmaps.add": lambda uow: uow.submaps.add(a_submap(submap_id="another")),
     "SqlSubmaps.last_number": lambda uow: uow.submaps.last_number(TENANT),
+    "SqlSubmaps.flag_counts": lambda uow: uow.submaps.flag_counts(TENANT, "town", "monday"),
     "SqlSubmaps.waiting_up_to": lambda uow: uow.submaps.waiting_up_to(TENANT, "town", 2),
     "SqlJobs.next_runnable": lambda uow: (uow.jobs.next_runnable(NOW, TENANT), uow.jobs.add(a_job())),
     "SqlJobs.exhausted": lambda uow: uow.jobs.exhausted(NOW),

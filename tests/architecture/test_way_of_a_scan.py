@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-MOST = {"service/grpc/": 1, "service/wire/": 1, "service/application/": 8, "service/adapters/": 8, "": 26}
+MOST = {"service/grpc/": 1, "service/wire/": 1, "service/application/": 9, "service/adapters/": 8, "": 27}
 """Modules that a scan may cross, by folder; the last is for all (docs/decisions/0084)."""
 
 

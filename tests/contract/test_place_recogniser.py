@@ -56,6 +56,16 @@ def test_a_description_is_complete(recogniser, described):
     assert 0 <= described.mesh.faces.min() <= described.mesh.faces.max() < len(described.mesh.vertices)
 
 
+def test_scans_behind_a_jump_are_noticed_and_sound_ones_are_not(recogniser):
+    poses = [se3.from_yaw(0.1 * step, (2.5 * step, 0.0, 0.0)) for step in range(4)]
+    seen = [se3.apply(se3.inverse(pose), street(1)).astype(np.float32) for pose in poses]
+    scans = [Scan.validated(*pair, index * 10**8) for index, pair in enumerate(zip(seen, poses, strict=True))]
+    assert recogniser.inspect(scans) == ()
+    far = se3.from_yaw(0.0, (900.0, 0.0, 0.0))
+    jumped = [replace(scan, T_odom_sensor=far @ scan.T_odom_sensor) for scan in scans[2:]]
+    assert "pose_jump" in recogniser.inspect([*scans[:2], *jumped])
+
+
 def test_the_same_submap_is_described_alike_again(recogniser, described):
     again = recogniser.describe(seen_from(TILTED, 1), CONFIG)
     np.testing.assert_array_equal(again.descriptor, described.descriptor)

@@ -139,6 +139,18 @@ def test_what_waits_in_a_map_is_counted_up_to_a_number_of_this_tenant(write, rea
     assert waiting(TENANT, "elsewhere", second.number) == waiting(OTHER, "town", second.number) == 0
 
 
+def test_flags_and_failures_of_a_session_are_counted_of_this_tenant(write, read):
+    _, _, first, second, _ = write(fill)
+    write(lambda uow: uow.submaps.replace(replace(first, flags=("pose_jump", "mirrored"))))
+    write(lambda uow: uow.submaps.replace(replace(second, flags=("pose_jump",), failure_code="EMPTY_CLOUD")))
+
+    def counted(tenant, session_id):
+        return read(lambda uow: uow.submaps.flag_counts(tenant, "town", session_id))
+
+    assert counted(TENANT, first.session_id) == {"pose_jump": 2, "mirrored": 1, "EMPTY_CLOUD": 1}
+    assert counted(TENANT, "elsewhere") == counted(OTHER, first.session_id) == {}
+
+
 def test_the_last_number_outlives_the_submap_that_had_it(write, read):
     assert read(lambda uow: uow.submaps.last_number(TENANT)) == 0
     _, _, _, second, loop = write(fill)

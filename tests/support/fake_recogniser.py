@@ -12,12 +12,15 @@ import os
 import re
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
 from revisit.core.config import PipelineConfig
 from revisit.core.errors import DegenerateCloud
+from revisit.core.scan import Scan
 from revisit.core.submap import Submap
 from revisit.service.application.contract.recogniser import LoopVerdict, Mesh, SubmapDescription
 
@@ -31,6 +34,7 @@ SEGFAULTS = 672
 
 BINS = 64
 ACCEPTED_FROM = 0.98
+JUMP_M = 15.0
 
 
 def _be_busy(cpu_s: float) -> None:
@@ -65,6 +69,12 @@ class FakeRecogniser:
     """`PlaceRecogniser` by height histogram."""
 
     model_version = "fake-1"
+
+    def inspect(self, scans: Sequence[Scan]) -> tuple[str, ...]:
+        """Jumps of 15 m and more alone."""
+        positions = [scan.T_odom_sensor[:3, 3] for scan in scans]
+        steps = [float(np.linalg.norm(after - before)) for before, after in pairwise(positions)]
+        return ("pose_jump",) if max(steps, default=0.0) >= JUMP_M else ()
 
     def describe(self, submap: Submap, config: PipelineConfig) -> SubmapDescription:
         """A description, or misbehaviour for clouds of the special sizes."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
@@ -158,6 +159,12 @@ class MemorySubmaps(MemoryRepository[SubmapRecord]):
     def waiting_up_to(self, tenant: TenantId, map_id: str, number: int) -> int:
         """See `SubmapRepository`."""
         return sum(row.number <= number for row in self.find(tenant, map_id=map_id, state=SubmapState.QUEUED.value))
+
+    def flag_counts(self, tenant: TenantId, map_id: str, session_id: str) -> dict[str, int]:
+        """See `SubmapRepository`."""
+        rows = self.find(tenant, map_id=map_id, session_id=session_id)
+        failures = [row.failure_code for row in rows if row.failure_code is not None]
+        return dict(Counter([flag for row in rows for flag in row.flags] + failures))
 
 
 class MemoryJobs(MemoryRepository[JobRecord]):

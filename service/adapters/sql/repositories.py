@@ -6,6 +6,7 @@ The statements that they share are built once, because building one takes as lon
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any, Generic, TypeVar
@@ -199,6 +200,18 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
         asked = of_tenant(tenant, {"state": SubmapState.QUEUED.value, "map_id": map_id})
         query = count_where(tables.submaps, asked).where(tables.submaps.c.number <= number)
         return int(self._connection.execute(query, asked).scalar_one())
+
+    def flag_counts(self, tenant: TenantId, map_id: str, session_id: str) -> dict[str, int]:
+        """See `SubmapRepository`."""
+        submaps = tables.submaps.c
+        asked = of_tenant(tenant, {"map_id": map_id, "session_id": session_id})
+        kinds = select(submaps.flags, submaps.failure_code, func.count()).where(matches(tables.submaps, asked))
+        counts: Counter[str] = Counter()
+        for flags, failure, count in self._connection.execute(
+            kinds.group_by(submaps.flags, submaps.failure_code), asked
+        ):
+            counts.update(dict.fromkeys((*flags, *(() if failure is None else (failure,))), count))
+        return dict(counts)
 
 
 def of_tenant(tenant: TenantId, equals: Asked) -> dict[str, Scalar]:

@@ -118,12 +118,13 @@ class Lists:
         Raises BadField for a token of somebody else, RateLimited, and what `find` and `view` raise.
         """
         after = self._tokens.number_in(tenant, page.token)
-        self._in_flight.check_rate(tenant)
         async with self._turns.of(tenant):
+            # After its turn has come, when what came before it is charged.
+            self._in_flight.check_rate(tenant)
             read = partial(self._read, tenant=tenant, after=after, size=page.size, find=find, view=view)
             found = await self._storage.read(read)
-        self._in_flight.charge_call(tenant, ROW_POINTS * len(found.items))
-        return found
+            self._in_flight.charge_call(tenant, ROW_POINTS * len(found.items))
+            return found
 
     def _read(
         self,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import partial
 
+from revisit.core.sanity.finding import LIKELY_CAUSES
 from revisit.service.application.access import audit
 from revisit.service.application.access.audit import AuditEntry
 from revisit.service.application.capacity.admission import Admission
@@ -35,10 +36,21 @@ class CreateSession:
 
 
 @dataclass(frozen=True)
+class SessionFinding:
+    """Something that is unlikely to be meant in so many submaps of a session, and what most likely causes it."""
+
+    code: str
+    submaps: int
+    cause: str
+    advice: str
+
+
+@dataclass(frozen=True)
 class SessionView:
     """A session as clients see it.
 
     `committed_seq` is the last scan stored durably, 0 for none; `committed_stamp_ns` is when that one was taken.
+    `findings` are those of its submaps so far, the most frequent first; empty in lists of sessions.
     """
 
     key: SessionKey
@@ -50,6 +62,7 @@ class SessionView:
     created_at_ns: int
     finished_at_ns: int | None
     committed_stamp_ns: int | None
+    findings: tuple[SessionFinding, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -90,7 +103,7 @@ class Sessions:
 
     async def get(self, tenant: TenantId, key: SessionKey) -> SessionView:
         """Raises NotFound."""
-        return await self._storage.read(lambda uow: _view(uow, require_session(uow, tenant, key)))
+        return await self._storage.read(lambda uow: _whole(uow, require_session(uow, tenant, key)))
 
     async def list(self, tenant: TenantId, map_id: str, page: PageRequest) -> Page[SessionView]:
         """The sessions of a map, oldest first. Raises NotFound for the map."""
@@ -109,13 +122,13 @@ class Sessions:
     def _finish(self, uow: UnitOfWork, tenant: TenantId, key: SessionKey) -> SessionView:
         session, now_ns = require_session(uow, tenant, key), self._clock.wall_ns()
         if session.state == SessionState.FINISHED:
-            return _view(uow, session)
+            return _whole(uow, session)
         rest = remainder(window_of(session), session.committed_seq)
         if rest is not None:
             _, session = add_window_submap(uow, self._jobs, session, rest, now_ns)
         finished = replace(session, state=SessionState.FINISHED.value, finished_at_ns=now_ns)
         uow.sessions.replace(finished)
-        return _view(uow, finished)
+        return _whole(uow, finished)
 
     async def delete(self, tenant: TenantId, key: SessionKey) -> None:
         """Delete a session with its scans, its submaps and their loop closures; its streams end, its jobs are dropped.
@@ -170,6 +183,15 @@ def _delete(uow: UnitOfWork, key: SessionKey, entry: AuditEntry, at_ns: int) -> 
     session = require_session(uow, tenant, key)
     audit.append(uow, at_ns, entry)
     return delete_session(uow, require_map(uow, tenant, key.map_id), session, at_ns)
+
+
+def _whole(uow: UnitOfWork, record: SessionRecord) -> SessionView:
+    """The view with its findings, for which all submaps of the session are looked at."""
+    counts = uow.submaps.flag_counts(record.tenant, record.map_id, record.session_id)
+    known = ((code.lower(), count) for code, count in counts.items() if code.lower() in LIKELY_CAUSES)
+    ordered = sorted(known, key=lambda found: (-found[1], found[0]))
+    findings = (SessionFinding(code, count, *LIKELY_CAUSES[code]) for code, count in ordered)
+    return replace(_view(uow, record), findings=tuple(findings))
 
 
 def _view(uow: UnitOfWork, record: SessionRecord) -> SessionView:

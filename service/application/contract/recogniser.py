@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from revisit.core.config import PipelineConfig
 from revisit.core.geometry.se3 import Matrix4
+from revisit.core.scan import Scan
 from revisit.core.submap import Submap
 
 
@@ -51,6 +53,10 @@ class PlaceRecogniser(Protocol):
     @property
     def model_version(self) -> str:
         """Descriptors of different versions must not be compared."""
+        ...
+
+    def inspect(self, scans: Sequence[Scan]) -> tuple[str, ...]:
+        """Codes of what is unlikely to be meant about the scans of a submap (`revisit.core.sanity`)."""
         ...
 
     def describe(self, submap: Submap, config: PipelineConfig) -> SubmapDescription:

@@ -116,6 +116,10 @@ class SubmapRepository(Repository[SubmapRecord], Protocol):
         """How many submaps of a map with numbers up to `number` are still queued."""
         ...
 
+    def flag_counts(self, tenant: TenantId, map_id: str, session_id: str) -> dict[str, int]:
+        """Flag -> how many submaps of a session have it; of failed ones also the code of the failure."""
+        ...
+
 
 class JobRepository(Repository[JobRecord], Protocol):
     """Jobs, also across tenants for those who run them."""

@@ -71,8 +71,13 @@ def chosen_seqs(first: int, last: int) -> list[int]:
 
 
 def load_submap(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) -> Submap:
-    """The submap with its points, at most about WINDOW_POINTS of them. Raises DataLoss."""
-    scans = [
+    """The submap with its points, at most about WINDOW_POINTS of them. Raises DataLoss, EmptyCloud."""
+    return submap_of(load_scans(blobs, record, source), source)
+
+
+def load_scans(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) -> list[Scan]:
+    """The scans of a submap, or its one cloud, with at most about WINDOW_POINTS points. Raises DataLoss."""
+    return [
         Scan(
             # Contiguous: a view of a thinned cloud would keep all of it in memory.
             np.ascontiguousarray(
@@ -84,4 +89,8 @@ def load_submap(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) ->
         )
         for cloud in source.clouds
     ]
+
+
+def submap_of(scans: list[Scan], source: SubmapSource) -> Submap:
+    """The scans put together. Raises EmptyCloud."""
     return Submap.from_cloud(scans[0], source.config) if source.posted else Submap.from_scans(scans, source.config)

@@ -84,9 +84,9 @@ class LoopDecisions:
     """What people decide about loop closures."""
 
     def __init__(
-        self, storage: Storage, lists: Lists, admission: Admission, jobs: JobPosting, clock: Clock, policy: Policy
+        self, storage: Storage, admission: Admission, lists: Lists, jobs: JobPosting, clock: Clock, policy: Policy
     ) -> None:
-        """Loops made by hand are verified by jobs posted through `jobs`."""
+        """Loops made by hand are verified by jobs posted through `jobs`; `lists` reads the events of a loop."""
         self._storage = storage
         self._lists = lists
         self._admission = admission
@@ -225,7 +225,7 @@ def _new_loop(query: SubmapRecord, match: SubmapRecord, ordinal: int, T: Matrix4
 
 
 def _events(
-    uow: UnitOfWork, after: int, limit: int, *, tenant: TenantId, map_id: str, loop_id: str
+    uow: UnitOfWork, after: int, limit: int, tenant: TenantId, map_id: str, loop_id: str
 ) -> list[LoopEventRecord]:
     require_loop(uow, tenant, map_id, loop_id)
     return uow.loop_events.find(tenant, after=after, limit=limit, map_id=map_id, loop_id=loop_id)

@@ -18,8 +18,9 @@ from revisit.core.candidates import candidate_policy
 from revisit.core.config import PipelineConfig
 from revisit.core.errors import DataLoss, DescriptorModelMismatch, ErrorCode, RevisitError
 from revisit.core.geometry.se3 import Matrix4, pose_matrix
-from revisit.core.scan import Scan
+from revisit.core.scan import Points, Scan
 from revisit.core.submap import Submap
+from revisit.core.upright import estimate_up
 from revisit.service.application.catalogue.deletion import SUBMAP_DELETED
 from revisit.service.application.catalogue.maps import model_for_map
 from revisit.service.application.catalogue.meshes import pack_mesh
@@ -46,7 +47,7 @@ from revisit.service.application.contract.transactions import Transactions, Unit
 from revisit.service.application.contract.views import submap_key
 from revisit.service.application.housekeeping.dead_letters import mark_subject_failed
 from revisit.service.application.ingest.clouds import QUERY_NONCE_BYTES, unpack_cloud
-from revisit.service.application.ingest.submap_source import load_submap, submap_source
+from revisit.service.application.ingest.submap_source import load_scans, submap_of, submap_source
 from revisit.service.application.mapping.optimisation import MapOptimisation
 from revisit.service.application.query.place_memory import PlaceMemory, RecalledPlace, vector_filter
 from revisit.service.application.query.search_answers import (
@@ -66,6 +67,10 @@ from revisit.service.application.recognise.proposed_loops import VerdictCommit, 
 from revisit.service.failpoints import failpoint
 
 log = structlog.get_logger(__name__)
+
+INSPECTED_FIRST = 3
+INSPECTED_EVERY = 20
+"""Mistakes about units, frames and times run through a session: its first submaps are inspected, then some."""
 
 
 class Recognition:
@@ -145,8 +150,10 @@ class Recognition:
             return
         self._require_same_model(task.map)
         config = self._policy.for_map(task.map)
-        submap = load_submap(self._blobs, task.submap, task.source)
-        described = self._store(task, self._recogniser.describe(submap, config))
+        scans = load_scans(self._blobs, task.submap, task.source)
+        noticed = self._recogniser.inspect(scans) if _is_inspected(task.submap) else ()
+        description = self._recogniser.describe(submap_of(scans, task.source), config)
+        described = self._store(task, replace(description, flags=(*noticed, *description.flags)))
         self._close_loops(lease, task, described, config)
 
     def _task(self, uow: UnitOfWork, job: JobRecord) -> DescriptionTask | None:
@@ -266,9 +273,15 @@ class Recognition:
         config = self._policy.for_map(map_record)
         # Submaps are described upright by their pose; a query has no other.
         level = lease.job.payload.get("T_level_query")
-        T_level_query = np.eye(4) if level is None else pose_matrix(tuple(level))
+        T_level_query = _levelled(cloud.points) if level is None else pose_matrix(tuple(level))
         submap = Submap.from_cloud(Scan.validated(cloud.points, T_level_query, 0), config.submap)
         return self._recogniser.describe(submap, config)
+
+
+def _levelled(points: Points) -> Matrix4:
+    """The pose (4, 4) that turns a cloud upright by its own surfaces; none where these do not tell."""
+    up = estimate_up(points)
+    return np.eye(4) if up is None else up.T_level_cloud()
 
 
 def _queried(uow: UnitOfWork, job: JobRecord) -> tuple[MapRecord, VectorFilter]:
@@ -320,3 +333,9 @@ def _localization(judged: list[JudgedPlace]) -> Localization:
     T_odom_match = pose_matrix(judged[best].place.submap.T_odom_submap)
     T_odom_query = None if T_match_query is None else T_odom_match @ T_match_query
     return Localization(candidates[best], T_odom_query, tuple(candidates))
+
+
+def _is_inspected(submap: SubmapRecord) -> bool:
+    """Whether the scans of a submap are looked at for mistakes. A posted cloud has no others to be compared with."""
+    of_scans = submap.first_seq is not None
+    return of_scans and (submap.ordinal < INSPECTED_FIRST or submap.ordinal % INSPECTED_EVERY == 0)

@@ -26,8 +26,8 @@ from tests.support.service_world import cloud_points, sqlite_world
 
 TENANTS = ("greedy", "modest")
 SUBMAPS = 500
-POSTS = 40
-EVERY_S = 0.1
+POSTS = 30
+EVERY_S = 0.05
 MOST_SLOWER_MS = 400.0
 """By which the median of the posts may grow; the attackers work on the same two cores. Before, it was seconds."""
 PLACE = "T_odom_submap=0,0,0,0,0,0,1&stamp_ns=1"
@@ -97,18 +97,18 @@ def be_greedy(address: str, key: dict[str, str], name: str, ready, stop, told) -
 
 @pytest.fixture(scope="module")
 def service(tmp_path_factory):
-    """A service with both tenants, whose lists are long."""
+    """A service with both tenants; the lists of the greedy one are long."""
     home = tmp_path_factory.mktemp("home")
     world = sqlite_world(home)
     keys = {tenant: bearer(a_key(world, tenant)) for tenant in TENANTS}
     world.context.transactions.close()
     running = ServiceProcess(home, workers=0, max_queued_jobs=100_000)
-    for key in keys.values():
+    for tenant, key in keys.items():
         with httpx.Client(base_url=running.url, trust_env=False, headers=key, timeout=60) as client:
             client.post("/v1/maps", json={"map_id": "town"}).raise_for_status()
             client.post("/v1/maps/town/sessions", json={"session_id": "monday"}).raise_for_status()
             with ThreadPoolExecutor(4) as pool:
-                list(pool.map(lambda number: post(client, f"s{number}"), range(SUBMAPS)))
+                list(pool.map(lambda number: post(client, f"s{number}"), range(SUBMAPS if tenant == "greedy" else 1)))
     yield running, keys
     running.close()
 

@@ -18,11 +18,13 @@ from revisit.core.pose_graph import (
     Node,
     PoseGraph,
     Robustness,
+    SolvedComponent,
     Trajectory,
     optimise,
 )
 from revisit.core.pose_graph.consistency import agreement, consistent_sets, largest_clique, oriented
 from revisit.core.pose_graph.g2o import read_g2o, write_g2o
+from revisit.evaluation.wrong_loops import is_wrong, with_agreeing_loops
 from tests.support.made_up_fleet import LOOP_COVARIANCE, MODEL, drifted, fleet, random_motion, road
 
 
@@ -235,3 +237,63 @@ def test_chi2_of_right_loops_is_about_its_degrees_of_freedom() -> None:
     kept = optimised.loops.count(LoopState.IN_MAP)
     assert optimised.degrees_of_freedom == 6 * (kept - 3 + 1)
     assert 0.7 < optimised.chi2 / optimised.degrees_of_freedom < 1.3
+
+
+def test_aliases_within_a_session_that_agree_with_each_other_are_set_aside() -> None:
+    """Four of five loops are wrong, in runs of 20 that agree; the odometry between their ends says no."""
+    rng = np.random.default_rng(8)
+    truth = np.concatenate([road(200, 0.0, 1)] * 2)
+    right = [_loop(f"right-{n}", n, n + 200, se3.inverse(truth[n]) @ truth[n + 200]) for n in range(0, 200, 4)]
+    made = PoseGraph.of([Trajectory.from_odometry("s", drifted(truth, rng))], right)
+    spoilt = with_agreeing_loops(made, 0.8, seed=3)
+    assert sum(map(is_wrong, spoilt.loops)) == 200
+    for robustness in (Robustness.ONLINE, Robustness.COMMIT):
+        kept = in_map(spoilt, optimise(spoilt, robustness).loops)
+        assert all(name.startswith("right") for name in kept), robustness
+        assert len(kept) >= 0.95 * len(right), robustness
+
+
+def test_a_single_right_loop_that_nothing_supports_is_used() -> None:
+    truth = np.concatenate([road(60, 0.0, 1)] * 2)
+    trajectory = Trajectory.from_odometry("s", drifted(truth, np.random.default_rng(2)))
+    alone = _loop("alone", 0, 60, se3.inverse(truth[0]) @ truth[60])
+    result = optimise(PoseGraph.of([trajectory], [alone]), Robustness.ONLINE)
+    assert result.loops == (LoopState.IN_MAP,)
+
+
+def test_a_loop_that_the_odometry_forbids_is_not_used_even_alone() -> None:
+    truth = np.concatenate([road(60, 0.0, 1)] * 2)
+    trajectory = Trajectory.from_odometry("s", drifted(truth, np.random.default_rng(2)))
+    apart = se3.inverse(truth[0]) @ truth[30]
+    result = optimise(PoseGraph.of([trajectory], [_loop("alone", 0, 60, apart)]), Robustness.COMMIT)
+    assert result.loops == (LoopState.SET_ASIDE,)
+
+
+def test_one_loop_more_gives_the_poses_of_a_whole_new_optimisation() -> None:
+    made = fleet(11, 0.0)
+    *loops, last = made.graph.loops
+    fewer = PoseGraph.of(list(made.graph.trajectories), loops)
+    before = optimise(fewer, Robustness.ONLINE)
+    solved = SolvedComponent(fewer, before, before.components[0])
+    assert solved.add(last) is LoopState.IN_MAP
+    whole = optimise(made.graph, Robustness.ONLINE).T_map_submap
+    for name, poses in solved.T_map_submap().items():
+        assert np.abs(poses[:, :3, 3] - whole[name][:, :3, 3]).max() < 0.03
+    wrong = replace(last, name="wrong", T_match_query=random_motion(np.random.default_rng(0)))
+    poses = solved.T_map_submap()
+    assert solved.add(wrong) is LoopState.SET_ASIDE
+    assert all(np.array_equal(poses[name], other) for name, other in solved.T_map_submap().items())
+
+
+@pytest.mark.slow
+def test_errors_of_the_last_poses_are_as_large_as_their_covariances_say() -> None:
+    """Normalised squared errors of 60 last poses in their first session's frame: 95 % are below chi-square's 95 %."""
+    below = []
+    for seed in range(30):
+        made = fleet(seed, 0.0, submaps=50, per_pair=10)
+        result = optimise(made.graph, Robustness.ONLINE)
+        origin = result.T_map_submap["s0"][0] @ se3.inverse(made.truth["s0"][0])
+        for name in ("s1", "s2"):
+            error = se3.log(se3.inverse(result.T_map_submap[name][-1]) @ origin @ made.truth[name][-1])
+            below.append(error @ np.linalg.solve(result.covariances[name][-1], error) < 12.59)
+    assert np.mean(below) >= 0.9

@@ -107,11 +107,11 @@ ANSWERS = {
     "a loop in the map": (kinds.LoopClosure, answers.of_loop(PLACED_LOOP)),
     "a version of a map": (
         kinds.MapVersion,
-        answers.of_map_version(MapVersionView("town", 4, True, None, "hash", "op-1", SUMMARY, LARGE)),
+        answers.of_map_version(MapVersionView("town", 4, True, None, "hash", "op-1", SUMMARY, LARGE, 1)),
     ),
     "a version that came back": (
         kinds.MapVersion,
-        answers.of_map_version(MapVersionView("town", 5, False, 3, "hash", None, SUMMARY, LARGE)),
+        answers.of_map_version(MapVersionView("town", 5, False, 3, "hash", None, SUMMARY, LARGE, 1)),
     ),
     "a correction": (
         kinds.Correction,
