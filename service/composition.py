@@ -27,6 +27,7 @@ from revisit.service.adapters.sqlite.checkpoints import Checkpoints
 from revisit.service.adapters.sqlite.connections import StorageFailures, write_ahead_log
 from revisit.service.adapters.sqlite.transactions import SqliteTransactions
 from revisit.service.adapters.vector_index import PlaceVectorIndex
+from revisit.service.adapters.webhook_sender import HttpWebhookSender
 from revisit.service.application import Installation, UseCases
 from revisit.service.application.access.callers import current_actor
 from revisit.service.application.capacity.in_flight import InFlight
@@ -36,7 +37,9 @@ from revisit.service.application.housekeeping.retention import forget_answers, f
 from revisit.service.application.housekeeping.sweeping import sweep
 from revisit.service.application.housekeeping.system import WORKER_SEEN_WITHIN_MS
 from revisit.service.application.housekeeping.upkeep import Chore
+from revisit.service.application.push.deliveries import Deliveries
 from revisit.service.settings import Settings
+from revisit.service.wire.webhook_body import webhook_body
 from revisit.service.worker.confinement import confine
 from revisit.service.worker.ends import STORAGE_FAILED
 from revisit.service.worker.heartbeat import WorkerIdentity
@@ -52,6 +55,7 @@ LOAD_INDEX_EVERY_S = 1.0
 AUDIT_INDEX_EVERY_S = 2.0
 FORGET_ANSWERS_EVERY_S = 60.0
 FORGET_EVENTS_EVERY_S = 60.0
+DELIVER_WEBHOOKS_EVERY_S = 1.0
 
 PAGE_SECRET = "pages.key"
 """The file in the data folder that makes the tokens of pages good beyond a restart."""
@@ -119,6 +123,8 @@ def chores(settings: Settings, installation: Installation, fail_stop: FailStop) 
     async def forget_old_events() -> None:
         await forget_events(installation.storage, settings.events_kept)
 
+    deliveries = build_deliveries(settings, installation)
+
     return (
         Chore("tend_disk", TEND_DISK_EVERY_S, tend_disk),
         Chore("fold_log_back", FOLD_LOG_BACK_EVERY_S, fold_log_back, at_end=True),
@@ -127,7 +133,14 @@ def chores(settings: Settings, installation: Installation, fail_stop: FailStop) 
         Chore("audit_index", AUDIT_INDEX_EVERY_S, audit_index),
         Chore("forget_answers", FORGET_ANSWERS_EVERY_S, forget),
         Chore("forget_events", FORGET_EVENTS_EVERY_S, forget_old_events),
+        Chore("deliver_webhooks", DELIVER_WEBHOOKS_EVERY_S, deliveries.deliver_due, close=deliveries.close),
     )
+
+
+def build_deliveries(settings: Settings, installation: Installation) -> Deliveries:
+    """What sends events to webhooks."""
+    sender = HttpWebhookSender(private_networks=settings.webhook_private_networks)
+    return Deliveries(installation.storage, sender, installation.clock, webhook_body)
 
 
 def build_tracer(settings: Settings, process: str) -> Tracer:

@@ -70,6 +70,11 @@ class Settings(AccessSettings):
         ge=1000,
         description="events of a tenant that are kept for those who watch and were away: about 4 for each submap",
     )
+    webhook_private_networks: bool = Field(
+        default=False,
+        description="webhooks may lead to loopback, link-local and private addresses, and over plain HTTP: whoever "
+        "may create one then reaches whatever this machine reaches",
+    )
     optimise_after_loops: int = Field(
         default=1,
         ge=0,
@@ -185,6 +190,7 @@ class Settings(AccessSettings):
             optimise_after_loops=self.optimise_after_loops,
             optimise_delay_ms=int(self.optimise_delay_s * 1000),
             map_versions_kept=self.map_versions_kept,
+            webhook_private_networks=self.webhook_private_networks,
         )
 
     @property

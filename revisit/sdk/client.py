@@ -35,6 +35,8 @@ from revisit.sdk.resources import (
     Status,
     Submap,
     SubmapPose,
+    Webhook,
+    WebhookDelivery,
     pose_json,
 )
 from revisit.sdk.retry import RetryPolicy
@@ -51,6 +53,7 @@ from revisit.v1 import (
     robot_pb2,
     session_pb2,
     submap_pb2,
+    webhook_pb2,
 )
 
 DEFAULT_HTTP = "http://127.0.0.1:8080"
@@ -138,8 +141,8 @@ class Client:
         """All maps, oldest first."""
         return [Map.of(item) for item in self._transport.list("maps", map_pb2.ListMapsRequest())]
 
-    def delete(self, resource: str | Map | Session | Submap) -> None:
-        """Delete a map, a session or a submap, with everything in it."""
+    def delete(self, resource: str | Map | Session | Submap | Webhook) -> None:
+        """Delete a map, a session or a submap, with everything in it; or a webhook."""
         self._transport.delete(_name(resource))
 
     def create_robot(self, robot_id: str, *, display_name: str = "") -> Robot:
@@ -338,6 +341,34 @@ class Client:
     def get_loop_closure(self, name: str) -> LoopClosure:
         """Get `maps/{map}/loopClosures/{loop_closure}` with its evidence."""
         return LoopClosure.of(self._transport.get(name))
+
+    def create_webhook(
+        self, webhook_id: str, url: str, *, map_: str | Map | None = None, kinds: Sequence[str] = ()
+    ) -> Webhook:
+        """Send the events from now on to a URL (https), those of one map where given; `kinds` as in `watch`.
+
+        The answer holds the `secret` that signs them, this once: `revisit.sdk.webhooks.verified` checks with it.
+        """
+        of_map = "" if map_ is None else _name(map_)
+        fields = {"webhook_id": webhook_id, "url": url, "map": of_map, "kinds": list(kinds)}
+        created = self._transport.create_webhook(request_of(webhook_pb2.CreateWebhookRequest, fields))
+        return Webhook.of(created.webhook, created.secret)
+
+    def get_webhook(self, name: str) -> Webhook:
+        """Get `webhooks/{webhook}`."""
+        return Webhook.of(self._transport.get(name))
+
+    def list_webhooks(self) -> list[Webhook]:
+        """All webhooks, oldest first."""
+        return [Webhook.of(item) for item in self._transport.list("webhooks", webhook_pb2.ListWebhooksRequest())]
+
+    def resume_webhook(self, webhook: str | Webhook) -> Webhook:
+        """Try again at once, also where it was suspended."""
+        return Webhook.of(self._transport.resume_webhook(_name(webhook)))
+
+    def webhook_deliveries(self, webhook: str | Webhook) -> list[WebhookDelivery]:
+        """The last attempts to deliver, oldest first."""
+        return [WebhookDelivery.of(item) for item in self._transport.webhook_deliveries(_name(webhook))]
 
     def create_loop_closure(
         self, query: str | Submap, match: str | Submap, *, T_match_query: Any = None, note: str = ""

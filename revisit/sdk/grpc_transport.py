@@ -36,6 +36,8 @@ from revisit.v1 import (
     submap_pb2_grpc,
     system_pb2,
     system_pb2_grpc,
+    webhook_pb2,
+    webhook_pb2_grpc,
 )
 
 MAX_MESSAGE_BYTES = 16 * 2**20
@@ -62,6 +64,7 @@ _STUBS: dict[str, Any] = {
     "events": loop_closure_pb2_grpc.LoopClosureServiceStub,
     "versions": mapping_pb2_grpc.MappingServiceStub,
     "poses": mapping_pb2_grpc.MappingServiceStub,
+    "webhooks": webhook_pb2_grpc.WebhookServiceStub,
     "operations": operation_pb2_grpc.OperationServiceStub,
     "loopClosures": loop_closure_pb2_grpc.LoopClosureServiceStub,
 }
@@ -73,6 +76,7 @@ _MODULES: dict[str, Any] = {
     "events": loop_closure_pb2,
     "versions": mapping_pb2,
     "poses": mapping_pb2,
+    "webhooks": webhook_pb2,
     "operations": operation_pb2,
     "loopClosures": loop_closure_pb2,
 }
@@ -163,6 +167,27 @@ class GrpcTransport:
         """See Transport."""
         answered: loop_closure_pb2.LocalizeResponse = self._answer(_STUBS["loopClosures"], "Localize", request)
         return answered
+
+    def create_webhook(self, request: webhook_pb2.CreateWebhookRequest) -> webhook_pb2.CreateWebhookResponse:
+        """See Transport."""
+        answered: webhook_pb2.CreateWebhookResponse = self._answer(_STUBS["webhooks"], "CreateWebhook", request)
+        return answered
+
+    def resume_webhook(self, name: str) -> webhook_pb2.Webhook:
+        """See Transport."""
+        request = webhook_pb2.ResumeWebhookRequest(name=name)
+        resumed: webhook_pb2.Webhook = self._answer(_STUBS["webhooks"], "ResumeWebhook", request).webhook
+        return resumed
+
+    def webhook_deliveries(self, name: str) -> Iterator[webhook_pb2.WebhookDelivery]:
+        """See Transport."""
+        request = webhook_pb2.ListWebhookDeliveriesRequest(parent=name)
+        while True:
+            page = self._answer(_STUBS["webhooks"], "ListWebhookDeliveries", request)
+            yield from page.webhook_deliveries
+            if not page.next_page_token:
+                return
+            request.page_token = page.next_page_token
 
     def propose_loop(
         self, request: loop_closure_pb2.CreateLoopClosureRequest

@@ -20,6 +20,7 @@ from revisit.v1 import (
     robot_pb2,
     session_pb2,
     submap_pb2,
+    webhook_pb2,
 )
 
 M = TypeVar("M", bound=Message)
@@ -45,6 +46,7 @@ COLLECTIONS = {
     "versions": Collection(mapping_pb2.MapVersion, "map_version", mapping_pb2.ListMapVersionsResponse),
     "poses": Collection(mapping_pb2.SubmapPose, "submap_pose", mapping_pb2.ListSubmapPosesResponse),
     "operations": Collection(operation_pb2.Operation, "operation", operation_pb2.ListOperationsResponse),
+    "webhooks": Collection(webhook_pb2.Webhook, "webhook", webhook_pb2.ListWebhooksResponse),
     "loopClosures": Collection(loop_closure_pb2.LoopClosure, "loop_closure", loop_closure_pb2.ListLoopClosuresResponse),
 }
 """By the name that the collection has in resource names and paths."""

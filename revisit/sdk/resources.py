@@ -21,6 +21,7 @@ from revisit.v1 import (
     session_pb2,
     submap_pb2,
     system_pb2,
+    webhook_pb2,
 )
 
 Json = dict[str, Any]
@@ -524,6 +525,58 @@ class Event:
             operation=Operation.of(message.operation) if message.HasField("operation") else None,
             map_version=MapVersion.of(message.map_version) if message.HasField("map_version") else None,
         )
+
+
+@dataclass(frozen=True)
+class Webhook:
+    """Where events are sent; `secret` is there in the answer that created it, and nowhere else.
+
+    `told` is the number of the last event that was dealt with, `failures` counts attempts in vain since then; `state`
+    ENABLED or SUSPENDED.
+    """
+
+    name: str
+    url: str
+    map: str | None
+    kinds: tuple[str, ...]
+    state: str
+    told: int
+    failures: int
+    secret: str = field(default="", repr=False, compare=False)
+
+    @classmethod
+    def of(cls, message: webhook_pb2.Webhook, secret: str = "") -> Self:
+        """From its message."""
+        return cls(
+            name=message.name,
+            url=message.url,
+            map=message.map or None,
+            kinds=tuple(event_pb2.Event.Kind.Name(kind) for kind in message.kinds),
+            state=_word(message, "state"),
+            told=message.told,
+            failures=message.failures,
+            secret=secret,
+        )
+
+
+@dataclass(frozen=True)
+class WebhookDelivery:
+    """One attempt to deliver events: the HTTP status of the answer, or None and the `error`."""
+
+    first_event: int
+    last_event: int
+    events: int
+    attempt: int
+    status: int | None
+    error: str | None
+    took_ms: int
+    at_ns: int
+
+    @classmethod
+    def of(cls, message: webhook_pb2.WebhookDelivery) -> Self:
+        """From its message."""
+        values = {item.name: getattr(message, item.name) for item in fields(cls)}
+        return cls(**{**values, "status": message.status or None, "error": message.error or None})
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import json
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any, TypeVar
 
 import httpx
@@ -32,6 +32,7 @@ from revisit.v1 import (
     session_pb2,
     submap_pb2,
     system_pb2,
+    webhook_pb2,
 )
 
 M = TypeVar("M", bound=Message)
@@ -138,6 +139,27 @@ class RestTransport:
         path = f"{_path(request.parent)}:localize"
         return self._message(loop_closure_pb2.LocalizeResponse, "POST", path, **sent)
 
+    def create_webhook(self, request: webhook_pb2.CreateWebhookRequest) -> webhook_pb2.CreateWebhookResponse:
+        """See Transport."""
+        body = {"webhook_id": request.webhook_id, "url": request.url, "kinds": _kind_names(request.kinds)}
+        if request.map:
+            body["map_id"] = _last(request.map)
+        return self._message(webhook_pb2.CreateWebhookResponse, "POST", "/v1/webhooks", json=body)
+
+    def resume_webhook(self, name: str) -> webhook_pb2.Webhook:
+        """See Transport."""
+        return self._message(webhook_pb2.Webhook, "POST", f"{_path(name)}:resume")
+
+    def webhook_deliveries(self, name: str) -> Iterator[webhook_pb2.WebhookDelivery]:
+        """See Transport."""
+        kind, params = webhook_pb2.ListWebhookDeliveriesResponse, {"page_token": ""}
+        while True:
+            page = self._message(kind, "GET", _path(name, "deliveries"), params=params)
+            yield from page.webhook_deliveries
+            if not page.next_page_token:
+                return
+            params["page_token"] = page.next_page_token
+
     def propose_loop(
         self, request: loop_closure_pb2.CreateLoopClosureRequest
     ) -> loop_closure_pb2.CreateLoopClosureResponse:
@@ -154,8 +176,7 @@ class RestTransport:
 
     def watch(self, request: event_pb2.WatchEventsRequest) -> Iterator[event_pb2.Event | None]:
         """See Transport."""
-        names = event_pb2.Event.Kind
-        params: Json = {"kinds": [names.Name(kind) for kind in request.kinds]}
+        params: Json = {"kinds": _kind_names(request.kinds)}
         if request.HasField("after"):
             params["after"] = request.after
         path, timeout = _path(request.parent, "events"), httpx.Timeout(SILENT_S, connect=CONNECT_TIMEOUT_S)
@@ -279,6 +300,10 @@ def events_of(lines: Iterator[str]) -> Iterator[event_pb2.Event | None]:
                 raise error_of(_problem_details(json.loads(data)))
             yield ParseDict(json.loads(data), event_pb2.Event(), ignore_unknown_fields=True)
             kind, data = "", ""
+
+
+def _kind_names(kinds: Iterable[Any]) -> list[str]:
+    return [event_pb2.Event.Kind.Name(kind) for kind in kinds]
 
 
 def _problem_details(problem: Json, retry_after_s: float | None = None) -> ErrorDetails:

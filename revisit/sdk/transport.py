@@ -7,7 +7,16 @@ from typing import Any, Protocol
 
 from revisit.sdk.clouds import Cloud
 from revisit.sdk.resources import Json
-from revisit.v1 import event_pb2, loop_closure_pb2, mapping_pb2, operation_pb2, session_pb2, submap_pb2, system_pb2
+from revisit.v1 import (
+    event_pb2,
+    loop_closure_pb2,
+    mapping_pb2,
+    operation_pb2,
+    session_pb2,
+    submap_pb2,
+    system_pb2,
+    webhook_pb2,
+)
 
 SILENT_S = 45.0
 """A watch of which nothing was heard for so long is dead: the service gives a sign of life every 15 s."""
@@ -136,6 +145,18 @@ class Transport(Protocol):
 
     def localize(self, request: loop_closure_pb2.LocalizeRequest) -> loop_closure_pb2.LocalizeResponse:
         """Localise a cloud."""
+        ...
+
+    def create_webhook(self, request: webhook_pb2.CreateWebhookRequest) -> webhook_pb2.CreateWebhookResponse:
+        """Create a webhook; the answer holds its secret."""
+        ...
+
+    def resume_webhook(self, name: str) -> webhook_pb2.Webhook:
+        """Try again at once."""
+        ...
+
+    def webhook_deliveries(self, name: str) -> Iterator[webhook_pb2.WebhookDelivery]:
+        """The last attempts to deliver."""
         ...
 
     def propose_loop(

@@ -6,7 +6,7 @@
     ingest         scans and submaps coming in
     catalogue      maps, robots, sessions, submaps: create, get, list, delete
     query          searches, loop closures, operations
-    push           watching the events of a map
+    push           watching the events of a map; webhooks
     mapping        one map out of many sessions: versions of its poses, corrections, decisions on loops
     housekeeping   sweeping, retention, the index, dead letters, readiness
     recognise      what a worker does with a job
@@ -42,6 +42,7 @@ from revisit.service.application.mapping.corrections import Corrections
 from revisit.service.application.mapping.loop_decisions import LoopDecisions
 from revisit.service.application.mapping.versions import MapVersions
 from revisit.service.application.push.events import Events, Glance
+from revisit.service.application.push.webhooks import Webhooks
 from revisit.service.application.query.loops import Loops
 from revisit.service.application.query.operations import Operations
 from revisit.service.application.query.searches import Searches
@@ -61,6 +62,7 @@ class UseCases:
     loops: Loops
     operations: Operations
     events: Events
+    webhooks: Webhooks
     map_versions: MapVersions
     corrections: Corrections
     loop_decisions: LoopDecisions
@@ -91,6 +93,7 @@ class UseCases:
             loops=Loops(storage, lists, admission),
             operations=operations,
             events=Events(storage, admission, Glance(storage)),
+            webhooks=Webhooks(storage, lists, admission, clock, policy.webhook_private_networks),
             map_versions=MapVersions(storage, lists, admission, clock, policy),
             corrections=Corrections(storage, admission),
             loop_decisions=LoopDecisions(storage, admission, lists, jobs, clock, policy),

@@ -50,6 +50,17 @@ SCOPES: dict[str, dict[str, frozenset[Scope]]] = {
         "RevertLoopClosure": _ADMIN,
         "ListLoopClosureEvents": _QUERY,
     },
+    "WebhookService": dict.fromkeys(
+        (
+            "CreateWebhook",
+            "GetWebhook",
+            "ListWebhooks",
+            "DeleteWebhook",
+            "ResumeWebhook",
+            "ListWebhookDeliveries",
+        ),
+        _ADMIN,
+    ),
     "EventService": {"WatchEvents": _QUERY},
     "MappingService": {
         "OptimiseMap": _INGEST | _ADMIN,

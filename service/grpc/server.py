@@ -25,6 +25,7 @@ from revisit.service.grpc.servicers.robots import RobotServicer
 from revisit.service.grpc.servicers.sessions import SessionServicer
 from revisit.service.grpc.servicers.submaps import SubmapServicer
 from revisit.service.grpc.servicers.system import SystemServicer
+from revisit.service.grpc.servicers.webhooks import WebhookServicer
 from revisit.service.grpc.timing import CallTimer
 from revisit.service.grpc.tracing import CallTracing
 from revisit.service.metrics import RequestMetrics
@@ -49,6 +50,8 @@ from revisit.v1 import (
     submap_pb2_grpc,
     system_pb2,
     system_pb2_grpc,
+    webhook_pb2,
+    webhook_pb2_grpc,
 )
 
 MAX_MESSAGE_BYTES = LARGEST_MESSAGE_BYTES
@@ -81,6 +84,7 @@ _SERVICES: tuple[tuple[Any, Callable[[UseCases], object], Callable[..., None]], 
     (event_pb2, EventServicer, event_pb2_grpc.add_EventServiceServicer_to_server),
     (mapping_pb2, MappingServicer, mapping_pb2_grpc.add_MappingServiceServicer_to_server),
     (operation_pb2, OperationServicer, operation_pb2_grpc.add_OperationServiceServicer_to_server),
+    (webhook_pb2, WebhookServicer, webhook_pb2_grpc.add_WebhookServiceServicer_to_server),
     (system_pb2, SystemServicer, system_pb2_grpc.add_SystemServiceServicer_to_server),
 )
 

@@ -25,8 +25,13 @@ from revisit.v1 import (
     session_pb2,
     submap_pb2,
     system_pb2,
+    webhook_pb2,
 )
 
+CreatedWebhook = webhook_pb2.CreateWebhookResponse
+Webhook = webhook_pb2.Webhook
+WebhookPage = webhook_pb2.ListWebhooksResponse
+DeliveryPage = webhook_pb2.ListWebhookDeliveriesResponse
 Event = event_pb2.Event
 Correction = mapping_pb2.Correction
 MapVersion = mapping_pb2.MapVersion
@@ -57,7 +62,7 @@ T = TypeVar("T")
 _DESCRIBED = (
     Ack, Event, LocalizeAnswer, LoopClosurePage, MapPage, OperationPage, Posted, RobotPage, SearchAnswer, SessionPage,
     Status, SubmapPage, Correction, MapVersionPage, SubmapPosePage,
-    LoopClosureEventPage, ProposedLoop,
+    LoopClosureEventPage, ProposedLoop, CreatedWebhook, WebhookPage, DeliveryPage,
 )  # fmt: skip
 
 

@@ -36,6 +36,7 @@ from revisit.service.rest.routes import (
     sessions,
     submaps,
     system,
+    webhooks,
 )
 from revisit.service.rest.schemas import Problem
 from revisit.service.rest.tracing import RequestTracing
@@ -70,7 +71,20 @@ def create_app(
     app.state.limits = limits
     app.state.long_bodies = Turns(LONG_BODIES_AT_A_TIME, of_tenant=1)
     app.state.watches = Places()
-    for module in (mapping, maps, robots, searches, submaps, sessions, loops, events, operations, system, page):
+    for module in (
+        mapping,
+        maps,
+        robots,
+        searches,
+        submaps,
+        sessions,
+        loops,
+        events,
+        webhooks,
+        operations,
+        system,
+        page,
+    ):
         app.include_router(module.router)
     require_declared_scopes(app)
     install_error_handlers(app)

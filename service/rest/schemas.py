@@ -15,6 +15,8 @@ from revisit.service.application.catalogue.robots import CreateRobot
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.limits import Range
 from revisit.service.application.contract.loop_policy import LoopPolicy
+from revisit.service.application.contract.states import EventKind
+from revisit.service.application.push.webhooks import CreateWebhook
 from revisit.service.application.query.freshness import DEFAULT_WAIT_S
 from revisit.service.application.query.search_answers import SearchCriteria
 
@@ -96,6 +98,19 @@ class CreateRobotRequest(Request):
     def command(self) -> CreateRobot:
         """What the use case takes."""
         return CreateRobot(self.robot_id, self.display_name)
+
+
+class CreateWebhookRequest(Request):
+    """A new webhook; `map_id` names an existing map, whose events it gets alone."""
+
+    webhook_id: Id
+    url: str = Field(max_length=limits.URL_CHARACTERS)
+    map_id: Id | None = None
+    kinds: list[Annotated[EventKind, Field(strict=False)]] = Field(default=[], max_length=len(EventKind))
+
+    def command(self) -> CreateWebhook:
+        """What the use case takes."""
+        return CreateWebhook(self.webhook_id, self.url, self.map_id, tuple(self.kinds))
 
 
 class CreateSessionRequest(Request):

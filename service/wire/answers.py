@@ -21,6 +21,7 @@ from revisit.service.application.catalogue.robots import RobotView
 from revisit.service.application.catalogue.sessions import SessionView
 from revisit.service.application.contract.map_frames import MapPose, matrix_of
 from revisit.service.application.contract.views import OperationFailure, OperationView, SubmapView
+from revisit.service.application.contract.webhooks import DeliveryRecord
 from revisit.service.application.housekeeping.system import ServiceStatus
 from revisit.service.application.ingest.scans import ScanAck
 from revisit.service.application.ingest.submap_posting import PostedSubmap
@@ -28,6 +29,7 @@ from revisit.service.application.mapping.corrections import CorrectionView
 from revisit.service.application.mapping.loop_decisions import LoopEventView, ProposedLoop
 from revisit.service.application.mapping.versions import MapVersionView, SubmapPoseView
 from revisit.service.application.push.events import EventView
+from revisit.service.application.push.webhooks import CreatedWebhook, WebhookView
 from revisit.service.application.query.loops import LoopClosureView
 from revisit.service.application.query.search_answers import Localization, LocalizedCandidate, SearchHit, SearchResult
 
@@ -230,6 +232,39 @@ def of_event(view: EventView) -> Fields:
         "loop_closure": None if view.loop is None else of_loop(view.loop),
         "operation": None if view.operation is None else of_operation(view.operation),
         "map_version": None if view.map_version is None else of_map_version(view.map_version),
+    }
+
+
+def of_webhook(view: WebhookView) -> Fields:
+    """The fields of a Webhook."""
+    return {
+        "name": f"webhooks/{view.webhook_id}",
+        "url": view.url,
+        "map": f"maps/{view.map_id}" if view.map_id else "",
+        "kinds": [kind.value for kind in view.kinds],
+        "state": view.state.value,
+        "told": view.told,
+        "failures": view.failures,
+        "created_at_ns": view.created_at_ns,
+    }
+
+
+def of_created_webhook(created: CreatedWebhook) -> Fields:
+    """The fields of a CreateWebhookResponse."""
+    return {"webhook": of_webhook(created.webhook), "secret": created.secret, "replay": created.replay}
+
+
+def of_delivery(record: DeliveryRecord) -> Fields:
+    """The fields of a WebhookDelivery."""
+    return {
+        "first_event": record.first_event,
+        "last_event": record.last_event,
+        "events": record.events,
+        "attempt": record.attempt,
+        "status": record.status,
+        "error": record.error,
+        "took_ms": record.took_ms,
+        "at_ns": record.at_ns,
     }
 
 

@@ -60,6 +60,11 @@ def operation_id(name: str) -> str:
     return segments(name, "operations/*", "name")[0]
 
 
+def webhook_id(name: str, field: str = "name") -> str:
+    """Of `webhooks/{webhook}`."""
+    return segments(name, "webhooks/*", field)[0]
+
+
 def session_id_in(map_name: str, name: str, field: str) -> str | None:
     """The session id of `name`, which must be of the map; None where `name` is empty. Raises BadField."""
     if not name:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable
 from dataclasses import fields
 from typing import Any
 
@@ -25,6 +26,7 @@ from revisit.service.application.ingest.clouds import EncodedCloud
 from revisit.service.application.ingest.scans import AppendScan
 from revisit.service.application.ingest.submap_posting import PostSubmap
 from revisit.service.application.mapping.loop_decisions import ProposeLoop
+from revisit.service.application.push.webhooks import CreateWebhook
 from revisit.service.application.query.freshness import DEFAULT_WAIT_S, Freshness
 from revisit.service.application.query.search_answers import SearchCriteria
 from revisit.service.application.query.searches import LocalizeQuery
@@ -39,6 +41,7 @@ from revisit.v1 import (
     operation_pb2,
     session_pb2,
     submap_pb2,
+    webhook_pb2,
 )
 
 DEFAULT_OPERATION_WAIT_S = 30.0
@@ -60,8 +63,18 @@ def page(request: Any) -> PageRequest:
 
 def watch(request: event_pb2.WatchEventsRequest) -> tuple[int | None, frozenset[EventKind]]:
     """Behind which event a watch begins, and what it tells of. Raises BadField for an unknown number of a kind."""
-    kinds = frozenset(EventKind(_enum_name(event_pb2.Event.Kind, kind)) for kind in request.kinds if kind)
-    return _optional(request, "after"), kinds
+    return _optional(request, "after"), frozenset(_event_kinds(request.kinds))
+
+
+def create_webhook(request: webhook_pb2.CreateWebhookRequest) -> CreateWebhook:
+    """The new webhook. Raises BadField."""
+    map_id = names.map_id(request.map, "map") if request.map else None
+    return CreateWebhook(request.webhook_id, request.url, map_id, tuple(_event_kinds(request.kinds)))
+
+
+def _event_kinds(kinds: Iterable[int]) -> list[EventKind]:
+    """Raises BadField for an unknown number."""
+    return [EventKind(_enum_name(event_pb2.Event.Kind, kind)) for kind in kinds if kind]
 
 
 def create_map(request: map_pb2.CreateMapRequest) -> CreateMap:

@@ -32,13 +32,14 @@ from revisit.service.application.contract.records import (
     SessionRecord,
 )
 from revisit.service.application.contract.transactions import UnitOfWork
+from revisit.service.application.contract.webhooks import DeliveryRecord, WebhookRecord
 
 T = TypeVar("T")
 
 _TABLES = (
     *("maps", "robots", "sessions", "scans", "submaps", "loops"),
     *("loop_events", "map_versions", "session_poses"),
-    *("jobs", "turns", "changes", "events", "workers", "keys", "audit"),
+    *("jobs", "turns", "changes", "events", "webhooks", "webhook_deliveries", "workers", "keys", "audit"),
 )
 
 
@@ -53,6 +54,10 @@ class MemoryUnitOfWork:
         self.scans = MemoryScans(tables["scans"], ("map_id", "session_id", "seq"))
         self.submaps = MemorySubmaps(tables["submaps"], ("map_id", "session_id", "submap_id"))
         self.events = MemoryEventLog(tables["events"])
+        self.webhooks: MemoryRepository[WebhookRecord] = MemoryRepository(tables["webhooks"], ("webhook_id",))
+        self.webhook_deliveries: MemoryRepository[DeliveryRecord] = MemoryRepository(
+            tables["webhook_deliveries"], ("number",)
+        )
         told = on_loop_change(self.events)
         self.loops: MemoryRepository[LoopRecord] = MemoryRepository(tables["loops"], ("map_id", "loop_id"), told)
         self.jobs = MemoryJobs(tables["jobs"], ("operation_id",), on_job_change(self.events))

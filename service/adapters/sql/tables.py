@@ -329,6 +329,39 @@ events = Table(
     Index(None, "tenant", "number"),
 )
 
+webhooks = _numbered(
+    "webhooks",
+    ("webhook_id",),
+    _text("webhook_id"),
+    _text("content_hash"),
+    Column("url", Text, nullable=False),
+    _text("map_id", nullable=True),
+    _tuple("kinds"),
+    _text("secret"),
+    _text("state", length=16),
+    _integer("told"),
+    _integer("failures"),
+    _integer("due_at_ns"),
+    _integer("created_at_ns"),
+)
+
+webhook_deliveries = Table(
+    "webhook_deliveries",
+    metadata,
+    Column("number", Integer, primary_key=True, autoincrement=True),
+    Column("tenant", String(64), nullable=False),
+    _text("webhook_id"),
+    _integer("first_event"),
+    _integer("last_event"),
+    _integer("events"),
+    _integer("attempt"),
+    _integer("status", nullable=True),
+    Column("error", Text, nullable=True),
+    _integer("took_ms"),
+    _integer("at_ns"),
+    Index(None, "tenant", "webhook_id"),
+)
+
 workers = Table(
     "workers",
     metadata,

@@ -31,6 +31,7 @@ from revisit.service.application.contract.records import (
     SessionRecord,
     SubmapRecord,
 )
+from revisit.service.application.contract.webhooks import DeliveryRecord, WebhookRecord
 
 
 @dataclass(frozen=True)
@@ -105,6 +106,16 @@ class SqlUnitOfWork:
     def changes(self) -> SqlChangeLog:
         """The change log of the maps' indexes."""
         return SqlChangeLog(self.connection, self.engine)
+
+    @cached_property
+    def webhooks(self) -> SqlRepository[WebhookRecord]:
+        """Webhooks by (webhook_id)."""
+        return SqlRepository(self.connection, self.engine, tables.webhooks, WebhookRecord, ("webhook_id",))
+
+    @cached_property
+    def webhook_deliveries(self) -> SqlRepository[DeliveryRecord]:
+        """Attempts to deliver by (number)."""
+        return SqlRepository(self.connection, self.engine, tables.webhook_deliveries, DeliveryRecord, ("number",))
 
     @cached_property
     def events(self) -> SqlEventLog:

@@ -91,6 +91,10 @@ DESCRIPTOR_LENGTH = Range(1, 4096)
 PAGE_SIZE = Range(1, 500)
 PAGE_TOKEN_CHARACTERS = 200
 MIN_SEQ = Range(0, LARGEST_INTEGER)
+URL_CHARACTERS = 2000
+"""Of a webhook."""
+WEBHOOKS = 20
+"""That a tenant may have."""
 REASON_CHARACTERS = 64
 """Of the reason by which rejected loop closures are kept in a list."""
 EVENT_NUMBER = Range(0, LARGEST_INTEGER)

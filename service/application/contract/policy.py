@@ -17,6 +17,7 @@ class Policy:
 
     A map is optimised `optimise_delay_ms` after `optimise_after_loops` accepted loops wait to be asked (0: only when
     somebody asks); its last `map_versions_kept` versions stay.
+    With `webhook_private_networks`, webhooks may lead anywhere.
     """
 
     pipeline: PipelineConfig = field(default_factory=PipelineConfig)
@@ -27,6 +28,7 @@ class Policy:
     optimise_after_loops: int = 0
     optimise_delay_ms: int = 5000
     map_versions_kept: int = 20
+    webhook_private_networks: bool = False
 
     def for_map(self, record: MapRecord) -> PipelineConfig:
         """The parameters of the method with what the map overrides."""

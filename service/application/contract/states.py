@@ -57,6 +57,13 @@ class EventKind(StrEnum):
     FORGOTTEN = "FORGOTTEN"
 
 
+class WebhookState(StrEnum):
+    """Whether a webhook is sent to: SUSPENDED after too many failures in a row, until somebody resumes it."""
+
+    ENABLED = "ENABLED"
+    SUSPENDED = "SUSPENDED"
+
+
 class OperationKind(StrEnum):
     """What a job does."""
 

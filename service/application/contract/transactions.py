@@ -25,6 +25,7 @@ from revisit.service.application.contract.repositories import (
     ScanRepository,
     SubmapRepository,
 )
+from revisit.service.application.contract.webhooks import DeliveryRecord, WebhookRecord
 
 T = TypeVar("T")
 
@@ -32,7 +33,7 @@ T = TypeVar("T")
 class UnitOfWork(Protocol):
     """One transaction: all of it is committed, or none.
 
-    Sixteen properties and no methods: one for each kind of record, so that a transaction can change any of them.
+    Eighteen properties and no methods: one for each kind of record, so that a transaction can change any of them.
     """
 
     @property
@@ -98,6 +99,16 @@ class UnitOfWork(Protocol):
     @property
     def events(self) -> EventLog:
         """The log of what happens in the maps."""
+        ...
+
+    @property
+    def webhooks(self) -> Repository[WebhookRecord]:
+        """Webhooks by (webhook_id)."""
+        ...
+
+    @property
+    def webhook_deliveries(self) -> Repository[DeliveryRecord]:
+        """Attempts to deliver by (number)."""
         ...
 
     @property
