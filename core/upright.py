@@ -94,7 +94,7 @@ def _near(points: NDArray[np.floating]) -> Array:
     if len(points) == 0:
         return np.empty((0, 3))
     near = points[(ranges > 0.0) & (ranges < 3.0 * np.median(ranges))].astype(np.float64)
-    return near[:: max(1, len(near) // MAX_POINTS)]
+    return np.asarray(near[:: max(1, len(near) // MAX_POINTS)])
 
 
 def _cap(count: int) -> Array:
