@@ -28,7 +28,7 @@ TOLERANCE_RAD = 0.05
 MIN_SCORE = 0.25
 """The share of surfaces that must be level or upright: of real scans 0.36 to 0.9 are."""
 RIVAL_RAD = np.radians(12.0)
-RIVAL_SHARE = 0.85
+RIVAL_SHARE = 0.95
 
 
 @dataclass(frozen=True)

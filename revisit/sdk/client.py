@@ -266,8 +266,9 @@ class Client:
         `T_level_query` (4, 4): the pose of `points` in a frame whose z points up; its rotation turns them upright.
 
         `criteria`: min_similarity, exclude_session, only_session (a session, its name or id), min_index_gap,
-        prior_position_m with radius_m. `min_seq` (of an operation, a submap or a stream): the answer sees every submap
-        up to it, or `DeadlineExceeded` is raised after `min_seq_timeout_s` (10 by default).
+        prior_position_m with radius_m (in the frame of only_session). `min_seq` (of an operation, a submap or a
+        stream): the answer sees every submap up to it, or `DeadlineExceeded` is raised after `min_seq_timeout_s` (10 by
+        default).
         """
         for field in ("exclude_session", "only_session"):
             if criteria.get(field) is not None:
@@ -294,14 +295,16 @@ class Client:
         radius_m: float | None = None,
         candidates: int = 10,
         exclude_session: str | Session | None = None,
+        only_session: str | Session | None = None,
         T_level_query: Any = None,
         **freshness: Any,
     ) -> Localization:
         """Where in the map a cloud was taken; `best` is None where the place is unknown.
 
         `T_level_query` (4, 4) is the cloud's pose in a frame whose z points up (from odometry or an IMU); its rotation
-        turns the cloud upright. Without it, z of the cloud itself must point up. `exclude_session` (a session, its name
-        or id): a robot that asks with a place it has just posted finds its own submap else.
+        turns the cloud upright. Without it the cloud's own surfaces tell the vertical, within 40 degrees of its z, or z
+        does. `exclude_session` (a session, its name or id): a robot that asks with a place it has just posted finds its
+        own submap else. `prior_position_m` is in the odometry frame of `only_session`, the only one that is searched.
         `freshness`: min_seq with min_seq_timeout_s, as in `search`.
         """
         fields = {
@@ -310,6 +313,7 @@ class Client:
             "radius_m": radius_m,
             "candidates": candidates,
             "exclude_session": None if exclude_session is None else _session_name(map_, exclude_session),
+            "only_session": None if only_session is None else _session_name(map_, only_session),
         }
         request = request_of(loop_closure_pb2.LocalizeRequest, {**fields, **freshness})
         request.cloud.CopyFrom(cloud_message(encoded(points)))

@@ -134,7 +134,7 @@ class SearchSubmapsResponse(_message.Message):
     def __init__(self, hits: _Optional[_Iterable[_Union[SearchHit, _Mapping]]] = ..., searched: _Optional[int] = ...) -> None: ...
 
 class LocalizeRequest(_message.Message):
-    __slots__ = ("parent", "cloud", "prior_position_m", "radius_m", "candidates", "min_seq", "min_seq_timeout_s", "exclude_session", "t_level_query")
+    __slots__ = ("parent", "cloud", "prior_position_m", "radius_m", "candidates", "min_seq", "min_seq_timeout_s", "exclude_session", "t_level_query", "only_session")
     PARENT_FIELD_NUMBER: _ClassVar[int]
     CLOUD_FIELD_NUMBER: _ClassVar[int]
     PRIOR_POSITION_M_FIELD_NUMBER: _ClassVar[int]
@@ -144,6 +144,7 @@ class LocalizeRequest(_message.Message):
     MIN_SEQ_TIMEOUT_S_FIELD_NUMBER: _ClassVar[int]
     EXCLUDE_SESSION_FIELD_NUMBER: _ClassVar[int]
     T_LEVEL_QUERY_FIELD_NUMBER: _ClassVar[int]
+    ONLY_SESSION_FIELD_NUMBER: _ClassVar[int]
     parent: str
     cloud: _cloud_pb2.Cloud
     prior_position_m: _geometry_pb2.Vector3
@@ -153,7 +154,8 @@ class LocalizeRequest(_message.Message):
     min_seq_timeout_s: float
     exclude_session: str
     t_level_query: _geometry_pb2.Transform
-    def __init__(self, parent: _Optional[str] = ..., cloud: _Optional[_Union[_cloud_pb2.Cloud, _Mapping]] = ..., prior_position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., radius_m: _Optional[float] = ..., candidates: _Optional[int] = ..., min_seq: _Optional[int] = ..., min_seq_timeout_s: _Optional[float] = ..., exclude_session: _Optional[str] = ..., t_level_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ...) -> None: ...
+    only_session: str
+    def __init__(self, parent: _Optional[str] = ..., cloud: _Optional[_Union[_cloud_pb2.Cloud, _Mapping]] = ..., prior_position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., radius_m: _Optional[float] = ..., candidates: _Optional[int] = ..., min_seq: _Optional[int] = ..., min_seq_timeout_s: _Optional[float] = ..., exclude_session: _Optional[str] = ..., t_level_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., only_session: _Optional[str] = ...) -> None: ...
 
 class LocalizedCandidate(_message.Message):
     __slots__ = ("submap", "accepted", "reason", "similarity", "score", "t_match_query", "evidence")

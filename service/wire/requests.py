@@ -143,6 +143,7 @@ def localize(request: loop_closure_pb2.LocalizeRequest) -> LocalizeQuery:
         prior_position_m=_position(request),
         radius_m=_optional(request, "radius_m"),
         exclude_session=names.session_id_in(request.parent, request.exclude_session, "exclude_session"),
+        only_session=names.session_id_in(request.parent, request.only_session, "only_session"),
         T_level_query=level_pose(request),
         **given,
     )

@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.errors import BadField
 from revisit.service.application.contract.errors import NotFound
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.index import IndexChange, VectorFilter, VectorIndex, VectorMatch
@@ -93,7 +94,12 @@ def _hits(uow: UnitOfWork, map_record: MapRecord, places: list[RecalledPlace]) -
 def vector_filter(
     uow: UnitOfWork, tenant: TenantId, map_id: str, criteria: SearchCriteria, query: SubmapRecord | None
 ) -> VectorFilter:
-    """The filter of a client's search; `query` is the stored submap that asks, if one does. Raises NotFound."""
+    """The filter of a client's search; `query` is the stored submap that asks, if one does.
+
+    Raises NotFound; BadField for a prior without the session in whose odometry frame it is, where there are several.
+    """
+    if criteria.prior_position_m is not None and criteria.only_session is None and _has_sessions(uow, tenant, map_id):
+        raise BadField("sessions have own frames: only_session says in which the prior is", field="only_session")
     return VectorFilter(
         exclude_submap=None if query is None else query.number,
         exclude_session=_session_number(uow, tenant, map_id, criteria.exclude_session),
@@ -104,6 +110,11 @@ def vector_filter(
         position_m=criteria.prior_position_m,
         radius_m=criteria.radius_m,
     )
+
+
+def _has_sessions(uow: UnitOfWork, tenant: TenantId, map_id: str) -> bool:
+    """Whether a map has more than one."""
+    return uow.sessions.count(tenant, map_id=map_id) > 1
 
 
 def _session_number(uow: UnitOfWork, tenant: TenantId, map_id: str, session_id: str | None) -> int | None:

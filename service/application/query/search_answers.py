@@ -17,7 +17,7 @@ class SearchCriteria:
     """What a hit must satisfy. All optional but `k` (1 to 100).
 
     `min_index_gap` applies to submaps of the query's own session; `prior_position_m` with `radius_m` keeps hits whose
-    position (in their session's odometry frame) is near.
+    position (in the odometry frame of `only_session`, or of the map's one session) is near.
     """
 
     k: int = 20

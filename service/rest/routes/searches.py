@@ -93,9 +93,10 @@ async def localize(
     radius_m: RadiusM = None,
     candidates: Annotated[int, Query(**bounds(limits.LOCALIZE_CANDIDATES)), IN_DIGITS] = 10,
     exclude_session: SessionId = None,
+    only_session: SessionId = None,
 ) -> Response:
     """Where in the map was this cloud taken? No match is an answer, not an error."""
-    query = LocalizeQuery(map_id, cloud, prior, radius_m, candidates, exclude_session, level)
+    query = LocalizeQuery(map_id, cloud, prior, radius_m, candidates, exclude_session, only_session, level)
     return answer(LocalizeAnswer, of_localization(await cases.searches.localize(tenant, query, fresh)))
 
 
