@@ -72,7 +72,7 @@ def evaluate_domain(
     if not file.exists():
         folder.mkdir(parents=True, exist_ok=True)
         comparison = Comparison(
-            RememberedVerdicts(used), domain.submap, domain.loops, PEERS, candidates, verified_peers=True
+            RememberedVerdicts(used), domain.submap, domain.loops, PEERS, candidates, verified_peers=candidates > 0
         )
         recordings = domain.make(Setting(folder, share))
         if isinstance(recordings.queries, DrivenWorld):
