@@ -32,7 +32,7 @@ def empty_slots(rows: int) -> NDArray[np.int32]:
     return np.full(1 << bits, -1, dtype=np.int32)
 
 
-def voxels_of(positions: NDArray[np.float32], resolution: float) -> NDArray[np.int32]:
+def voxels_of(positions: NDArray[np.floating], resolution: float) -> NDArray[np.int32]:
     """The voxels (n, 3) of edge `resolution` in which `positions` (n, 3) lie."""
     return np.floor(positions / np.float64(resolution)).astype(np.int32)
 
