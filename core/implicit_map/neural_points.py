@@ -40,12 +40,18 @@ class NeuralPoints:  # Eq. 1
     def __len__(self) -> int:
         return len(self.positions)
 
-    def subset(self, keep: NDArray[np.bool_]) -> NeuralPoints:
-        """Only the points where `keep` (n,) holds."""
+    def subset(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> NeuralPoints:
+        """Only the points where `keep` (n,) holds, or those of the rows `keep` (m,)."""
         return NeuralPoints(
             self.positions[keep], self.normals[keep], self.created[keep], self.updated[keep], self.hits[keep],
             self.stability[keep],
         )  # fmt: skip
+
+    @classmethod
+    def remembered(cls, positions: Array, normals: Array, hits: NDArray[np.int32], scans: int) -> NeuralPoints:
+        """Points read from a store, which keeps no times: each seen from the first to the last of so many scans."""
+        created, updated = np.zeros(len(positions), np.int32), np.full(len(positions), scans - 1, np.int32)
+        return cls(positions, normals, created, updated, hits, hits.astype(np.float32))
 
 
 class ElasticAccumulator:

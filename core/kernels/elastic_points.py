@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.voxel_table import VoxelTable, add, find
+from revisit.core.kernels.voxel_table import VoxelTable, add_to, find_in
 
 POOLED_RETURNS = 8.0
 
@@ -39,11 +39,11 @@ def insert_returns(
         k = 0
         while k < count:
             x, y, z = cells[0, k], cells[1, k], cells[2, k]
-            i = find(slots, following, voxels, x, y, z)
+            i = find_in(slots, following, voxels, x, y, z)
             if i < 0:
                 i = size
                 size += 1
-                add(slots, following, voxels, i, x, y, z)
+                add_to(slots, following, voxels, i, x, y, z)
                 moments[i], views[i] = 0.0, 0.0
                 scans[i, 0], scans[i, 1], scans[i, 2] = scan, -1, 0
             if scans[i, 1] != scan:
@@ -115,7 +115,7 @@ def pooled_covariances(
         for x in range(cx - 1, cx + 2):
             for y in range(cy - 1, cy + 2):
                 for z in range(cz - 1, cz + 2):
-                    j = find(slots, following, voxels, x, y, z)
+                    j = find_in(slots, following, voxels, x, y, z)
                     if j < 0:
                         continue
                     gap = (positions[j, 0] - px) ** 2 + (positions[j, 1] - py) ** 2 + (positions[j, 2] - pz) ** 2

@@ -19,8 +19,8 @@ _LARGEST_KEY = 2.0**62
 class PointColumns(NamedTuple):
     """Points in the order of their voxels, and where each column of voxels begins.
 
-    points (n, 3) of the type that was given; rows (n,) int32, their rows before the sorting; keys (n,) int64, x * depth + y of their
-    columns counted from `low` (2,), int64; shape (2,) int64, width (x) and depth (y) in columns; grid
+    points (n, 3) of the type that was given; rows (n,) int32, their rows before the sorting; keys (n,) int64, x * depth
+    + y of their columns counted from `low` (2,), int64; shape (2,) int64, width (x) and depth (y) in columns; grid
     (width * depth + 1,) int32, the first point of each column and of those after it, or empty where there are more than
     MAX_GRID columns.
     """

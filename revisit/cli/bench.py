@@ -92,6 +92,29 @@ def recognition(
     _compare_methods(out, recordings or out / "recordings", (drives, protocols), own, lengths, jobs)
 
 
+@group.command("surface")
+@needs("evaluation")
+def surface(
+    out: Annotated[Path, typer.Option(help="Folder for the tables, the picture and unpacked recordings.")] = Path(
+        "out/surface"
+    ),
+    count: Annotated[int, typer.Option(min=1, help="Submaps of most groups of scenes.")] = 2,
+) -> None:
+    """How near stored neural maps come to the true surface, and how many bytes they take."""
+    from revisit.evaluation.surfaces import bench as surfaces
+    from revisit.evaluation.surfaces.scenes import scene_groups
+
+    out.mkdir(parents=True, exist_ok=True)
+    groups = scene_groups(out, count)
+    rows = list(surfaces.compare_kinds(groups, say))
+    (out / "kinds.md").write_text(surfaces.kinds_table(rows))
+    street = next((name for name in groups if "real" in name), list(groups)[-1])
+    curve = list(surfaces.compare_spacings(street, groups[street], say))
+    (out / "spacings.md").write_text(surfaces.kinds_table(curve))
+    surfaces.draw_curve(curve, out / "rate-distortion.png")
+    say(f"{out / 'kinds.md'}, {out / 'spacings.md'} and {out / 'rate-distortion.png'}")
+
+
 def _measure(update: bool, as_json: bool) -> None:
     """Measure, show, and exit with status 1 where a metric became worse than the baseline allows."""
     from revisit.evaluation import benchmark

@@ -71,8 +71,8 @@ def colliding_voxels() -> np.ndarray:
 def test_voxels_that_share_a_slot_are_all_found():
     voxels = colliding_voxels()
     table = table_of(voxels)
-    assert [find.py_func(*table, *(int(v) for v in voxel)) for voxel in voxels] == [0, 1, 2, 3]
-    assert find.py_func(*table, 5, 5, 5) == -1
+    assert [find.py_func(table, *(int(v) for v in voxel)) for voxel in voxels] == [0, 1, 2, 3]
+    assert find.py_func(table, 5, 5, 5) == -1
 
 
 def test_no_occupied_voxel_is_dropped_where_voxels_share_a_slot():
