@@ -24,12 +24,13 @@ def insert_returns(
     scans: NDArray[np.int32],
     size: int,
     resolution: float,
+    limit: int,
 ) -> int:
     """Insert returns (n, 3) of one scan, seen from `origin` (3,); returns the new number of neural points.
 
     A return creates the neural point of its voxel or joins it. Of each neural point: moments (10,) count, sum p and
     the upper sum p p^T; views (3,) sum of the unit vectors towards the sensor; scans (3,) first, last and number of the
-    scans that saw it.
+    scans that saw it. Where there are `limit` of them, no more are created: the returns are left out.
     """
     slots, following, voxels = table.slots, table.following, table.voxels
     cells, units = np.empty((3, _CHUNK), dtype=np.int32), np.empty((3, _CHUNK))
@@ -40,6 +41,11 @@ def insert_returns(
         while k < count:
             x, y, z = cells[0, k], cells[1, k], cells[2, k]
             i = find_in(slots, following, voxels, x, y, z)
+            first = k
+            while k < count and cells[0, k] == x and cells[1, k] == y and cells[2, k] == z:
+                k += 1
+            if i < 0 and size >= limit:
+                continue
             if i < 0:
                 i = size
                 size += 1
@@ -49,9 +55,6 @@ def insert_returns(
             if scans[i, 1] != scan:
                 scans[i, 1] = scan
                 scans[i, 2] += 1
-            first = k
-            while k < count and cells[0, k] == x and cells[1, k] == y and cells[2, k] == z:
-                k += 1
             _gather(points, start, first, k, units, moments, views, i)
     return size
 

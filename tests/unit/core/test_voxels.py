@@ -125,7 +125,7 @@ def test_the_insertion_kernel_sums_what_numpy_sums():
     voxels = voxels_of(points, 0.4)
     table = VoxelTable(np.full(1 << 10, -1, np.int32), np.full(300, -1, np.int32), np.zeros((300, 3), np.int32))
     moments, views, scans = np.zeros((300, 10)), np.zeros((300, 3)), np.zeros((300, 3), np.int32)
-    size = insert_returns(points, np.zeros(3, np.float32), 7, table, moments, views, scans, 0, 0.4)
+    size = insert_returns(points, np.zeros(3, np.float32), 7, table, moments, views, scans, 0, 0.4, 300)
     assert size == len(np.unique(voxels, axis=0))
     for row in range(size):
         inside = points[(voxels == table.voxels[row]).all(axis=1)].astype(np.float64)
