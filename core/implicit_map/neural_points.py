@@ -61,7 +61,7 @@ class ElasticAccumulator:
     """Takes scan after scan and keeps one elastic neural point a voxel."""
 
     def __init__(self, resolution: float, expected: int = 0, limit: int = MAX_NEURAL_POINTS) -> None:
-        """Voxels of edge `resolution` metres, at most `limit` of them; `expected` returns find room without long chains."""
+        """At most `limit` voxels of edge `resolution` metres; `expected` returns find room without long chains."""
         self._resolution, self._limit = resolution, limit
         self._table = VoxelTable(
             empty_slots(expected // _RETURNS_EACH), np.zeros(0, np.int32), np.zeros((0, 3), np.int32)
