@@ -47,8 +47,8 @@ class DescribedSurface:
 class DescribedPlace(DescribedSurface):
     """What a submap becomes.
 
-    The neural map is in the level frame too; `flags` name what was noticed ("degenerate_plane", and what
-    `place_flags` says).
+    The neural map is in the level frame too; `flags` name what was noticed ("degenerate_plane", "crowded" where it
+    filled more voxels than a neural map may have, and what `place_flags` says).
     """
 
     neural_map: NeuralMap
@@ -68,6 +68,7 @@ def describe(submap: Submap, models: ModelBundle, config: PipelineConfig, seed: 
     surface = extract_surface(neural_map, config.surface)  # III-C
     described = describe_surface(surface, frame, models, config, rng)  # III-C to III-E, Eq. 7-14
     flags = ("degenerate_plane",) * is_plane(submap.points) + place_flags(level.points, config.scene_scale)
+    flags += ("crowded",) * neural_map.crowded
     return DescribedPlace(**vars(described), neural_map=dataclasses.replace(neural_map, frame=frame), flags=flags)
 
 

@@ -20,28 +20,43 @@ from revisit.core.submap import Submap
 
 Array = NDArray[np.float32]
 
+GATHERED_SHARE = 3
+"""So many times the neural points that a map may have are gathered before the farthest are left out."""
+
 
 @stage("implicit_map")
 def fit_implicit_map(
     submap: Submap, decoder: DecoderWeights, config: ImplicitMapConfig, rng: np.random.Generator
 ) -> NeuralMap:
     """The neural map of a submap: accumulate, remove what moved, fit features where the field is learned."""
-    points = settle(without_dynamic_points(accumulate(submap, config), submap, config), config.resolution)
+    gathered = accumulate(submap, config)
+    crowded = len(gathered) > config.max_points
+    points = without_dynamic_points(nearest_to_middle(gathered, config.max_points), submap, config)
+    points = settle(points, config.resolution)
     if config.field is Field.PLANES:
-        return NeuralMap.of_planes(points, submap.stamps_ns, config)
+        return dataclasses.replace(NeuralMap.of_planes(points, submap.stamps_ns, config), crowded=crowded)
     from revisit.core.implicit_map.gradient_steps import learn_features  # torch, and only where it is needed
 
     features, fitted = learn_features(submap, points, decoder, config, rng)
-    return NeuralMap(points, features, submap.stamps_ns, fitted, config, adapted=config.update_decoder)
+    return NeuralMap(points, features, submap.stamps_ns, fitted, config, adapted=config.update_decoder, crowded=crowded)
 
 
 def accumulate(submap: Submap, config: ImplicitMapConfig) -> NeuralPoints:
     """The elastic neural points of all scans, in time order (paper III-B 3)."""
-    accumulator = ElasticAccumulator(config.resolution, len(submap.points))
+    limit = GATHERED_SHARE * config.max_points
+    accumulator = ElasticAccumulator(config.resolution, len(submap.points), limit)
     bounds = np.searchsorted(submap.scan_index, np.arange(submap.scan_count + 1))
     for scan in range(submap.scan_count):
         accumulator.insert(submap.points[bounds[scan] : bounds[scan + 1]], submap.origins[scan], scan)
     return accumulator.finish()
+
+
+def nearest_to_middle(points: NeuralPoints, most: int) -> NeuralPoints:
+    """At most so many neural points: those nearest to the middle of the submap, in their order."""
+    if len(points) <= most:
+        return points
+    squared = np.einsum("ij,ij->i", points.positions, points.positions)
+    return points.subset(np.sort(np.argpartition(squared, most)[:most]))
 
 
 def without_dynamic_points(points: NeuralPoints, submap: Submap, config: ImplicitMapConfig) -> NeuralPoints:

@@ -38,7 +38,8 @@ class NeuralMap:
 
     Everything in the level frame `frame`, lengths in metres divided by the scene scale. `stamps_ns` (s,) int64 are the
     times of the scans that `points.created` and `points.updated` count. `adapted` says that the decoder was fitted to
-    this map too, and so is stored with it.
+    this map too, and so is stored with it; `crowded`, which is not stored, that the submap filled more voxels than a
+    map may have (`max_points`), so that the farthest were left out.
     """
 
     points: NeuralPoints
@@ -48,6 +49,7 @@ class NeuralMap:
     config: ImplicitMapConfig
     frame: LevelFrame = field(default_factory=LevelFrame)
     adapted: bool = False
+    crowded: bool = False
 
     @classmethod
     def of_planes(

@@ -19,6 +19,9 @@ from revisit.core.kernels.voxel_table import VoxelTable, empty_slots
 
 Array = NDArray[np.float32]
 
+MAX_NEURAL_POINTS = 4_000_000
+"""As many as a cloud of the largest size can have."""
+
 _RETURNS_EACH = 8  # in a voxel of a usual submap, or more
 
 
@@ -57,9 +60,9 @@ class NeuralPoints:  # Eq. 1
 class ElasticAccumulator:
     """Takes scan after scan and keeps one elastic neural point a voxel."""
 
-    def __init__(self, resolution: float, expected: int = 0) -> None:
-        """Voxels of edge `resolution` metres; `expected` returns, several a voxel, find room without long chains."""
-        self._resolution = resolution
+    def __init__(self, resolution: float, expected: int = 0, limit: int = MAX_NEURAL_POINTS) -> None:
+        """At most `limit` voxels of edge `resolution` metres; `expected` returns find room without long chains."""
+        self._resolution, self._limit = resolution, limit
         self._table = VoxelTable(
             empty_slots(expected // _RETURNS_EACH), np.zeros(0, np.int32), np.zeros((0, 3), np.int32)
         )
@@ -74,9 +77,18 @@ class ElasticAccumulator:
         A return in an empty voxel creates a neural point; another moves the point of its voxel (paper III-B 3; why
         none is ever evicted: docs/decisions/0064).
         """
-        self._reserve(self._size + len(points))
+        self._reserve(min(self._size + len(points), self._limit))
         self._size = insert_returns(
-            points, origin, scan, self._table, self._moments, self._views, self._scans, self._size, self._resolution
+            points,
+            origin,
+            scan,
+            self._table,
+            self._moments,
+            self._views,
+            self._scans,
+            self._size,
+            self._resolution,
+            self._limit,
         )
 
     def finish(self) -> NeuralPoints:

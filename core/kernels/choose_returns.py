@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.voxel_table import VoxelTable, find
+from revisit.core.kernels.voxel_table import VoxelTable, find_in
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -27,7 +27,7 @@ def choose_returns(
     for n in order:
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
         vx, vy, vz = int(np.floor(x / resolution)), int(np.floor(y / resolution)), int(np.floor(z / resolution))
-        i = find(slots, following, voxels, vx, vy, vz)
+        i = find_in(slots, following, voxels, vx, vy, vz)
         if i < 0 or taken[i] >= per_point:
             continue
         gap = 0.0

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.voxel_table import VoxelTable, add, find
+from revisit.core.kernels.voxel_table import VoxelTable, add_to, find_in
 
 POOLED_RETURNS = 8.0
 
@@ -24,12 +24,13 @@ def insert_returns(
     scans: NDArray[np.int32],
     size: int,
     resolution: float,
+    limit: int,
 ) -> int:
     """Insert returns (n, 3) of one scan, seen from `origin` (3,); returns the new number of neural points.
 
     A return creates the neural point of its voxel or joins it. Of each neural point: moments (10,) count, sum p and
     the upper sum p p^T; views (3,) sum of the unit vectors towards the sensor; scans (3,) first, last and number of the
-    scans that saw it.
+    scans that saw it. Where there are `limit` of them, no more are created: the returns are left out.
     """
     slots, following, voxels = table.slots, table.following, table.voxels
     cells, units = np.empty((3, _CHUNK), dtype=np.int32), np.empty((3, _CHUNK))
@@ -39,19 +40,21 @@ def insert_returns(
         k = 0
         while k < count:
             x, y, z = cells[0, k], cells[1, k], cells[2, k]
-            i = find(slots, following, voxels, x, y, z)
+            i = find_in(slots, following, voxels, x, y, z)
+            first = k
+            while k < count and cells[0, k] == x and cells[1, k] == y and cells[2, k] == z:
+                k += 1
+            if i < 0 and size >= limit:
+                continue
             if i < 0:
                 i = size
                 size += 1
-                add(slots, following, voxels, i, x, y, z)
+                add_to(slots, following, voxels, i, x, y, z)
                 moments[i], views[i] = 0.0, 0.0
                 scans[i, 0], scans[i, 1], scans[i, 2] = scan, -1, 0
             if scans[i, 1] != scan:
                 scans[i, 1] = scan
                 scans[i, 2] += 1
-            first = k
-            while k < count and cells[0, k] == x and cells[1, k] == y and cells[2, k] == z:
-                k += 1
             _gather(points, start, first, k, units, moments, views, i)
     return size
 
@@ -115,7 +118,7 @@ def pooled_covariances(
         for x in range(cx - 1, cx + 2):
             for y in range(cy - 1, cy + 2):
                 for z in range(cz - 1, cz + 2):
-                    j = find(slots, following, voxels, x, y, z)
+                    j = find_in(slots, following, voxels, x, y, z)
                     if j < 0:
                         continue
                     gap = (positions[j, 0] - px) ** 2 + (positions[j, 1] - py) ** 2 + (positions[j, 2] - pz) ** 2

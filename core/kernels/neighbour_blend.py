@@ -80,7 +80,10 @@ def _weigh(indices: NDArray[np.int32], squared: Array, m: int, power: float, wei
     near, total = 0, np.float32(0.0)
     while near < indices.shape[1] and indices[m, near] >= 0:
         distance = max(np.sqrt(squared[m, near]), np.float32(NEAREST_M))
-        weights[near] = _ONE / distance if power == 1.0 else distance ** np.float32(-power)  # Eq. 3
+        if power == 1.0 or power == 2.0:
+            weights[near] = _ONE / (distance if power == 1.0 else distance * distance)  # Eq. 3
+        else:
+            weights[near] = distance ** np.float32(-power)
         total += weights[near]
         near += 1
     for j in range(near):

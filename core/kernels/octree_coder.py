@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.kernels.range_coder import Coder, Models, code_bit
-from revisit.core.kernels.voxel_table import VoxelTable, add_to, find_in
+from revisit.core.kernels.voxel_table import VoxelTable, add, find
 
 Voxels = NDArray[np.int32]
 
@@ -51,8 +51,8 @@ def _enter(table: VoxelTable, voxels: Voxels, shift: int) -> None:
     size = 0
     for row in range(len(voxels)):
         x, y, z = voxels[row, 0] >> shift, voxels[row, 1] >> shift, voxels[row, 2] >> shift
-        if find_in(table, x, y, z) < 0:
-            add_to(table, size, x, y, z)
+        if find(table, x, y, z) < 0:
+            add(table, size, x, y, z)
             size += 1
 
 
@@ -64,7 +64,7 @@ def _code_level(
     """The occupied children of `nodes` (n, 3); `detail` 0 for the finest level, 1 for the one above, else 2."""
     parents = _table(len(nodes))
     for row in range(len(nodes)):
-        add_to(parents, row, nodes[row, 0], nodes[row, 1], nodes[row, 2])
+        add(parents, row, nodes[row, 0], nodes[row, 1], nodes[row, 2])
     size = 0
     for row in range(len(nodes)):
         before = size
@@ -77,9 +77,9 @@ def _code_level(
             if child < 7 or size > before:  # the last child of an otherwise empty node is certain
                 known = 4 * min(size - before, 1) + _beside(parents, px, py, pz)
                 model = ((detail * 8 + child) * 64 + _around(parents, children, x, y, z)) * 8 + known
-                bit = code_bit(coder, data, models, model, 1 if find_in(wanted, x, y, z) >= 0 else 0)
+                bit = code_bit(coder, data, models, model, 1 if find(wanted, x, y, z) >= 0 else 0)
             if bit:
-                add_to(children, size, x, y, z)
+                add(children, size, x, y, z)
                 size += 1
     return size
 
@@ -88,12 +88,12 @@ def _code_level(
 def _around(parents: VoxelTable, children: VoxelTable, x: int, y: int, z: int) -> int:
     """What is known of the six neighbours of a child, one bit each: itself where it is coded, else its parent."""
     known = 0
-    known |= 1 if find_in(children, x - 1, y, z) >= 0 else 0
-    known |= 2 if find_in(children, x, y - 1, z) >= 0 else 0
-    known |= 4 if find_in(children, x, y, z - 1) >= 0 else 0
-    known |= 8 if find_in(parents, (x + 1) >> 1, y >> 1, z >> 1) >= 0 else 0
-    known |= 16 if find_in(parents, x >> 1, (y + 1) >> 1, z >> 1) >= 0 else 0
-    known |= 32 if find_in(parents, x >> 1, y >> 1, (z + 1) >> 1) >= 0 else 0
+    known |= 1 if find(children, x - 1, y, z) >= 0 else 0
+    known |= 2 if find(children, x, y - 1, z) >= 0 else 0
+    known |= 4 if find(children, x, y, z - 1) >= 0 else 0
+    known |= 8 if find(parents, (x + 1) >> 1, y >> 1, z >> 1) >= 0 else 0
+    known |= 16 if find(parents, x >> 1, (y + 1) >> 1, z >> 1) >= 0 else 0
+    known |= 32 if find(parents, x >> 1, y >> 1, (z + 1) >> 1) >= 0 else 0
     return known
 
 
@@ -101,7 +101,7 @@ def _around(parents: VoxelTable, children: VoxelTable, x: int, y: int, z: int) -
 def _beside(parents: VoxelTable, x: int, y: int, z: int) -> int:
     """Of a parent's neighbours below, above, and at the two sides already passed, how many are occupied, 0 to 3."""
     count = 0
-    count += 1 if find_in(parents, x, y, z - 1) >= 0 else 0
-    count += 1 if find_in(parents, x, y, z + 1) >= 0 else 0
-    count += 1 if find_in(parents, x - 1, y, z) >= 0 or find_in(parents, x, y - 1, z) >= 0 else 0
+    count += 1 if find(parents, x, y, z - 1) >= 0 else 0
+    count += 1 if find(parents, x, y, z + 1) >= 0 else 0
+    count += 1 if find(parents, x - 1, y, z) >= 0 or find(parents, x, y - 1, z) >= 0 else 0
     return count

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.kernels.range_coder import UNARY, Coder, Models, code_bit, code_number
-from revisit.core.kernels.voxel_table import VoxelTable, find_in
+from revisit.core.kernels.voxel_table import VoxelTable, find
 
 FIXED = 1024
 """Parts of a voxel's edge, and of a unit vector, in which guesses are computed: whole numbers on every machine."""
@@ -56,7 +56,7 @@ def _coded_neighbours(table: VoxelTable, row: int, near: Whole) -> int:
             for dy in range(-1, 2):
                 for dz in range(-1, 2):
                     if abs(dx) + abs(dy) + abs(dz) == order:
-                        other = find_in(table, x + dx, y + dy, z + dz)
+                        other = find(table, x + dx, y + dy, z + dz)
                         if 0 <= other < row:
                             near[count] = other
                             count += 1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -19,13 +19,13 @@ _LARGEST_KEY = 2.0**62
 class PointColumns(NamedTuple):
     """Points in the order of their voxels, and where each column of voxels begins.
 
-    points (n, 3) float32; rows (n,) int32, their rows before the sorting; keys (n,) int64, x * depth + y of their
-    columns counted from `low` (2,), int64; shape (2,) int64, width (x) and depth (y) in columns; grid
+    points (n, 3) of the type that was given; rows (n,) int32, their rows before the sorting; keys (n,) int64, x * depth
+    + y of their columns counted from `low` (2,), int64; shape (2,) int64, width (x) and depth (y) in columns; grid
     (width * depth + 1,) int32, the first point of each column and of those after it, or empty where there are more than
     MAX_GRID columns.
     """
 
-    points: NDArray[np.float32]
+    points: NDArray[Any]
     rows: NDArray[np.int32]
     keys: NDArray[np.int64]
     grid: NDArray[np.int32]
@@ -33,7 +33,7 @@ class PointColumns(NamedTuple):
     shape: NDArray[np.int64]
 
 
-def columns_of(positions: NDArray[np.float32], resolution: float) -> PointColumns:
+def columns_of(positions: NDArray[np.floating], resolution: float) -> PointColumns:
     """The columns of `positions` (n, 3) over voxels of edge `resolution`."""
     voxels = voxels_of(positions, resolution).astype(np.int64) if len(positions) else np.zeros((1, 3), np.int64)
     low = voxels.min(axis=0)

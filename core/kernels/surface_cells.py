@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.voxel_table import VoxelTable, add, find
+from revisit.core.kernels.voxel_table import VoxelTable, add_to, find_in
 
 NEAR_PLANE = 0.9
 
@@ -29,9 +29,9 @@ def enter_observed_corners(positions: NDArray[np.float32], resolution: float, re
                 dy = py - np.float32(y * resolution)
                 for z in range(vz - steps + 1, vz + steps + 1):
                     dz = pz - np.float32(z * resolution)
-                    if np.sqrt(dx * dx + dy * dy + dz * dz) > limit or find(slots, following, voxels, x, y, z) >= 0:
+                    if np.sqrt(dx * dx + dy * dy + dz * dz) > limit or find_in(slots, following, voxels, x, y, z) >= 0:
                         continue
-                    add(slots, following, voxels, count, x, y, z)
+                    add_to(slots, following, voxels, count, x, y, z)
                     count += 1
     return count
 
@@ -60,7 +60,7 @@ def find_cells(
                     height += ((z + 0.5) * resolution - pz) * normals[i, 2]
                     if abs(height) > reach:
                         continue
-                    row = find(slots, following, voxels, x, y, z)
+                    row = find_in(slots, following, voxels, x, y, z)
                     if row < 0 or tried[row]:
                         continue
                     tried[row] = True
@@ -70,6 +70,6 @@ def find_cells(
                         known += 1
                         step = known & 1, (known >> 1) & 1, (known >> 2) & 1
                         if known < 8:
-                            row = find(slots, following, voxels, x + step[0], y + step[1], z + step[2])
+                            row = find_in(slots, following, voxels, x + step[0], y + step[1], z + step[2])
                     found += known == 8
     return rows[:found].copy()

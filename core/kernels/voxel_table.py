@@ -32,7 +32,7 @@ def empty_slots(rows: int) -> NDArray[np.int32]:
     return np.full(1 << bits, -1, dtype=np.int32)
 
 
-def voxels_of(positions: NDArray[np.float32], resolution: float) -> NDArray[np.int32]:
+def voxels_of(positions: NDArray[np.floating], resolution: float) -> NDArray[np.int32]:
     """The voxels (n, 3) of edge `resolution` in which `positions` (n, 3) lie."""
     return np.floor(positions / np.float64(resolution)).astype(np.int32)
 
@@ -54,7 +54,7 @@ def slot_of(slots: NDArray[np.int32], x: int, y: int, z: int) -> int:
 
 
 @numba.njit(inline="always")
-def find(
+def find_in(
     slots: NDArray[np.int32], following: NDArray[np.int32], voxels: NDArray[np.int32], x: int, y: int, z: int
 ) -> int:
     """The row of voxel (x, y, z), or -1.
@@ -68,7 +68,7 @@ def find(
 
 
 @numba.njit(inline="always")
-def add(
+def add_to(
     slots: NDArray[np.int32], following: NDArray[np.int32], voxels: NDArray[np.int32], row: int, x: int, y: int, z: int
 ) -> None:
     """Enter voxel (x, y, z), which is not in the table yet, as `row`."""
@@ -78,31 +78,31 @@ def add(
     slots[slot] = row
 
 
+@numba.njit(inline="always")
+def find(table: VoxelTable, x: int, y: int, z: int) -> int:
+    """The row of voxel (x, y, z), or -1. Loops over many voxels take `find_in`, which is several times faster."""
+    return find_in(table.slots, table.following, table.voxels, x, y, z)
+
+
+@numba.njit(inline="always")
+def add(table: VoxelTable, row: int, x: int, y: int, z: int) -> None:
+    """Enter voxel (x, y, z), which is not in the table yet, as `row`."""
+    add_to(table.slots, table.following, table.voxels, row, x, y, z)
+
+
 @numba.njit(cache=True, error_model="numpy")
 def _fill(slots: NDArray[np.int32], following: NDArray[np.int32], voxels: NDArray[np.int32]) -> None:
     for row in range(len(voxels) - 1, -1, -1):
         x, y, z = voxels[row, 0], voxels[row, 1], voxels[row, 2]
-        if find(slots, following, voxels, x, y, z) < 0:
-            add(slots, following, voxels, row, x, y, z)
+        if find_in(slots, following, voxels, x, y, z) < 0:
+            add_to(slots, following, voxels, row, x, y, z)
 
 
 @numba.njit(cache=True, error_model="numpy")
 def rows_of(table: VoxelTable, voxels: NDArray[np.int32]) -> NDArray[np.int64]:
     """The rows (n,) of `voxels` (n, 3) in the table, -1 where one is not there."""
-    slots, following, known = table.slots, table.following, table.voxels
+    slots, following, entered = table.slots, table.following, table.voxels
     rows = np.empty(len(voxels), dtype=np.int64)
     for n in range(len(voxels)):
-        rows[n] = find(slots, following, known, voxels[n, 0], voxels[n, 1], voxels[n, 2])
+        rows[n] = find_in(slots, following, entered, voxels[n, 0], voxels[n, 1], voxels[n, 2])
     return rows
-
-
-@numba.njit(inline="always")
-def find_in(table: VoxelTable, x: int, y: int, z: int) -> int:
-    """`find` in a table, where speed matters less than the length of the call."""
-    return int(find(table.slots, table.following, table.voxels, x, y, z))
-
-
-@numba.njit(inline="always")
-def add_to(table: VoxelTable, row: int, x: int, y: int, z: int) -> None:
-    """`add` to a table, where speed matters less than the length of the call."""
-    add(table.slots, table.following, table.voxels, row, x, y, z)

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
+from revisit.core.kernels.surface_alignment import in_seen_columns
 from revisit.core.verification.line_of_sight import seen_through
-from revisit.core.verification.oriented_points import OrientedPoints, contact
+from revisit.core.verification.oriented_points import COLUMN_M, OrientedPoints, contact
 from revisit.core.verification.registration import Registration, information
 
 Array64 = NDArray[np.float64]
@@ -42,7 +43,8 @@ def gather_evidence(
 ) -> Evidence:
     """All evidence about a registration; what costs time only where it was refined."""
     moved = query.moved(registration.T_match_query)
-    forward, backward = contact(moved, match, config), contact(match, moved, config)
+    forward = contact(moved, match, config)
+    backward = contact(match.moved(se3.inverse(registration.T_match_query)), query, config)
     seen_query, seen_match = in_region(moved.standing, match), in_region(match.standing, moved)
     touching = forward.touching[: query.standing_count], backward.touching[: match.standing_count]
     fixed = information(moved.points[forward.touching], match.normals[forward.rows])
@@ -81,7 +83,9 @@ def mutually_seen_through(
 
 def in_region(surface: OrientedPoints, other: OrientedPoints) -> NDArray[np.bool_]:
     """Which points (n,) of a surface stand in a column in which the other place has seen anything."""
-    return np.isin(surface.columns, other.seen_columns)
+    return np.asarray(
+        in_seen_columns(np.ascontiguousarray(surface.points), np.ascontiguousarray(other.points), COLUMN_M)
+    )
 
 
 def _one_sided_overlap(standing: OrientedPoints, match: OrientedPoints, config: VerificationConfig) -> float:

@@ -11,9 +11,15 @@ from scipy.spatial import cKDTree
 
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
+from revisit.core.kernels.point_columns import PointColumns
+from revisit.core.kernels.point_columns import columns_of as columns_by_edge
+from revisit.core.kernels.surface_alignment import touching_rows
 from revisit.core.place import Place
 
 Array64 = NDArray[np.float64]
+
+SEARCH_EDGE_M = 1.0
+"""Edge of the columns by which points are sorted for searches, in metres: they lie about 0.8 m apart."""
 
 COLUMN_M = 2.0
 """Edge of the vertical columns in which two places are compared, in metres."""
@@ -38,6 +44,16 @@ class OrientedPoints:
     def tree(self) -> cKDTree:
         """For nearest neighbours among the points."""
         return cKDTree(self.points)
+
+    @cached_property
+    def sorted_points(self) -> PointColumns:
+        """For nearest neighbours among the points, by the kernels: columns of SEARCH_EDGE_M."""
+        return columns_by_edge(self.points, SEARCH_EDGE_M)
+
+    @cached_property
+    def sorted_normals(self) -> Array64:
+        """The normals (n, 3) in the order of `sorted_points`."""
+        return np.ascontiguousarray(self.normals[self.sorted_points.rows])
 
     @cached_property
     def columns(self) -> NDArray[np.int64]:
@@ -81,20 +97,17 @@ class Contact:
 
     touching: NDArray[np.bool_]
     residuals: Array64
-    rows: NDArray[np.int64]
+    rows: NDArray[np.int32]
 
 
 def contact(surface: OrientedPoints, other: OrientedPoints, config: VerificationConfig) -> Contact:
     """Where `surface` lies on `other`: near one of its points, near its tangent plane, facing alike. One frame."""
-    gaps, nearest = other.tree.query(surface.points, distance_upper_bound=config.neighbour_distance)
-    found = np.flatnonzero(np.isfinite(gaps))
-    rows = nearest[found]
-    residuals = np.einsum("ij,ij->i", surface.points[found] - other.points[rows], other.normals[rows])
-    facing = np.einsum("ij,ij->i", surface.normals[found], other.normals[rows])
-    good = (np.abs(residuals) < config.surface_distance) & (facing > _FACING_ALIKE)
-    touching = np.zeros(len(surface.points), dtype=bool)
-    touching[found[good]] = True
-    return Contact(touching, residuals[good], rows[good])
+    rows, distances = touching_rows(
+        np.ascontiguousarray(surface.points), np.ascontiguousarray(surface.normals), other.sorted_points,
+        SEARCH_EDGE_M, other.sorted_normals, config.neighbour_distance, config.surface_distance, _FACING_ALIKE,
+    )  # fmt: skip
+    touching = rows >= 0
+    return Contact(touching, distances[touching], other.sorted_points.rows[rows[touching]])
 
 
 def columns_of(points: Array64) -> NDArray[np.int64]:

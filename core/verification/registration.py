@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
-from revisit.core.verification.oriented_points import OrientedPoints, contact
+from revisit.core.kernels.surface_alignment import aligned
+from revisit.core.verification.oriented_points import SEARCH_EDGE_M, OrientedPoints, contact
 
 Array64 = NDArray[np.float64]
 
@@ -20,7 +21,6 @@ MIN_COUNTERPARTS = 30
 _FACING_ALIKE = 0.5  # smallest cosine between the normals of two counterparts
 _ROBUST_SHARE = 0.2  # of the reach: the residual at which a pair weighs a quarter
 _DAMPING = 1e-6
-_SMALLEST_STEP_M, _SMALLEST_STEP_RAD = 2e-3, 1e-4
 
 
 @dataclass(frozen=True)
@@ -72,19 +72,20 @@ def iterate(
     T_match_query: se3.Matrix4, query: OrientedPoints, match: OrientedPoints, reach: float, rounds: int
 ) -> se3.Matrix4:
     """Up to `rounds` Gauss-Newton steps from `T_match_query`, with counterparts within `reach` metres."""
-    for _ in range(rounds):
-        pairs = find_counterparts(query.moved(T_match_query), match, reach)
-        if len(pairs.points) < MIN_COUNTERPARTS:
-            break
-        step = gauss_newton_step(pairs, reach)
-        T_match_query = se3.exp(step) @ T_match_query
-        if np.linalg.norm(step[:3]) < _SMALLEST_STEP_M and np.linalg.norm(step[3:]) < _SMALLEST_STEP_RAD:
-            break
-    return T_match_query
+    return np.asarray(
+        aligned(
+            np.ascontiguousarray(T_match_query), np.ascontiguousarray(query.points),
+            np.ascontiguousarray(query.normals), match.sorted_points, SEARCH_EDGE_M, match.sorted_normals,
+            reach, rounds, _FACING_ALIKE, _ROBUST_SHARE * reach, MIN_COUNTERPARTS,
+        )
+    )  # fmt: skip
 
 
 def find_counterparts(moved: OrientedPoints, match: OrientedPoints, reach: float) -> Counterparts:
-    """Each point of `moved` with the nearest one of `match`, where that is within `reach` metres and faces alike."""
+    """Each point of `moved` with the nearest one of `match`, where that is within `reach` metres and faces alike.
+
+    This and `gauss_newton_step` are the plain form of a step of `iterate`, which is compiled.
+    """
     gaps, nearest = match.tree.query(moved.points, distance_upper_bound=reach)
     found = np.flatnonzero(np.isfinite(gaps))
     facing = np.einsum("ij,ij->i", moved.normals[found], match.normals[nearest[found]])

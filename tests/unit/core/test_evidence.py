@@ -94,3 +94,12 @@ def test_a_region_is_made_of_two_metre_columns():
     seen = OrientedPoints(np.array([[0.1, 0.1, 50.0]]), np.array([[0.0, 0.0, 1.0]]), 1)
     points = np.array([[1.9, 1.9, -3.0], [2.1, 0.1, 0.0], [-0.1, 0.1, 0.0]])
     assert in_region(OrientedPoints(points, points, 3), seen).tolist() == [True, False, False]
+
+
+def test_the_shared_region_is_that_of_the_columns_of_numpy():
+    rng = np.random.default_rng(3)
+    one, other = (rng.uniform(-30, 30, (300, 3)) for _ in range(2))
+    surfaces = [OrientedPoints(points, points, 300) for points in (one, other)]
+    expected = np.isin(surfaces[0].columns, surfaces[1].seen_columns)
+    assert 20 < expected.sum() < 280
+    assert np.array_equal(in_region(*surfaces), expected)

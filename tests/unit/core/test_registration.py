@@ -170,3 +170,30 @@ def test_contact_is_near_a_point_near_its_plane_and_facing_alike():
     near = contact(wall.shifted(np.array([0.2, 0.3, 0.0])), wall, CONFIG)
     np.testing.assert_allclose(near.residuals, 0.2)
     np.testing.assert_array_equal(near.rows, np.arange(len(wall.points)))
+
+
+@pytest.mark.parametrize("reach", [1.0, 3.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_compiled_icp_takes_the_plain_steps(reach, seed):
+    rng = np.random.default_rng(seed)
+    query, match = surface(seed + 1, 800), surface(seed + 1)
+    pose = se3.exp(np.concatenate([rng.normal(0, 0.2, 3), rng.normal(0, 0.02, 3)]))
+    found = iterate(pose, query, match, reach, 3)
+    for _ in range(3):
+        pairs = find_counterparts(query.moved(pose), match, reach)
+        pose = se3.exp(gauss_newton_step(pairs, reach)) @ pose
+    np.testing.assert_allclose(found, pose, atol=1e-6)  # the compiled one stops where steps become that small
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_compiled_contact_is_the_plain_one(seed):
+    query, match = surface(seed + 1, 800).moved(se3.exp([0.1, 0.05, 0.02, 0.0, 0.01, 0.02])), surface(seed + 1)
+    gaps, nearest = match.tree.query(query.points, distance_upper_bound=CONFIG.neighbour_distance)
+    rows = np.where(np.isfinite(gaps), nearest, 0)
+    residuals = np.einsum("ij,ij->i", query.points - match.points[rows], match.normals[rows])
+    facing = np.einsum("ij,ij->i", query.normals, match.normals[rows])
+    good = np.isfinite(gaps) & (np.abs(residuals) < CONFIG.surface_distance) & (facing > 0.6)
+    found = contact(query, match, CONFIG)
+    assert np.array_equal(found.touching, good)
+    assert np.array_equal(found.rows, rows[good])
+    np.testing.assert_allclose(found.residuals, residuals[good], atol=1e-12)

@@ -71,8 +71,8 @@ def colliding_voxels() -> np.ndarray:
 def test_voxels_that_share_a_slot_are_all_found():
     voxels = colliding_voxels()
     table = table_of(voxels)
-    assert [find.py_func(*table, *(int(v) for v in voxel)) for voxel in voxels] == [0, 1, 2, 3]
-    assert find.py_func(*table, 5, 5, 5) == -1
+    assert [find.py_func(table, *(int(v) for v in voxel)) for voxel in voxels] == [0, 1, 2, 3]
+    assert find.py_func(table, 5, 5, 5) == -1
 
 
 def test_no_occupied_voxel_is_dropped_where_voxels_share_a_slot():
@@ -125,7 +125,7 @@ def test_the_insertion_kernel_sums_what_numpy_sums():
     voxels = voxels_of(points, 0.4)
     table = VoxelTable(np.full(1 << 10, -1, np.int32), np.full(300, -1, np.int32), np.zeros((300, 3), np.int32))
     moments, views, scans = np.zeros((300, 10)), np.zeros((300, 3)), np.zeros((300, 3), np.int32)
-    size = insert_returns(points, np.zeros(3, np.float32), 7, table, moments, views, scans, 0, 0.4)
+    size = insert_returns(points, np.zeros(3, np.float32), 7, table, moments, views, scans, 0, 0.4, 300)
     assert size == len(np.unique(voxels, axis=0))
     for row in range(size):
         inside = points[(voxels == table.voxels[row]).all(axis=1)].astype(np.float64)
