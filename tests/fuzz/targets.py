@@ -18,7 +18,8 @@ from revisit.core.place import Place
 from revisit.core.scan import validate_cloud
 from revisit.formats import MEDIA_TYPES, CloudLimits, PackedCloud, decode_cloud, decode_content
 from revisit.service.application.catalogue.meshes import unpack_mesh
-from revisit.service.application.catalogue.paging import PageRequest
+from revisit.service.application.catalogue.paging import PageTokens
+from revisit.service.application.contract.identity import DEFAULT_TENANT
 from revisit.service.application.ingest.clouds import unpack_cloud
 from revisit.service.rest.bodies import parse_json
 from revisit.service.rest.limits import HttpLimits
@@ -85,6 +86,8 @@ def behind_checksum(reader: Callable[[bytes], object], magic: bytes, digest_byte
     return read
 
 
+TOKENS = PageTokens(b"secret")
+
 TARGETS: dict[str, Target] = {
     **{media_type: cloud(media_type) for media_type in MEDIA_TYPES},
     "gzip": content("gzip"),
@@ -92,7 +95,9 @@ TARGETS: dict[str, Target] = {
     "packed cloud header": refusing(PackedCloud.from_bytes, RevisitError),
     "json map": refusing(lambda data: parse_json(data, CreateMapRequest, HttpLimits()), RevisitError),
     "json search": refusing(lambda data: parse_json(data, SearchRequest, HttpLimits()), RevisitError),
-    "page token": refusing(lambda data: PageRequest(token=data.decode("latin-1")).after, RevisitError),
+    "page token": refusing(
+        lambda data: PageTokens(b"secret").number_in(DEFAULT_TENANT, data.decode("latin-1")), RevisitError
+    ),
     "neural map": refusing(blob.unpack, DataLoss),
     "neural map behind its checksum": behind_checksum(blob.unpack, blob.CONTAINER.magic, 32),
     "place": refusing(Place.from_blob, DataLoss),

@@ -18,7 +18,7 @@ from tests.support.credentials import a_key, bearer, ended
 from tests.support.service_world import memory_world
 
 PATHS = {"map_id": "town", "session_id": "monday", "submap_id": "a", "loop_id": "loop-1", "operation_id": "op-1"}
-PUBLIC_PATHS = {"/livez", "/readyz", "/"} | {
+PUBLIC_PATHS = {"/livez", "/readyz", "/", "/docs"} | {
     f"/{file.relative_to(WEB).as_posix()}" for file in WEB.rglob("*") if file.suffix in (".css", ".js", ".svg")
 }
 
