@@ -95,9 +95,7 @@ TARGETS: dict[str, Target] = {
     "packed cloud header": refusing(PackedCloud.from_bytes, RevisitError),
     "json map": refusing(lambda data: parse_json(data, CreateMapRequest, HttpLimits()), RevisitError),
     "json search": refusing(lambda data: parse_json(data, SearchRequest, HttpLimits()), RevisitError),
-    "page token": refusing(
-        lambda data: PageTokens(b"secret").number_in(DEFAULT_TENANT, data.decode("latin-1")), RevisitError
-    ),
+    "page token": refusing(lambda data: TOKENS.number_in(DEFAULT_TENANT, data.decode("latin-1")), RevisitError),
     "neural map": refusing(blob.unpack, DataLoss),
     "neural map behind its checksum": behind_checksum(blob.unpack, blob.CONTAINER.magic, 32),
     "place": refusing(Place.from_blob, DataLoss),
