@@ -13,6 +13,7 @@ from revisit.cli import (
     demo,
     doctor,
     evaluate,
+    explain,
     export,
     ingest,
     inspect,
@@ -45,8 +46,8 @@ def _version(wanted: bool) -> None:
 
 COMMANDS = (
     serve.serve, serve.worker, serve.migrate, inspect.inspect, ingest.ingest, spool.spool, queries.query,
-    queries.loops, export.export, optimise.optimise, demo.demo, evaluate.evaluate, doctor.doctor, backup.backup,
-    backup.restore, backup.scrub,
+    queries.loops, explain.explain, export.export, optimise.optimise, demo.demo, evaluate.evaluate, doctor.doctor,
+    backup.backup, backup.restore, backup.scrub,
 )  # fmt: skip
 GROUPS = {
     "map": maps.group,

@@ -17,6 +17,7 @@ from revisit.sdk.clouds import PointsLike, encoded
 from revisit.sdk.corrections import CorrectionWatch
 from revisit.sdk.credentials import Credentials
 from revisit.sdk.errors import ErrorDetails, InvalidArgument, OperationFailed
+from revisit.sdk.explanations import NearMiss, explain
 from revisit.sdk.input_watch import InputWatch, warn_of_session
 from revisit.sdk.messages import cloud_message, request_of, vector
 from revisit.sdk.resources import (
@@ -416,6 +417,10 @@ class Client:
         """
         fields = {"parent": _name(map_), "after": after, "kinds": list(kinds)}
         return Watch(self._transport, request_of(event_pb2.WatchEventsRequest, fields))
+
+    def explain(self, submap: str | Submap, *, k: int = 20) -> list[NearMiss]:
+        """Why a described submap has no loop with others of the `k` most like it: the gate that stopped each."""
+        return explain(self, self.get_submap(_name(submap)), k)
 
     def optimise_map(self, map_: str | Map) -> Operation:
         """Optimise the pose graph of a map: the operation whose end is a new version. One that waits is answered."""

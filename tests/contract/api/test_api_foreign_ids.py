@@ -141,7 +141,13 @@ def message(method, ids):
         "Operation": f"operations/{ids['operation']}",
         "Mapping": mapping.get(method.name),
     }
-    parents = {"Session": names["Map"], "Submap": session, "LoopClosure": names["Map"], "Mapping": names["Mapping"]}
+    parents = {
+        "Session": names["Map"],
+        "Submap": session,
+        "LoopClosure": names["Map"],
+        "Mapping": names["Mapping"],
+        "Event": names["Map"],
+    }
     fields = method.input_type.fields_by_name
     values = {"name": names.get(noun), "parent": parents.get(noun), "session_id": "new", "submap_id": "new"}
     for name, value in values.items():

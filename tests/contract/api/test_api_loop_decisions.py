@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from revisit.core.geometry import se3
+from revisit.sdk import explanations
 from revisit.sdk.errors import AlreadyExists, FailedPrecondition, InvalidArgument, NotFound
+from revisit.sdk.resources import LoopClosure, SearchHit
 from tests.support.service_world import cloud_points, pose
 
 
@@ -143,6 +147,28 @@ def test_a_note_is_bounded_and_printable(client, loops):
         with pytest.raises(InvalidArgument) as refused:
             client.revert_loop_closure(loops["ACCEPTED"], note=note)
         assert refused.value.field == "note"
+
+
+def test_near_misses_are_explained_by_the_gate_that_stopped_them(client, session, loops):
+    a, b, c = (f"{session.name}/submaps/{name}" for name in "abc")
+    found = {miss.submap: miss for miss in client.explain(a)}
+    assert found.keys() == {b}
+    assert (found[b].gate, found[b].measured, found[b].threshold) == ("TOO_NEAR", 1, 2)
+    assert found[b].remedy == "min_index_gap = 1"
+    client.reject_loop_closure(loops["ACCEPTED"])
+    assert {miss.submap: miss.gate for miss in client.explain(c)} == {a: "OVERRULED", b: "TOO_NEAR"}
+
+
+def test_what_would_have_passed_a_gate_is_the_value_that_was_measured():
+    measured = {"score": 0.41, "overlap": 0.3}
+    evidence = {"measurement": measured, "thresholds": {"min_score": 0.5}}
+    shape = {"T_match_query": None, "evidence": evidence, "created_at_ns": 1}
+    loop = LoopClosure("loop", 1, "query", "match", "REJECTED", "LOW_SCORE", 0.9, 0.41, **shape)
+    miss = explanations._rejected(SearchHit("match", 0.9, (0.0, 0.0, 0.0)), loop)
+    assert (miss.gate, miss.measured, miss.threshold, miss.remedy) == ("LOW_SCORE", 0.41, 0.5, "min_score = 0.41")
+    tilted = replace(loop, reason="IMPLAUSIBLE_TILT")
+    miss = explanations._rejected(SearchHit("match", 0.9, (0.0, 0.0, 0.0)), tilted)
+    assert (miss.measured, miss.rule, miss.remedy) == (None, None, "no setting passes it")
 
 
 def test_events_go_with_their_loop(client, service, session, town, loops):

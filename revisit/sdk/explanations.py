@@ -1,0 +1,103 @@
+"""Why a submap has no loop with another one: which gate stopped each near miss, and what would have passed it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from revisit.sdk.resources import LoopClosure, LoopClosureEvent, Map, SearchHit, Submap
+
+if TYPE_CHECKING:
+    from revisit.sdk.client import Client
+
+RULES = {"LOW_SCORE": "min_score", "LOW_OVERLAP": "min_overlap", "SEEN_THROUGH": "max_seen_through"}
+"""The rule of a loop policy behind each gate that has one."""
+
+_MEASURED = {"LOW_SCORE": "score", "LOW_OVERLAP": "overlap", "SEEN_THROUGH": "seen_through"}
+
+TOO_NEAR = "TOO_NEAR"
+"""The other submap is of the same session, and nearer in its order than `min_index_gap`."""
+
+NOT_VERIFIED = "NOT_VERIFIED"
+"""Other submaps were more similar when the later one came: geometry was never asked."""
+
+
+@dataclass(frozen=True)
+class NearMiss:
+    """A submap that is no loop with the one that was asked about.
+
+    `gate` stopped it: a reason for a rejection, SET_ASIDE by the pose graph, TOO_NEAR or NOT_VERIFIED. Where the gate
+    is a number, `measured` did not reach `threshold`, and `rule` names the setting: with `measured` in its place the
+    pair would have passed this gate, maybe not those behind it. `loop` is None where geometry was never asked.
+    """
+
+    submap: str
+    similarity: float
+    gate: str
+    measured: float | None
+    threshold: float | None
+    rule: str | None
+    loop: str | None
+
+    @property
+    def remedy(self) -> str:
+        """What would have passed the gate, in words."""
+        if self.rule is None or self.measured is None:
+            return "no setting passes it"
+        return f"{self.rule} = {self.measured:g}"
+
+
+def explain(client: Client, submap: Submap, k: int) -> list[NearMiss]:
+    """The near misses among the `k` submaps most like one that is described, most similar first."""
+    map_ = client.get_map("/".join(submap.name.split("/")[:2]))
+    hits = client.search(map_, submap=submap, k=k)
+    loops = _loops_of(client, map_, submap, hits)
+    found = (_near_miss(client, map_, submap, rank, hit, loops.get(hit.submap)) for rank, hit in enumerate(hits, 1))
+    return [miss for miss in found if miss is not None]
+
+
+def _loops_of(client: Client, map_: Map, submap: Submap, hits: list[SearchHit]) -> dict[str, LoopClosure]:
+    """The loops of a submap with its hits, by the name of the other one; of several the last."""
+    sessions = {name.rpartition("/submaps/")[0] for name in (submap.name, *(hit.submap for hit in hits))}
+    loops = (loop for session in sorted(sessions) for loop in client.loop_closures(map_, session=session))
+    pairs = ((loop, {loop.query, loop.match}) for loop in loops)
+    return {next(iter(ends - {submap.name})): loop for loop, ends in pairs if submap.name in ends}
+
+
+def _near_miss(
+    client: Client, map_: Map, submap: Submap, rank: int, hit: SearchHit, loop: LoopClosure | None
+) -> NearMiss | None:
+    """What stopped one hit, None where nothing did."""
+    if loop is None:
+        gap = _gap(client, submap, hit.submap)
+        if gap is not None and gap < map_.min_index_gap:
+            return NearMiss(hit.submap, hit.similarity, TOO_NEAR, gap, map_.min_index_gap, "min_index_gap", None)
+        candidates = map_.loop_policy.candidates
+        return NearMiss(hit.submap, hit.similarity, NOT_VERIFIED, rank, candidates, "candidates", None)
+    if loop.state == "REJECTED":
+        return _rejected(hit, loop)
+    if loop.graph_state == "SET_ASIDE":
+        distance = _distance(client.loop_closure_events(loop))
+        return NearMiss(hit.submap, hit.similarity, "SET_ASIDE", distance, None, None, loop.name)
+    return None
+
+
+def _rejected(hit: SearchHit, loop: LoopClosure) -> NearMiss:
+    gate = loop.reason or "REJECTED"
+    rule = RULES.get(gate)
+    measured = loop.evidence.get("measurement", {}).get(_MEASURED.get(gate, ""))
+    threshold = loop.evidence.get("thresholds", {}).get(rule or "")
+    return NearMiss(hit.submap, hit.similarity, gate, measured, threshold, rule, loop.name)
+
+
+def _gap(client: Client, submap: Submap, other: str) -> int | None:
+    """How far apart two submaps of one session are in its order, None where they are of two."""
+    if submap.name.rpartition("/")[0] != other.rpartition("/")[0]:
+        return None
+    return abs(client.get_submap(other).ordinal - submap.ordinal)
+
+
+def _distance(events: list[LoopClosureEvent]) -> float | None:
+    """The squared distance from the poses of the version that set a loop aside."""
+    judged = [event.details.get("squared_distance") for event in events if event.kind == "JUDGED"]
+    return judged[-1] if judged else None
