@@ -539,10 +539,11 @@ function tellError(error) {
     model.maps = [];
     showBanner("");
     showEmpty(hasKey() ? "This key does not open it" : "An API key is needed", hasKey() ? error.message : "This service lets nobody read without a key. It is kept by this tab alone, until you close it.", hasKey() ? "" : "revisit keys create --scope query", true);
-  } else if (error instanceof Refused) {
+  } else if (error instanceof Refused && error.status === 403) {
     model.maps = [];
-    showEmpty("The service refuses", error.message, "", error.status === 403);
-  } else showBanner("The service does not answer; trying again");
+    showEmpty("The service refuses", error.message, "", true);
+  } else if (error instanceof Refused) showBanner(`${error.message}; trying again`);
+  else showBanner("The service does not answer; trying again");
 }
 
 async function run() {
