@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.config import AdaptationConfig
-from revisit.core.descriptor.adaptation import SiteStatistics, learn_site, learned_from
+from revisit.core.descriptor.adaptation import SiteStatistics, by_session, learn_site, learned_from
 from revisit.core.index import (
     SMALLEST_TO_COMPACT,
     IndexEntry,
@@ -41,10 +41,9 @@ class _Rows:
         start, end = len(self.entries), len(self.entries) + len(entries)
         self._reserve(end)
         self.vectors[start:end] = vectors
-        for row, entry in enumerate(entries, start):
-            self.entries.append(entry)
+        self.entries.extend(entries)
+        for row, (entry, cell) in enumerate(zip(entries, self._cells_of(entries), strict=True), start):
             self.rows[entry.id], self.sessions[row] = row, entry.session
-            cell = (entry.session, *np.floor(entry.position / self._cell).astype(np.int64).tolist())
             self.counted[row] = cell not in self._cells
             self.counts[entry.session] += cell not in self._cells
             self._cells.add(cell)
@@ -64,11 +63,10 @@ class _Rows:
         """The rows that are in use, in order."""
         return np.fromiter(self.rows.values(), np.intp, len(self.rows))
 
-    def counted_rows(self, session: int | None = None) -> NDArray[np.intp]:
-        """The rows that statistics are learned from, of one session or of all, in order."""
+    def counted_rows(self) -> NDArray[np.intp]:
+        """The rows that statistics are learned from, in order."""
         live = self.live()
-        wanted = self.counted[live]
-        return live[wanted if session is None else wanted & (self.sessions[live] == session)]
+        return live[self.counted[live]]
 
     def entries_of(self, rows: NDArray[np.intp]) -> list[IndexEntry]:
         """The entries of rows in use."""
@@ -82,13 +80,18 @@ class _Rows:
 
     def _count_again(self) -> None:
         live = self.live()
-        cells = np.array([np.floor(entry.position / self._cell) for entry in self.entries_of(live)]).reshape(-1, 3)
-        keys = np.column_stack([self.sessions[live], cells]).astype(np.int64)
-        first = np.unique(keys, axis=0, return_index=True)[1]
         self.counted[: len(self.entries)] = False
-        self.counted[live[first]] = True
-        self._cells = set(map(tuple, keys.tolist()))
-        self.counts = Counter(self.sessions[live[first]].tolist())
+        self.counts, self._cells = Counter(), set()
+        for row, cell in zip(live.tolist(), self._cells_of(self.entries_of(live)), strict=True):
+            self.counted[row] = cell not in self._cells
+            self.counts[cell[0]] += cell not in self._cells
+            self._cells.add(cell)
+
+    def _cells_of(self, entries: Sequence[IndexEntry]) -> list[tuple[int, ...]]:
+        """The session and the three indices of the cell of each entry."""
+        positions = np.array([entry.position for entry in entries]).reshape(-1, 3)
+        cells = np.floor(positions / self._cell).astype(np.int64).tolist()
+        return [(entry.session, *cell) for entry, cell in zip(entries, cells, strict=True)]
 
     def _reserve(self, wanted: int) -> None:
         extra = max(wanted, 2 * len(self.sessions), SMALLEST_TO_COMPACT) - len(self.sessions)
@@ -122,14 +125,16 @@ class AdaptedIndex:
         self._touched: set[int] = set()
 
     def __len__(self) -> int:
-        return len(self._places)
+        return len(self._rows.rows)
 
     def add(self, entries: Sequence[IndexEntry], vectors: Array) -> None:
         """See PlaceIndex."""
         normalised = checked_vectors(entries, vectors, self._dimension, self._rows.rows)
         self._rows.append(entries, normalised)
         self._touched.update(entry.session for entry in entries)
-        self._places.add(entries, self._adapted(normalised, np.array([e.session for e in entries], dtype=np.int64)))
+        if not self._due():  # else all are placed anew at the next question
+            sessions = np.array([entry.session for entry in entries], dtype=np.int64)
+            self._places.add(entries, self._adapted(normalised, sessions))
 
     def remove(self, ids: Sequence[int]) -> None:
         """See PlaceIndex."""
@@ -146,10 +151,12 @@ class AdaptedIndex:
 
     def ids(self) -> NDArray[np.int64]:
         """See PlaceIndex."""
+        self._learn()
         return self._places.ids()
 
     def differing(self, entries: Sequence[IndexEntry], vectors: Array) -> list[int]:
         """See PlaceIndex."""
+        self._learn()
         expected = checked_vectors(entries, vectors, self._dimension, {})
         rows = [self._rows.rows.get(entry.id) for entry in entries]
         others = [
@@ -163,39 +170,45 @@ class AdaptedIndex:
     def _adapted(self, vectors: Array, sessions: NDArray[np.int64]) -> Array:
         return vectors if self._site is None else self._site.adapted(vectors, sessions)
 
+    def _due(self) -> bool:
+        """Whether the map has grown by a step, or has lost places that were learned from."""
+        return self._learned_from_map != learned_from(self._rows.counts.total(), self._config)
+
     def _learn(self) -> None:
-        """Learn what the next step of places asks for: of the whole map, or of single sessions."""
-        wanted = learned_from(self._rows.counts.total(), self._config)
-        if wanted != self._learned_from_map:
-            self._learn_map(wanted)
-        if self._site is not None and self._touched:
-            self._learn_sessions()
+        """Learn what the next step of places asks for, of the whole map or of single sessions, and place them anew."""
+        due = self._due()
+        if due:
+            self._learn_map(learned_from(self._rows.counts.total(), self._config))
+        changed = self._learn_sessions() if self._site is not None and self._touched else []
+        live = self._rows.live()
+        if due:
+            self._places = self._make_index(self._dimension)
+            self._place(live)
+        elif changed:
+            rows = live[np.isin(self._rows.sessions[live], changed)]
+            self._places.remove([entry.id for entry in self._rows.entries_of(rows)])
+            self._place(rows)
 
     def _learn_map(self, wanted: int) -> None:
-        """Learn from the first `wanted` places that count; sessions follow."""
+        """Learn from the first `wanted` places that count; the sessions follow."""
         rows = self._rows.counted_rows()[:wanted]
         self._learned_from_map, self._learned, self._touched = wanted, {}, set(self._rows.counts)
-        before = self._site
         self._site = learn_site(self._rows.vectors[rows], self._rows.sessions[rows], self._config) if wanted else None
-        if self._site is not before:
-            self._places = self._make_index(self._dimension)
-            self._place_again(self._rows.live())
 
-    def _learn_sessions(self) -> None:
-        """Learn the means of those sessions that have grown by a step."""
+    def _learn_sessions(self) -> list[int]:
+        """Learn the means of those sessions that have grown by a step; which they are."""
         steps = {session: learned_from(self._rows.counts[session], self._config) for session in self._touched}
         changed = {session: step for session, step in steps.items() if step and step != self._learned.get(session)}
         self._touched = set()
         self._learned.update(changed)
-        for session, step in changed.items():
-            own = self._rows.counted_rows(session)[:step]
-            self._site = self._site and self._site.with_session(session, self._rows.vectors[own])
-        live = self._rows.live()
-        self._place_again(live[np.isin(self._rows.sessions[live], list(changed))])
+        if self._site is not None and changed:
+            counted = self._rows.counted_rows()
+            for session, own in by_session(self._rows.sessions[counted]):
+                if session in changed:
+                    self._site = self._site.with_session(session, self._rows.vectors[counted[own[: changed[session]]]])
+        return list(changed)
 
-    def _place_again(self, rows: NDArray[np.intp]) -> None:
-        if len(rows) == 0:
-            return
-        entries = self._rows.entries_of(rows)
-        self._places.remove([entry.id for entry in entries])
-        self._places.add(entries, self._adapted(self._rows.vectors[rows], self._rows.sessions[rows]))
+    def _place(self, rows: NDArray[np.intp]) -> None:
+        if len(rows):
+            adapted = self._adapted(self._rows.vectors[rows], self._rows.sessions[rows])
+            self._places.add(self._rows.entries_of(rows), adapted)

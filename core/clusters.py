@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.config import ClusterConfig
-from revisit.core.geometry.voxel_keys import voxel_keys
 from revisit.core.kernels.cluster_joins import join_cells
-from revisit.core.kernels.voxel_table import table_of
+from revisit.core.kernels.point_columns import columns_of
 from revisit.core.stages import stage
 from revisit.core.surface import Surface
 
@@ -56,17 +55,24 @@ def find_ground(surface: Surface, config: ClusterConfig) -> NDArray[np.bool_]:
     vertices = surface.vertices
     if len(vertices) == 0:
         return np.zeros(0, dtype=bool)
-    columns = np.floor(vertices[:, :2] / config.ground_cell).astype(np.int64)
-    occupied, cell = np.unique(voxel_keys(columns), return_inverse=True)
-    lowest, highest = np.full(len(occupied), np.inf), np.full(len(occupied), -np.inf)
-    np.minimum.at(lowest, cell, vertices[:, 2])
-    np.maximum.at(highest, cell, vertices[:, 2])
+    lowest, highest = _column_extents(vertices, config.ground_cell)
     level = np.abs(surface.normals[:, 2]) > config.ground_cosine
-    ground = level & (vertices[:, 2] - lowest[cell] <= config.ground_height)
+    ground = level & (vertices[:, 2] - lowest <= config.ground_height)
     above = vertices[:, 2] - _plane_height(vertices, ground)
     reach = np.hypot(vertices[:, 0], vertices[:, 1])
-    flat = (highest - lowest)[cell] < config.standing_height
+    flat = highest - lowest < config.standing_height
     return np.asarray(ground | (flat & (above < config.standing_height + config.ground_slope * reach)))
+
+
+def _column_extents(vertices: Array, cell: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The lowest and the highest z (v,) in the vertical column of edge `cell` metres that each vertex is in."""
+    columns = columns_of(vertices, cell)
+    starts = np.flatnonzero(np.diff(columns.keys, prepend=-1))
+    counts = np.diff(np.append(starts, len(vertices)))
+    extents = np.empty((2, len(vertices)))
+    extents[0, columns.rows] = np.repeat(np.minimum.reduceat(columns.points[:, 2], starts), counts)
+    extents[1, columns.rows] = np.repeat(np.maximum.reduceat(columns.points[:, 2], starts), counts)
+    return extents[0], extents[1]
 
 
 def _plane_height(vertices: Array, ground: NDArray[np.bool_]) -> NDArray[np.float64]:
@@ -84,13 +90,10 @@ def euclidean_clusters(points: Array, radius: float) -> NDArray[np.int64]:
     Exact. Cells of edge radius / sqrt(3) hold points that are joined anyway; only pairs of cells are searched.
     """
     edge = radius / np.sqrt(3.0)
-    cells = np.floor(points / edge).astype(np.int64)
-    keys = voxel_keys(cells)
-    order = np.argsort(keys, kind="stable")
-    _, starts, inverse = np.unique(keys[order], return_index=True, return_inverse=True)
-    occupied = table_of(cells[order[starts]].astype(np.int32))
-    roots = join_cells(points[order], np.append(starts, len(points)), occupied, radius)
-    _, parts = np.unique(roots, return_inverse=True)
+    columns = columns_of(np.ascontiguousarray(points), edge)
     labels = np.empty(len(points), dtype=np.int64)
-    labels[order] = parts[inverse]
+    first_cells = join_cells(columns, edge, radius)
+    named = np.zeros(len(points), dtype=np.int64)
+    named[first_cells] = 1
+    labels[columns.rows] = (np.cumsum(named) - 1)[first_cells]
     return labels

@@ -90,6 +90,13 @@ class Loss(StrEnum):
     BCE = "bce"
 
 
+class Field(StrEnum):
+    """Tangent planes of the neural points, blended; or with the correction of the decoder, learned (paper Eq. 5)."""
+
+    PLANES = "planes"
+    LEARNED = "learned"
+
+
 class Normalisation(StrEnum):
     """eta of Eq. 9: how the summed evidence of a column becomes intensity."""
 
@@ -140,7 +147,12 @@ class ImplicitMapConfig(Section):
     search_rings: int = parameter(
         2, "voxels", "own", "neighbours are sought among the voxels within this distance", high=8
     )
-    weight_power: float = parameter(1.0, "1", "paper Eq. 3", "power of the inverse distance weight", low=0)
+    weight_power: float = parameter(
+        2.0, "1", "own, decision 0115; paper Eq. 3: 1", "power of the inverse distance weight", low=0
+    )
+    field: Field = parameter(
+        Field.PLANES, "planes or learned", "own, decision 0115; paper Eq. 5: learned", "what the signed distance is"
+    )
     feature_size: int = parameter(8, "1", "paper III-B, F", "latent features of a neural point", high=256)
     truncation: float = parameter(0.6, "m", "method notes", "signed distances are cut at this value")
     rays_per_point: int = parameter(1, "rays", "own", "returns a neural point contributes to the training set")
@@ -157,10 +169,10 @@ class ImplicitMapConfig(Section):
     loss: Loss = parameter(Loss.BCE, "bce or l1", "PIN-SLAM", "loss on the signed distance")
     loss_scale: float = parameter(0.08, "m", "PIN-SLAM", "scale of the sigmoid of the bce loss")
     feature_decay: float = parameter(0.01, "1", "own", "weight of the squared latent features in the loss", low=0)
-    steps: int = parameter(10, "steps", "paper III-B 5", "gradient steps a submap", low=0)
+    steps: int = parameter(10, "steps", "paper III-B 5", "gradient steps a submap, of a learned field", low=0)
     batch: int = parameter(16384, "samples", "PIN-SLAM", "samples a gradient step")
     learning_rate: float = parameter(0.01, "1", "PIN-SLAM", "Adam step size")
-    update_decoder: bool = parameter(False, "", "paper III-B 5", "also adapt the decoder while fitting")
+    update_decoder: bool = parameter(False, "", "paper III-B 5", "also adapt the decoder of a learned field")
     dynamic_distance: float = parameter(
         0.3, "m", "paper Eq. 6, gamma_d", "a dynamic point lies farther from the surface", low=0
     )
@@ -396,7 +408,7 @@ class VerificationConfig(Section):
     coarse_share: int = parameter(5, "points", "own", "coarse steps use every so many-th point")
     coarse_distance: float = parameter(3.0, "m", "own", "reach of the coarse ICP steps")
     min_agreement: float = parameter(
-        0.2, "1", "own", "share of points on the other surface below which ICP ends early", low=0
+        0.1, "1", "own, decision 0121", "share of points on the other surface below which ICP ends early", low=0
     )
     fine_rounds: int = parameter(6, "steps", "own", "ICP steps on all points", low=0)
     fine_distance: float = parameter(1.0, "m", "own", "reach of the fine ICP steps")

@@ -13,6 +13,7 @@ from revisit.core.config import SubmapConfig
 from revisit.core.errors import BadField, EmptyCloud
 from revisit.core.geometry import se3
 from revisit.core.geometry.level_frame import LevelFrame
+from revisit.core.kernels.rigid_motion import moved_points, placed_returns
 from revisit.core.scan import MIN_POINTS, Points, Scan
 
 
@@ -64,7 +65,7 @@ class Submap:
         T_upright_submap = se3.exp(np.concatenate([np.zeros(3), direction * np.arctan2(sine, cosine)]))
         return replace(
             self,
-            points=se3.apply(T_upright_submap, self.points).astype(np.float32),
+            points=moved_points(T_upright_submap, np.ascontiguousarray(self.points)),
             origins=se3.apply(T_upright_submap, self.origins).astype(np.float32),
             T_odom_submap=self.T_odom_submap @ se3.inverse(T_upright_submap),
         )
@@ -91,8 +92,8 @@ class Submap:
         clouds, indices, origins = [], [], []
         for index, scan in enumerate(scans):
             T_submap_scan = T_submap_odom @ scan.T_odom_sensor
-            cloud = se3.apply(T_submap_scan, scan.points[within_range(scan.points, config)]).astype(np.float32)
-            cloud = cloud[np.einsum("ij,ij->i", cloud, cloud) <= (config.max_range + config.tau) ** 2]
+            reach = config.min_range, config.max_range, config.max_range + config.tau
+            cloud = placed_returns(T_submap_scan, np.ascontiguousarray(scan.points), *reach)
             clouds.append(cloud)
             indices.append(np.full(len(cloud), index, dtype=np.int32))
             origins.append(T_submap_scan[:3, 3])
@@ -129,12 +130,6 @@ def _enough(points: Points, given: int) -> Points:
             f"only {len(points)} of {given} points lie within the sensor's range: are they in metres?", field="points"
         )
     return points
-
-
-def within_range(points: Points, config: SubmapConfig) -> NDArray[np.bool_]:
-    """Which (n, 3) sensor-frame points lie between the minimum and maximum range."""
-    squared = np.einsum("ij,ij->i", points, points)
-    return np.asarray((squared >= config.min_range**2) & (squared <= config.max_range**2))
 
 
 def next_window_start(start_m: float, travelled_m: float, config: SubmapConfig) -> float:

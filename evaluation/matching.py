@@ -23,7 +23,9 @@ from revisit.evaluation.loop_closure_method import LoopClosureMethod, Verdict
 class RankedCandidate:
     """A candidate with its cosine and the verdict; T_match_query with the turns of both submaps undone.
 
-    `score` is the verdict's, less where the answer itself puts the two submaps far apart (`nearness`).
+    `score` orders candidates and queries: 0.5 to 1 for an accepted one by the verdict's score, less where the answer
+    itself puts the two submaps far apart (`nearness`); below 0.5, by its cosine, for any other: a verdict that found
+    too little evidence says nothing about which place is more likely.
     """
 
     id: int
@@ -125,7 +127,7 @@ def verify_query(work: VerificationWork, task: tuple[int, tuple[Match, ...]]) ->
     index, matches = task
     started = time.perf_counter()
     ranked = [_verified(work, work.places[index], match) for match in matches]
-    ranked.sort(key=lambda candidate: (not candidate.verdict.accepted, -candidate.score, -candidate.similarity))
+    ranked.sort(key=lambda candidate: (-candidate.score, -candidate.similarity))
     return QueryMatches(matches, tuple(ranked), time.perf_counter() - started)
 
 
@@ -137,7 +139,10 @@ def _verified(work: VerificationWork, query: DescribedSubmap, match: Match) -> R
     T_match_query = verdict.T_match_query
     if T_match_query is not None:
         T_match_query = se3.from_yaw(-place.yaw) @ T_match_query @ se3.from_yaw(query.yaw)
-    score = verdict.score * nearness(T_match_query, work.radius_m)
+    if verdict.accepted:
+        score = 0.5 + 0.5 * verdict.score * nearness(T_match_query, work.radius_m)
+    else:
+        score = 0.25 + 0.2499 * match.similarity
     return RankedCandidate(match.id, match.similarity, verdict, T_match_query, score)
 
 

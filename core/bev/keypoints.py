@@ -5,11 +5,10 @@ from __future__ import annotations
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
 
 from revisit.core.bev.log_gabor import OrientationMap
 from revisit.core.config import BevConfig, KeypointSource
-from revisit.core.kernels.patch_histograms import patch_histograms
+from revisit.core.kernels.patch_histograms import disc_histograms, patch_histograms
 
 Array = NDArray[np.float32]
 Pixels = NDArray[np.int64]
@@ -48,20 +47,13 @@ def context_histograms(orientation_map: OrientationMap, pixels: Pixels, config: 
     """Orientation histograms (n, orientations) of the disc of `context_px` around each keypoint.
 
     A pixel at the share rho of the disc's radius counts with (1 - rho)^2 times its filter amplitude (method notes).
-    All discs at once, as one convolution for each orientation.
     """
-    height, width = orientation_map.index.shape
     radius = config.context_px // 2
     offset = np.arange(-radius, radius + 1)
     disc = np.clip(1.0 - np.hypot(offset[:, None], offset[None, :]) / radius, 0.0, None) ** 2
-    shape = (fft.next_fast_len(height + 2 * radius, real=True), fft.next_fast_len(width + 2 * radius, real=True))
-    disc_spectrum = fft.rfft2(disc.astype(np.float32), s=shape)
-    histograms = np.zeros((len(pixels), orientation_map.orientations), dtype=np.float32)
-    for index in range(orientation_map.orientations):
-        layer = np.where(orientation_map.index == index, orientation_map.amplitude, np.float32(0.0))
-        summed = fft.irfft2(fft.rfft2(layer, s=shape) * disc_spectrum, s=shape)
-        histograms[:, index] = summed[pixels[:, 1] + radius, pixels[:, 0] + radius]
-    return np.maximum(histograms, 0.0)
+    orientation = np.arange(orientation_map.orientations)[:, None, None]
+    layers = np.where(orientation_map.index == orientation, orientation_map.amplitude, np.float32(0.0))
+    return np.asarray(disc_histograms(layers, pixels, disc.astype(np.float32)))
 
 
 def dominant_orientations(histograms: Array) -> Array:

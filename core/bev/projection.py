@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from revisit.core.clusters import Clusters
 from revisit.core.config import BevConfig, Normalisation
+from revisit.core.kernels.nearest_points import any_within
+from revisit.core.kernels.point_columns import columns_of
 from revisit.core.surface import Surface
 
 Array = NDArray[np.float32]
@@ -63,6 +64,4 @@ def _voxels_near(surface: Surface, vertices: Flags, distance: float) -> Flags:
     if not vertices.any() or len(surface.occupied) == 0:
         return np.zeros(len(surface.occupied), dtype=bool)
     centres = (surface.occupied + np.float32(0.5)) * np.float32(surface.resolution)
-    tree = cKDTree(surface.vertices[vertices], balanced_tree=False, compact_nodes=False)
-    gaps, _ = tree.query(centres, distance_upper_bound=distance * (1 + 1e-6))
-    return np.asarray(gaps <= distance)  # Eq. 7
+    return np.asarray(any_within(centres, columns_of(surface.vertices[vertices], distance), distance))  # Eq. 7

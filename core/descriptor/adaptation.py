@@ -7,6 +7,7 @@ its spread over the map.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -32,8 +33,7 @@ class SiteStatistics:
         stays as it is.
         """
         adapted = np.empty(vectors.shape, dtype=np.float32)
-        for session in np.unique(sessions).tolist():
-            rows = np.flatnonzero(sessions == session)
+        for session, rows in by_session(sessions):
             adapted[rows] = (vectors[rows] - self.session_means.get(session, self.mean)) / self.spread
         lengths = np.sqrt(np.einsum("ij,ij->i", adapted, adapted))
         usable = lengths > 1e-6
@@ -71,12 +71,19 @@ def learn_site(vectors: Array, sessions: NDArray[np.int64], config: AdaptationCo
     total = count + config.prior_places
     mean = np.asarray(vectors.sum(axis=0, dtype=np.float64) / total, dtype=np.float32)
     squares = np.full(size, config.prior_places / size)
-    for session in np.unique(sessions).tolist():
-        own = vectors[sessions == session]
+    for _, rows in by_session(sessions):
+        own = vectors[rows]
         residuals = own - session_mean(own, mean)
         squares += np.einsum("ij,ij->j", residuals, residuals)
     spread = np.sqrt(squares / total)
     return SiteStatistics(mean, (spread + config.spread_floor * spread.mean()).astype(np.float32))
+
+
+def by_session(sessions: NDArray[np.int64]) -> Iterator[tuple[int, NDArray[np.intp]]]:
+    """Each of the `sessions` (n,) with its rows in order."""
+    order = np.argsort(sessions, kind="stable")
+    names, starts = np.unique(sessions[order], return_index=True)
+    return zip(names.tolist(), np.split(order, starts[1:]), strict=True)
 
 
 def learned_from(count: int, config: AdaptationConfig) -> int:

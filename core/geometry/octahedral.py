@@ -15,7 +15,7 @@ def encode(vectors: NDArray[np.floating], steps: int) -> NDArray[np.uint8]:
     return np.asarray(np.rint((square + 1.0) * steps), dtype=np.uint8)
 
 
-def decode(codes: NDArray[np.uint8], steps: int) -> NDArray[np.float64]:
+def decode(codes: NDArray[np.integer], steps: int) -> NDArray[np.float64]:
     """The unit vectors (n, 3) of codes (n, 2): within about 2 / steps radians of what was encoded."""
     flat = codes.astype(np.float64) / steps - 1.0
     height = 1.0 - np.abs(flat).sum(axis=1)

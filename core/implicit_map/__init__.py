@@ -5,9 +5,10 @@ visibility       free-space evidence for the dynamic filter          Eq. 6
 decoder          MLP from blended features to signed distance        Eq. 2-5
 neighbourhood    neighbours, weights and encodings of queries        Eq. 2-4
 samples          labelled samples along the rays
-neural_map       the fitted field and its queries
+gradient_steps   fitting the features of a learned field
+neural_map       the field and its queries
 fitting          all of it, for one submap
-settled, blob    the compact stored form
+settled, coded, blob, first_form    the compact stored form, and the one before it
 """
 
 from revisit.core.implicit_map.decoder import DecoderWeights

@@ -1,4 +1,4 @@
-"""The stored form of a neural map: sections of numbers in a checked container."""
+"""The stored form of a neural map: sections of bytes in a checked container, and the form before it."""
 
 from __future__ import annotations
 
@@ -11,17 +11,19 @@ from numpy.typing import NDArray
 from revisit.core.container import Container
 from revisit.core.errors import DataLoss
 
-CONTAINER = Container(b"RVNM\x01", "stored neural map", level=12, max_body_bytes=256_000_000)
+CONTAINER = Container(b"RVNM\x02", "stored neural map", level=12, max_body_bytes=256_000_000)
+FIRST_CONTAINER = Container(b"RVNM\x01", "stored neural map", level=12, max_body_bytes=256_000_000)
+"""The form until version 0.1: voxels, normals, offsets, hits and features side by side under zstd."""
 
 
-def pack(header: dict[str, Any], sections: list[bytes]) -> bytes:
+def pack(header: dict[str, Any], sections: list[bytes], container: Container = CONTAINER) -> bytes:
     """The blob of a JSON-able `header` and `sections`."""
-    return CONTAINER.pack({**header, "sections": [len(one) for one in sections]}, b"".join(sections))
+    return container.pack({**header, "sections": [len(one) for one in sections]}, b"".join(sections))
 
 
-def unpack(blob: bytes) -> tuple[dict[str, Any], list[bytes]]:
+def unpack(blob: bytes, container: Container = CONTAINER) -> tuple[dict[str, Any], list[bytes]]:
     """Header and sections of a blob. Raises DataLoss for anything that `pack` did not write."""
-    header, body = CONTAINER.unpack(blob)
+    header, body = container.unpack(blob)
     try:
         ends = [0, *itertools.accumulate(header["sections"])]
         return header, [body[a:b] for a, b in itertools.pairwise(ends)]
@@ -29,16 +31,13 @@ def unpack(blob: bytes) -> tuple[dict[str, Any], list[bytes]]:
         raise DataLoss("the stored neural map cannot be read") from error
 
 
-def to_varint(values: NDArray[np.integer]) -> bytes:
-    """Small signed numbers as bytes: zigzag, one byte below 255, else 255 and four more."""
-    zigzag = ((values.astype(np.int64) << 1) ^ (values.astype(np.int64) >> 63)).astype(np.uint32)
-    small = np.minimum(zigzag, 255).astype(np.uint8)
-    large = zigzag[zigzag >= 255].astype("<u4")
-    return small.tobytes() + large.tobytes()
+def is_first_form(blob: bytes) -> bool:
+    """Whether a blob is of the form until version 0.1."""
+    return blob.startswith(FIRST_CONTAINER.magic)
 
 
 def from_varint(data: bytes, count: int) -> NDArray[np.int64]:
-    """The inverse of `to_varint` for `count` numbers."""
+    """`count` small signed numbers of the first form: zigzag, one byte below 255, else 255 and four more."""
     values = np.frombuffer(data, np.uint8, count).astype(np.int64)
     values[values == 255] = np.frombuffer(data, "<u4", offset=count)
     return np.asarray((values >> 1) ^ -(values & 1))

@@ -10,12 +10,12 @@ import hashlib
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from revisit.core.errors import DataLoss
 from revisit.core.kernels.neighbour_blend import ENCODING_SIZE
+
+Array = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -80,25 +80,14 @@ class DecoderWeights:
             (np.zeros(width, dtype=np.float32), np.zeros(1, dtype=np.float32)),
         )
 
-    def tensors(self) -> list[Tensor]:
-        """Matrix, bias, matrix, bias, ... as torch tensors (copies)."""
-        pairs = zip(self.matrices, self.biases, strict=True)
-        return [torch.tensor(array) for pair in pairs for array in pair]
 
-    @classmethod
-    def from_tensors(cls, tensors: list[Tensor]) -> DecoderWeights:
-        """The inverse of `tensors`."""
-        arrays = [tensor.detach().numpy().astype(np.float32) for tensor in tensors]
-        return cls(tuple(arrays[0::2]), tuple(arrays[1::2]))
-
-
-def decode(parameters: list[Tensor], features: Tensor, encoding: Tensor, plane_distance: Tensor) -> Tensor:
+def decode(decoder: DecoderWeights, features: Array, encoding: Array, plane_distance: Array) -> Array:
     """Eq. 5: blended features (n, F), encoding (n, 9) and plane distance (n,) metres -> SDF (n,) metres."""
-    hidden = torch.cat([features, encoding], dim=1)
-    for layer in range(0, len(parameters) - 2, 2):
-        hidden = torch.relu(torch.nn.functional.linear(hidden, parameters[layer], parameters[layer + 1]))
-    correction = torch.nn.functional.linear(hidden, parameters[-2], parameters[-1])
-    return plane_distance + correction[:, 0]  # Eq. 5
+    hidden = np.concatenate([features, encoding], axis=1)
+    for matrix, bias in zip(decoder.matrices[:-1], decoder.biases[:-1], strict=True):
+        hidden = np.maximum(hidden @ matrix.T + bias, 0.0)
+    correction = hidden @ decoder.matrices[-1].T + decoder.biases[-1]
+    return np.asarray(plane_distance + correction[:, 0], dtype=np.float32)  # Eq. 5
 
 
 def orientations(normals: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -1,23 +1,20 @@
-"""Fitting: a submap's scans -> neural points without moving objects -> latent features (paper III-B 3 to 5)."""
+"""Fitting: a submap's scans -> neural points without moving objects -> their field (paper III-B 3 to 5)."""
 
 from __future__ import annotations
 
 import dataclasses
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
-from revisit.core.config import ImplicitMapConfig, Loss
-from revisit.core.implicit_map.decoder import DecoderWeights, decode
-from revisit.core.implicit_map.neighbourhood import Neighbourhood, find_neighbourhood
+from revisit.core.config import Field, ImplicitMapConfig
+from revisit.core.implicit_map.decoder import DecoderWeights
+from revisit.core.implicit_map.neighbourhood import find_neighbourhood
 from revisit.core.implicit_map.neural_map import NeuralMap
 from revisit.core.implicit_map.neural_points import ElasticAccumulator, NeuralPoints
-from revisit.core.implicit_map.samples import draw_samples
 from revisit.core.implicit_map.settled import settle
 from revisit.core.implicit_map.visibility import count_seen_through
-from revisit.core.kernels.voxel_table import table_of, voxels_of
+from revisit.core.kernels.point_columns import columns_of
 from revisit.core.stages import stage
 from revisit.core.submap import Submap
 
@@ -28,12 +25,13 @@ Array = NDArray[np.float32]
 def fit_implicit_map(
     submap: Submap, decoder: DecoderWeights, config: ImplicitMapConfig, rng: np.random.Generator
 ) -> NeuralMap:
-    """The neural map of a submap: accumulate, remove what moved, fit the latent features (paper III-B)."""
+    """The neural map of a submap: accumulate, remove what moved, fit features where the field is learned."""
     points = settle(without_dynamic_points(accumulate(submap, config), submap, config), config.resolution)
-    table = table_of(voxels_of(points.positions, config.resolution))
-    samples = draw_samples(submap.points, submap.origins[submap.scan_index], points, table, config, rng)
-    near = find_neighbourhood(samples.positions, points.positions, points.normals, table, config)
-    features, fitted = fit_features(near, samples.labels, len(points), decoder, config, rng)
+    if config.field is Field.PLANES:
+        return NeuralMap.of_planes(points, submap.stamps_ns, config)
+    from revisit.core.implicit_map.gradient_steps import learn_features  # torch, and only where it is needed
+
+    features, fitted = learn_features(submap, points, decoder, config, rng)
     return NeuralMap(points, features, submap.stamps_ns, fitted, config, adapted=config.update_decoder)
 
 
@@ -59,58 +57,9 @@ def without_dynamic_points(points: NeuralPoints, submap: Submap, config: Implici
     consistent = seen_through == 0
     if suspect.any() and consistent.any():
         stable = points.subset(consistent)
-        table = table_of(voxels_of(stable.positions, config.resolution))
-        near = find_neighbourhood(points.positions[suspect], stable.positions, stable.normals, table, config)
+        columns = columns_of(stable.positions, config.resolution)
+        near = find_neighbourhood(points.positions[suspect], stable.positions, stable.normals, columns, config)
         # free space without any surface near is far from it
         far = (near.plane_distance > config.dynamic_distance) | ~np.isfinite(near.nearest)
         dynamic[suspect] = far  # Eq. 6: S(p) > gamma_d, and H(p) > gamma_mu of the suspects
     return dataclasses.replace(points, stability=stability).subset(~dynamic)
-
-
-def fit_features(
-    near: Neighbourhood,
-    labels: Array,
-    count: int,
-    decoder: DecoderWeights,
-    config: ImplicitMapConfig,
-    rng: np.random.Generator,
-) -> tuple[Array, DecoderWeights]:
-    """A fixed number of Adam steps on the latent features of `count` neural points (paper III-B 5).
-
-    `near` and `labels` (m,) metres are the training set. The decoder stays frozen unless `config.update_decoder`.
-    Returns features (count, F) float32 and the decoder.
-    """
-    usable = np.flatnonzero(np.isfinite(near.nearest))
-    features = torch.zeros((count, decoder.feature_size), requires_grad=True)
-    parameters = [tensor.requires_grad_(config.update_decoder) for tensor in decoder.tensors()]
-    trained = [features, *(parameters if config.update_decoder else [])]
-    optimiser = torch.optim.Adam(trained, lr=config.learning_rate)
-    for _ in range(config.steps if len(usable) else 0):
-        batch = usable[rng.integers(0, len(usable), config.batch)] if len(usable) > config.batch else usable
-        optimiser.zero_grad()
-        predicted = predict(parameters, features, near[batch])
-        loss = sdf_loss(predicted, torch.from_numpy(labels[batch]), config)
-        (loss + config.feature_decay * features.square().sum(dim=1).mean()).backward()  # type: ignore[no-untyped-call]
-        optimiser.step()
-    fitted = DecoderWeights.from_tensors(parameters) if config.update_decoder else decoder
-    return features.detach().numpy(), fitted
-
-
-def predict(parameters: list[Tensor], features: Tensor, near: Neighbourhood) -> Tensor:
-    """Signed distances (m,) metres of a neighbourhood, differentiable in the features (n, F) and the decoder."""
-    blended = torch.nn.functional.embedding_bag(  # Eq. 4
-        torch.from_numpy(near.indices), features, per_sample_weights=torch.from_numpy(near.weights), mode="sum"
-    )
-    return decode(parameters, blended, torch.from_numpy(near.encoding), torch.from_numpy(near.plane_distance))
-
-
-def sdf_loss(predicted: Tensor, labels: Tensor, config: ImplicitMapConfig) -> Tensor:
-    """Mean loss of predicted against labelled signed distances, both (m,) metres.
-
-    `Loss` says which losses there are.
-    """
-    if config.loss is Loss.L1:
-        return (predicted.clamp(-config.truncation, config.truncation) - labels).abs().mean()
-    return torch.nn.functional.binary_cross_entropy_with_logits(
-        predicted / config.loss_scale, torch.sigmoid(labels / config.loss_scale)
-    )

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import ArrayLike, NDArray
 
-from revisit.core.config import ImplicitMapConfig
-from revisit.core.errors import BadTransform, DataLoss, DescriptorModelMismatch
+from revisit.core.config import Field, ImplicitMapConfig
+from revisit.core.errors import BadField, BadTransform, DataLoss, DescriptorModelMismatch
 from revisit.core.geometry.level_frame import LevelFrame
-from revisit.core.implicit_map import blob
+from revisit.core.implicit_map import blob, first_form
+from revisit.core.implicit_map.coded import Form, read_points, write_points
 from revisit.core.implicit_map.decoder import DecoderWeights, decode
 from revisit.core.implicit_map.neighbourhood import Neighbourhood, find_neighbourhood
 from revisit.core.implicit_map.neural_points import NeuralPoints
-from revisit.core.implicit_map.settled import geometry, geometry_codes
-from revisit.core.kernels.voxel_table import VoxelTable, table_of, voxels_of
+from revisit.core.implicit_map.settled import NORMAL_STEPS, OFFSET_UNIT, geometry, hits_of, plane_codes
+from revisit.core.kernels.nearest_points import nearest_points
+from revisit.core.kernels.neighbour_blend import blend_normals
+from revisit.core.kernels.plane_distance import plane_distance
+from revisit.core.kernels.point_columns import PointColumns, columns_of
 
 Array = NDArray[np.float32]
 
@@ -27,7 +31,10 @@ _CHUNK = 65_536
 
 @dataclass(frozen=True)
 class NeuralMap:
-    """Neural points (n of them), their latent features (n, F) float32 and the decoder they were fitted with.
+    """Neural points (n of them) and the field around them: their tangent planes, or a learned field.
+
+    A learned field has latent features (n, F) float32 and the decoder they were fitted with; else F is 0 and `decoder`
+    is None.
 
     Everything in the level frame `frame`, lengths in metres divided by the scene scale. `stamps_ns` (s,) int64 are the
     times of the scans that `points.created` and `points.updated` count. `adapted` says that the decoder was fitted to
@@ -37,70 +44,55 @@ class NeuralMap:
     points: NeuralPoints
     features: Array
     stamps_ns: NDArray[np.int64]
-    decoder: DecoderWeights
+    decoder: DecoderWeights | None
     config: ImplicitMapConfig
     frame: LevelFrame = field(default_factory=LevelFrame)
     adapted: bool = False
 
+    @classmethod
+    def of_planes(
+        cls, points: NeuralPoints, stamps_ns: NDArray[np.int64], config: ImplicitMapConfig,
+        frame: LevelFrame = LevelFrame(),
+    ) -> NeuralMap:  # fmt: skip
+        """The map whose field is the blended distance to the points' tangent planes."""
+        return cls(points, np.zeros((len(points), 0), np.float32), stamps_ns, None, config, frame)
+
     def to_blob(self) -> bytes:
-        """The compact stored form (docs/decisions/0002): features rounded to multiples of FEATURE_STEP."""
-        voxels, octahedral, offsets = geometry_codes(self.points, self.config.resolution)
-        order = np.lexsort((voxels[:, 2], voxels[:, 1], voxels[:, 0]))
-        features = np.clip(np.rint(self.features[order] / FEATURE_STEP), -127, 127).astype(np.int8)
-        header = {
-            "count": len(self.points), "features": int(features.shape[1]), "resolution": self.config.resolution,
-            "decoder": self.decoder.digest, "stamps_ns": [int(stamp) for stamp in self.stamps_ns],
-            "T_submap_map": self.frame.similarity.ravel().tolist(),
+        """The compact stored form (docs/decisions/0116): features rounded to multiples of FEATURE_STEP."""
+        codes = plane_codes(self.points, self.config.resolution)
+        features = np.clip(np.rint(self.features / FEATURE_STEP), -127, 127).astype(np.int32)
+        form, stream = write_points(codes, features, NORMAL_STEPS, OFFSET_UNIT)
+        header: dict[str, Any] = {
+            **asdict(form), "resolution": self.config.resolution, "weight_power": self.config.weight_power,
+            "decoder": None if self.decoder is None else self.decoder.digest,
         }  # fmt: skip
-        sections = [
-            *(blob.to_varint(np.diff(voxels[order, axis], prepend=0)) for axis in range(3)),
-            octahedral[order].T.tobytes(),
-            offsets[order].tobytes(),
-            np.clip(self.points.hits[order], 0, 255).astype(np.uint8).tobytes(),
-            features.T.tobytes(),
-        ]
-        if self.adapted:
+        frame = self.frame.similarity.astype("<f8").tobytes()
+        sections = [frame, np.diff(self.stamps_ns, prepend=0).astype("<i8").tobytes(), stream]
+        if self.adapted and self.decoder is not None:
             header["layers"] = [list(matrix.shape) for matrix in self.decoder.matrices]
             sections.append(self.decoder.to_bytes())
         return blob.pack(header, sections)
 
     @classmethod
     def from_blob(cls, data: bytes, decoder: DecoderWeights, config: ImplicitMapConfig) -> NeuralMap:
-        """The map in `data`: with the decoder it brings, or else with `decoder`, to which it must have been fitted.
+        """The map in `data`; a learned one with the decoder it brings, or else with `decoder`.
 
-        Raises DataLoss for damage, DescriptorModelMismatch for a map of another decoder.
+        Raises DataLoss for damage, DescriptorModelMismatch where a learned map was fitted to another decoder.
         """
-        header, parts = blob.unpack(data)
-        layers = header.get("layers")
-        if layers is not None:
-            decoder = DecoderWeights.from_bytes(parts[7], layers)
-        if header["decoder"] != decoder.digest:
-            raise DescriptorModelMismatch("the neural map was fitted with another decoder")
-        count, resolution = int(header["count"]), float(header["resolution"])
-        voxels = np.stack([np.cumsum(blob.from_varint(parts[axis], count)) for axis in range(3)], axis=1)
-        octahedral = np.frombuffer(parts[3], np.uint8).reshape(2, count).T
-        codes = (voxels.astype(np.int32), octahedral, np.frombuffer(parts[4], np.uint8))
-        positions, normals = geometry(codes, resolution)
-        hits = np.frombuffer(parts[5], np.uint8).astype(np.int32)
-        stamps = np.asarray(header["stamps_ns"], dtype=np.int64)
-        created, updated = np.zeros(count, np.int32), np.full(count, len(stamps) - 1, np.int32)
-        points = NeuralPoints(positions, normals, created, updated, hits, hits.astype(np.float32))
-        quantised = np.frombuffer(parts[6], np.int8).reshape(int(header["features"]), count).T
-        return cls(
-            points, np.ascontiguousarray(quantised * np.float32(FEATURE_STEP)), stamps, decoder,
-            replace(config, resolution=resolution), _frame(header["T_submap_map"]),
-            layers is not None,
-        )  # fmt: skip
+        try:
+            return _read_first_form(data, decoder, config) if blob.is_first_form(data) else _read(data, decoder, config)
+        except (KeyError, IndexError, TypeError, ValueError, BadField) as error:
+            raise DataLoss("the stored neural map cannot be read") from error
 
     @cached_property
-    def table(self) -> VoxelTable:
-        """The neural points by voxel."""
-        return table_of(voxels_of(self.points.positions, self.config.resolution))
+    def columns(self) -> PointColumns:
+        """The neural points by the column of voxels that they lie in."""
+        return columns_of(self.points.positions, self.config.resolution)
 
     def neighbourhood(self, queries: Array) -> Neighbourhood:
         """The K nearest neural points of `queries` (m, 3) with their weights (paper Eq. 2-4)."""
         cloud = np.ascontiguousarray(queries, dtype=np.float32)
-        return find_neighbourhood(cloud, self.points.positions, self.points.normals, self.table, self.config)
+        return find_neighbourhood(cloud, self.points.positions, self.points.normals, self.columns, self.config)
 
     def sdf(self, queries: Array) -> tuple[Array, Array]:
         """Signed distances (m,) metres of `queries` (m, 3), positive in free space, cut at the truncation (Eq. 5).
@@ -108,27 +100,34 @@ class NeuralMap:
         The second array (m,) is the distance to the nearest neural point, inf where none is near: there the field
         says nothing and the signed distance is the truncation.
         """
-        values, nearest = [], []
+        values, nearest = [np.zeros(0, np.float32)], [np.zeros(0, np.float32)]
         for start in range(0, len(queries), _CHUNK):
-            near = self.neighbourhood(queries[start : start + _CHUNK])
-            values.append(self._decode(near))
-            nearest.append(near.nearest)
-        if not values:
-            return np.zeros(0, np.float32), np.zeros(0, np.float32)
+            value, gap = self._distances(queries[start : start + _CHUNK])
+            value = np.clip(value, -self.config.truncation, self.config.truncation)
+            value[~np.isfinite(gap)] = self.config.truncation
+            values.append(value)
+            nearest.append(gap)
         return np.concatenate(values), np.concatenate(nearest)
 
-    def _decode(self, near: Neighbourhood) -> Array:
-        with torch.no_grad():
-            blended = np.einsum("mk,mkf->mf", near.weights, self.features[near.indices])  # Eq. 4
-            value = decode(
-                self.decoder.tensors(),
-                torch.from_numpy(blended),
-                torch.from_numpy(near.encoding),
-                torch.from_numpy(near.plane_distance),
-            ).numpy()
-        value = np.clip(value, -self.config.truncation, self.config.truncation)
-        value[~np.isfinite(near.nearest)] = self.config.truncation
-        return np.asarray(value, dtype=np.float32)
+    def _distances(self, queries: Array) -> tuple[Array, Array]:
+        if self.decoder is None:
+            return self._plane_distance(queries)
+        near = self.neighbourhood(queries)
+        return self._decode(self.decoder, near), near.nearest
+
+    def _decode(self, decoder: DecoderWeights, near: Neighbourhood) -> Array:
+        """Signed distances of queries with the neighbourhood `near` by a learned field."""
+        blended = np.einsum("mk,mkf->mf", near.weights, self.features[near.indices])  # Eq. 4
+        return decode(decoder, blended, near.encoding, near.plane_distance)
+
+    def _plane_distance(self, queries: Array) -> tuple[Array, Array]:
+        """Blended distances (m,) to the tangent planes, and distances (m,) to the nearest neural point."""
+        cloud, points, config = np.ascontiguousarray(queries, dtype=np.float32), self.points, self.config
+        indices, squared = nearest_points(
+            cloud, self.columns, config.resolution, config.neighbours, config.search_rings
+        )
+        distance = plane_distance(cloud, points.positions, points.normals, indices, squared, config.weight_power)
+        return distance, np.sqrt(squared[:, 0])
 
     def normals(self, queries: Array) -> Array:
         """Unit normals (m, 3) towards free space at `queries` (m, 3) near the surface.
@@ -136,10 +135,46 @@ class NeuralMap:
         The blend of the neural points' normals: the gradient of the tangent-plane part of the field, without the small
         correction of the decoder. Zero where no neural point is near.
         """
-        near = self.neighbourhood(queries)
-        blended = np.einsum("mk,mka->ma", near.weights, self.points.normals[near.indices])
-        length = np.linalg.norm(blended, axis=1, keepdims=True)
-        return np.asarray(blended / np.maximum(length, 1e-9), dtype=np.float32)
+        cloud, config = np.ascontiguousarray(queries, dtype=np.float32), self.config
+        near = nearest_points(cloud, self.columns, config.resolution, config.neighbours, config.search_rings)
+        return np.asarray(blend_normals(*near, self.points.normals, config.weight_power))
+
+
+def _read(data: bytes, decoder: DecoderWeights, config: ImplicitMapConfig) -> NeuralMap:
+    header, parts = blob.unpack(data)
+    form = Form(**{one.name: header[one.name] for one in fields(Form)})
+    codes, features = read_points(form, parts[2])
+    power, resolution = float(header["weight_power"]), float(header["resolution"])
+    kind = Field.PLANES if header["decoder"] is None else Field.LEARNED
+    config = replace(config, resolution=resolution, weight_power=power, field=kind)
+    stamps = np.cumsum(np.frombuffer(parts[1], "<i8"))
+    planes = geometry(codes, resolution, form.normal_steps, form.offset_unit)
+    points = NeuralPoints.remembered(*planes, hits_of(codes), len(stamps))
+    frame = _frame(np.frombuffer(parts[0], "<f8"))
+    if kind is Field.PLANES:
+        return NeuralMap.of_planes(points, stamps, config, frame)
+    own, adapted = _decoder_of(header, parts[3:], decoder)
+    return NeuralMap(points, features * np.float32(FEATURE_STEP), stamps, own, config, frame, adapted)
+
+
+def _read_first_form(data: bytes, decoder: DecoderWeights, config: ImplicitMapConfig) -> NeuralMap:
+    header, parts = blob.unpack(data, blob.FIRST_CONTAINER)
+    own, adapted = _decoder_of(header, parts[7:], decoder)
+    points, features = first_form.read_points(header, parts)
+    config = replace(
+        config, resolution=float(header["resolution"]), weight_power=first_form.WEIGHT_POWER, field=Field.LEARNED
+    )
+    stamps = np.asarray(header["stamps_ns"], dtype=np.int64)
+    return NeuralMap(points, features, stamps, own, config, _frame(header["T_submap_map"]), adapted)
+
+
+def _decoder_of(header: dict[str, Any], rest: list[bytes], shared: DecoderWeights) -> tuple[DecoderWeights, bool]:
+    """The decoder of a learned map: its own, in the `rest` of its sections, or the shared one."""
+    layers = header.get("layers")
+    decoder = shared if layers is None else DecoderWeights.from_bytes(rest[0], layers)
+    if header["decoder"] != decoder.digest:
+        raise DescriptorModelMismatch("the neural map was fitted with another decoder")
+    return decoder, layers is not None
 
 
 def _frame(numbers: ArrayLike) -> LevelFrame:

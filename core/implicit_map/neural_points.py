@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.kernels.elastic_points import insert_returns, pooled_covariances
+from revisit.core.kernels.oriented_normals import oriented_normals
 from revisit.core.kernels.voxel_table import VoxelTable, empty_slots
 
 Array = NDArray[np.float32]
 
-NORMAL_PRIOR = 0.05
+_RETURNS_EACH = 8  # in a voxel of a usual submap, or more
 
 
 @dataclass(frozen=True)
@@ -39,21 +40,29 @@ class NeuralPoints:  # Eq. 1
     def __len__(self) -> int:
         return len(self.positions)
 
-    def subset(self, keep: NDArray[np.bool_]) -> NeuralPoints:
-        """Only the points where `keep` (n,) holds."""
+    def subset(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> NeuralPoints:
+        """Only the points where `keep` (n,) holds, or those of the rows `keep` (m,)."""
         return NeuralPoints(
             self.positions[keep], self.normals[keep], self.created[keep], self.updated[keep], self.hits[keep],
             self.stability[keep],
         )  # fmt: skip
+
+    @classmethod
+    def remembered(cls, positions: Array, normals: Array, hits: NDArray[np.int32], scans: int) -> NeuralPoints:
+        """Points read from a store, which keeps no times: each seen from the first to the last of so many scans."""
+        created, updated = np.zeros(len(positions), np.int32), np.full(len(positions), scans - 1, np.int32)
+        return cls(positions, normals, created, updated, hits, hits.astype(np.float32))
 
 
 class ElasticAccumulator:
     """Takes scan after scan and keeps one elastic neural point a voxel."""
 
     def __init__(self, resolution: float, expected: int = 0) -> None:
-        """Voxels of edge `resolution` metres; `expected` neural points find room without long chains in the table."""
+        """Voxels of edge `resolution` metres; `expected` returns, several a voxel, find room without long chains."""
         self._resolution = resolution
-        self._table = VoxelTable(empty_slots(expected), np.zeros(0, np.int32), np.zeros((0, 3), np.int32))
+        self._table = VoxelTable(
+            empty_slots(expected // _RETURNS_EACH), np.zeros(0, np.int32), np.zeros((0, 3), np.int32)
+        )
         self._moments = np.zeros((0, 10))
         self._views = np.zeros((0, 3))
         self._scans = np.zeros((0, 3), dtype=np.int32)
@@ -75,7 +84,7 @@ class ElasticAccumulator:
         moments, views = self._moments[: self._size], self._views[: self._size]
         scans = self._scans[: self._size]
         positions = (moments[:, 1:4] / moments[:, :1]).astype(np.float32)
-        normals = _oriented_normals(pooled_covariances(positions, moments, self._table, self._resolution), views)
+        normals = oriented_normals(pooled_covariances(positions, moments, self._table, self._resolution), views)
         return NeuralPoints(
             positions=positions, normals=normals, created=scans[:, 0].copy(), updated=scans[:, 1].copy(),
             hits=scans[:, 2].copy(), stability=scans[:, 2].astype(np.float32),
@@ -96,17 +105,3 @@ def _grown(array: NDArray[Any], rows: int) -> NDArray[Any]:
     grown = np.zeros((rows, *array.shape[1:]), dtype=array.dtype)
     grown[: len(array)] = array
     return grown
-
-
-def _oriented_normals(covariances: NDArray[np.float64], views: NDArray[np.float64]) -> Array:
-    """Unit normals (n, 3) towards the sensor: least variance, with a prior for the viewing direction.
-
-    The prior decides where returns form a line (one beam on a wall) or a single spot.
-    """
-    view = views / (np.linalg.norm(views, axis=1, keepdims=True) + 1e-12)
-    spread = np.trace(covariances, axis1=1, axis2=2)[:, None, None] + 1e-9
-    prior = np.eye(3) - view[:, :, None] * view[:, None, :]
-    normals = np.linalg.eigh(covariances / spread + NORMAL_PRIOR * prior)[1][:, :, 0]
-    facing = np.einsum("ij,ij->i", normals, view) < 0
-    normals[facing] *= -1
-    return normals.astype(np.float32)

@@ -1,4 +1,4 @@
-"""The geometry of neural points as it is stored: voxel, octahedral normal, plane offset.
+"""The geometry of neural points as it is stored: voxel, octahedral normal, plane offset, class of hits.
 
 Fitting works on this geometry already (`settle`), so that storing a map loses nothing of it (docs/decisions/0002).
 """
@@ -6,50 +6,86 @@ Fitting works on this geometry already (`settle`), so that storing a map loses n
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import octahedral
+from revisit.core.geometry.voxel_keys import voxel_keys
 from revisit.core.implicit_map.neural_points import NeuralPoints
+from revisit.core.kernels.plane_coder import FIXED, HIT_CLASSES
 
 Array = NDArray[np.float32]
-Codes = tuple[NDArray[np.int32], NDArray[np.uint8], NDArray[np.uint8]]
 
-_NORMAL_STEPS = 63
-_OFFSET_LEVELS = 63
+NORMAL_STEPS = 15
+OFFSET_UNIT = 48
+"""Parts of FIXED of a voxel's edge: 1.9 cm in voxels of 0.4 m."""
 _SETTLE_ROUNDS = 8
 
 
+@dataclass(frozen=True)
+class PlaneCodes:
+    """Whole numbers of n neural points: voxels (n, 3) int32; planes (n, 4) int32, octahedral normal (2), offset of the
+    tangent plane from the voxel's centre, and class of hits.
+    """
+
+    voxels: NDArray[np.int32]
+    planes: NDArray[np.int32]
+
+    def __getitem__(self, rows: NDArray[np.int64]) -> PlaneCodes:
+        return PlaneCodes(self.voxels[rows], self.planes[rows])
+
+
 def settle(points: NeuralPoints, resolution: float) -> NeuralPoints:
-    """Neural points moved along their tangent planes to the spot nearest the voxel centre, as they are stored."""
-    positions, normals = geometry(geometry_codes(points, resolution), resolution)
-    return dataclasses.replace(points, positions=positions, normals=normals)
+    """Neural points moved along their tangent planes to the spot nearest the voxel centre, as they are stored.
+
+    Where the mean of returns was rounded over the edge of a voxel into an occupied one, one of the two stays.
+    """
+    codes = plane_codes(points, resolution)
+    rows = distinct_rows(codes.voxels)
+    positions, normals = geometry(codes[rows], resolution)
+    return dataclasses.replace(points.subset(rows), positions=positions, normals=normals)
 
 
-def geometry_codes(points: NeuralPoints, resolution: float) -> Codes:
-    """Voxels (n, 3) int32, octahedral normals (n, 2) uint8 and plane offsets (n,) uint8."""
+def distinct_rows(voxels: NDArray[np.int32]) -> NDArray[np.int64]:
+    """The first row of each of `voxels` (n, 3), ascending."""
+    _, rows = np.unique(voxel_keys(voxels.astype(np.int64)), return_index=True)
+    return np.sort(rows)
+
+
+def plane_codes(points: NeuralPoints, resolution: float) -> PlaneCodes:
+    """The points as whole numbers."""
     voxels = np.floor(points.positions / resolution).astype(np.int32)
-    codes_of_normals = octahedral.encode(points.normals, _NORMAL_STEPS)
-    normals = octahedral.decode(codes_of_normals, _NORMAL_STEPS)
-    centres = (voxels + 0.5) * resolution
-    reach = resolution * np.sqrt(3.0) / 2
-    offset = np.einsum("ij,ij->i", points.positions - centres, normals) / reach
-    codes = np.clip(np.rint((offset + 1) * 0.5 * _OFFSET_LEVELS), 0, _OFFSET_LEVELS).astype(np.uint8)
-    return voxels, codes_of_normals, codes
+    codes = octahedral.encode(points.normals, NORMAL_STEPS)
+    local = points.positions - (voxels + 0.5) * resolution
+    offset = np.einsum("ij,ij->i", local, octahedral.decode(codes, NORMAL_STEPS)) / (resolution * OFFSET_UNIT / FIXED)
+    hits = np.clip(np.log2(np.maximum(points.hits, 1)), 0, HIT_CLASSES - 1)
+    return PlaneCodes(voxels, np.column_stack([codes, np.rint(offset), hits]).astype(np.int32))
 
 
-def geometry(codes: Codes, resolution: float) -> tuple[Array, Array]:
+def geometry(
+    codes: PlaneCodes, resolution: float, normal_steps: int = NORMAL_STEPS, offset_unit: int = OFFSET_UNIT
+) -> tuple[Array, Array]:
     """Positions and normals (n, 3): on the tangent plane, inside the voxel, near its centre."""
-    voxels, codes_of_normals, offsets = codes
-    normals = octahedral.decode(codes_of_normals, _NORMAL_STEPS)
-    centres = (voxels + 0.5) * resolution
-    reach = resolution * np.sqrt(3.0) / 2
-    height = (offsets * (2.0 / _OFFSET_LEVELS) - 1.0) * reach
+    normals = octahedral.decode(codes.planes[:, :2], normal_steps)
+    heights = codes.planes[:, 2] * (resolution * offset_unit / FIXED)
+    return on_planes(codes.voxels, normals, heights, resolution)
+
+
+def on_planes(
+    voxels: NDArray[np.int32], normals: NDArray[np.float64], heights: NDArray[np.floating], resolution: float
+) -> tuple[Array, Array]:
+    """The spots of `voxels` (n, 3) nearest their centres on planes `heights` (n,) metres along `normals` (n, 3)."""
     inside = 0.499 * resolution
-    local = normals * height[:, None]
+    local = normals * heights[:, None]
     for _ in range(_SETTLE_ROUNDS):
         local = np.clip(local, -inside, inside)
-        local += normals * (height - np.einsum("ij,ij->i", local, normals))[:, None]
+        local += normals * (heights - np.einsum("ij,ij->i", local, normals))[:, None]
     local = np.clip(local, -inside, inside)
-    return (centres + local).astype(np.float32), normals.astype(np.float32)
+    return ((voxels + 0.5) * resolution + local).astype(np.float32), normals.astype(np.float32)
+
+
+def hits_of(codes: PlaneCodes) -> NDArray[np.int32]:
+    """The least number of scans in each point's class of hits: 1, 2, 4 or 8."""
+    return np.asarray(1 << codes.planes[:, 3], dtype=np.int32)

@@ -6,39 +6,63 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.voxel_table import VoxelTable, find
+from revisit.core.kernels.point_columns import PointColumns, span
 
 
-@numba.njit(cache=True)
-def join_cells(
-    points: NDArray[np.float32], starts: NDArray[np.int64], cells: VoxelTable, radius: float
-) -> NDArray[np.int64]:
-    """The root cell (c,), the first of its part, of each cell: cells with points nearer than `radius` are joined.
+@numba.njit(cache=True, error_model="numpy")
+def join_cells(columns: PointColumns, edge: float, radius: float) -> NDArray[np.int64]:
+    """For each of the sorted points (n,) the first cell of its part: cells with points nearer than `radius` are joined.
 
-    `points` are grouped by cell: those of cell i are the rows starts[i] to starts[i + 1]. A cell's edge is
-    radius / sqrt(3), so that its own points are near each other and those more than two cells away are not.
+    `columns` have the edge `edge` = radius / sqrt(3), so that the points of a cell are near each other and those more
+    than two cells away are not. Cells are numbered in the order of the sorted points.
     """
-    parent = np.arange(len(cells.voxels))
+    points, keys, grid = columns.points, columns.keys, columns.grid
+    x_low, y_low, width, depth = columns.low[0], columns.low[1], columns.shape[0], columns.shape[1]
+    cell_of, starts, heights = _cells(points, keys, edge)
+    parent = np.arange(len(heights))
     limit = radius * radius
-    for cell in range(len(cells.voxels)):
-        x, y, z = cells.voxels[cell]
-        for dx in range(3):
-            for dy in range(-2, 3):
-                for dz in range(-2, 3):
-                    if (dx, dy, dz) <= (0, 0, 0):
-                        continue
-                    other = find(cells, x + dx, y + dy, z + dz)
-                    if other < 0:
-                        continue
-                    a, b = _root(parent, cell), _root(parent, other)
-                    if a != b and _touch(points, starts, cell, other, limit):
-                        parent[max(a, b)] = min(a, b)
-    for cell in range(len(parent)):
-        parent[cell] = _root(parent, cell)
-    return parent
+    for cell in range(len(heights)):
+        x = int(np.floor(points[starts[cell], 0] / edge)) - x_low
+        y = int(np.floor(points[starts[cell], 1] / edge)) - y_low
+        for column in range(13):
+            dx, dy = (column + 2) // 5, (column + 2) % 5 - 2  # (0, 0), (0, 1), (0, 2), (1, -2) ... (2, 2)
+            first, last = span(keys, grid, width, depth, x + dx, y + dy, y + dy)
+            if first == last:
+                continue
+            other = cell + 1 if column == 0 else cell_of[first]
+            end = cell_of[last - 1] + 1
+            while other < end and heights[other] < heights[cell] - 2:
+                other += 1
+            while other < end and heights[other] <= heights[cell] + 2:
+                a, b = _root(parent, cell), _root(parent, other)
+                if a != b and _touch(points, starts, cell, other, limit):
+                    parent[max(a, b)] = min(a, b)
+                other += 1
+    for i in range(len(points)):
+        cell_of[i] = _root(parent, cell_of[i])
+    return cell_of
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
+def _cells(
+    points: NDArray[np.float32], keys: NDArray[np.int64], edge: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """The cell (n,) of each sorted point; the first point (c + 1,) of each cell, n at the end; the z (c,) of each."""
+    cell_of = np.empty(len(points), dtype=np.int64)
+    starts = np.empty(len(points) + 1, dtype=np.int64)
+    heights = np.empty(len(points), dtype=np.int64)
+    cells = 0
+    for i in range(len(points)):
+        z = int(np.floor(points[i, 2] / edge))
+        if i == 0 or keys[i] != keys[i - 1] or z != heights[cells - 1]:
+            starts[cells], heights[cells] = i, z
+            cells += 1
+        cell_of[i] = cells - 1
+    starts[cells] = len(points)
+    return cell_of, starts[: cells + 1], heights[:cells]
+
+
+@numba.njit(inline="always")
 def _root(parent: NDArray[np.int64], cell: int) -> int:
     while parent[cell] != cell:
         parent[cell] = parent[parent[cell]]
@@ -46,7 +70,7 @@ def _root(parent: NDArray[np.int64], cell: int) -> int:
     return cell
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _touch(points: NDArray[np.float32], starts: NDArray[np.int64], a: int, b: int, limit: float) -> bool:
     for i in range(starts[a], starts[a + 1]):
         for j in range(starts[b], starts[b + 1]):
@@ -56,3 +80,16 @@ def _touch(points: NDArray[np.float32], starts: NDArray[np.int64], a: int, b: in
             if gap < limit:
                 return True
     return False
+
+
+@numba.njit(cache=True, error_model="numpy")
+def connected_parts(count: int, faces: NDArray[np.int32]) -> NDArray[np.int64]:
+    """For each of `count` vertices the first vertex of its part: the vertices of a face (f, 3) belong together."""
+    parent = np.arange(count)
+    for f in range(len(faces)):
+        for corner in range(2):
+            a, b = _root(parent, faces[f, corner]), _root(parent, faces[f, corner + 1])
+            parent[max(a, b)] = min(a, b)
+    for vertex in range(count):
+        parent[vertex] = _root(parent, vertex)
+    return parent

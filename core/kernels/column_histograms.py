@@ -6,6 +6,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.kernels.arcs import arc_tangent
+
 Array = NDArray[np.float32]
 
 LATITUDE_BANDS = 4
@@ -16,7 +18,7 @@ MIN_MEMBERS = 8
 """Fewer vertices in a column say nothing."""
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def column_histograms(
     vertices: Array,
     normals: Array,
@@ -57,8 +59,9 @@ def column_histograms(
             i = inside[n]
             dx, dy = vertices[i, 0] - keypoints[k, 0], vertices[i, 1] - keypoints[k, 1]
             dz = vertices[i, 2] - centre_z
-            latitude = np.arctan2(dz, np.sqrt(dx * dx + dy * dy)) + 0.5 * np.pi
-            longitude = (np.arctan2(dy, dx) - axis) % (2.0 * np.pi)
+            latitude = arc_tangent(dz, np.sqrt(dx * dx + dy * dy)) + 0.5 * np.pi
+            longitude = arc_tangent(dy, dx) - axis
+            longitude = longitude + 2.0 * np.pi if longitude < 0.0 else longitude
             band = min(int(latitude / np.pi * LATITUDE_BANDS), LATITUDE_BANDS - 1)
             sector = min(int(longitude / (2.0 * np.pi) * SECTORS), SECTORS - 1)
             region = band * SECTORS + sector
@@ -72,7 +75,7 @@ def column_histograms(
     return histograms
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _count_pairs(
     sums: NDArray[np.float64], radius: float, distance_bins: int, height_bins: int, histogram: NDArray[np.float64]
 ) -> None:

@@ -10,8 +10,10 @@ from revisit.core.kernels.voxel_table import VoxelTable, add, find
 
 POOLED_RETURNS = 8.0
 
+_CHUNK = 1024
 
-@numba.njit(cache=True)
+
+@numba.njit(cache=True, error_model="numpy")
 def insert_returns(
     points: NDArray[np.float32],
     origin: NDArray[np.float32],
@@ -29,41 +31,73 @@ def insert_returns(
     the upper sum p p^T; views (3,) sum of the unit vectors towards the sensor; scans (3,) first, last and number of the
     scans that saw it.
     """
-    for n in range(len(points)):
-        x, y, z = points[n, 0], points[n, 1], points[n, 2]
-        vx, vy, vz = int(np.floor(x / resolution)), int(np.floor(y / resolution)), int(np.floor(z / resolution))
-        i = find(table, vx, vy, vz)
-        if i < 0:
-            i = size
-            size += 1
-            add(table, i, vx, vy, vz)
-            moments[i] = 0.0
-            views[i] = 0.0
-            scans[i, 0] = scan
-            scans[i, 1] = -1
-            scans[i, 2] = 0
-        moments[i, 0] += 1.0
-        moments[i, 1] += x
-        moments[i, 2] += y
-        moments[i, 3] += z
-        moments[i, 4] += x * x
-        moments[i, 5] += x * y
-        moments[i, 6] += x * z
-        moments[i, 7] += y * y
-        moments[i, 8] += y * z
-        moments[i, 9] += z * z
-        dx, dy, dz = origin[0] - x, origin[1] - y, origin[2] - z
-        norm = np.sqrt(dx * dx + dy * dy + dz * dz) + 1e-9
-        views[i, 0] += dx / norm
-        views[i, 1] += dy / norm
-        views[i, 2] += dz / norm
-        if scans[i, 1] != scan:
-            scans[i, 1] = scan
-            scans[i, 2] += 1
+    slots, following, voxels = table.slots, table.following, table.voxels
+    cells, units = np.empty((3, _CHUNK), dtype=np.int32), np.empty((3, _CHUNK))
+    for start in range(0, len(points), _CHUNK):
+        count = min(_CHUNK, len(points) - start)
+        _prepare(points, start, count, origin, resolution, cells, units)
+        k = 0
+        while k < count:
+            x, y, z = cells[0, k], cells[1, k], cells[2, k]
+            i = find(slots, following, voxels, x, y, z)
+            if i < 0:
+                i = size
+                size += 1
+                add(slots, following, voxels, i, x, y, z)
+                moments[i], views[i] = 0.0, 0.0
+                scans[i, 0], scans[i, 1], scans[i, 2] = scan, -1, 0
+            if scans[i, 1] != scan:
+                scans[i, 1] = scan
+                scans[i, 2] += 1
+            first = k
+            while k < count and cells[0, k] == x and cells[1, k] == y and cells[2, k] == z:
+                k += 1
+            _gather(points, start, first, k, units, moments, views, i)
     return size
 
 
-@numba.njit(cache=True)
+@numba.njit(inline="always")
+def _prepare(
+    points: NDArray[np.float32], start: int, count: int, origin: NDArray[np.float32], resolution: float,
+    cells: NDArray[np.int32], units: NDArray[np.float64],
+) -> None:  # fmt: skip
+    """Voxels and unit vectors towards `origin` of `count` returns from row `start` on, many at once."""
+    ox, oy, oz = origin[0], origin[1], origin[2]
+    for k in range(count):
+        units[0, k], units[1, k], units[2, k] = points[start + k, 0], points[start + k, 1], points[start + k, 2]
+    for k in range(count):
+        cells[0, k] = np.int32(np.floor(units[0, k] / resolution))
+        cells[1, k] = np.int32(np.floor(units[1, k] / resolution))
+        cells[2, k] = np.int32(np.floor(units[2, k] / resolution))
+    for k in range(count):
+        dx, dy, dz = ox - units[0, k], oy - units[1, k], oz - units[2, k]
+        inverse = 1.0 / (np.sqrt(dx * dx + dy * dy + dz * dz) + 1e-9)
+        units[0, k], units[1, k], units[2, k] = dx * inverse, dy * inverse, dz * inverse
+
+
+@numba.njit(inline="always")
+def _gather(
+    points: NDArray[np.float32], start: int, first: int, last: int, units: NDArray[np.float64],
+    moments: NDArray[np.float64], views: NDArray[np.float64], i: int,
+) -> None:  # fmt: skip
+    """Add the returns from start + first up to start + last, all in one voxel, to neural point i."""
+    sx, sy, sz, xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    ux, uy, uz = 0.0, 0.0, 0.0
+    for k in range(first, last):
+        x, y, z = points[start + k, 0], points[start + k, 1], points[start + k, 2]
+        sx, sy, sz = sx + x, sy + y, sz + z
+        xx, xy, xz = xx + x * x, xy + x * y, xz + x * z
+        yy, yz, zz = yy + y * y, yz + y * z, zz + z * z
+        ux, uy, uz = ux + units[0, k], uy + units[1, k], uz + units[2, k]
+    sums = float(last - first), sx, sy, sz, xx, xy, xz, yy, yz, zz
+    for a in range(10):
+        moments[i, a] += sums[a]
+    views[i, 0] += ux
+    views[i, 1] += uy
+    views[i, 2] += uz
+
+
+@numba.njit(cache=True, error_model="numpy")
 def pooled_covariances(
     positions: NDArray[np.float32], moments: NDArray[np.float64], table: VoxelTable, resolution: float
 ) -> NDArray[np.float64]:
@@ -71,36 +105,54 @@ def pooled_covariances(
 
     A voxel counts at most as POOLED_RETURNS returns, so that dense and sparse scans give the same surface.
     """
-    out = np.zeros((len(positions), 3, 3))
+    slots, following, voxels = table.slots, table.following, table.voxels
+    out = np.empty((len(positions), 3, 3))
+    sums = np.empty(10)
     for i in range(len(positions)):
-        p = positions[i]
-        cx, cy, cz = np.floor(p / resolution).astype(np.int64)
-        total = 0.0
-        first = np.zeros(3)
-        second = np.zeros((3, 3))
+        px, py, pz = positions[i, 0], positions[i, 1], positions[i, 2]
+        cx, cy, cz = int(np.floor(px / resolution)), int(np.floor(py / resolution)), int(np.floor(pz / resolution))
+        sums[:] = 0.0
         for x in range(cx - 1, cx + 2):
             for y in range(cy - 1, cy + 2):
                 for z in range(cz - 1, cz + 2):
-                    j = find(table, x, y, z)
+                    j = find(slots, following, voxels, x, y, z)
                     if j < 0:
                         continue
-                    m = moments[j]
-                    gap = (positions[j, 0] - p[0]) ** 2 + (positions[j, 1] - p[1]) ** 2 + (positions[j, 2] - p[2]) ** 2
+                    gap = (positions[j, 0] - px) ** 2 + (positions[j, 1] - py) ** 2 + (positions[j, 2] - pz) ** 2
                     if gap > 4.0 * resolution**2:
                         continue
-                    w = np.exp(-0.5 * gap / (0.7 * resolution) ** 2) * min(m[0], POOLED_RETURNS) / m[0]
-                    total += w * m[0]
-                    for a in range(3):
-                        first[a] += w * (m[1 + a] - m[0] * p[a])
-                    entry = 4
-                    for a in range(3):
-                        for b in range(a, 3):
-                            value = m[entry] - p[a] * m[1 + b] - p[b] * m[1 + a] + m[0] * p[a] * p[b]
-                            second[a, b] += w * value
-                            entry += 1
-        for a in range(3):
-            for b in range(a, 3):
-                value = second[a, b] / total - first[a] / total * first[b] / total
-                out[i, a, b] = value
-                out[i, b, a] = value
+                    m = moments[j, 0]
+                    weight = np.exp(-0.5 * gap / (0.7 * resolution) ** 2) * min(m, POOLED_RETURNS) / m
+                    _pool(sums, moments, j, weight, px, py, pz)
+        _covariance(sums, out, i)
     return out
+
+
+@numba.njit(inline="always")
+def _pool(
+    sums: NDArray[np.float64], moments: NDArray[np.float64], j: int, weight: float, px: float, py: float, pz: float
+) -> None:
+    """Add the moments of point `j` about (px, py, pz), times `weight`, to `sums` (10,): count, p, upper p p^T."""
+    n, x, y, z = moments[j, 0], moments[j, 1], moments[j, 2], moments[j, 3]
+    sums[0] += weight * n
+    sums[1] += weight * (x - n * px)
+    sums[2] += weight * (y - n * py)
+    sums[3] += weight * (z - n * pz)
+    sums[4] += weight * (moments[j, 4] - px * x - px * x + n * px * px)
+    sums[5] += weight * (moments[j, 5] - px * y - py * x + n * px * py)
+    sums[6] += weight * (moments[j, 6] - px * z - pz * x + n * px * pz)
+    sums[7] += weight * (moments[j, 7] - py * y - py * y + n * py * py)
+    sums[8] += weight * (moments[j, 8] - py * z - pz * y + n * py * pz)
+    sums[9] += weight * (moments[j, 9] - pz * z - pz * z + n * pz * pz)
+
+
+@numba.njit(inline="always")
+def _covariance(sums: NDArray[np.float64], out: NDArray[np.float64], i: int) -> None:
+    """The covariance of pooled `sums` into out[i]."""
+    x, y, z = sums[1] / sums[0], sums[2] / sums[0], sums[3] / sums[0]
+    out[i, 0, 0] = sums[4] / sums[0] - x * x
+    out[i, 0, 1] = out[i, 1, 0] = sums[5] / sums[0] - x * y
+    out[i, 0, 2] = out[i, 2, 0] = sums[6] / sums[0] - x * z
+    out[i, 1, 1] = sums[7] / sums[0] - y * y
+    out[i, 1, 2] = out[i, 2, 1] = sums[8] / sums[0] - y * z
+    out[i, 2, 2] = sums[9] / sums[0] - z * z

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def face_profiles(
     vertices: NDArray[np.float64],
     heading: NDArray[np.float64],
@@ -21,23 +21,27 @@ def face_profiles(
     found = np.zeros((headings, bins))
     step = 2.0 * np.pi / headings
     spread = headings // 6
+    angles = np.arange(-headings, headings + 1) * step
+    cosines, sines = np.cos(angles), np.sin(angles)
     for vertex in range(len(vertices)):
         if weight[vertex] <= 0.0:
             continue
+        x, y, share = vertices[vertex, 0], vertices[vertex, 1], weight[vertex]
+        face_x, face_y = np.cos(heading[vertex]), np.sin(heading[vertex])
         nearest = int(np.round(heading[vertex] / step))
         for row in range(nearest - spread, nearest + spread + 1):
-            angle = row * step
-            facing = np.cos(heading[vertex] - angle)
+            cosine, sine = cosines[row + headings], sines[row + headings]
+            facing = face_x * cosine + face_y * sine
             if facing <= 0.0:
                 continue
-            along = vertices[vertex, 0] * np.cos(angle) + vertices[vertex, 1] * np.sin(angle)
-            column = int(np.floor(along / spacing)) + bins // 2
+            column = int(np.floor((x * cosine + y * sine) / spacing)) + bins // 2
             if 0 <= column < bins:
-                found[row % headings, column] += weight[vertex] * facing**sharpness
+                fourth = facing * facing * facing * facing
+                found[row % headings, column] += share * (fourth if sharpness == 4.0 else facing**sharpness)
     return found
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def plan_profiles(
     places: NDArray[np.float64], weight: NDArray[np.float64], headings: int, bins: int, spacing: float
 ) -> NDArray[np.float64]:

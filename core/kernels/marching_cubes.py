@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float32]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def polygonise(
     cell_corners: NDArray[np.int32],
     corner_positions: Array,

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float32]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def patch_histograms(
     index: NDArray[np.int8],
     weights: Array,
@@ -28,21 +28,48 @@ def patch_histograms(
     """
     height, width = index.shape
     histograms = np.zeros((len(pixels), cells * cells * bins), dtype=np.float32)
+    steps = (patch + step - 1) // step
+    offsets, part = np.empty(steps), np.empty(steps, dtype=np.int64)
+    for i in range(steps):
+        offsets[i] = i * step + 0.5 * step - 0.5 * patch
+        part[i] = i * step * cells // patch
     for keypoint in range(len(pixels)):
         cosine, sine = np.cos(angles[keypoint]), np.sin(angles[keypoint])
         turn = angles[keypoint] * bins / np.pi
-        for i in range(0, patch, step):
-            v = i + 0.5 * step - 0.5 * patch
-            for j in range(0, patch, step):
-                u = j + 0.5 * step - 0.5 * patch
-                column = int(np.rint(pixels[keypoint, 0] + cosine * u - sine * v))
-                row = int(np.rint(pixels[keypoint, 1] + sine * u + cosine * v))
+        for i in range(steps):
+            for j in range(steps):
+                column = int(np.rint(pixels[keypoint, 0] + cosine * offsets[j] - sine * offsets[i]))
+                row = int(np.rint(pixels[keypoint, 1] + sine * offsets[j] + cosine * offsets[i]))
                 if row < 0 or column < 0 or row >= height or column >= width or weights[row, column] == 0.0:
                     continue
-                relative = (index[row, column] - turn) % bins
+                relative = index[row, column] - turn
+                relative = relative + bins if relative < 0.0 else relative
                 lower = int(relative)
                 share = relative - lower
-                cell = ((i * cells // patch) * cells + j * cells // patch) * bins
+                upper = lower + 1 if lower + 1 < bins else 0
+                cell = (part[i] * cells + part[j]) * bins
                 histograms[keypoint, cell + lower % bins] += weights[row, column] * (1.0 - share)
-                histograms[keypoint, cell + (lower + 1) % bins] += weights[row, column] * share
+                histograms[keypoint, cell + upper] += weights[row, column] * share
     return histograms
+
+
+@numba.njit(cache=True, fastmath=True, error_model="numpy")
+def disc_histograms(layers: Array, pixels: NDArray[np.int64], disc: Array) -> Array:
+    """Sums (n, layers) of each of `layers` (l, h, w) over a disc around each of `pixels` (n, 2), column and row.
+
+    `disc` (d, d), d odd, holds the weights; what lies outside the layers counts nothing.
+    """
+    count, height, width = layers.shape
+    radius = len(disc) // 2
+    sums = np.zeros((len(pixels), count), dtype=np.float32)
+    for keypoint in range(len(pixels)):
+        left, top = pixels[keypoint, 0] - radius, pixels[keypoint, 1] - radius
+        first, last = max(0, -left), min(len(disc), width - left)
+        for layer in range(count):
+            total = np.float32(0.0)
+            for i in range(max(0, -top), min(len(disc), height - top)):
+                weights, values = disc[i, first:last], layers[layer, top + i, left + first : left + last]
+                for j in range(len(weights)):
+                    total += weights[j] * values[j]
+            sums[keypoint, layer] = total
+    return sums

@@ -12,13 +12,13 @@ SHORTEST_BASE = 4.0
 """Two correspondences define a yaw only where their points lie at least so many tolerances apart."""
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def angle_between(one: float, other: float) -> float:
     """The absolute difference of two angles in radians, in [0, pi]."""
     return abs((one - other + np.pi) % (2.0 * np.pi) - np.pi)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def votes(
     source: Array64, target: Array64, yaws: Array64, pose: Array64, tolerance: float, yaw_tolerance: float
 ) -> float:
@@ -33,7 +33,7 @@ def votes(
     return agree
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def best_two_point_pose(
     source: Array64, target: Array64, yaws: Array64, tolerance: float, yaw_tolerance: float
 ) -> Array64:

@@ -6,49 +6,79 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.kernels.arcs import arc_tangent
+
 Array = NDArray[np.float32]
 
-_PIXELS_PER_DEGREE = 1
-_COLUMNS = 360 * _PIXELS_PER_DEGREE
-_ROWS = 180 * _PIXELS_PER_DEGREE
+_COLUMNS = 360
+_ROWS = 180
+_PIXELS_PER_RADIAN = 180.0 / np.pi
 _MARGIN_M = 0.5
 _MARGIN_RATIO = 0.02
+_CHUNK = 1024
 
 
-@numba.njit(inline="always")
-def _pixel(x: float, y: float, z: float) -> tuple[int, int, float]:
-    distance = np.sqrt(x * x + y * y + z * z) + 1e-9
-    column = int((np.arctan2(y, x) + np.pi) * (_COLUMNS / (2 * np.pi))) % _COLUMNS
-    row = min(_ROWS - 1, int((np.arcsin(z / distance) + np.pi / 2) * (_ROWS / np.pi)))
-    return row, column, distance
-
-
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def range_image(points: Array, origin: Array) -> Array:
     """Smallest range to `points` (n, 3) seen from `origin` (3,) in each pixel: (rows, columns) float32 metres.
 
-    Infinite where nothing was measured.
+    A pixel is a degree wide and high. Infinite where nothing was measured.
     """
-    image = np.full((_ROWS, _COLUMNS), np.inf, dtype=np.float32)
-    for n in range(len(points)):
-        row, column, distance = _pixel(points[n, 0] - origin[0], points[n, 1] - origin[1], points[n, 2] - origin[2])
-        image[row, column] = min(image[row, column], np.float32(distance))
-    return image
+    image = np.full(_ROWS * _COLUMNS, np.inf, dtype=np.float32)
+    rays, pixels, ranges = np.empty((3, _CHUNK)), np.empty(_CHUNK, dtype=np.int32), np.empty(_CHUNK)
+    for start in range(0, len(points), _CHUNK):
+        count = min(_CHUNK, len(points) - start)
+        _see(points, start, count, origin, rays, pixels, ranges)
+        for k in range(count):
+            image[pixels[k]] = min(image[pixels[k]], np.float32(ranges[k]))
+    return image.reshape(_ROWS, _COLUMNS)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def mark_seen_through(positions: Array, origin: Array, image: Array, counts: NDArray[np.int32]) -> None:
     """Count the scan where all returns in the 3 x 3 pixels around a position are beyond it, and at least two exist."""
-    for i in range(len(positions)):
-        row, column, distance = _pixel(
-            positions[i, 0] - origin[0], positions[i, 1] - origin[1], positions[i, 2] - origin[2]
-        )
-        nearest, measured = np.inf, 0
-        for r in range(max(0, row - 1), min(_ROWS, row + 2)):
-            for c in range(column - 1, column + 2):
-                value = image[r, c % _COLUMNS]
-                if np.isfinite(value):
-                    measured += 1
-                    nearest = min(nearest, value)
-        if measured >= 2 and nearest > distance * (1 + _MARGIN_RATIO) + _MARGIN_M:
-            counts[i] += 1
+    nearest = _nearest_around(image)
+    rays, pixels, ranges = np.empty((3, _CHUNK)), np.empty(_CHUNK, dtype=np.int32), np.empty(_CHUNK)
+    for start in range(0, len(positions), _CHUNK):
+        count = min(_CHUNK, len(positions) - start)
+        _see(positions, start, count, origin, rays, pixels, ranges)
+        for k in range(count):
+            counts[start + k] += nearest[pixels[k]] > ranges[k] * (1 + _MARGIN_RATIO) + _MARGIN_M
+
+
+@numba.njit(inline="always")
+def _see(
+    points: Array, start: int, count: int, origin: Array, rays: NDArray[np.float64],
+    pixels: NDArray[np.int32], ranges: NDArray[np.float64],
+) -> None:  # fmt: skip
+    """The pixels and ranges of `count` points from row `start` on: without a branch, so that many are done at once."""
+    for a in range(3):
+        for k in range(count):
+            rays[a, k] = points[start + k, a] - origin[a]
+    for k in range(count):
+        x, y, z = rays[0, k], rays[1, k], rays[2, k]
+        level = x * x + y * y
+        ranges[k] = np.sqrt(level + z * z) + 1e-9
+        column = np.int32((arc_tangent(y, x) + np.pi) * _PIXELS_PER_RADIAN)
+        row = np.int32((arc_tangent(z, np.sqrt(level)) + 0.5 * np.pi) * _PIXELS_PER_RADIAN)
+        row = row if row < _ROWS else np.int32(_ROWS - 1)
+        pixels[k] = row * np.int32(_COLUMNS) + (column if column < _COLUMNS else np.int32(0))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _nearest_around(image: Array) -> Array:
+    """The smallest range (rows * columns,) of each pixel and its neighbours; 0 where fewer than two have one."""
+    nearest = np.empty(_ROWS * _COLUMNS, dtype=np.float32)
+    for row in range(_ROWS):
+        first, last = max(0, row - 1), min(_ROWS, row + 2)
+        for column in range(_COLUMNS):
+            least, measured = np.float32(np.inf), 0
+            for r in range(first, last):
+                for step in (-1, 0, 1):
+                    c = column + step
+                    c = c + _COLUMNS if c < 0 else (c - _COLUMNS if c >= _COLUMNS else c)
+                    value = image[r, c]
+                    least = min(least, value)
+                    measured += value < np.inf
+            nearest[row * _COLUMNS + column] = least if measured >= 2 else np.float32(0.0)
+    return nearest

@@ -64,7 +64,7 @@ def place_flags(points: NDArray[np.floating], scene_scale: float = 1.0) -> tuple
     come so far: its points lie beyond the sensor's range.
     """
     plane = ground_plane(points)
-    size_m = scene_scale * float(np.percentile(np.linalg.norm(points[::4], axis=1), 95.0))
+    size_m = scene_scale * float(np.percentile(np.linalg.norm(points[:: max(1, len(points) // 30_000)], axis=1), 95.0))
     tilted = plane is not None and not plane.upright
     return ("ground_tilted",) * tilted + ("scene_too_small",) * (size_m < MIN_SCENE_M)
 

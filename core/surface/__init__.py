@@ -6,13 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from revisit.core.config import ImplicitMapConfig, SurfaceConfig
 from revisit.core.geometry.voxel_keys import voxel_keys
 from revisit.core.implicit_map import NeuralMap
 from revisit.core.implicit_map.fitting import accumulate
+from revisit.core.kernels.cluster_joins import connected_parts
 from revisit.core.kernels.marching_cubes import polygonise
 from revisit.core.stages import stage
 from revisit.core.submap import Submap
@@ -51,7 +50,8 @@ def extract_surface(neural_map: NeuralMap, config: SurfaceConfig) -> Surface:
     resolution = neural_map.config.resolution
     if len(neural_map.points) == 0:
         return _empty(resolution)
-    near = cells_near_planes(neural_map.points.positions, neural_map.points.normals, resolution)
+    points, reach = neural_map.points, neural_map.config.search_rings * resolution
+    near = cells_near_planes(points.positions, points.normals, resolution, min(config.observed_distance, reach))
     corner_positions = (near.corners * resolution).astype(np.float32)
     values, nearest = neural_map.sdf(corner_positions)
     values[nearest > config.observed_distance] = np.nan
@@ -83,12 +83,8 @@ def _without_small_components(
     """Drop the connected parts with fewer than `smallest` vertices: isolated outliers (paper III-C)."""
     if len(vertices) == 0:
         return vertices, faces
-    links = coo_matrix(
-        (np.ones(2 * len(faces), bool), (np.r_[faces[:, 0], faces[:, 1]], np.r_[faces[:, 1], faces[:, 2]])),
-        shape=(len(vertices), len(vertices)),
-    )
-    _, part = connected_components(links, directed=False)
-    keep = np.bincount(part)[part] >= smallest
+    part = connected_parts(len(vertices), faces)
+    keep = np.bincount(part, minlength=len(vertices))[part] >= smallest
     renumbered = np.cumsum(keep, dtype=np.int32) - 1
     return vertices[keep], renumbered[faces[keep[faces[:, 0]]]]
 

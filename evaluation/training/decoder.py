@@ -1,8 +1,8 @@
 """Pre-training of the shared SDF decoder (docs/decisions/0001).
 
 The decoder is trained for the way it is used: in every episode the latent features of one submap start at zero and take
-the same few Adam steps as in `core.implicit_map.fitting.fit_features` with the decoder frozen; then the decoder takes
-one step on a fresh batch at the adapted features (first-order meta-learning).
+the same few Adam steps as in `core.implicit_map.gradient_steps.fit_features` with the decoder frozen; then the decoder
+takes one step on a fresh batch at the adapted features (first-order meta-learning).
 """
 
 from __future__ import annotations
@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 
 from revisit.core.config import ImplicitMapConfig
 from revisit.core.implicit_map.decoder import DecoderWeights
-from revisit.core.implicit_map.fitting import accumulate, fit_features, predict, sdf_loss, without_dynamic_points
+from revisit.core.implicit_map.fitting import accumulate, without_dynamic_points
+from revisit.core.implicit_map.gradient_steps import decoder_of, fit_features, predict, sdf_loss, tensors_of
 from revisit.core.implicit_map.neighbourhood import Neighbourhood, find_neighbourhood
 from revisit.core.implicit_map.samples import draw_samples
 from revisit.core.implicit_map.settled import settle
 from revisit.core.kernels.neighbour_blend import ENCODING_SIZE
+from revisit.core.kernels.point_columns import columns_of
 from revisit.core.kernels.voxel_table import table_of, voxels_of
 from revisit.core.submap import Submap
 
@@ -39,7 +41,8 @@ def training_set(submap: Submap, config: ImplicitMapConfig, rng: np.random.Gener
     points = settle(without_dynamic_points(accumulate(submap, config), submap, config), config.resolution)
     table = table_of(voxels_of(points.positions, config.resolution))
     samples = draw_samples(submap.points, submap.origins[submap.scan_index], points, table, config, rng)
-    near = find_neighbourhood(samples.positions, points.positions, points.normals, table, config)
+    columns = columns_of(points.positions, config.resolution)
+    near = find_neighbourhood(samples.positions, points.positions, points.normals, columns, config)
     usable = np.flatnonzero(np.isfinite(near.nearest))
     return TrainingSet(near[usable], samples.labels[usable], len(points))
 
@@ -61,13 +64,13 @@ def train_decoder(
 ) -> tuple[DecoderWeights, list[float]]:
     """Meta-train `start` on `sets`; returns the decoder and the outer loss of every episode."""
     rng = np.random.default_rng(seed)
-    parameters = [tensor.requires_grad_(True) for tensor in start.tensors()]
+    parameters = [tensor.requires_grad_(True) for tensor in tensors_of(start)]
     optimiser = torch.optim.Adam(parameters, lr=3e-3)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, episodes)
     losses: list[float] = []
     for _ in range(episodes):
         chosen = sets[rng.integers(len(sets))]
-        frozen = DecoderWeights.from_tensors(parameters)
+        frozen = decoder_of(parameters)
         features, _ = fit_features(chosen.near, chosen.labels, chosen.count, frozen, config, rng)
         batch = rng.integers(0, len(chosen.labels), config.batch)
         optimiser.zero_grad()
@@ -77,4 +80,4 @@ def train_decoder(
         optimiser.step()
         schedule.step()
         losses.append(float(loss.detach()))
-    return DecoderWeights.from_tensors(parameters), losses
+    return decoder_of(parameters), losses

@@ -92,6 +92,55 @@ def recognition(
     _compare_methods(out, recordings or out / "recordings", (drives, protocols), own, lengths, jobs)
 
 
+@group.command("surface")
+@needs("evaluation")
+def surface(
+    out: Annotated[Path, typer.Option(help="Folder for the tables, the picture and unpacked recordings.")] = Path(
+        "out/surface"
+    ),
+    count: Annotated[int, typer.Option(min=1, help="Submaps of most groups of scenes.")] = 2,
+) -> None:
+    """How near stored neural maps come to the true surface, and how many bytes they take."""
+    from revisit.evaluation.surfaces import bench as surfaces
+    from revisit.evaluation.surfaces.scenes import scene_groups
+
+    out.mkdir(parents=True, exist_ok=True)
+    groups = scene_groups(out, count)
+    rows = list(surfaces.compare_kinds(groups, say))
+    (out / "kinds.md").write_text(surfaces.kinds_table(rows))
+    street = next((name for name in groups if "real" in name), list(groups)[-1])
+    curve = list(surfaces.compare_spacings(street, groups[street], say))
+    (out / "spacings.md").write_text(surfaces.kinds_table(curve))
+    surfaces.draw_curve(curve, out / "rate-distortion.png")
+    say(f"{out / 'kinds.md'}, {out / 'spacings.md'} and {out / 'rate-distortion.png'}")
+
+
+@group.command("graphs")
+@needs("evaluation")
+def graphs(
+    folder: Annotated[Path, typer.Argument(exists=True, help="Folder of pose graphs, NAME.g2o.")],
+    names: Annotated[str, typer.Option(help="Graphs by name, with commas; by default all of the table.")] = "",
+    out: Annotated[Path, typer.Option(help="Folder for the table, its figures and the picture.")] = Path("out/graphs"),
+    limit: Annotated[float, typer.Option(min=1.0, help="CPU seconds after which a method is stopped.")] = 60.0,
+) -> None:
+    """Put wrong loops into pose graphs: how far each method is from the optimum without them."""
+    from revisit.evaluation import pose_graph_benchmark as benchmark
+
+    chosen = _named("--names", names, benchmark.GRAPHS)
+    missing = [name for name in chosen if not (folder / f"{name}.g2o").is_file()]
+    if missing:
+        raise refuse(f"{folder} lacks {', '.join(missing)} (.g2o)")
+    total, outcomes = len(chosen) * len(benchmark.SPOILINGS) * len(benchmark.METHODS), []
+    with progress_bar(quiet=False) as bar:
+        report = reporter(bar)
+        for _, outcome in benchmark.run(folder, chosen, limit):
+            outcomes.append(outcome)
+            benchmark.write(outcomes, out)
+            report("methods on graphs", len(outcomes), total)
+    benchmark.draw(folder, out, chosen)
+    say(f"{len(outcomes)} runs in {out / 'pose-graphs.md'}")
+
+
 def _measure(update: bool, as_json: bool) -> None:
     """Measure, show, and exit with status 1 where a metric became worse than the baseline allows."""
     from revisit.evaluation import benchmark

@@ -13,6 +13,7 @@ import numpy as np
 
 from revisit.core.config import PipelineConfig, VerificationConfig
 from revisit.core.errors import RevisitError
+from revisit.core.geometry.se3 import Matrix4
 from revisit.core.model_bundle import ModelBundle, load_packaged_models
 from revisit.core.pipeline import DescribedPlace, describe, verify
 from revisit.core.place import Place
@@ -51,17 +52,19 @@ class CoreRecogniser:
             described = describe(submap, self._models, config)
         return SubmapDescription(
             descriptor=described.descriptor.vector,
-            signature=described.place.to_blob(),
+            place=described.place.to_blob(),
             neural_map=described.neural_map.to_blob(),
             mesh=_mesh(described),
             flags=described.flags,
             timings_s=timings_s,
         )
 
-    def verify(self, query: bytes, match: bytes, similarity: float, config: PipelineConfig) -> LoopVerdict:
+    def verify(
+        self, query: bytes, match: bytes, similarity: float, config: PipelineConfig, near: Matrix4 | None = None
+    ) -> LoopVerdict:
         """See `PlaceRecogniser`."""
         places = Place.from_blob(query), Place.from_blob(match)
-        verdict = verify(*places, similarity, config.verification)
+        verdict = verify(*places, similarity, config.verification, near)
         evidence = _evidence(verdict, config)
         if isinstance(verdict, VerifiedLoop):
             measured = verdict.measurement
@@ -85,8 +88,8 @@ def warm_up(recogniser: CoreRecogniser) -> None:
     config = PipelineConfig()
     # Whether this yard can be described does not matter; a fault that matters will show on a real submap.
     with suppress(RevisitError):
-        signature = recogniser.describe(_made_up_yard(config), config).signature
-        recogniser.verify(signature, signature, 1.0, config)
+        place = recogniser.describe(_made_up_yard(config), config).place
+        recogniser.verify(place, place, 1.0, config)
 
 
 def _made_up_yard(config: PipelineConfig) -> Submap:

@@ -20,16 +20,18 @@ from revisit.service.application.catalogue.sessions import CreateSession
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.identity import SessionKey
 from revisit.service.application.contract.loop_policy import LoopPolicy
-from revisit.service.application.contract.states import LoopState, OperationState
+from revisit.service.application.contract.states import EventKind, GraphState, LoopState, OperationState
 from revisit.service.application.ingest.clouds import EncodedCloud
 from revisit.service.application.ingest.scans import AppendScan
 from revisit.service.application.ingest.submap_posting import PostSubmap
+from revisit.service.application.mapping.loop_decisions import ProposeLoop
 from revisit.service.application.query.freshness import DEFAULT_WAIT_S, Freshness
 from revisit.service.application.query.search_answers import SearchCriteria
 from revisit.service.application.query.searches import LocalizeQuery
 from revisit.service.wire import names
 from revisit.v1 import (
     cloud_pb2,
+    event_pb2,
     geometry_pb2,
     ingest_pb2,
     loop_closure_pb2,
@@ -54,6 +56,12 @@ _DOWNLOADS: dict[int, tuple[DownloadKind, str | None]] = {
 def page(request: Any) -> PageRequest:
     """Of any List request. Raises BadField."""
     return PageRequest(request.page_size or PageRequest().size, request.page_token)
+
+
+def watch(request: event_pb2.WatchEventsRequest) -> tuple[int | None, frozenset[EventKind]]:
+    """Behind which event a watch begins, and what it tells of. Raises BadField for an unknown number of a kind."""
+    kinds = frozenset(EventKind(_enum_name(event_pb2.Event.Kind, kind)) for kind in request.kinds if kind)
+    return _optional(request, "after"), kinds
 
 
 def create_map(request: map_pb2.CreateMapRequest) -> CreateMap:
@@ -128,6 +136,16 @@ def localize(request: loop_closure_pb2.LocalizeRequest) -> LocalizeQuery:
     )
 
 
+def propose_loop(request: loop_closure_pb2.CreateLoopClosureRequest) -> ProposeLoop:
+    """The loop that a person has found. Raises BadField, BadTransform."""
+    return ProposeLoop(
+        query=names.submap_key_in(request.parent, request.query, "query"),
+        match=names.submap_key_in(request.parent, request.match, "match"),
+        T_match_query=_pose(request, "t_match_query") if request.HasField("t_match_query") else None,
+        note=request.note,
+    )
+
+
 def level_pose(request: Any) -> Matrix4 | None:
     """`T_level_query` of a query by cloud, None where there is none. Raises BadTransform."""
     return _pose(request, "t_level_query") if request.HasField("t_level_query") else None
@@ -158,6 +176,11 @@ def operation_state(value: int) -> OperationState | None:
 def loop_state(value: int) -> LoopState | None:
     """The state of a filter, None where unspecified. Raises BadField for an unknown number."""
     return None if value == 0 else LoopState(_enum_name(loop_closure_pb2.LoopClosure.State, value))
+
+
+def graph_state(value: int) -> GraphState | None:
+    """The verdict of the graph in a filter, None where unspecified. Raises BadField for an unknown number."""
+    return None if value == 0 else GraphState(_enum_name(loop_closure_pb2.LoopClosure.GraphState, value))
 
 
 def _optional(message: Any, field: str) -> Any:

@@ -94,11 +94,14 @@ class FakeRecogniser:
         neural_map = b"neural " + descriptor.tobytes()
         return SubmapDescription(descriptor, descriptor.tobytes(), neural_map, mesh, (), {"all": 0.0})
 
-    def verify(self, query: bytes, match: bytes, similarity: float, config: PipelineConfig) -> LoopVerdict:
-        """Accepted where the descriptors nearly agree; the transform is always 1 m along x."""
+    def verify(
+        self, query: bytes, match: bytes, similarity: float, config: PipelineConfig, near: np.ndarray | None = None
+    ) -> LoopVerdict:
+        """Accepted where the descriptors nearly agree; the transform is 1 m along x, or `near`."""
         agreement = float(np.frombuffer(query, dtype=np.float32) @ np.frombuffer(match, dtype=np.float32))
         T_match_query = np.eye(4)
         T_match_query[0, 3] = 1.0
+        T_match_query = T_match_query if near is None else near
         if agreement < ACCEPTED_FROM:
             return LoopVerdict(False, "TOO_DIFFERENT", agreement, None, {"agreement": agreement})
         return LoopVerdict(True, None, agreement, T_match_query, {"agreement": agreement})

@@ -7,14 +7,21 @@ import pytest
 
 from revisit.core.clusters import Clusters
 from revisit.core.config import MicroConfig
+from revisit.core.geometry import se3
 from revisit.core.implicit_map.decoder import encode_positions, orientations
 from revisit.core.implicit_map.visibility import count_seen_through
+from revisit.core.kernels.arcs import arc_tangent
 from revisit.core.kernels.choose_returns import choose_returns
+from revisit.core.kernels.cluster_joins import connected_parts
 from revisit.core.kernels.column_histograms import MIN_MEMBERS, column_histograms
 from revisit.core.kernels.elastic_points import POOLED_RETURNS, pooled_covariances
 from revisit.core.kernels.heading_profiles import face_profiles, plan_profiles
-from revisit.core.kernels.neighbour_blend import blend_neighbours
-from revisit.core.kernels.patch_histograms import patch_histograms
+from revisit.core.kernels.nearest_points import any_within
+from revisit.core.kernels.neighbour_blend import blend_neighbours, blend_normals, tangent_frames
+from revisit.core.kernels.oriented_normals import NORMAL_PRIOR, oriented_normals
+from revisit.core.kernels.patch_histograms import disc_histograms, patch_histograms
+from revisit.core.kernels.point_columns import columns_of
+from revisit.core.kernels.rigid_motion import moved_points, placed_returns
 from revisit.core.kernels.visibility import range_image
 from revisit.core.kernels.voxel_table import table_of, voxels_of
 from revisit.core.micro.cluster_normals import (
@@ -108,6 +115,36 @@ def test_the_blend_of_neighbours_is_equations_2_to_4():
     np.testing.assert_allclose(weights, expected, atol=1e-5)
     np.testing.assert_allclose(encoding, np.einsum("mk,mke->me", expected, encode_positions(local, 0.4)), atol=1e-4)
     np.testing.assert_allclose(plane, np.einsum("mk,mk->m", expected, local[..., 2]), atol=1e-5)
+    mean = np.einsum("mk,mka->ma", expected, normals[indices])
+    mean /= np.linalg.norm(mean, axis=1, keepdims=True)
+    np.testing.assert_allclose(blend_normals(indices, squared, normals, 1.0), mean, atol=1e-5)
+
+
+def test_the_weights_of_neighbours_are_any_power_of_their_distance():
+    queries, positions = np.zeros((1, 3), np.float32), np.array([[1, 0, 0], [0, 2, 0]], np.float32)
+    indices, squared = np.array([[0, 1]], np.int32), np.array([[1, 4]], np.float32)
+    weights, *_ = blend_neighbours(queries, positions, tangent_frames(positions), indices, squared, 2.0, 0.4)
+    np.testing.assert_allclose(weights, [[0.8, 0.2]], rtol=1e-6)
+
+
+def test_local_frames_are_those_of_the_plain_formula():
+    normals = unit_rows(np.random.default_rng(8), 200).astype(np.float32)
+    normals[:3] = [[0, 0, 1], [0, 0, -1], [5e-4, 0, 1]]
+    np.testing.assert_allclose(tangent_frames(normals), orientations(normals), atol=1e-6)
+
+
+def test_normals_are_the_least_axes_of_numpy_on_the_side_of_the_sensor():
+    rng = np.random.default_rng(10)
+    samples = rng.normal(size=(500, 8, 3)) * np.exp(2.0 * rng.normal(size=(500, 1, 3)))
+    samples[:50] = 0.0
+    samples[50:100, :, 1:] = 0.0
+    covariances, views = np.einsum("nki,nkj->nij", samples, samples), rng.normal(size=(500, 3))
+    view = views / np.linalg.norm(views, axis=1, keepdims=True)
+    spread = np.trace(covariances, axis1=1, axis2=2)[:, None, None] + 1e-9
+    prior = np.eye(3) - view[:, :, None] * view[:, None, :]
+    expected = np.linalg.eigh(covariances / spread + NORMAL_PRIOR * prior)[1][:, :, 0]
+    expected *= np.sign(np.einsum("ij,ij->i", expected, view))[:, None]
+    np.testing.assert_allclose(oriented_normals(covariances, views), expected, atol=1e-6)
 
 
 def test_pooled_covariances_are_those_of_the_returns_around_each_point():
@@ -218,3 +255,49 @@ def test_the_sphere_of_a_whole_cluster_is_aligned_as_that_of_a_column():
     aligned, rotation = aligned_to_unit_sphere(points)
     assert np.abs(np.cov(aligned.T)[0, 1]) < 1e-12
     assert np.allclose(rotation @ rotation.T, np.eye(3))
+
+
+def test_the_fast_angle_is_the_one_of_the_library():
+    rng = np.random.default_rng(11)
+    x, y = rng.normal(size=(2, 2000)) * np.exp(5.0 * rng.normal(size=2000))
+    found = [arc_tangent.py_func(*pair) for pair in zip(y, x, strict=True)]
+    np.testing.assert_allclose(found, np.arctan2(y, x), atol=3e-8)
+    axes = [(0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (0.0, -1.0), (-1.0, 0.0)]
+    np.testing.assert_allclose([arc_tangent.py_func(*pair) for pair in axes], [0, 0, np.pi / 2, np.pi, -np.pi / 2])
+
+
+@pytest.mark.parametrize("spread", [3.0, 5000.0])
+def test_queries_near_any_point_are_those_of_brute_force(spread):
+    rng = np.random.default_rng(12)
+    points = (rng.uniform(-spread, spread, (40, 1, 3)) + rng.uniform(-1, 1, (40, 5, 3))).reshape(-1, 3)
+    points, queries = points.astype(np.float32), (points[::2] + rng.uniform(-1, 1, (100, 3))).astype(np.float32)
+    gaps = np.linalg.norm(queries[:, None].astype(np.float64) - points, axis=2).min(axis=1)
+    found = any_within(queries, columns_of(points, 0.6), 0.6)
+    assert np.array_equal(found, gaps <= 0.6)
+    assert 0 < found.sum() < len(queries)
+
+
+def test_vertices_joined_by_faces_are_parts_named_by_their_first_vertex():
+    faces = np.array([[5, 6, 7], [0, 2, 4], [7, 8, 9], [4, 3, 2]], np.int32)
+    assert connected_parts(11, faces).tolist() == [0, 1, 0, 0, 0, 5, 5, 5, 5, 5, 10]
+
+
+def test_disc_histograms_are_weighted_sums_that_end_at_the_border():
+    rng = np.random.default_rng(13)
+    layers, disc = rng.uniform(0, 1, (2, 20, 30)).astype(np.float32), rng.uniform(0, 1, (7, 7)).astype(np.float32)
+    pixels = np.array([[15, 10], [0, 0], [29, 19], [2, 18]])
+    padded = np.pad(layers, ((0, 0), (3, 3), (3, 3)))
+    expected = [[(disc * layer[y : y + 7, x : x + 7]).sum() for layer in padded] for x, y in pixels]
+    np.testing.assert_allclose(disc_histograms(layers, pixels, disc), expected, rtol=1e-5)
+
+
+def test_returns_are_placed_as_by_the_plain_transform_without_those_out_of_range():
+    rng = np.random.default_rng(14)
+    points = rng.uniform(-20, 20, (500, 3)).astype(np.float32)
+    pose = se3.from_yaw(0.7, (3.0, -2.0, 1.0))
+    expected = se3.apply(pose, points.astype(np.float64))
+    np.testing.assert_allclose(moved_points(pose, points), expected, atol=1e-5)
+    ranges, placed = np.linalg.norm(points, axis=1), np.linalg.norm(expected, axis=1)
+    kept = (ranges >= 8.0) & (ranges <= 25.0) & (placed <= 20.0)
+    assert 50 < kept.sum() < 450
+    np.testing.assert_allclose(placed_returns(pose, points, 8.0, 25.0, 20.0), expected[kept], atol=1e-5)

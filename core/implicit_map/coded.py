@@ -1,0 +1,118 @@
+"""Neural points and their features as a stream of bits, and back (docs/decisions/0116)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.errors import DataLoss
+from revisit.core.geometry import octahedral
+from revisit.core.implicit_map.settled import PlaneCodes, distinct_rows
+from revisit.core.kernels.feature_coder import code_features, feature_models
+from revisit.core.kernels.octree_coder import OCTREE_MODELS, code_octree
+from revisit.core.kernels.plane_coder import FIXED, PLANE_MODELS, code_planes
+from revisit.core.kernels.range_coder import finish, fresh_models, start
+from revisit.core.kernels.voxel_table import rows_of, table_of
+
+Codes = NDArray[np.int32]
+
+_BYTES_EACH = 16
+_MAX_POINTS = 1 << 24
+_MAX_DEPTH = 30
+_MAX_FEATURES = 256
+
+
+@dataclass(frozen=True)
+class Form:
+    """What a reader must know before the bits: number of points and of features, the lowest voxel (3,), the depth of
+    the octree above it, and the steps in which normals and offsets are given.
+    """
+
+    count: int
+    features: int
+    low: tuple[int, ...]
+    depth: int
+    normal_steps: int
+    offset_unit: int
+
+    def checked(self) -> Form:
+        """Itself. Raises DataLoss for numbers that no writer writes."""
+        numbers = (self.count, self.features, *self.low, self.depth, self.normal_steps, self.offset_unit)
+        bounds = (_MAX_POINTS, _MAX_FEATURES, *[1 << 30] * 3, _MAX_DEPTH, 127, FIXED)
+        least = (0, 0, *[-(1 << 30)] * 3, 0, 1, 1)
+        if len(numbers) != len(bounds) or not all(
+            type(n) is int and a <= n <= b for n, a, b in zip(numbers, least, bounds, strict=True)
+        ):
+            raise DataLoss("the form of the neural map is unreadable")
+        return self
+
+
+def write_points(codes: PlaneCodes, features: Codes, normal_steps: int, offset_unit: int) -> tuple[Form, bytes]:
+    """The stream of n points with `features` (n, F) int32, and its form.
+
+    Their order is not kept; of several points in one voxel the first is written.
+    """
+    rows = distinct_rows(codes.voxels)
+    codes, features = codes[rows], features[rows]
+    low = codes.voxels.min(axis=0, initial=1 << 30) if len(codes.voxels) else np.zeros(3, np.int32)
+    voxels = np.asarray(codes.voxels - low, dtype=np.int32)
+    depth = int(voxels.max(initial=0)).bit_length()
+    form = Form(len(voxels), features.shape[1], tuple(int(v) for v in low), depth, normal_steps, offset_unit).checked()
+    room = 1024 + _BYTES_EACH * len(voxels) * (1 + features.shape[1] // 4)
+    while True:
+        data = np.zeros(room, dtype=np.uint8)
+        used = _write(form, voxels, codes.planes, features, data)
+        if used <= room:
+            return form, data[:used].tobytes()
+        room = used
+
+
+def _write(form: Form, voxels: Codes, planes: Codes, features: Codes, data: NDArray[np.uint8]) -> int:
+    """Write into `data`; how many bytes that takes."""
+    if form.count == 0:
+        return 0
+    coder = start(data, False)
+    ordered = code_octree(coder, data, fresh_models(OCTREE_MODELS), voxels, form.depth, form.count)
+    rows = rows_of(table_of(voxels), ordered)
+    _code_rest(form, coder, data, ordered, planes[rows], features[rows])
+    return finish(coder, data)
+
+
+def read_points(form: Form, stream: bytes) -> tuple[PlaneCodes, Codes]:
+    """Codes and features of a stream. Raises DataLoss where it holds fewer points than announced."""
+    form.checked()
+    planes, features = np.zeros((form.count, 4), np.int32), np.zeros((form.count, form.features), np.int32)
+    if form.count == 0:
+        return PlaneCodes(np.zeros((0, 3), np.int32), planes), features
+    data = np.frombuffer(stream, np.uint8).copy()  # the compiled coder could also write
+    coder = start(data, True)
+    nothing = np.zeros((0, 3), np.int32)
+    voxels = code_octree(coder, data, fresh_models(OCTREE_MODELS), nothing, form.depth, form.count)
+    if len(voxels) != form.count:
+        raise DataLoss("the neural map does not hold as many points as it says")
+    _code_rest(form, coder, data, voxels, planes, features)
+    return PlaneCodes(voxels + np.asarray(form.low, dtype=np.int32), planes), features
+
+
+def _code_rest(
+    form: Form, coder: NDArray[np.int64], data: NDArray[np.uint8], voxels: Codes, planes: Codes, features: Codes
+) -> None:
+    """Write `planes` (n, 4) and `features` (n, F), or read and fill them."""
+    table, vectors = table_of(voxels), _vectors(form.normal_steps)
+    code_planes(
+        coder, data, fresh_models(PLANE_MODELS), table, planes, vectors, form.normal_steps, form.offset_unit
+    )  # fmt: skip
+    if form.features:
+        code_features(coder, data, fresh_models(feature_models(form.features)), features)
+
+
+@lru_cache(maxsize=4)
+def _vectors(steps: int) -> Codes:
+    """The normal of each octahedral code, (2 * steps + 1, 2 * steps + 1, 3) in parts of FIXED."""
+    side = np.arange(2 * steps + 1)
+    codes = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
+    vectors = np.rint(octahedral.decode(codes, steps) * FIXED)
+    return vectors.astype(np.int32).reshape(len(side), len(side), 3)

@@ -1,0 +1,120 @@
+"""A binary arithmetic coder with adaptive models: the same calls write and read, so that the two cannot disagree.
+
+All arithmetic is on integers: what one machine writes every other one reads.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Coder = NDArray[np.int64]
+"""Lower and upper end of the interval, the bytes read ahead, the position in the data, and 1 where it reads."""
+Models = NDArray[np.int64]
+"""Adaptive models (n, 2): the chance of a one out of 2^16, and how many bits each has seen."""
+
+_TOP = 0xFFFFFFFF
+_EVEN = 1 << 15
+_MOST_SEEN = 250
+UNARY = 14
+"""Models of one class of whole numbers: one for zero, one for the sign, twelve for the size."""
+
+_LOW, _HIGH, _CODE, _AT, _READS = 0, 1, 2, 3, 4
+
+
+def fresh_models(count: int) -> Models:
+    """So many models that have seen nothing."""
+    models = np.zeros((count, 2), dtype=np.int64)
+    models[:, 0] = _EVEN
+    return models
+
+
+@numba.njit(cache=True)
+def start(data: NDArray[np.uint8], reads: bool) -> Coder:
+    """A coder at the beginning of `data` (n,), which it reads, or else writes."""
+    coder = np.zeros(5, dtype=np.int64)
+    coder[_HIGH] = _TOP
+    coder[_READS] = 1 if reads else 0
+    if reads:
+        for _ in range(4):
+            _next_byte(coder, data)
+    return coder
+
+
+@numba.njit(cache=True)
+def finish(coder: Coder, data: NDArray[np.uint8]) -> int:
+    """Write what is left of the interval; returns how many bytes of `data` are used, or would have been."""
+    if coder[_READS] == 0:
+        value = coder[_LOW] + (1 << 23)
+        if value > coder[_HIGH]:
+            value = coder[_HIGH]
+        for shift in (24, 16, 8, 0):
+            _put(coder, data, (value >> shift) & 0xFF)
+    return int(coder[_AT])
+
+
+@numba.njit(cache=True)
+def _put(coder: Coder, data: NDArray[np.uint8], byte: int) -> None:
+    """Write a byte; behind the end it is only counted."""
+    if coder[_AT] < len(data):
+        data[coder[_AT]] = byte
+    coder[_AT] += 1
+
+
+@numba.njit(cache=True)
+def _next_byte(coder: Coder, data: NDArray[np.uint8]) -> None:
+    """Read a byte; behind the end there are zeros."""
+    byte = np.int64(data[coder[_AT]]) if coder[_AT] < len(data) else np.int64(0)
+    coder[_CODE] = ((coder[_CODE] << 8) | byte) & _TOP
+    coder[_AT] += 1
+
+
+@numba.njit(cache=True)
+def code_bit(coder: Coder, data: NDArray[np.uint8], models: Models, model: int, bit: int) -> int:
+    """Write `bit` with the chance that models[model] gives it, or read and return the bit; the model learns of it."""
+    chance = models[model, 0]
+    middle = coder[_LOW] + (((coder[_HIGH] - coder[_LOW]) * chance) >> 16)
+    if coder[_READS] == 1:
+        bit = 1 if coder[_CODE] <= middle else 0
+    if bit:
+        coder[_HIGH] = middle
+    else:
+        coder[_LOW] = middle + 1
+    seen = models[model, 1]
+    models[model, 0] = min(max(chance + (((bit << 16) - chance) * 2) // (2 * seen + 3), 64), (1 << 16) - 64)
+    if seen < _MOST_SEEN:
+        models[model, 1] = seen + 1
+    while ((coder[_LOW] ^ coder[_HIGH]) & 0xFF000000) == 0:
+        if coder[_READS] == 1:
+            _next_byte(coder, data)
+        else:
+            _put(coder, data, coder[_HIGH] >> 24)
+        coder[_LOW] = (coder[_LOW] << 8) & _TOP
+        coder[_HIGH] = ((coder[_HIGH] << 8) & _TOP) | 0xFF
+    return bit
+
+
+@numba.njit(cache=True)
+def code_number(coder: Coder, data: NDArray[np.uint8], models: Models, first: int, value: int) -> int:
+    """Write or read a whole number between -2^16 and 2^16, small ones short; its UNARY models begin at `first`."""
+    if code_bit(coder, data, models, first, 1 if value == 0 else 0):
+        return 0
+    negative = code_bit(coder, data, models, first + 1, 1 if value < 0 else 0)
+    size, rest = 1, abs(value)
+    while size < UNARY - 2:
+        if code_bit(coder, data, models, first + 1 + size, 1 if rest == size else 0):
+            return -size if negative else size
+        size += 1
+    return _code_large(coder, data, models, first + 1 + size, rest - size, size, negative)
+
+
+@numba.njit(cache=True)
+def _code_large(
+    coder: Coder, data: NDArray[np.uint8], models: Models, model: int, rest: int, size: int, negative: int
+) -> int:
+    """The part of a large number above `size`: sixteen bits with one model."""
+    found = 0
+    for shift in range(16, -1, -1):
+        found |= code_bit(coder, data, models, model, (rest >> shift) & 1) << shift
+    return -(size + found) if negative else size + found

@@ -1,0 +1,44 @@
+"""Clouds in another frame, without copies in double precision."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float32]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def moved_points(T_new_old: NDArray[np.float64], points: Array) -> Array:
+    """The `points` (n, 3) in another frame: as `se3.apply`, rounded to float32."""
+    moved = np.empty((len(points), 3), dtype=np.float32)
+    xx, xy, xz, tx = T_new_old[0, 0], T_new_old[0, 1], T_new_old[0, 2], T_new_old[0, 3]
+    yx, yy, yz, ty = T_new_old[1, 0], T_new_old[1, 1], T_new_old[1, 2], T_new_old[1, 3]
+    zx, zy, zz, tz = T_new_old[2, 0], T_new_old[2, 1], T_new_old[2, 2], T_new_old[2, 3]
+    for n in range(len(points)):
+        x, y, z = np.float64(points[n, 0]), np.float64(points[n, 1]), np.float64(points[n, 2])
+        moved[n, 0] = xx * x + xy * y + xz * z + tx
+        moved[n, 1] = yx * x + yy * y + yz * z + ty
+        moved[n, 2] = zx * x + zy * y + zz * z + tz
+    return moved
+
+
+@numba.njit(cache=True, error_model="numpy")
+def placed_returns(T_new_scan: NDArray[np.float64], points: Array, least: float, most: float, farthest: float) -> Array:
+    """The returns (k, 3) of a scan in another frame: those whose range is from `least` to `most` metres.
+
+    Those that lie farther than `farthest` from the new origin are left out too.
+    """
+    moved = moved_points(T_new_scan, points)
+    count = 0
+    for n in range(len(points)):
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        squared = x * x + y * y + z * z
+        if not least * least <= squared <= most * most:
+            continue
+        x, y, z = moved[n, 0], moved[n, 1], moved[n, 2]
+        if x * x + y * y + z * z <= farthest * farthest:
+            moved[count, 0], moved[count, 1], moved[count, 2] = x, y, z
+            count += 1
+    return moved[:count]

@@ -1,0 +1,120 @@
+"""Neural points as a stream of bits (docs/decisions/0116)."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from revisit.core.errors import DataLoss
+from revisit.core.implicit_map.coded import Form, read_points, write_points
+from revisit.core.implicit_map.settled import PlaneCodes
+from revisit.core.kernels.range_coder import code_number, finish, fresh_models, start
+
+
+def random_codes(rng: np.random.Generator, count: int, reach: int) -> PlaneCodes:
+    voxels = np.unique(rng.integers(-reach, reach, (count, 3)), axis=0).astype(np.int32)
+    rng.shuffle(voxels)
+    planes = np.column_stack([rng.integers(0, 31, (len(voxels), 2)), rng.integers(-20, 21, len(voxels)),
+                              rng.integers(0, 4, len(voxels))])  # fmt: skip
+    return PlaneCodes(voxels, planes.astype(np.int32))
+
+
+def street(reach: int = 60) -> PlaneCodes:
+    """A floor and a wall of voxels with noisy planes, as drives see them."""
+    rng = np.random.default_rng(2)
+    side = np.stack(np.meshgrid(np.arange(-reach, reach), np.arange(-reach, reach)), axis=-1).reshape(-1, 2)
+    floor = np.column_stack([side, np.zeros(len(side))])
+    wall = np.column_stack([np.full(len(side), reach), side[:, 0], 1 + np.abs(side[:, 1]) // 2])
+    voxels = np.unique(np.concatenate([floor, wall]).astype(np.int32), axis=0)
+    normal = np.where((voxels[:, 2] == 0)[:, None], (15, 15), (0, 15)) + rng.integers(0, 2, (len(voxels), 2))
+    planes = np.column_stack([normal, rng.integers(-1, 2, len(voxels)), np.full(len(voxels), 2)])
+    return PlaneCodes(voxels, planes.astype(np.int32))
+
+
+def in_order(codes: PlaneCodes, features: np.ndarray) -> np.ndarray:
+    rows = np.column_stack([codes.voxels, codes.planes, features])
+    return rows[np.lexsort(codes.voxels.T)]
+
+
+@pytest.mark.parametrize(("count", "reach", "features"), [(1, 5, 0), (40, 3, 0), (3000, 40, 8), (500, 2**19, 3)])
+def test_what_is_written_is_read_whatever_it_is(count, reach, features):
+    rng = np.random.default_rng(count)
+    codes = random_codes(rng, count, reach)
+    values = rng.integers(-127, 128, (len(codes.voxels), features)).astype(np.int32)
+    form, stream = write_points(codes, values, 15, 48)
+    read, found = read_points(form, stream)
+    assert np.array_equal(in_order(read, found), in_order(codes, values))
+
+
+def test_of_two_points_in_one_voxel_the_first_is_written():
+    voxels = np.array([[3, 1, 2], [0, 0, 0], [3, 1, 2]], np.int32)
+    planes = np.array([[1, 2, 3, 0], [4, 5, 6, 1], [7, 8, 9, 2]], np.int32)
+    form, stream = write_points(PlaneCodes(voxels, planes), np.zeros((3, 0), np.int32), 15, 48)
+    read, _ = read_points(form, stream)
+    assert form.count == 2
+    assert sorted(map(tuple, read.planes.tolist())) == [(1, 2, 3, 0), (4, 5, 6, 1)]
+
+
+def test_nothing_is_written_as_nothing():
+    form, stream = write_points(PlaneCodes(np.zeros((0, 3), np.int32), np.zeros((0, 4), np.int32)),
+                                np.zeros((0, 0), np.int32), 15, 48)  # fmt: skip
+    assert stream == b"" and len(read_points(form, stream)[0].voxels) == 0
+
+
+def test_the_order_of_the_points_changes_no_bit():
+    codes = street(20)
+    shuffled = codes[np.random.default_rng(4).permutation(len(codes.voxels))]
+    nothing = np.zeros((len(codes.voxels), 0), np.int32)
+    assert write_points(codes, nothing, 15, 48) == write_points(shuffled, nothing, 15, 48)
+
+
+def test_a_street_takes_less_than_six_bits_a_point():
+    codes = street()
+    _, stream = write_points(codes, np.zeros((len(codes.voxels), 0), np.int32), 15, 48)
+    assert len(codes.voxels) > 18_000
+    assert 8 * len(stream) / len(codes.voxels) < 6.0
+
+
+def test_a_stream_cut_short_is_read_within_bounds_or_refused():
+    codes = street(20)
+    form, stream = write_points(codes, np.zeros((len(codes.voxels), 0), np.int32), 15, 48)
+    for size in (0, 1, 10, len(stream) // 2):
+        try:
+            read, _ = read_points(form, stream[:size])
+        except DataLoss:
+            continue
+        assert len(read.voxels) == form.count
+        assert read.planes[:, :2].min() >= 0 and read.planes[:, :2].max() <= 30
+
+
+@pytest.mark.parametrize(
+    "damage", [{"count": -1}, {"count": 1 << 40}, {"depth": 99}, {"low": (0, 0)}, {"features": 1 << 20},
+               {"normal_steps": 0}, {"offset_unit": 2.5}, {"count": True}],
+)  # fmt: skip
+def test_a_form_that_no_writer_writes_is_refused(damage):
+    form = dataclasses.replace(Form(4, 0, (0, 0, 0), 3, 15, 48), **damage)
+    with pytest.raises(DataLoss):
+        read_points(form, b"1234")
+
+
+def test_numbers_of_any_size_come_back():
+    values = [0, 1, -1, 11, 12, -12, 13, 500, -65_535, 65_000, 0, 0]
+    data, models = np.zeros(200, np.uint8), fresh_models(14)
+    coder = start(data, False)
+    for value in values:
+        code_number(coder, data, models, 0, value)
+    used = finish(coder, data)
+    coder, models = start(data[:used], True), fresh_models(14)
+    assert [code_number(coder, data[:used], models, 0, 0) for _ in values] == values
+
+
+def test_a_buffer_that_is_too_small_is_not_overrun_and_its_need_is_told():
+    data = np.zeros(8, np.uint8)
+    room, models = data[:4], fresh_models(14)
+    coder = start(room, False)
+    for value in range(-40, 40):
+        code_number(coder, room, models, 0, 7 * value)
+    assert finish(coder, room) > 4
+    assert not data[4:].any()
