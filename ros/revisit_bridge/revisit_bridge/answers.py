@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
 from revisit.sdk.client import Client
-from revisit.sdk.errors import ApiError, NotFound
+from revisit.sdk.errors import ApiError, FailedPrecondition, NotFound
 from revisit.sdk.resources import LoopClosure, Submap
 
 UNMEASURED = np.diag([0.01, 0.01, 0.01, 0.001, 0.001, 0.001])
@@ -69,7 +68,6 @@ class ServiceAnswers:
     """Answers of the service by the SDK. Submaps of other sessions are remembered."""
 
     client: Client
-    correction_of: Callable[[str], Correction | None] = lambda session: None
     _others: dict[str, Submap] = field(default_factory=dict)
 
     def ask(self, session: str) -> Answer | None:
@@ -85,7 +83,15 @@ class ServiceAnswers:
             query, match = self._submap(closure.query, own), self._submap(closure.match, own)
             if query is not None and match is not None and closure.T_match_query is not None:
                 loops.append(Loop(closure, query, match))
-        return Answer(session, tuple(own.values()), tuple(loops), self.correction_of(session))
+        return Answer(session, tuple(own.values()), tuple(loops), self._correction(session))
+
+    def _correction(self, session: str) -> Correction | None:
+        """None while no version of the map has the session."""
+        try:
+            found = self.client.correction(session)
+        except FailedPrecondition:
+            return None
+        return Correction(found.T_map_odom, found.map_version)
 
     def _submap(self, name: str, own: dict[str, Submap]) -> Submap | None:
         """A submap, None where it is deleted meanwhile."""

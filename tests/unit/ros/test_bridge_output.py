@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 pytest.importorskip("rosbags", reason="in the extra `dev`: gives the messages' types")
 
-from revisit_bridge.answers import Answer, Correction, Loop, News, Newsroom
+from revisit_bridge.answers import Answer, Correction, Loop, News, Newsroom, ServiceAnswers
 from revisit_bridge.outbox import OutboxState
 from revisit_bridge.publishing import (
     MessageTypes,
@@ -18,7 +20,7 @@ from revisit_bridge.publishing import (
 )
 
 from revisit.core.geometry import se3
-from revisit.sdk.errors import unreachable
+from revisit.sdk.errors import ErrorDetails, FailedPrecondition, unreachable
 from revisit.sdk.resources import LoopClosure, Submap
 from tests.support.ros_messages import message_classes, ros_store
 
@@ -141,3 +143,31 @@ def test_a_question_that_fails_is_told_and_loses_nothing() -> None:
     told.error, told.loops = None, (loop(1),)
     news = newsroom.ask("tue")
     assert news is not None and len(news.found) == 1 and newsroom.error == ""
+
+
+class Placed:
+    """A client of a service whose map has a version with some sessions."""
+
+    def __init__(self, placed: set[str]) -> None:
+        self.placed = placed
+
+    def list_submaps(self, session: str) -> list[Submap]:
+        return [submap("tue/submaps/1", 0.0, 1)]
+
+    def loop_closures(self, map_name: str, **_: object) -> list[LoopClosure]:
+        return []
+
+    def correction(self, session: str) -> SimpleNamespace:
+        if session not in self.placed:
+            details = ErrorDetails("FAILED_PRECONDITION", "NOT_READY", "no version has the session")
+            raise FailedPrecondition(details)
+        return SimpleNamespace(T_map_odom=STEP, map_version=7)
+
+
+def test_the_correction_is_that_of_the_service_and_none_before_there_is_one() -> None:
+    answers = ServiceAnswers(Placed({"maps/m/sessions/tue"}))
+    found = answers.ask("maps/m/sessions/tue")
+    assert found is not None and found.correction is not None
+    assert np.array_equal(found.correction.T_map_odom, STEP) and found.correction.version == 7
+    before = answers.ask("maps/m/sessions/wed")
+    assert before is not None and before.correction is None
