@@ -12,9 +12,11 @@ matplotlib.use("Agg")  # no display is needed
 
 import matplotlib.pyplot as plt
 import numpy as np
+from numpy.typing import NDArray
 
 from revisit.evaluation.domains.catalogue import Domain
 from revisit.evaluation.domains.drives import DrivenWorld
+from revisit.evaluation.domains.open_world import OpenWorld
 from revisit.evaluation.protocols.comparison import PRODUCT, VERIFIED
 from revisit.evaluation.protocols.experiment import Experiment, MethodResult, scores
 from revisit.evaluation.report.document import Document
@@ -25,7 +27,7 @@ FALSE_M, FALSE_DEG = 2.0, 5.0
 
 _OURS = (PRODUCT, VERIFIED)
 _FIGURES = ("AUC", "F1", "recall@1", "recall at full precision", "accepted", "false")
-_DRAWN_TRIANGLES = 150_000
+_DRAWN_POINTS = 150_000
 _COLOURS = {
     Material.GROUND: "#ded6c8", Material.GRASS: "#b5cf8f", Material.WALL: "#555555", Material.GLASS: "#7f9fff",
     Material.ROOF: "#a04030", Material.LEAF: "#2a9a2a", Material.METAL: "#c000c0", Material.CLOTH: "#000000",
@@ -80,17 +82,24 @@ def write_domains(experiments: Sequence[Experiment], missing: Sequence[Domain], 
 def draw_world(driven: DrivenWorld, file: Path) -> None:
     """The world from above, coloured by what things are made of, with the way that is driven."""
     figure, axes = plt.subplots(figsize=(8, 8), layout="constrained")
-    rng, world = np.random.default_rng(0), driven.world
-    count = len(world.triangles)
-    shown = rng.choice(count, min(_DRAWN_TRIANGLES, count), replace=False)
-    centres = world.triangles[shown].mean(axis=1)
-    colours = np.array([_COLOURS[kind] for kind in sorted(_COLOURS)])[world.materials[shown]]
-    axes.scatter(centres[:, 0], centres[:, 1], s=0.2, c=list(colours), linewidths=0)
+    points, materials = _sampled(driven.world, np.random.default_rng(0))
+    colours = np.array([_COLOURS[kind] for kind in sorted(_COLOURS)])[materials]
+    axes.scatter(points[:, 0], points[:, 1], s=0.2, c=list(colours), linewidths=0)
     way = driven.trajectory.T_world_sensor[:, :2, 3]
     axes.plot(way[:, 0], way[:, 1], color="red", linewidth=0.6)
     axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)", title=driven.name)
     figure.savefig(file, dpi=75)
     plt.close(figure)
+
+
+def _sampled(world: OpenWorld, rng: np.random.Generator) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    """Points (n, 3) spread over what stands, by area, and thinly over the ground, with their materials (n,)."""
+    edges = world.triangles[:, 1:] - world.triangles[:, :1]
+    area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1).astype(np.float64)
+    area[world.materials == Material.GROUND] *= 0.02
+    chosen = rng.choice(len(area), _DRAWN_POINTS, p=area / area.sum())
+    along = rng.dirichlet(np.ones(3), _DRAWN_POINTS)
+    return np.einsum("nk,nkd->nd", along, world.triangles[chosen]), world.materials[chosen]
 
 
 def _aucs(experiment: Experiment, methods: Sequence[str], of: dict[tuple[str, str], DomainFigures]) -> list[str]:
