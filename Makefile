@@ -12,7 +12,7 @@ BIN := .venv/bin
 PYTHON := $(BIN)/python
 STAMP := .venv/.set-up
 
-.PHONY: help setup demo run test test-all lint types generated check bench proto docs format clean
+.PHONY: help setup demo run test test-all lint types generated check bench proto docs site format clean
 
 help: ## list these commands
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "make %-10s %s\n", $$1, $$2}'
@@ -56,6 +56,9 @@ proto: $(STAMP) ## write the Python stubs of proto/
 
 docs: $(STAMP) ## write the reference pages, openapi.json and the index of the decisions
 	$(PYTHON) scripts/generated_files.py write parameters openapi references decisions
+
+site: $(STAMP) ## build the documentation as a website in build/site; search works offline
+	$(PYTHON) scripts/site.py
 
 format: $(STAMP) ## format the code
 	$(BIN)/ruff format .

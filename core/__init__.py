@@ -18,7 +18,7 @@ The modules in the order of the paper:
 
 Beside them: geometry (transforms, level frame, voxel keys), kernels (compiled inner loops), config (all parameters),
 container (stored numbers), stages (their names and times), model_bundle (decoder and codebooks), sanity
-(whether the input can be what it claims), errors.
+(whether the input can be what it claims), upright (the vertical of a cloud without gravity), errors.
 
 Nothing here knows a network, a database, a clock or a file.
 """

@@ -348,6 +348,9 @@ class FusionConfig(Section):
     histogram_share: float = parameter(
         0.3, "1", "own, decision 0015", "weight of the VLAD beside the normal spectrum", low=0
     )
+    spectrum_weight: float = parameter(
+        1.0, "1", "own, decision 0015; paper: 0", "weight of the normal spectrum within the cluster part", low=0
+    )
     layout_weight: float = parameter(0.7, "1", "own, decision 0006", "weight of the layout part", low=0)
     plan_weight: float = parameter(0.7, "1", "own, decision 0017", "weight of the plan part", low=0)
     literal_saliency: bool = parameter(False, "", "paper Eq. 13", "weigh cluster histograms before assignment")
@@ -356,6 +359,19 @@ class FusionConfig(Section):
         super().__post_init__()
         if not self.macro_weight + self.micro_weight + self.layout_weight + self.plan_weight:
             self.refuse("macro_weight", "and the other weights cannot all be 0")
+
+
+@dataclass(frozen=True)
+class AdaptationConfig(Section):
+    """How descriptors are standardised by the places of their own map, without labels (decision 0120)."""
+
+    section: ClassVar[str] = "adaptation"
+
+    first_places: int = parameter(8, "places", "own, decision 0120", "fewer places of a map or session change nothing")
+    growth: float = parameter(1.25, "1", "own, decision 0120", "statistics are learned anew after this growth")
+    prior_places: float = parameter(20.0, "places", "own, decision 0120", "what the prior counts for", low=0)
+    spread_floor: float = parameter(0.1, "1", "own, decision 0120", "share of the mean spread added to each", low=0)
+    cell: float = parameter(5.0, "m", "own, decision 0120", "places of a session nearer than this count once")
 
 
 @dataclass(frozen=True)
@@ -398,7 +414,7 @@ class VerificationConfig(Section):
     coarse_share: int = parameter(5, "points", "own", "coarse steps use every so many-th point")
     coarse_distance: float = parameter(3.0, "m", "own", "reach of the coarse ICP steps")
     min_agreement: float = parameter(
-        0.2, "1", "own", "share of points on the other surface below which ICP ends early", low=0
+        0.1, "1", "own, decision 0121", "share of points on the other surface below which ICP ends early", low=0
     )
     fine_rounds: int = parameter(6, "steps", "own", "ICP steps on all points", low=0)
     fine_distance: float = parameter(1.0, "m", "own", "reach of the fine ICP steps")
@@ -485,6 +501,7 @@ class PipelineConfig:
     micro: MicroConfig = dataclasses.field(default_factory=MicroConfig)
     spectra: SpectrumConfig = dataclasses.field(default_factory=SpectrumConfig)
     fusion: FusionConfig = dataclasses.field(default_factory=FusionConfig)
+    adaptation: AdaptationConfig = dataclasses.field(default_factory=AdaptationConfig)
     loop: LoopConfig = dataclasses.field(default_factory=LoopConfig)
     verification: VerificationConfig = dataclasses.field(default_factory=VerificationConfig)
 

@@ -92,7 +92,7 @@ def load_bundle(data: bytes) -> ModelBundle:
     return ModelBundle(decoder, codebooks, "revisit-" + hashlib.sha256(data).hexdigest()[:12], trained_with)
 
 
-@lru_cache(maxsize=1)
-def load_packaged_models() -> ModelBundle:
-    """The bundle that is shipped in core/weights: the one file the core reads, part of its own code."""
-    return load_bundle(resources.files("revisit.core").joinpath("weights", PACKAGED_FILE).read_bytes())
+@lru_cache(maxsize=2)
+def load_packaged_models(file: str = PACKAGED_FILE) -> ModelBundle:
+    """The bundle that is shipped in core/weights as `file`: the files the core reads, part of its own code."""
+    return load_bundle(resources.files("revisit.core").joinpath("weights", file).read_bytes())

@@ -16,13 +16,14 @@ from revisit.core.config import PipelineConfig, VerificationConfig
 from revisit.core.descriptor.fusion import PlaceDescriptor, PlaceFeatures, fuse
 from revisit.core.errors import DegenerateCloud
 from revisit.core.geometry.level_frame import LevelFrame
+from revisit.core.geometry.se3 import Matrix4
 from revisit.core.implicit_map import NeuralMap, fit_implicit_map
 from revisit.core.index import Match, PlaceIndex, SearchFilter
 from revisit.core.micro.cluster_normals import describe_clusters
 from revisit.core.micro.saliency import weigh_clusters
 from revisit.core.model_bundle import ModelBundle
 from revisit.core.place import Place, extract_place
-from revisit.core.sanity import place_flags
+from revisit.core.sanity.ground import place_flags
 from revisit.core.scan import is_plane
 from revisit.core.spectra import describe_spectra
 from revisit.core.submap import Submap
@@ -94,10 +95,12 @@ def recall(vector: NDArray[np.float32], index: PlaceIndex, policy: CandidatePoli
     return index.search(vector, policy.count, far_enough)  # Eq. 15
 
 
-def verify(query: Place, match: Place, similarity: float, config: VerificationConfig) -> VerifiedLoop | RejectedLoop:
+def verify(
+    query: Place, match: Place, similarity: float, config: VerificationConfig, near: Matrix4 | None = None
+) -> VerifiedLoop | RejectedLoop:
     """Whether two places are the same and how they align: SE(2) start, ICP, gates (paper III-E, end).
 
     `T_match_query` of the answer maps the frame of the query submap into that of the match submap. Exchanged places get
-    the same verdict and the inverse pose.
+    the same verdict and the inverse pose. `near` (4, 4) is a T_match_query to start from, where somebody knows one.
     """
-    return verification.verify(query, match, similarity, config)
+    return verification.verify(query, match, similarity, config, near)

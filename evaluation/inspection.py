@@ -11,17 +11,10 @@ from numpy.typing import NDArray
 
 from revisit.core.errors import OutOfRange, RevisitError
 from revisit.core.geometry import se3
-from revisit.core.sanity import (
-    Finding,
-    ScenePair,
-    check_agreement,
-    check_gravity,
-    check_motion,
-    check_points,
-    check_times,
-    check_units,
-    ground_plane,
-)
+from revisit.core.sanity.agreement import ScenePair, check_agreement
+from revisit.core.sanity.finding import Finding
+from revisit.core.sanity.ground import check_gravity, ground_plane
+from revisit.core.sanity.numbers import check_motion, check_points, check_times, check_units
 from revisit.core.scan import Scan, scene_size
 from revisit.evaluation.datasets import Recording
 

@@ -57,20 +57,26 @@ class LoopClosureMethod(Protocol):
 
 @dataclass(frozen=True)
 class RevisitMethod:
-    """The product: core.pipeline with the packaged models. ablation: none, no-implicit, bev-only or normals-only."""
+    """The product: core.pipeline with the shipped models of a profile, `config` being the product's parameters.
+
+    ablation: none, no-implicit, bev-only or normals-only; profile: product or paper.
+    """
 
     config: PipelineConfig = field(default_factory=PipelineConfig)
     ablation: str = "none"
+    profile: str = "product"
 
     def describe(self, submap: Submap, seed: int) -> Description:
         """The fused descriptor, the place and the size of the neural map. Raises core.errors.RevisitError."""
-        from revisit.core.model_bundle import load_packaged_models
         from revisit.core.pipeline import DescribedPlace
+        from revisit.core.profiles import Profile, profile_config, profile_models
         from revisit.core.stages import stage_times
         from revisit.evaluation.ablation import Ablation, describe_ablated
 
+        profile, ablation = Profile(self.profile), Ablation(self.ablation)
+        config = profile_config(profile, self.config)
         with stage_times() as seconds:
-            described = describe_ablated(submap, load_packaged_models(), self.config, seed, Ablation(self.ablation))
+            described = describe_ablated(submap, profile_models(profile), config, seed, ablation)
         neural_map_bytes = len(described.neural_map.to_blob()) if isinstance(described, DescribedPlace) else 0
         vector, place = described.descriptor.vector, described.place.to_blob()
         return Description(vector, place, neural_map_bytes, seconds)

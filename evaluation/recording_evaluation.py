@@ -33,7 +33,7 @@ class EvaluationOptions:
     """What to evaluate. tau, stride and positive_radius in metres; min_index_gap in submaps; jobs in processes.
 
     `scene_scale` compares the scene with a street; None estimates it from the ranges (`evaluation.scene`).
-    `ablation` is none, no-implicit, bev-only or normals-only (paper Table III).
+    `ablation` is none, no-implicit, bev-only or normals-only (paper Table III); `profile` product or paper.
     """
 
     tau: float = SubmapConfig().tau
@@ -42,6 +42,7 @@ class EvaluationOptions:
     positive_radius: float = 20.0
     perturbation: Perturbation = field(default_factory=Perturbation)
     ablation: str = "none"
+    profile: str = "product"
     scene_scale: float | None = None
     candidates: int = LoopConfig().candidates
     seed: int = 0
@@ -88,7 +89,7 @@ def evaluate(
     """
     report = progress or _say_nothing
     config = options.pipeline(estimate_scene_scale(recording))
-    method = method or RevisitMethod(config, options.ablation)
+    method = method or RevisitMethod(config, options.ablation, options.profile)
     started = time.perf_counter()
     windows = cut(recording, config.submap)
     work = DescriptionWork(recording, config.submap, options.perturbation, method, options.seed)

@@ -20,9 +20,13 @@ from revisit.core.descriptor.vlad import Codebooks
 from revisit.core.geometry import se3
 from revisit.core.place import Place, extract_place
 from revisit.core.surface import Surface
+from revisit.core.verification import VerifiedLoop, verify
 
 Array64 = NDArray[np.float64]
 Samples = tuple[Array64, Array64]
+
+RIGHT_M, RIGHT_DEG = 1.0, 5.0
+"""A pose is right that is off by less."""
 
 REACH_M = 45.0
 """How far a visit sees."""
@@ -84,6 +88,74 @@ def repeating_pairs(
         poses = [_standpoint(rng), se3.from_yaw(0.0, tuple(offset)) @ _standpoint(rng)]
         query, match = (visit(world, pose, [seed, number, k], seed, codebooks, config) for k, pose in enumerate(poses))
         yield RepeatingPair(world.name, query, match, poses[0], poses[1], periods, aisles)
+
+
+@dataclass(frozen=True)
+class Visit:
+    """What was seen on one visit: the place, its pose (4, 4) in the world, and the period and aisle it was in."""
+
+    place: Place
+    T_world_sensor: se3.Matrix4
+    period: int
+    aisle: int
+
+
+def visits_of(world: World, count: int, seed: int, codebooks: Codebooks, config: PipelineConfig) -> list[Visit]:
+    """`count` visits to periods 0 to 3 and, where there are any, to two aisles, by turns."""
+    made = []
+    for number in range(count):
+        rng = np.random.default_rng([seed, number])
+        period, aisle = number % 4, int(number % 3 == 2 and world.aisle_m is not None)
+        offset = (period * world.period_m, aisle * (world.aisle_m or 0.0), 0.0)
+        pose = se3.from_yaw(0.0, offset) @ _standpoint(rng)
+        place = visit(world, pose, [seed, number, 0], seed, codebooks, config)
+        made.append(Visit(place, pose, period, aisle))
+    return made
+
+
+def drawn_pairs(world: World, visits: list[Visit], count: int, seed: int, *, same: bool) -> Iterator[RepeatingPair]:
+    """At most `count` pairs of visits drawn at random, none twice: of one place, or a period or an aisle apart."""
+    pairs = [(query, match) for query in visits for match in visits if query is not match]
+    fitting = [pair for pair in pairs if same == ((pair[0].period, pair[0].aisle) == (pair[1].period, pair[1].aisle))]
+    order = np.random.default_rng([seed, 3]).permutation(len(fitting))[:count]
+    for query, match in (fitting[int(index)] for index in order):
+        yield RepeatingPair(
+            world.name, query.place, match.place, query.T_world_sensor, match.T_world_sensor,
+            match.period - query.period, match.aisle - query.aisle,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What verification made of a pair.
+
+    accepted; `right`: the pose it accepts, or would accept, is the true one; `among`: the true pose is that one or one
+    of the hypotheses (rivals).
+    """
+
+    accepted: bool
+    right: bool
+    among: bool
+
+    @property
+    def false(self) -> bool:
+        """Whether a wrong pose was accepted."""
+        return self.accepted and not self.right
+
+
+def judge(pair: RepeatingPair, config: PipelineConfig) -> Judgement:
+    """Verify a pair; a pose is right within 1 m and 5 degrees (periods are longer)."""
+    verdict = verify(pair.query, pair.match, 1.0, config.verification)
+    accepted, measured = isinstance(verdict, VerifiedLoop), verdict.measurement
+    if measured is None:
+        return Judgement(accepted, right=False, among=False)
+    poses = [measured.T_match_query, *(rival.T_match_query for rival in measured.rivals)]
+    errors = [se3.inverse(pair.T_match_query) @ pose for pose in poses]
+    right = [
+        float(np.linalg.norm(error[:3, 3])) < RIGHT_M and float(np.degrees(se3.rotation_angle(error))) < RIGHT_DEG
+        for error in errors
+    ]
+    return Judgement(accepted, right[0], any(right))
 
 
 def visit(

@@ -14,10 +14,16 @@ if TYPE_CHECKING:
     from revisit.sdk.client import Client as Client
     from revisit.sdk.clouds import Cloud as Cloud
     from revisit.sdk.errors import ApiError as ApiError
+    from revisit.sdk.input_watch import SuspiciousInput as SuspiciousInput
 
-__all__ = ["ApiError", "Client", "Cloud"]
+__all__ = ["ApiError", "Client", "Cloud", "SuspiciousInput"]
 
-_HOMES = {"ApiError": "revisit.sdk.errors", "Client": "revisit.sdk.client", "Cloud": "revisit.sdk.clouds"}
+_HOMES = {
+    "ApiError": "revisit.sdk.errors",
+    "Client": "revisit.sdk.client",
+    "Cloud": "revisit.sdk.clouds",
+    "SuspiciousInput": "revisit.sdk.input_watch",
+}
 
 
 def __getattr__(name: str) -> Any:

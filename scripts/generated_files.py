@@ -2,7 +2,7 @@
 
 proto        revisit/v1/*_pb2*         out of proto/revisit/v1
 parameters   docs/reference/parameters.md   out of core/config.py
-openapi      docs/reference/openapi.json    out of service.rest
+openapi      docs/reference/openapi.json    out of service.rest, and service/web/docs.html out of it
 references   docs/reference/{errors,settings,cli,rest-and-grpc}.md   out of the code they describe
 decisions    docs/decisions/README.md   out of the decisions' own lines
 """
@@ -46,8 +46,11 @@ def write_openapi(out: Path) -> None:
     from revisit.service.rest.app import create_app
 
     # The document depends on the routes alone; nothing calls a use case here.
-    document = create_app(cast(UseCases, None)).openapi()
-    _write(out / "docs/reference/openapi.json", json.dumps(document, indent=2, sort_keys=True) + "\n")
+    from scripts import api_page
+
+    document = json.dumps(create_app(cast(UseCases, None)).openapi(), indent=2, sort_keys=True) + "\n"
+    _write(out / "docs/reference/openapi.json", document)
+    _write(out / "service/web/docs.html", api_page.page(json.loads(document)))
 
 
 def write_references(out: Path) -> None:

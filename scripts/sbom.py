@@ -1,16 +1,19 @@
-"""Write what this environment consists of as a software bill of materials (CycloneDX 1.6, JSON): `sbom.py [FILE]`.
+"""Write what this environment and the page consist of as a bill of materials (CycloneDX 1.6, JSON): `sbom.py [FILE]`.
 
 FILE is out/sbom.cdx.json by default. The same environment gives the same file, byte for byte.
 """
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 DEFAULT = ROOT / "out" / "sbom.cdx.json"
+VENDORED = ROOT / "service" / "web" / "vendor" / "vendored.json"
 
 
 def write_sbom(file: Path) -> None:
@@ -19,6 +22,22 @@ def write_sbom(file: Path) -> None:
     # Without qualifiers a package's address does not say from where it was downloaded here.
     options = ["--output-reproducible", "--short-PURLs", "--sv", "1.6", "--of", "JSON", "-o", str(file)]
     subprocess.run([sys.executable, "-m", "cyclonedx_py", "environment", *options, sys.executable], check=True)
+    bill = json.loads(file.read_text())
+    bill["components"] += [vendored(part) for part in json.loads(VENDORED.read_text())]
+    file.write_text(json.dumps(bill, indent=2) + "\n")
+
+
+def vendored(part: dict[str, Any]) -> dict[str, Any]:
+    """A part that the page brings in its own files, as a component."""
+    return {
+        "type": "library",
+        "bom-ref": part["purl"],
+        "name": part["name"],
+        "version": part["version"],
+        "purl": part["purl"],
+        "licenses": [{"license": {"id": part["licence"]}}],
+        "scope": "required",
+    }
 
 
 def main(arguments: list[str]) -> int:

@@ -10,6 +10,7 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 import structlog
@@ -17,25 +18,28 @@ import structlog
 from revisit.service import VERSION
 from revisit.service.access_rules import access_rules
 from revisit.service.adapters.clock import SystemClock
+from revisit.service.adapters.core_map_optimiser import CoreMapOptimiser
 from revisit.service.adapters.files.blobs import FileBlobStore
-from revisit.service.adapters.files.disk import Disk
-from revisit.service.adapters.files.fail_stop import FailStop
+from revisit.service.adapters.files.disk import Disk, FailStop
 from revisit.service.adapters.files.filesystem import require_local
+from revisit.service.adapters.files.secret_files import SECRET_BYTES, kept_secret
 from revisit.service.adapters.sqlite.checkpoints import Checkpoints
-from revisit.service.adapters.sqlite.connections import write_ahead_log
-from revisit.service.adapters.sqlite.failures import StorageFailures
+from revisit.service.adapters.sqlite.connections import StorageFailures, write_ahead_log
 from revisit.service.adapters.sqlite.transactions import SqliteTransactions
 from revisit.service.adapters.vector_index import PlaceVectorIndex
+from revisit.service.adapters.webhook_sender import HttpWebhookSender
 from revisit.service.application import Installation, UseCases
 from revisit.service.application.access.callers import current_actor
 from revisit.service.application.capacity.in_flight import InFlight
 from revisit.service.application.contract.recogniser import PlaceRecogniser
 from revisit.service.application.contract.tracing import NoTracer, Tracer
-from revisit.service.application.housekeeping.retention import forget_answers
+from revisit.service.application.housekeeping.retention import forget_answers, forget_events
 from revisit.service.application.housekeeping.sweeping import sweep
 from revisit.service.application.housekeeping.system import WORKER_SEEN_WITHIN_MS
 from revisit.service.application.housekeeping.upkeep import Chore
+from revisit.service.application.push.deliveries import Deliveries
 from revisit.service.settings import Settings
+from revisit.service.wire.webhook_body import webhook_body
 from revisit.service.worker.confinement import confine
 from revisit.service.worker.ends import STORAGE_FAILED
 from revisit.service.worker.heartbeat import WorkerIdentity
@@ -50,6 +54,11 @@ SWEEP_EVERY_S = 6 * 3600.0
 LOAD_INDEX_EVERY_S = 1.0
 AUDIT_INDEX_EVERY_S = 2.0
 FORGET_ANSWERS_EVERY_S = 60.0
+FORGET_EVENTS_EVERY_S = 60.0
+DELIVER_WEBHOOKS_EVERY_S = 1.0
+
+PAGE_SECRET = "pages.key"
+"""The file in the data folder that makes the tokens of pages good beyond a restart."""
 
 STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
@@ -71,7 +80,17 @@ def build_installation(settings: Settings, *, gateway: bool, fail_stop: FailStop
         policy=policy,
         in_flight=InFlight(settings.capacity, current_actor),
         disk=disk,
+        secret=_page_secret(settings.home),
     )
+
+
+def _page_secret(home: Path) -> bytes:
+    """What makes the tokens of pages unreadable. On a full disk it is forgotten at the end, and so are the tokens."""
+    try:
+        return kept_secret(home / PAGE_SECRET)
+    except (OSError, ValueError) as error:
+        log.warning("page_secret_not_kept", reason=str(error))
+        return secrets.token_bytes(SECRET_BYTES)
 
 
 def build_disk(settings: Settings) -> Disk:
@@ -101,6 +120,11 @@ def chores(settings: Settings, installation: Installation, fail_stop: FailStop) 
         kept_s = 3600.0 * settings.answers_kept_h
         await forget_answers(installation.storage, installation.clock, kept_s)
 
+    async def forget_old_events() -> None:
+        await forget_events(installation.storage, settings.events_kept)
+
+    deliveries = build_deliveries(settings, installation)
+
     return (
         Chore("tend_disk", TEND_DISK_EVERY_S, tend_disk),
         Chore("fold_log_back", FOLD_LOG_BACK_EVERY_S, fold_log_back, at_end=True),
@@ -108,7 +132,15 @@ def chores(settings: Settings, installation: Installation, fail_stop: FailStop) 
         Chore("load_index", LOAD_INDEX_EVERY_S, keeper.load),
         Chore("audit_index", AUDIT_INDEX_EVERY_S, audit_index),
         Chore("forget_answers", FORGET_ANSWERS_EVERY_S, forget),
+        Chore("forget_events", FORGET_EVENTS_EVERY_S, forget_old_events),
+        Chore("deliver_webhooks", DELIVER_WEBHOOKS_EVERY_S, deliveries.deliver_due, close=deliveries.close),
     )
+
+
+def build_deliveries(settings: Settings, installation: Installation) -> Deliveries:
+    """What sends events to webhooks."""
+    sender = HttpWebhookSender(private_networks=settings.webhook_private_networks)
+    return Deliveries(installation.storage, sender, installation.clock, webhook_body)
 
 
 def build_tracer(settings: Settings, process: str) -> Tracer:
@@ -152,7 +184,9 @@ def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None
     log.info("worker_ready", model_version=identity.model_version)
     limits = WorkerLimits(settings.jobs_per_worker, settings.worker_memory_mb * 2**20 * 3 // 4, settings.job_timeout_s)
     tracer = build_tracer(settings, "worker")
-    worker = Worker(installation, installation.recognition(recogniser), identity, stopping, limits, tracer)
+    worker = Worker(
+        installation, installation.recognition(recogniser, CoreMapOptimiser()), identity, stopping, limits, tracer
+    )
     try:
         worker.run()
     finally:
@@ -178,6 +212,7 @@ def load_recogniser(name: str) -> PlaceRecogniser:
 
 
 def _new_index(dimension: int) -> PlaceIndex:
+    from revisit.core.adapted_index import AdaptedIndex
     from revisit.core.index import FaissIndex
 
-    return FaissIndex(dimension)
+    return AdaptedIndex(dimension, FaissIndex)

@@ -79,7 +79,7 @@ def micro_descriptor(features: PlaceFeatures, codebooks: Codebooks, config: Fusi
     vlad = aggregate(micro.histograms, codebooks.micro_centres, micro.weights, config.literal_saliency)  # Eq. 13
     histograms = fold(vlad, codebooks.micro_mean, codebooks.micro_folds)
     faces = discriminated(features.spectra.normal, codebooks.spectrum_mean, codebooks.spectrum_basis)
-    return unit(np.concatenate([config.histogram_share * histograms, faces]))
+    return unit(np.concatenate([config.histogram_share * histograms, config.spectrum_weight * faces]))
 
 
 def layout_descriptor(bev: BevFeatures, codebooks: Codebooks) -> Array:

@@ -1,9 +1,12 @@
 """Pose graphs: sessions of one or many robots, joined by loops, without being bent by wrong ones.
 
 graph          trajectories and loops, and how much odometry drifts
+independence   how much of a loop its neighbours do not say already
 consistency    sets of loops between two sessions that agree with each other
+support        loops within a session that its odometry allows and that others support
 placement      where sessions lie to each other before optimisation
 optimisation   the most likely poses, and which loops they rest on
+warm_start     one loop more on poses that were found before
 g2o            graphs as text, for other tools
 
 The order above is the order of the steps: find loops that agree, place the sessions by them, optimise robustly, drop
@@ -12,8 +15,9 @@ what does not fit, optimise what is left.
 
 from revisit.core.pose_graph.graph import LoopEdge, Node, OdometryModel, PoseGraph, Trajectory
 from revisit.core.pose_graph.optimisation import LoopState, OptimisedGraph, Robustness, optimise
+from revisit.core.pose_graph.warm_start import SolvedComponent
 
 __all__ = [
-    "LoopEdge", "LoopState", "Node", "OdometryModel", "OptimisedGraph", "PoseGraph", "Robustness", "Trajectory",
-    "optimise",
+    "LoopEdge", "LoopState", "Node", "OdometryModel", "OptimisedGraph", "PoseGraph", "Robustness",
+    "SolvedComponent", "Trajectory", "optimise",
 ]  # fmt: skip

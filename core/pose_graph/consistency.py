@@ -53,8 +53,11 @@ def _largest_set(graph: PoseGraph, pair: tuple[str, str], rows: list[int]) -> tu
 
 def oriented(loop: LoopEdge, session: str) -> LoopEdge:
     """The loop with its match in `session`: the same measurement, inverted where it was the other way round."""
-    if loop.match.session == session:
-        return loop
+    return loop if loop.match.session == session else inverted(loop)
+
+
+def inverted(loop: LoopEdge) -> LoopEdge:
+    """The same measurement with query and match exchanged."""
     T_query_match = se3.inverse(loop.T_match_query)
     return LoopEdge(
         loop.name, loop.query, loop.match, T_query_match, loop.covariance_in_query, loop.independent_share
@@ -63,51 +66,55 @@ def oriented(loop: LoopEdge, session: str) -> LoopEdge:
 
 def agreement(loops: list[LoopEdge], first: Trajectory, second: Trajectory) -> Flags:
     """Which of n loops (n, n) agree; the match of each is in `first`, its query in `second`."""
-    T_first_second = np.stack([_T_odom_odom(loop, first, second) for loop in loops])
-    ends = np.array([(loop.match.ordinal, loop.query.ordinal) for loop in loops])
-    sigmas = np.array([_sigmas(loop) for loop in loops])
+    circles = Circles.of(loops, first, second)
     agree = np.ones((len(loops), len(loops)), dtype=bool)
+    others = np.arange(len(loops))
     for row in range(len(loops)):
-        agree[row] = _closes(row, T_first_second, ends, sigmas, first, second)
+        agree[row] = circles.errors(np.full(len(loops), row), others) < MAX_CLOSING_ERROR
     return np.asarray(agree & agree.T)
 
 
-def _T_odom_odom(loop: LoopEdge, first: Trajectory, second: Trajectory) -> se3.Matrix4:
-    """Where the loop puts the odometry frame of `second` in that of `first`."""
-    match, query = first.T_odom_submap[loop.match.ordinal], second.T_odom_submap[loop.query.ordinal]
-    return np.asarray(match @ loop.T_match_query @ se3.inverse(query))
+@dataclass(frozen=True)
+class Circles:
+    """Loops between two trajectories, or within one, as the sides of circles.
 
-
-def _sigmas(loop: LoopEdge) -> tuple[float, float]:
-    """Variances of translation, m^2, and rotation, rad^2, of a loop."""
-    return float(np.trace(loop.covariance[:3, :3]) / 3.0), float(np.trace(loop.covariance[3:, 3:]) / 3.0)
-
-
-def _closes(
-    row: int,
-    T_first_second: Array64,
-    ends: NDArray[np.int64],
-    variances: Array64,
-    first: Trajectory,
-    second: Trajectory,
-) -> Flags:
-    """Whether the circle of loop `row` with each of the loops closes.
-
-    Both loops place the submap of `second` at the end of loop `row` in the odometry of `first`; what they differ by is
-    measured there, so that a far origin of an odometry frame does not count.
+    T_first_second (n, 4, 4), where each loop puts the odometry frame of `second` in that of `first`; ends (n, 2), the
+    ordinals of match and query; variances (n, 2) of translation, m^2, and rotation, rad^2.
     """
-    positions = second.T_odom_submap[:, :3, 3]
-    here = positions[ends[row, 1]]
-    mine, theirs = T_first_second[row], T_first_second
-    gap = np.linalg.norm((theirs[:, :3, :3] @ here + theirs[:, :3, 3]) - (mine[:3, :3] @ here + mine[:3, 3]), axis=1)
-    trace = np.einsum("nij,ij->n", theirs[:, :3, :3], mine[:3, :3])
-    angle = np.arccos(np.clip(0.5 * (trace - 1.0), -1.0, 1.0))
-    translation, rotation = variances[:, 0] + variances[row, 0], variances[:, 1] + variances[row, 1]
-    translation = translation + variances[:, 1] * ((positions[ends[:, 1]] - here) ** 2).sum(axis=1)
-    for side, trajectory in enumerate((first, second)):
-        of_position, of_rotation = trajectory.drift(ends[:, side], int(ends[row, side]))
-        translation, rotation = translation + of_position, rotation + of_rotation
-    return np.asarray(gap**2 / translation + angle**2 / rotation < MAX_CLOSING_ERROR)
+
+    T_first_second: Array64
+    ends: NDArray[np.int64]
+    variances: Array64
+    first: Trajectory
+    second: Trajectory
+
+    @classmethod
+    def of(cls, loops: list[LoopEdge], first: Trajectory, second: Trajectory) -> Circles:
+        """The sides that `loops` make, each with its match in `first` and its query in `second`."""
+        ends = np.array([(loop.match.ordinal, loop.query.ordinal) for loop in loops], dtype=np.int64).reshape(-1, 2)
+        measured = np.reshape([loop.T_match_query for loop in loops], (-1, 4, 4))
+        placed = first.T_odom_submap[ends[:, 0]] @ measured @ np.linalg.inv(second.T_odom_submap[ends[:, 1]])
+        diagonals = np.array([np.diagonal(loop.covariance) for loop in loops]).reshape(-1, 2, 3)
+        return cls(placed, ends, diagonals.mean(axis=2), first, second)
+
+    def errors(self, rows: NDArray[np.int64], others: NDArray[np.int64]) -> Array64:
+        """Squared errors (m,), in variances, with which the circles of loops `rows` (m,) with `others` (m,) close.
+
+        Both loops place the submap of `second` at the end of the loop in `rows` in the odometry of `first`; what they
+        differ by is measured there, so that a far origin of an odometry frame does not count.
+        """
+        positions, of_rows, of_others = self.second.T_odom_submap[:, :3, 3], self.ends[rows], self.ends[others]
+        here, mine, theirs = positions[of_rows[:, 1]], self.T_first_second[rows], self.T_first_second[others]
+        apart = np.einsum("nij,nj->ni", theirs[:, :3, :3] - mine[:, :3, :3], here) + theirs[:, :3, 3] - mine[:, :3, 3]
+        trace = np.einsum("nij,nij->n", theirs[:, :3, :3], mine[:, :3, :3])
+        angle = np.arccos(np.clip(0.5 * (trace - 1.0), -1.0, 1.0))
+        translation, rotation = (self.variances[rows] + self.variances[others]).T
+        lever = ((positions[of_others[:, 1]] - here) ** 2).sum(axis=1)
+        translation = translation + self.variances[others, 1] * lever
+        for side, trajectory in enumerate((self.first, self.second)):
+            of_position, of_rotation = trajectory.drift(of_others[:, side], of_rows[:, side])
+            translation, rotation = translation + of_position, rotation + of_rotation
+        return np.asarray((apart**2).sum(axis=1) / translation + angle**2 / rotation)
 
 
 def largest_clique(agree: Flags) -> list[int]:

@@ -76,17 +76,22 @@ class Trajectory:
         steps = np.column_stack([translation, rotation, weighted, (weighted * places).sum(axis=1)])
         return np.concatenate([np.zeros((1, 6)), np.cumsum(steps, axis=0)])
 
-    def drift(self, ordinals: NDArray[np.int64], end: int) -> tuple[Array64, Array64]:
-        """How far odometry may have drifted between submaps (n,) and submap `end`.
+    def drift(self, ordinals: NDArray[np.int64], ends: NDArray[np.int64] | int) -> tuple[Array64, Array64]:
+        """How far odometry may have drifted between submaps (n,) and submaps `ends` (n,), or one for all.
 
-        Variances (n,) of the position of `end`, m^2, and of the rotation, rad^2. A wrong turn on the way displaces
-        `end` by its distance from where it was taken, also where the way comes back to its beginning.
+        Variances (n,) of the position of the end, m^2, and of the rotation, rad^2. A wrong turn on the way displaces
+        the end by its distance from where it was taken, also where the way comes back to its beginning.
         """
-        sums = self._drift_sums
-        between = np.where(ordinals[:, None] < end, 1.0, -1.0) * (sums[end] - sums[ordinals])
-        place = self.T_odom_submap[end, :3, 3]
-        turns = between[:, 1] * (place @ place) - 2.0 * between[:, 2:5] @ place + between[:, 5]
+        sums, ends = self._drift_sums, np.broadcast_to(ends, np.shape(ordinals))
+        between = np.where(ordinals < ends, 1.0, -1.0)[:, None] * (sums[ends] - sums[ordinals])
+        places = self.T_odom_submap[ends, :3, 3]
+        turns = between[:, 1] * _dot(places, places) - 2.0 * _dot(between[:, 2:5], places) + between[:, 5]
         return np.asarray(between[:, 0] + np.maximum(turns, 0.0)), np.asarray(between[:, 1])
+
+
+def _dot(first: Array64, second: Array64) -> Array64:
+    """Scalar products (n,) of vectors (n, 3)."""
+    return np.asarray(np.einsum("ni,ni->n", first, second))
 
 
 @dataclass(frozen=True)

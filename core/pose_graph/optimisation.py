@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import gtsam
@@ -14,6 +14,7 @@ from revisit.core.geometry import se3
 from revisit.core.pose_graph.consistency import ConsistentSet, consistent_sets
 from revisit.core.pose_graph.graph import LoopEdge, Node, PoseGraph, Trajectory
 from revisit.core.pose_graph.placement import Component, place_sessions
+from revisit.core.pose_graph.support import LoopsWithin
 
 Array64 = NDArray[np.float64]
 
@@ -25,19 +26,25 @@ WIDE_GATE = 100.0
 
 MAX_GATINGS = 5
 
+MAX_VOUCHED = 100
+"""Loops, at most, that are held against the covariances of the poses."""
+
 _ROTATION_FIRST = [3, 4, 5, 0, 1, 2]
+_TRANSLATION_FIRST = np.ix_([3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2])
 _ANCHOR_SIGMA = 1e-4
 
 
 class Robustness(StrEnum):
     """How wrong loops are kept from bending the map.
 
-    PLAIN and HUBER are for comparison only. ONLINE: Cauchy weights, then gates. COMMIT: that, and graduated
-    non-convexity beside it (Yang et al. 2020); the answer that explains steps and loops better is taken.
+    PLAIN, HUBER and GNC (graduated non-convexity, Yang et al. 2020, on all loops) are for comparison only. ONLINE:
+    Cauchy weights on the loops that others support, then gates. COMMIT: that, and graduated non-convexity beside it;
+    the answer that explains steps and loops better is taken.
     """
 
     PLAIN = "plain"
     HUBER = "huber"
+    GNC = "gnc"
     ONLINE = "online"
     COMMIT = "commit"
 
@@ -56,13 +63,19 @@ class OptimisedGraph:
 
     T_map_submap (n, 4, 4) of each session; components, the sessions that share a frame, the first of which gives it;
     loops, the state of every loop of the graph in its order; residuals (l,), its squared Mahalanobis distance from the
-    poses, NaN where its sessions share no frame.
+    poses, NaN where its sessions share no frame. covariances (n, 6, 6) of the poses of each session, of the tangent
+    (x, y, z, rx, ry, rz) in the submap's frame, metres and radians, as of the first submap of the component, which is
+    held fast; NaN where they are too large to be computed. chi2, the squared errors of all steps and of the loops in
+    the map; degrees_of_freedom, what it is to be compared with.
     """
 
     T_map_submap: dict[str, Array64]
     components: tuple[tuple[str, ...], ...]
     loops: tuple[LoopState, ...]
     residuals: Array64
+    covariances: dict[str, Array64]
+    chi2: float
+    degrees_of_freedom: int
 
     def T_map_odom(self, trajectory: Trajectory) -> se3.Matrix4:
         """The correction of a session: where its odometry frame lies in the map, as of its last submap."""
@@ -71,46 +84,70 @@ class OptimisedGraph:
 
 def optimise(graph: PoseGraph, robustness: Robustness = Robustness.COMMIT) -> OptimisedGraph:
     """Place the sessions by the loops that agree, optimise each component, set loops aside that do not fit."""
-    sets = consistent_sets(graph)
+    sets, within = consistent_sets(graph), LoopsWithin.of(graph)
     components = place_sessions(graph, sets)
+    trusted = Trusted.of(graph, sets, within)
     poses: dict[str, Array64] = {}
+    covariances: dict[str, Array64] = {}
+    chi2, degrees_of_freedom = 0.0, 0
     states = [LoopState.UNCONNECTED] * len(graph.loops)
     residuals = np.full(len(graph.loops), np.nan)
     for component in components:
-        problem = _Problem.of(graph, component, _agreeing(graph, sets))
+        problem = Problem.of(graph, component, trusted)
         solution, kept = _solve(problem, robustness)
-        poses.update(problem.poses(solution))
+        covariances.update(problem.covariances(solution, kept))
+        chi2 += 2.0 * problem.graph(kept).error(solution)
+        degrees_of_freedom += 6 * (len(kept) - len(problem.trajectories) + 1)
+        poses.update(poses_of(problem.trajectories, solution))
         for number, residual in zip(problem.loops, problem.residuals(solution), strict=True):
             residuals[number] = residual
             states[number] = LoopState.IN_MAP if number in kept else LoopState.SET_ASIDE
-    return OptimisedGraph(poses, tuple(tuple(one.T_map_odom) for one in components), tuple(states), residuals)
-
-
-def _agreeing(graph: PoseGraph, sets: list[ConsistentSet]) -> set[int]:
-    """Loops that may be used: those within a session, and those between two that agree with the others."""
-    within = {n for n, loop in enumerate(graph.loops) if loop.match.session == loop.query.session}
-    return within.union(*(one.loops for one in sets))
+    groups = tuple(tuple(one.T_map_odom) for one in components)
+    return OptimisedGraph(poses, groups, tuple(states), residuals, covariances, chi2, degrees_of_freedom)
 
 
 @dataclass(frozen=True)
-class _Problem:
+class Trusted:
+    """Loops by their place in the graph: all that may be right at all (those between sessions agree with others); those
+    to begin with, which others support; those that wait for better poses.
+    """
+
+    possible: frozenset[int]
+    first: frozenset[int]
+    waiting: frozenset[int]
+
+    @classmethod
+    def of(cls, graph: PoseGraph, sets: list[ConsistentSet], within: LoopsWithin) -> Trusted:
+        """What consistency between sessions and support within them say of the loops of the graph."""
+        between = frozenset[int]().union(*(one.loops for one in sets))
+        in_one = {n for n, loop in enumerate(graph.loops) if loop.match.session == loop.query.session}
+        return cls(between | in_one, between | within.supported, within.allowed - within.supported)
+
+    def among(self, loops: Iterable[int]) -> Trusted:
+        """The same for some of the loops."""
+        some = frozenset(loops)
+        return Trusted(self.possible & some, self.first & some, self.waiting & some)
+
+
+@dataclass(frozen=True)
+class Problem:
     """A component as gtsam sees it: keys of nodes, factors of steps, one factor a loop, and a start.
 
-    loops: numbers in the graph of the loops within the component; usable: those that agree with others.
+    loops: numbers in the graph of the loops within the component; trusted: those of them that may be used.
     """
 
     trajectories: tuple[Trajectory, ...]
     keys: dict[Node, int]
     loops: tuple[int, ...]
-    usable: frozenset[int]
+    trusted: Trusted
     steps: gtsam.NonlinearFactorGraph
-    loop_factors: dict[int, gtsam.NonlinearFactor]
+    loop_factors: dict[int, gtsam.NoiseModelFactor]
     loop_noises: dict[int, gtsam.noiseModel.Gaussian]
     edges: dict[int, LoopEdge]
     start: gtsam.Values
 
     @classmethod
-    def of(cls, graph: PoseGraph, component: Component, usable: set[int]) -> _Problem:
+    def of(cls, graph: PoseGraph, component: Component, trusted: Trusted) -> Problem:
         """The component's part of the graph, everything in canonical order: two runs are equal byte for byte."""
         trajectories = tuple(one for one in graph.trajectories if one.session in component.T_map_odom)
         nodes = [Node(one.session, ordinal) for one in trajectories for ordinal in range(len(one))]
@@ -120,9 +157,19 @@ class _Problem:
         factors = {n: _between(keys[loop.match], keys[loop.query], loop.T_match_query, noises[n])
                    for n, loop in loops.items()}  # fmt: skip
         return cls(
-            trajectories, keys, tuple(loops), frozenset(usable & loops.keys()), _step_factors(trajectories, keys),
+            trajectories, keys, tuple(loops), trusted.among(loops), _step_factors(trajectories, keys),
             factors, noises, loops, _start(trajectories, keys, component),
         )  # fmt: skip
+
+    @classmethod
+    def solved(cls, graph: PoseGraph, sessions: tuple[str, ...], T_map_submap: dict[str, Array64]) -> Problem:
+        """The part of the graph with `sessions`, starting at poses (n, 4, 4) of each that were found before."""
+        component = Component({session: np.eye(4) for session in sorted(sessions)})
+        problem = cls.of(graph, component, Trusted(frozenset(), frozenset(), frozenset()))
+        start = gtsam.Values()
+        for node, key in problem.keys.items():
+            start.insert(key, gtsam.Pose3(T_map_submap[node.session][node.ordinal]))
+        return replace(problem, start=start)
 
     def graph(
         self, loops: Iterable[int], kernel: gtsam.noiseModel.mEstimator.Base | None = None
@@ -142,63 +189,136 @@ class _Problem:
         """Squared Mahalanobis distance of every loop of the component."""
         return np.array([2.0 * self.loop_factors[number].error(values) for number in self.loops])
 
-    def poses(self, values: gtsam.Values) -> dict[str, Array64]:
-        """T_map_submap (n, 4, 4) of each session."""
+    def factor(self, loop: LoopEdge) -> gtsam.NoiseModelFactor:
+        """The factor of a loop between submaps of the component."""
+        ends = self.keys[loop.match], self.keys[loop.query]
+        return _between(*ends, loop.T_match_query, _noise(loop.covariance_in_query / loop.independent_share))
+
+    def covariances(self, values: gtsam.Values, kept: set[int]) -> dict[str, Array64]:
+        """The marginal covariances (n, 6, 6) of the poses of each session, translations first."""
+        if (marginals := _marginals(self.graph(kept), values)) is None:
+            return {one.session: np.full((len(one), 6, 6), np.nan) for one in self.trajectories}
+        keys = {one.session: [self.keys[Node(one.session, i)] for i in range(len(one))] for one in self.trajectories}
         return {
-            one.session: np.stack([values.atPose3(self.keys[Node(one.session, i)]).matrix() for i in range(len(one))])
-            for one in self.trajectories
+            session: np.stack([marginals.marginalCovariance(key)[_TRANSLATION_FIRST] for key in of_session])
+            for session, of_session in keys.items()
         }
 
 
-def _solve(problem: _Problem, robustness: Robustness) -> tuple[gtsam.Values, set[int]]:
+def poses_of(trajectories: tuple[Trajectory, ...], values: gtsam.Values) -> dict[str, Array64]:
+    """T_map_submap (n, 4, 4) of each session; the keys of the values count the submaps in order."""
+    flat = gtsam.utilities.extractPose3(values)
+    poses = np.tile(np.eye(4), (len(flat), 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = flat[:, :9].reshape(-1, 3, 3), flat[:, 9:]
+    ends = np.cumsum([len(one) for one in trajectories])
+    return {one.session: part for one, part in zip(trajectories, np.split(poses, ends[:-1]), strict=True)}
+
+
+def _solve(problem: Problem, robustness: Robustness) -> tuple[gtsam.Values, set[int]]:
     """The poses and the loops they rest on."""
-    usable = set(problem.usable)
-    if robustness is Robustness.PLAIN:
-        return _minimise(problem.graph(usable), problem.start), usable
-    if robustness is Robustness.HUBER:
-        kernel = gtsam.noiseModel.mEstimator.Huber.Create(1.345)
-        return _minimise(problem.graph(usable, kernel), problem.start), usable
-    answers = [_by_gates(problem, usable)]
+    if robustness in (Robustness.PLAIN, Robustness.HUBER, Robustness.GNC):
+        return _compared(problem, robustness)
+    values, kept = _by_gates(problem)
+    answers = [values]
     if robustness is Robustness.COMMIT:
-        answers.append(_graduated(problem, usable))
+        answers.append(_graduated(problem, set(problem.trusted.first | kept)))
     return min((_regated(problem, values) for values in answers), key=lambda answer: _cost(problem, *answer))
 
 
-def _cost(problem: _Problem, values: gtsam.Values, kept: set[int]) -> float:
+def _compared(problem: Problem, robustness: Robustness) -> tuple[gtsam.Values, set[int]]:
+    """The methods that are for comparison, on all loops."""
+    possible = set(problem.trusted.possible)
+    if robustness is Robustness.PLAIN:
+        return minimise(problem.graph(possible), problem.start), possible
+    if robustness is Robustness.HUBER:
+        kernel = gtsam.noiseModel.mEstimator.Huber.Create(1.345)
+        return minimise(problem.graph(possible, kernel), problem.start), possible
+    values = _graduated(problem, possible)
+    return values, _within(problem, values, possible, GATE)
+
+
+def _cost(problem: Problem, values: gtsam.Values, kept: set[int]) -> float:
     """Squared errors of the steps and the kept loops; a loop that is set aside costs as much as the gate."""
     set_aside = len(problem.loops) - len(kept)
     return float(2.0 * problem.graph(kept).error(values) + GATE * set_aside)
 
 
-def _by_gates(problem: _Problem, usable: set[int]) -> gtsam.Values:
-    """Cauchy weights first, under which wrong loops pull little; then the loops near those poses, exactly."""
-    values = _minimise(problem.graph(usable, gtsam.noiseModel.mEstimator.Cauchy.Create(1.0)), problem.start)
-    return _gated(problem, values, usable, WIDE_GATE)
-
-
-def _gated(problem: _Problem, values: gtsam.Values, usable: set[int], gate: float) -> gtsam.Values:
-    """The poses by the loops within a gate around them: loops return as the poses come nearer to them."""
-    kept: set[int] = set()
+def _by_gates(problem: Problem) -> tuple[gtsam.Values, set[int]]:
+    """Cauchy weights first, under which wrong loops pull little; then the loops near those poses, exactly; then those
+    that lie where these poses expect them, also loops that nothing supports.
+    """
+    usable, first = set(problem.trusted.first | problem.trusted.waiting), set(problem.trusted.first)
+    values = minimise(problem.graph(first, gtsam.noiseModel.mEstimator.Cauchy.Create(1.0)), problem.start)
+    values, kept = _gated(problem, values, first, WIDE_GATE)
     for _ in range(MAX_GATINGS):
+        expected = _expected(problem, values, kept, usable - kept)
+        if not expected:
+            break
+        values, kept = _gated(problem, values, usable, WIDE_GATE, kept | expected)
+    return values, kept
+
+
+def _gated(
+    problem: Problem, values: gtsam.Values, usable: set[int], gate: float, kept: set[int] | None = None
+) -> tuple[gtsam.Values, set[int]]:
+    """The poses by the loops within a gate around them: loops return as the poses come nearer to them.
+
+    `kept` are the loops to begin with, instead of those within the gate around `values`.
+    """
+    kept = _within(problem, values, usable, gate) if kept is None else kept
+    for _ in range(MAX_GATINGS):
+        values = minimise(problem.graph(kept), values)
         before, kept = kept, _within(problem, values, usable, gate)
         if kept == before:
             break
-        values = _minimise(problem.graph(kept), values)
-    return values
+    return values, kept
 
 
-def _regated(problem: _Problem, values: gtsam.Values) -> tuple[gtsam.Values, set[int]]:
+def _expected(problem: Problem, values: gtsam.Values, kept: set[int], waiting: set[int]) -> set[int]:
+    """The waiting loops within the gate around the poses; the uncertainty of the poses themselves is counted too where
+    there are few. Where odometry allows many that do not fit, it is too unsure of itself to vouch for any.
+    """
+    near = _within(problem, values, waiting, GATE)
+    if not waiting - near or len(waiting) > MAX_VOUCHED:
+        return near
+    if (marginals := _marginals(problem.graph(kept), values)) is None:
+        return near
+    return near | {n for n in sorted(waiting - near) if _distance(problem, values, marginals, n) < GATE}
+
+
+def _marginals(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Marginals | None:
+    """The covariances at `values`; None where they are too large to be computed: long chains that nothing ties."""
+    try:
+        return gtsam.Marginals(factors, values)
+    except RuntimeError:
+        return None
+
+
+def _distance(problem: Problem, values: gtsam.Values, marginals: gtsam.Marginals, number: int) -> float:
+    """Squared Mahalanobis distance of a loop that is not among the factors from poses with their covariances."""
+    first, second = (problem.keys[node] for node in (problem.edges[number].match, problem.edges[number].query))
+    joint = marginals.jointMarginalCovariance(gtsam.KeyVector([first, second]))
+    between = values.atPose3(first).between(values.atPose3(second))
+    back = between.inverse().AdjointMap()
+    of_first, of_second, both = joint.at(first, first), joint.at(second, second), joint.at(first, second)
+    relative = back @ of_first @ back.T + of_second - back @ both - both.T @ back.T
+    error = problem.loop_factors[number].unwhitenedError(values)
+    covariance = relative + problem.loop_noises[number].covariance()
+    return float(error @ np.linalg.solve(covariance, error))
+
+
+def _regated(problem: Problem, values: gtsam.Values) -> tuple[gtsam.Values, set[int]]:
     """Whatever fits the poses by now is in the map, also loops that agreed with no others before."""
     kept = _within(problem, values, set(problem.loops), GATE)
-    return _minimise(problem.graph(kept), values), kept
+    return minimise(problem.graph(kept), values), kept
 
 
-def _within(problem: _Problem, values: gtsam.Values, usable: set[int], gate: float) -> set[int]:
+def _within(problem: Problem, values: gtsam.Values, usable: set[int], gate: float) -> set[int]:
     residuals = zip(problem.loops, problem.residuals(values), strict=True)
     return {number for number, residual in residuals if number in usable and residual < gate}
 
 
-def _graduated(problem: _Problem, usable: set[int]) -> gtsam.Values:
+def _graduated(problem: Problem, usable: set[int]) -> gtsam.Values:
     """Graduated non-convexity with truncated least squares: steps are known to be right, loops weigh 0 or 1."""
     if not usable:
         return problem.start
@@ -210,7 +330,8 @@ def _graduated(problem: _Problem, usable: set[int]) -> gtsam.Values:
     return optimiser.optimize()
 
 
-def _minimise(factors: gtsam.NonlinearFactorGraph, start: gtsam.Values) -> gtsam.Values:
+def minimise(factors: gtsam.NonlinearFactorGraph, start: gtsam.Values) -> gtsam.Values:
+    """The values of least cost near `start`, by Levenberg and Marquardt."""
     params = gtsam.LevenbergMarquardtParams()
     params.setMaxIterations(100)
     params.setRelativeErrorTol(1e-9)
@@ -243,7 +364,7 @@ def _start(trajectories: tuple[Trajectory, ...], keys: dict[Node, int], componen
 
 def _between(
     first: int, second: int, T_first_second: se3.Matrix4, noise: gtsam.noiseModel.Base
-) -> gtsam.NonlinearFactor:
+) -> gtsam.NoiseModelFactor:
     return gtsam.BetweenFactorPose3(first, second, gtsam.Pose3(T_first_second), noise)
 
 

@@ -97,7 +97,7 @@ class Contact:
 
     touching: NDArray[np.bool_]
     residuals: Array64
-    rows: NDArray[np.int64]
+    rows: NDArray[np.int32]
 
 
 def contact(surface: OrientedPoints, other: OrientedPoints, config: VerificationConfig) -> Contact:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from revisit.core.config import VerificationConfig
 from revisit.core.errors import DescriptorModelMismatch
 from revisit.core.geometry import se3
-from revisit.core.geometry.level_frame import motion_between_submaps
+from revisit.core.geometry.level_frame import motion_between_levels, motion_between_submaps
 from revisit.core.place import Place
 from revisit.core.verification.correspondences import KeypointFit
 from revisit.core.verification.evidence import Evidence, gather_evidence
@@ -75,20 +75,26 @@ class RejectedLoop:
     measurement: LoopMeasurement | None = None
 
 
-def verify(query: Place, match: Place, similarity: float, config: VerificationConfig) -> VerifiedLoop | RejectedLoop:
+def verify(
+    query: Place, match: Place, similarity: float, config: VerificationConfig, near: se3.Matrix4 | None = None
+) -> VerifiedLoop | RejectedLoop:
     """Whether two submaps show the same place, and how they lie to each other.
+
+    `near` (4, 4), a T_match_query between the submap frames that somebody names, is where registration starts then:
+    alone, and other poses that fit as well do not count against it.
 
     Nothing in it is random, and the answer does not depend on which place is the query: `verify(b, a)` has the verdict,
     reason and evidence of `verify(a, b)`, and the inverse pose. Raises DescriptorModelMismatch where the places come
     from different codebooks or scene scales.
     """
     if query.content_digest <= match.content_digest:
-        return _verify_in_order(query, match, similarity, config)
-    return _inverted(_verify_in_order(match, query, similarity, config))
+        return _verify_in_order(query, match, similarity, config, near)
+    exchanged = None if near is None else se3.inverse(near)
+    return _inverted(_verify_in_order(match, query, similarity, config, exchanged))
 
 
 def _verify_in_order(
-    query: Place, match: Place, similarity: float, config: VerificationConfig
+    query: Place, match: Place, similarity: float, config: VerificationConfig, near: se3.Matrix4 | None
 ) -> VerifiedLoop | RejectedLoop:
     """The verdict on two places in the order of their content digests.
 
@@ -99,13 +105,15 @@ def _verify_in_order(
     if is_degenerate(query, config) or is_degenerate(match, config):
         return RejectedLoop(RejectionReason.DEGENERATE_PLACE)
     start = find_start(query, match, config)
+    if near is not None:
+        start = dataclasses.replace(start, poses=(motion_between_levels(near, query.frame, match.frame),))
     surfaces = OrientedPoints.of(query), OrientedPoints.of(match)
     registration = register(start.poses, *surfaces, config)
     evidence = gather_evidence(registration, *surfaces, config)
     enough = max(config.min_common, config.min_common_share * min(query.standing_count, match.standing_count))
     measurement = _measure(start.fit, registration, evidence, similarity, config)
     reason = _rejection(registration, evidence, measurement.score, enough, config)
-    if reason is None:
+    if reason is None and near is None:
         rivals = find_rivals(registration.T_match_query, *surfaces, config)
         measurement = dataclasses.replace(measurement, rivals=rivals)
         reason = RejectionReason.AMBIGUOUS if rivals else None

@@ -16,7 +16,7 @@ from revisit.evaluation.cutting import Window, cut, load_submap
 from revisit.evaluation.datasets import Recording
 from revisit.evaluation.described_submaps import DescribedSubmap, DescriptionWork, describe_submap, in_processes
 from revisit.evaluation.loop_closure_method import LoopClosureMethod
-from revisit.evaluation.matching import QueryMatches, VerificationWork, pose_error, verify_all
+from revisit.evaluation.matching import QueryMatches, VerificationWork, pose_error, search_map, verify_all
 from revisit.evaluation.metrics import LoopProtocol
 from revisit.evaluation.perturbations import Perturbation, turned
 from revisit.evaluation.protocols.experiment import Experiment, MethodResult, PoseErrors
@@ -44,7 +44,7 @@ class Comparison:
 
     The first `candidates` of the product's descriptor are verified; 0 leaves verification out. Without a `method` only
     the baselines are compared. They get clouds divided by `scene_scale`, since their parameters are for streets; the
-    method brings its own.
+    method brings its own. With `verified_peers` the first candidates of each baseline are verified by the method, too.
     """
 
     method: LoopClosureMethod | None
@@ -55,6 +55,7 @@ class Comparison:
     scene_scale: float = 1.0
     seed: int = 0
     jobs: int = 1
+    verified_peers: bool = False
 
 
 @dataclass(frozen=True)
@@ -92,6 +93,11 @@ class QueriesAndMap:
         return self.query_recording if self.own_map else f"{self.query_recording}-in-{self.map_recording}"
 
 
+def verified_name(method: str) -> str:
+    """What a baseline with the product's verification behind it is called in reports."""
+    return f"{method} + our verification"
+
+
 def describe_recording(source: PerturbedRecording, comparison: Comparison, report: Progress) -> list[ComparedSubmap]:
     """Every submap of a recording, described by all methods."""
     windows = cut(source.recording, comparison.submap)
@@ -110,7 +116,11 @@ def compare(protocol: str, comparison: Comparison, submaps: QueriesAndMap, repor
         _product_results(comparison.method, submaps, ground_truth, comparison, report) if comparison.method else []
     )
     for column, baseline in enumerate(comparison.baselines):
-        results.append(_baseline_result(baseline, column, submaps, ground_truth))
+        matches, search_s = _baseline_matches(baseline, column, submaps, ground_truth, comparison.candidates)
+        results.append(_baseline_result(baseline, column, submaps, matches, search_s))
+        if comparison.method and comparison.verified_peers:
+            name = verified_name(baseline.name)
+            results.append(_verified_result(comparison.method, submaps, matches, comparison, report, name))
         report("compare", column + 1, len(comparison.baselines))
     return Experiment(
         sequence=submaps.name, protocol=protocol, query_recording=submaps.query_recording,
@@ -153,21 +163,11 @@ def _search(
     submaps: QueriesAndMap, ground_truth: GroundTruth, comparison: Comparison
 ) -> tuple[list[tuple[Match, ...]], float]:
     """The most similar allowed submaps of every query by the product's cosine, and the mean seconds of a search."""
-    rows = [one.submap.description.vector for one in submaps.mapped if one.submap.description is not None]
     usable = np.array([one.submap.description is not None for one in submaps.mapped], dtype=bool)
-    if not rows:
-        return [()] * len(submaps.queries), 0.0
-    known = np.zeros((len(submaps.mapped), len(rows[0])), dtype=np.float32)
-    known[usable] = np.stack(rows)
     allowed = ground_truth.restricted_to(usable).allowed
-    wanted = max(comparison.candidates, KEPT_CANDIDATES)
-    found: list[tuple[Match, ...]] = []
-    started = time.perf_counter()
-    for query, one in enumerate(submaps.queries):
-        description, ids = one.submap.description, np.flatnonzero(allowed[query])
-        cosine = known[ids] @ description.vector if description is not None else np.zeros(0, dtype=np.float32)
-        order = np.argsort(-cosine, kind="stable")[:wanted]
-        found.append(tuple(Match(int(ids[index]), float(cosine[index])) for index in order))
+    queries, mapped = [one.submap for one in submaps.queries], [one.submap for one in submaps.mapped]
+    wanted, started = max(comparison.candidates, KEPT_CANDIDATES), time.perf_counter()
+    found = search_map(queries, mapped, wanted, allowed, own_map=submaps.own_map)
     return found, (time.perf_counter() - started) / max(len(found), 1)
 
 
@@ -206,8 +206,9 @@ def _verified_result(
     matches: list[tuple[Match, ...]],
     comparison: Comparison,
     report: Progress,
+    name: str = VERIFIED,
 ) -> MethodResult:
-    """The product's candidates after verification, with the poses of the accepted ones."""
+    """The candidates after verification, with the poses of the accepted ones."""
     shift = len(submaps.mapped)
     places = [one.submap for one in [*submaps.mapped, *submaps.queries]]
     candidates = [()] * shift + [found[: comparison.candidates] for found in matches]
@@ -225,7 +226,7 @@ def _verified_result(
     ]
     stored_places = [one.submap.description.place for one in submaps.queries if one.submap.description is not None]
     return MethodResult(
-        method=VERIFIED,
+        method=name,
         candidates=tuple(tuple(item.id for item in one.ranked[:KEPT_CANDIDATES]) for one in answers),
         score=tuple(one.ranked[0].score if one.ranked else None for one in answers),
         describe_s=0.0,
@@ -236,30 +237,39 @@ def _verified_result(
     )
 
 
-def _baseline_result(
-    baseline: PlaceRecogniser, column: int, submaps: QueriesAndMap, ground_truth: GroundTruth
-) -> MethodResult:
+def _baseline_matches(
+    baseline: PlaceRecogniser, column: int, submaps: QueriesAndMap, ground_truth: GroundTruth, count: int
+) -> tuple[list[tuple[Match, ...]], float]:
+    """The most similar allowed submaps of every query by a baseline, and the mean seconds of a search."""
     usable = np.array([one.descriptors is not None for one in submaps.mapped], dtype=bool)
-    known = _stacked(submaps.mapped, column)
+    known, found = _stacked(submaps.mapped, column), list[tuple[Match, ...]]()
     allowed = ground_truth.restricted_to(usable).allowed
-    candidates: list[tuple[int, ...]] = []
-    score: list[float | None] = []
     started = time.perf_counter()
     for query, one in enumerate(submaps.queries):
         ids = np.flatnonzero(allowed[query])
         if one.descriptors is None or len(ids) == 0:
-            candidates.append(())
-            score.append(None)
+            found.append(())
             continue
         similarity = baseline.similarities(one.descriptors[column], known[ids])
-        order = np.argsort(-similarity, kind="stable")[:KEPT_CANDIDATES]
-        candidates.append(tuple(int(index) for index in ids[order]))
-        score.append(float(similarity[order[0]]))
+        order = np.argsort(-similarity, kind="stable")[: max(count, KEPT_CANDIDATES)]
+        found.append(tuple(Match(int(ids[row]), float(similarity[row])) for row in order))
+    return found, (time.perf_counter() - started) / max(len(found), 1)
+
+
+def _baseline_result(
+    baseline: PlaceRecogniser,
+    column: int,
+    submaps: QueriesAndMap,
+    matches: list[tuple[Match, ...]],
+    search_s: float,
+) -> MethodResult:
+    known = [one.descriptors[column] for one in submaps.mapped if one.descriptors is not None]
     return MethodResult(
-        method=baseline.name, candidates=tuple(candidates), score=tuple(score),
+        method=baseline.name,
+        candidates=tuple(tuple(match.id for match in found[:KEPT_CANDIDATES]) for found in matches),
+        score=tuple(found[0].similarity if found else None for found in matches),
         describe_s=_median([one.seconds[column] for one in submaps.queries if one.descriptors is not None]),
-        search_s=(time.perf_counter() - started) / max(len(candidates), 1),
-        bytes_per_submap=float(known[0].nbytes) if len(known) else 0.0,
+        search_s=search_s, bytes_per_submap=float(known[0].nbytes) if known else 0.0,
     )  # fmt: skip
 
 

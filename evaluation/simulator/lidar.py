@@ -36,7 +36,7 @@ class SimulatedScan:
 
 
 @dataclass(frozen=True)
-class _Hits:
+class Hits:
     """First hits of rays: range (n,) metres, inf for none; cosine (n,) of the incidence; material (n,)."""
 
     range_m: Floats
@@ -44,7 +44,7 @@ class _Hits:
     material: NDArray[np.uint8]
 
 
-class _Scene:
+class Scene:
     """Triangles that rays can be cast at, on one thread."""
 
     def __init__(self, triangles: NDArray[np.float32], materials: NDArray[np.uint8]) -> None:
@@ -56,11 +56,11 @@ class _Scene:
             index = np.arange(3 * len(triangles), dtype=np.uint32).reshape(-1, 3)
             self._scene.add_triangles(corners, o3d.core.Tensor.from_numpy(index))
 
-    def cast(self, origin: Floats, directions: NDArray[np.float32]) -> _Hits:
+    def cast(self, origin: Floats, directions: NDArray[np.float32]) -> Hits:
         """First hits of unit rays (n, 3) from `origin` (3,)."""
         if self._empty:
             count = len(directions)
-            return _Hits(np.full(count, np.inf), np.zeros(count), np.zeros(count, np.uint8))
+            return Hits(np.full(count, np.inf), np.zeros(count), np.zeros(count, np.uint8))
         rays = np.empty((len(directions), 6), dtype=np.float32)
         rays[:, :3], rays[:, 3:] = origin, directions
         answer = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays), nthreads=1)
@@ -68,12 +68,12 @@ class _Scene:
         # The id of a missed ray is the largest uint32: it is sent to the extra last material.
         primitive = np.minimum(answer["primitive_ids"].numpy(), len(self._materials) - 1)
         cosine = np.abs(np.einsum("ij,ij->i", answer["primitive_normals"].numpy(), directions)).astype(np.float64)
-        return _Hits(distance, cosine, self._materials[primitive])
+        return Hits(distance, cosine, self._materials[primitive])
 
 
 def simulate(world: World, trajectory: Trajectory, sensor: LidarModel, seed: int) -> Iterator[SimulatedScan]:
     """The scans of `sensor` along `trajectory`, one by one. The same arguments give the same scans."""
-    town = _Scene(world.triangles, world.materials)
+    town = Scene(world.triangles, world.materials)
     parked = ParkedCars(world.parking)
     directions = sensor.directions()
     for index in range(len(trajectory)):
@@ -84,7 +84,7 @@ def simulate(world: World, trajectory: Trajectory, sensor: LidarModel, seed: int
         moving_from, passing = _passing(world, parked, origin, stamp_ns)
         fixed = town.cast(origin, rays)
         hits, moving = _nearest(fixed, *_passing_hits(passing, moving_from, origin, rays))
-        yield _measured(hits, moving, directions, sensor, rng, T_world_sensor, stamp_ns)
+        yield measured(hits, moving, directions, sensor, rng, T_world_sensor, stamp_ns)
 
 
 def _passing(world: World, parked: ParkedCars, origin: Floats, stamp_ns: int) -> tuple[int, Blocks]:
@@ -102,26 +102,26 @@ def _passing(world: World, parked: ParkedCars, origin: Floats, stamp_ns: int) ->
     return sum(len(car) for car in standing), joined([*standing, *movers])
 
 
-def _passing_hits(passing: Blocks, moving_from: int, origin: Floats, rays: NDArray[np.float32]) -> tuple[_Hits, _Hits]:
+def _passing_hits(passing: Blocks, moving_from: int, origin: Floats, rays: NDArray[np.float32]) -> tuple[Hits, Hits]:
     """Hits of the rays on the standing and on the moving part of `passing`."""
     triangles, materials = passing.triangles(), passing.triangle_materials()
     split = 12 * moving_from
-    standing = _Scene(triangles[:split], materials[:split]).cast(origin, rays)
-    return standing, _Scene(triangles[split:], materials[split:]).cast(origin, rays)
+    standing = Scene(triangles[:split], materials[:split]).cast(origin, rays)
+    return standing, Scene(triangles[split:], materials[split:]).cast(origin, rays)
 
 
-def _nearest(fixed: _Hits, standing: _Hits, moving: _Hits) -> tuple[_Hits, NDArray[np.bool_]]:
+def _nearest(fixed: Hits, standing: Hits, moving: Hits) -> tuple[Hits, NDArray[np.bool_]]:
     """The nearest of three hits of every ray, and whether it is the moving one."""
     ranges = np.stack([fixed.range_m, standing.range_m, moving.range_m])
     first = ranges.argmin(axis=0)
     pick = np.arange(ranges.shape[1])
     cosine = np.stack([fixed.cosine, standing.cosine, moving.cosine])[first, pick]
     material = np.stack([fixed.material, standing.material, moving.material])[first, pick]
-    return _Hits(ranges[first, pick], cosine, material), first == 2
+    return Hits(ranges[first, pick], cosine, material), first == 2
 
 
-def _measured(
-    hits: _Hits, moving: NDArray[np.bool_], directions: NDArray[np.float32], sensor: LidarModel,
+def measured(
+    hits: Hits, moving: NDArray[np.bool_], directions: NDArray[np.float32], sensor: LidarModel,
     rng: np.random.Generator, T_world_sensor: se3.Matrix4, stamp_ns: int,
 ) -> SimulatedScan:  # fmt: skip
     """What the sensor reports of the hits: lost returns, range noise, its own limits."""

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from revisit.core.geometry import se3
 from revisit.evaluation.simulator.blocks import Floats
-from revisit.evaluation.simulator.city import Ground
 from revisit.evaluation.simulator.paths import Path, StreetGrid
+
+
+class Terrain(Protocol):
+    """Heights of the ground that is driven on."""
+
+    def terrain(self, xy: Floats) -> Floats:
+        """Height (n,) in metres at `xy` (n, 2)."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +32,7 @@ class Trajectory:
 
 
 def drive(
-    path: Path, ground: Ground, *, lane_m: float = 0.0, spacing_m: float = 1.0, speed_mps: float = 8.0,
+    path: Path, ground: Terrain, *, lane_m: float = 0.0, spacing_m: float = 1.0, speed_mps: float = 8.0,
     sensor_height_m: float = 1.73, start_s: float = 0.0, sway_seed: int | None = 0,
 ) -> Trajectory:  # fmt: skip
     """Drive along `path`, `lane_m` metres to its right, one scan every `spacing_m` metres.

@@ -49,10 +49,17 @@ def train_codebooks(places: list[list[Features]], cells: int, config: FusionConf
         np.array([[view.spectra.plan for view in place] for place in places]), config.plan_size
     )
     return Codebooks(
-        basis, parity, macro_centres, macro_mean, random_folds(macro_mean.size, config.macro_size, rng),
-        micro_centres, micro_mean, random_folds(micro_mean.size, config.micro_size, rng), layout_mean, layout_basis,
+        basis, parity, macro_centres, *_shortened(macro_mean, config.macro_size, rng),
+        micro_centres, *_shortened(micro_mean, config.micro_size, rng), layout_mean, layout_basis,
         spectrum_mean, spectrum_basis, plan_mean, plan_basis,
     )  # fmt: skip
+
+
+def _shortened(mean: Array, size: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """The mean (d,) and the folds that shorten a VLAD to `size`; of full size, the VLAD stays as the paper has it."""
+    if size < len(mean):
+        return mean, random_folds(len(mean), size, rng)
+    return np.zeros_like(mean), np.arange(1.0, len(mean) + 1.0, dtype=np.float32)[None]
 
 
 def train_local_basis(patches: Array, cells: int, size: int) -> tuple[Array, Array]:

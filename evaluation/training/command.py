@@ -24,6 +24,7 @@ from revisit.core.implicit_map import DecoderWeights, fit_implicit_map
 from revisit.core.micro.cluster_normals import describe_clusters
 from revisit.core.micro.saliency import weigh_clusters
 from revisit.core.model_bundle import TRAINED_WITH, load_bundle, training_record
+from revisit.core.profiles import Profile, profile_config
 from revisit.core.spectra import describe_spectra
 from revisit.core.submap import Submap
 from revisit.core.surface import extract_surface
@@ -38,24 +39,25 @@ DECODER_WIDTH = 32
 def main() -> None:
     """Train what is asked for and write the weights and the report."""
     parser = argparse.ArgumentParser(prog="python -m revisit.evaluation.training", description=__doc__)
+    parser.add_argument("--profile", type=Profile, default=Profile.PRODUCT, help="product or paper")
     parser.add_argument("--out", type=Path, default=Path("core/weights/revisit-1.npz"))
+    parser.add_argument("--decoder", type=Path, help="keep the decoder of this file and train the codebooks only")
     parser.add_argument("--report", type=Path, default=Path("docs/reference/training.md"))
     parser.add_argument("--districts", type=int, default=24, help="simulated towns for the codebooks")
     parser.add_argument("--places", type=int, default=14, help="places of each town for the codebooks")
     parser.add_argument("--episodes", type=int, default=600, help="meta-training episodes of the decoder")
-    parser.add_argument("--keep-decoder", action="store_true", help="train the codebooks only")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     options = parser.parse_args()
     torch.set_num_threads(1)
-    started, config = time.monotonic(), PipelineConfig()
+    started, config = time.monotonic(), profile_config(options.profile)
     report = [
         "# Training of the shipped models",
         "",
         "By `python -m revisit.evaluation.training`, on simulated data only.",
         "",
     ]
-    if options.keep_decoder:
-        decoder = _kept_decoder(options.out)
+    if options.decoder:
+        decoder = _kept_decoder(options.decoder)
         report.append("- decoder: kept")
     else:
         decoder, losses = _train_decoder(config, options.episodes)

@@ -17,6 +17,7 @@ from revisit.cli import (
     ingest,
     inspect,
     keys,
+    maps,
     operations,
     optimise,
     queries,
@@ -47,7 +48,13 @@ COMMANDS = (
     queries.loops, export.export, optimise.optimise, demo.demo, evaluate.evaluate, doctor.doctor, backup.backup,
     backup.restore, backup.scrub,
 )  # fmt: skip
-GROUPS = {"operations": operations.group, "keys": keys.group, "audit": audit.group, "bench": bench.group}
+GROUPS = {
+    "map": maps.group,
+    "operations": operations.group,
+    "keys": keys.group,
+    "audit": audit.group,
+    "bench": bench.group,
+}
 
 
 @app.callback()

@@ -11,7 +11,7 @@ import typer
 from revisit.cli.extras import needs
 from revisit.cli.offline import data_folder
 from revisit.cli.options import Home, Json
-from revisit.cli.output import emit_json
+from revisit.cli.output import emit_json, refuse
 
 
 @needs("service")
@@ -33,13 +33,23 @@ def backup(
 def restore(
     archive: Annotated[Path, typer.Argument(exists=True, file_okay=False, help="A backup.")],
     home: Home = None,
+    key: Annotated[
+        Path | None,
+        typer.Option(exists=True, dir_okay=False, help="The key that signed it: `backup.key` of the old data folder."),
+    ] = None,
+    unsigned: Annotated[
+        bool, typer.Option("--unsigned", help="Take it without a key, whoever may have changed it.")
+    ] = False,
     json: Json = False,
 ) -> None:
-    """Make a new data folder out of a backup, after checking every hash of it; all of it or nothing."""
+    """Make a new data folder out of a backup, after checking its signature and every hash; all of it or nothing."""
+    from revisit.service.adapters.files.secret_files import read_secret
     from revisit.service.adapters.sqlite.backup import restore_backup
 
+    if (key is None) != unsigned:
+        raise refuse("give the key that signed the backup (--key backup.key), or --unsigned where it is lost")
     target = data_folder(home)
-    manifest = restore_backup(archive, target)
+    manifest = restore_backup(archive, target, None if key is None else read_secret(key))
     _tell(f"{target}: as of {manifest.created_at}, {manifest.blobs} blobs", asdict(manifest), json)
 
 

@@ -115,6 +115,61 @@ def surface(
     say(f"{out / 'kinds.md'}, {out / 'spacings.md'} and {out / 'rate-distortion.png'}")
 
 
+@group.command("graphs")
+@needs("evaluation")
+def graphs(
+    folder: Annotated[Path, typer.Argument(exists=True, help="Folder of pose graphs, NAME.g2o.")],
+    names: Annotated[str, typer.Option(help="Graphs by name, with commas; by default all of the table.")] = "",
+    out: Annotated[Path, typer.Option(help="Folder for the table, its figures and the picture.")] = Path("out/graphs"),
+    limit: Annotated[float, typer.Option(min=1.0, help="CPU seconds after which a method is stopped.")] = 60.0,
+) -> None:
+    """Put wrong loops into pose graphs: how far each method is from the optimum without them."""
+    from revisit.evaluation import pose_graph_benchmark as benchmark
+
+    chosen = _named("--names", names, benchmark.GRAPHS)
+    missing = [name for name in chosen if not (folder / f"{name}.g2o").is_file()]
+    if missing:
+        raise refuse(f"{folder} lacks {', '.join(missing)} (.g2o)")
+    total, outcomes = len(chosen) * len(benchmark.SPOILINGS) * len(benchmark.METHODS), []
+    with progress_bar(quiet=False) as bar:
+        report = reporter(bar)
+        for _, outcome in benchmark.run(folder, chosen, limit):
+            outcomes.append(outcome)
+            benchmark.write(outcomes, out)
+            report("methods on graphs", len(outcomes), total)
+    benchmark.draw(folder, out, chosen)
+    say(f"{len(outcomes)} runs in {out / 'pose-graphs.md'}")
+
+
+@group.command("domains")
+@needs("evaluation")
+def domains(
+    out: Annotated[Path, typer.Option(help="Folder for the report, its pictures and the results.")] = Path(
+        "out/domains"
+    ),
+    only: Annotated[str, typer.Option(help="Domains by name, with commas; all by default.")] = "",
+    share: Annotated[
+        float, typer.Option(min=0.1, max=1.0, help="How much of the winding ways is driven, 0.1 to 1.")
+    ] = 1.0,
+    candidates: Annotated[int, typer.Option(min=0, max=1000, help="First answers that are verified; 0: none.")] = 20,
+) -> None:
+    """Recognition in worlds built differently, with the worst of them; a second run goes on where the first ended.
+
+    Domains of real data are left out unless REVISIT_DATA names their folder.
+    """
+    from revisit.evaluation.domains.catalogue import DOMAINS
+    from revisit.evaluation.domains.evaluation import run_domains
+
+    names = _named("--only", only, [domain.name for domain in DOMAINS])
+    chosen = [domain for domain in DOMAINS if domain.name in names]
+    with progress_bar(quiet=False) as bar:
+        files = run_domains(chosen, out, reporter(bar), share=share, candidates=candidates)
+    for domain in chosen:
+        if domain.missing:
+            say(f"{domain.name} was left out: {domain.missing}")
+    say(f"{files[0]} and {files[1]}")
+
+
 def _measure(update: bool, as_json: bool) -> None:
     """Measure, show, and exit with status 1 where a metric became worse than the baseline allows."""
     from revisit.evaluation import benchmark

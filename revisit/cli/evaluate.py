@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from revisit.evaluation.perturbations import Perturbation
     from revisit.evaluation.recording_evaluation import EvaluationOptions
 
+PROFILES = ("product", "paper")
 ABLATIONS = ("none", "no-implicit", "bev-only", "normals-only")
 
 
@@ -37,6 +38,7 @@ def evaluate(
     keep_beams: Annotated[int | None, typer.Option(help="Keep so many of 64 beams.")] = None,
     keep_points: Annotated[float, typer.Option(help="Keep this share of the points.")] = 1.0,
     ablation: Annotated[str, typer.Option(help="none, no-implicit, bev-only or normals-only.")] = "none",
+    profile: Annotated[str, typer.Option(help="product, or paper: the method as it is written.")] = "product",
     scene_scale: Annotated[
         float | None, typer.Option(min=0.01, max=10.0, help="Size of the scene compared with a street; else estimated.")
     ] = None,
@@ -48,10 +50,12 @@ def evaluate(
     lengths = {"tau": tau, "stride": stride, "min_index_gap": min_index_gap, "positive_radius": positive_radius}
     options = EvaluationOptions(
         perturbation=_perturbation(keep_beams, keep_points, rotate_seed),
-        ablation=ablation, scene_scale=scene_scale, **given(**lengths, jobs=jobs),
+        ablation=ablation, profile=profile, scene_scale=scene_scale, **given(**lengths, jobs=jobs),
     )  # fmt: skip
     if options.ablation not in ABLATIONS:
         raise refuse("--ablation is none, no-implicit, bev-only or normals-only")
+    if options.profile not in PROFILES:
+        raise refuse("--profile is product or paper")
     recording = opened(folder, file_format, topic, odometry, mounting)
     warn(recording)
     _evaluate(recording, options, json)

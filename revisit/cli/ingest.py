@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from revisit.cli.extras import needs
-from revisit.cli.inspect import warn
+from revisit.cli.inspect import warn, warn_of_findings
 from revisit.cli.options import GRPC, Grpc, Json, MapName
 from revisit.cli.output import emit_json, emit_table, progress_bar, refuse
 from revisit.cli.recordings import Format, Mounting, Odometry, Topic, opened
@@ -50,6 +51,7 @@ class Ingested:
     failed: int
     loop_closures: int
     seconds: float
+    findings: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,7 @@ def ingest(
     json: Json = False,
 ) -> None:
     """Stream a recording; run it again to resume."""
+    _silence_the_sdk()
     recording = opened(folder, file_format, topic, odometry, mounting)
     warn(recording)
     target = Target(grpc, map_id, session_id or recording.name, scene_scale)
@@ -100,6 +103,13 @@ def ingest(
     except KeyboardInterrupt as error:
         typer.echo("revisit: interrupted; the same command goes on where this one ended", err=True)
         raise typer.Exit(130) from error
+
+
+def _silence_the_sdk() -> None:
+    """`warn` says the same, and more, about the whole recording."""
+    from revisit.sdk.input_watch import SuspiciousInput
+
+    warnings.simplefilter("ignore", SuspiciousInput)
 
 
 def _transfer(recording: Recording, target: Target, extent: Extent, as_json: bool) -> None:
@@ -117,6 +127,7 @@ def _transfer(recording: Recording, target: Target, extent: Extent, as_json: boo
             sent = Sent(0, 0)
         submaps = _described(client, session, as_json) if extent.wait else client.list_submaps(session)
         found = client.loop_closures(f"maps/{target.map_id}", state="ACCEPTED", session=session)
+        session = client.get_session(session.name)
     seconds = time.monotonic() - started
     states = [submap.state for submap in submaps]
     described, failed = states.count("DESCRIBED"), states.count("FAILED")
@@ -130,11 +141,13 @@ def _transfer(recording: Recording, target: Target, extent: Extent, as_json: boo
         failed,
         len(found),
         seconds,
+        tuple(finding.code for finding in session.findings),
     )
     if as_json:
         emit_json(asdict(done))
     else:
         emit_table("Ingested", ("what", "value"), asdict(done).items())
+        warn_of_findings(session)
 
 
 def _open_session(client: Client, target: Target) -> Session:

@@ -2,32 +2,73 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from revisit.cli.extras import needs
-from revisit.cli.options import Json
-from revisit.cli.output import emit_json, emit_table, say
+from revisit.cli.options import HTTP, Http, Json
+from revisit.cli.output import emit_json, emit_table, refuse, say
 from revisit.cli.recordings import Format, Mounting, Odometry, Topic, opened
 
 if TYPE_CHECKING:
     from revisit.evaluation.datasets import Recording
+    from revisit.sdk.resources import Session
+
+_SESSION = re.compile(r"maps/[^/]+/sessions/[^/]+")
 
 
-@needs("evaluation")
 def inspect(
-    folder: Annotated[Path, typer.Argument(exists=True, help="The recording: a folder or a bag.")],
+    recording: Annotated[str, typer.Argument(help="A folder or a bag, or a stored maps/{map}/sessions/{session}.")],
     file_format: Format = "auto",
     topic: Topic = None,
     odometry: Odometry = None,
     mounting: Mounting = None,
     picture: Annotated[Path | None, typer.Option(help="Draw the path and one scan to this PNG or SVG file.")] = None,
+    http: Http = HTTP,
     json: Json = False,
 ) -> None:
-    """Check units, gravity, handedness, poses and times of a recording; exits with 2 where something is suspicious."""
+    """Check units, gravity, handedness, poses and times of a recording; exits with 2 where something is suspicious.
+
+    Of a stored session it tells what the workers have found in its submaps.
+    """
+    if _SESSION.fullmatch(recording) and not Path(recording).exists():
+        _inspect_session(recording, http, json)
+    elif Path(recording).exists():
+        _inspect_recording(Path(recording), file_format, topic, odometry, mounting, picture, json)
+    else:
+        raise refuse(f"{recording} is no folder, no bag, and no maps/{{map}}/sessions/{{session}}")
+
+
+def _inspect_session(name: str, http: str, as_json: bool) -> None:
+    from revisit.sdk.client import Client
+
+    with Client(http) as client:
+        session = client.get_session(name)
+    figures = {
+        "state": session.state,
+        "scans": session.committed_seq,
+        "submaps": session.submap_count,
+        "travelled_m": round(session.travelled_m, 2),
+    }
+    findings = [asdict(finding) for finding in session.findings]
+    _report(session.name, figures, findings, as_json)
+
+
+@needs("evaluation")
+def _inspect_recording(
+    folder: Path,
+    file_format: str,
+    topic: str | None,
+    odometry: str | None,
+    mounting: str | None,
+    picture: Path | None,
+    as_json: bool,
+) -> None:
     from revisit.evaluation.inspection import inspect_recording
 
     recording = opened(folder, file_format, topic, odometry, mounting)
@@ -36,11 +77,15 @@ def inspect(
         from revisit.evaluation.report.inspection_picture import draw_inspection
 
         draw_inspection(recording, inspection, picture)
-    findings = [asdict(finding) for finding in inspection.findings]
-    if json:
-        emit_json({"recording": recording.name, "figures": inspection.figures, "findings": findings})
+    _report(recording.name, inspection.figures, [asdict(finding) for finding in inspection.findings], as_json)
+
+
+def _report(name: str, figures: Mapping[str, Any], findings: list[dict[str, Any]], as_json: bool) -> None:
+    """Print both; exits with 2 where there are findings."""
+    if as_json:
+        emit_json({"recording": name, "figures": figures, "findings": findings})
     else:
-        emit_table(recording.name, ("figure", "value"), inspection.figures.items())
+        emit_table(name, ("figure", "value"), figures.items())
         if findings:
             emit_table("Findings", tuple(findings[0]), [tuple(finding.values()) for finding in findings])
         else:
@@ -56,3 +101,10 @@ def warn(recording: Recording) -> None:
     for finding in inspect_recording(recording).findings:
         told = f"{finding.measured}. Likely cause: {finding.cause}. {finding.advice[:1].upper()}{finding.advice[1:]}."
         typer.echo(f"{recording.name}: warning: {finding.code}: {told}", err=True)
+
+
+def warn_of_findings(session: Session) -> None:
+    """Say on stderr what the workers have found in a session."""
+    for finding in session.findings:
+        told = f"in {finding.submaps} submaps. Likely cause: {finding.cause}"
+        typer.echo(f"{session.name}: warning: {finding.code}: {told}. To do: {finding.advice}.", err=True)

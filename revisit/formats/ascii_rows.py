@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from revisit.core.errors import MalformedBody
 
-CHUNK_BYTES = 2**20
+CHUNK_BYTES = 2**17
+"""Of one look at the text, during which no other thread of Python runs: about 2 ms."""
 MAX_TOKEN_BYTES = 64
 
 # Stricter than strtod and float(): no underscores, no hexadecimal, no digits of other scripts, no NaN payloads.
@@ -66,7 +67,7 @@ def count_rows(body: bytes) -> int:
 
 
 def number_lines(body: bytes) -> Iterator[NumberLines]:
-    """All lines of `body`, about a megabyte at a time. Raises MalformedBody for anything but decimal numbers."""
+    """All lines of `body`, 128 kB at a time. Raises MalformedBody for anything but decimal numbers."""
     body = body.rstrip()
     start = 0
     while start < len(body):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -14,32 +14,52 @@ from google.protobuf.json_format import ParseDict
 
 from revisit.core.errors import RevisitError
 from revisit.sdk.clouds import PointsLike, encoded
+from revisit.sdk.corrections import CorrectionWatch
 from revisit.sdk.credentials import Credentials
 from revisit.sdk.errors import ErrorDetails, InvalidArgument, OperationFailed
+from revisit.sdk.input_watch import InputWatch, warn_of_session
 from revisit.sdk.messages import cloud_message, request_of, vector
 from revisit.sdk.resources import (
+    Correction,
     Json,
     Localization,
     LoopClosure,
+    LoopClosureEvent,
     LoopPolicy,
     Map,
+    MapVersion,
     Operation,
     Robot,
     SearchHit,
     Session,
     Status,
     Submap,
+    SubmapPose,
+    Webhook,
+    WebhookDelivery,
     pose_json,
 )
 from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.spool import DEFAULT_MAX_BYTES, Spool
 from revisit.sdk.spooled_stream import RECONNECT, SpooledStream
 from revisit.sdk.transport import ScanSink, Transport
-from revisit.v1 import loop_closure_pb2, map_pb2, operation_pb2, robot_pb2, session_pb2, submap_pb2
+from revisit.sdk.watching import Watch
+from revisit.v1 import (
+    event_pb2,
+    loop_closure_pb2,
+    map_pb2,
+    mapping_pb2,
+    operation_pb2,
+    robot_pb2,
+    session_pb2,
+    submap_pb2,
+    webhook_pb2,
+)
 
 DEFAULT_HTTP = "http://127.0.0.1:8080"
 DEFAULT_GRPC = "127.0.0.1:8090"
 MAX_WAIT_S = 60.0
+MAX_PAGE = 500
 
 
 class Client:
@@ -121,8 +141,8 @@ class Client:
         """All maps, oldest first."""
         return [Map.of(item) for item in self._transport.list("maps", map_pb2.ListMapsRequest())]
 
-    def delete(self, resource: str | Map | Session | Submap) -> None:
-        """Delete a map, a session or a submap, with everything in it."""
+    def delete(self, resource: str | Map | Session | Submap | Webhook) -> None:
+        """Delete a map, a session or a submap, with everything in it; or a webhook."""
         self._transport.delete(_name(resource))
 
     def create_robot(self, robot_id: str, *, display_name: str = "") -> Robot:
@@ -154,8 +174,13 @@ class Client:
         return [Session.of(item) for item in self._transport.list("sessions", request)]
 
     def finish_session(self, session: str | Session) -> Session:
-        """Finish a session; the scans of its last, shorter window become a submap."""
-        return Session.of(self._transport.finish_session(_name(session)))
+        """Finish a session; the scans of its last, shorter window become a submap.
+
+        Warns of what the service has found in it so far (`SuspiciousInput`, `Session.findings`).
+        """
+        finished = Session.of(self._transport.finish_session(_name(session)))
+        warn_of_session(finished.findings)
+        return finished
 
     def post_submap(
         self, session: str | Session, submap_id: str, points: PointsLike, T_odom_submap: Any, stamp_ns: int
@@ -193,14 +218,19 @@ class Client:
         *,
         max_bytes: int = DEFAULT_MAX_BYTES,
         full_wait_s: float = 0.0,
+        prepare: Callable[[], None] | None = None,
     ) -> Iterator[SpooledStream]:
         """A stream by way of the file `spool` on this machine's disk; needs no connection to be opened.
 
         `send` returns once the scan is on that disk; a full spool refuses it after `full_wait_s` with
         `SpoolFull`. On leaving, what was not acknowledged stays in the file, for the next stream on it.
+
+        `prepare` is called in the sending thread before the first connection, again after a retryable error: a robot
+        that starts without a link creates its session there.
         """
         name = _name(session)
-        stream = SpooledStream(self._transport, name, Spool(Path(spool), name, max_bytes), full_wait_s, RECONNECT)
+        opened = Spool(Path(spool), name, max_bytes)
+        stream = SpooledStream(self._transport, name, opened, full_wait_s, RECONNECT, prepare)
         try:
             yield stream
         finally:
@@ -236,8 +266,9 @@ class Client:
         `T_level_query` (4, 4): the pose of `points` in a frame whose z points up; its rotation turns them upright.
 
         `criteria`: min_similarity, exclude_session, only_session (a session, its name or id), min_index_gap,
-        prior_position_m with radius_m. `min_seq` (of an operation, a submap or a stream): the answer sees every submap
-        up to it, or `DeadlineExceeded` is raised after `min_seq_timeout_s` (10 by default).
+        prior_position_m with radius_m (in the frame of only_session). `min_seq` (of an operation, a submap or a
+        stream): the answer sees every submap up to it, or `DeadlineExceeded` is raised after `min_seq_timeout_s` (10 by
+        default).
         """
         for field in ("exclude_session", "only_session"):
             if criteria.get(field) is not None:
@@ -264,14 +295,16 @@ class Client:
         radius_m: float | None = None,
         candidates: int = 10,
         exclude_session: str | Session | None = None,
+        only_session: str | Session | None = None,
         T_level_query: Any = None,
         **freshness: Any,
     ) -> Localization:
         """Where in the map a cloud was taken; `best` is None where the place is unknown.
 
         `T_level_query` (4, 4) is the cloud's pose in a frame whose z points up (from odometry or an IMU); its rotation
-        turns the cloud upright. Without it, z of the cloud itself must point up. `exclude_session` (a session, its name
-        or id): a robot that asks with a place it has just posted finds its own submap else.
+        turns the cloud upright. Without it the cloud's own surfaces tell the vertical, within 40 degrees of its z, or z
+        does. `exclude_session` (a session, its name or id): a robot that asks with a place it has just posted finds its
+        own submap else. `prior_position_m` is in the odometry frame of `only_session`, the only one that is searched.
         `freshness`: min_seq with min_seq_timeout_s, as in `search`.
         """
         fields = {
@@ -280,6 +313,7 @@ class Client:
             "radius_m": radius_m,
             "candidates": candidates,
             "exclude_session": None if exclude_session is None else _session_name(map_, exclude_session),
+            "only_session": None if only_session is None else _session_name(map_, only_session),
         }
         request = request_of(loop_closure_pb2.LocalizeRequest, {**fields, **freshness})
         request.cloud.CopyFrom(cloud_message(encoded(points)))
@@ -287,23 +321,140 @@ class Client:
         return Localization.of(self._transport.localize(request))
 
     def loop_closures(
-        self, map_: str | Map, *, state: str | None = None, session: str | Session | None = None, **freshness: Any
+        self,
+        map_: str | Map,
+        *,
+        state: str | None = None,
+        session: str | Session | None = None,
+        reason: str | None = None,
+        **freshness: Any,
     ) -> list[LoopClosure]:
         """The loop closures of a map, oldest first; `state` ACCEPTED, REJECTED or ALL.
 
         `session` (a session, its name or id) keeps those whose query submap is of it; NotFound where there is none.
+        `reason` keeps those that were rejected for it, e.g. AMBIGUOUS.
 
         `freshness`: min_seq with min_seq_timeout_s, as in `search`.
         """
         of_session = None if session is None else _session_name(map_, session)
         state = None if state == "ALL" else state
-        fields = {"parent": _name(map_), "state": state, "session": of_session, **freshness}
+        fields = {"parent": _name(map_), "state": state, "session": of_session, "reason": reason, **freshness}
         request = request_of(loop_closure_pb2.ListLoopClosuresRequest, fields)
         return [LoopClosure.of(item) for item in self._transport.list("loopClosures", request)]
 
     def get_loop_closure(self, name: str) -> LoopClosure:
         """Get `maps/{map}/loopClosures/{loop_closure}` with its evidence."""
         return LoopClosure.of(self._transport.get(name))
+
+    def create_webhook(
+        self, webhook_id: str, url: str, *, map_: str | Map | None = None, kinds: Sequence[str] = ()
+    ) -> Webhook:
+        """Send the events from now on to a URL (https), those of one map where given; `kinds` as in `watch`.
+
+        The answer holds the `secret` that signs them, this once: `revisit.sdk.webhooks.verified` checks with it.
+        """
+        of_map = "" if map_ is None else _name(map_)
+        fields = {"webhook_id": webhook_id, "url": url, "map": of_map, "kinds": list(kinds)}
+        created = self._transport.create_webhook(request_of(webhook_pb2.CreateWebhookRequest, fields))
+        return Webhook.of(created.webhook, created.secret)
+
+    def get_webhook(self, name: str) -> Webhook:
+        """Get `webhooks/{webhook}`."""
+        return Webhook.of(self._transport.get(name))
+
+    def list_webhooks(self) -> list[Webhook]:
+        """All webhooks, oldest first."""
+        return [Webhook.of(item) for item in self._transport.list("webhooks", webhook_pb2.ListWebhooksRequest())]
+
+    def resume_webhook(self, webhook: str | Webhook) -> Webhook:
+        """Try again at once, also where it was suspended."""
+        return Webhook.of(self._transport.resume_webhook(_name(webhook)))
+
+    def webhook_deliveries(self, webhook: str | Webhook) -> list[WebhookDelivery]:
+        """The last attempts to deliver, oldest first."""
+        return [WebhookDelivery.of(item) for item in self._transport.webhook_deliveries(_name(webhook))]
+
+    def create_loop_closure(
+        self, query: str | Submap, match: str | Submap, *, T_match_query: Any = None, note: str = ""
+    ) -> Operation:
+        """Store a loop closure that a person has found: the operation that verifies it, whose subject is the loop.
+
+        `T_match_query` (4, 4) is roughly how the two lie to each other: where registration starts.
+        """
+        fields = {
+            "parent": "/".join(_name(query).split("/")[:2]),
+            "query": _name(query),
+            "match": _name(match),
+            "t_match_query": None if T_match_query is None else _pose(T_match_query, "T_match_query"),
+            "note": note,
+        }
+        request = request_of(loop_closure_pb2.CreateLoopClosureRequest, fields)
+        return Operation.of(self._transport.propose_loop(request).operation)
+
+    def accept_loop_closure(self, loop: str | LoopClosure, *, note: str = "") -> LoopClosure:
+        """Accept a loop closure whatever its verdict was; `note` says why."""
+        return LoopClosure.of(self._transport.decide_loop("accept", _name(loop), note))
+
+    def reject_loop_closure(self, loop: str | LoopClosure, *, note: str = "") -> LoopClosure:
+        """Reject a loop closure, so that the map does not rest on it; `note` says why."""
+        return LoopClosure.of(self._transport.decide_loop("reject", _name(loop), note))
+
+    def revert_loop_closure(self, loop: str | LoopClosure, *, note: str = "") -> LoopClosure:
+        """Take back the last decision of a person on a loop closure."""
+        return LoopClosure.of(self._transport.decide_loop("revert", _name(loop), note))
+
+    def loop_closure_events(self, loop: str | LoopClosure) -> list[LoopClosureEvent]:
+        """What happened to a loop closure, oldest first."""
+        request = loop_closure_pb2.ListLoopClosureEventsRequest(parent=_name(loop))
+        return [LoopClosureEvent.of(item) for item in self._transport.list("events", request)]
+
+    def watch(self, map_: str | Map, *, after: int | None = None, kinds: Sequence[str] = ()) -> Watch:
+        """The events of a map as they happen, in a loop: `for event in client.watch("maps/yard"): ...`.
+
+        `after` is the number of the last event that was seen, 0 for all that are kept; without it, from now on.
+        `kinds` keeps LOOP_CLOSURE, OPERATION or MAP_VERSION. It bridges lost connections; leave the loop to end it.
+        """
+        fields = {"parent": _name(map_), "after": after, "kinds": list(kinds)}
+        return Watch(self._transport, request_of(event_pb2.WatchEventsRequest, fields))
+
+    def optimise_map(self, map_: str | Map) -> Operation:
+        """Optimise the pose graph of a map: the operation whose end is a new version. One that waits is answered."""
+        return Operation.of(self._transport.optimise_map(_name(map_)))
+
+    def map_versions(self, map_: str | Map) -> list[MapVersion]:
+        """The versions of a map that are kept, oldest first."""
+        request = mapping_pb2.ListMapVersionsRequest(parent=_name(map_))
+        return [MapVersion.of(item) for item in self._transport.list("versions", request)]
+
+    def get_map_version(self, name: str) -> MapVersion:
+        """Get `maps/{map}/versions/{version}`."""
+        return MapVersion.of(self._transport.get(name))
+
+    def submap_poses(self, version: str | MapVersion) -> list[SubmapPose]:
+        """The poses of the submaps in a version of a map, by session and in the order of their drive."""
+        request = mapping_pb2.ListSubmapPosesRequest(parent=_name(version), page_size=MAX_PAGE)
+        return [SubmapPose.of(item) for item in self._transport.list("poses", request)]
+
+    def revert_map(self, map_: str | Map, version: int) -> MapVersion:
+        """Bring back the poses of an earlier version, bit for bit, as a new version."""
+        return MapVersion.of(self._transport.revert_map(_name(map_), version))
+
+    def correction(self, session: str | Session) -> Correction:
+        """Where the odometry frame of a session lies in the map.
+
+        Raises FailedPrecondition (NOT_READY) where no version of the map has the session yet.
+        """
+        return Correction.of(self._transport.correction(_name(session)))
+
+    def watch_corrections(
+        self, map_: str | Map, *, session: str | Session | None = None, after: int = 0
+    ) -> CorrectionWatch:
+        """The corrections by versions above `after`, also those to come: iterate over it, or give it a callback.
+
+        `session` (a session, its name or id) keeps those of one.
+        """
+        of_session = "" if session is None else _session_name(map_, session)
+        return CorrectionWatch(self._transport, _name(map_), of_session, after)
 
     def get_operation(self, name: str) -> Operation:
         """Get `operations/{operation}`."""
@@ -354,6 +505,7 @@ class ScanStream:
 
     def __init__(self, sink: ScanSink) -> None:
         self._sink = sink
+        self._watch = InputWatch()
 
     @property
     def committed_seq(self) -> int:
@@ -376,7 +528,8 @@ class ScanStream:
         return self._sink.rejected
 
     def send(self, points: PointsLike, T_odom_sensor: Any, stamp_ns: int) -> None:
-        """Send the next scan; waits while the service has enough to do."""
+        """Send the next scan; waits while the service has enough to do. Warns of `SuspiciousInput`."""
+        self._watch.look(points, T_odom_sensor, stamp_ns)
         self._sink.send(encoded(points), _pose(T_odom_sensor, "T_odom_sensor"), stamp_ns)
 
     def flush(self) -> None:

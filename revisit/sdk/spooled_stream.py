@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from typing import Any
 
 from revisit.core.errors import RevisitError
 from revisit.sdk.clouds import PointsLike, encoded
 from revisit.sdk.errors import ApiError
+from revisit.sdk.input_watch import InputWatch
 from revisit.sdk.resources import pose_json
 from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.spool import DeadLetter, Spool, SpoolState
@@ -29,12 +31,19 @@ class SpooledStream:
     """
 
     def __init__(
-        self, transport: Transport, session: str, spool: Spool, full_wait_s: float, reconnect: RetryPolicy
+        self,
+        transport: Transport,
+        session: str,
+        spool: Spool,
+        full_wait_s: float,
+        reconnect: RetryPolicy,
+        prepare: Callable[[], None] | None = None,
     ) -> None:
-        """A full spool refuses a scan after `full_wait_s`."""
+        """A full spool refuses a scan after `full_wait_s`; for `prepare` see `SpoolSender`."""
         self._spool = spool
         self._full_wait_s = full_wait_s
-        self._sender = SpoolSender(transport, session, spool, reconnect)
+        self._watch = InputWatch()
+        self._sender = SpoolSender(transport, session, spool, reconnect, prepare)
 
     @property
     def state(self) -> SpoolState:
@@ -67,7 +76,11 @@ class SpooledStream:
         return self._sender.submaps
 
     def send(self, points: PointsLike, T_odom_sensor: Any, stamp_ns: int) -> None:
-        """Store the next scan on the robot. Raises core.errors.BadTransform, SpoolFull, SpoolUnusable."""
+        """Store the next scan on the robot. Raises core.errors.BadTransform, SpoolFull, SpoolUnusable.
+
+        Warns of `SuspiciousInput`.
+        """
+        self._watch.look(points, T_odom_sensor, stamp_ns)
         self._spool.append(encoded(points), pose_json(T_odom_sensor), stamp_ns, self._full_wait_s)
 
     def flush(self, timeout_s: float = float("inf")) -> None:
@@ -83,8 +96,16 @@ class SpooledStream:
 class SpoolSender:
     """The thread that empties a spool into a session: connects, sends, connects again."""
 
-    def __init__(self, transport: Transport, session: str, spool: Spool, reconnect: RetryPolicy) -> None:
-        """Begins at once."""
+    def __init__(
+        self,
+        transport: Transport,
+        session: str,
+        spool: Spool,
+        reconnect: RetryPolicy,
+        prepare: Callable[[], None] | None = None,
+    ) -> None:
+        """Begins at once. `prepare` makes what the stream needs, before the first connection; it may raise ApiError."""
+        self._prepare = prepare
         self._transport = transport
         self._session = session
         self._spool = spool
@@ -125,6 +146,7 @@ class SpoolSender:
         failures = 0
         while not self._closing.is_set():
             try:
+                self._prepare_once()
                 self._sink = self._transport.open_stream(self._session, self._spool)
                 failures = 0
                 self._send_all(self._sink)
@@ -139,7 +161,16 @@ class SpoolSender:
                 self.error = error
                 self._leave()
                 return
+            except ValueError:
+                # gRPC's word for a channel that was closed under the call.
+                if not self._closing.is_set():
+                    raise
         self._leave()
+
+    def _prepare_once(self) -> None:
+        if self._prepare is not None:
+            self._prepare()
+            self._prepare = None
 
     def _send_all(self, sink: ScanSink) -> None:
         """One connection: everything that waits, from the first scan on, then each new one. Raises ApiError."""

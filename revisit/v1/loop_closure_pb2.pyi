@@ -1,6 +1,7 @@
 from google.protobuf import struct_pb2 as _struct_pb2
 from revisit.v1 import cloud_pb2 as _cloud_pb2
 from revisit.v1 import geometry_pb2 as _geometry_pb2
+from revisit.v1 import operation_pb2 as _operation_pb2
 from google.protobuf.internal import containers as _containers
 from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
 from google.protobuf import descriptor as _descriptor
@@ -11,15 +12,27 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class LoopClosure(_message.Message):
-    __slots__ = ("name", "number", "query", "match", "state", "reason", "similarity", "score", "t_match_query", "evidence", "created_at_ns")
+    __slots__ = ("name", "number", "query", "match", "state", "reason", "similarity", "score", "t_match_query", "evidence", "created_at_ns", "graph_state", "t_map_query", "t_map_match", "frame", "map_version", "manual")
     class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STATE_UNSPECIFIED: _ClassVar[LoopClosure.State]
         ACCEPTED: _ClassVar[LoopClosure.State]
         REJECTED: _ClassVar[LoopClosure.State]
+        PROPOSED: _ClassVar[LoopClosure.State]
     STATE_UNSPECIFIED: LoopClosure.State
     ACCEPTED: LoopClosure.State
     REJECTED: LoopClosure.State
+    PROPOSED: LoopClosure.State
+    class GraphState(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        GRAPH_STATE_UNSPECIFIED: _ClassVar[LoopClosure.GraphState]
+        IN_MAP: _ClassVar[LoopClosure.GraphState]
+        SET_ASIDE: _ClassVar[LoopClosure.GraphState]
+        UNCONNECTED: _ClassVar[LoopClosure.GraphState]
+    GRAPH_STATE_UNSPECIFIED: LoopClosure.GraphState
+    IN_MAP: LoopClosure.GraphState
+    SET_ASIDE: LoopClosure.GraphState
+    UNCONNECTED: LoopClosure.GraphState
     NAME_FIELD_NUMBER: _ClassVar[int]
     NUMBER_FIELD_NUMBER: _ClassVar[int]
     QUERY_FIELD_NUMBER: _ClassVar[int]
@@ -31,6 +44,12 @@ class LoopClosure(_message.Message):
     T_MATCH_QUERY_FIELD_NUMBER: _ClassVar[int]
     EVIDENCE_FIELD_NUMBER: _ClassVar[int]
     CREATED_AT_NS_FIELD_NUMBER: _ClassVar[int]
+    GRAPH_STATE_FIELD_NUMBER: _ClassVar[int]
+    T_MAP_QUERY_FIELD_NUMBER: _ClassVar[int]
+    T_MAP_MATCH_FIELD_NUMBER: _ClassVar[int]
+    FRAME_FIELD_NUMBER: _ClassVar[int]
+    MAP_VERSION_FIELD_NUMBER: _ClassVar[int]
+    MANUAL_FIELD_NUMBER: _ClassVar[int]
     name: str
     number: int
     query: str
@@ -42,7 +61,13 @@ class LoopClosure(_message.Message):
     t_match_query: _geometry_pb2.Transform
     evidence: _struct_pb2.Struct
     created_at_ns: int
-    def __init__(self, name: _Optional[str] = ..., number: _Optional[int] = ..., query: _Optional[str] = ..., match: _Optional[str] = ..., state: _Optional[_Union[LoopClosure.State, str]] = ..., reason: _Optional[str] = ..., similarity: _Optional[float] = ..., score: _Optional[float] = ..., t_match_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., evidence: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ..., created_at_ns: _Optional[int] = ...) -> None: ...
+    graph_state: LoopClosure.GraphState
+    t_map_query: _geometry_pb2.Transform
+    t_map_match: _geometry_pb2.Transform
+    frame: str
+    map_version: int
+    manual: bool
+    def __init__(self, name: _Optional[str] = ..., number: _Optional[int] = ..., query: _Optional[str] = ..., match: _Optional[str] = ..., state: _Optional[_Union[LoopClosure.State, str]] = ..., reason: _Optional[str] = ..., similarity: _Optional[float] = ..., score: _Optional[float] = ..., t_match_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., evidence: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ..., created_at_ns: _Optional[int] = ..., graph_state: _Optional[_Union[LoopClosure.GraphState, str]] = ..., t_map_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., t_map_match: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., frame: _Optional[str] = ..., map_version: _Optional[int] = ..., manual: _Optional[bool] = ...) -> None: ...
 
 class Descriptor(_message.Message):
     __slots__ = ("vector", "model_version")
@@ -85,14 +110,20 @@ class SearchSubmapsRequest(_message.Message):
     def __init__(self, parent: _Optional[str] = ..., submap: _Optional[str] = ..., descriptor: _Optional[_Union[Descriptor, _Mapping]] = ..., cloud: _Optional[_Union[_cloud_pb2.Cloud, _Mapping]] = ..., k: _Optional[int] = ..., min_similarity: _Optional[float] = ..., exclude_session: _Optional[str] = ..., only_session: _Optional[str] = ..., min_index_gap: _Optional[int] = ..., prior_position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., radius_m: _Optional[float] = ..., min_seq: _Optional[int] = ..., min_seq_timeout_s: _Optional[float] = ..., t_level_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ...) -> None: ...
 
 class SearchHit(_message.Message):
-    __slots__ = ("submap", "similarity", "position_m")
+    __slots__ = ("submap", "similarity", "position_m", "t_map_submap", "frame", "map_version")
     SUBMAP_FIELD_NUMBER: _ClassVar[int]
     SIMILARITY_FIELD_NUMBER: _ClassVar[int]
     POSITION_M_FIELD_NUMBER: _ClassVar[int]
+    T_MAP_SUBMAP_FIELD_NUMBER: _ClassVar[int]
+    FRAME_FIELD_NUMBER: _ClassVar[int]
+    MAP_VERSION_FIELD_NUMBER: _ClassVar[int]
     submap: str
     similarity: float
     position_m: _geometry_pb2.Vector3
-    def __init__(self, submap: _Optional[str] = ..., similarity: _Optional[float] = ..., position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ...) -> None: ...
+    t_map_submap: _geometry_pb2.Transform
+    frame: str
+    map_version: int
+    def __init__(self, submap: _Optional[str] = ..., similarity: _Optional[float] = ..., position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., t_map_submap: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., frame: _Optional[str] = ..., map_version: _Optional[int] = ...) -> None: ...
 
 class SearchSubmapsResponse(_message.Message):
     __slots__ = ("hits", "searched")
@@ -103,7 +134,7 @@ class SearchSubmapsResponse(_message.Message):
     def __init__(self, hits: _Optional[_Iterable[_Union[SearchHit, _Mapping]]] = ..., searched: _Optional[int] = ...) -> None: ...
 
 class LocalizeRequest(_message.Message):
-    __slots__ = ("parent", "cloud", "prior_position_m", "radius_m", "candidates", "min_seq", "min_seq_timeout_s", "exclude_session", "t_level_query")
+    __slots__ = ("parent", "cloud", "prior_position_m", "radius_m", "candidates", "min_seq", "min_seq_timeout_s", "exclude_session", "t_level_query", "only_session")
     PARENT_FIELD_NUMBER: _ClassVar[int]
     CLOUD_FIELD_NUMBER: _ClassVar[int]
     PRIOR_POSITION_M_FIELD_NUMBER: _ClassVar[int]
@@ -113,6 +144,7 @@ class LocalizeRequest(_message.Message):
     MIN_SEQ_TIMEOUT_S_FIELD_NUMBER: _ClassVar[int]
     EXCLUDE_SESSION_FIELD_NUMBER: _ClassVar[int]
     T_LEVEL_QUERY_FIELD_NUMBER: _ClassVar[int]
+    ONLY_SESSION_FIELD_NUMBER: _ClassVar[int]
     parent: str
     cloud: _cloud_pb2.Cloud
     prior_position_m: _geometry_pb2.Vector3
@@ -122,7 +154,8 @@ class LocalizeRequest(_message.Message):
     min_seq_timeout_s: float
     exclude_session: str
     t_level_query: _geometry_pb2.Transform
-    def __init__(self, parent: _Optional[str] = ..., cloud: _Optional[_Union[_cloud_pb2.Cloud, _Mapping]] = ..., prior_position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., radius_m: _Optional[float] = ..., candidates: _Optional[int] = ..., min_seq: _Optional[int] = ..., min_seq_timeout_s: _Optional[float] = ..., exclude_session: _Optional[str] = ..., t_level_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ...) -> None: ...
+    only_session: str
+    def __init__(self, parent: _Optional[str] = ..., cloud: _Optional[_Union[_cloud_pb2.Cloud, _Mapping]] = ..., prior_position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., radius_m: _Optional[float] = ..., candidates: _Optional[int] = ..., min_seq: _Optional[int] = ..., min_seq_timeout_s: _Optional[float] = ..., exclude_session: _Optional[str] = ..., t_level_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., only_session: _Optional[str] = ...) -> None: ...
 
 class LocalizedCandidate(_message.Message):
     __slots__ = ("submap", "accepted", "reason", "similarity", "score", "t_match_query", "evidence")
@@ -143,16 +176,22 @@ class LocalizedCandidate(_message.Message):
     def __init__(self, submap: _Optional[str] = ..., accepted: _Optional[bool] = ..., reason: _Optional[str] = ..., similarity: _Optional[float] = ..., score: _Optional[float] = ..., t_match_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., evidence: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ...) -> None: ...
 
 class LocalizeResponse(_message.Message):
-    __slots__ = ("best", "candidates", "t_odom_query", "session")
+    __slots__ = ("best", "candidates", "t_odom_query", "session", "t_map_query", "frame", "map_version")
     BEST_FIELD_NUMBER: _ClassVar[int]
     CANDIDATES_FIELD_NUMBER: _ClassVar[int]
     T_ODOM_QUERY_FIELD_NUMBER: _ClassVar[int]
     SESSION_FIELD_NUMBER: _ClassVar[int]
+    T_MAP_QUERY_FIELD_NUMBER: _ClassVar[int]
+    FRAME_FIELD_NUMBER: _ClassVar[int]
+    MAP_VERSION_FIELD_NUMBER: _ClassVar[int]
     best: LocalizedCandidate
     candidates: _containers.RepeatedCompositeFieldContainer[LocalizedCandidate]
     t_odom_query: _geometry_pb2.Transform
     session: str
-    def __init__(self, best: _Optional[_Union[LocalizedCandidate, _Mapping]] = ..., candidates: _Optional[_Iterable[_Union[LocalizedCandidate, _Mapping]]] = ..., t_odom_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., session: _Optional[str] = ...) -> None: ...
+    t_map_query: _geometry_pb2.Transform
+    frame: str
+    map_version: int
+    def __init__(self, best: _Optional[_Union[LocalizedCandidate, _Mapping]] = ..., candidates: _Optional[_Iterable[_Union[LocalizedCandidate, _Mapping]]] = ..., t_odom_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., session: _Optional[str] = ..., t_map_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., frame: _Optional[str] = ..., map_version: _Optional[int] = ...) -> None: ...
 
 class GetLoopClosureRequest(_message.Message):
     __slots__ = ("name",)
@@ -167,7 +206,7 @@ class GetLoopClosureResponse(_message.Message):
     def __init__(self, loop_closure: _Optional[_Union[LoopClosure, _Mapping]] = ...) -> None: ...
 
 class ListLoopClosuresRequest(_message.Message):
-    __slots__ = ("parent", "page_size", "page_token", "state", "session", "min_seq", "min_seq_timeout_s")
+    __slots__ = ("parent", "page_size", "page_token", "state", "session", "min_seq", "min_seq_timeout_s", "graph_state", "reason")
     PARENT_FIELD_NUMBER: _ClassVar[int]
     PAGE_SIZE_FIELD_NUMBER: _ClassVar[int]
     PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
@@ -175,6 +214,8 @@ class ListLoopClosuresRequest(_message.Message):
     SESSION_FIELD_NUMBER: _ClassVar[int]
     MIN_SEQ_FIELD_NUMBER: _ClassVar[int]
     MIN_SEQ_TIMEOUT_S_FIELD_NUMBER: _ClassVar[int]
+    GRAPH_STATE_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
     parent: str
     page_size: int
     page_token: str
@@ -182,7 +223,9 @@ class ListLoopClosuresRequest(_message.Message):
     session: str
     min_seq: int
     min_seq_timeout_s: float
-    def __init__(self, parent: _Optional[str] = ..., page_size: _Optional[int] = ..., page_token: _Optional[str] = ..., state: _Optional[_Union[LoopClosure.State, str]] = ..., session: _Optional[str] = ..., min_seq: _Optional[int] = ..., min_seq_timeout_s: _Optional[float] = ...) -> None: ...
+    graph_state: LoopClosure.GraphState
+    reason: str
+    def __init__(self, parent: _Optional[str] = ..., page_size: _Optional[int] = ..., page_token: _Optional[str] = ..., state: _Optional[_Union[LoopClosure.State, str]] = ..., session: _Optional[str] = ..., min_seq: _Optional[int] = ..., min_seq_timeout_s: _Optional[float] = ..., graph_state: _Optional[_Union[LoopClosure.GraphState, str]] = ..., reason: _Optional[str] = ...) -> None: ...
 
 class ListLoopClosuresResponse(_message.Message):
     __slots__ = ("loop_closures", "next_page_token")
@@ -207,3 +250,129 @@ class WatchLoopClosuresResponse(_message.Message):
     LOOP_CLOSURE_FIELD_NUMBER: _ClassVar[int]
     loop_closure: LoopClosure
     def __init__(self, loop_closure: _Optional[_Union[LoopClosure, _Mapping]] = ...) -> None: ...
+
+class LoopClosureEvent(_message.Message):
+    __slots__ = ("number", "kind", "state", "reason", "graph_state", "t_match_query", "actor", "note", "map_version", "details", "at_ns")
+    class Kind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        KIND_UNSPECIFIED: _ClassVar[LoopClosureEvent.Kind]
+        VERIFIED: _ClassVar[LoopClosureEvent.Kind]
+        PROPOSED: _ClassVar[LoopClosureEvent.Kind]
+        ACCEPTED: _ClassVar[LoopClosureEvent.Kind]
+        REJECTED: _ClassVar[LoopClosureEvent.Kind]
+        REVERTED: _ClassVar[LoopClosureEvent.Kind]
+        JUDGED: _ClassVar[LoopClosureEvent.Kind]
+    KIND_UNSPECIFIED: LoopClosureEvent.Kind
+    VERIFIED: LoopClosureEvent.Kind
+    PROPOSED: LoopClosureEvent.Kind
+    ACCEPTED: LoopClosureEvent.Kind
+    REJECTED: LoopClosureEvent.Kind
+    REVERTED: LoopClosureEvent.Kind
+    JUDGED: LoopClosureEvent.Kind
+    NUMBER_FIELD_NUMBER: _ClassVar[int]
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    STATE_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    GRAPH_STATE_FIELD_NUMBER: _ClassVar[int]
+    T_MATCH_QUERY_FIELD_NUMBER: _ClassVar[int]
+    ACTOR_FIELD_NUMBER: _ClassVar[int]
+    NOTE_FIELD_NUMBER: _ClassVar[int]
+    MAP_VERSION_FIELD_NUMBER: _ClassVar[int]
+    DETAILS_FIELD_NUMBER: _ClassVar[int]
+    AT_NS_FIELD_NUMBER: _ClassVar[int]
+    number: int
+    kind: LoopClosureEvent.Kind
+    state: LoopClosure.State
+    reason: str
+    graph_state: LoopClosure.GraphState
+    t_match_query: _geometry_pb2.Transform
+    actor: str
+    note: str
+    map_version: int
+    details: _struct_pb2.Struct
+    at_ns: int
+    def __init__(self, number: _Optional[int] = ..., kind: _Optional[_Union[LoopClosureEvent.Kind, str]] = ..., state: _Optional[_Union[LoopClosure.State, str]] = ..., reason: _Optional[str] = ..., graph_state: _Optional[_Union[LoopClosure.GraphState, str]] = ..., t_match_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., actor: _Optional[str] = ..., note: _Optional[str] = ..., map_version: _Optional[int] = ..., details: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ..., at_ns: _Optional[int] = ...) -> None: ...
+
+class CreateLoopClosureRequest(_message.Message):
+    __slots__ = ("parent", "query", "match", "t_match_query", "note")
+    PARENT_FIELD_NUMBER: _ClassVar[int]
+    QUERY_FIELD_NUMBER: _ClassVar[int]
+    MATCH_FIELD_NUMBER: _ClassVar[int]
+    T_MATCH_QUERY_FIELD_NUMBER: _ClassVar[int]
+    NOTE_FIELD_NUMBER: _ClassVar[int]
+    parent: str
+    query: str
+    match: str
+    t_match_query: _geometry_pb2.Transform
+    note: str
+    def __init__(self, parent: _Optional[str] = ..., query: _Optional[str] = ..., match: _Optional[str] = ..., t_match_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., note: _Optional[str] = ...) -> None: ...
+
+class CreateLoopClosureResponse(_message.Message):
+    __slots__ = ("loop_closure", "operation", "replay")
+    LOOP_CLOSURE_FIELD_NUMBER: _ClassVar[int]
+    OPERATION_FIELD_NUMBER: _ClassVar[int]
+    REPLAY_FIELD_NUMBER: _ClassVar[int]
+    loop_closure: LoopClosure
+    operation: _operation_pb2.Operation
+    replay: bool
+    def __init__(self, loop_closure: _Optional[_Union[LoopClosure, _Mapping]] = ..., operation: _Optional[_Union[_operation_pb2.Operation, _Mapping]] = ..., replay: _Optional[bool] = ...) -> None: ...
+
+class AcceptLoopClosureRequest(_message.Message):
+    __slots__ = ("name", "note")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    NOTE_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    note: str
+    def __init__(self, name: _Optional[str] = ..., note: _Optional[str] = ...) -> None: ...
+
+class AcceptLoopClosureResponse(_message.Message):
+    __slots__ = ("loop_closure",)
+    LOOP_CLOSURE_FIELD_NUMBER: _ClassVar[int]
+    loop_closure: LoopClosure
+    def __init__(self, loop_closure: _Optional[_Union[LoopClosure, _Mapping]] = ...) -> None: ...
+
+class RejectLoopClosureRequest(_message.Message):
+    __slots__ = ("name", "note")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    NOTE_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    note: str
+    def __init__(self, name: _Optional[str] = ..., note: _Optional[str] = ...) -> None: ...
+
+class RejectLoopClosureResponse(_message.Message):
+    __slots__ = ("loop_closure",)
+    LOOP_CLOSURE_FIELD_NUMBER: _ClassVar[int]
+    loop_closure: LoopClosure
+    def __init__(self, loop_closure: _Optional[_Union[LoopClosure, _Mapping]] = ...) -> None: ...
+
+class RevertLoopClosureRequest(_message.Message):
+    __slots__ = ("name", "note")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    NOTE_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    note: str
+    def __init__(self, name: _Optional[str] = ..., note: _Optional[str] = ...) -> None: ...
+
+class RevertLoopClosureResponse(_message.Message):
+    __slots__ = ("loop_closure",)
+    LOOP_CLOSURE_FIELD_NUMBER: _ClassVar[int]
+    loop_closure: LoopClosure
+    def __init__(self, loop_closure: _Optional[_Union[LoopClosure, _Mapping]] = ...) -> None: ...
+
+class ListLoopClosureEventsRequest(_message.Message):
+    __slots__ = ("parent", "page_size", "page_token")
+    PARENT_FIELD_NUMBER: _ClassVar[int]
+    PAGE_SIZE_FIELD_NUMBER: _ClassVar[int]
+    PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
+    parent: str
+    page_size: int
+    page_token: str
+    def __init__(self, parent: _Optional[str] = ..., page_size: _Optional[int] = ..., page_token: _Optional[str] = ...) -> None: ...
+
+class ListLoopClosureEventsResponse(_message.Message):
+    __slots__ = ("loop_closure_events", "next_page_token")
+    LOOP_CLOSURE_EVENTS_FIELD_NUMBER: _ClassVar[int]
+    NEXT_PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
+    loop_closure_events: _containers.RepeatedCompositeFieldContainer[LoopClosureEvent]
+    next_page_token: str
+    def __init__(self, loop_closure_events: _Optional[_Iterable[_Union[LoopClosureEvent, _Mapping]]] = ..., next_page_token: _Optional[str] = ...) -> None: ...

@@ -60,6 +60,31 @@ class LoopClosureServiceStub:
                 request_serializer=revisit_dot_v1_dot_loop__closure__pb2.WatchLoopClosuresRequest.SerializeToString,
                 response_deserializer=revisit_dot_v1_dot_loop__closure__pb2.WatchLoopClosuresResponse.FromString,
                 _registered_method=True)
+        self.CreateLoopClosure = channel.unary_unary(
+                '/revisit.v1.LoopClosureService/CreateLoopClosure',
+                request_serializer=revisit_dot_v1_dot_loop__closure__pb2.CreateLoopClosureRequest.SerializeToString,
+                response_deserializer=revisit_dot_v1_dot_loop__closure__pb2.CreateLoopClosureResponse.FromString,
+                _registered_method=True)
+        self.AcceptLoopClosure = channel.unary_unary(
+                '/revisit.v1.LoopClosureService/AcceptLoopClosure',
+                request_serializer=revisit_dot_v1_dot_loop__closure__pb2.AcceptLoopClosureRequest.SerializeToString,
+                response_deserializer=revisit_dot_v1_dot_loop__closure__pb2.AcceptLoopClosureResponse.FromString,
+                _registered_method=True)
+        self.RejectLoopClosure = channel.unary_unary(
+                '/revisit.v1.LoopClosureService/RejectLoopClosure',
+                request_serializer=revisit_dot_v1_dot_loop__closure__pb2.RejectLoopClosureRequest.SerializeToString,
+                response_deserializer=revisit_dot_v1_dot_loop__closure__pb2.RejectLoopClosureResponse.FromString,
+                _registered_method=True)
+        self.RevertLoopClosure = channel.unary_unary(
+                '/revisit.v1.LoopClosureService/RevertLoopClosure',
+                request_serializer=revisit_dot_v1_dot_loop__closure__pb2.RevertLoopClosureRequest.SerializeToString,
+                response_deserializer=revisit_dot_v1_dot_loop__closure__pb2.RevertLoopClosureResponse.FromString,
+                _registered_method=True)
+        self.ListLoopClosureEvents = channel.unary_unary(
+                '/revisit.v1.LoopClosureService/ListLoopClosureEvents',
+                request_serializer=revisit_dot_v1_dot_loop__closure__pb2.ListLoopClosureEventsRequest.SerializeToString,
+                response_deserializer=revisit_dot_v1_dot_loop__closure__pb2.ListLoopClosureEventsResponse.FromString,
+                _registered_method=True)
 
 
 class LoopClosureServiceServicer:
@@ -101,6 +126,41 @@ class LoopClosureServiceServicer:
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def CreateLoopClosure(self, request, context):
+        """A loop closure that a person has found: a worker registers its two submaps. The same again answers again.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def AcceptLoopClosure(self, request, context):
+        """Accept a loop closure whatever its verdict was, or leave it as it is where it is accepted.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def RejectLoopClosure(self, request, context):
+        """Reject a loop closure, so that the map does not rest on it.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def RevertLoopClosure(self, request, context):
+        """Take back the last decision of a person on a loop closure: it is what it was before.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def ListLoopClosureEvents(self, request, context):
+        """What happened to a loop closure, by whom and why, oldest first.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
 
 def add_LoopClosureServiceServicer_to_server(servicer, server):
     rpc_method_handlers = {
@@ -128,6 +188,31 @@ def add_LoopClosureServiceServicer_to_server(servicer, server):
                     servicer.WatchLoopClosures,
                     request_deserializer=revisit_dot_v1_dot_loop__closure__pb2.WatchLoopClosuresRequest.FromString,
                     response_serializer=revisit_dot_v1_dot_loop__closure__pb2.WatchLoopClosuresResponse.SerializeToString,
+            ),
+            'CreateLoopClosure': grpc.unary_unary_rpc_method_handler(
+                    servicer.CreateLoopClosure,
+                    request_deserializer=revisit_dot_v1_dot_loop__closure__pb2.CreateLoopClosureRequest.FromString,
+                    response_serializer=revisit_dot_v1_dot_loop__closure__pb2.CreateLoopClosureResponse.SerializeToString,
+            ),
+            'AcceptLoopClosure': grpc.unary_unary_rpc_method_handler(
+                    servicer.AcceptLoopClosure,
+                    request_deserializer=revisit_dot_v1_dot_loop__closure__pb2.AcceptLoopClosureRequest.FromString,
+                    response_serializer=revisit_dot_v1_dot_loop__closure__pb2.AcceptLoopClosureResponse.SerializeToString,
+            ),
+            'RejectLoopClosure': grpc.unary_unary_rpc_method_handler(
+                    servicer.RejectLoopClosure,
+                    request_deserializer=revisit_dot_v1_dot_loop__closure__pb2.RejectLoopClosureRequest.FromString,
+                    response_serializer=revisit_dot_v1_dot_loop__closure__pb2.RejectLoopClosureResponse.SerializeToString,
+            ),
+            'RevertLoopClosure': grpc.unary_unary_rpc_method_handler(
+                    servicer.RevertLoopClosure,
+                    request_deserializer=revisit_dot_v1_dot_loop__closure__pb2.RevertLoopClosureRequest.FromString,
+                    response_serializer=revisit_dot_v1_dot_loop__closure__pb2.RevertLoopClosureResponse.SerializeToString,
+            ),
+            'ListLoopClosureEvents': grpc.unary_unary_rpc_method_handler(
+                    servicer.ListLoopClosureEvents,
+                    request_deserializer=revisit_dot_v1_dot_loop__closure__pb2.ListLoopClosureEventsRequest.FromString,
+                    response_serializer=revisit_dot_v1_dot_loop__closure__pb2.ListLoopClosureEventsResponse.SerializeToString,
             ),
     }
     generic_handler = grpc.method_handlers_generic_handler(
@@ -266,6 +351,141 @@ class LoopClosureService:
             '/revisit.v1.LoopClosureService/WatchLoopClosures',
             revisit_dot_v1_dot_loop__closure__pb2.WatchLoopClosuresRequest.SerializeToString,
             revisit_dot_v1_dot_loop__closure__pb2.WatchLoopClosuresResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def CreateLoopClosure(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/revisit.v1.LoopClosureService/CreateLoopClosure',
+            revisit_dot_v1_dot_loop__closure__pb2.CreateLoopClosureRequest.SerializeToString,
+            revisit_dot_v1_dot_loop__closure__pb2.CreateLoopClosureResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def AcceptLoopClosure(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/revisit.v1.LoopClosureService/AcceptLoopClosure',
+            revisit_dot_v1_dot_loop__closure__pb2.AcceptLoopClosureRequest.SerializeToString,
+            revisit_dot_v1_dot_loop__closure__pb2.AcceptLoopClosureResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def RejectLoopClosure(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/revisit.v1.LoopClosureService/RejectLoopClosure',
+            revisit_dot_v1_dot_loop__closure__pb2.RejectLoopClosureRequest.SerializeToString,
+            revisit_dot_v1_dot_loop__closure__pb2.RejectLoopClosureResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def RevertLoopClosure(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/revisit.v1.LoopClosureService/RevertLoopClosure',
+            revisit_dot_v1_dot_loop__closure__pb2.RevertLoopClosureRequest.SerializeToString,
+            revisit_dot_v1_dot_loop__closure__pb2.RevertLoopClosureResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def ListLoopClosureEvents(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/revisit.v1.LoopClosureService/ListLoopClosureEvents',
+            revisit_dot_v1_dot_loop__closure__pb2.ListLoopClosureEventsRequest.SerializeToString,
+            revisit_dot_v1_dot_loop__closure__pb2.ListLoopClosureEventsResponse.FromString,
             options,
             channel_credentials,
             insecure,

@@ -8,7 +8,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class Session(_message.Message):
-    __slots__ = ("name", "robot", "state", "committed_seq", "travelled_m", "submap_count", "created_at_ns", "finished_at_ns", "committed_stamp_ns")
+    __slots__ = ("name", "robot", "state", "committed_seq", "travelled_m", "submap_count", "created_at_ns", "finished_at_ns", "committed_stamp_ns", "findings")
     class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STATE_UNSPECIFIED: _ClassVar[Session.State]
@@ -26,6 +26,7 @@ class Session(_message.Message):
     CREATED_AT_NS_FIELD_NUMBER: _ClassVar[int]
     FINISHED_AT_NS_FIELD_NUMBER: _ClassVar[int]
     COMMITTED_STAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    FINDINGS_FIELD_NUMBER: _ClassVar[int]
     name: str
     robot: str
     state: Session.State
@@ -35,7 +36,20 @@ class Session(_message.Message):
     created_at_ns: int
     finished_at_ns: int
     committed_stamp_ns: int
-    def __init__(self, name: _Optional[str] = ..., robot: _Optional[str] = ..., state: _Optional[_Union[Session.State, str]] = ..., committed_seq: _Optional[int] = ..., travelled_m: _Optional[float] = ..., submap_count: _Optional[int] = ..., created_at_ns: _Optional[int] = ..., finished_at_ns: _Optional[int] = ..., committed_stamp_ns: _Optional[int] = ...) -> None: ...
+    findings: _containers.RepeatedCompositeFieldContainer[Finding]
+    def __init__(self, name: _Optional[str] = ..., robot: _Optional[str] = ..., state: _Optional[_Union[Session.State, str]] = ..., committed_seq: _Optional[int] = ..., travelled_m: _Optional[float] = ..., submap_count: _Optional[int] = ..., created_at_ns: _Optional[int] = ..., finished_at_ns: _Optional[int] = ..., committed_stamp_ns: _Optional[int] = ..., findings: _Optional[_Iterable[_Union[Finding, _Mapping]]] = ...) -> None: ...
+
+class Finding(_message.Message):
+    __slots__ = ("code", "submaps", "cause", "advice")
+    CODE_FIELD_NUMBER: _ClassVar[int]
+    SUBMAPS_FIELD_NUMBER: _ClassVar[int]
+    CAUSE_FIELD_NUMBER: _ClassVar[int]
+    ADVICE_FIELD_NUMBER: _ClassVar[int]
+    code: str
+    submaps: int
+    cause: str
+    advice: str
+    def __init__(self, code: _Optional[str] = ..., submaps: _Optional[int] = ..., cause: _Optional[str] = ..., advice: _Optional[str] = ...) -> None: ...
 
 class CreateSessionRequest(_message.Message):
     __slots__ = ("parent", "session_id", "robot")

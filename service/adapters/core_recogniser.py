@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -12,9 +13,11 @@ import numpy as np
 
 from revisit.core.config import PipelineConfig, VerificationConfig
 from revisit.core.errors import RevisitError
+from revisit.core.geometry.se3 import Matrix4
 from revisit.core.model_bundle import ModelBundle, load_packaged_models
 from revisit.core.pipeline import DescribedPlace, describe, verify
 from revisit.core.place import Place
+from revisit.core.sanity.window import window_findings
 from revisit.core.scan import Scan
 from revisit.core.stages import stage_times
 from revisit.core.submap import Submap
@@ -39,23 +42,29 @@ class CoreRecogniser:
         """See `PlaceRecogniser`."""
         return self._models.version
 
+    def inspect(self, scans: Sequence[Scan]) -> tuple[str, ...]:
+        """See `PlaceRecogniser`."""
+        return tuple(finding.code for finding in window_findings(scans))
+
     def describe(self, submap: Submap, config: PipelineConfig) -> SubmapDescription:
         """See `PlaceRecogniser`."""
         with stage_times() as timings_s:
             described = describe(submap, self._models, config)
         return SubmapDescription(
             descriptor=described.descriptor.vector,
-            signature=described.place.to_blob(),
+            place=described.place.to_blob(),
             neural_map=described.neural_map.to_blob(),
             mesh=_mesh(described),
             flags=described.flags,
             timings_s=timings_s,
         )
 
-    def verify(self, query: bytes, match: bytes, similarity: float, config: PipelineConfig) -> LoopVerdict:
+    def verify(
+        self, query: bytes, match: bytes, similarity: float, config: PipelineConfig, near: Matrix4 | None = None
+    ) -> LoopVerdict:
         """See `PlaceRecogniser`."""
         places = Place.from_blob(query), Place.from_blob(match)
-        verdict = verify(*places, similarity, config.verification)
+        verdict = verify(*places, similarity, config.verification, near)
         evidence = _evidence(verdict, config)
         if isinstance(verdict, VerifiedLoop):
             measured = verdict.measurement
@@ -79,8 +88,8 @@ def warm_up(recogniser: CoreRecogniser) -> None:
     config = PipelineConfig()
     # Whether this yard can be described does not matter; a fault that matters will show on a real submap.
     with suppress(RevisitError):
-        signature = recogniser.describe(_made_up_yard(config), config).signature
-        recogniser.verify(signature, signature, 1.0, config)
+        place = recogniser.describe(_made_up_yard(config), config).place
+        recogniser.verify(place, place, 1.0, config)
 
 
 def _made_up_yard(config: PipelineConfig) -> Submap:

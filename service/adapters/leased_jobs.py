@@ -83,9 +83,20 @@ class LeasedJobs:
         done = OperationState.DONE.value
         self._jobs.replace(replace(job, state=done, result=result, failure_message=None, finished_at_ns=finished_at_ns))
 
-    def fail(self, lease: Lease, code: str, message: str, now: Instant, finished_at_ns: int, *, retry: bool) -> bool:
+    def fail(
+        self,
+        lease: Lease,
+        code: str,
+        message: str,
+        now: Instant,
+        finished_at_ns: int,
+        *,
+        retry: bool,
+        innocent: bool = False,
+    ) -> bool:
         """See `JobQueue`."""
-        job = self._held(lease)
+        held = self._held(lease)
+        job = _forgiven(held) if innocent else held
         self._turns.end(job.tenant, _ran_ms(job, now))
         if retry and job.counted_attempts < job.max_attempts:
             self._jobs.replace(_queued_again(job, now))

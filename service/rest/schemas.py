@@ -6,7 +6,7 @@ Answers are no schemas of their own: they are the messages of `proto/revisit/v1`
 from __future__ import annotations
 
 import re
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
@@ -15,6 +15,8 @@ from revisit.service.application.catalogue.robots import CreateRobot
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.limits import Range
 from revisit.service.application.contract.loop_policy import LoopPolicy
+from revisit.service.application.contract.states import EventKind
+from revisit.service.application.push.webhooks import CreateWebhook
 from revisit.service.application.query.freshness import DEFAULT_WAIT_S
 from revisit.service.application.query.search_answers import SearchCriteria
 
@@ -39,6 +41,8 @@ DisplayName = Annotated[str, Field(max_length=limits.DISPLAY_NAME_CHARACTERS, pa
 _DESCRIPTOR_LENGTH: dict[str, Any] = {
     "min_length": int(limits.DESCRIPTOR_LENGTH.least),
     "max_length": int(limits.DESCRIPTOR_LENGTH.most),
+    # The first bad number is reported, not each of thousands.
+    "fail_fast": True,
 }
 Coordinate = Annotated[float, Field(**bounds(limits.PRIOR_COORDINATE_M))]
 
@@ -47,6 +51,9 @@ class Request(BaseModel):
     """What a client sends: nothing unknown, nothing coerced, nothing infinite."""
 
     model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False, frozen=True)
+
+    most_bytes: ClassVar[int] = 16 * 2**10
+    """Of the body: several times what its fields take at most."""
 
 
 class LoopPolicyRequest(Request):
@@ -93,11 +100,53 @@ class CreateRobotRequest(Request):
         return CreateRobot(self.robot_id, self.display_name)
 
 
+class CreateWebhookRequest(Request):
+    """A new webhook; `map_id` names an existing map, whose events it gets alone."""
+
+    webhook_id: Id
+    url: str = Field(max_length=limits.URL_CHARACTERS)
+    map_id: Id | None = None
+    kinds: list[Annotated[EventKind, Field(strict=False)]] = Field(default=[], max_length=len(EventKind))
+
+    def command(self) -> CreateWebhook:
+        """What the use case takes."""
+        return CreateWebhook(self.webhook_id, self.url, self.map_id, tuple(self.kinds))
+
+
 class CreateSessionRequest(Request):
     """A new session; `robot_id` names an existing robot."""
 
     session_id: Id
     robot_id: Id | None = None
+
+
+class RevertMapRequest(Request):
+    """Which version of the map comes back."""
+
+    version: Annotated[int, Field(**bounds(limits.MAP_VERSION))]
+
+
+Note = Annotated[str, Field(max_length=limits.NOTE_CHARACTERS)]
+Name = Annotated[str, Field(max_length=limits.RESOURCE_NAME_CHARACTERS)]
+
+
+class DecisionRequest(Request):
+    """Why somebody decides on a loop closure, in their own words."""
+
+    note: Note = ""
+
+
+class CreateLoopClosureRequest(Request):
+    """A loop closure that a person has found between two described submaps, `query` and `match`, by resource name.
+
+    `T_match_query` as x,y,z,qx,qy,qz,qw (metres, unit quaternion) is roughly how the two lie to each other: where
+    registration starts.
+    """
+
+    query: Name
+    match: Name
+    T_match_query: Annotated[str, Field(max_length=400)] | None = None
+    note: Note = ""
 
 
 class SearchRequest(Request):
@@ -106,6 +155,9 @@ class SearchRequest(Request):
     `min_seq`, the seq of a submap: the answer rests on every submap of the map up to it, or is a 504 (SEQ_NOT_REACHED)
     after `min_seq_timeout_s` seconds. A submap whose description failed is not waited for.
     """
+
+    most_bytes: ClassVar[int] = 128 * 2**10
+    """The longest descriptor takes 100,000 bytes, written with all digits."""
 
     submap: Annotated[str, Field(max_length=limits.RESOURCE_NAME_CHARACTERS)] | None = None
     descriptor: Annotated[list[float], Field(**_DESCRIPTOR_LENGTH)] | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable
 from dataclasses import fields
 from typing import Any
 
@@ -20,16 +21,19 @@ from revisit.service.application.catalogue.sessions import CreateSession
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.identity import SessionKey
 from revisit.service.application.contract.loop_policy import LoopPolicy
-from revisit.service.application.contract.states import LoopState, OperationState
+from revisit.service.application.contract.states import EventKind, GraphState, LoopState, OperationState
 from revisit.service.application.ingest.clouds import EncodedCloud
 from revisit.service.application.ingest.scans import AppendScan
 from revisit.service.application.ingest.submap_posting import PostSubmap
+from revisit.service.application.mapping.loop_decisions import ProposeLoop
+from revisit.service.application.push.webhooks import CreateWebhook
 from revisit.service.application.query.freshness import DEFAULT_WAIT_S, Freshness
 from revisit.service.application.query.search_answers import SearchCriteria
 from revisit.service.application.query.searches import LocalizeQuery
 from revisit.service.wire import names
 from revisit.v1 import (
     cloud_pb2,
+    event_pb2,
     geometry_pb2,
     ingest_pb2,
     loop_closure_pb2,
@@ -37,6 +41,7 @@ from revisit.v1 import (
     operation_pb2,
     session_pb2,
     submap_pb2,
+    webhook_pb2,
 )
 
 DEFAULT_OPERATION_WAIT_S = 30.0
@@ -54,6 +59,22 @@ _DOWNLOADS: dict[int, tuple[DownloadKind, str | None]] = {
 def page(request: Any) -> PageRequest:
     """Of any List request. Raises BadField."""
     return PageRequest(request.page_size or PageRequest().size, request.page_token)
+
+
+def watch(request: event_pb2.WatchEventsRequest) -> tuple[int | None, frozenset[EventKind]]:
+    """Behind which event a watch begins, and what it tells of. Raises BadField for an unknown number of a kind."""
+    return _optional(request, "after"), frozenset(_event_kinds(request.kinds))
+
+
+def create_webhook(request: webhook_pb2.CreateWebhookRequest) -> CreateWebhook:
+    """The new webhook. Raises BadField."""
+    map_id = names.map_id(request.map, "map") if request.map else None
+    return CreateWebhook(request.webhook_id, request.url, map_id, tuple(_event_kinds(request.kinds)))
+
+
+def _event_kinds(kinds: Iterable[int]) -> list[EventKind]:
+    """Raises BadField for an unknown number."""
+    return [EventKind(_enum_name(event_pb2.Event.Kind, kind)) for kind in kinds if kind]
 
 
 def create_map(request: map_pb2.CreateMapRequest) -> CreateMap:
@@ -122,8 +143,19 @@ def localize(request: loop_closure_pb2.LocalizeRequest) -> LocalizeQuery:
         prior_position_m=_position(request),
         radius_m=_optional(request, "radius_m"),
         exclude_session=names.session_id_in(request.parent, request.exclude_session, "exclude_session"),
+        only_session=names.session_id_in(request.parent, request.only_session, "only_session"),
         T_level_query=level_pose(request),
         **given,
+    )
+
+
+def propose_loop(request: loop_closure_pb2.CreateLoopClosureRequest) -> ProposeLoop:
+    """The loop that a person has found. Raises BadField, BadTransform."""
+    return ProposeLoop(
+        query=names.submap_key_in(request.parent, request.query, "query"),
+        match=names.submap_key_in(request.parent, request.match, "match"),
+        T_match_query=_pose(request, "t_match_query") if request.HasField("t_match_query") else None,
+        note=request.note,
     )
 
 
@@ -157,6 +189,11 @@ def operation_state(value: int) -> OperationState | None:
 def loop_state(value: int) -> LoopState | None:
     """The state of a filter, None where unspecified. Raises BadField for an unknown number."""
     return None if value == 0 else LoopState(_enum_name(loop_closure_pb2.LoopClosure.State, value))
+
+
+def graph_state(value: int) -> GraphState | None:
+    """The verdict of the graph in a filter, None where unspecified. Raises BadField for an unknown number."""
+    return None if value == 0 else GraphState(_enum_name(loop_closure_pb2.LoopClosure.GraphState, value))
 
 
 def _optional(message: Any, field: str) -> Any:

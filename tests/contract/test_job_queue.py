@@ -26,8 +26,9 @@ def queue(write):
         def claim(self, ms=0, owner="w1", epoch="boot"):
             return write(lambda uow: uow.queue.claim(owner, at(ms, epoch)))
 
-        def fail(self, lease, ms=0, retry=True):
-            return write(lambda uow: uow.queue.fail(lease, "INTERNAL", "why", at(ms), 7, retry=retry))
+        def fail(self, lease, ms=0, retry=True, innocent=False):
+            how = {"retry": retry, "innocent": innocent}
+            return write(lambda uow: uow.queue.fail(lease, "INTERNAL", "why", at(ms), 7, **how))
 
         def complete(self, lease, ms=0):
             write(lambda uow: uow.queue.complete(lease, {"ok": True}, at(ms), 7))
@@ -227,6 +228,14 @@ def test_a_failed_run_goes_back_after_a_pause_until_the_attempts_are_used_up(que
     assert queue.fail(queue.claim(ms=1_500), ms=1_500) is True
     assert (stored(read).state, stored(read).attempts, stored(read).failure_message) == ("FAILED", 3, "why")
     assert queue.claim(ms=10 * LEASE_MS) is None
+
+
+def test_a_failure_that_the_job_has_no_part_in_does_not_count_up_to_a_bound(queue, read):
+    queue.enqueue("op-1")
+    ms, runs = 0, 1
+    while not queue.fail(queue.claim(ms), ms=ms, innocent=True):
+        ms, runs = ms + 60_000, runs + 1
+    assert (runs, stored(read).attempts, stored(read).forgiven) == (MOST_FORGIVEN + 3, MOST_FORGIVEN + 3, MOST_FORGIVEN)
 
 
 def test_a_failure_that_no_retry_can_mend_is_final_at_once(queue, read):

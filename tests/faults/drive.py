@@ -1,7 +1,8 @@
 """A short drive through every step of the service, in one process over SQLite and files: something to interrupt.
 
 Three sessions are opened, submaps posted (two of one place, one that cannot be described), scans appended, one submap
-and one session deleted, another session finished, and the jobs run. Doing it again after a crash must end where an
+and one session deleted, another session finished, and the jobs run. The map is optimised twice, and its first version
+brought back. Doing it again after a crash must end where an
 undisturbed run does: every step carries the client's own ids.
 """
 
@@ -59,6 +60,10 @@ async def drive(world: World, history: History) -> None:
     await _delete(world.use_cases.sessions.delete(TENANT, SCRAPPED), history, *SCRAPPED_PLACES)
     await world.use_cases.sessions.finish(TENANT, STREAMED)
     world.work_off()
+    for _ in range(2):
+        await world.use_cases.map_versions.optimise(TENANT, POSTED.map_id)
+        world.work_off()
+    await world.use_cases.map_versions.revert(TENANT, POSTED.map_id, 1)
 
 
 def undisturbed(home: Path, log: Path, boot: str = "boot-1") -> None:

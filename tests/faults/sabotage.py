@@ -16,6 +16,7 @@ import sys
 import time
 from collections import defaultdict
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.abc import MetaPathFinder
@@ -30,6 +31,9 @@ SABOTEUR = Path(__file__).with_name("saboteur")
 POWER_CUT = "tests/faults/test_power_cut.py::test_a_power_cut_takes_nothing_that_was_acknowledged[1000]"
 CRASH = "tests/faults/test_crash_points.py::"
 QUEUE = "tests/contract/test_job_queue.py::"
+PLACES = "tests/contract/api/test_api_places.py::"
+LIMITS = "tests/contract/api/test_api_limits.py::"
+QUOTA = "tests/integration/test_cheap_requests_cost_quota.py::"
 DELETION = "tests/contract/api/test_api_session_deletion.py::"
 
 SERVICE = "revisit.service."
@@ -133,6 +137,25 @@ def _never_expires(caller_of_key):
     return lambda record, *shown: caller_of_key(record and replace(record, expires_at_ns=None), *shown)
 
 
+def _no_place(_place):
+    return lambda *_arguments, **_named: nullcontext()
+
+
+def _one_line(init):
+    """All tenants are one."""
+
+    def begun(turns, *arguments, **named):
+        init(turns, *arguments, **named)
+        of = turns.of
+        turns.of = lambda _tenant: of("everybody")
+
+    return begun
+
+
+def _for_every_tenant(keyed_hash):
+    return lambda tokens, purpose, _tenant, data: keyed_hash(tokens, purpose, "everybody", data)
+
+
 @dataclass(frozen=True)
 class Sabotage:
     """A broken promise: what is broken, patches by module:name, the test that must fail, and whether that is quick."""
@@ -161,8 +184,8 @@ SABOTAGES = (
     Sabotage(
         "the client is told before the commit",
         {
-            f"{ADAPTERS}sqlite.group_commit:_attempt": _tell_at_once,
-            f"{ADAPTERS}sqlite.group_commit:_Outcome.tell": _tell_once,
+            f"{ADAPTERS}sqlite.transactions:_attempt": _tell_at_once,
+            f"{ADAPTERS}sqlite.transactions:_Outcome.tell": _tell_once,
         },
         f"{CRASH}test_an_undisturbed_drive_leaves_nothing_to_complain_about",
     ),
@@ -217,7 +240,7 @@ SABOTAGES = (
     ),
     Sabotage(
         "a tenant sees the rows of others",
-        {f"{ADAPTERS}sql.statements:of_tenant": lambda _of_tenant: lambda _tenant, equals: dict(equals)},
+        {f"{ADAPTERS}sql.repositories:of_tenant": lambda _of_tenant: lambda _tenant, equals: dict(equals)},
         "tests/contract/test_transactions.py::test_find_filters_pages_and_keeps_the_tenant",
         quick=True,
     ),
@@ -255,7 +278,7 @@ SABOTAGES = (
     ),
     Sabotage(
         "after a failed sync the service goes on",
-        {f"{ADAPTERS}files.fail_stop:FailStop.require_sound": nothing},
+        {f"{ADAPTERS}files.disk:FailStop.require_sound": nothing},
         "tests/integration/test_failing_disk.py::"
         "test_after_a_failed_sync_nothing_is_written_even_if_the_disk_seems_well_again",
     ),
@@ -291,6 +314,137 @@ SABOTAGES = (
         "processes are forked",
         {"multiprocessing:set_start_method": lambda set_method: lambda _method, force: set_method("fork", force)},
         "tests/unit/service/test_worker.py::test_a_process_of_the_service_starts_others_afresh_and_never_forks_itself",
+    ),
+    Sabotage(
+        "a stranger may watch health as often as it likes",
+        {f"{SERVICE}grpc.places:CallPlaces.of_public": _no_place},
+        f"{PLACES}test_a_stranger_who_watches_health_keeps_nobody_out",
+    ),
+    Sabotage(
+        "a key may watch loop closures as often as it likes",
+        {f"{SERVICE}grpc.places:CallPlaces.of_caller": _no_place},
+        f"{PLACES}test_a_key_that_watches_loop_closures_keeps_no_other_tenant_out",
+    ),
+    Sabotage(
+        "a client that does not read is waited for",
+        {f"{SERVICE}rest.slow_clients:DeadlineProtocol._check_writing": nothing},
+        f"{LIMITS}test_a_client_that_does_not_read_its_answers_is_cut_off",
+    ),
+    Sabotage(
+        "requests may be pipelined without end",
+        {f"{SERVICE}rest.slow_clients:DeadlineProtocol.most_pipelined": lambda _most: 10**6},
+        f"{LIMITS}test_requests_in_a_row_that_wait_for_no_answer_are_bounded",
+    ),
+    Sabotage(
+        "health has no places of its own",
+        {f"{SERVICE}rest.middleware:HEALTH_PATHS": lambda _paths: frozenset()},
+        f"{LIMITS}test_health_is_told_where_every_place_is_taken_and_others_are_told_when_to_come_back",
+    ),
+    Sabotage(
+        "the bytes in flight are not bounded",
+        {f"{USE_CASES}capacity.byte_budget:ByteBudget.has_room": lambda _has_room: lambda *_arguments: True},
+        f"{LIMITS}test_bodies_beyond_what_all_together_may_take_are_refused_until_later",
+    ),
+    Sabotage(
+        "who asks first is served first, whoever it is",
+        {f"{USE_CASES}capacity.turns:Turns.__init__": _one_line},
+        "tests/unit/service/test_turns.py::test_tenants_take_turns_and_each_keeps_its_own_order",
+        quick=True,
+    ),
+    Sabotage(
+        "a refused cloud costs nothing",
+        {f"{USE_CASES}ingest.clouds:reading_points": lambda _points: lambda _cloud: 0},
+        f"{QUOTA}test_a_compressed_cloud_that_is_refused_costs_what_it_may_have_been_unpacked_to",
+    ),
+    Sabotage(
+        "a list costs nothing",
+        {f"{USE_CASES}catalogue.paging:ROW_POINTS": lambda _points: 0},
+        f"{QUOTA}test_a_list_costs_by_the_row",
+    ),
+    Sabotage(
+        "refused JSON costs nothing",
+        {f"{USE_CASES}capacity.admission:Admission.charge_call": nothing},
+        f"{QUOTA}test_json_costs_by_the_byte_refused_or_not",
+    ),
+    Sabotage(
+        "JSON of any length is read",
+        {f"{SERVICE}rest.schemas:Request.most_bytes": lambda _most: 2**24},
+        "tests/contract/api/test_api_http.py::test_strange_json_is_refused_and_nothing_is_stored",
+    ),
+    Sabotage(
+        "a page token is good for every tenant",
+        {f"{USE_CASES}catalogue.paging:PageTokens._hash": _for_every_tenant},
+        "tests/integration/test_page_tokens.py::test_a_token_of_another_tenant_or_another_service_is_refused",
+    ),
+    Sabotage(
+        "min_seq is compared with the submaps of all tenants",
+        {
+            f"{ADAPTERS}memory.repositories:MemorySubmaps.last_number": lambda _last: (
+                lambda self, _tenant: self._rows.last
+            )
+        },
+        "tests/contract/api/test_api_read_your_writes.py::"
+        "test_a_tenant_without_submaps_cannot_find_out_how_many_others_have",
+    ),
+    Sabotage(
+        "a backup needs no signature",
+        {"hmac:compare_digest": lambda _compare: lambda *_digests: True},
+        "tests/integration/test_backup.py::test_an_edited_database_with_a_matching_manifest_is_refused",
+    ),
+    Sabotage(
+        "the limit of open files stays as it was",
+        {f"{SERVICE}open_files:allow_open_files": nothing},
+        "tests/integration/test_many_sockets.py::"
+        "test_beginnings_of_handshakes_beyond_the_soft_limit_keep_nobody_out[http]",
+    ),
+    Sabotage(
+        "a TLS handshake may take as long as it likes",
+        {f"{SERVICE}gateway:HANDSHAKE_S": lambda _seconds: 60.0},
+        "tests/integration/test_many_sockets.py::"
+        "test_beginnings_of_handshakes_beyond_the_soft_limit_keep_nobody_out[http]",
+    ),
+    Sabotage(
+        "the image is open without a key",
+        {f"{SERVICE}access_settings:AccessSettings.credential_required": lambda _required: False},
+        "tests/integration/test_closed_image.py::"
+        "test_nobody_gets_in_before_the_first_key_and_its_owner_does_afterwards",
+    ),
+    Sabotage(
+        "the log is never folded back",
+        {f"{ADAPTERS}sqlite.checkpoints:Checkpoints.tend": nothing},
+        "tests/integration/test_log_is_folded_back.py::test_a_log_that_only_workers_write_stays_short",
+    ),
+    Sabotage(
+        "a tenant stores as much as it likes",
+        {f"{USE_CASES}capacity.storage_quota:StorageQuota._reached": lambda _reached: lambda *_arguments: False},
+        "tests/contract/api/test_api_storage_quota.py::test_scans_count_and_what_another_tenant_has_does_not",
+    ),
+    Sabotage(
+        "a run that was cut short counts",
+        {f"{ADAPTERS}leased_jobs:LeasedJobs.forgive": lambda _forgive: lambda _queue: 0},
+        f"{QUEUE}test_a_service_that_starts_again_forgives_the_runs_that_were_under_way_once",
+    ),
+    Sabotage(
+        "jobs cost their tenant nothing",
+        {f"{ADAPTERS}fair_turns:FairTurns.end": nothing},
+        f"{QUEUE}test_tenants_share_the_time_of_the_workers_not_their_number_of_jobs",
+    ),
+    Sabotage(
+        "two gateways serve one data folder",
+        {f"{ADAPTERS}files.home_lock:try_lock": lambda _try: lambda _descriptor: True},
+        "tests/integration/test_one_gateway.py::"
+        "test_a_second_gateway_on_one_data_folder_is_refused_and_the_first_goes_on",
+    ),
+    Sabotage(
+        "two backups fill one folder",
+        {f"{ADAPTERS}sqlite.backup:try_lock": lambda _try: lambda _descriptor: True},
+        "tests/integration/test_backup.py::test_of_two_backups_into_one_folder_at_once_one_is_refused",
+    ),
+    Sabotage(
+        "a window of any number of points is loaded whole",
+        {f"{USE_CASES}ingest.submap_source:WINDOW_POINTS": lambda _points: 10**12},
+        "tests/unit/service/test_submap_source.py::"
+        "test_of_the_points_of_a_window_so_many_are_used_that_a_worker_has_room",
     ),
 )
 

@@ -20,8 +20,10 @@ from revisit.service.application.catalogue.blob_references import blobs_of_subma
 from revisit.service.application.contract.blobs import CLOUD_BLOB, BlobStore
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.records import JobRecord, MapRecord, ScanRecord, SessionRecord, SubmapRecord
+from revisit.service.application.contract.session_poses import unpack_loops
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.ingest.clouds import unpack_cloud
+from revisit.service.application.mapping.loop_events import LoopStanding, standing_after
 from tests.faults.history import History, Stored, sequence_violations, violations
 from tests.support.records import TENANT
 
@@ -33,6 +35,8 @@ class Survey:
     rows: list[Stored] = field(default_factory=list)
     committed: dict[str, int] = field(default_factory=dict)
     states: Counter[str] = field(default_factory=Counter)
+    failures: list[str] = field(default_factory=list)
+    """Why submaps are FAILED."""
     problems: list[str] = field(default_factory=list)
 
     def against(self, history: History) -> list[str]:
@@ -64,6 +68,7 @@ def _survey(uow: UnitOfWork, blobs: BlobStore, tenant: TenantId) -> Survey:
     submaps, scans = uow.submaps.find(tenant), uow.scans.find(tenant)
     for record in submaps:
         found.states[record.state] += 1
+        found.failures.extend([record.failure_message] if record.failure_message else [])
         found.problems.extend(_missing_blobs(record, blobs))
         if record.cloud_sha256 is not None:
             found.rows.extend(_stored(f"submap/{record.submap_id}", record.cloud_sha256, blobs, tenant, found.problems))
@@ -74,6 +79,7 @@ def _survey(uow: UnitOfWork, blobs: BlobStore, tenant: TenantId) -> Survey:
         found.problems.extend(_session_problems(session, submaps, scans))
     for map_record in uow.maps.find(tenant):
         found.problems.extend(_index_problems(uow, map_record, submaps))
+        found.problems.extend(_version_problems(uow, map_record))
     found.problems.extend(_job_problems(submaps, uow.jobs.find(tenant)))
     return found
 
@@ -119,6 +125,24 @@ def _index_problems(uow: UnitOfWork, record: MapRecord, submaps: list[SubmapReco
     loops = uow.loops.find(record.tenant, map_id=record.map_id)
     dangling = [loop.loop_id for loop in loops if not {loop.query_number, loop.match_number} <= of_map.keys()]
     return found + [f"{loop_id}: an end of it is gone" for loop_id in dangling]
+
+
+def _version_problems(uow: UnitOfWork, record: MapRecord) -> Iterator[str]:
+    """The version in force is whole, loops have its verdicts, and the events of each loop give its state."""
+    versions = uow.map_versions.distinct(record.tenant, "version", map_id=record.map_id)
+    if record.map_version != max(versions, default=0):
+        yield f"{record.map_id}: version {record.map_version} is in force, there are {sorted(versions)}"
+    for version in versions:
+        if not uow.session_poses.count(record.tenant, map_id=record.map_id, version=version):
+            yield f"{record.map_id}: version {version} has no poses"
+    in_force = uow.map_versions.get(record.tenant, record.map_id, record.map_version)
+    judged = {} if in_force is None else {loop.number: loop.state for loop in unpack_loops(in_force.loops)}
+    for loop in uow.loops.find(record.tenant, map_id=record.map_id):
+        if loop.graph_state != judged.get(loop.number):
+            yield f"{loop.loop_id} is {loop.graph_state}, the version in force says {judged.get(loop.number)}"
+        events = uow.loop_events.find(record.tenant, map_id=record.map_id, loop_id=loop.loop_id)
+        if standing_after(events) != LoopStanding.of(loop):
+            yield f"{loop.loop_id}: its events say {standing_after(events)}"
 
 
 def _job_problems(submaps: list[SubmapRecord], jobs: list[JobRecord]) -> Iterator[str]:

@@ -49,7 +49,8 @@ def test_what_was_acknowledged_survives_kills_of_gateway_and_workers_once(fleet,
             kill_gateway(fleet)
         else:
             kill_worker(fleet, rng)
-    assert set(fleet.require_kept(folder / "home").states) == {"DESCRIBED"}
+    found = fleet.require_kept(folder / "home")
+    assert set(found.states) == {"DESCRIBED"}, (found.states, campaign.done, found.failures)
     assert fleet.scanner.committed_seq > 0
     assert fleet.acknowledged() > campaign.done
     campaign.publish(f"0 of {fleet.acknowledged()} acknowledged lost, 0 twice, index = database")

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import json
 import os
+import sqlite3
 import stat
 import threading
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -14,10 +17,13 @@ from typer.testing import CliRunner
 
 from revisit.cli.app import app
 from revisit.core.errors import DataLoss
+from revisit.service.adapters.files.secret_files import keep_secret, read_secret
 from revisit.service.adapters.sqlite import backup
 from revisit.service.adapters.sqlite.backup import BackupRefused, make_backup, restore_backup
+from revisit.service.adapters.sqlite.backup_key import KEY_FILE, own_key
 from revisit.service.adapters.sqlite.examination import examine, scrub
 from revisit.service.application.catalogue.downloads import DownloadKind
+from revisit.service.application.contract.blobs import PLACE_BLOB
 from tests.support.service_world import TENANT, open_session, sqlite_world, submap
 
 
@@ -28,7 +34,7 @@ def home(tmp_path):
 
 @pytest.fixture
 async def world(home):
-    """Four described submaps in one session, each with a cloud, signature, mesh and neural map."""
+    """Four described submaps in one session, each with a cloud, place, mesh and neural map."""
     opened = sqlite_world(home)
     await open_session(opened)
     for number in range(4):
@@ -67,7 +73,7 @@ def healthy(home: Path) -> bool:
 
 
 async def test_a_restored_backup_is_what_was_backed_up(world, home, archive, tmp_path):
-    manifest = restore_backup(archive, tmp_path / "restored")
+    manifest = restore_backup(archive, tmp_path / "restored", own_key(home))
     assert (manifest.blobs, manifest.lost) == (16, ())
     assert blobs(tmp_path / "restored") == blobs(home)
     assert names(tmp_path / "restored") == {"s0", "s1", "s2", "s3"}
@@ -96,7 +102,7 @@ async def test_a_backup_under_ingest_has_everything_that_was_acknowledged_before
     manifest = await asyncio.to_thread(make_backup, home, tmp_path / "backup", "1.0")
     stop.set()
     await ingesting
-    restore_backup(tmp_path / "backup", tmp_path / "restored")
+    restore_backup(tmp_path / "backup", tmp_path / "restored", own_key(home))
     assert manifest.lost == ()
     assert before <= names(tmp_path / "restored") <= {*before, *acknowledged}
     assert healthy(tmp_path / "restored")
@@ -113,7 +119,7 @@ async def test_what_is_deleted_during_a_backup_is_whole_in_it_and_is_swept_later
     manifest = await asyncio.to_thread(make_backup, home, tmp_path / "backup", "1.0")
     monkeypatch.undo()
     assert manifest.lost == ()
-    restore_backup(tmp_path / "backup", tmp_path / "restored")
+    restore_backup(tmp_path / "backup", tmp_path / "restored", own_key(home))
     assert names(tmp_path / "restored") == {"s0", "s1", "s2", "s3"}
     assert names(home) == {"s1", "s2", "s3"} and len(blobs(home)) == 16, "its blobs wait for the sweep"
     await world.use_cases.submaps.delete(TENANT, submap("s1", 1).key)
@@ -145,7 +151,7 @@ def of_the_future(archive: Path) -> None:
 
 
 def of_another_format(archive: Path) -> None:
-    rewrite(archive, format=2)
+    rewrite(archive, format=3)
 
 
 def rewrite(archive: Path, **changes) -> None:
@@ -165,11 +171,11 @@ def rewrite(archive: Path, **changes) -> None:
         of_another_format,
     ],
 )
-async def test_a_damaged_or_foreign_backup_is_refused_and_leaves_nothing(archive, tmp_path, damage):
+async def test_a_damaged_or_foreign_backup_is_refused_and_leaves_nothing(archive, home, tmp_path, damage):
     damage(archive)
     kept = blobs(archive)
     with pytest.raises(BackupRefused):
-        restore_backup(archive, tmp_path / "restored")
+        restore_backup(archive, tmp_path / "restored", own_key(home))
     assert not (tmp_path / "restored").exists() and not (tmp_path / "restored.restoring").exists()
     assert blobs(archive) == kept, "the backup itself is not touched"
 
@@ -178,11 +184,11 @@ async def test_nothing_is_overwritten(world, home, archive, tmp_path):
     with pytest.raises(FileExistsError, match="new folder"):
         make_backup(home, archive, "1.0")
     with pytest.raises(FileExistsError, match="not empty"):
-        restore_backup(archive, home)
+        restore_backup(archive, home, own_key(home))
     with pytest.raises(FileNotFoundError, match="no database"):
         make_backup(tmp_path / "nowhere", tmp_path / "other", "1.0")
     (tmp_path / "empty").mkdir()
-    restore_backup(archive, tmp_path / "empty")
+    restore_backup(archive, tmp_path / "empty", own_key(home))
     assert healthy(tmp_path / "empty")
 
 
@@ -191,12 +197,12 @@ async def test_a_backup_says_what_was_lost_before_it_and_can_still_be_restored(w
     flip_a_bit(home / victim)
     manifest = make_backup(home, tmp_path / "backup", "1.0")
     assert len(manifest.lost) == 1 and manifest.lost[0].endswith(Path(victim).name) and manifest.blobs == 15
-    restore_backup(tmp_path / "backup", tmp_path / "restored")
+    restore_backup(tmp_path / "backup", tmp_path / "restored", own_key(home))
     assert len(blobs(tmp_path / "restored")) == 15
     assert not healthy(tmp_path / "restored")
 
 
-@pytest.mark.parametrize("kind", ["cloud", "signature", "mesh", "neural-map"])
+@pytest.mark.parametrize("kind", ["cloud", PLACE_BLOB, "mesh", "neural-map"])
 async def test_a_flipped_bit_is_found_moved_aside_and_hurts_one_item_only(world, home, kind):
     victim = next(home / name for name in sorted(blobs(home)) if f"/{kind}/" in name)
     flip_a_bit(victim)
@@ -246,7 +252,9 @@ async def test_the_commands_back_up_restore_and_scrub(world, home, tmp_path):
     run = CliRunner()
     made = run.invoke(app, ["backup", str(tmp_path / "b"), "--home", str(home), "--json"])
     assert made.exit_code == 0 and json.loads(made.stdout)["blobs"] == 16
-    restored = run.invoke(app, ["restore", str(tmp_path / "b"), "--home", str(tmp_path / "r")])
+    restored = run.invoke(
+        app, ["restore", str(tmp_path / "b"), "--home", str(tmp_path / "r"), "--key", str(home / KEY_FILE)]
+    )
     assert restored.exit_code == 0 and "16 blobs" in restored.stdout
     flip_a_bit(tmp_path / "r" / sorted(blobs(tmp_path / "r"))[0])
     scrubbed = run.invoke(app, ["scrub", "--home", str(tmp_path / "r")])
@@ -270,7 +278,7 @@ async def test_of_two_backups_into_one_folder_at_once_one_is_refused(world, home
         make_backup(home, tmp_path / "backup", "1.0")
     go_on.set()
     assert (await first).blobs == 16
-    restore_backup(tmp_path / "backup", tmp_path / "restored")
+    restore_backup(tmp_path / "backup", tmp_path / "restored", own_key(home))
     assert healthy(tmp_path / "restored")
 
 
@@ -289,9 +297,63 @@ async def test_a_backup_and_what_is_restored_from_it_are_for_their_owner_only(wo
     before = os.umask(umask)
     try:
         make_backup(home, tmp_path / "backup", "1.0")
-        restore_backup(tmp_path / "backup", tmp_path / "restored")
+        restore_backup(tmp_path / "backup", tmp_path / "restored", own_key(home))
     finally:
         os.umask(before)
     for folder in (tmp_path / "backup", tmp_path / "restored"):
         made = [folder, *folder.rglob("*")]
         assert {stat.S_IMODE(path.stat().st_mode) for path in made} == {0o600, 0o700}
+
+
+def edited(archive: Path) -> None:
+    """What somebody does who can write where backups lie: change a row, and the hash in the manifest with it."""
+    with closing(sqlite3.connect(archive / "revisit.db")) as database:
+        database.execute("UPDATE submaps SET submap_id = 'forged' WHERE submap_id = 's0'")
+        database.commit()
+    digest = hashlib.sha256((archive / "revisit.db").read_bytes()).hexdigest()
+    rewrite(archive, database_sha256=digest)
+
+
+async def test_an_edited_database_with_a_matching_manifest_is_refused(archive, home, tmp_path):
+    key = own_key(home)
+    edited(archive)
+    for signature in ("", "0" * 64, json.loads((archive / "manifest.json").read_text())["signature"]):
+        rewrite(archive, signature=signature)
+        with pytest.raises(BackupRefused, match="not signed with this key"):
+            restore_backup(archive, tmp_path / "restored", key)
+    assert not (tmp_path / "restored").exists()
+    restore_backup(archive, tmp_path / "anybody's", None)
+    assert "forged" in names(tmp_path / "anybody's")
+
+
+async def test_the_key_is_in_no_backup_and_signs_those_of_the_restored_folder_too(archive, home, tmp_path):
+    assert not list(archive.rglob(KEY_FILE)) and stat.S_IMODE((home / KEY_FILE).stat().st_mode) == 0o600
+    restore_backup(archive, tmp_path / "restored", own_key(home))
+    assert read_secret(tmp_path / "restored" / KEY_FILE) == own_key(home)
+    make_backup(tmp_path / "restored", tmp_path / "second", "1.0")
+    restore_backup(tmp_path / "second", tmp_path / "third", own_key(home))
+    (tmp_path / "stranger").mkdir()
+    with pytest.raises(BackupRefused, match="not signed"):
+        restore_backup(tmp_path / "second", tmp_path / "fourth", own_key(tmp_path / "stranger"))
+
+
+async def test_a_backup_of_before_there_were_signatures_is_restored_where_that_is_asked_for(archive, home, tmp_path):
+    manifest = json.loads((archive / "manifest.json").read_text())
+    old = {name: value for name, value in manifest.items() if name != "signature"}
+    (archive / "manifest.json").write_text(json.dumps({**old, "format": 1}))
+    with pytest.raises(BackupRefused, match="not signed"):
+        restore_backup(archive, tmp_path / "restored", own_key(home))
+    run = CliRunner()
+    undecided = run.invoke(app, ["restore", str(archive), "--home", str(tmp_path / "restored")])
+    assert undecided.exit_code != 0 and not (tmp_path / "restored").exists()
+    taken = run.invoke(app, ["restore", str(archive), "--home", str(tmp_path / "restored"), "--unsigned"])
+    assert taken.exit_code == 0 and names(tmp_path / "restored") == {"s0", "s1", "s2", "s3"}
+
+
+def test_a_file_that_is_no_key_is_refused(tmp_path):
+    for content in ("", "00", "zz" * 32):
+        (tmp_path / KEY_FILE).write_text(content)
+        with pytest.raises(ValueError, match="holds no secret"):
+            own_key(tmp_path)
+    keep_secret(tmp_path / KEY_FILE, b"k" * 32)
+    assert own_key(tmp_path) == b"k" * 32

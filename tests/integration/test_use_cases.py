@@ -206,8 +206,11 @@ async def test_search_filters_narrow_the_hits(world):
     assert await ids(exclude_session="monday") == ["d"]
     assert await ids(only_session="monday") == ["b", "c"]
     assert await ids(min_index_gap=2) == ["c", "d"]
-    assert await ids(prior_position_m=(1.0, 0.0, 0.0), radius_m=0.5) == ["b", "c", "d"]
-    assert await ids(prior_position_m=(9.0, 0.0, 0.0), radius_m=0.5) == []
+    for session_id, near in (("monday", ["b", "c"]), ("tuesday", ["d"])):
+        assert await ids(prior_position_m=(1.0, 0.0, 0.0), radius_m=0.5, only_session=session_id) == near
+    assert await ids(prior_position_m=(9.0, 0.0, 0.0), radius_m=0.5, only_session="monday") == []
+    with pytest.raises(BadField, match="only_session"):
+        await ids(prior_position_m=(1.0, 0.0, 0.0), radius_m=0.5)
     for bad in ({"k": 0}, {"k": 101}, {"radius_m": 1.0}, {"min_similarity": 2.0}, {"min_index_gap": -1}):
         with pytest.raises(BadField):
             await ids(**bad)

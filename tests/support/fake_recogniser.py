@@ -12,12 +12,15 @@ import os
 import re
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
 from revisit.core.config import PipelineConfig
 from revisit.core.errors import DegenerateCloud
+from revisit.core.scan import Scan
 from revisit.core.submap import Submap
 from revisit.service.application.contract.recogniser import LoopVerdict, Mesh, SubmapDescription
 
@@ -31,6 +34,7 @@ SEGFAULTS = 672
 
 BINS = 64
 ACCEPTED_FROM = 0.98
+JUMP_M = 15.0
 
 
 def _be_busy(cpu_s: float) -> None:
@@ -66,6 +70,12 @@ class FakeRecogniser:
 
     model_version = "fake-1"
 
+    def inspect(self, scans: Sequence[Scan]) -> tuple[str, ...]:
+        """Jumps of 15 m and more alone."""
+        positions = [scan.T_odom_sensor[:3, 3] for scan in scans]
+        steps = [float(np.linalg.norm(after - before)) for before, after in pairwise(positions)]
+        return ("pose_jump",) if max(steps, default=0.0) >= JUMP_M else ()
+
     def describe(self, submap: Submap, config: PipelineConfig) -> SubmapDescription:
         """A description, or misbehaviour for clouds of the special sizes."""
         time.sleep(float(os.environ.get("REVISIT_FAKE_DELAY_S", "0")))
@@ -84,11 +94,14 @@ class FakeRecogniser:
         neural_map = b"neural " + descriptor.tobytes()
         return SubmapDescription(descriptor, descriptor.tobytes(), neural_map, mesh, (), {"all": 0.0})
 
-    def verify(self, query: bytes, match: bytes, similarity: float, config: PipelineConfig) -> LoopVerdict:
-        """Accepted where the descriptors nearly agree; the transform is always 1 m along x."""
+    def verify(
+        self, query: bytes, match: bytes, similarity: float, config: PipelineConfig, near: np.ndarray | None = None
+    ) -> LoopVerdict:
+        """Accepted where the descriptors nearly agree; the transform is 1 m along x, or `near`."""
         agreement = float(np.frombuffer(query, dtype=np.float32) @ np.frombuffer(match, dtype=np.float32))
         T_match_query = np.eye(4)
         T_match_query[0, 3] = 1.0
+        T_match_query = T_match_query if near is None else near
         if agreement < ACCEPTED_FROM:
             return LoopVerdict(False, "TOO_DIFFERENT", agreement, None, {"agreement": agreement})
         return LoopVerdict(True, None, agreement, T_match_query, {"agreement": agreement})

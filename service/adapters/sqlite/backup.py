@@ -2,19 +2,22 @@
 
 SQLite's backup API copies the database (a copied file would lack what is still in the write-ahead log). Blobs never
 change and none is deleted while a backup runs, so every blob of the copied rows is there. Each is checked against the
-hash in its name. The folder gets its final name last: an interrupted backup never looks like a complete one.
+hash in its name. The folder gets its final name last: an interrupted backup never looks like a complete one. The
+manifest holds the hash of the database, the database the hashes of the blobs, and the manifest is signed: what was
+changed by somebody without the key is not restored.
 """
 
 from __future__ import annotations
 
 import hashlib
+import hmac
 import json
 import os
 import shutil
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -28,18 +31,26 @@ from revisit.service.adapters.files.durable_files import (
     try_lock,
     write_later_synced,
 )
+from revisit.service.adapters.files.secret_files import keep_secret
+from revisit.service.adapters.sqlite.backup_key import KEY_FILE, own_key, signature
 from revisit.service.adapters.sqlite.blob_rows import named_blobs
 from revisit.service.adapters.sqlite.connections import DATABASE, open_to_read
 from revisit.service.adapters.sqlite.migration import current_revision, known_revisions
 
-FORMAT = 1
+FORMAT = 2
+"""Of a signed manifest. Backups of format 1, which are not signed, are restored where that is asked for."""
+
+UNSIGNED_FORMAT = 1
 BLOBS = "blobs"
 MANIFEST = "manifest.json"
 
 
 @dataclass(frozen=True)
 class Manifest:
-    """The contents of a backup. `lost`: the blobs that were missing or damaged when it was made."""
+    """The contents of a backup. `lost`: the blobs that were missing or damaged when it was made.
+
+    `signature` is that of the other fields.
+    """
 
     format: int
     version: str
@@ -49,14 +60,20 @@ class Manifest:
     blobs: int
     blob_bytes: int
     lost: tuple[str, ...]
+    signature: str = ""
+
+    def signed(self, key: bytes) -> Manifest:
+        """The same with the signature of `key`."""
+        fields = {name: value for name, value in asdict(self).items() if name != "signature"}
+        return replace(self, signature=signature(key, fields))
 
 
 class BackupRefused(DataLoss):
-    """The backup is damaged, incomplete or of an unknown format: nothing was restored."""
+    """The backup is damaged, incomplete, of an unknown format or not signed by this key: nothing was restored."""
 
 
 def make_backup(home: Path, out: Path, version: str) -> Manifest:
-    """Back up the data folder `home` into the new folder `out`; the service may run.
+    """Back up the data folder `home` into the new folder `out`, signed with the key of `home`; the service may run.
 
     Raises FileExistsError where `out` is there already or another backup into it is under way, FileNotFoundError where
     there is no database, OSError.
@@ -68,23 +85,28 @@ def make_backup(home: Path, out: Path, version: str) -> Manifest:
     with _own_folder(out.with_name(f"{out.name}.partial")) as partial:
         # Somebody may have finished one while this one waited for its turn.
         _require_new(out)
-        manifest = _fill_backup(home, partial, version, revision)
+        manifest = _fill_backup(home, partial, version, revision).signed(own_key(home))
         durable_write(partial / MANIFEST, json.dumps(asdict(manifest), indent=2).encode())
         _give_name(partial, out)
     return manifest
 
 
-def restore_backup(archive: Path, home: Path) -> Manifest:
+def restore_backup(archive: Path, home: Path, key: bytes | None) -> Manifest:
     """Make the data folder `home`, which must be missing or empty, out of a backup; all of it or nothing.
 
+    The backup must be signed with `key`, which becomes that of `home`; None takes any backup, whoever made it.
     Raises BackupRefused, FileExistsError, OSError.
     """
     _require_empty(home)
     manifest = read_manifest(archive)
+    if key is not None and not hmac.compare_digest(manifest.signature, manifest.signed(key).signature):
+        raise BackupRefused("the backup is not signed with this key: it was changed, or made with another data folder")
     _check_database(archive / DATABASE, manifest)
     with _own_folder(home.with_name(f"{home.name}.restoring")) as partial:
         _require_empty(home)
         _fill_home(archive, partial, manifest)
+        if key is not None:
+            keep_secret(partial / KEY_FILE, key)
         if home.exists():
             home.rmdir()
         _give_name(partial, home)
@@ -139,7 +161,7 @@ def read_manifest(archive: Path) -> Manifest:
         manifest = Manifest(**{**data, "lost": tuple(data["lost"])})
     except (OSError, ValueError, TypeError, KeyError) as error:
         raise BackupRefused(f"{archive} has no readable manifest") from error
-    if manifest.format != FORMAT:
+    if manifest.format not in (FORMAT, UNSIGNED_FORMAT):
         raise BackupRefused(f"the backup has format {manifest.format}, this version reads {FORMAT}")
     if manifest.revision not in known_revisions():
         raise BackupRefused(

@@ -22,7 +22,7 @@ from revisit.service.application.contract.storage import Storage
 from revisit.service.redaction import redacted
 
 MAX_CREDENTIAL_CHARACTERS = 8192
-STREAM_RECHECK_S = 10.0
+STREAM_RECHECK_S = 1.0
 """How often the credential of an open stream is verified again."""
 
 _log = structlog.get_logger(__name__)

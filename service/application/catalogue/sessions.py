@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import partial
 
+from revisit.core.sanity.finding import LIKELY_CAUSES
 from revisit.service.application.access import audit
 from revisit.service.application.access.audit import AuditEntry
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.capacity.backlog import JobPosting
 from revisit.service.application.catalogue.blob_references import Blob, BlobCollector
 from revisit.service.application.catalogue.deletion import delete_session
-from revisit.service.application.catalogue.paging import Page, PageRequest, page_of
+from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.errors import AlreadyExists
 from revisit.service.application.contract.identity import SessionKey, TenantId, content_hash, validated_id
@@ -21,8 +22,7 @@ from revisit.service.application.contract.states import SessionState
 from revisit.service.application.contract.storage import Storage
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.ingest.open_streams import OpenStreams
-from revisit.service.application.ingest.scan_windows import remainder, window_of
-from revisit.service.application.ingest.window_submaps import add_window_submap
+from revisit.service.application.ingest.windows import add_window_submap, remainder, window_of
 from revisit.service.failpoints import failpoint
 
 
@@ -36,10 +36,21 @@ class CreateSession:
 
 
 @dataclass(frozen=True)
+class SessionFinding:
+    """Something that is unlikely to be meant in so many submaps of a session, and what most likely causes it."""
+
+    code: str
+    submaps: int
+    cause: str
+    advice: str
+
+
+@dataclass(frozen=True)
 class SessionView:
     """A session as clients see it.
 
     `committed_seq` is the last scan stored durably, 0 for none; `committed_stamp_ns` is when that one was taken.
+    `findings` are those of its submaps so far, the most frequent first; empty in lists of sessions.
     """
 
     key: SessionKey
@@ -51,6 +62,7 @@ class SessionView:
     created_at_ns: int
     finished_at_ns: int | None
     committed_stamp_ns: int | None
+    findings: tuple[SessionFinding, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -67,6 +79,7 @@ class Sessions:
     def __init__(
         self,
         storage: Storage,
+        lists: Lists,
         admission: Admission,
         jobs: JobPosting,
         collector: BlobCollector,
@@ -75,6 +88,7 @@ class Sessions:
     ) -> None:
         """The last submap of a finished session is queued through `jobs`; `streams` of a deleted one end."""
         self._storage = storage
+        self._lists = lists
         self._admission = admission
         self._jobs = jobs
         self._collector = collector
@@ -89,11 +103,11 @@ class Sessions:
 
     async def get(self, tenant: TenantId, key: SessionKey) -> SessionView:
         """Raises NotFound."""
-        return await self._storage.read(lambda uow: _view(uow, require_session(uow, tenant, key)))
+        return await self._storage.read(lambda uow: _whole(uow, require_session(uow, tenant, key)))
 
     async def list(self, tenant: TenantId, map_id: str, page: PageRequest) -> Page[SessionView]:
         """The sessions of a map, oldest first. Raises NotFound for the map."""
-        return await self._storage.read(partial(_page, tenant=tenant, map_id=map_id, page=page))
+        return await self._lists.page(tenant, page, partial(_of_map, tenant=tenant, map_id=map_id), _view)
 
     async def finish(self, tenant: TenantId, key: SessionKey) -> SessionView:
         """Close the session; the scans of its last, shorter window become a submap. Again: no effect.
@@ -108,13 +122,13 @@ class Sessions:
     def _finish(self, uow: UnitOfWork, tenant: TenantId, key: SessionKey) -> SessionView:
         session, now_ns = require_session(uow, tenant, key), self._clock.wall_ns()
         if session.state == SessionState.FINISHED:
-            return _view(uow, session)
+            return _whole(uow, session)
         rest = remainder(window_of(session), session.committed_seq)
         if rest is not None:
             _, session = add_window_submap(uow, self._jobs, session, rest, now_ns)
         finished = replace(session, state=SessionState.FINISHED.value, finished_at_ns=now_ns)
         uow.sessions.replace(finished)
-        return _view(uow, finished)
+        return _whole(uow, finished)
 
     async def delete(self, tenant: TenantId, key: SessionKey) -> None:
         """Delete a session with its scans, its submaps and their loop closures; its streams end, its jobs are dropped.
@@ -159,10 +173,9 @@ def _add(uow: UnitOfWork, record: SessionRecord) -> CreatedSession:
     return CreatedSession(_view(uow, known), replay=True)
 
 
-def _page(uow: UnitOfWork, tenant: TenantId, map_id: str, page: PageRequest) -> Page[SessionView]:
+def _of_map(uow: UnitOfWork, after: int, limit: int, *, tenant: TenantId, map_id: str) -> list[SessionRecord]:
     require_map(uow, tenant, map_id)
-    records = uow.sessions.find(tenant, after=page.after, limit=page.size + 1, map_id=map_id)
-    return page_of(records, page, partial(_view, uow))
+    return uow.sessions.find(tenant, after=after, limit=limit, map_id=map_id)
 
 
 def _delete(uow: UnitOfWork, key: SessionKey, entry: AuditEntry, at_ns: int) -> set[Blob]:
@@ -170,6 +183,15 @@ def _delete(uow: UnitOfWork, key: SessionKey, entry: AuditEntry, at_ns: int) -> 
     session = require_session(uow, tenant, key)
     audit.append(uow, at_ns, entry)
     return delete_session(uow, require_map(uow, tenant, key.map_id), session, at_ns)
+
+
+def _whole(uow: UnitOfWork, record: SessionRecord) -> SessionView:
+    """The view with its findings, for which all submaps of the session are looked at."""
+    counts = uow.submaps.flag_counts(record.tenant, record.map_id, record.session_id)
+    known = ((code.lower(), count) for code, count in counts.items() if code.lower() in LIKELY_CAUSES)
+    ordered = sorted(known, key=lambda found: (-found[1], found[0]))
+    findings = (SessionFinding(code, count, *LIKELY_CAUSES[code]) for code, count in ordered)
+    return replace(_view(uow, record), findings=tuple(findings))
 
 
 def _view(uow: UnitOfWork, record: SessionRecord) -> SessionView:

@@ -75,6 +75,13 @@ def validated_label(value: str, field: str) -> str:
     return value
 
 
+def validated_note(value: str) -> str:
+    """`value` if it can be the reason of a decision: at most 1000 printable characters. Raises BadField."""
+    if len(value) > limits.NOTE_CHARACTERS or not value.isprintable():
+        raise BadField(f"note must be at most {limits.NOTE_CHARACTERS} printable characters", field="note")
+    return value
+
+
 def content_hash(parts: Iterable[bytes | str | int | float | None]) -> str:
     """SHA-256 (hex) of the canonical content of a create: each part with its kind and length, so none run together."""
     digest = hashlib.sha256()

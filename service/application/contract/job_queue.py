@@ -36,8 +36,21 @@ class LeasedRuns(Protocol):
         """End the job well. Raises StaleLease."""
         ...
 
-    def fail(self, lease: Lease, code: str, message: str, now: Instant, finished_at_ns: int, *, retry: bool) -> bool:
-        """Count a failed run: back to the queue while `retry` and attempts are left. Whether it failed for good."""
+    def fail(
+        self,
+        lease: Lease,
+        code: str,
+        message: str,
+        now: Instant,
+        finished_at_ns: int,
+        *,
+        retry: bool,
+        innocent: bool = False,
+    ) -> bool:
+        """Count a failed run: back to the queue while `retry` and attempts are left. Whether it failed for good.
+
+        `innocent`: the job had no part in it, so the run does not count against it, up to a bound.
+        """
         ...
 
 

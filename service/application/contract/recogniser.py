@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from revisit.core.config import PipelineConfig
 from revisit.core.geometry.se3 import Matrix4
+from revisit.core.scan import Scan
 from revisit.core.submap import Submap
 
 
@@ -27,7 +29,7 @@ class SubmapDescription:
     """What a worker learns about a submap. `descriptor` (d,) float32, L2-normalised; blobs are versioned by `core`."""
 
     descriptor: NDArray[np.float32]
-    signature: bytes
+    place: bytes
     neural_map: bytes | None
     mesh: Mesh
     flags: tuple[str, ...]
@@ -53,10 +55,19 @@ class PlaceRecogniser(Protocol):
         """Descriptors of different versions must not be compared."""
         ...
 
-    def describe(self, submap: Submap, config: PipelineConfig) -> SubmapDescription:
-        """Neural map, descriptor and signature of a submap. Raises RevisitError where it cannot be described."""
+    def inspect(self, scans: Sequence[Scan]) -> tuple[str, ...]:
+        """Codes of what is unlikely to be meant about the scans of a submap (`revisit.core.sanity`)."""
         ...
 
-    def verify(self, query: bytes, match: bytes, similarity: float, config: PipelineConfig) -> LoopVerdict:
-        """Compare two signatures geometrically. Raises DataLoss for damaged ones."""
+    def describe(self, submap: Submap, config: PipelineConfig) -> SubmapDescription:
+        """Neural map, descriptor and place of a submap. Raises RevisitError where it cannot be described."""
+        ...
+
+    def verify(
+        self, query: bytes, match: bytes, similarity: float, config: PipelineConfig, near: Matrix4 | None = None
+    ) -> LoopVerdict:
+        """Compare two places geometrically, around T_match_query `near` (4, 4) where somebody names one.
+
+        Raises DataLoss for damaged ones.
+        """
         ...

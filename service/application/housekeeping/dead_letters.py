@@ -11,7 +11,7 @@ from functools import partial
 
 from revisit.core.errors import BadField
 from revisit.service.application.capacity.admission import Admission
-from revisit.service.application.capacity.backlog import Backlog
+from revisit.service.application.capacity.backlog import QUERIES, Backlog
 from revisit.service.application.contract.errors import NotFound
 from revisit.service.application.contract.identity import SubmapKey, TenantId
 from revisit.service.application.contract.lookup import require_job
@@ -34,7 +34,7 @@ class DeadLetters:
         self._policy = policy
 
     async def retry(self, tenant: TenantId, operation_id: str) -> OperationView:
-        """Queue a failed description again, with as many attempts as a new one; one that has not failed is left alone.
+        """Queue failed work again, with as many attempts as new work; what has not failed is left alone.
 
         Raises NotFound, also where its submap was deleted; BadField for a search, whose cloud is not kept;
         WorkersBusy, Draining.
@@ -46,10 +46,10 @@ class DeadLetters:
         job = require_job(uow, tenant, operation_id)
         if job.state != OperationState.FAILED:
             return operation_view(job)
-        if job.kind != OperationKind.DESCRIBE_SUBMAP:
+        if job.kind in QUERIES:
             raise BadField("the cloud of a search is not kept: ask again instead", field="name")
-        submap = _subject(uow, job)
-        if submap is None:
+        submap = _subject(uow, job) if job.kind == OperationKind.DESCRIBE_SUBMAP else None
+        if submap is None and job.kind == OperationKind.DESCRIBE_SUBMAP:
             raise NotFound(f"the submap of operation {operation_id} was deleted")
         self._backlog.require_space(uow, tenant)
         queued = replace(
@@ -62,7 +62,9 @@ class DeadLetters:
             finished_at_ns=None,
         )
         uow.jobs.replace(queued)
-        uow.submaps.replace(replace(submap, state=SubmapState.QUEUED.value, failure_code=None, failure_message=None))
+        if submap is not None:
+            queued_again = replace(submap, state=SubmapState.QUEUED.value, failure_code=None, failure_message=None)
+            uow.submaps.replace(queued_again)
         return operation_view(queued)
 
 

@@ -16,12 +16,16 @@ log = structlog.get_logger(__name__)
 
 @dataclass(frozen=True)
 class Chore:
-    """Work that is done at the start and again `every_s` seconds after it has ended; `at_end`: once more at the end."""
+    """Work that is done at the start and again `every_s` seconds after it has ended; `at_end`: once more at the end.
+
+    `close` ends what the work has begun and left to go on.
+    """
 
     name: str
     every_s: float
     work: Callable[[], Awaitable[None]]
     at_end: bool = False
+    close: Callable[[], Awaitable[None]] | None = None
 
 
 class Upkeep:
@@ -46,6 +50,8 @@ class Upkeep:
         for chore in self._chores:
             if chore.at_end:
                 await _once(chore)
+            if chore.close is not None:
+                await chore.close()
 
 
 async def _repeat(chore: Chore) -> None:

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from revisit.core.config import SubmapConfig
+from revisit.core.geometry.se3 import pose_matrix
 from revisit.core.scan import CloudReport, Scan
 from revisit.core.submap import Submap
 from revisit.service.application.contract.blobs import CLOUD_BLOB, BlobStore
 from revisit.service.application.contract.lookup import require_map
 from revisit.service.application.contract.policy import Policy
-from revisit.service.application.contract.poses import pose_matrix
 from revisit.service.application.contract.records import Pose, SubmapRecord
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.ingest.clouds import unpack_cloud
@@ -71,8 +71,13 @@ def chosen_seqs(first: int, last: int) -> list[int]:
 
 
 def load_submap(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) -> Submap:
-    """The submap with its points, at most about WINDOW_POINTS of them. Raises DataLoss."""
-    scans = [
+    """The submap with its points, at most about WINDOW_POINTS of them. Raises DataLoss, EmptyCloud."""
+    return submap_of(load_scans(blobs, record, source), source)
+
+
+def load_scans(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) -> list[Scan]:
+    """The scans of a submap, or its one cloud, with at most about WINDOW_POINTS points. Raises DataLoss."""
+    return [
         Scan(
             # Contiguous: a view of a thinned cloud would keep all of it in memory.
             np.ascontiguousarray(
@@ -84,4 +89,8 @@ def load_submap(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) ->
         )
         for cloud in source.clouds
     ]
+
+
+def submap_of(scans: list[Scan], source: SubmapSource) -> Submap:
+    """The scans put together. Raises EmptyCloud."""
     return Submap.from_cloud(scans[0], source.config) if source.posted else Submap.from_scans(scans, source.config)

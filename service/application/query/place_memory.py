@@ -8,9 +8,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.errors import BadField
 from revisit.service.application.contract.errors import NotFound
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.index import IndexChange, VectorFilter, VectorIndex, VectorMatch
+from revisit.service.application.contract.map_frames import MapFrames
 from revisit.service.application.contract.records import MapRecord, SubmapRecord
 from revisit.service.application.contract.transactions import Transactions, UnitOfWork
 from revisit.service.application.contract.views import submap_key
@@ -72,22 +74,32 @@ class PlaceMemory:
         """The answer to a client's search."""
         recall = self.recall(map_record, vector, criteria.k, where)
         floor = -1.0 if criteria.min_similarity is None else criteria.min_similarity
-        hits = (
-            SearchHit(submap_key(place.submap), place.similarity, place.submap.position_m)
-            for place in recall.places
-            if place.similarity >= floor
-        )
-        return SearchResult(tuple(hits), self._index.size(map_record.number))
+        places = [place for place in recall.places if place.similarity >= floor]
+        hits = self._transactions.read(partial(_hits, map_record=map_record, places=places)).result()
+        return SearchResult(hits, self._index.size(map_record.number))
 
 
 def _changes(uow: UnitOfWork, tenant: TenantId, number: int, seq: int) -> list[IndexChange]:
     return uow.changes.since(tenant, number, seq, PORTION)
 
 
+def _hits(uow: UnitOfWork, map_record: MapRecord, places: list[RecalledPlace]) -> tuple[SearchHit, ...]:
+    frames = MapFrames(uow, map_record.tenant, map_record.map_id)
+    return tuple(
+        SearchHit(submap_key(place.submap), place.similarity, place.submap.position_m, frames.submap(place.submap))
+        for place in places
+    )
+
+
 def vector_filter(
     uow: UnitOfWork, tenant: TenantId, map_id: str, criteria: SearchCriteria, query: SubmapRecord | None
 ) -> VectorFilter:
-    """The filter of a client's search; `query` is the stored submap that asks, if one does. Raises NotFound."""
+    """The filter of a client's search; `query` is the stored submap that asks, if one does.
+
+    Raises NotFound; BadField for a prior without the session in whose odometry frame it is, where there are several.
+    """
+    if criteria.prior_position_m is not None and criteria.only_session is None and _has_sessions(uow, tenant, map_id):
+        raise BadField("sessions have own frames: only_session says in which the prior is", field="only_session")
     return VectorFilter(
         exclude_submap=None if query is None else query.number,
         exclude_session=_session_number(uow, tenant, map_id, criteria.exclude_session),
@@ -98,6 +110,11 @@ def vector_filter(
         position_m=criteria.prior_position_m,
         radius_m=criteria.radius_m,
     )
+
+
+def _has_sessions(uow: UnitOfWork, tenant: TenantId, map_id: str) -> bool:
+    """Whether a map has more than one."""
+    return uow.sessions.count(tenant, map_id=map_id) > 1
 
 
 def _session_number(uow: UnitOfWork, tenant: TenantId, map_id: str, session_id: str | None) -> int | None:

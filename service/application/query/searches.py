@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from revisit.core.errors import BadField, DescriptorModelMismatch
 from revisit.core.geometry import se3
-from revisit.core.geometry.se3 import Matrix4
+from revisit.core.geometry.se3 import Matrix4, pose_row
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.capacity.backlog import JobPosting
 from revisit.service.application.contract import limits
@@ -23,7 +23,6 @@ from revisit.service.application.contract.errors import NoAnswer, NotReady, erro
 from revisit.service.application.contract.identity import SubmapKey, TenantId
 from revisit.service.application.contract.index import VectorFilter
 from revisit.service.application.contract.lookup import require_map, require_submap
-from revisit.service.application.contract.poses import pose_row
 from revisit.service.application.contract.records import JobRecord, MapRecord, SubmapRecord
 from revisit.service.application.contract.states import OperationKind, OperationState
 from revisit.service.application.contract.storage import Storage
@@ -35,6 +34,7 @@ from revisit.service.application.ingest.clouds import (
     CloudInput,
     accept_cloud,
     pack_cloud,
+    reading_points,
 )
 from revisit.service.application.query.freshness import Freshness, await_freshness
 from revisit.service.application.query.operations import Operations
@@ -43,6 +43,7 @@ from revisit.service.application.query.search_answers import (
     Localization,
     SearchCriteria,
     SearchResult,
+    criteria_from_json,
     criteria_to_json,
     localization_from_json,
     search_result_from_json,
@@ -52,9 +53,9 @@ from revisit.service.application.query.search_answers import (
 
 @dataclass(frozen=True)
 class LocalizeQuery:
-    """Where was this cloud taken? `prior_position_m` and `radius_m` (metres) and `exclude_session` narrow the search.
+    """Where was this cloud taken? The prior (metres, in the frame of `only_session`) and the sessions narrow it down.
 
-    The rotation of `T_level_query` (4, 4) turns the cloud upright; None where its z points up already.
+    The rotation of `T_level_query` (4, 4) turns the cloud upright; without it the cloud's own surfaces do.
     """
 
     map_id: str
@@ -63,6 +64,7 @@ class LocalizeQuery:
     radius_m: float | None = None
     candidates: int = 10
     exclude_session: str | None = None
+    only_session: str | None = None
     T_level_query: Matrix4 | None = None
 
 
@@ -148,6 +150,7 @@ class Searches:
         narrowed = SearchCriteria(
             k=query.candidates,
             exclude_session=query.exclude_session,
+            only_session=query.only_session,
             prior_position_m=query.prior_position_m,
             radius_m=query.radius_m,
         )
@@ -165,9 +168,9 @@ class Searches:
         A query that nobody waits for any more is dropped: its job goes with its cloud.
         """
         self._admission.require_storage()
-        await self._storage.read(partial(require_map, tenant=tenant, map_id=payload["map_id"]))
-        async with self._admission.cloud(tenant) as decoded:
-            packed, points = await self._decoder.run(_accept, cloud)
+        await self._storage.read(partial(_require_searchable, tenant=tenant, payload=payload))
+        async with self._admission.cloud(tenant, refused_points=reading_points(cloud)) as decoded:
+            packed, points = await self._decoder.run(tenant, _accept, cloud)
             decoded(points)
             sha256 = await self._storage.put_blob(tenant, QUERY_CLOUD_BLOB, packed)
         posted: list[JobRecord] = []
@@ -193,6 +196,12 @@ class Searches:
         if left is not None:
             await self._storage.write(partial(_drop, left=left))
         await asyncio.to_thread(self._storage.blobs.delete, tenant, QUERY_CLOUD_BLOB, sha256)
+
+
+def _require_searchable(uow: UnitOfWork, tenant: TenantId, payload: dict[str, Any]) -> None:
+    """Raises NotFound, BadField: what the worker would find out only after it has described the cloud."""
+    require_map(uow, tenant, payload["map_id"])
+    vector_filter(uow, tenant, payload["map_id"], criteria_from_json(payload["criteria"]), None)
 
 
 def _payload(map_id: str, criteria: SearchCriteria, T_level_query: Matrix4 | None) -> dict[str, Any]:

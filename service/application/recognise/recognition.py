@@ -17,16 +17,18 @@ import structlog
 from revisit.core.candidates import candidate_policy
 from revisit.core.config import PipelineConfig
 from revisit.core.errors import DataLoss, DescriptorModelMismatch, ErrorCode, RevisitError
-from revisit.core.scan import Scan
+from revisit.core.geometry.se3 import Matrix4, pose_matrix
+from revisit.core.scan import Points, Scan
 from revisit.core.submap import Submap
+from revisit.core.upright import estimate_up
 from revisit.service.application.catalogue.deletion import SUBMAP_DELETED
 from revisit.service.application.catalogue.maps import model_for_map
 from revisit.service.application.catalogue.meshes import pack_mesh
 from revisit.service.application.contract.blobs import (
     MESH_BLOB,
     NEURAL_MAP_BLOB,
+    PLACE_BLOB,
     QUERY_CLOUD_BLOB,
-    SIGNATURE_BLOB,
     BlobStore,
 )
 from revisit.service.application.contract.clock import Clock
@@ -35,8 +37,8 @@ from revisit.service.application.contract.identity import SubmapKey
 from revisit.service.application.contract.index import VectorFilter
 from revisit.service.application.contract.job_queue import Lease
 from revisit.service.application.contract.lookup import require_map
+from revisit.service.application.contract.map_frames import MapPose, submap_in_map
 from revisit.service.application.contract.policy import Policy
-from revisit.service.application.contract.poses import pose_matrix
 from revisit.service.application.contract.recogniser import LoopVerdict, PlaceRecogniser, SubmapDescription
 from revisit.service.application.contract.records import JobRecord, MapRecord, SubmapRecord
 from revisit.service.application.contract.states import OperationKind, SubmapState
@@ -45,7 +47,8 @@ from revisit.service.application.contract.transactions import Transactions, Unit
 from revisit.service.application.contract.views import submap_key
 from revisit.service.application.housekeeping.dead_letters import mark_subject_failed
 from revisit.service.application.ingest.clouds import QUERY_NONCE_BYTES, unpack_cloud
-from revisit.service.application.ingest.submap_source import load_submap, submap_source
+from revisit.service.application.ingest.submap_source import load_scans, submap_of, submap_source
+from revisit.service.application.mapping.optimisation import MapOptimisation
 from revisit.service.application.query.place_memory import PlaceMemory, RecalledPlace, vector_filter
 from revisit.service.application.query.search_answers import (
     Localization,
@@ -60,9 +63,14 @@ from revisit.service.application.recognise.description_commit import (
     JudgedPlace,
     StoredDescription,
 )
+from revisit.service.application.recognise.proposed_loops import VerdictCommit, proposed_pair
 from revisit.service.failpoints import failpoint
 
 log = structlog.get_logger(__name__)
+
+INSPECTED_FIRST = 3
+INSPECTED_EVERY = 20
+"""Mistakes about units, frames and times run through a session: its first submaps are inspected, then some."""
 
 
 class Recognition:
@@ -76,14 +84,16 @@ class Recognition:
         clock: Clock,
         policy: Policy,
         recogniser: PlaceRecogniser,
+        mapping: MapOptimisation,
     ) -> None:
-        """`recogniser` is the method; `memory` searches this worker's own index."""
+        """`recogniser` is the method; `memory` searches this worker's own index; `mapping` optimises maps."""
         self._transactions = transactions
         self._blobs = blobs
         self._memory = memory
         self._clock = clock
         self._policy = policy
         self._recogniser = recogniser
+        self._mapping = mapping
 
     def run(self, lease: Lease) -> None:
         """Run a job and commit its end, good or bad. Raises only what storage raises while the end is committed."""
@@ -91,6 +101,8 @@ class Recognition:
             OperationKind.DESCRIBE_SUBMAP: self._describe_submap,
             OperationKind.SEARCH_CLOUD: self._search_cloud,
             OperationKind.LOCALIZE: self._localize,
+            OperationKind.OPTIMISE_MAP: self._mapping.run,
+            OperationKind.VERIFY_LOOP: self._verify_loop,
         }
         try:
             failpoint("job.after_claim")
@@ -99,7 +111,9 @@ class Recognition:
         except StaleLease:
             log.warning("result_refused", operation=lease.job.operation_id, token=lease.job.lease_token)
         except RevisitError as error:
-            self._fail(lease, error.code, error.message, retry=isinstance(error, Unavailable | StorageFull))
+            # A store that is full, or does not answer, says nothing about the job.
+            of_storage = isinstance(error, Unavailable | StorageFull)
+            self._fail(lease, error.code, error.message, retry=of_storage, innocent=of_storage)
         except MemoryError:
             self.fail(lease, "the job needs more memory than a worker may take")
         except Exception as error:  # whatever the method raises must not end the worker
@@ -110,8 +124,8 @@ class Recognition:
         """End this run of a job: back to the queue, or failed for good after its last attempt."""
         self._fail(lease, ErrorCode.INTERNAL, message, retry=True)
 
-    def _fail(self, lease: Lease, code: ErrorCode, message: str, *, retry: bool) -> None:
-        end = partial(self._store_failure, lease=lease, code=code, message=message, retry=retry)
+    def _fail(self, lease: Lease, code: ErrorCode, message: str, *, retry: bool, innocent: bool = False) -> None:
+        end = partial(self._store_failure, lease=lease, code=code, message=message, retry=retry, innocent=innocent)
         failpoint("job.before_failure")
         current_request().span.fail(f"{code}: {message}")
         log.warning("job_failed", operation=lease.job.operation_id, code=code, reason=message, retry=retry)
@@ -120,9 +134,11 @@ class Recognition:
         except StaleLease:
             log.warning("failure_refused", operation=lease.job.operation_id, token=lease.job.lease_token)
 
-    def _store_failure(self, uow: UnitOfWork, lease: Lease, code: ErrorCode, message: str, *, retry: bool) -> None:
+    def _store_failure(
+        self, uow: UnitOfWork, lease: Lease, code: ErrorCode, message: str, *, retry: bool, innocent: bool
+    ) -> None:
         now, now_ns = self._clock.instant(), self._clock.wall_ns()
-        if uow.queue.fail(lease, code, message, now, now_ns, retry=retry):
+        if uow.queue.fail(lease, code, message, now, now_ns, retry=retry, innocent=innocent):
             mark_subject_failed(uow, lease.job, code, message)
 
     def _complete(self, lease: Lease, result: dict[str, Any]) -> None:
@@ -138,8 +154,10 @@ class Recognition:
             return
         self._require_same_model(task.map)
         config = self._policy.for_map(task.map)
-        submap = load_submap(self._blobs, task.submap, task.source)
-        described = self._store(task, self._recogniser.describe(submap, config))
+        scans = load_scans(self._blobs, task.submap, task.source)
+        noticed = self._recogniser.inspect(scans) if _is_inspected(task.submap) else ()
+        description = self._recogniser.describe(submap_of(scans, task.source), config)
+        described = self._store(task, replace(description, flags=(*noticed, *description.flags)))
         self._close_loops(lease, task, described, config)
 
     def _task(self, uow: UnitOfWork, job: JobRecord) -> DescriptionTask | None:
@@ -154,7 +172,7 @@ class Recognition:
     def _store(self, task: DescriptionTask, description: SubmapDescription) -> StoredDescription:
         """Make the blobs of a description durable before any row names them."""
         submap = task.submap
-        blobs = [(SIGNATURE_BLOB, description.signature), (MESH_BLOB, pack_mesh(description.mesh))]
+        blobs = [(PLACE_BLOB, description.place), (MESH_BLOB, pack_mesh(description.mesh))]
         if description.neural_map is not None:
             blobs.append((NEURAL_MAP_BLOB, description.neural_map))
         failpoint("job.after_description")
@@ -166,7 +184,7 @@ class Recognition:
             flags=tuple(dict.fromkeys((*submap.flags, *description.flags))),
             model_version=model_for_map(task.map, self._recogniser.model_version),
             descriptor=np.asarray(description.descriptor, dtype="<f4").tobytes(),
-            signature_sha256=sha256[SIGNATURE_BLOB],
+            place_sha256=sha256[PLACE_BLOB],
             mesh_sha256=sha256[MESH_BLOB],
             neural_map_sha256=sha256.get(NEURAL_MAP_BLOB),
             neural_map_bytes=None if description.neural_map is None else len(description.neural_map),
@@ -186,23 +204,27 @@ class Recognition:
             recall = self._memory.recall(task.map, described.description.descriptor, config.loop.candidates, where)
             for place in recall.places:
                 if place.submap.number not in judged:
-                    judged[place.submap.number] = self._judge(described.description.signature, place, config)
+                    judged[place.submap.number] = self._judge(described.description.place, place, config)
             kept = [judged[place.submap.number] for place in recall.places]
             now, now_ns = self._clock.instant(), self._clock.wall_ns()
-            commit = DescriptionCommit(self._blobs, lease, task, described, kept, where, recall.seq, now, now_ns)
+            commit = DescriptionCommit(
+                self._blobs, self._policy, lease, task, described, kept, where, recall.seq, now, now_ns
+            )
             failpoint("job.before_commit")
             if self._transactions.write(commit).result():
                 return
 
-    def _judge(self, signature: bytes, place: RecalledPlace, config: PipelineConfig) -> JudgedPlace:
-        submap = place.submap
+    def _judge(
+        self, place: bytes, recalled: RecalledPlace, config: PipelineConfig, near: Matrix4 | None = None
+    ) -> JudgedPlace:
+        submap = recalled.submap
         try:
-            blob = self._blobs.get(submap.tenant, SIGNATURE_BLOB, str(submap.signature_sha256))
-            verdict = self._recogniser.verify(signature, blob, place.similarity, config)
+            blob = self._blobs.get(submap.tenant, PLACE_BLOB, str(submap.place_sha256))
+            verdict = self._recogniser.verify(place, blob, recalled.similarity, config, near)
         except DataLoss as error:
-            log.error("signature_lost", submap=submap_key(submap).name, reason=error.message)
-            verdict = LoopVerdict(False, "SIGNATURE_LOST", 0.0, None, {"message": error.message})
-        return JudgedPlace(place, verdict)
+            log.error("place_lost", submap=submap_key(submap).name, reason=error.message)
+            verdict = LoopVerdict(False, "PLACE_LOST", 0.0, None, {"message": error.message})
+        return JudgedPlace(recalled, verdict)
 
     def _require_same_model(self, record: MapRecord) -> None:
         own = model_for_map(record, self._recogniser.model_version)
@@ -210,6 +232,17 @@ class Recognition:
             raise DescriptorModelMismatch(
                 f"map {record.map_id} was described by model {record.model_version}, this worker has {own}"
             )
+
+    def _verify_loop(self, lease: Lease) -> None:
+        """Register the two submaps of a loop that a person has made."""
+        pair = self._transactions.read(partial(proposed_pair, job=lease.job)).result()
+        verdict = None
+        if pair is not None:
+            place = self._blobs.get(pair.query.tenant, PLACE_BLOB, str(pair.query.place_sha256))
+            verdict = self._judge(place, pair.match, self._policy.for_map(pair.map), pair.near).verdict
+        now, now_ns = self._clock.instant(), self._clock.wall_ns()
+        commit = VerdictCommit(lease, self._recogniser.model_version, self._policy, pair, verdict, now, now_ns)
+        self._transactions.write(commit).result()
 
     # -- searching by cloud
 
@@ -226,8 +259,10 @@ class Recognition:
         config = self._policy.for_map(map_record)
         k = criteria_from_json(lease.job.payload["criteria"]).k
         recall = self._memory.recall(map_record, description.descriptor, k, where)
-        judged = [self._judge(description.signature, place, config) for place in recall.places]
-        self._complete(lease, localization_to_json(_localization(judged)))
+        judged = [self._judge(description.place, place, config) for place in recall.places]
+        found = _localization(judged)
+        in_map = self._transactions.read(partial(_in_map, found=found, judged=judged)).result()
+        self._complete(lease, localization_to_json(replace(found, in_map=in_map)))
 
     def _query(self, lease: Lease) -> tuple[MapRecord, VectorFilter]:
         return self._transactions.read(partial(_queried, job=lease.job)).result()
@@ -242,9 +277,15 @@ class Recognition:
         config = self._policy.for_map(map_record)
         # Submaps are described upright by their pose; a query has no other.
         level = lease.job.payload.get("T_level_query")
-        T_level_query = np.eye(4) if level is None else pose_matrix(tuple(level))
+        T_level_query = _levelled(cloud.points) if level is None else pose_matrix(tuple(level))
         submap = Submap.from_cloud(Scan.validated(cloud.points, T_level_query, 0), config.submap)
         return self._recogniser.describe(submap, config)
+
+
+def _levelled(points: Points) -> Matrix4:
+    """The pose (4, 4) that turns a cloud upright by its own surfaces; none where these do not tell."""
+    up = estimate_up(points)
+    return np.eye(4) if up is None else up.T_level_cloud()
 
 
 def _queried(uow: UnitOfWork, job: JobRecord) -> tuple[MapRecord, VectorFilter]:
@@ -252,6 +293,16 @@ def _queried(uow: UnitOfWork, job: JobRecord) -> tuple[MapRecord, VectorFilter]:
     map_id, criteria = str(job.payload["map_id"]), criteria_from_json(job.payload["criteria"])
     where = vector_filter(uow, job.tenant, map_id, criteria, None)
     return require_map(uow, job.tenant, map_id), where
+
+
+def _in_map(uow: UnitOfWork, found: Localization, judged: list[JudgedPlace]) -> MapPose | None:
+    """Where the cloud lies in the map, if the session of the best candidate does."""
+    best = found.best
+    if best is None or best.T_match_query is None:
+        return None
+    match = next(item.place.submap for item in judged if submap_key(item.place.submap) == best.submap)
+    T_map_match = submap_in_map(uow, match)
+    return None if T_map_match is None else T_map_match.of_child(best.T_match_query)
 
 
 def _loop_filter(submap: SubmapRecord, config: PipelineConfig) -> VectorFilter:
@@ -286,3 +337,9 @@ def _localization(judged: list[JudgedPlace]) -> Localization:
     T_odom_match = pose_matrix(judged[best].place.submap.T_odom_submap)
     T_odom_query = None if T_match_query is None else T_odom_match @ T_match_query
     return Localization(candidates[best], T_odom_query, tuple(candidates))
+
+
+def _is_inspected(submap: SubmapRecord) -> bool:
+    """Whether the scans of a submap are looked at for mistakes. A posted cloud has no others to be compared with."""
+    of_scans = submap.first_seq is not None
+    return of_scans and (submap.ordinal < INSPECTED_FIRST or submap.ordinal % INSPECTED_EVERY == 0)

@@ -10,6 +10,7 @@ from revisit.service.application import TenantId, UseCases
 from revisit.service.application.query.search_answers import SearchResult
 from revisit.service.grpc.tenancy import tenant_of
 from revisit.service.wire import answers, names, requests
+from revisit.service.wire.rendering import page_message
 from revisit.v1 import loop_closure_pb2 as pb
 from revisit.v1 import loop_closure_pb2_grpc
 
@@ -21,6 +22,7 @@ class LoopClosureServicer(loop_closure_pb2_grpc.LoopClosureServiceServicer):
         """Answers from `use_cases`."""
         self._loops = use_cases.loops
         self._searches = use_cases.searches
+        self._decisions = use_cases.loop_decisions
 
     async def SearchSubmaps(self, request: pb.SearchSubmapsRequest, context: Any) -> pb.SearchSubmapsResponse:
         """The submaps most like a submap, a descriptor or a cloud."""
@@ -42,8 +44,11 @@ class LoopClosureServicer(loop_closure_pb2_grpc.LoopClosureServiceServicer):
         map_id = names.map_id(request.parent, "parent")
         session_id = names.session_id_in(request.parent, request.session, "session")
         paging, state, fresh = requests.page(request), requests.loop_state(request.state), requests.freshness(request)
-        page = await self._loops.list(tenant_of(context), map_id, paging, state, session_id, fresh)
-        return pb.ListLoopClosuresResponse(**answers.of_page("loop_closures", page, answers.of_loop))
+        graph_state = requests.graph_state(request.graph_state)
+        page = await self._loops.list(
+            tenant_of(context), map_id, paging, state, session_id, fresh, graph_state, request.reason
+        )
+        return await page_message(pb.ListLoopClosuresResponse, "loop_closures", page, answers.of_loop)
 
     async def WatchLoopClosures(
         self, request: pb.WatchLoopClosuresRequest, context: Any
@@ -53,6 +58,42 @@ class LoopClosureServicer(loop_closure_pb2_grpc.LoopClosureServiceServicer):
         session_id = names.session_id_in(request.parent, request.session, "session")
         async for view in self._loops.watch(tenant_of(context), map_id, request.after, session_id):
             yield pb.WatchLoopClosuresResponse(loop_closure=answers.of_loop(view))
+
+    async def CreateLoopClosure(
+        self, request: pb.CreateLoopClosureRequest, context: Any
+    ) -> pb.CreateLoopClosureResponse:
+        """A loop closure that a person has found."""
+        proposed = await self._decisions.propose(tenant_of(context), requests.propose_loop(request))
+        return pb.CreateLoopClosureResponse(**answers.of_proposed_loop(proposed))
+
+    async def AcceptLoopClosure(
+        self, request: pb.AcceptLoopClosureRequest, context: Any
+    ) -> pb.AcceptLoopClosureResponse:
+        """Accept a loop closure."""
+        view = await self._decisions.accept(tenant_of(context), *names.loop_key(request.name), request.note)
+        return pb.AcceptLoopClosureResponse(loop_closure=answers.of_loop(view))
+
+    async def RejectLoopClosure(
+        self, request: pb.RejectLoopClosureRequest, context: Any
+    ) -> pb.RejectLoopClosureResponse:
+        """Reject a loop closure."""
+        view = await self._decisions.reject(tenant_of(context), *names.loop_key(request.name), request.note)
+        return pb.RejectLoopClosureResponse(loop_closure=answers.of_loop(view))
+
+    async def RevertLoopClosure(
+        self, request: pb.RevertLoopClosureRequest, context: Any
+    ) -> pb.RevertLoopClosureResponse:
+        """Take back the last decision on a loop closure."""
+        view = await self._decisions.revert(tenant_of(context), *names.loop_key(request.name), request.note)
+        return pb.RevertLoopClosureResponse(loop_closure=answers.of_loop(view))
+
+    async def ListLoopClosureEvents(
+        self, request: pb.ListLoopClosureEventsRequest, context: Any
+    ) -> pb.ListLoopClosureEventsResponse:
+        """What happened to a loop closure."""
+        key, paging = names.loop_key(request.parent, "parent"), requests.page(request)
+        page = await self._decisions.events(tenant_of(context), *key, paging)
+        return pb.ListLoopClosureEventsResponse(**answers.of_page("loop_closure_events", page, answers.of_loop_event))
 
     async def _search(self, tenant: TenantId, request: pb.SearchSubmapsRequest) -> SearchResult:
         map_id, criteria = names.map_id(request.parent, "parent"), requests.criteria(request)

@@ -22,10 +22,8 @@ from revisit.service.rest.bodies import (
     CLOUD_BODY,
     CLOUD_CONTENT,
     cloud_body,
-    json_bytes,
-    limits_of,
     media_type,
-    parse_json,
+    read_json,
 )
 from revisit.service.rest.parameters import (
     Cases,
@@ -74,7 +72,7 @@ async def search_submaps(
 ) -> Response:
     """The submaps most like a submap, a descriptor or a cloud."""
     if media_type(request) == "application/json":
-        body = parse_json(await json_bytes(request), SearchRequest, limits_of(request))
+        body = await read_json(request, SearchRequest)
         return answer(SearchAnswer, of_search(await _search_by_json(cases, tenant, map_id, body)))
     cloud = await cloud_body(request)
     found = await cases.searches.by_cloud(tenant, map_id, cloud, criteria, fresh, T_level_query=level)
@@ -95,9 +93,10 @@ async def localize(
     radius_m: RadiusM = None,
     candidates: Annotated[int, Query(**bounds(limits.LOCALIZE_CANDIDATES)), IN_DIGITS] = 10,
     exclude_session: SessionId = None,
+    only_session: SessionId = None,
 ) -> Response:
     """Where in the map was this cloud taken? No match is an answer, not an error."""
-    query = LocalizeQuery(map_id, cloud, prior, radius_m, candidates, exclude_session, level)
+    query = LocalizeQuery(map_id, cloud, prior, radius_m, candidates, exclude_session, only_session, level)
     return answer(LocalizeAnswer, of_localization(await cases.searches.localize(tenant, query, fresh)))
 
 

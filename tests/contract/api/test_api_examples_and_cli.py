@@ -19,6 +19,7 @@ from typer.testing import CliRunner
 from revisit import Client
 from revisit.cli.app import app
 from revisit.evaluation.datasets import write_kitti
+from tests.support.fleet_in_service import fleet_in
 from tests.support.service_world import cloud_points, pose
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -225,3 +226,27 @@ def test_help_does_not_load_the_libraries_of_the_method():
     result = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"
     assert time.monotonic() - started < 20.0
+
+
+def test_a_map_is_optimised_looked_at_and_brought_back_by_typing(service):
+    made = fleet_in(service.world, "typed", 0.3, sessions=2, submaps=20, per_pair=8)
+    at = ("--map", made.map_id, "--http", service.http)
+    assert "not in the map yet" in invoke("map", "status", *at)
+    first = json.loads(invoke("map", "optimise", *at, "--json"))
+    assert (first["version"], first["summary"]["loops_in_map"]) == (1, len(made.right()))
+    assert "1 *" in invoke("map", "versions", *at)
+    shown = invoke("map", "status", *at)
+    assert "version 1" in shown and f"{len(made.right())} in the map" in shown
+    assert json.loads(invoke("map", "status", *at, "--json"))["map_version"] == 1
+    invoke("map", "optimise", *at)
+    assert "version 1" in invoke("map", "revert", "1", *at)
+    assert [one["in_force"] for one in json.loads(invoke("map", "versions", *at, "--json"))] == [False, False, True]
+
+
+def test_a_map_without_submaps_is_refused_by_the_optimise_command(service):
+    with Client(service.http) as client:
+        client.create_map("nothing-in-it")
+    assert (
+        "the map holds no submaps"
+        in CliRunner().invoke(app, ["map", "optimise", "--map", "nothing-in-it", "--http", service.http]).output
+    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,77 +16,16 @@ from revisit.core.pose_graph import (
     LoopEdge,
     LoopState,
     Node,
-    OdometryModel,
     PoseGraph,
     Robustness,
+    SolvedComponent,
     Trajectory,
     optimise,
 )
 from revisit.core.pose_graph.consistency import agreement, consistent_sets, largest_clique, oriented
 from revisit.core.pose_graph.g2o import read_g2o, write_g2o
-
-MODEL = OdometryModel()
-LOOP_COVARIANCE = np.diag([0.05**2] * 3 + [0.003**2] * 3)
-
-
-@dataclass(frozen=True)
-class Fleet:
-    """A made-up fleet on one closed road: its graph, and the true poses of its submaps in the world."""
-
-    graph: PoseGraph
-    truth: dict[str, np.ndarray]
-
-    def error_m(self, T_map_submap: dict[str, np.ndarray]) -> float:
-        """Root mean square of the position errors after the best rigid alignment, metres."""
-        estimated = np.concatenate([T_map_submap[name][:, :3, 3] for name in self.truth])
-        true = np.concatenate([poses[:, :3, 3] for poses in self.truth.values()])
-        a, b = estimated - estimated.mean(axis=0), true - true.mean(axis=0)
-        u, _, vt = np.linalg.svd(a.T @ b)
-        rotation = (u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt).T
-        return float(np.sqrt(np.mean(np.sum((a @ rotation.T - b) ** 2, axis=1))))
-
-
-def road(submaps: int, phase: float, direction: int) -> np.ndarray:
-    """Poses (n, 4, 4) around a bumpy closed road of 5 m a submap."""
-    angle = phase + direction * np.linspace(0.0, 2 * np.pi, submaps, endpoint=False)
-    radius = 5.0 * submaps / (2 * np.pi) * (1 + 0.2 * np.sin(3 * angle))
-    places = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sin(2 * angle)], axis=1)
-    ahead = np.roll(places, -1, axis=0) - places
-    return np.stack(
-        [se3.from_yaw(np.arctan2(step[1], step[0]), place) for step, place in zip(ahead, places, strict=True)]
-    )
-
-
-def drifted(truth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Odometry of a drive: an arbitrary start and the drift that the model states."""
-    poses = [se3.from_yaw(rng.uniform(-3, 3), rng.uniform(-500, 500, 3))]
-    for first, second in itertools.pairwise(truth):
-        step = se3.inverse(first) @ second
-        covariance = MODEL.covariances(np.array([np.linalg.norm(step[:3, 3])]))[0]
-        poses.append(poses[-1] @ step @ se3.exp(rng.multivariate_normal(np.zeros(6), covariance)))
-    return np.stack(poses)
-
-
-def fleet(seed: int, wrong_share: float, sessions: int = 3, submaps: int = 80, per_pair: int = 20) -> Fleet:
-    """Robots that drive the road from other starts, every second one reversed; loops between all pairs of sessions."""
-    rng = np.random.default_rng(seed)
-    truth = {f"s{n}": road(submaps, rng.uniform(0, 6), -1 if n % 2 else 1) for n in range(sessions)}
-    loops: list[LoopEdge] = []
-    for (a, true_a), (b, true_b) in itertools.combinations(truth.items(), 2):
-        near = np.argwhere(np.linalg.norm(true_a[:, None, :3, 3] - true_b[None, :, :3, 3], axis=2) < 8.0)
-        for row, column in rng.permutation(near)[:per_pair]:
-            noise = se3.exp(rng.multivariate_normal(np.zeros(6), LOOP_COVARIANCE))
-            T = noise @ se3.inverse(true_a[row]) @ true_b[column]
-            loops.append(LoopEdge(f"right-{len(loops)}", Node(a, int(row)), Node(b, int(column)), T, LOOP_COVARIANCE))
-        for _ in range(round(per_pair * wrong_share / (1 - wrong_share))):
-            ends = Node(a, int(rng.integers(submaps))), Node(b, int(rng.integers(submaps)))
-            loops.append(LoopEdge(f"wrong-{len(loops)}", *ends, random_motion(rng), LOOP_COVARIANCE))
-    trajectories = [Trajectory.from_odometry(name, drifted(poses, rng)) for name, poses in truth.items()]
-    return Fleet(PoseGraph.of(trajectories, loops), truth)
-
-
-def random_motion(rng: np.random.Generator) -> np.ndarray:
-    return se3.from_yaw(rng.uniform(-np.pi, np.pi), (*rng.uniform(-5, 5, 2), 0.0))
+from revisit.evaluation.wrong_loops import is_wrong, with_agreeing_loops
+from tests.support.made_up_fleet import LOOP_COVARIANCE, MODEL, drifted, fleet, random_motion, road
 
 
 def in_map(graph: PoseGraph, states: tuple[LoopState, ...]) -> list[str]:
@@ -277,3 +216,84 @@ def test_half_wrong_loops_do_not_move_a_recorded_graph() -> None:
         assert not [name for name in in_map(spoilt, result.loops) if name.startswith("wrong")]
         gap = result.T_map_submap["g2o"][:, :3, 3] - best
         assert np.sqrt(np.mean(np.sum(gap**2, axis=1))) < 0.1
+
+
+def test_covariances_of_a_straight_drive_are_the_sums_of_its_steps() -> None:
+    T_odom_submap = np.tile(np.eye(4), (4, 1, 1))
+    T_odom_submap[:, 0, 3] = [0.0, 5.0, 10.0, 15.0]
+    graph = PoseGraph.of([Trajectory.from_odometry("a", T_odom_submap)], [])
+    optimised = optimise(graph)
+    step = MODEL.covariances(np.array([5.0]))[0]
+    along = [optimised.covariances["a"][n][0, 0] for n in range(4)]
+    assert along == pytest.approx([n * step[0, 0] + 1e-8 for n in range(4)], rel=1e-6)
+    turns = sum(step[5, 5] * distance_m**2 for distance_m in (10.0, 5.0, 0.0))
+    across = 3 * step[1, 1] + turns + 1e-8 + 1e-8 * 15.0**2
+    assert optimised.covariances["a"][3][1, 1] == pytest.approx(across, rel=1e-6)
+    assert (optimised.chi2, optimised.degrees_of_freedom) == (pytest.approx(0.0, abs=1e-9), 0)
+
+
+def test_chi2_of_right_loops_is_about_its_degrees_of_freedom() -> None:
+    optimised = optimise(fleet(3, 0.0).graph)
+    kept = optimised.loops.count(LoopState.IN_MAP)
+    assert optimised.degrees_of_freedom == 6 * (kept - 3 + 1)
+    assert 0.7 < optimised.chi2 / optimised.degrees_of_freedom < 1.3
+
+
+def test_aliases_within_a_session_that_agree_with_each_other_are_set_aside() -> None:
+    """Four of five loops are wrong, in runs of 20 that agree; the odometry between their ends says no."""
+    rng = np.random.default_rng(8)
+    truth = np.concatenate([road(200, 0.0, 1)] * 2)
+    right = [_loop(f"right-{n}", n, n + 200, se3.inverse(truth[n]) @ truth[n + 200]) for n in range(0, 200, 4)]
+    made = PoseGraph.of([Trajectory.from_odometry("s", drifted(truth, rng))], right)
+    spoilt = with_agreeing_loops(made, 0.8, seed=3)
+    assert sum(map(is_wrong, spoilt.loops)) == 200
+    for robustness in (Robustness.ONLINE, Robustness.COMMIT):
+        kept = in_map(spoilt, optimise(spoilt, robustness).loops)
+        assert all(name.startswith("right") for name in kept), robustness
+        assert len(kept) >= 0.95 * len(right), robustness
+
+
+def test_a_single_right_loop_that_nothing_supports_is_used() -> None:
+    truth = np.concatenate([road(60, 0.0, 1)] * 2)
+    trajectory = Trajectory.from_odometry("s", drifted(truth, np.random.default_rng(2)))
+    alone = _loop("alone", 0, 60, se3.inverse(truth[0]) @ truth[60])
+    result = optimise(PoseGraph.of([trajectory], [alone]), Robustness.ONLINE)
+    assert result.loops == (LoopState.IN_MAP,)
+
+
+def test_a_loop_that_the_odometry_forbids_is_not_used_even_alone() -> None:
+    truth = np.concatenate([road(60, 0.0, 1)] * 2)
+    trajectory = Trajectory.from_odometry("s", drifted(truth, np.random.default_rng(2)))
+    apart = se3.inverse(truth[0]) @ truth[30]
+    result = optimise(PoseGraph.of([trajectory], [_loop("alone", 0, 60, apart)]), Robustness.COMMIT)
+    assert result.loops == (LoopState.SET_ASIDE,)
+
+
+def test_one_loop_more_gives_the_poses_of_a_whole_new_optimisation() -> None:
+    made = fleet(11, 0.0)
+    *loops, last = made.graph.loops
+    fewer = PoseGraph.of(list(made.graph.trajectories), loops)
+    before = optimise(fewer, Robustness.ONLINE)
+    solved = SolvedComponent(fewer, before, before.components[0])
+    assert solved.add(last) is LoopState.IN_MAP
+    whole = optimise(made.graph, Robustness.ONLINE).T_map_submap
+    for name, poses in solved.T_map_submap().items():
+        assert np.abs(poses[:, :3, 3] - whole[name][:, :3, 3]).max() < 0.03
+    wrong = replace(last, name="wrong", T_match_query=random_motion(np.random.default_rng(0)))
+    poses = solved.T_map_submap()
+    assert solved.add(wrong) is LoopState.SET_ASIDE
+    assert all(np.array_equal(poses[name], other) for name, other in solved.T_map_submap().items())
+
+
+@pytest.mark.slow
+def test_errors_of_the_last_poses_are_as_large_as_their_covariances_say() -> None:
+    """Normalised squared errors of 60 last poses in their first session's frame: 95 % are below chi-square's 95 %."""
+    below = []
+    for seed in range(30):
+        made = fleet(seed, 0.0, submaps=50, per_pair=10)
+        result = optimise(made.graph, Robustness.ONLINE)
+        origin = result.T_map_submap["s0"][0] @ se3.inverse(made.truth["s0"][0])
+        for name in ("s1", "s2"):
+            error = se3.log(se3.inverse(result.T_map_submap[name][-1]) @ origin @ made.truth[name][-1])
+            below.append(error @ np.linalg.solve(result.covariances[name][-1], error) < 12.59)
+    assert np.mean(below) >= 0.9

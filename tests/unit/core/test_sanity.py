@@ -9,8 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from revisit.core.errors import OutOfRange
 from revisit.core.geometry import se3
-from revisit.core.sanity import ground_plane, place_flags
+from revisit.core.sanity.finding import LIKELY_CAUSES
+from revisit.core.sanity.ground import ground_plane, place_flags
+from revisit.core.sanity.window import window_findings
 from revisit.core.scan import Scan
 from revisit.evaluation.datasets.kitti import read_velodyne
 from revisit.evaluation.inspection import inspect_recording
@@ -170,6 +173,30 @@ def test_a_mistake_is_found_with_its_cause(drive: Drive, tmp_path: Path, name: s
     findings = {finding.code: finding for finding in inspect_recording(make(drive, tmp_path)).findings}
     assert code in findings, findings
     assert cause in findings[code].cause
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_is_found_in_the_scans_of_one_submap(drive: Drive, tmp_path: Path, name: str) -> None:
+    make, code, _ = MISTAKES[name]
+    made = make(drive, tmp_path)
+    scans = []
+    for index in range(len(made)):
+        try:
+            scans.append(made.scan(index))
+        except OutOfRange:
+            assert name == "millimetres"
+            return
+    assert code in {finding.code for finding in window_findings(scans)}
+
+
+def test_the_scans_of_a_sound_submap_have_no_findings(drive: Drive) -> None:
+    assert window_findings(list(drive)) == []
+    assert window_findings(list(drive)[:1]) == []
+
+
+def test_what_is_found_is_explained_where_nothing_else_is_at_hand() -> None:
+    codes = {code for _, code, _ in MISTAKES.values()}
+    assert codes | {"degenerate_plane", "empty_cloud"} == LIKELY_CAUSES.keys()
 
 
 def test_returns_that_did_not_come_back_hide_nothing_else_and_add_nothing(drive: Drive, tmp_path: Path) -> None:

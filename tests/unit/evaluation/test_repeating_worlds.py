@@ -10,7 +10,16 @@ from revisit.core.geometry import se3
 from revisit.core.model_bundle import load_packaged_models
 from revisit.core.verification import RejectedLoop, RejectionReason, verify
 from revisit.core.verification.oriented_points import OrientedPoints, contact
-from revisit.evaluation.repeating_worlds import WORLDS, RepeatingPair, World, repeating_pairs
+from revisit.evaluation.repeating_worlds import (
+    WORLDS,
+    RepeatingPair,
+    World,
+    drawn_pairs,
+    judge,
+    repeating_pairs,
+    visits_of,
+)
+from tests.support.campaigns import Campaign, sizes
 
 CONFIG = PipelineConfig()
 
@@ -46,6 +55,43 @@ def test_where_a_world_repeats_no_wrong_pose_is_accepted_and_the_true_one_is_tol
             poses = [verdict.measurement.T_match_query, *(rival.T_match_query for rival in rivals)]
             errors = [se3.inverse(pair.T_match_query) @ T for T in poses]
             assert min(float(np.linalg.norm(error[:3, 3])) for error in errors) < 0.3
+
+
+@pytest.mark.parametrize("size", sizes("REPEATING_PAIRS", 8, 1_400))
+def test_of_random_pairs_in_worlds_that_repeat_none_is_accepted_with_a_wrong_pose(size: int) -> None:
+    """P31. Half of the pairs are a period or an aisle apart; the others are of one place, and most are told apart."""
+    codebooks, campaign = load_packaged_models().codebooks, Campaign("P31", size)
+    quick = size < 2 * len(WORLDS)
+    worlds = WORLDS[:2] if quick else WORLDS
+    each = size // (2 * len(worlds))
+    apart, same, false, among, accepted = 0, 0, 0, 0, 0
+    for number, world in enumerate(worlds):
+        seen = visits_of(world, 6 if quick else 32, 100 + number, codebooks, CONFIG)
+        pairs = [pair for kind in (False, True) for pair in drawn_pairs(world, seen, each, number, same=kind)]
+        for pair, _ in zip(pairs, campaign, strict=False):
+            found = judge(pair, CONFIG)
+            false += found.false
+            apart, same = apart + (not pair.same), same + pair.same
+            among, accepted = among + (pair.same and found.among), accepted + (pair.same and found.accepted)
+    assert false == 0
+    # In a solar park no pose is fixed at all: one world of seven.
+    assert among >= 0.65 * same
+    campaign.publish(
+        f"{apart} pairs apart and {same} of one place: {false} accepted with a wrong pose; of one place the true pose "
+        f"is accepted in {accepted} and accepted or a hypothesis in {among}"
+    )
+
+
+def test_pairs_are_drawn_once_and_are_what_they_say() -> None:
+    world = WORLDS[1]
+    seen = visits_of(world, 5, 9, load_packaged_models().codebooks, CONFIG)
+    apart = list(drawn_pairs(world, seen, 100, 1, same=False))
+    assert len({(id(pair.query), id(pair.match)) for pair in apart}) == len(apart) > 0
+    assert not any(pair.same for pair in apart)
+    assert all(pair.same for pair in drawn_pairs(world, seen, 100, 1, same=True))
+    for pair in apart:
+        shift = (pair.T_world_match @ np.append(np.zeros(3), 1) - pair.T_world_query @ np.append(np.zeros(3), 1))[0]
+        assert shift == pytest.approx(pair.periods * world.period_m, abs=2.1)
 
 
 def test_two_runs_make_the_same_worlds() -> None:

@@ -1,0 +1,82 @@
+"""Loops within a session: which of them the odometry allows, and which have others beside them that agree.
+
+A session has a start that its loops share, so that one loop alone can be held against the odometry between its ends.
+And a robot that comes back to a road sees it over many submaps: a right loop has others beside it that say the same.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from revisit.core.pose_graph.consistency import MAX_CLOSING_ERROR, Circles, inverted
+from revisit.core.pose_graph.graph import LoopEdge, PoseGraph, Trajectory
+
+Array64 = NDArray[np.float64]
+
+BESIDE = 10
+"""Submaps by which the ends of two loops may be apart for one to support the other."""
+
+_TYPICAL = 0.25
+_SLACK = 100.0
+"""How much worse than typical circles (their lower quartile) one may close: stated covariances can be far too large,
+and the circles that close best show it.
+"""
+
+
+@dataclass(frozen=True)
+class LoopsWithin:
+    """Loops within sessions, by their place in the graph: what the odometry allows, and what others support of it."""
+
+    allowed: frozenset[int]
+    supported: frozenset[int]
+
+    @classmethod
+    def of(cls, graph: PoseGraph) -> LoopsWithin:
+        """Every loop within a session, held against its odometry and against the loops beside it."""
+        allowed: list[int] = []
+        supported: list[int] = []
+        for trajectory in graph.trajectories:
+            rows = np.array([n for n, loop in enumerate(graph.loops) if _is_within(loop, trajectory)], dtype=np.int64)
+            loops = [_forward(graph.loops[row]) for row in rows]
+            circles = Circles.of(loops, trajectory, trajectory)
+            fits = np.flatnonzero(odometry_errors(circles) < MAX_CLOSING_ERROR)
+            allowed += rows[fits].tolist()
+            supported += rows[fits[have_support(circles, fits)]].tolist()
+        return cls(frozenset(allowed), frozenset(supported))
+
+
+def _is_within(loop: LoopEdge, trajectory: Trajectory) -> bool:
+    return loop.match.session == loop.query.session == trajectory.session
+
+
+def _forward(loop: LoopEdge) -> LoopEdge:
+    """The loop with the earlier submap as its match."""
+    return loop if loop.match.ordinal < loop.query.ordinal else inverted(loop)
+
+
+def odometry_errors(circles: Circles) -> Array64:
+    """Squared distances (n,), in variances, of loops within a session from the odometry between their ends."""
+    at = circles.second.T_odom_submap[circles.ends[:, 1], :3, 3]
+    turn, shift = circles.T_first_second[:, :3, :3], circles.T_first_second[:, :3, 3]
+    moved = np.einsum("nij,nj->ni", turn, at) + shift - at
+    angle = np.arccos(np.clip(0.5 * (np.trace(turn, axis1=1, axis2=2) - 1.0), -1.0, 1.0))
+    variances = circles.variances + np.stack(circles.second.drift(circles.ends[:, 0], circles.ends[:, 1]), axis=1)
+    return np.asarray((moved**2).sum(axis=1) / variances[:, 0] + angle**2 / variances[:, 1])
+
+
+def have_support(circles: Circles, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which of the loops `rows` (n,) close a small circle with another one of them."""
+    if len(rows) < 2:
+        return np.zeros(len(rows), dtype=bool)
+    pairs = cKDTree(circles.ends[rows]).query_pairs(BESIDE, p=np.inf, output_type="ndarray")
+    errors = circles.errors(rows[pairs[:, 0]], rows[pairs[:, 1]])
+    least = np.full(len(rows), np.inf)
+    for side in (0, 1):
+        np.minimum.at(least, pairs[:, side], errors)
+    closing = least[np.isfinite(least)]
+    typical = float(np.quantile(closing, _TYPICAL)) if len(closing) else 0.0
+    return np.asarray(least <= min(MAX_CLOSING_ERROR, _SLACK * typical))

@@ -1,0 +1,96 @@
+"""Whether scans lie on each other once moved by their poses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from revisit.core.geometry import se3
+from revisit.core.sanity.finding import Finding
+from revisit.core.sanity.ground import read_as_wxyz, thinned_cloud
+from revisit.core.scan import Scan
+
+AGREEMENT_MARGIN = 0.15
+
+
+@dataclass(frozen=True)
+class ScenePair:
+    """Two scans that saw the same place from different poses."""
+
+    first: Scan
+    second: Scan
+
+
+def agreement(pair: ScenePair, T_first_second: se3.Matrix4) -> float:
+    """The share of the second scan's points that lie near a point of the first one, once moved by the transform."""
+    first = pair.first.points[:: max(1, len(pair.first.points) // 30_000)]
+    second, scale = thinned_cloud(pair.second.points)
+    if len(second) == 0:
+        return 0.0
+    distances, _ = cKDTree(first).query(se3.apply(T_first_second, second), distance_upper_bound=0.2 * scale)
+    return float(np.isfinite(distances).mean())
+
+
+def check_agreement(pairs: Sequence[ScenePair]) -> list[Finding]:
+    """Whether scans lie on each other once moved by their poses, or would so if the poses meant something else."""
+    if not pairs:
+        return []
+    poses = [(pair.first.T_odom_sensor, pair.second.T_odom_sensor) for pair in pairs]
+    as_given = _mean_agreement(pairs, [se3.inverse(one) @ other for one, other in poses])
+    others = {name: _mean_agreement(pairs, [step(*both) for both in poses]) for name, step in _STEPS.items()}
+    best = max(others, key=lambda name: others[name])
+    if others[best] < as_given + AGREEMENT_MARGIN:
+        return []
+    measured = f"{100 * as_given:.0f} % of the points meet the scan before; {100 * others[best]:.0f} % if {best}"
+    return [Finding(_CODES[best], measured, best, _ADVICE[best])]
+
+
+def _mean_agreement(pairs: Sequence[ScenePair], steps: Sequence[se3.Matrix4]) -> float:
+    return float(np.mean([agreement(pair, step) for pair, step in zip(pairs, steps, strict=True)]))
+
+
+Step = Callable[[se3.Matrix4, se3.Matrix4], se3.Matrix4]
+"""T_first_second of two poses, if these mean something else than T_odom_sensor."""
+
+
+def _seen_through(T_given_meant: se3.Matrix4) -> Step:
+    """The poses follow axes of another orientation or handedness than the clouds have."""
+    T_meant_given = np.linalg.inv(T_given_meant)
+    return lambda one, other: np.asarray(T_meant_given @ se3.inverse(one) @ other @ T_given_meant)
+
+
+def _reordered(one: se3.Matrix4, other: se3.Matrix4) -> se3.Matrix4:
+    first, second = (se3.from_rotation_translation(read_as_wxyz(pose), pose[:3, 3]) for pose in (one, other))
+    return se3.inverse(first) @ second
+
+
+_CAMERA_LIDAR = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+_REGISTERED = "the clouds are already in the frame of the odometry"
+_INVERTED = "the poses are inverted"
+_MIRRORED = "the y axis is mirrored"
+_MIRRORED_X = "the x axis is mirrored"
+_CAMERA = "the poses are those of a camera (x right, y down, z ahead)"
+_REORDERED = "the quaternions are in the order w, x, y, z"
+_STEPS: dict[str, Step] = {
+    _REGISTERED: lambda one, other: np.eye(4),
+    _INVERTED: lambda one, other: one @ se3.inverse(other),
+    _MIRRORED: _seen_through(np.diag([1.0, -1, 1, 1])),
+    _MIRRORED_X: _seen_through(np.diag([-1.0, 1, 1, 1])),
+    _CAMERA: _seen_through(_CAMERA_LIDAR),
+    _REORDERED: _reordered,
+}
+_CODES = {
+    _REGISTERED: "registered", _INVERTED: "poses_inverted", _MIRRORED: "mirrored", _MIRRORED_X: "mirrored",
+    _CAMERA: "camera_axes", _REORDERED: "quaternion_order",
+}  # fmt: skip
+_ADVICE = {
+    _REGISTERED: "give clouds in the sensor's frame",
+    _INVERTED: "give T_odom_sensor, which takes points of the sensor to the odometry's frame",
+    _MIRRORED: "give right-handed axes: x ahead, y left, z up",
+    _MIRRORED_X: "give right-handed axes: x ahead, y left, z up",
+    _CAMERA: "give poses of the LiDAR (KITTI: with calib.txt)",
+    _REORDERED: "give them as x, y, z, w",
+}

@@ -1,0 +1,130 @@
+"""Where the ground is: whether z points up."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.geometry import se3
+from revisit.core.geometry.voxel_keys import voxel_keys
+from revisit.core.sanity.finding import Finding
+from revisit.core.sanity.numbers import MIN_SCENE_M
+from revisit.core.scan import Scan
+
+Array = NDArray[np.float64]
+
+MAX_TILT_COSINE = 0.94
+
+
+@dataclass(frozen=True)
+class GroundPlane:
+    """The plane that the sensor stands over.
+
+    normal (3,) points to the sensor's side; `height_m` is the sensor's distance; `upright` tells whether the plane is
+    level within 20 degrees, or whether there is another one that is, with at least half as many points.
+    """
+
+    normal: Array
+    height_m: float
+    upright: bool
+
+
+def ground_plane(points: NDArray[np.floating], seed: int = 0) -> GroundPlane | None:
+    """The plane around the sensor, from points (n, 3) whose origin is the sensor's, z as they have it.
+
+    None where no plane surrounds the sensor, as with one that looks ahead only: a wall beside it is no ground.
+    """
+    thinned, scale = thinned_cloud(points)
+    if len(thinned) < 50:
+        return None
+    corners = thinned[np.random.default_rng(seed).integers(0, len(thinned), (400, 3))]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1)
+    normals, corners = normals[lengths > 1e-9] / lengths[lengths > 1e-9, None], corners[lengths > 1e-9]
+    offsets = -np.einsum("ij,ij->i", normals, corners[:, 0])
+    sign = np.where(offsets < 0.0, -1.0, 1.0)
+    normals, offsets = normals * sign[:, None], offsets * sign
+    above = normals @ thinned.T + offsets[:, None]
+    scores = (np.abs(above) < 0.1 * scale).mean(axis=1) - 2.0 * (above < -0.3 * scale).mean(axis=1)
+    best = int(scores.argmax())
+    if scores[best] < 0.15 or not _surrounds(thinned[np.abs(above[best]) < 0.1 * scale], normals[best], offsets[best]):
+        return None
+    level = scores[normals[:, 2] > MAX_TILT_COSINE]
+    upright = len(level) > 0 and float(level.max()) >= 0.5 * scores[best]
+    return GroundPlane(normals[best], float(offsets[best]), upright)
+
+
+def place_flags(points: NDArray[np.floating], scene_scale: float = 1.0) -> tuple[str, ...]:
+    """What is suspicious about a submap: "ground_tilted", "scene_too_small".
+
+    `points` (n, 3) in its level frame, whose lengths are divided by `scene_scale`. A scene that is too large does not
+    come so far: its points lie beyond the sensor's range.
+    """
+    plane = ground_plane(points)
+    size_m = scene_scale * float(np.percentile(np.linalg.norm(points[:: max(1, len(points) // 30_000)], axis=1), 95.0))
+    tilted = plane is not None and not plane.upright
+    return ("ground_tilted",) * tilted + ("scene_too_small",) * (size_m < MIN_SCENE_M)
+
+
+def thinned_cloud(points: NDArray[np.floating]) -> tuple[Array, float]:
+    """At most 3,000 of the nearer points, one a voxel, and the scene's scale compared with a street's."""
+    points = points[:: max(1, len(points) // 30_000)]
+    points = points[(points != 0.0).any(axis=1)]  # returns that did not come back, as some drivers store them
+    ranges = np.linalg.norm(points, axis=1)
+    if len(points) == 0:
+        return np.empty((0, 3)), 1.0
+    scale = float(np.clip(np.median(ranges) / 10.0, 0.02, 1_000.0))
+    near = points[ranges < 3.0 * np.median(ranges)].astype(np.float64)
+    _, first = np.unique(voxel_keys(np.floor(near / (0.4 * scale)).astype(np.int64)), return_index=True)
+    thinned = near[first]
+    return thinned[:: max(1, len(thinned) // 3_000)], scale
+
+
+def _surrounds(inliers: Array, normal: Array, offset: float) -> bool:
+    """Whether points of a plane lie all around the foot of the sensor, in 9 of 12 directions."""
+    across = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+    across /= np.linalg.norm(across)
+    along = np.cross(normal, across)
+    from_foot = inliers + offset * normal
+    sectors = np.floor((np.arctan2(from_foot @ along, from_foot @ across) + np.pi) * 6.0 / np.pi).astype(int) % 12
+    return bool((np.bincount(sectors, minlength=12) >= 0.02 * len(inliers)).sum() >= 9)
+
+
+def check_gravity(scans: Sequence[Scan]) -> list[Finding]:
+    """Whether the ground lies below the sensors, in the frame of the odometry."""
+    turned = [(scan, scan.T_odom_sensor[:3, :3]) for scan in scans]
+    planes = [ground_plane(scan.points @ rotation.T) for scan, rotation in turned]
+    known = [(scan, plane) for scan, plane in zip(scans, planes, strict=True) if plane is not None]
+    tilted = [plane for _, plane in known if not plane.upright]
+    if len(known) < max(2, len(scans) // 3) or len(tilted) < 0.7 * len(known):
+        return []
+    heights = np.median([plane.height_m for plane in tilted])
+    tilts = [np.degrees(np.arccos(np.clip(plane.normal[2], -1.0, 1.0))) for plane in tilted]
+    measured = f"the ground, {heights:.2g} m away, is tilted by {np.median(tilts):.0f} degrees"
+    if _upright_share([scan for scan, _ in known], read_as_wxyz) > 0.7:
+        cause, advice = "the quaternions are in the order w, x, y, z", "give them as x, y, z, w"
+        return [Finding("quaternion_order", measured, cause, advice)]
+    return [Finding("ground_tilted", measured, *_why_tilted(np.median([plane.normal for plane in tilted], axis=0)))]
+
+
+def _why_tilted(normal: Array) -> tuple[str, str]:
+    """The likely cause of a ground with such a normal (3,), and what to do."""
+    if normal[2] < -MAX_TILT_COSINE:
+        return "z points down (NED, or a sensor that hangs upside down)", "give poses in a frame whose z axis points up"
+    if abs(normal[1]) > 0.9:
+        return "camera axes (y down, z ahead)", "give poses of the LiDAR in a frame whose z axis points up"
+    return "the poses are not those of the LiDAR, or their frame has no z up", "give T_odom_sensor with z up"
+
+
+def read_as_wxyz(transform: se3.Matrix4) -> Array:
+    """The rotation (3, 3) if the four numbers that were read as x, y, z, w are w, x, y, z."""
+    w, x, y, z = se3.to_quaternion(transform)
+    return np.asarray(se3.from_quaternion((x, y, z, w), np.zeros(3))[:3, :3])
+
+
+def _upright_share(scans: Sequence[Scan], rotation: Callable[[se3.Matrix4], Array]) -> float:
+    planes = [ground_plane(scan.points @ rotation(scan.T_odom_sensor).T) for scan in scans]
+    return float(np.mean([plane is not None and plane.upright for plane in planes]))

@@ -1,0 +1,126 @@
+"""Which way is up in a cloud that comes without gravity: the direction that makes its surfaces level or upright.
+
+Ground, roofs and floors are level, walls are upright. Both tell the vertical, so a sensor that sees no ground (one that
+looks ahead) is served as well as one that sees little else.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.geometry import se3
+from revisit.core.geometry.voxel_keys import voxel_keys
+
+Array = NDArray[np.float64]
+
+MAX_TILT_RAD = np.radians(40.0)
+"""The z axis of the cloud must point up so far; a sensor that lies on its side is not served."""
+MAX_POINTS = 60_000
+MAX_NORMALS = 2_000
+MIN_NORMALS = 30
+MIN_VOXEL_POINTS = 8
+VOXEL_OF_RANGE = 0.06
+DIRECTIONS = 3_000
+TOLERANCE_RAD = 0.05
+MIN_SCORE = 0.25
+"""The share of surfaces that must be level or upright: of real scans 0.36 to 0.9 are."""
+RIVAL_RAD = np.radians(12.0)
+RIVAL_SHARE = 0.95
+
+
+@dataclass(frozen=True)
+class UpAxis:
+    """The vertical. `up` (3,) is a unit vector in the frame of the cloud; `support` the share 0..1 of its surfaces."""
+
+    up: Array
+    support: float
+
+    @property
+    def tilt_rad(self) -> float:
+        """How far the z axis of the cloud is from the vertical."""
+        return float(np.arccos(np.clip(self.up[2], -1.0, 1.0)))
+
+    def T_level_cloud(self) -> se3.Matrix4:
+        """The smallest rotation (4, 4) that turns the vertical to z."""
+        axis = np.cross(self.up, [0.0, 0.0, 1.0])
+        sine = float(np.linalg.norm(axis))
+        if sine < 1e-9:
+            return np.eye(4)
+        return se3.exp(np.concatenate([np.zeros(3), axis / sine * self.tilt_rad]))
+
+
+def estimate_up(points: NDArray[np.floating], seed: int = 0) -> UpAxis | None:
+    """The vertical of a cloud (n, 3) of any scale, within 40 degrees of its z axis.
+
+    None where there are too few surfaces, or where another direction, 12 degrees off or more, does nearly as well.
+    """
+    normals = surface_normals(_near(points))
+    if len(normals) < MIN_NORMALS:
+        return None
+    normals = np.random.default_rng(seed).permutation(normals)[:MAX_NORMALS]
+    directions = _cap(DIRECTIONS)
+    scores = _scores(directions, normals)
+    best = int(scores.argmax())
+    others = directions @ directions[best] < np.cos(RIVAL_RAD)
+    if scores[best] < MIN_SCORE or float(scores[others].max(initial=0.0)) > RIVAL_SHARE * scores[best]:
+        return None
+    up = _refined(directions[best], normals)
+    return UpAxis(up, float(_scores(up[None], normals)[0]))
+
+
+def surface_normals(points: NDArray[np.floating]) -> Array:
+    """Unit normals (m, 3), of either sign, of the voxels in which the points (n, 3) lie on a plane."""
+    if len(points) == 0:
+        return np.empty((0, 3))
+    median = float(np.median(np.linalg.norm(points, axis=1)))
+    voxels = np.floor(points / max(VOXEL_OF_RANGE * median, 1e-6)).astype(np.int64)
+    _, voxel, counts = np.unique(voxel_keys(voxels), return_inverse=True, return_counts=True)
+    means = np.stack([np.bincount(voxel, points[:, axis]) for axis in range(3)], axis=1) / counts[:, None]
+    centred = points - means[voxel]
+    spread = np.empty((len(counts), 3, 3))
+    for row, column in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
+        spread[:, row, column] = np.bincount(voxel, centred[:, row] * centred[:, column]) / counts
+        spread[:, column, row] = spread[:, row, column]
+    values, vectors = np.linalg.eigh(spread[counts >= MIN_VOXEL_POINTS])
+    flat = (values[:, 0] < 0.05 * values[:, 1]) & (values[:, 1] > 0.1 * values[:, 2])
+    return np.asarray(vectors[flat, :, 0])
+
+
+def _near(points: NDArray[np.floating]) -> Array:
+    ranges = np.linalg.norm(points, axis=1)
+    if len(points) == 0:
+        return np.empty((0, 3))
+    near = points[(ranges > 0.0) & (ranges < 3.0 * np.median(ranges))].astype(np.float64)
+    return np.asarray(near[:: max(1, len(near) // MAX_POINTS)])
+
+
+def _cap(count: int) -> Array:
+    """Directions (count, 3) spread evenly over the cap around z (a spiral of golden angles)."""
+    index = np.arange(count)
+    z = 1.0 - (1.0 - np.cos(MAX_TILT_RAD)) * (index + 0.5) / count
+    angle, radius = index * (np.pi * (3.0 - np.sqrt(5.0))), np.sqrt(1.0 - z * z)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
+
+
+def _scores(directions: Array, normals: Array) -> Array:
+    """For each direction (d, 3) the share of normals (n, 3) along it or square to it, within some 3 degrees, softly."""
+    cosines = np.minimum(np.abs(directions @ normals.T), 1.0)
+    level = np.exp((cosines**2 - 1.0) / (2.0 * TOLERANCE_RAD**2))
+    upright = np.exp(-(cosines**2) / (2.0 * TOLERANCE_RAD**2))
+    return np.asarray((level + upright).mean(axis=1))
+
+
+def _refined(up: Array, normals: Array) -> Array:
+    """The best of the directions around `up`, three times finer each time."""
+    offsets = np.stack(np.meshgrid(np.arange(-2, 3), np.arange(-2, 3)), axis=-1).reshape(-1, 2)
+    for step in (0.02, 0.007, 0.002):
+        across = np.cross(up, [1.0, 0.0, 0.0])
+        across /= np.linalg.norm(across)
+        along = np.cross(up, across)
+        around = up + step * (offsets[:, :1] * across + offsets[:, 1:] * along)
+        around /= np.linalg.norm(around, axis=1, keepdims=True)
+        up = around[_scores(around, normals).argmax()]
+    return up

@@ -1,0 +1,158 @@
+"""`revisit map`: one map out of many sessions - how it stands, its versions, and what moves it."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from revisit.cli.options import HTTP, Http, Json, MapName
+from revisit.cli.output import emit_json, emit_table, progress_bar, refuse, say, utc
+
+if TYPE_CHECKING:
+    from revisit.sdk.client import Client
+    from revisit.sdk.resources import Correction, LoopClosure, MapVersion, Operation
+
+LOOK_S = 1.0
+"""How often a person sees how an optimisation stands."""
+
+group = typer.Typer(help="Make one map out of many sessions: optimise it, look at it, go back.", no_args_is_help=True)
+
+
+@group.command("status")
+def status(map_id: MapName = "default", http: Http = HTTP, json: Json = False) -> None:
+    """Where the sessions of a map lie to each other, and which loops that rests on."""
+    from revisit.sdk.client import Client
+
+    with Client(http) as client:
+        found = client.get_map(f"maps/{map_id}")
+        corrections = _corrections(client, found.name)
+        loops = client.loop_closures(found.name, state=None)
+    if json:
+        emit_json(
+            {
+                "map_version": found.map_version,
+                "sessions": {name: None if one is None else asdict(one) for name, one in corrections.items()},
+                "loops": dict(_counted(loops)),
+            }
+        )
+        return
+    title = f"Map {map_id}, version {found.map_version or '-'}"
+    columns = ("session", "frame", "x m", "y m", "z m", "yaw deg", "sigma m")
+    emit_table(title, columns, [_row(session, correction) for session, correction in corrections.items()])
+    say(f"Loops: {', '.join(f'{count} {words}' for words, count in _counted(loops).items()) or 'none'}.")
+
+
+@group.command("optimise")
+def optimise(map_id: MapName = "default", http: Http = HTTP, json: Json = False) -> None:
+    """Optimise the pose graph of a map in a worker and wait for the new version."""
+    from revisit.sdk.client import Client
+
+    with Client(http) as client:
+        done = _waited(client, client.optimise_map(f"maps/{map_id}"), quiet=json)
+        result = done.result or {}
+        if "version" not in result:
+            raise refuse(f"map {map_id} has no new version: {result.get('outcome', done.state)}")
+        version = client.get_map_version(result["version"])
+    if json:
+        emit_json(asdict(version))
+    else:
+        _show([version])
+
+
+@group.command("versions")
+def versions(map_id: MapName = "default", http: Http = HTTP, json: Json = False) -> None:
+    """List the versions of a map that are kept, and what each rests on."""
+    from revisit.sdk.client import Client
+
+    with Client(http) as client:
+        found = client.map_versions(f"maps/{map_id}")
+    if json:
+        emit_json([asdict(version) for version in found])
+    else:
+        _show(found)
+
+
+@group.command("revert")
+def revert(
+    version: Annotated[int, typer.Argument(help="The version whose poses come back.")],
+    map_id: MapName = "default",
+    http: Http = HTTP,
+    json: Json = False,
+) -> None:
+    """Bring back the poses of an earlier version, bit for bit, as a new version."""
+    from revisit.sdk.client import Client
+
+    with Client(http) as client:
+        restored = client.revert_map(f"maps/{map_id}", version)
+    if json:
+        emit_json(asdict(restored))
+    else:
+        _show([restored])
+
+
+def _waited(client: Client, operation: Operation, *, quiet: bool) -> Operation:
+    """The operation once it is done, with its state on stderr meanwhile."""
+    with progress_bar(quiet) as bar:
+        task = bar.add_task("QUEUED", total=1)
+        while True:
+            try:
+                done = client.wait(operation, LOOK_S)
+            except TimeoutError:
+                bar.update(task, description=client.get_operation(operation.name).state)
+                continue
+            bar.update(task, description="DONE", completed=1)
+            return done
+
+
+def _corrections(client: Client, map_name: str) -> dict[str, Correction | None]:
+    """The correction of each session by its id, None where the map has no frame for it yet."""
+    from revisit.sdk.errors import FailedPrecondition
+
+    found: dict[str, Correction | None] = {}
+    for session in client.list_sessions(map_name):
+        try:
+            found[session.name.rpartition("/")[2]] = client.correction(session)
+        except FailedPrecondition:
+            found[session.name.rpartition("/")[2]] = None
+    return found
+
+
+def _row(session: str, correction: Correction | None) -> tuple[Any, ...]:
+    if correction is None:
+        return (session, "not in the map yet")
+    T_map_odom = correction.T_map_odom
+    yaw_deg = math.degrees(math.atan2(T_map_odom[1, 0], T_map_odom[0, 0]))
+    sigma_m = math.sqrt(max(float(correction.covariance[:3, :3].trace()), 0.0))
+    x, y, z = (f"{value:.2f}" for value in T_map_odom[:3, 3])
+    return session, correction.frame, x, y, z, f"{yaw_deg:.1f}", f"{sigma_m:.2f}"
+
+
+def _counted(loops: list[LoopClosure]) -> Counter[str]:
+    """How many loops there are of each verdict: that of the pose graph where it has one, else that of geometry."""
+    words = {"IN_MAP": "in the map", "SET_ASIDE": "set aside", "UNCONNECTED": "of sessions that share no frame"}
+    others = {"ACCEPTED": "not asked yet", "REJECTED": "rejected", "PROPOSED": "proposed"}
+    return Counter(words.get(loop.graph_state or "", others.get(loop.state, loop.state)) for loop in loops)
+
+
+def _show(found: list[MapVersion]) -> None:
+    rows = [
+        (
+            f"{one.version}{' *' if one.in_force else ''}",
+            utc(one.created_at_ns),
+            f"version {one.restored_from}" if one.restored_from else "",
+            one.summary.sessions,
+            one.summary.frames,
+            one.summary.submaps,
+            one.summary.loops_in_map,
+            one.summary.loops_set_aside,
+            f"{one.summary.chi2:.0f} / {one.summary.degrees_of_freedom}",
+            "" if one.summary.max_change_m is None else f"{one.summary.max_change_m:.2f}",
+        )
+        for one in found
+    ]
+    columns = ("version", "made", "brought back", "sessions", "frames", "submaps", "loops", "set aside", "chi2 / dof")
+    emit_table("Versions, * is in force", (*columns, "moved at most m"), rows)

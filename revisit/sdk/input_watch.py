@@ -1,0 +1,79 @@
+"""A look at scans before they are sent: mistakes about units, frames and times are told at once, on the robot."""
+
+from __future__ import annotations
+
+import contextlib
+import warnings
+from collections import deque
+from typing import Any
+
+import numpy as np
+
+from revisit.core.errors import RevisitError
+from revisit.core.sanity.finding import Finding
+from revisit.core.sanity.ground import check_gravity
+from revisit.core.sanity.numbers import check_motion, check_points, check_times, check_units
+from revisit.core.scan import Scan, scene_size
+from revisit.sdk.clouds import Cloud, PointsLike
+from revisit.sdk.resources import Finding as SessionFinding
+
+FIRST_LOOKS = (4, 16)
+LOOK_EVERY = 200
+KEPT_POSES = 220
+KEPT_CLOUDS = 4
+
+
+class SuspiciousInput(UserWarning):
+    """What was sent is unlikely to be meant. It was sent all the same."""
+
+
+class InputWatch:
+    """Keeps some of the scans of a stream, and warns once for each kind of mistake (`SuspiciousInput`).
+
+    Looks after 4 and 16 scans and then after each 200, some 50 ms each time; clouds that are encoded already are not
+    looked at. The service compares scans with each other as well: see `Session.findings`.
+    """
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._poses: deque[tuple[Any, int]] = deque(maxlen=KEPT_POSES)
+        self._scans: deque[Scan] = deque(maxlen=KEPT_CLOUDS)
+        self._told: set[str] = set()
+
+    def look(self, points: PointsLike, T_odom_sensor: Any, stamp_ns: int) -> None:
+        """Take notice of a scan. Raises nothing: what cannot be used is for the service to refuse."""
+        self._count += 1
+        due = self._count in FIRST_LOOKS or self._count % LOOK_EVERY == 0
+        with contextlib.suppress(RevisitError, ValueError, TypeError, IndexError):
+            self._poses.append((np.asarray(T_odom_sensor, dtype=np.float64)[:3, :4], int(stamp_ns)))
+            if not isinstance(points, Cloud) and (due or self._count <= KEPT_CLOUDS):
+                self._scans.append(Scan.validated(np.asarray(points)[:, :3], T_odom_sensor, stamp_ns))
+            if due:
+                self._tell(self._findings())
+
+    def _findings(self) -> list[Finding]:
+        poses = np.stack([pose for pose, _ in self._poses])
+        stamps_ns = np.array([stamp for _, stamp in self._poses], dtype=np.int64)
+        scans = list(self._scans)
+        found = [*check_times(stamps_ns), *check_motion(poses, stamps_ns)]
+        if scans:
+            found += check_units([scene_size(scan) for scan in scans]) + check_points(scans) + check_gravity(scans)
+        return found
+
+    def _tell(self, findings: list[Finding]) -> None:
+        for finding in findings:
+            if finding.code not in self._told:
+                self._told.add(finding.code)
+                warn(finding.code, finding.measured, finding.cause, finding.advice)
+
+
+def warn_of_session(findings: tuple[SessionFinding, ...]) -> None:
+    """Tell what the service has found in a session."""
+    for finding in findings:
+        warn(finding.code, f"in {finding.submaps} submaps", finding.cause, finding.advice)
+
+
+def warn(code: str, measured: str, cause: str, advice: str) -> None:
+    """One warning: what was measured, its likely cause, what to do."""
+    told = f"{code}: {measured}. Likely cause: {cause}. {advice[:1].upper()}{advice[1:]}."
+    warnings.warn(told, SuspiciousInput, stacklevel=4)

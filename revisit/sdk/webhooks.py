@@ -1,0 +1,43 @@
+"""Receiving webhooks: what a request tells, if it is from the service and of now."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import time
+from collections.abc import Mapping
+
+from google.protobuf.json_format import Parse, ParseError
+
+from revisit.sdk.errors import ErrorDetails, InvalidArgument, Unauthenticated
+from revisit.sdk.resources import Event
+from revisit.v1 import webhook_pb2
+
+TOLERANCE_S = 300.0
+"""How far the clocks of service and receiver may be apart, with the time of the way."""
+
+VERSION = "v1="
+
+
+def verified(body: bytes, headers: Mapping[str, str], secret: str, *, now_s: float | None = None) -> list[Event]:
+    """The events of a request to a webhook, whose names of headers may have any case.
+
+    One that failed before comes again: leave out those whose `number` you have had. Raises Unauthenticated where the
+    signature is not that of `secret`, or older than `TOLERANCE_S`; InvalidArgument for a body that is none.
+    """
+    shown = {name.lower(): value for name, value in headers.items()}
+    timestamp, signature = shown.get("revisit-timestamp", ""), shown.get("revisit-signature", "")
+    expected = hmac.new(secret.encode(), timestamp.encode() + b"." + body, hashlib.sha256).hexdigest()
+    if not hmac.compare_digest(signature.encode(), f"{VERSION}{expected}".encode()):
+        raise _refused("the signature is not the service's")
+    if abs((time.time() if now_s is None else now_s) - int(timestamp)) > TOLERANCE_S:
+        raise _refused("the request is too old")
+    try:
+        message = Parse(body, webhook_pb2.WebhookBody(), ignore_unknown_fields=True)
+    except ParseError as error:
+        raise InvalidArgument(ErrorDetails("INVALID_ARGUMENT", "MALFORMED_BODY", "no body of a webhook")) from error
+    return [Event.of(event) for event in message.events]
+
+
+def _refused(why: str) -> Unauthenticated:
+    return Unauthenticated(ErrorDetails("UNAUTHENTICATED", "UNAUTHENTICATED", why))

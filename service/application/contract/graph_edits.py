@@ -1,0 +1,15 @@
+"""Changes that make a part of a map's pose graph void: an optimisation under way reads the graph again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.lookup import require_map
+from revisit.service.application.contract.transactions import UnitOfWork
+
+
+def note_edit(uow: UnitOfWork, tenant: TenantId, map_id: str) -> None:
+    """A loop has changed, or a submap or session is gone. What is only added needs no note. Raises NotFound."""
+    record = require_map(uow, tenant, map_id)
+    uow.maps.replace(replace(record, graph_edits=record.graph_edits + 1))

@@ -1,0 +1,104 @@
+"""Loops that people have made: what a worker reads of one, and the transaction that stores its verdict."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
+from revisit.service.application.contract.clock import Instant
+from revisit.service.application.contract.job_queue import Lease
+from revisit.service.application.contract.lookup import require_map
+from revisit.service.application.contract.policy import Policy
+from revisit.service.application.contract.recogniser import LoopVerdict
+from revisit.service.application.contract.records import JobRecord, LoopRecord, MapRecord, SubmapRecord
+from revisit.service.application.contract.states import LoopEventKind, LoopState
+from revisit.service.application.contract.transactions import UnitOfWork
+from revisit.service.application.mapping.loop_events import Change, change_loop
+from revisit.service.application.mapping.optimisation import optimise_soon
+from revisit.service.application.query.place_memory import RecalledPlace
+
+NO_LONGER_PROPOSED = {"outcome": "the loop was deleted, or somebody decided on it meanwhile"}
+"""The result of a job that had nothing left to verify."""
+
+
+@dataclass(frozen=True)
+class ProposedPair:
+    """The submaps of a proposed loop, how alike they are, and T_match_query `near`, where somebody named one."""
+
+    map: MapRecord
+    query: SubmapRecord
+    match: RecalledPlace
+    near: Matrix4 | None
+
+
+@dataclass(frozen=True)
+class VerdictCommit:
+    """The one transaction that ends the verification of a proposed loop."""
+
+    lease: Lease
+    model_version: str
+    policy: Policy
+    pair: ProposedPair | None
+    verdict: LoopVerdict | None
+    now: Instant
+    now_ns: int
+
+    def __call__(self, uow: UnitOfWork) -> None:
+        """Commit. Raises StaleLease where another worker holds the job."""
+        uow.queue.require(self.lease)
+        loop = _proposed(uow, self.lease.job)
+        if loop is None or self.pair is None or self.verdict is None:
+            uow.queue.complete(self.lease, NO_LONGER_PROPOSED, self.now, self.now_ns)
+            return
+        verdict = self.verdict
+        state = LoopState.ACCEPTED if verdict.accepted else LoopState.REJECTED
+        change_loop(
+            uow,
+            loop,
+            Change(LoopEventKind.VERIFIED, self.now_ns, details=self._rules(verdict)),
+            state=state.value,
+            reason=verdict.reason,
+            similarity=self.pair.match.similarity,
+            score=verdict.score,
+            T_match_query=loop.T_match_query if verdict.T_match_query is None else pose_row(verdict.T_match_query),
+            evidence={**verdict.evidence, "model_version": self.model_version},
+        )
+        if verdict.accepted:
+            optimise_soon(uow, loop.tenant, loop.map_id, self.policy, self.now, self.now_ns)
+        result = {"loop_closure": f"maps/{loop.map_id}/loopClosures/{loop.loop_id}", "state": state.value}
+        uow.queue.complete(self.lease, {**result, "reason": verdict.reason}, self.now, self.now_ns)
+
+    def _rules(self, verdict: LoopVerdict) -> dict[str, Any]:
+        return {"model_version": self.model_version, **rules_of(verdict)}
+
+
+def rules_of(verdict: LoopVerdict) -> dict[str, Any]:
+    """The thresholds that a verdict was given by."""
+    told = ("thresholds", "thresholds_version")
+    return {name: verdict.evidence[name] for name in told if name in verdict.evidence}
+
+
+def proposed_pair(uow: UnitOfWork, job: JobRecord) -> ProposedPair | None:
+    """What is to be verified; None where it is gone, or no longer a proposal."""
+    loop = _proposed(uow, job)
+    if loop is None:
+        return None
+    submaps = uow.submaps.numbered(job.tenant, [loop.query_number, loop.match_number])
+    query, match = submaps[loop.query_number], submaps[loop.match_number]
+    near = None if loop.T_match_query is None else np.array(pose_matrix(loop.T_match_query))
+    return ProposedPair(
+        require_map(uow, job.tenant, loop.map_id), query, RecalledPlace(match, _similarity(query, match)), near
+    )
+
+
+def _proposed(uow: UnitOfWork, job: JobRecord) -> LoopRecord | None:
+    loop = uow.loops.get(job.tenant, str(job.payload["map_id"]), str(job.payload["loop_id"]))
+    return loop if loop is not None and loop.state == LoopState.PROPOSED else None
+
+
+def _similarity(query: SubmapRecord, match: SubmapRecord) -> float:
+    first, second = (np.frombuffer(one.descriptor or b"", dtype="<f4").astype(np.float64) for one in (query, match))
+    return float(first @ second)

@@ -1,0 +1,67 @@
+"""What is cheap to send and dear to read is charged to the rate limits, refused or not (P11)."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from dataclasses import replace
+
+import httpx
+import pytest
+
+from revisit.core.errors import MalformedBody
+from revisit.formats import PLY
+from revisit.service.application import UseCases
+from revisit.service.application.capacity.in_flight import CapacityLimits, InFlight
+from revisit.service.application.catalogue.paging import Page, PageRequest
+from revisit.service.application.contract.errors import RateLimited
+from revisit.service.application.ingest.clouds import EncodedCloud
+from tests.support.live_service import live_service
+from tests.support.service_world import SESSION, TENANT, World, memory_world, posted, submap
+
+BURST_POINTS = 100_000
+SLOWLY = CapacityLimits(client_points_per_s=100.0, burst_s=BURST_POINTS / 100.0)
+
+
+@pytest.fixture
+def world():
+    """A service whose clients have `BURST_POINTS`, and next to nothing afterwards."""
+    made = memory_world()
+    context = replace(made.context, in_flight=InFlight(SLOWLY))
+    return World(context, UseCases.over(context, "test"), made.clock)
+
+
+async def refused(world, cloud: EncodedCloud) -> None:
+    with pytest.raises(MalformedBody):
+        await world.use_cases.posting.post(TENANT, replace(submap("bad", 2), cloud=cloud))
+
+
+async def test_a_compressed_cloud_that_is_refused_costs_what_it_may_have_been_unpacked_to(world):
+    await posted(world)
+    await refused(world, EncodedCloud(b"no gzip" * 1_000, PLY, "gzip"))
+    with pytest.raises(RateLimited):
+        await world.use_cases.posting.post(TENANT, submap("good", 1))
+
+
+async def test_a_small_cloud_that_is_refused_costs_little(world):
+    await posted(world)
+    for _ in range(20):
+        await refused(world, EncodedCloud(b"ply\n" + b"no header\n" * 1_000, PLY))
+    await world.use_cases.posting.post(TENANT, submap("good", 1))
+
+
+async def test_a_list_costs_by_the_row(world):
+    await posted(world, **{f"s{number}": number for number in range(40)})
+    asked = [world.use_cases.submaps.list(TENANT, SESSION, PageRequest(size=40)) for _ in range(10)]
+    answers = await asyncio.gather(*asked, return_exceptions=True)
+    assert [type(answer) for answer in answers[:3]] == [Page] * 3
+    assert [type(answer) for answer in answers[-4:]] == [RateLimited] * 4
+
+
+def test_json_costs_by_the_byte_refused_or_not(world):
+    body = json.dumps({"map_id": "x", "display_name": "y" * 15_000}).encode()
+    with live_service(world) as running, httpx.Client(base_url=running.http, trust_env=False) as http:
+        answers = [http.post("/v1/maps", content=body, headers={"content-type": "application/json"}) for _ in range(30)]
+    statuses = [answer.status_code for answer in answers]
+    assert set(statuses) == {422, 429} and statuses == sorted(statuses)
+    assert answers[-1].headers["retry-after"]

@@ -1,0 +1,176 @@
+"""A simulated fleet through the service: three drives with drift and unknown starts become one map. Also by itself."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from revisit import Client
+from revisit.core.pose_graph import PoseGraph, Robustness, optimise
+from revisit.service.application.mapping.optimisation import drop_waiting
+from revisit.service.failpoints import FailpointReached, arm
+from tests.support.fleet_in_service import fleet_in
+from tests.support.live_service import live_service
+from tests.support.service_world import TENANT, described, memory_world
+
+
+def clean_error_m(fleet) -> float:
+    """Of the graph without its wrong loops, optimised plainly."""
+    right = [loop for loop in fleet.graph.loops if loop.name.startswith("right")]
+    graph = PoseGraph.of(list(fleet.graph.trajectories), right)
+    return fleet.error_m(optimise(graph, Robustness.PLAIN).T_map_submap)
+
+
+@pytest.fixture(scope="module")
+def running():
+    with live_service() as service, Client(service.http) as client:
+        yield service, client
+
+
+@pytest.mark.parametrize("wrong_share", [0.1, 0.3, 0.5])
+def test_wrong_loops_are_set_aside_and_right_ones_kept(running, wrong_share):
+    service, client = running
+    made = fleet_in(service.world, f"wrong-{wrong_share}", wrong_share)
+    done = client.wait(client.optimise_map(made.name), 120.0)
+    kept = {loop.name for loop in client.loop_closures(made.name, graph_state="IN_MAP")}
+    assert kept <= made.right()
+    assert len(kept) >= 0.95 * len(made.right())
+    assert done.result["frames"] == 1
+    error_m = made.fleet.error_m(made.poses(client.submap_poses(done.result["version"])))
+    odometry_m = made.fleet.error_m({one.session: one.T_odom_submap for one in made.fleet.graph.trajectories})
+    assert odometry_m > 30.0
+    assert error_m <= 1.1 * clean_error_m(made.fleet)
+
+
+def test_corrections_put_the_odometry_of_every_robot_into_one_frame(running):
+    service, client = running
+    made = fleet_in(service.world, "frames")
+    client.wait(client.optimise_map(made.name), 120.0)
+    corrections = {name: client.correction(f"{made.name}/sessions/{name}") for name in made.fleet.truth}
+    assert len({correction.frame for correction in corrections.values()}) == 1
+    corrected = {
+        one.session: corrections[one.session].T_map_odom @ one.T_odom_submap for one in made.fleet.graph.trajectories
+    }
+    assert made.fleet.error_m(corrected) < 20.0
+
+
+def waiting(world):
+    queued = world.context.transactions.read(lambda uow: uow.jobs.find(TENANT, state="QUEUED", kind="OPTIMISE_MAP"))
+    return queued.result()
+
+
+async def test_a_map_is_optimised_by_itself_once_its_new_loops_have_settled():
+    world = memory_world(optimise_after_loops=1, optimise_delay_ms=5000)
+    await described(world, a=1, b=2, c=1, d=1)
+    (job,) = waiting(world)
+    assert world.work_off() == 0
+    world.clock.ms += 4999
+    assert world.work_off() == 0
+    world.clock.ms += 1
+    assert world.work_off() == 1
+    assert (await world.use_cases.operations.get(TENANT, job.operation_id)).result["version"] == "maps/town/versions/1"
+    assert waiting(world) == []
+
+
+async def test_a_map_waits_for_as_many_loops_as_the_operator_says():
+    world = memory_world(optimise_after_loops=3)
+    await described(world, a=1, b=2, c=1)
+    assert waiting(world) == []
+    await described(world, d=1, e=1)
+    assert len(waiting(world)) == 1
+
+
+async def test_somebody_who_asks_does_not_wait_for_the_loops_to_settle():
+    world = memory_world(optimise_after_loops=1)
+    await described(world, a=1, b=2, c=1)
+    (job,) = waiting(world)
+    posted = await world.use_cases.map_versions.optimise(TENANT, "town")
+    assert (posted.operation.operation_id, posted.replay) == (job.operation_id, True)
+    assert world.work_off() == 1
+
+
+async def test_only_the_newest_versions_are_kept_with_their_operations():
+    world = memory_world(map_versions_kept=2)
+    await described(world, a=1, b=2, c=1)
+    operations = []
+    for _ in range(3):
+        operations.append((await world.use_cases.map_versions.optimise(TENANT, "town")).operation.operation_id)
+        world.work_off()
+    found = world.context.transactions.read(lambda uow: uow.map_versions.find(TENANT)).result()
+    assert [version.version for version in found] == [2, 3]
+    jobs = world.context.transactions.read(lambda uow: uow.jobs.find(TENANT, kind="OPTIMISE_MAP")).result()
+    assert [job.operation_id for job in jobs] == operations[1:]
+
+
+async def test_a_graph_that_loses_a_session_while_it_is_optimised_is_read_again():
+    world = memory_world()
+    made = fleet_in(world, "lost", sessions=2, submaps=20, per_pair=6)
+    posted = await world.use_cases.map_versions.optimise(TENANT, made.map_id)
+    worker, lease = world.worker(), world.claim()
+    optimiser, readings = worker._mapping._optimiser, []
+
+    class Deleting:
+        def optimise(self, graph):
+            readings.append(len(graph.tracks))
+            if len(readings) == 1:
+                world.context.transactions.write(lambda uow: delete_one(uow, made.map_id)).result()
+            return optimiser.optimise(graph)
+
+    worker._mapping._optimiser = Deleting()
+    worker.run(lease)
+    assert readings == [2, 1]
+    done = await world.use_cases.operations.get(TENANT, posted.operation.operation_id)
+    assert (done.state, done.result["sessions"]) == ("DONE", 1)
+
+
+def delete_one(uow, map_id):
+    from revisit.service.application.catalogue.deletion import delete_session
+
+    delete_session(uow, uow.maps.get(TENANT, map_id), uow.sessions.get(TENANT, map_id, "s1"), 1)
+
+
+async def test_a_revert_is_not_undone_by_an_optimisation_that_was_under_way():
+    world = memory_world()
+    made = fleet_in(world, "held", 0.3, sessions=2, submaps=20, per_pair=6)
+    cases = world.use_cases.map_versions
+    for _ in range(2):
+        await cases.optimise(TENANT, made.map_id)
+        world.work_off()
+    posted = await cases.optimise(TENANT, made.map_id)
+    worker, lease = world.worker(), world.claim()
+    waits = await cases.optimise(TENANT, made.map_id)
+    loop, optimiser = asyncio.get_running_loop(), worker._mapping._optimiser
+
+    class Reverting:
+        def optimise(self, graph):
+            asyncio.run_coroutine_threadsafe(cases.revert(TENANT, made.map_id, 1), loop).result(10.0)
+            return optimiser.optimise(graph)
+
+    worker._mapping._optimiser = Reverting()
+    await asyncio.to_thread(worker.run, lease)
+    for operation in (posted, waits):
+        ended = await world.use_cases.operations.get(TENANT, operation.operation.operation_id)
+        assert (ended.state, "brought back" in ended.result["outcome"]) == ("DONE", True)
+    assert (await cases.get(TENANT, made.map_id, 3)).in_force
+    assert world.work_off() == 0
+
+
+@pytest.mark.parametrize("point", ["optimise.after_version", "optimise.after_poses"])
+async def test_a_commit_that_breaks_off_leaves_the_old_version_whole(point):
+    world = memory_world()
+    made = fleet_in(world, "broken", 0.3, sessions=2, submaps=20, per_pair=6)
+    cases = world.use_cases.map_versions
+    await cases.optimise(TENANT, made.map_id)
+    world.work_off()
+    before = await cases.get(TENANT, made.map_id, 1)
+    await cases.optimise(TENANT, made.map_id)
+    arm(f"{point}=raise")
+    try:
+        world.work_off()
+    except FailpointReached:
+        pass
+    finally:
+        arm("")
+    assert await cases.get(TENANT, made.map_id, 1) == before and before.in_force
+    world.context.transactions.write(lambda uow: drop_waiting(uow, TENANT, made.map_id, {}, 1)).result()
