@@ -13,23 +13,21 @@ SHORTEST_BASE = 4.0
 
 
 @numba.njit(cache=True, error_model="numpy")
-def angle_between(one: float, other: float) -> float:
-    """The absolute difference of two angles in radians, in [0, pi]."""
-    return abs((one - other + np.pi) % (2.0 * np.pi) - np.pi)
-
-
-@numba.njit(cache=True, error_model="numpy")
 def votes(
-    source: Array64, target: Array64, yaws: Array64, pose: Array64, tolerance: float, yaw_tolerance: float
-) -> float:
-    """How many correspondences agree with `pose` (yaw, x, y): in position, and in the yaw that each implies."""
-    c, s = np.cos(pose[0]), np.sin(pose[0])
-    agree = 0.0
+    source: Array64, target: Array64, headings: Array64, turn: Array64, shift: Array64, tolerance: float, cosine: float
+) -> int:
+    """How many correspondences agree with a pose: in position, and in the yaw that each implies.
+
+    headings (n, 2) and turn (2,) are cosine and sine of these yaws and of the pose's, shift (2,) its translation in
+    metres; two yaws agree where the cosine of their difference is above `cosine`.
+    """
+    c, s, x, y = turn[0], turn[1], shift[0], shift[1]
+    agree = 0
     for k in range(len(source)):
-        dx = c * source[k, 0] - s * source[k, 1] + pose[1] - target[k, 0]
-        dy = s * source[k, 0] + c * source[k, 1] + pose[2] - target[k, 1]
-        if dx * dx + dy * dy <= tolerance * tolerance and angle_between(yaws[k], pose[0]) < yaw_tolerance:
-            agree += 1.0
+        dx = c * source[k, 0] - s * source[k, 1] + x - target[k, 0]
+        dy = s * source[k, 0] + c * source[k, 1] + y - target[k, 1]
+        near = dx * dx + dy * dy <= tolerance * tolerance
+        agree += near & (c * headings[k, 0] + s * headings[k, 1] > cosine)
     return agree
 
 
@@ -40,28 +38,28 @@ def best_two_point_pose(
     """The pose (yaw, x, y) of two correspondences with the most votes, and their number; all zero where there is none.
 
     source (n, 2) and target (n, 2) are the corresponding points in metres, yaws (n,) what each implies in radians. A
-    pair is tried where its two distances differ by at most `tolerance`, and both yaws by at most `yaw_tolerance` from
+    pair is tried where its two distances differ by at most `tolerance`, and both yaws by less than `yaw_tolerance` from
     that of the pair. Of poses with equally many votes the first counts.
     """
-    best = np.zeros(4)
-    pose = np.zeros(3)
+    best, turn, shift = np.zeros(4), np.empty(2), np.empty(2)
+    headings = np.empty((len(yaws), 2))
+    headings[:, 0], headings[:, 1] = np.cos(yaws), np.sin(yaws)
+    cosine = np.cos(yaw_tolerance) if yaw_tolerance < np.pi else -2.0
     for i in range(len(source)):
         for j in range(i + 1, len(source)):
             sx, sy = source[j, 0] - source[i, 0], source[j, 1] - source[i, 1]
             tx, ty = target[j, 0] - target[i, 0], target[j, 1] - target[i, 1]
-            length = np.sqrt(sx * sx + sy * sy)
-            if length < SHORTEST_BASE * tolerance or abs(length - np.sqrt(tx * tx + ty * ty)) > tolerance:
+            length, other = np.sqrt(sx * sx + sy * sy), np.sqrt(tx * tx + ty * ty)
+            if length < SHORTEST_BASE * tolerance or abs(length - other) > tolerance:
                 continue
-            yaw = np.arctan2(sx * ty - sy * tx, sx * tx + sy * ty)
-            if angle_between(yaws[i], yaw) > yaw_tolerance or angle_between(yaws[j], yaw) > yaw_tolerance:
+            c, s = (sx * tx + sy * ty) / (length * other), (sx * ty - sy * tx) / (length * other)
+            if min(c * headings[i, 0] + s * headings[i, 1], c * headings[j, 0] + s * headings[j, 1]) <= cosine:
                 continue
-            c, s = np.cos(yaw), np.sin(yaw)
             mx, my = 0.5 * (source[i, 0] + source[j, 0]), 0.5 * (source[i, 1] + source[j, 1])
-            pose[0] = yaw
-            pose[1] = 0.5 * (target[i, 0] + target[j, 0]) - (c * mx - s * my)
-            pose[2] = 0.5 * (target[i, 1] + target[j, 1]) - (s * mx + c * my)
-            agree = votes(source, target, yaws, pose, tolerance, yaw_tolerance)
+            turn[0], turn[1] = c, s
+            shift[0] = 0.5 * (target[i, 0] + target[j, 0]) - (c * mx - s * my)
+            shift[1] = 0.5 * (target[i, 1] + target[j, 1]) - (s * mx + c * my)
+            agree = votes(source, target, headings, turn, shift, tolerance, cosine)
             if agree > best[3]:
-                best[:3] = pose
-                best[3] = agree
+                best[0], best[1], best[2], best[3] = np.arctan2(s, c), shift[0], shift[1], agree
     return best

@@ -27,6 +27,7 @@ PLAN_SIZE = 128
 _LAYERS = 4
 _LAYER_M = 1.5
 _LOWEST_M = -2.0
+_FEW_PEAKS = 0.1  # of the pixels: then they are looked at one by one
 _TURNS = 4  # quarters: plazas and crossings repeat by them, streets by half a turn
 
 
@@ -138,12 +139,26 @@ def _wider(images: Images) -> Images:
 
 def _peaks(share: Images, least: float, apart: float) -> list[tuple[int, int, int]]:
     """Quarter, row and column of the local maxima of at least `least`, best first; none within `apart` of no shift."""
-    peak = (share >= _wider(share)) & (share >= least)
+    peak = share >= least
+    if peak.sum() < _FEW_PEAKS * peak.size:
+        peak[peak] = _highest_around(share, np.argwhere(peak))
+    else:
+        peak &= share >= _wider(share)
     steps = np.minimum(np.arange(PLAN_SIZE), PLAN_SIZE - np.arange(PLAN_SIZE))
     peak[0] &= np.hypot(steps[:, None], steps[None, :]) >= apart
     rows = np.argwhere(peak)
     order = np.argsort(-share[tuple(rows.T)], kind="stable")
     return [(int(q), int(y), int(x)) for q, y, x in rows[order]]
+
+
+def _highest_around(share: Images, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which of the pixels `rows` (n, 3) are at least as high as their eight neighbours; the edges go round."""
+    quarter, y, x = rows.T
+    here = share[quarter, y, x]
+    highest = np.ones(len(rows), dtype=bool)
+    for dy, dx in ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)):
+        highest &= here >= share[quarter, (y + dy) % PLAN_SIZE, (x + dx) % PLAN_SIZE]
+    return np.asarray(highest)
 
 
 def _shifted(T_match_query: se3.Matrix4, quarter: int, row: int, column: int, pixel: float) -> se3.Matrix4:

@@ -50,10 +50,10 @@ def correlate(query: Place, match: Place, config: VerificationConfig) -> list[Pl
     translation then follows by correlation.
     """
     match_image = raster(_standing_plan(match), config.correlation_pixel)
-    match_spectrum = fft.fft2(match_image)
+    match_spectrum = fft.rfft2(match_image)
     query_points = _standing_plan(query)
     query_spectrum = fft.fft2(raster(query_points, config.correlation_pixel))
-    turns = _likely_turns(_polar_amplitude(query_spectrum), _polar_amplitude(match_spectrum))
+    turns = _likely_turns(_polar_amplitude(query_spectrum), _polar_amplitude(fft.fft2(match_image)))
     fits = []
     for turn in turns[: config.correlation_turns]:
         for yaw in (turn, turn + np.pi):
@@ -100,7 +100,7 @@ def _standing_plan(place: Place) -> Array64:
 
 def _best_shift(image: Array64, match_spectrum: NDArray[np.complex128]) -> tuple[float, Array64]:
     """The largest correlation of `image` with the match, and the shift (x, y) in pixels that gives it."""
-    surface = fft.ifft2(match_spectrum * np.conj(fft.fft2(image))).real
+    surface = fft.irfft2(match_spectrum * np.conj(fft.rfft2(image)), s=image.shape)
     row, column = np.unravel_index(int(surface.argmax()), surface.shape)
     shift = (np.array([column, row], dtype=np.float64) + _HALF) % IMAGE_SIZE - _HALF
     return float(surface[row, column]), shift
