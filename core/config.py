@@ -356,6 +356,19 @@ class FusionConfig(Section):
 
 
 @dataclass(frozen=True)
+class AdaptationConfig(Section):
+    """How descriptors are standardised by the places of their own map, without labels (decision 0120)."""
+
+    section: ClassVar[str] = "adaptation"
+
+    first_places: int = parameter(8, "places", "own, decision 0120", "fewer places of a map or session change nothing")
+    growth: float = parameter(1.25, "1", "own, decision 0120", "statistics are learned anew after this growth")
+    prior_places: float = parameter(20.0, "places", "own, decision 0120", "what the prior counts for", low=0)
+    spread_floor: float = parameter(0.1, "1", "own, decision 0120", "share of the mean spread added to each", low=0)
+    cell: float = parameter(5.0, "m", "own, decision 0120", "places of a session nearer than this count once")
+
+
+@dataclass(frozen=True)
 class LoopConfig(Section):
     """Which earlier submaps are candidates."""
 
@@ -482,6 +495,7 @@ class PipelineConfig:
     micro: MicroConfig = dataclasses.field(default_factory=MicroConfig)
     spectra: SpectrumConfig = dataclasses.field(default_factory=SpectrumConfig)
     fusion: FusionConfig = dataclasses.field(default_factory=FusionConfig)
+    adaptation: AdaptationConfig = dataclasses.field(default_factory=AdaptationConfig)
     loop: LoopConfig = dataclasses.field(default_factory=LoopConfig)
     verification: VerificationConfig = dataclasses.field(default_factory=VerificationConfig)
 

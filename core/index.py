@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -172,7 +172,7 @@ class ExactIndex:
 
     def add(self, entries: Sequence[IndexEntry], vectors: Array) -> None:
         """See PlaceIndex."""
-        normalised = _checked(entries, vectors, self._dimension, self._metadata)
+        normalised = checked_vectors(entries, vectors, self._dimension, self._metadata.rows)
         self._metadata.append(entries)
         self._vectors = np.concatenate([self._vectors, normalised])
 
@@ -213,7 +213,7 @@ class FaissIndex:
 
     def add(self, entries: Sequence[IndexEntry], vectors: Array) -> None:
         """See PlaceIndex."""
-        normalised = _checked(entries, vectors, self._dimension, self._metadata)
+        normalised = checked_vectors(entries, vectors, self._dimension, self._metadata.rows)
         if len(entries):
             self._faiss.add_with_ids(normalised, np.array([entry.id for entry in entries], dtype=np.int64))
         self._metadata.append(entries)
@@ -286,23 +286,30 @@ def _ranked(ids: NDArray[np.int64], similarities: Array, k: int) -> list[Match]:
     return [Match(int(ids[row]), float(similarities[row])) for row in order]
 
 
-def _checked(entries: Sequence[IndexEntry], vectors: Array, dimension: int, metadata: _Metadata) -> Array:
+def checked_vectors(entries: Sequence[IndexEntry], vectors: Array, dimension: int, stored: Container[int]) -> Array:
+    """The vectors (n, d) as `PlaceIndex.add` stores them; `stored` ids are refused. Raises BadField."""
     matrix = np.ascontiguousarray(vectors, dtype=np.float32)
     if matrix.shape != (len(entries), dimension):
         raise BadField(f"vectors must be ({len(entries)}, {dimension}), got {matrix.shape}", field="vectors")
     ids = [entry.id for entry in entries]
-    if len(set(ids)) != len(ids) or any(identifier in metadata.rows for identifier in ids):
+    if len(set(ids)) != len(ids) or any(identifier in stored for identifier in ids):
         raise BadField("an id is stored already", field="id")
     return _normalised(matrix, "vectors")
 
 
-def _checked_query(vector: Array, k: int, dimension: int) -> tuple[Array, int]:
+def checked_vector(vector: Array, dimension: int) -> Array:
+    """The vector (d,) of a query, L2-normalised. Raises BadField where it cannot be searched for."""
     query = np.ascontiguousarray(vector, dtype=np.float32)
     if query.shape != (dimension,):
         raise BadField(f"the vector must be ({dimension},), got {query.shape}", field="vector")
+    return np.asarray(_normalised(query[None], "vector")[0])
+
+
+def _checked_query(vector: Array, k: int, dimension: int) -> tuple[Array, int]:
+    query = checked_vector(vector, dimension)
     if k < 1:
         raise BadField(f"k must be at least 1, got {k}", field="k")
-    return _normalised(query[None], "vector")[0], min(k, MAX_K)
+    return query, min(k, MAX_K)
 
 
 def _normalised(matrix: Array, field: str) -> Array:

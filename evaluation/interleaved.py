@@ -13,13 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.index import ExactIndex, IndexEntry, Match, SearchFilter
 from revisit.evaluation.baselines import PlaceRecogniser, ScanContext
 from revisit.evaluation.cutting import Window, cut, load_submap
 from revisit.evaluation.datasets import Recording
 from revisit.evaluation.described_submaps import DescribedSubmap, DescriptionWork, describe_submaps, in_processes
 from revisit.evaluation.loop_closure_method import LoopClosureMethod, RevisitMethod
-from revisit.evaluation.matching import QueryMatches, VerificationWork, pose_error, verify_all
+from revisit.evaluation.matching import QueryMatches, VerificationWork, pose_error, search_map, verify_all
 from revisit.evaluation.perturbations import turned
 from revisit.evaluation.recording_evaluation import EvaluationOptions
 from revisit.evaluation.scene import estimate_scene_scale
@@ -70,25 +69,11 @@ def evaluate_interleaved(
     windows = maps + cut(recording, config.submap, range(1, len(recording), 2))
     work = DescriptionWork(recording, config.submap, perturbation, method, options.seed)
     places = list(describe_submaps(work, windows, options.jobs))
-    candidates = _candidates(places, len(maps), config.loop.candidates)
+    found_places = search_map(places[len(maps) :], places[: len(maps)], config.loop.candidates)
+    candidates = [*[()] * len(maps), *found_places]
     matches = list(verify_all(VerificationWork(places, method, radius_m), candidates, options.jobs))[len(maps) :]
     found = _baseline_matches(baselines, work, windows, len(maps), options.jobs)
     return _score(places, len(maps), matches, found, radius_m)
-
-
-def _candidates(places: list[DescribedSubmap], map_count: int, k: int) -> list[tuple[Match, ...]]:
-    """Nothing for the map's submaps; the most similar map submaps for each query."""
-    described = [place for place in places[:map_count] if place.description is not None]
-    if not described:
-        return [()] * len(places)
-    vectors = np.stack([place.description.vector for place in described if place.description is not None])
-    index = ExactIndex(vectors.shape[1])
-    index.add([IndexEntry(place.id, 0, place.id, place.position) for place in described], vectors)
-    found: list[tuple[Match, ...]] = [()] * map_count
-    for query in places[map_count:]:
-        description = query.description
-        found.append(tuple(index.search(description.vector, k, SearchFilter())) if description is not None else ())
-    return found
 
 
 def _score(

@@ -7,11 +7,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from revisit.core.adapted_index import AdaptedIndex
 from revisit.core.candidates import CandidatePolicy
 from revisit.core.config import LoopConfig
 from revisit.core.geometry import se3
-from revisit.core.index import ExactIndex, IndexEntry, Match
+from revisit.core.index import ExactIndex, IndexEntry, Match, SearchFilter
 from revisit.core.pipeline import recall
 from revisit.evaluation.described_submaps import DescribedSubmap, in_processes
 from revisit.evaluation.loop_closure_method import LoopClosureMethod, Verdict
@@ -57,8 +59,7 @@ def pose_error(query: DescribedSubmap, match: DescribedSubmap, T_match_query: se
 
 def search_online(places: Sequence[DescribedSubmap], loop: LoopConfig) -> list[tuple[Match, ...]]:
     """The candidates of every place among the earlier ones that differ by more than the index gap, best first."""
-    described = [place.description for place in places if place.description is not None]
-    index = ExactIndex(len(described[0].vector)) if described else None
+    index = _index_of(places)
     found: list[tuple[Match, ...]] = []
     for place in places:
         if place.description is None or index is None:
@@ -67,9 +68,51 @@ def search_online(places: Sequence[DescribedSubmap], loop: LoopConfig) -> list[t
         # The paper wants indices that differ by more than the gap; the policy lets through what differs by its number.
         policy = CandidatePolicy(0, place.id, loop.min_index_gap + 1, loop.candidates)
         found.append(tuple(recall(place.description.vector, index, policy)))
-        entry = IndexEntry(id=place.id, session=0, ordinal=place.id, position=place.position)
-        index.add([entry], place.description.vector[None])
+        _enter(index, [place], session=0, first=place.id)
     return found
+
+
+def search_map(
+    queries: Sequence[DescribedSubmap],
+    mapped: Sequence[DescribedSubmap],
+    count: int,
+    allowed: NDArray[np.bool_] | None = None,
+    *,
+    own_map: bool = False,
+) -> list[tuple[Match, ...]]:
+    """The `count` places of the map most like each query, best first, by their row in `mapped`.
+
+    The queries are one session: each is known after it has asked. With `own_map` they are the submaps of the map
+    itself, perhaps seen otherwise, and submap n enters the map after query n has asked. allowed (queries, mapped)
+    leaves out more.
+    """
+    index, found = _index_of([*mapped, *queries]), list[tuple[Match, ...]]()
+    if not own_map:
+        _enter(index, mapped, session=0)
+    for number, query in enumerate(queries):
+        same = own_map and query is mapped[number]
+        ids = None if allowed is None else frozenset(np.flatnonzero(allowed[number]).tolist())
+        only = SearchFilter(only_session=0, near=(0 if same else 1, number, 0), allowed=ids)
+        vector = None if query.description is None else query.description.vector
+        found.append(() if index is None or vector is None else tuple(index.search(vector, count, only)))
+        if own_map:
+            _enter(index, mapped[number : number + 1], session=0, first=number)
+        if not same:
+            _enter(index, [query], session=1, first=len(mapped) + number)
+    return found
+
+
+def _enter(index: AdaptedIndex | None, places: Sequence[DescribedSubmap], session: int, first: int = 0) -> None:
+    """Add the described ones of `places`, numbered from `first` on."""
+    for row, place in enumerate(places, first):
+        if index is not None and place.description is not None:
+            index.add([IndexEntry(row, session, row, place.position)], place.description.vector[None])
+
+
+def _index_of(places: Sequence[DescribedSubmap]) -> AdaptedIndex | None:
+    """An empty index for their descriptors; None where there are none."""
+    sizes = [len(place.description.vector) for place in places if place.description is not None]
+    return AdaptedIndex(sizes[0], ExactIndex) if sizes else None
 
 
 def verify_all(work: VerificationWork, candidates: Sequence[tuple[Match, ...]], jobs: int) -> Iterator[QueryMatches]:

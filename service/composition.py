@@ -17,13 +17,12 @@ import structlog
 from revisit.service import VERSION
 from revisit.service.access_rules import access_rules
 from revisit.service.adapters.clock import SystemClock
+from revisit.service.adapters.core_map_optimiser import CoreMapOptimiser
 from revisit.service.adapters.files.blobs import FileBlobStore
-from revisit.service.adapters.files.disk import Disk
-from revisit.service.adapters.files.fail_stop import FailStop
+from revisit.service.adapters.files.disk import Disk, FailStop
 from revisit.service.adapters.files.filesystem import require_local
 from revisit.service.adapters.sqlite.checkpoints import Checkpoints
-from revisit.service.adapters.sqlite.connections import write_ahead_log
-from revisit.service.adapters.sqlite.failures import StorageFailures
+from revisit.service.adapters.sqlite.connections import StorageFailures, write_ahead_log
 from revisit.service.adapters.sqlite.transactions import SqliteTransactions
 from revisit.service.adapters.vector_index import PlaceVectorIndex
 from revisit.service.application import Installation, UseCases
@@ -31,7 +30,7 @@ from revisit.service.application.access.callers import current_actor
 from revisit.service.application.capacity.in_flight import InFlight
 from revisit.service.application.contract.recogniser import PlaceRecogniser
 from revisit.service.application.contract.tracing import NoTracer, Tracer
-from revisit.service.application.housekeeping.retention import forget_answers
+from revisit.service.application.housekeeping.retention import forget_answers, forget_events
 from revisit.service.application.housekeeping.sweeping import sweep
 from revisit.service.application.housekeeping.system import WORKER_SEEN_WITHIN_MS
 from revisit.service.application.housekeeping.upkeep import Chore
@@ -50,6 +49,7 @@ SWEEP_EVERY_S = 6 * 3600.0
 LOAD_INDEX_EVERY_S = 1.0
 AUDIT_INDEX_EVERY_S = 2.0
 FORGET_ANSWERS_EVERY_S = 60.0
+FORGET_EVENTS_EVERY_S = 60.0
 
 STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
@@ -101,6 +101,9 @@ def chores(settings: Settings, installation: Installation, fail_stop: FailStop) 
         kept_s = 3600.0 * settings.answers_kept_h
         await forget_answers(installation.storage, installation.clock, kept_s)
 
+    async def forget_old_events() -> None:
+        await forget_events(installation.storage, settings.events_kept)
+
     return (
         Chore("tend_disk", TEND_DISK_EVERY_S, tend_disk),
         Chore("fold_log_back", FOLD_LOG_BACK_EVERY_S, fold_log_back, at_end=True),
@@ -108,6 +111,7 @@ def chores(settings: Settings, installation: Installation, fail_stop: FailStop) 
         Chore("load_index", LOAD_INDEX_EVERY_S, keeper.load),
         Chore("audit_index", AUDIT_INDEX_EVERY_S, audit_index),
         Chore("forget_answers", FORGET_ANSWERS_EVERY_S, forget),
+        Chore("forget_events", FORGET_EVENTS_EVERY_S, forget_old_events),
     )
 
 
@@ -152,7 +156,9 @@ def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None
     log.info("worker_ready", model_version=identity.model_version)
     limits = WorkerLimits(settings.jobs_per_worker, settings.worker_memory_mb * 2**20 * 3 // 4, settings.job_timeout_s)
     tracer = build_tracer(settings, "worker")
-    worker = Worker(installation, installation.recognition(recogniser), identity, stopping, limits, tracer)
+    worker = Worker(
+        installation, installation.recognition(recogniser, CoreMapOptimiser()), identity, stopping, limits, tracer
+    )
     try:
         worker.run()
     finally:
@@ -178,6 +184,7 @@ def load_recogniser(name: str) -> PlaceRecogniser:
 
 
 def _new_index(dimension: int) -> PlaceIndex:
+    from revisit.core.adapted_index import AdaptedIndex
     from revisit.core.index import FaissIndex
 
-    return FaissIndex(dimension)
+    return AdaptedIndex(dimension, FaissIndex)

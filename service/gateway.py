@@ -17,13 +17,14 @@ import structlog
 import uvicorn
 from prometheus_client import ProcessCollector
 
-from revisit.service.adapters.files.fail_stop import FailStop
+from revisit.service.adapters.files.disk import FailStop
 from revisit.service.adapters.sqlite.migration import migrate
 from revisit.service.application import Installation, UseCases
 from revisit.service.application.housekeeping.upkeep import Upkeep
 from revisit.service.composition import build_installation, build_tracer, build_use_cases, chores
 from revisit.service.large_blocks import return_large_blocks
 from revisit.service.metrics import LoadMetrics, MetricsServer, RequestMetrics, StoreMetrics
+from revisit.service.open_files import allow_open_files
 from revisit.service.settings import Settings
 from revisit.service.tls import grpc_credentials, http_context
 from revisit.service.worker.ends import STORAGE_FAILED
@@ -39,6 +40,9 @@ SERVER_FAILED = 70
 SWITCH_S = 0.0005
 """How long a decoding thread may hold the interpreter lock while the event loop waits for it; Python's default is 5 ms.
 An answer hands over several times. Chosen by that reasoning; its effect was not measured by itself."""
+
+HANDSHAKE_S = 10.0
+"""Time for a TLS handshake over HTTP; gRPC has the same in its options."""
 
 FAIL_STOP_S = 0.5
 """How long the process lives after the disk has failed, so that pending answers can still go out."""
@@ -59,6 +63,7 @@ def serve(settings: Settings) -> int:
     """Run the gateway and its workers until SIGTERM or SIGINT; the exit status."""
     migrate(settings.database)
     sys.setswitchinterval(SWITCH_S)
+    allow_open_files()
     return_large_blocks()
     with asyncio.Runner(loop_factory=_loop_factory()) as runner:
         return runner.run(_Gateway(settings).run())
@@ -92,8 +97,7 @@ class _Gateway:
         # Objects made during the start live on. Searching them for garbage would hold up requests for 70 to 90 ms.
         gc.freeze()
         self._announce(http_port, grpc_port)
-        if self._settings.exposed and await use_cases.access.is_open():
-            log.warning("open_to_everyone", hint="create an API key: `revisit keys create`")
+        await self._warn_of_access(use_cases)
         stopped = asyncio.create_task(stop.wait(), name="stop")
         await asyncio.wait([stopped, serving], return_when=asyncio.FIRST_COMPLETED)
         if not stopped.done():
@@ -112,6 +116,14 @@ class _Gateway:
         await asyncio.to_thread(installation.transactions.close)
         log.info("stopped", status=self._status)
         return self._status
+
+    async def _warn_of_access(self, use_cases: UseCases) -> None:
+        """Tell the operator where anyone gets in, or nobody."""
+        if self._settings.exposed and await use_cases.access.is_open():
+            log.warning("open_to_everyone", hint="create an API key: `revisit keys create`")
+        needs_key = self._settings.credential_required and not self._settings.knows_callers_without_keys
+        if needs_key and not await use_cases.keys.any_live():
+            log.warning("closed_to_everyone", hint="create the first API key: `revisit keys create`")
 
     def _supervisor(self, installation: Installation) -> WorkerSupervisor:
         """The supervisor of the workers; the metrics of this process and of them."""
@@ -215,6 +227,24 @@ class _ListeningServer(_Server):
     async def serve(self, sockets: list[socket.socket] | None = None) -> None:
         """Serve on the bound socket."""
         await super().serve(sockets=[self._listener])
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Listen on the bound socket, as uvicorn would; but a TLS handshake has 10 s where uvicorn allows 60."""
+        await self.lifespan.startup()
+        config = self.config
+        server = await asyncio.get_running_loop().create_server(
+            self._protocol,
+            sock=self._listener,
+            backlog=config.backlog,
+            ssl=config.ssl,
+            ssl_handshake_timeout=None if config.ssl is None else HANDSHAKE_S,
+        )
+        self.servers, self.started = [server], True
+
+    def _protocol(self) -> asyncio.Protocol:
+        make: Any = self.config.http_protocol_class
+        protocol: asyncio.Protocol = make(self.config, self.server_state, self.lifespan.state)
+        return protocol
 
 
 def _listen(host: str, port: int) -> socket.socket:

@@ -65,6 +65,23 @@ class Settings(AccessSettings):
         gt=0,
         description="hours for which the operation of a query by cloud can be read after its end, with the answer",
     )
+    events_kept: int = Field(
+        default=50_000,
+        ge=1000,
+        description="events of a tenant that are kept for those who watch and were away: about 4 for each submap",
+    )
+    optimise_after_loops: int = Field(
+        default=1,
+        ge=0,
+        description="accepted loop closures that the pose graph of a map has not seen yet, from which on the map is "
+        "optimised by itself; 0 for only when somebody asks",
+    )
+    optimise_delay_s: float = Field(
+        default=5.0, ge=0, description="how long the loops before an optimisation settle: more come together"
+    )
+    map_versions_kept: int = Field(
+        default=20, ge=1, description="versions of a map's poses that are kept; older ones cannot be brought back"
+    )
     jobs_per_worker: int = Field(default=500, ge=1, description="jobs after which a worker is replaced")
     job_timeout_s: float = Field(default=120.0, gt=0, description="a run of a job that takes longer is ended")
     worker_memory_mb: int = Field(
@@ -165,6 +182,9 @@ class Settings(AccessSettings):
             max_attempts=self.max_attempts,
             lease_ms=int(self.lease_s * 1000),
             tenant_storage_bytes=None if self.tenant_storage_mb is None else self.tenant_storage_mb * 2**20,
+            optimise_after_loops=self.optimise_after_loops,
+            optimise_delay_ms=int(self.optimise_delay_s * 1000),
+            map_versions_kept=self.map_versions_kept,
         )
 
     @property

@@ -5,6 +5,8 @@ Tangent vectors are (6,) as (x, y, z, rx, ry, rz), metres and radians.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -154,3 +156,18 @@ def log(transform: Matrix4) -> NDArray[np.float64]:
 def _hat(vector: NDArray[np.float64]) -> NDArray[np.float64]:
     x, y, z = vector
     return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+
+
+def pose_row(T_target_source: Matrix4) -> tuple[float, ...]:
+    """A (4, 4) transform as a row of a database holds it: 16 floats, row by row."""
+    return tuple(float(value) for value in T_target_source.ravel())
+
+
+def pose_matrix(row: Sequence[float]) -> Matrix4:
+    """The (4, 4) float64 transform of `pose_row`."""
+    return np.asarray(row, dtype=np.float64).reshape(4, 4)
+
+
+def position_row(position: NDArray[np.float64]) -> tuple[float, float, float]:
+    """A position (3,) in metres as a row of a database holds it."""
+    return float(position[0]), float(position[1]), float(position[2])

@@ -14,7 +14,7 @@ from revisit.core.implicit_map.neural_map import NeuralMap
 from revisit.core.implicit_map.neural_points import ElasticAccumulator, NeuralPoints
 from revisit.core.implicit_map.settled import settle
 from revisit.core.implicit_map.visibility import count_seen_through
-from revisit.core.kernels.voxel_table import table_of, voxels_of
+from revisit.core.kernels.point_columns import columns_of
 from revisit.core.stages import stage
 from revisit.core.submap import Submap
 
@@ -57,8 +57,8 @@ def without_dynamic_points(points: NeuralPoints, submap: Submap, config: Implici
     consistent = seen_through == 0
     if suspect.any() and consistent.any():
         stable = points.subset(consistent)
-        table = table_of(voxels_of(stable.positions, config.resolution))
-        near = find_neighbourhood(points.positions[suspect], stable.positions, stable.normals, table, config)
+        columns = columns_of(stable.positions, config.resolution)
+        near = find_neighbourhood(points.positions[suspect], stable.positions, stable.normals, columns, config)
         # free space without any surface near is far from it
         far = (near.plane_distance > config.dynamic_distance) | ~np.isfinite(near.nearest)
         dynamic[suspect] = far  # Eq. 6: S(p) > gamma_d, and H(p) > gamma_mu of the suspects

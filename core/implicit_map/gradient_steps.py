@@ -12,6 +12,7 @@ from revisit.core.implicit_map.decoder import DecoderWeights
 from revisit.core.implicit_map.neighbourhood import Neighbourhood, find_neighbourhood
 from revisit.core.implicit_map.neural_points import NeuralPoints
 from revisit.core.implicit_map.samples import draw_samples
+from revisit.core.kernels.point_columns import columns_of
 from revisit.core.kernels.voxel_table import table_of, voxels_of
 from revisit.core.submap import Submap
 
@@ -24,7 +25,8 @@ def learn_features(
     """Features (n, F) of `points`, fitted to samples along the rays of `submap`, and the decoder they are for."""
     table = table_of(voxels_of(points.positions, config.resolution))
     samples = draw_samples(submap.points, submap.origins[submap.scan_index], points, table, config, rng)
-    near = find_neighbourhood(samples.positions, points.positions, points.normals, table, config)
+    columns = columns_of(points.positions, config.resolution)
+    near = find_neighbourhood(samples.positions, points.positions, points.normals, columns, config)
     return fit_features(near, samples.labels, len(points), decoder, config, rng)
 
 

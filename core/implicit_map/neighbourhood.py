@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.config import ImplicitMapConfig
-from revisit.core.implicit_map.decoder import orientations
 from revisit.core.kernels.nearest_points import nearest_points
-from revisit.core.kernels.neighbour_blend import blend_neighbours
-from revisit.core.kernels.voxel_table import VoxelTable
+from revisit.core.kernels.neighbour_blend import blend_neighbours, tangent_frames
+from revisit.core.kernels.point_columns import PointColumns
 
 Array = NDArray[np.float32]
 
@@ -39,13 +38,11 @@ class Neighbourhood:
 
 
 def find_neighbourhood(
-    queries: Array, positions: Array, normals: Array, table: VoxelTable, config: ImplicitMapConfig
+    queries: Array, positions: Array, normals: Array, columns: PointColumns, config: ImplicitMapConfig
 ) -> Neighbourhood:
     """The neighbourhood of `queries` (m, 3) among neural points at `positions` (n, 3) with `normals` (n, 3)."""
-    indices, squared = nearest_points(
-        queries, positions, table, config.resolution, config.neighbours, config.search_rings
-    )
+    indices, squared = nearest_points(queries, columns, config.resolution, config.neighbours, config.search_rings)
     weights, encoding, plane = blend_neighbours(
-        queries, positions, orientations(normals), indices, squared, config.weight_power, config.resolution
+        queries, positions, tangent_frames(normals), indices, squared, config.weight_power, config.resolution
     )
     return Neighbourhood(np.maximum(indices, 0).astype(np.int64), weights, encoding, plane, np.sqrt(squared[:, 0]))

@@ -19,8 +19,9 @@ from revisit.core.implicit_map.neighbourhood import Neighbourhood, find_neighbou
 from revisit.core.implicit_map.neural_points import NeuralPoints
 from revisit.core.implicit_map.settled import NORMAL_STEPS, OFFSET_UNIT, geometry, hits_of, plane_codes
 from revisit.core.kernels.nearest_points import nearest_points
+from revisit.core.kernels.neighbour_blend import blend_normals
 from revisit.core.kernels.plane_distance import plane_distance
-from revisit.core.kernels.voxel_table import VoxelTable, table_of, voxels_of
+from revisit.core.kernels.point_columns import PointColumns, columns_of
 
 Array = NDArray[np.float32]
 
@@ -84,14 +85,14 @@ class NeuralMap:
             raise DataLoss("the stored neural map cannot be read") from error
 
     @cached_property
-    def table(self) -> VoxelTable:
-        """The neural points by voxel."""
-        return table_of(voxels_of(self.points.positions, self.config.resolution))
+    def columns(self) -> PointColumns:
+        """The neural points by the column of voxels that they lie in."""
+        return columns_of(self.points.positions, self.config.resolution)
 
     def neighbourhood(self, queries: Array) -> Neighbourhood:
         """The K nearest neural points of `queries` (m, 3) with their weights (paper Eq. 2-4)."""
         cloud = np.ascontiguousarray(queries, dtype=np.float32)
-        return find_neighbourhood(cloud, self.points.positions, self.points.normals, self.table, self.config)
+        return find_neighbourhood(cloud, self.points.positions, self.points.normals, self.columns, self.config)
 
     def sdf(self, queries: Array) -> tuple[Array, Array]:
         """Signed distances (m,) metres of `queries` (m, 3), positive in free space, cut at the truncation (Eq. 5).
@@ -123,7 +124,7 @@ class NeuralMap:
         """Blended distances (m,) to the tangent planes, and distances (m,) to the nearest neural point."""
         cloud, points, config = np.ascontiguousarray(queries, dtype=np.float32), self.points, self.config
         indices, squared = nearest_points(
-            cloud, points.positions, self.table, config.resolution, config.neighbours, config.search_rings
+            cloud, self.columns, config.resolution, config.neighbours, config.search_rings
         )
         distance = plane_distance(cloud, points.positions, points.normals, indices, squared, config.weight_power)
         return distance, np.sqrt(squared[:, 0])
@@ -134,10 +135,9 @@ class NeuralMap:
         The blend of the neural points' normals: the gradient of the tangent-plane part of the field, without the small
         correction of the decoder. Zero where no neural point is near.
         """
-        near = self.neighbourhood(queries)
-        blended = np.einsum("mk,mka->ma", near.weights, self.points.normals[near.indices])
-        length = np.linalg.norm(blended, axis=1, keepdims=True)
-        return np.asarray(blended / np.maximum(length, 1e-9), dtype=np.float32)
+        cloud, config = np.ascontiguousarray(queries, dtype=np.float32), self.config
+        near = nearest_points(cloud, self.columns, config.resolution, config.neighbours, config.search_rings)
+        return np.asarray(blend_normals(*near, self.points.normals, config.weight_power))
 
 
 def _read(data: bytes, decoder: DecoderWeights, config: ImplicitMapConfig) -> NeuralMap:

@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.kernels.elastic_points import insert_returns, pooled_covariances
+from revisit.core.kernels.oriented_normals import oriented_normals
 from revisit.core.kernels.voxel_table import VoxelTable, empty_slots
 
 Array = NDArray[np.float32]
-
-NORMAL_PRIOR = 0.05
 
 
 @dataclass(frozen=True)
@@ -81,7 +80,7 @@ class ElasticAccumulator:
         moments, views = self._moments[: self._size], self._views[: self._size]
         scans = self._scans[: self._size]
         positions = (moments[:, 1:4] / moments[:, :1]).astype(np.float32)
-        normals = _oriented_normals(pooled_covariances(positions, moments, self._table, self._resolution), views)
+        normals = oriented_normals(pooled_covariances(positions, moments, self._table, self._resolution), views)
         return NeuralPoints(
             positions=positions, normals=normals, created=scans[:, 0].copy(), updated=scans[:, 1].copy(),
             hits=scans[:, 2].copy(), stability=scans[:, 2].astype(np.float32),
@@ -102,17 +101,3 @@ def _grown(array: NDArray[Any], rows: int) -> NDArray[Any]:
     grown = np.zeros((rows, *array.shape[1:]), dtype=array.dtype)
     grown[: len(array)] = array
     return grown
-
-
-def _oriented_normals(covariances: NDArray[np.float64], views: NDArray[np.float64]) -> Array:
-    """Unit normals (n, 3) towards the sensor: least variance, with a prior for the viewing direction.
-
-    The prior decides where returns form a line (one beam on a wall) or a single spot.
-    """
-    view = views / (np.linalg.norm(views, axis=1, keepdims=True) + 1e-12)
-    spread = np.trace(covariances, axis1=1, axis2=2)[:, None, None] + 1e-9
-    prior = np.eye(3) - view[:, :, None] * view[:, None, :]
-    normals = np.linalg.eigh(covariances / spread + NORMAL_PRIOR * prior)[1][:, :, 0]
-    facing = np.einsum("ij,ij->i", normals, view) < 0
-    normals[facing] *= -1
-    return normals.astype(np.float32)

@@ -22,10 +22,12 @@ def choose_returns(
     taken = np.zeros(len(positions), dtype=np.int32)
     chosen = np.empty(len(positions) * per_point, dtype=np.int64)
     owners = np.empty(len(positions) * per_point, dtype=np.int64)
+    slots, following, voxels = table.slots, table.following, table.voxels
     size = 0
     for n in order:
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
-        i = find(table, int(np.floor(x / resolution)), int(np.floor(y / resolution)), int(np.floor(z / resolution)))
+        vx, vy, vz = int(np.floor(x / resolution)), int(np.floor(y / resolution)), int(np.floor(z / resolution))
+        i = find(slots, following, voxels, vx, vy, vz)
         if i < 0 or taken[i] >= per_point:
             continue
         gap = 0.0

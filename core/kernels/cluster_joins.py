@@ -18,16 +18,17 @@ def join_cells(
     `points` are grouped by cell: those of cell i are the rows starts[i] to starts[i + 1]. A cell's edge is
     radius / sqrt(3), so that its own points are near each other and those more than two cells away are not.
     """
-    parent = np.arange(len(cells.voxels))
+    slots, following, voxels = cells.slots, cells.following, cells.voxels
+    parent = np.arange(len(voxels))
     limit = radius * radius
-    for cell in range(len(cells.voxels)):
-        x, y, z = cells.voxels[cell]
+    for cell in range(len(voxels)):
+        x, y, z = voxels[cell, 0], voxels[cell, 1], voxels[cell, 2]
         for dx in range(3):
             for dy in range(-2, 3):
                 for dz in range(-2, 3):
                     if (dx, dy, dz) <= (0, 0, 0):
                         continue
-                    other = find(cells, x + dx, y + dy, z + dz)
+                    other = find(slots, following, voxels, x + dx, y + dy, z + dz)
                     if other < 0:
                         continue
                     a, b = _root(parent, cell), _root(parent, other)

@@ -29,14 +29,15 @@ def insert_returns(
     the upper sum p p^T; views (3,) sum of the unit vectors towards the sensor; scans (3,) first, last and number of the
     scans that saw it.
     """
+    slots, following, voxels = table.slots, table.following, table.voxels
     for n in range(len(points)):
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
         vx, vy, vz = int(np.floor(x / resolution)), int(np.floor(y / resolution)), int(np.floor(z / resolution))
-        i = find(table, vx, vy, vz)
+        i = find(slots, following, voxels, vx, vy, vz)
         if i < 0:
             i = size
             size += 1
-            add(table, i, vx, vy, vz)
+            add(slots, following, voxels, i, vx, vy, vz)
             moments[i] = 0.0
             views[i] = 0.0
             scans[i, 0] = scan
@@ -71,36 +72,54 @@ def pooled_covariances(
 
     A voxel counts at most as POOLED_RETURNS returns, so that dense and sparse scans give the same surface.
     """
-    out = np.zeros((len(positions), 3, 3))
+    slots, following, voxels = table.slots, table.following, table.voxels
+    out = np.empty((len(positions), 3, 3))
+    sums = np.empty(10)
     for i in range(len(positions)):
-        p = positions[i]
-        cx, cy, cz = np.floor(p / resolution).astype(np.int64)
-        total = 0.0
-        first = np.zeros(3)
-        second = np.zeros((3, 3))
+        px, py, pz = positions[i, 0], positions[i, 1], positions[i, 2]
+        cx, cy, cz = int(np.floor(px / resolution)), int(np.floor(py / resolution)), int(np.floor(pz / resolution))
+        sums[:] = 0.0
         for x in range(cx - 1, cx + 2):
             for y in range(cy - 1, cy + 2):
                 for z in range(cz - 1, cz + 2):
-                    j = find(table, x, y, z)
+                    j = find(slots, following, voxels, x, y, z)
                     if j < 0:
                         continue
-                    m = moments[j]
-                    gap = (positions[j, 0] - p[0]) ** 2 + (positions[j, 1] - p[1]) ** 2 + (positions[j, 2] - p[2]) ** 2
+                    gap = (positions[j, 0] - px) ** 2 + (positions[j, 1] - py) ** 2 + (positions[j, 2] - pz) ** 2
                     if gap > 4.0 * resolution**2:
                         continue
-                    w = np.exp(-0.5 * gap / (0.7 * resolution) ** 2) * min(m[0], POOLED_RETURNS) / m[0]
-                    total += w * m[0]
-                    for a in range(3):
-                        first[a] += w * (m[1 + a] - m[0] * p[a])
-                    entry = 4
-                    for a in range(3):
-                        for b in range(a, 3):
-                            value = m[entry] - p[a] * m[1 + b] - p[b] * m[1 + a] + m[0] * p[a] * p[b]
-                            second[a, b] += w * value
-                            entry += 1
-        for a in range(3):
-            for b in range(a, 3):
-                value = second[a, b] / total - first[a] / total * first[b] / total
-                out[i, a, b] = value
-                out[i, b, a] = value
+                    m = moments[j, 0]
+                    weight = np.exp(-0.5 * gap / (0.7 * resolution) ** 2) * min(m, POOLED_RETURNS) / m
+                    _pool(sums, moments, j, weight, px, py, pz)
+        _covariance(sums, out, i)
     return out
+
+
+@numba.njit(inline="always")
+def _pool(
+    sums: NDArray[np.float64], moments: NDArray[np.float64], j: int, weight: float, px: float, py: float, pz: float
+) -> None:
+    """Add the moments of point `j` about (px, py, pz), times `weight`, to `sums` (10,): count, p, upper p p^T."""
+    n, x, y, z = moments[j, 0], moments[j, 1], moments[j, 2], moments[j, 3]
+    sums[0] += weight * n
+    sums[1] += weight * (x - n * px)
+    sums[2] += weight * (y - n * py)
+    sums[3] += weight * (z - n * pz)
+    sums[4] += weight * (moments[j, 4] - px * x - px * x + n * px * px)
+    sums[5] += weight * (moments[j, 5] - px * y - py * x + n * px * py)
+    sums[6] += weight * (moments[j, 6] - px * z - pz * x + n * px * pz)
+    sums[7] += weight * (moments[j, 7] - py * y - py * y + n * py * py)
+    sums[8] += weight * (moments[j, 8] - py * z - pz * y + n * py * pz)
+    sums[9] += weight * (moments[j, 9] - pz * z - pz * z + n * pz * pz)
+
+
+@numba.njit(inline="always")
+def _covariance(sums: NDArray[np.float64], out: NDArray[np.float64], i: int) -> None:
+    """The covariance of pooled `sums` into out[i]."""
+    x, y, z = sums[1] / sums[0], sums[2] / sums[0], sums[3] / sums[0]
+    out[i, 0, 0] = sums[4] / sums[0] - x * x
+    out[i, 0, 1] = out[i, 1, 0] = sums[5] / sums[0] - x * y
+    out[i, 0, 2] = out[i, 2, 0] = sums[6] / sums[0] - x * z
+    out[i, 1, 1] = sums[7] / sums[0] - y * y
+    out[i, 1, 2] = out[i, 2, 1] = sums[8] / sums[0] - y * z
+    out[i, 2, 2] = sums[9] / sums[0] - z * z

@@ -51,8 +51,8 @@ def _enter(table: VoxelTable, voxels: Voxels, shift: int) -> None:
     size = 0
     for row in range(len(voxels)):
         x, y, z = voxels[row, 0] >> shift, voxels[row, 1] >> shift, voxels[row, 2] >> shift
-        if find(table, x, y, z) < 0:
-            add(table, size, x, y, z)
+        if find(table.slots, table.following, table.voxels, x, y, z) < 0:
+            add(table.slots, table.following, table.voxels, size, x, y, z)
             size += 1
 
 
@@ -64,44 +64,43 @@ def _code_level(
     """The occupied children of `nodes` (n, 3); `detail` 0 for the finest level, 1 for the one above, else 2."""
     parents = _table(len(nodes))
     for row in range(len(nodes)):
-        add(parents, row, nodes[row, 0], nodes[row, 1], nodes[row, 2])
+        add(parents.slots, parents.following, parents.voxels, row, nodes[row, 0], nodes[row, 1], nodes[row, 2])
     size = 0
     for row in range(len(nodes)):
         before = size
+        px, py, pz = nodes[row]
         for child in range(8):
             if size == len(children.voxels):
                 return size
-            px, py, pz = nodes[row]
             x, y, z = 2 * px + (child >> 2), 2 * py + (child >> 1 & 1), 2 * pz + (child & 1)
             bit = 1
             if child < 7 or size > before:  # the last child of an otherwise empty node is certain
                 known = 4 * min(size - before, 1) + _beside(parents, px, py, pz)
                 model = ((detail * 8 + child) * 64 + _around(parents, children, x, y, z)) * 8 + known
-                bit = code_bit(coder, data, models, model, 1 if find(wanted, x, y, z) >= 0 else 0)
+                bit = code_bit(coder, data, models, model, _holds(wanted, x, y, z))
             if bit:
-                add(children, size, x, y, z)
+                add(children.slots, children.following, children.voxels, size, x, y, z)
                 size += 1
     return size
 
 
 @numba.njit(cache=True)
+def _holds(table: VoxelTable, x: int, y: int, z: int) -> int:
+    """1 where the table has voxel (x, y, z), else 0."""
+    return 1 if find(table.slots, table.following, table.voxels, x, y, z) >= 0 else 0
+
+
+@numba.njit(cache=True)
 def _around(parents: VoxelTable, children: VoxelTable, x: int, y: int, z: int) -> int:
     """What is known of the six neighbours of a child, one bit each: itself where it is coded, else its parent."""
-    known = 0
-    known |= 1 if find(children, x - 1, y, z) >= 0 else 0
-    known |= 2 if find(children, x, y - 1, z) >= 0 else 0
-    known |= 4 if find(children, x, y, z - 1) >= 0 else 0
-    known |= 8 if find(parents, (x + 1) >> 1, y >> 1, z >> 1) >= 0 else 0
-    known |= 16 if find(parents, x >> 1, (y + 1) >> 1, z >> 1) >= 0 else 0
-    known |= 32 if find(parents, x >> 1, y >> 1, (z + 1) >> 1) >= 0 else 0
-    return known
+    coded = _holds(children, x - 1, y, z) | _holds(children, x, y - 1, z) << 1 | _holds(children, x, y, z - 1) << 2
+    px, py, pz = x >> 1, y >> 1, z >> 1
+    beside = _holds(parents, (x + 1) >> 1, py, pz) << 3 | _holds(parents, px, (y + 1) >> 1, pz) << 4
+    return coded | beside | _holds(parents, px, py, (z + 1) >> 1) << 5
 
 
 @numba.njit(cache=True)
 def _beside(parents: VoxelTable, x: int, y: int, z: int) -> int:
     """Of a parent's neighbours below, above, and at the two sides already passed, how many are occupied, 0 to 3."""
-    count = 0
-    count += 1 if find(parents, x, y, z - 1) >= 0 else 0
-    count += 1 if find(parents, x, y, z + 1) >= 0 else 0
-    count += 1 if find(parents, x - 1, y, z) >= 0 or find(parents, x, y - 1, z) >= 0 else 0
-    return count
+    sides = _holds(parents, x - 1, y, z) | _holds(parents, x, y - 1, z)
+    return _holds(parents, x, y, z - 1) + _holds(parents, x, y, z + 1) + sides

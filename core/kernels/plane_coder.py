@@ -56,7 +56,7 @@ def _coded_neighbours(table: VoxelTable, row: int, near: Whole) -> int:
             for dy in range(-1, 2):
                 for dz in range(-1, 2):
                     if abs(dx) + abs(dy) + abs(dz) == order:
-                        other = find(table, x + dx, y + dy, z + dz)
+                        other = find(table.slots, table.following, table.voxels, x + dx, y + dy, z + dz)
                         if 0 <= other < row:
                             near[count] = other
                             count += 1

@@ -11,7 +11,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-MIN_BITS = 20
+MIN_BITS = 16
 MAX_BITS = 24
 
 
@@ -27,7 +27,7 @@ class VoxelTable(NamedTuple):
 
 
 def empty_slots(rows: int) -> NDArray[np.int32]:
-    """The slots of a table for so many rows: at least as many, but no fewer than 2^20 and no more than 2^24."""
+    """The slots of a table for so many rows: at least as many, but no fewer than 2^16 and no more than 2^24."""
     bits = min(max(MIN_BITS, (rows - 1).bit_length()), MAX_BITS)
     return np.full(1 << bits, -1, dtype=np.int32)
 
@@ -40,7 +40,7 @@ def voxels_of(positions: NDArray[np.float32], resolution: float) -> NDArray[np.i
 def table_of(voxels: NDArray[np.int32]) -> VoxelTable:
     """The table of `voxels` (n, 3); of equal ones the last is found."""
     table = VoxelTable(empty_slots(len(voxels)), np.full(len(voxels), -1, dtype=np.int32), voxels)
-    _fill(table)
+    _fill(table.slots, table.following, table.voxels)
     return table
 
 
@@ -54,29 +54,36 @@ def slot_of(slots: NDArray[np.int32], x: int, y: int, z: int) -> int:
 
 
 @numba.njit(inline="always")
-def find(table: VoxelTable, x: int, y: int, z: int) -> int:
-    """The row of voxel (x, y, z), or -1."""
-    row: int = table.slots[slot_of(table.slots, x, y, z)]
-    while row >= 0 and (table.voxels[row, 0] != x or table.voxels[row, 1] != y or table.voxels[row, 2] != z):
-        row = table.following[row]
+def find(
+    slots: NDArray[np.int32], following: NDArray[np.int32], voxels: NDArray[np.int32], x: int, y: int, z: int
+) -> int:
+    """The row of voxel (x, y, z), or -1.
+
+    Takes the arrays of a table one by one: a loop that takes them out of the table counts references at every step.
+    """
+    row: int = slots[slot_of(slots, x, y, z)]
+    while row >= 0 and (voxels[row, 0] != x or voxels[row, 1] != y or voxels[row, 2] != z):
+        row = following[row]
     return row
 
 
 @numba.njit(inline="always")
-def add(table: VoxelTable, row: int, x: int, y: int, z: int) -> None:
+def add(
+    slots: NDArray[np.int32], following: NDArray[np.int32], voxels: NDArray[np.int32], row: int, x: int, y: int, z: int
+) -> None:
     """Enter voxel (x, y, z), which is not in the table yet, as `row`."""
-    slot = slot_of(table.slots, x, y, z)
-    table.voxels[row, 0], table.voxels[row, 1], table.voxels[row, 2] = x, y, z
-    table.following[row] = table.slots[slot]
-    table.slots[slot] = row
+    slot = slot_of(slots, x, y, z)
+    voxels[row, 0], voxels[row, 1], voxels[row, 2] = x, y, z
+    following[row] = slots[slot]
+    slots[slot] = row
 
 
 @numba.njit(cache=True)
-def _fill(table: VoxelTable) -> None:
-    for row in range(len(table.voxels) - 1, -1, -1):
-        x, y, z = table.voxels[row]
-        if find(table, x, y, z) < 0:
-            add(table, row, x, y, z)
+def _fill(slots: NDArray[np.int32], following: NDArray[np.int32], voxels: NDArray[np.int32]) -> None:
+    for row in range(len(voxels) - 1, -1, -1):
+        x, y, z = voxels[row, 0], voxels[row, 1], voxels[row, 2]
+        if find(slots, following, voxels, x, y, z) < 0:
+            add(slots, following, voxels, row, x, y, z)
 
 
 @numba.njit(cache=True)
@@ -84,5 +91,5 @@ def rows_of(table: VoxelTable, voxels: NDArray[np.int32]) -> NDArray[np.int64]:
     """The rows (n,) of `voxels` (n, 3) in the table, -1 where one is not there."""
     rows = np.empty(len(voxels), dtype=np.int64)
     for n in range(len(voxels)):
-        rows[n] = find(table, voxels[n, 0], voxels[n, 1], voxels[n, 2])
+        rows[n] = find(table.slots, table.following, table.voxels, voxels[n, 0], voxels[n, 1], voxels[n, 2])
     return rows

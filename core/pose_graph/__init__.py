@@ -1,6 +1,7 @@
 """Pose graphs: sessions of one or many robots, joined by loops, without being bent by wrong ones.
 
 graph          trajectories and loops, and how much odometry drifts
+independence   how much of a loop its neighbours do not say already
 consistency    sets of loops between two sessions that agree with each other
 placement      where sessions lie to each other before optimisation
 optimisation   the most likely poses, and which loops they rest on

@@ -26,6 +26,7 @@ WIDE_GATE = 100.0
 MAX_GATINGS = 5
 
 _ROTATION_FIRST = [3, 4, 5, 0, 1, 2]
+_TRANSLATION_FIRST = np.ix_([3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2])
 _ANCHOR_SIGMA = 1e-4
 
 
@@ -56,13 +57,19 @@ class OptimisedGraph:
 
     T_map_submap (n, 4, 4) of each session; components, the sessions that share a frame, the first of which gives it;
     loops, the state of every loop of the graph in its order; residuals (l,), its squared Mahalanobis distance from the
-    poses, NaN where its sessions share no frame.
+    poses, NaN where its sessions share no frame. covariances (n, 6, 6) of the poses of each session, of the tangent
+    (x, y, z, rx, ry, rz) in the submap's frame, metres and radians, as of the first submap of the component, which is
+    held fast. chi2, the squared errors of all steps and of the loops in the map; degrees_of_freedom, what it is to be
+    compared with.
     """
 
     T_map_submap: dict[str, Array64]
     components: tuple[tuple[str, ...], ...]
     loops: tuple[LoopState, ...]
     residuals: Array64
+    covariances: dict[str, Array64]
+    chi2: float
+    degrees_of_freedom: int
 
     def T_map_odom(self, trajectory: Trajectory) -> se3.Matrix4:
         """The correction of a session: where its odometry frame lies in the map, as of its last submap."""
@@ -74,16 +81,22 @@ def optimise(graph: PoseGraph, robustness: Robustness = Robustness.COMMIT) -> Op
     sets = consistent_sets(graph)
     components = place_sessions(graph, sets)
     poses: dict[str, Array64] = {}
+    covariances: dict[str, Array64] = {}
+    chi2, degrees_of_freedom = 0.0, 0
     states = [LoopState.UNCONNECTED] * len(graph.loops)
     residuals = np.full(len(graph.loops), np.nan)
     for component in components:
         problem = _Problem.of(graph, component, _agreeing(graph, sets))
         solution, kept = _solve(problem, robustness)
         poses.update(problem.poses(solution))
+        covariances.update(problem.covariances(solution, kept))
+        chi2 += 2.0 * problem.graph(kept).error(solution)
+        degrees_of_freedom += 6 * (len(kept) - len(problem.trajectories) + 1)
         for number, residual in zip(problem.loops, problem.residuals(solution), strict=True):
             residuals[number] = residual
             states[number] = LoopState.IN_MAP if number in kept else LoopState.SET_ASIDE
-    return OptimisedGraph(poses, tuple(tuple(one.T_map_odom) for one in components), tuple(states), residuals)
+    groups = tuple(tuple(one.T_map_odom) for one in components)
+    return OptimisedGraph(poses, groups, tuple(states), residuals, covariances, chi2, degrees_of_freedom)
 
 
 def _agreeing(graph: PoseGraph, sets: list[ConsistentSet]) -> set[int]:
@@ -147,6 +160,15 @@ class _Problem:
         return {
             one.session: np.stack([values.atPose3(self.keys[Node(one.session, i)]).matrix() for i in range(len(one))])
             for one in self.trajectories
+        }
+
+    def covariances(self, values: gtsam.Values, kept: set[int]) -> dict[str, Array64]:
+        """The marginal covariances (n, 6, 6) of the poses of each session, translations first."""
+        marginals = gtsam.Marginals(self.graph(kept), values)
+        keys = {one.session: [self.keys[Node(one.session, i)] for i in range(len(one))] for one in self.trajectories}
+        return {
+            session: np.stack([marginals.marginalCovariance(key)[_TRANSLATION_FIRST] for key in of_session])
+            for session, of_session in keys.items()
         }
 
 

@@ -51,7 +51,8 @@ def extract_surface(neural_map: NeuralMap, config: SurfaceConfig) -> Surface:
     resolution = neural_map.config.resolution
     if len(neural_map.points) == 0:
         return _empty(resolution)
-    near = cells_near_planes(neural_map.points.positions, neural_map.points.normals, resolution)
+    points, reach = neural_map.points, neural_map.config.search_rings * resolution
+    near = cells_near_planes(points.positions, points.normals, resolution, min(config.observed_distance, reach))
     corner_positions = (near.corners * resolution).astype(np.float32)
     values, nearest = neural_map.sdf(corner_positions)
     values[nearest > config.observed_distance] = np.nan

@@ -12,16 +12,18 @@ from revisit.evaluation.datasets.bag_message import Bag, Encoding, Message, Plac
 from revisit.evaluation.datasets.posed_clouds import Stamps
 from revisit.evaluation.datasets.ros_messages import (
     CLOUD_TYPES,
+    PATH_TYPES,
     POSE_TYPES,
     TRANSFORM_TYPES,
     StampedTransform,
     read_header,
+    read_path,
     read_pose,
     read_transforms,
 )
 from revisit.evaluation.datasets.transform_tree import TransformTree
 
-WANTED_TYPES = (*CLOUD_TYPES, *POSE_TYPES, *TRANSFORM_TYPES)
+WANTED_TYPES = (*CLOUD_TYPES, *POSE_TYPES, *PATH_TYPES, *TRANSFORM_TYPES)
 
 
 @dataclass
@@ -82,6 +84,7 @@ class _Pass:
     poses: dict[str, PoseTopic] = field(default_factory=dict)
     moving: list[StampedTransform] = field(default_factory=list)
     fixed: list[StampedTransform] = field(default_factory=list)
+    paths: dict[str, Message] = field(default_factory=dict)
     broken: int = 0
 
     def take(self, message: Message) -> None:
@@ -92,12 +95,25 @@ class _Pass:
             elif message.message_type in POSE_TYPES:
                 pose = read_pose(message.data, message.message_type, message.encoding)
                 self.poses.setdefault(message.topic, PoseTopic(message.topic)).poses.append(pose)
+            elif message.message_type in PATH_TYPES:
+                self.paths[message.topic] = message  # each holds those before it, the last one all
             elif message.message_type in TRANSFORM_TYPES:
                 told = self.fixed if message.topic.endswith("tf_static") else self.moving
                 told += read_transforms(message.data, message.encoding)
         except BadTransform:
             # An odometry that has not started publishes zeros.
             self.broken += 1
+
+    def finish(self) -> None:
+        """Read what only the last message of a topic tells. Raises MalformedBody."""
+        for topic, message in self.paths.items():
+            try:
+                poses = read_path(message.data, message.encoding)
+            except BadTransform:
+                self.broken += 1
+                continue
+            if poses:
+                self.poses.setdefault(topic, PoseTopic(topic)).poses.extend(poses)
 
     def _cloud(self, message: Message) -> None:
         header = read_header(message.data, message.encoding)
@@ -112,5 +128,6 @@ def read_topics(bag: Bag) -> BagTopics:
     gathered = _Pass()
     for message in bag.messages():
         gathered.take(message)
+    gathered.finish()
     tree = TransformTree(gathered.moving, gathered.fixed)
     return BagTopics(gathered.clouds, gathered.poses, tree, dict(bag.topics), gathered.broken)

@@ -16,10 +16,13 @@ from revisit.formats.pointcloud2 import PackedCloud, PointField, decode_packed
 
 CLOUD_TYPES = ("sensor_msgs/msg/PointCloud2",)
 ODOMETRY = "nav_msgs/msg/Odometry"
-POSE_TYPES = (ODOMETRY, "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped")
+TRACKED = "geometry_msgs/msg/TransformStamped"
+POSE_TYPES = (ODOMETRY, TRACKED, "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped")
+PATH_TYPES = ("nav_msgs/msg/Path",)
 TRANSFORM_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 MAX_FIELDS = 64
 MAX_TRANSFORMS = 10_000
+MAX_PATH_POSES = 10_000_000
 
 
 @dataclass(frozen=True)
@@ -121,14 +124,32 @@ def read_points(message: bytes, encoding: Encoding = "cdr") -> Points:
 
 
 def read_pose(message: bytes, message_type: str, encoding: Encoding = "cdr") -> StampedTransform:
-    """The pose in an Odometry or PoseStamped, of which only the former names a child frame.
+    """The pose in an Odometry, TransformStamped or PoseStamped; the latter names no child frame.
 
     Raises MalformedBody, BadTransform.
     """
     fields = _Fields(message, encoding)
     header = fields.header()
-    child = fields.frame() if message_type == ODOMETRY else ""
+    child = fields.frame() if message_type in (ODOMETRY, TRACKED) else ""
     return StampedTransform(header.stamp_ns, header.frame, child, fields.quaternion_pose())
+
+
+def read_path(message: bytes, encoding: Encoding = "cdr") -> list[StampedTransform]:
+    """The poses of a nav_msgs/Path; those that name no frame are in that of the path.
+
+    Raises MalformedBody, BadTransform.
+    """
+    fields = _Fields(message, encoding)
+    frame = fields.header().frame
+    count = int(fields.number("I"))
+    if count > MAX_PATH_POSES:
+        raise MalformedBody(f"a path with {count} poses")
+    return [_path_pose(fields, frame) for _ in range(count)]
+
+
+def _path_pose(fields: _Fields, frame: str) -> StampedTransform:
+    header = fields.header()
+    return StampedTransform(header.stamp_ns, header.frame or frame, "", fields.quaternion_pose())
 
 
 def read_transforms(message: bytes, encoding: Encoding = "cdr") -> list[StampedTransform]:

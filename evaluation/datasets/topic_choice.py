@@ -19,6 +19,7 @@ from revisit.evaluation.datasets.transform_tree import TransformTree, stamped_po
 TF = "/tf"
 ODOMETRY_FRAMES = ("odom", "odom_combined", "camera_init")
 _LIVOX = "CustomMsg"
+_PACKETS = ("VelodyneScan", "PacketMsg", "RobosensePacket", "RslidarScan", "HesaiScan", "PandarScan")
 
 
 @dataclass(frozen=True)
@@ -202,6 +203,14 @@ def _no_clouds(found: BagTopics) -> str:
             f"{livox[0]} holds clouds in the driver's own {_LIVOX}: record sensor_msgs/PointCloud2 instead "
             "(xfer_format 0 in the Livox driver), or the odometry's output"
         )
+    packets = [topic for topic, kind in found.types.items() if kind.endswith(_PACKETS)]
+    if packets:
+        return (
+            f"{packets[0]} holds packets as the sensor sends them: play the bag into the driver's converter (Velodyne: "
+            "velodyne_pointcloud, Ouster: os_cloud) and record the sensor_msgs/PointCloud2 that it publishes"
+        )
+    if any(kind.endswith("/LaserScan") for kind in found.types.values()):
+        return f"the bag has scans of one plane alone (LaserScan): a 3D LiDAR is needed. Topics: {_listed(found)}"
     return f"no sensor_msgs/PointCloud2 in the bag; its topics: {_listed(found)}"
 
 
@@ -210,7 +219,7 @@ def _no_poses(found: BagTopics, clouds: list[CloudTopic], wanted: WantedTopics) 
     if wanted.odometry == TF:
         return f"the transforms do not tell how {cloud.frame or 'the sensor'} moves: {_listed(found)}"
     return (
-        f"{cloud.name} (frame {cloud.frame}) has no poses: the bag needs a nav_msgs/Odometry, a "
+        f"{cloud.name} (frame {cloud.frame}) has no poses: the bag needs a nav_msgs/Odometry, a nav_msgs/Path, a "
         f"geometry_msgs/PoseStamped, or transforms above {cloud.frame} that move. Run a LiDAR odometry (KISS-ICP, "
         "FAST-LIO) and record what it publishes, or give clouds and a TUM trajectory to `--format clouds`. "
         f"Topics: {_listed(found)}"

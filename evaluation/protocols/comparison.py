@@ -16,7 +16,7 @@ from revisit.evaluation.cutting import Window, cut, load_submap
 from revisit.evaluation.datasets import Recording
 from revisit.evaluation.described_submaps import DescribedSubmap, DescriptionWork, describe_submap, in_processes
 from revisit.evaluation.loop_closure_method import LoopClosureMethod
-from revisit.evaluation.matching import QueryMatches, VerificationWork, pose_error, verify_all
+from revisit.evaluation.matching import QueryMatches, VerificationWork, pose_error, search_map, verify_all
 from revisit.evaluation.metrics import LoopProtocol
 from revisit.evaluation.perturbations import Perturbation, turned
 from revisit.evaluation.protocols.experiment import Experiment, MethodResult, PoseErrors
@@ -153,21 +153,11 @@ def _search(
     submaps: QueriesAndMap, ground_truth: GroundTruth, comparison: Comparison
 ) -> tuple[list[tuple[Match, ...]], float]:
     """The most similar allowed submaps of every query by the product's cosine, and the mean seconds of a search."""
-    rows = [one.submap.description.vector for one in submaps.mapped if one.submap.description is not None]
     usable = np.array([one.submap.description is not None for one in submaps.mapped], dtype=bool)
-    if not rows:
-        return [()] * len(submaps.queries), 0.0
-    known = np.zeros((len(submaps.mapped), len(rows[0])), dtype=np.float32)
-    known[usable] = np.stack(rows)
     allowed = ground_truth.restricted_to(usable).allowed
-    wanted = max(comparison.candidates, KEPT_CANDIDATES)
-    found: list[tuple[Match, ...]] = []
-    started = time.perf_counter()
-    for query, one in enumerate(submaps.queries):
-        description, ids = one.submap.description, np.flatnonzero(allowed[query])
-        cosine = known[ids] @ description.vector if description is not None else np.zeros(0, dtype=np.float32)
-        order = np.argsort(-cosine, kind="stable")[:wanted]
-        found.append(tuple(Match(int(ids[index]), float(cosine[index])) for index in order))
+    queries, mapped = [one.submap for one in submaps.queries], [one.submap for one in submaps.mapped]
+    wanted, started = max(comparison.candidates, KEPT_CANDIDATES), time.perf_counter()
+    found = search_map(queries, mapped, wanted, allowed, own_map=submaps.own_map)
     return found, (time.perf_counter() - started) / max(len(found), 1)
 
 

@@ -32,8 +32,9 @@ def zero_level(field: NeuralMap, step: float, config: SurfaceConfig = SurfaceCon
     """
     points, edge = field.points, field.config.resolution
     parts = max(1, round(edge / step))
-    observed = max(config.observed_distance, 1.5 * edge)
-    cells = _subdivided(_crossed(field, cells_near_planes(points.positions, points.normals, edge).cells, edge), parts)
+    observed = min(max(config.observed_distance, 1.5 * edge), field.config.search_rings * edge)
+    near = cells_near_planes(points.positions, points.normals, edge, observed).cells
+    cells = _subdivided(_crossed(field, near, edge), parts)
     corners, cell_corners = _corners(cells)
     positions = (corners * (edge / parts)).astype(np.float32)
     values, nearest = field.sdf(positions)

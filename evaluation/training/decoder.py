@@ -22,6 +22,7 @@ from revisit.core.implicit_map.neighbourhood import Neighbourhood, find_neighbou
 from revisit.core.implicit_map.samples import draw_samples
 from revisit.core.implicit_map.settled import settle
 from revisit.core.kernels.neighbour_blend import ENCODING_SIZE
+from revisit.core.kernels.point_columns import columns_of
 from revisit.core.kernels.voxel_table import table_of, voxels_of
 from revisit.core.submap import Submap
 
@@ -40,7 +41,8 @@ def training_set(submap: Submap, config: ImplicitMapConfig, rng: np.random.Gener
     points = settle(without_dynamic_points(accumulate(submap, config), submap, config), config.resolution)
     table = table_of(voxels_of(points.positions, config.resolution))
     samples = draw_samples(submap.points, submap.origins[submap.scan_index], points, table, config, rng)
-    near = find_neighbourhood(samples.positions, points.positions, points.normals, table, config)
+    columns = columns_of(points.positions, config.resolution)
+    near = find_neighbourhood(samples.positions, points.positions, points.normals, columns, config)
     usable = np.flatnonzero(np.isfinite(near.nearest))
     return TrainingSet(near[usable], samples.labels[usable], len(points))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -14,32 +14,47 @@ from google.protobuf.json_format import ParseDict
 
 from revisit.core.errors import RevisitError
 from revisit.sdk.clouds import PointsLike, encoded
+from revisit.sdk.corrections import CorrectionWatch
 from revisit.sdk.credentials import Credentials
 from revisit.sdk.errors import ErrorDetails, InvalidArgument, OperationFailed
 from revisit.sdk.messages import cloud_message, request_of, vector
 from revisit.sdk.resources import (
+    Correction,
     Json,
     Localization,
     LoopClosure,
     LoopPolicy,
     Map,
+    MapVersion,
     Operation,
     Robot,
     SearchHit,
     Session,
     Status,
     Submap,
+    SubmapPose,
     pose_json,
 )
 from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.spool import DEFAULT_MAX_BYTES, Spool
 from revisit.sdk.spooled_stream import RECONNECT, SpooledStream
 from revisit.sdk.transport import ScanSink, Transport
-from revisit.v1 import loop_closure_pb2, map_pb2, operation_pb2, robot_pb2, session_pb2, submap_pb2
+from revisit.sdk.watching import Watch
+from revisit.v1 import (
+    event_pb2,
+    loop_closure_pb2,
+    map_pb2,
+    mapping_pb2,
+    operation_pb2,
+    robot_pb2,
+    session_pb2,
+    submap_pb2,
+)
 
 DEFAULT_HTTP = "http://127.0.0.1:8080"
 DEFAULT_GRPC = "127.0.0.1:8090"
 MAX_WAIT_S = 60.0
+MAX_PAGE = 500
 
 
 class Client:
@@ -193,14 +208,19 @@ class Client:
         *,
         max_bytes: int = DEFAULT_MAX_BYTES,
         full_wait_s: float = 0.0,
+        prepare: Callable[[], None] | None = None,
     ) -> Iterator[SpooledStream]:
         """A stream by way of the file `spool` on this machine's disk; needs no connection to be opened.
 
         `send` returns once the scan is on that disk; a full spool refuses it after `full_wait_s` with
         `SpoolFull`. On leaving, what was not acknowledged stays in the file, for the next stream on it.
+
+        `prepare` is called in the sending thread before the first connection, again after a retryable error: a robot
+        that starts without a link creates its session there.
         """
         name = _name(session)
-        stream = SpooledStream(self._transport, name, Spool(Path(spool), name, max_bytes), full_wait_s, RECONNECT)
+        opened = Spool(Path(spool), name, max_bytes)
+        stream = SpooledStream(self._transport, name, opened, full_wait_s, RECONNECT, prepare)
         try:
             yield stream
         finally:
@@ -287,23 +307,78 @@ class Client:
         return Localization.of(self._transport.localize(request))
 
     def loop_closures(
-        self, map_: str | Map, *, state: str | None = None, session: str | Session | None = None, **freshness: Any
+        self,
+        map_: str | Map,
+        *,
+        state: str | None = None,
+        session: str | Session | None = None,
+        reason: str | None = None,
+        **freshness: Any,
     ) -> list[LoopClosure]:
         """The loop closures of a map, oldest first; `state` ACCEPTED, REJECTED or ALL.
 
         `session` (a session, its name or id) keeps those whose query submap is of it; NotFound where there is none.
+        `reason` keeps those that were rejected for it, e.g. AMBIGUOUS.
 
         `freshness`: min_seq with min_seq_timeout_s, as in `search`.
         """
         of_session = None if session is None else _session_name(map_, session)
         state = None if state == "ALL" else state
-        fields = {"parent": _name(map_), "state": state, "session": of_session, **freshness}
+        fields = {"parent": _name(map_), "state": state, "session": of_session, "reason": reason, **freshness}
         request = request_of(loop_closure_pb2.ListLoopClosuresRequest, fields)
         return [LoopClosure.of(item) for item in self._transport.list("loopClosures", request)]
 
     def get_loop_closure(self, name: str) -> LoopClosure:
         """Get `maps/{map}/loopClosures/{loop_closure}` with its evidence."""
         return LoopClosure.of(self._transport.get(name))
+
+    def watch(self, map_: str | Map, *, after: int | None = None, kinds: Sequence[str] = ()) -> Watch:
+        """The events of a map as they happen, in a loop: `for event in client.watch("maps/yard"): ...`.
+
+        `after` is the number of the last event that was seen, 0 for all that are kept; without it, from now on.
+        `kinds` keeps LOOP_CLOSURE, OPERATION or MAP_VERSION. It bridges lost connections; leave the loop to end it.
+        """
+        fields = {"parent": _name(map_), "after": after, "kinds": list(kinds)}
+        return Watch(self._transport, request_of(event_pb2.WatchEventsRequest, fields))
+
+    def optimise_map(self, map_: str | Map) -> Operation:
+        """Optimise the pose graph of a map: the operation whose end is a new version. One that waits is answered."""
+        return Operation.of(self._transport.optimise_map(_name(map_)))
+
+    def map_versions(self, map_: str | Map) -> list[MapVersion]:
+        """The versions of a map that are kept, oldest first."""
+        request = mapping_pb2.ListMapVersionsRequest(parent=_name(map_))
+        return [MapVersion.of(item) for item in self._transport.list("versions", request)]
+
+    def get_map_version(self, name: str) -> MapVersion:
+        """Get `maps/{map}/versions/{version}`."""
+        return MapVersion.of(self._transport.get(name))
+
+    def submap_poses(self, version: str | MapVersion) -> list[SubmapPose]:
+        """The poses of the submaps in a version of a map, by session and in the order of their drive."""
+        request = mapping_pb2.ListSubmapPosesRequest(parent=_name(version), page_size=MAX_PAGE)
+        return [SubmapPose.of(item) for item in self._transport.list("poses", request)]
+
+    def revert_map(self, map_: str | Map, version: int) -> MapVersion:
+        """Bring back the poses of an earlier version, bit for bit, as a new version."""
+        return MapVersion.of(self._transport.revert_map(_name(map_), version))
+
+    def correction(self, session: str | Session) -> Correction:
+        """Where the odometry frame of a session lies in the map.
+
+        Raises FailedPrecondition (NOT_READY) where no version of the map has the session yet.
+        """
+        return Correction.of(self._transport.correction(_name(session)))
+
+    def watch_corrections(
+        self, map_: str | Map, *, session: str | Session | None = None, after: int = 0
+    ) -> CorrectionWatch:
+        """The corrections by versions above `after`, also those to come: iterate over it, or give it a callback.
+
+        `session` (a session, its name or id) keeps those of one.
+        """
+        of_session = "" if session is None else _session_name(map_, session)
+        return CorrectionWatch(self._transport, _name(map_), of_session, after)
 
     def get_operation(self, name: str) -> Operation:
         """Get `operations/{operation}`."""

@@ -15,13 +15,17 @@ from revisit.sdk.grpc_answers import LOST_AFTER_S, Answers, LostCall, answer
 from revisit.sdk.messages import COLLECTIONS, collection_of, request_of
 from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.scan_stream import GrpcScanSink
-from revisit.sdk.transport import Forgetful, StreamJournal
+from revisit.sdk.transport import SILENT_S, Forgetful, StreamJournal
 from revisit.v1 import (
+    event_pb2,
+    event_pb2_grpc,
     ingest_pb2_grpc,
     loop_closure_pb2,
     loop_closure_pb2_grpc,
     map_pb2,
     map_pb2_grpc,
+    mapping_pb2,
+    mapping_pb2_grpc,
     operation_pb2,
     operation_pb2_grpc,
     robot_pb2,
@@ -55,6 +59,8 @@ _STUBS: dict[str, Any] = {
     "robots": robot_pb2_grpc.RobotServiceStub,
     "sessions": session_pb2_grpc.SessionServiceStub,
     "submaps": submap_pb2_grpc.SubmapServiceStub,
+    "versions": mapping_pb2_grpc.MappingServiceStub,
+    "poses": mapping_pb2_grpc.MappingServiceStub,
     "operations": operation_pb2_grpc.OperationServiceStub,
     "loopClosures": loop_closure_pb2_grpc.LoopClosureServiceStub,
 }
@@ -63,6 +69,8 @@ _MODULES: dict[str, Any] = {
     "robots": robot_pb2,
     "sessions": session_pb2,
     "submaps": submap_pb2,
+    "versions": mapping_pb2,
+    "poses": mapping_pb2,
     "operations": operation_pb2,
     "loopClosures": loop_closure_pb2,
 }
@@ -154,6 +162,41 @@ class GrpcTransport:
         answered: loop_closure_pb2.LocalizeResponse = self._answer(_STUBS["loopClosures"], "Localize", request)
         return answered
 
+    def watch(self, request: event_pb2.WatchEventsRequest) -> Iterator[event_pb2.Event | None]:
+        """See Transport."""
+        call = self._method(event_pb2_grpc.EventServiceStub, "WatchEvents")(request, metadata=self._metadata)
+        try:
+            for response in Answers(call).all(SILENT_S):
+                yield response.event if response.HasField("event") else None
+        except (grpc.RpcError, LostCall) as error:
+            raise _api_error(error, self._address) from error
+        finally:
+            call.cancel()
+
+    def optimise_map(self, name: str) -> operation_pb2.Operation:
+        """See Transport."""
+        answered = self._answer(_STUBS["versions"], "OptimiseMap", mapping_pb2.OptimiseMapRequest(name=name))
+        operation: operation_pb2.Operation = answered.operation
+        return operation
+
+    def revert_map(self, name: str, version: int) -> mapping_pb2.MapVersion:
+        """See Transport."""
+        request = request_of(mapping_pb2.RevertMapRequest, {"name": name, "version": version})
+        restored: mapping_pb2.MapVersion = self._answer(_STUBS["versions"], "RevertMap", request).map_version
+        return restored
+
+    def correction(self, session: str) -> mapping_pb2.Correction:
+        """See Transport."""
+        request = mapping_pb2.GetCorrectionRequest(name=session)
+        found: mapping_pb2.Correction = self._answer(_STUBS["versions"], "GetCorrection", request).correction
+        return found
+
+    def corrections(self, map_name: str, session: str, after: int) -> GrpcCorrectionFeed:
+        """See Transport."""
+        request = mapping_pb2.WatchCorrectionsRequest(parent=map_name, session=session, after=after)
+        call = self._method(_STUBS["versions"], "WatchCorrections")(request, metadata=self._metadata)
+        return GrpcCorrectionFeed(call, lambda error: _api_error(error, self._address))
+
     def status(self) -> system_pb2.GetStatusResponse:
         """See Transport."""
         stub, request = system_pb2_grpc.SystemServiceStub, system_pb2.GetStatusRequest()
@@ -189,6 +232,32 @@ class GrpcTransport:
                 raise _api_error(error, self._address) from error
 
         return self._retry.run(once)
+
+
+class GrpcCorrectionFeed:
+    """`revisit.sdk.transport.CorrectionFeed` over a call of WatchCorrections."""
+
+    def __init__(self, call: Any, api_error: Callable[[Any], ApiError]) -> None:
+        self._call = call
+        self._answers = Answers(call)
+        self._api_error = api_error
+
+    def next(self, timeout_s: float) -> mapping_pb2.Correction | None:
+        """See CorrectionFeed."""
+        try:
+            answered = self._answers.next(timeout_s)
+        except LostCall:
+            return None
+        except grpc.RpcError as error:
+            raise self._api_error(error) from error
+        if answered is None:
+            raise unreachable("the service", "it ended the stream")
+        correction: mapping_pb2.Correction = answered.correction
+        return correction
+
+    def close(self) -> None:
+        """See CorrectionFeed."""
+        self._call.cancel()
 
 
 def _channel_credentials(credentials: Credentials) -> grpc.ChannelCredentials:

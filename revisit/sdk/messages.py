@@ -11,7 +11,16 @@ from google.protobuf.message import Message
 
 from revisit.sdk.clouds import Cloud
 from revisit.sdk.errors import ErrorDetails, InvalidArgument
-from revisit.v1 import cloud_pb2, loop_closure_pb2, map_pb2, operation_pb2, robot_pb2, session_pb2, submap_pb2
+from revisit.v1 import (
+    cloud_pb2,
+    loop_closure_pb2,
+    map_pb2,
+    mapping_pb2,
+    operation_pb2,
+    robot_pb2,
+    session_pb2,
+    submap_pb2,
+)
 
 M = TypeVar("M", bound=Message)
 
@@ -30,6 +39,8 @@ COLLECTIONS = {
     "robots": Collection(robot_pb2.Robot, "robot", robot_pb2.ListRobotsResponse),
     "sessions": Collection(session_pb2.Session, "session", session_pb2.ListSessionsResponse),
     "submaps": Collection(submap_pb2.Submap, "submap", submap_pb2.ListSubmapsResponse),
+    "versions": Collection(mapping_pb2.MapVersion, "map_version", mapping_pb2.ListMapVersionsResponse),
+    "poses": Collection(mapping_pb2.SubmapPose, "submap_pose", mapping_pb2.ListSubmapPosesResponse),
     "operations": Collection(operation_pb2.Operation, "operation", operation_pb2.ListOperationsResponse),
     "loopClosures": Collection(loop_closure_pb2.LoopClosure, "loop_closure", loop_closure_pb2.ListLoopClosuresResponse),
 }

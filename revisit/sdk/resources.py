@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
 from revisit.v1 import (
+    event_pb2,
     geometry_pb2,
     loop_closure_pb2,
     map_pb2,
+    mapping_pb2,
     operation_pb2,
     robot_pb2,
     session_pb2,
@@ -54,7 +56,10 @@ class LoopPolicy:
 
 @dataclass(frozen=True)
 class Map:
-    """A map; `scene_scale` is the size of its scene compared with a street, `loop_policy` has the values in force."""
+    """A map; `scene_scale` is the size of its scene compared with a street, `loop_policy` has the values in force.
+
+    `map_version` is the version of its poses that answers rest on, 0 before the first.
+    """
 
     name: str
     display_name: str
@@ -66,6 +71,7 @@ class Map:
     submap_count: int
     created_at_ns: int
     loop_policy: LoopPolicy = LoopPolicy()
+    map_version: int = 0
 
     @classmethod
     def of(cls, message: map_pb2.Map) -> Self:
@@ -81,7 +87,17 @@ class Map:
             submap_count=message.submap_count,
             created_at_ns=message.created_at_ns,
             loop_policy=LoopPolicy.of(message.loop_policy),
+            map_version=message.map_version,
         )
+
+
+@dataclass(frozen=True)
+class MapPose:
+    """A pose (4, 4) in a frame of the map, by a version of the map; poses of different frames cannot be compared."""
+
+    T_map: Matrix4 = field(compare=False)
+    frame: str
+    map_version: int
 
 
 @dataclass(frozen=True)
@@ -170,7 +186,8 @@ class Submap:
     """A submap; sizes in bytes, the position in the session's odometry frame.
 
     `descriptor` is there where the full view was asked for and the submap is described. `seq` grows with every submap
-    of the service: a query with it as `min_seq` sees this submap.
+    of the service: a query with it as `min_seq` sees this submap. `in_map` is T_map_submap where its session has a
+    frame.
     """
 
     name: str
@@ -190,6 +207,7 @@ class Submap:
     operation: str
     descriptor: tuple[float, ...] = ()
     seq: int = 0
+    in_map: MapPose | None = field(default=None, compare=False)
 
     @classmethod
     def of(cls, message: submap_pb2.Submap) -> Self:
@@ -212,21 +230,24 @@ class Submap:
             operation=message.operation,
             descriptor=tuple(message.descriptor),
             seq=message.seq,
+            in_map=_map_pose(message, "t_map_submap"),
         )
 
 
 @dataclass(frozen=True)
 class SearchHit:
-    """A submap and its cosine similarity to the query."""
+    """A submap and its cosine similarity to the query; `in_map` is T_map_submap where its session has a frame."""
 
     submap: str
     similarity: float
     position_m: tuple[float, float, float]
+    in_map: MapPose | None = field(default=None, compare=False)
 
     @classmethod
     def of(cls, message: loop_closure_pb2.SearchHit) -> Self:
         """From its message."""
-        return cls(message.submap, message.similarity, _vector(message.position_m))
+        in_map = _map_pose(message, "t_map_submap")
+        return cls(message.submap, message.similarity, _vector(message.position_m), in_map)
 
 
 @dataclass(frozen=True)
@@ -259,13 +280,15 @@ class Candidate:
 class Localization:
     """The best verified candidate, None where the place is unknown, and all that were compared.
 
-    `T_odom_query` (4, 4) is the cloud's pose in the odometry frame of `session`, the session of the best candidate.
+    `T_odom_query` (4, 4) is the cloud's pose in the odometry frame of `session`, the session of the best candidate;
+    `in_map` is T_map_query where that session has a frame.
     """
 
     best: Candidate | None
     T_odom_query: Matrix4 | None = field(compare=False)
     session: str | None
     candidates: tuple[Candidate, ...]
+    in_map: MapPose | None = field(default=None, compare=False)
 
     @classmethod
     def of(cls, message: loop_closure_pb2.LocalizeResponse) -> Self:
@@ -275,6 +298,7 @@ class Localization:
             T_odom_query=_optional_matrix(message, "t_odom_query"),
             session=message.session or None,
             candidates=tuple(Candidate.of(candidate) for candidate in message.candidates),
+            in_map=_map_pose(message, "t_map_query"),
         )
 
 
@@ -293,6 +317,10 @@ class LoopClosure:
     T_match_query: Matrix4 | None = field(compare=False)
     evidence: Json
     created_at_ns: int
+    graph_state: str | None = None
+    manual: bool = False
+    in_map: MapPose | None = field(default=None, compare=False)
+    T_map_match: Matrix4 | None = field(default=None, compare=False)
 
     @classmethod
     def of(cls, message: loop_closure_pb2.LoopClosure) -> Self:
@@ -309,6 +337,135 @@ class LoopClosure:
             T_match_query=_optional_matrix(message, "t_match_query"),
             evidence=_json(message, "evidence") or {},
             created_at_ns=message.created_at_ns,
+            graph_state=_word(message, "graph_state") if message.graph_state else None,
+            manual=message.manual,
+            in_map=_map_pose(message, "t_map_query"),
+            T_map_match=_optional_matrix(message, "t_map_match"),
+        )
+
+
+@dataclass(frozen=True)
+class MapVersion:
+    """A version of a map's poses. `summary` says what it rests on; `restored_from` is None where it was optimised."""
+
+    name: str
+    version: int
+    in_force: bool
+    restored_from: int | None
+    content_hash: str
+    operation: str | None
+    summary: MapVersionSummary
+    created_at_ns: int
+
+    @classmethod
+    def of(cls, message: mapping_pb2.MapVersion) -> Self:
+        """From its message."""
+        return cls(
+            name=message.name,
+            version=message.version,
+            in_force=message.in_force,
+            restored_from=message.restored_from or None,
+            content_hash=message.content_hash,
+            operation=message.operation or None,
+            summary=MapVersionSummary.of(message.summary),
+            created_at_ns=message.created_at_ns,
+        )
+
+
+@dataclass(frozen=True)
+class MapVersionSummary:
+    """What a version of a map rests on.
+
+    `frames` counts the groups of sessions that loops join; chi2 is to be compared with `degrees_of_freedom`; changes
+    are how far submaps lie from where the version before had them, metres, None where none can be compared.
+    """
+
+    sessions: int
+    submaps: int
+    frames: int
+    loops_in_map: int
+    loops_set_aside: int
+    loops_unconnected: int
+    chi2: float
+    degrees_of_freedom: int
+    mean_change_m: float | None
+    max_change_m: float | None
+
+    @classmethod
+    def of(cls, message: mapping_pb2.MapVersionSummary) -> Self:
+        """From its message."""
+        optional = ("mean_change_m", "max_change_m")
+        given = {item.name: getattr(message, item.name) for item in fields(cls) if item.name not in optional}
+        return cls(**given, **{name: _optional(message, name) for name in optional})
+
+
+@dataclass(frozen=True)
+class SubmapPose:
+    """Where a submap lies in a frame of the map; covariance (6, 6) of (x, y, z, rx, ry, rz) in the submap's frame."""
+
+    submap: str
+    T_map_submap: Matrix4 = field(compare=False)
+    frame: str
+    covariance: Matrix4 = field(compare=False)
+
+    @classmethod
+    def of(cls, message: mapping_pb2.SubmapPose) -> Self:
+        """From its message."""
+        return cls(message.submap, _matrix(message.t_map_submap), message.frame, _covariance(message))
+
+
+@dataclass(frozen=True)
+class Correction:
+    """Where the odometry frame of a session lies in the map: T_map_odom @ T_odom_sensor is a sensor's pose in the map.
+
+    Poses of the same `frame` are in one map. `covariance` (6, 6) of (x, y, z, rx, ry, rz) in the frame of the last
+    submap that the version `map_version` has.
+    """
+
+    session: str
+    T_map_odom: Matrix4 = field(compare=False)
+    frame: str
+    map_version: int
+    covariance: Matrix4 = field(compare=False)
+    created_at_ns: int
+
+    @classmethod
+    def of(cls, message: mapping_pb2.Correction) -> Self:
+        """From its message."""
+        return cls(
+            session=message.session,
+            T_map_odom=_matrix(message.t_map_odom),
+            frame=message.frame,
+            map_version=message.map_version,
+            covariance=_covariance(message),
+            created_at_ns=message.created_at_ns,
+        )
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened in a map: `kind` LOOP_CLOSURE, OPERATION or MAP_VERSION, with it as it stands by now.
+
+    FORGOTTEN says that earlier events were asked for and are no longer kept: list again what is of interest.
+    """
+
+    number: int
+    kind: str
+    map: str
+    loop_closure: LoopClosure | None = None
+    operation: Operation | None = None
+    map_version: MapVersion | None = None
+
+    @classmethod
+    def of(cls, message: event_pb2.Event) -> Self:
+        """From its message."""
+        return cls(
+            number=message.number,
+            kind=_word(message, "kind"),
+            map=message.map,
+            loop_closure=LoopClosure.of(message.loop_closure) if message.HasField("loop_closure") else None,
+            operation=Operation.of(message.operation) if message.HasField("operation") else None,
+            map_version=MapVersion.of(message.map_version) if message.HasField("map_version") else None,
         )
 
 
@@ -355,6 +512,15 @@ def _json(message: Any, name: str) -> Json | None:
 
 def _optional_matrix(message: Any, name: str) -> Matrix4 | None:
     return _matrix(getattr(message, name)) if message.HasField(name) else None
+
+
+def _map_pose(message: Any, name: str) -> MapPose | None:
+    T_map = _optional_matrix(message, name)
+    return None if T_map is None else MapPose(T_map, message.frame, message.map_version)
+
+
+def _covariance(message: Any) -> Matrix4:
+    return np.array(message.covariance, dtype=np.float64).reshape(6, 6)
 
 
 def _matrix(message: geometry_pb2.Transform) -> Matrix4:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import threading
+import time
+from collections import deque
 from collections.abc import Iterator
 from typing import Any, TypeVar
 
@@ -11,16 +15,19 @@ from google.protobuf.message import Message
 
 from revisit.sdk.clouds import Cloud
 from revisit.sdk.credentials import Credentials
-from revisit.sdk.errors import ApiError, ErrorDetails, error_of, unreachable
+from revisit.sdk.errors import ApiError, ErrorDetails, FailedPrecondition, error_of, unreachable
 from revisit.sdk.messages import COLLECTIONS, cloud_message, collection_of
 from revisit.sdk.resources import Json
 from revisit.sdk.retry import RetryPolicy
-from revisit.sdk.transport import Forgetful, StreamJournal
+from revisit.sdk.transport import SILENT_S, Forgetful, StreamJournal
 from revisit.v1 import (
     cloud_pb2,
+    event_pb2,
     geometry_pb2,
     ingest_pb2,
     loop_closure_pb2,
+    map_pb2,
+    mapping_pb2,
     operation_pb2,
     session_pb2,
     submap_pb2,
@@ -30,6 +37,9 @@ from revisit.v1 import (
 M = TypeVar("M", bound=Message)
 
 CONNECT_TIMEOUT_S = 5.0
+POLL_S = 0.5
+"""How often a feed asks whether there is something new."""
+
 ANSWER_TIMEOUT_S = 90.0
 
 
@@ -128,6 +138,38 @@ class RestTransport:
         path = f"{_path(request.parent)}:localize"
         return self._message(loop_closure_pb2.LocalizeResponse, "POST", path, **sent)
 
+    def watch(self, request: event_pb2.WatchEventsRequest) -> Iterator[event_pb2.Event | None]:
+        """See Transport."""
+        names = event_pb2.Event.Kind
+        params: Json = {"kinds": [names.Name(kind) for kind in request.kinds]}
+        if request.HasField("after"):
+            params["after"] = request.after
+        path, timeout = _path(request.parent, "events"), httpx.Timeout(SILENT_S, connect=CONNECT_TIMEOUT_S)
+        try:
+            with self._http.stream("GET", path, params=params, timeout=timeout) as answered:
+                if not answered.is_success:
+                    answered.read()
+                    raise error_of(_details(answered))
+                yield from events_of(answered.iter_lines())
+        except httpx.TransportError as error:
+            raise unreachable(self._base_url, error) from error
+
+    def optimise_map(self, name: str) -> operation_pb2.Operation:
+        """See Transport."""
+        return self._message(operation_pb2.Operation, "POST", f"{_path(name)}:optimise")
+
+    def revert_map(self, name: str, version: int) -> mapping_pb2.MapVersion:
+        """See Transport."""
+        return self._message(mapping_pb2.MapVersion, "POST", f"{_path(name)}:revert", json={"version": version})
+
+    def correction(self, session: str) -> mapping_pb2.Correction:
+        """See Transport."""
+        return self._message(mapping_pb2.Correction, "GET", f"{_path(session)}:correction")
+
+    def corrections(self, map_name: str, session: str, after: int) -> RestCorrectionFeed:
+        """See Transport."""
+        return RestCorrectionFeed(self, map_name, session, after)
+
     def status(self) -> system_pb2.GetStatusResponse:
         """See Transport."""
         return self._message(system_pb2.GetStatusResponse, "GET", "/v1/status")
@@ -207,19 +249,81 @@ class RestScanSink:
         """See ScanSink: the connection is the transport's."""
 
 
+def events_of(lines: Iterator[str]) -> Iterator[event_pb2.Event | None]:
+    """The events of a stream of server-sent events. Raises ApiError for a problem that is told in it."""
+    kind, data = "", ""
+    for line in lines:
+        name, _, value = line.partition(": ")
+        if name == "event":
+            kind = value
+        elif name == "data":
+            data = value
+        elif line.startswith(":"):
+            yield None
+        elif not line and data:
+            if kind == "problem":
+                raise error_of(_problem_details(json.loads(data)))
+            yield ParseDict(json.loads(data), event_pb2.Event(), ignore_unknown_fields=True)
+            kind, data = "", ""
+
+
+def _problem_details(problem: Json, retry_after_s: float | None = None) -> ErrorDetails:
+    return ErrorDetails(
+        code=problem["code"],
+        reason=problem["reason"],
+        message=problem["detail"],
+        retryable=bool(problem["retryable"]),
+        request_id=problem["request_id"],
+        field=problem.get("field"),
+        retry_after_s=retry_after_s,
+        expected_seq=problem.get("expected_seq"),
+    )
+
+
+class RestCorrectionFeed:
+    """`revisit.sdk.transport.CorrectionFeed` by asking for the version of the map again and again."""
+
+    def __init__(self, transport: RestTransport, map_name: str, session: str, after: int) -> None:
+        self._transport = transport
+        self._map_name = map_name
+        self._session = session
+        self._after = after
+        self._news: deque[mapping_pb2.Correction] = deque()
+        self._closed = threading.Event()
+
+    def next(self, timeout_s: float) -> mapping_pb2.Correction | None:
+        """See CorrectionFeed."""
+        deadline = time.monotonic() + timeout_s
+        while not self._news:
+            self._look()
+            if self._news:
+                break
+            if time.monotonic() >= deadline or self._closed.wait(POLL_S):
+                return None
+        return self._news.popleft()
+
+    def _look(self) -> None:
+        current: map_pb2.Map = self._transport.get(self._map_name)
+        if current.map_version <= self._after:
+            return
+        self._after = current.map_version
+        asked = session_pb2.ListSessionsRequest(parent=self._map_name)
+        sessions = [self._session] if self._session else self._transport.list("sessions", asked)
+        for session in sessions:
+            try:
+                self._news.append(self._transport.correction(session if isinstance(session, str) else session.name))
+            except FailedPrecondition:
+                continue  # a session that came after the version
+
+    def close(self) -> None:
+        """See CorrectionFeed."""
+        self._closed.set()
+
+
 def _details(answer: httpx.Response) -> ErrorDetails:
     try:
-        problem = answer.json()
-        return ErrorDetails(
-            code=problem["code"],
-            reason=problem["reason"],
-            message=problem["detail"],
-            retryable=bool(problem["retryable"]),
-            request_id=problem["request_id"],
-            field=problem.get("field"),
-            retry_after_s=float(answer.headers["retry-after"]) if "retry-after" in answer.headers else None,
-            expected_seq=problem.get("expected_seq"),
-        )
+        retry_after_s = float(answer.headers["retry-after"]) if "retry-after" in answer.headers else None
+        return _problem_details(answer.json(), retry_after_s)
     except (ValueError, KeyError, TypeError):
         # Not our service's answer: a proxy's page, for example.
         unavailable = answer.status_code in (502, 503, 504)

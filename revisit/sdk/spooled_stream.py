@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from typing import Any
 
 from revisit.core.errors import RevisitError
@@ -29,12 +30,18 @@ class SpooledStream:
     """
 
     def __init__(
-        self, transport: Transport, session: str, spool: Spool, full_wait_s: float, reconnect: RetryPolicy
+        self,
+        transport: Transport,
+        session: str,
+        spool: Spool,
+        full_wait_s: float,
+        reconnect: RetryPolicy,
+        prepare: Callable[[], None] | None = None,
     ) -> None:
-        """A full spool refuses a scan after `full_wait_s`."""
+        """A full spool refuses a scan after `full_wait_s`; for `prepare` see `SpoolSender`."""
         self._spool = spool
         self._full_wait_s = full_wait_s
-        self._sender = SpoolSender(transport, session, spool, reconnect)
+        self._sender = SpoolSender(transport, session, spool, reconnect, prepare)
 
     @property
     def state(self) -> SpoolState:
@@ -83,8 +90,16 @@ class SpooledStream:
 class SpoolSender:
     """The thread that empties a spool into a session: connects, sends, connects again."""
 
-    def __init__(self, transport: Transport, session: str, spool: Spool, reconnect: RetryPolicy) -> None:
-        """Begins at once."""
+    def __init__(
+        self,
+        transport: Transport,
+        session: str,
+        spool: Spool,
+        reconnect: RetryPolicy,
+        prepare: Callable[[], None] | None = None,
+    ) -> None:
+        """Begins at once. `prepare` makes what the stream needs, before the first connection; it may raise ApiError."""
+        self._prepare = prepare
         self._transport = transport
         self._session = session
         self._spool = spool
@@ -125,6 +140,7 @@ class SpoolSender:
         failures = 0
         while not self._closing.is_set():
             try:
+                self._prepare_once()
                 self._sink = self._transport.open_stream(self._session, self._spool)
                 failures = 0
                 self._send_all(self._sink)
@@ -139,7 +155,16 @@ class SpoolSender:
                 self.error = error
                 self._leave()
                 return
+            except ValueError:
+                # gRPC's word for a channel that was closed under the call.
+                if not self._closing.is_set():
+                    raise
         self._leave()
+
+    def _prepare_once(self) -> None:
+        if self._prepare is not None:
+            self._prepare()
+            self._prepare = None
 
     def _send_all(self, sink: ScanSink) -> None:
         """One connection: everything that waits, from the first scan on, then each new one. Raises ApiError."""

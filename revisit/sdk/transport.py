@@ -7,7 +7,10 @@ from typing import Any, Protocol
 
 from revisit.sdk.clouds import Cloud
 from revisit.sdk.resources import Json
-from revisit.v1 import loop_closure_pb2, operation_pb2, session_pb2, submap_pb2, system_pb2
+from revisit.v1 import event_pb2, loop_closure_pb2, mapping_pb2, operation_pb2, session_pb2, submap_pb2, system_pb2
+
+SILENT_S = 45.0
+"""A watch of which nothing was heard for so long is dead: the service gives a sign of life every 15 s."""
 
 
 class ScanSink(Protocol):
@@ -76,6 +79,18 @@ class Forgetful:
         """See StreamJournal."""
 
 
+class CorrectionFeed(Protocol):
+    """Corrections as they come."""
+
+    def next(self, timeout_s: float) -> mapping_pb2.Correction | None:
+        """The next one, None where none has come after `timeout_s`. Raises ApiError where the feed has ended."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the connection."""
+        ...
+
+
 class Transport(Protocol):
     """REST or gRPC. Every call raises ApiError."""
 
@@ -121,6 +136,26 @@ class Transport(Protocol):
 
     def localize(self, request: loop_closure_pb2.LocalizeRequest) -> loop_closure_pb2.LocalizeResponse:
         """Localise a cloud."""
+        ...
+
+    def watch(self, request: event_pb2.WatchEventsRequest) -> Iterator[event_pb2.Event | None]:
+        """The events of a map over one connection, None for a sign of life; ends where the service ends it."""
+        ...
+
+    def optimise_map(self, name: str) -> operation_pb2.Operation:
+        """Queue the optimisation of a map."""
+        ...
+
+    def revert_map(self, name: str, version: int) -> mapping_pb2.MapVersion:
+        """Bring an earlier version of a map back."""
+        ...
+
+    def correction(self, session: str) -> mapping_pb2.Correction:
+        """Where the odometry frame of a session lies in the map."""
+        ...
+
+    def corrections(self, map_name: str, session: str, after: int) -> CorrectionFeed:
+        """The corrections by versions above `after`; `session` is "" for those of all sessions."""
         ...
 
     def status(self) -> system_pb2.GetStatusResponse:

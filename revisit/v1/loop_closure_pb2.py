@@ -27,7 +27,7 @@ from revisit.v1 import cloud_pb2 as revisit_dot_v1_dot_cloud__pb2
 from revisit.v1 import geometry_pb2 as revisit_dot_v1_dot_geometry__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1drevisit/v1/loop_closure.proto\x12\nrevisit.v1\x1a\x1cgoogle/protobuf/struct.proto\x1a\x16revisit/v1/cloud.proto\x1a\x19revisit/v1/geometry.proto\"\xd6\x02\n\x0bLoopClosure\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0e\n\x06number\x18\x02 \x01(\x04\x12\r\n\x05query\x18\x03 \x01(\t\x12\r\n\x05match\x18\x04 \x01(\t\x12,\n\x05state\x18\x05 \x01(\x0e\x32\x1d.revisit.v1.LoopClosure.State\x12\x0e\n\x06reason\x18\x06 \x01(\t\x12\x12\n\nsimilarity\x18\x07 \x01(\x01\x12\r\n\x05score\x18\x08 \x01(\x01\x12,\n\rt_match_query\x18\t \x01(\x0b\x32\x15.revisit.v1.Transform\x12)\n\x08\x65vidence\x18\n \x01(\x0b\x32\x17.google.protobuf.Struct\x12\x15\n\rcreated_at_ns\x18\x0b \x01(\x03\":\n\x05State\x12\x15\n\x11STATE_UNSPECIFIED\x10\x00\x12\x0c\n\x08\x41\x43\x43\x45PTED\x10\x01\x12\x0c\n\x08REJECTED\x10\x02\"3\n\nDescriptor\x12\x0e\n\x06vector\x18\x01 \x03(\x02\x12\x15\n\rmodel_version\x18\x02 \x01(\t\"\xfe\x03\n\x14SearchSubmapsRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\x10\n\x06submap\x18\x02 \x01(\tH\x00\x12,\n\ndescriptor\x18\x03 \x01(\x0b\x32\x16.revisit.v1.DescriptorH\x00\x12\"\n\x05\x63loud\x18\x04 \x01(\x0b\x32\x11.revisit.v1.CloudH\x00\x12\x0e\n\x01k\x18\x05 \x01(\x05H\x01\x88\x01\x01\x12\x1b\n\x0emin_similarity\x18\x06 \x01(\x01H\x02\x88\x01\x01\x12\x17\n\x0f\x65xclude_session\x18\x07 \x01(\t\x12\x14\n\x0conly_session\x18\x08 \x01(\t\x12\x1a\n\rmin_index_gap\x18\t \x01(\rH\x03\x88\x01\x01\x12-\n\x10prior_position_m\x18\n \x01(\x0b\x32\x13.revisit.v1.Vector3\x12\x15\n\x08radius_m\x18\x0b \x01(\x01H\x04\x88\x01\x01\x12\x0f\n\x07min_seq\x18\x0c \x01(\x04\x12\x1e\n\x11min_seq_timeout_s\x18\r \x01(\x01H\x05\x88\x01\x01\x12,\n\rt_level_query\x18\x0e \x01(\x0b\x32\x15.revisit.v1.TransformB\x07\n\x05queryB\x04\n\x02_kB\x11\n\x0f_min_similarityB\x10\n\x0e_min_index_gapB\x0b\n\t_radius_mB\x14\n\x12_min_seq_timeout_s\"X\n\tSearchHit\x12\x0e\n\x06submap\x18\x01 \x01(\t\x12\x12\n\nsimilarity\x18\x02 \x01(\x01\x12\'\n\nposition_m\x18\x03 \x01(\x0b\x32\x13.revisit.v1.Vector3\"N\n\x15SearchSubmapsResponse\x12#\n\x04hits\x18\x01 \x03(\x0b\x32\x15.revisit.v1.SearchHit\x12\x10\n\x08searched\x18\x02 \x01(\r\"\xcc\x02\n\x0fLocalizeRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12 \n\x05\x63loud\x18\x02 \x01(\x0b\x32\x11.revisit.v1.Cloud\x12-\n\x10prior_position_m\x18\x03 \x01(\x0b\x32\x13.revisit.v1.Vector3\x12\x15\n\x08radius_m\x18\x04 \x01(\x01H\x00\x88\x01\x01\x12\x17\n\ncandidates\x18\x05 \x01(\x05H\x01\x88\x01\x01\x12\x0f\n\x07min_seq\x18\x06 \x01(\x04\x12\x1e\n\x11min_seq_timeout_s\x18\x07 \x01(\x01H\x02\x88\x01\x01\x12\x17\n\x0f\x65xclude_session\x18\x08 \x01(\t\x12,\n\rt_level_query\x18\t \x01(\x0b\x32\x15.revisit.v1.TransformB\x0b\n\t_radius_mB\r\n\x0b_candidatesB\x14\n\x12_min_seq_timeout_s\"\xc2\x01\n\x12LocalizedCandidate\x12\x0e\n\x06submap\x18\x01 \x01(\t\x12\x10\n\x08\x61\x63\x63\x65pted\x18\x02 \x01(\x08\x12\x0e\n\x06reason\x18\x03 \x01(\t\x12\x12\n\nsimilarity\x18\x04 \x01(\x01\x12\r\n\x05score\x18\x05 \x01(\x01\x12,\n\rt_match_query\x18\x06 \x01(\x0b\x32\x15.revisit.v1.Transform\x12)\n\x08\x65vidence\x18\x07 \x01(\x0b\x32\x17.google.protobuf.Struct\"\xc5\x01\n\x10LocalizeResponse\x12,\n\x04\x62\x65st\x18\x01 \x01(\x0b\x32\x1e.revisit.v1.LocalizedCandidate\x12\x32\n\ncandidates\x18\x03 \x03(\x0b\x32\x1e.revisit.v1.LocalizedCandidate\x12+\n\x0ct_odom_query\x18\x04 \x01(\x0b\x32\x15.revisit.v1.Transform\x12\x0f\n\x07session\x18\x05 \x01(\tJ\x04\x08\x02\x10\x03R\x0bt_map_query\"%\n\x15GetLoopClosureRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"G\n\x16GetLoopClosureResponse\x12-\n\x0cloop_closure\x18\x01 \x01(\x0b\x32\x17.revisit.v1.LoopClosure\"\xd6\x01\n\x17ListLoopClosuresRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\x05\x12\x12\n\npage_token\x18\x03 \x01(\t\x12,\n\x05state\x18\x04 \x01(\x0e\x32\x1d.revisit.v1.LoopClosure.State\x12\x0f\n\x07session\x18\x05 \x01(\t\x12\x0f\n\x07min_seq\x18\x06 \x01(\x04\x12\x1e\n\x11min_seq_timeout_s\x18\x07 \x01(\x01H\x00\x88\x01\x01\x42\x14\n\x12_min_seq_timeout_s\"c\n\x18ListLoopClosuresResponse\x12.\n\rloop_closures\x18\x01 \x03(\x0b\x32\x17.revisit.v1.LoopClosure\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"J\n\x18WatchLoopClosuresRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\r\n\x05\x61\x66ter\x18\x02 \x01(\x04\x12\x0f\n\x07session\x18\x03 \x01(\t\"J\n\x19WatchLoopClosuresResponse\x12-\n\x0cloop_closure\x18\x01 \x01(\x0b\x32\x17.revisit.v1.LoopClosure2\xcd\x03\n\x12LoopClosureService\x12T\n\rSearchSubmaps\x12 .revisit.v1.SearchSubmapsRequest\x1a!.revisit.v1.SearchSubmapsResponse\x12\x45\n\x08Localize\x12\x1b.revisit.v1.LocalizeRequest\x1a\x1c.revisit.v1.LocalizeResponse\x12W\n\x0eGetLoopClosure\x12!.revisit.v1.GetLoopClosureRequest\x1a\".revisit.v1.GetLoopClosureResponse\x12]\n\x10ListLoopClosures\x12#.revisit.v1.ListLoopClosuresRequest\x1a$.revisit.v1.ListLoopClosuresResponse\x12\x62\n\x11WatchLoopClosures\x12$.revisit.v1.WatchLoopClosuresRequest\x1a%.revisit.v1.WatchLoopClosuresResponse0\x01\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1drevisit/v1/loop_closure.proto\x12\nrevisit.v1\x1a\x1cgoogle/protobuf/struct.proto\x1a\x16revisit/v1/cloud.proto\x1a\x19revisit/v1/geometry.proto\"\x80\x05\n\x0bLoopClosure\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0e\n\x06number\x18\x02 \x01(\x04\x12\r\n\x05query\x18\x03 \x01(\t\x12\r\n\x05match\x18\x04 \x01(\t\x12,\n\x05state\x18\x05 \x01(\x0e\x32\x1d.revisit.v1.LoopClosure.State\x12\x0e\n\x06reason\x18\x06 \x01(\t\x12\x12\n\nsimilarity\x18\x07 \x01(\x01\x12\r\n\x05score\x18\x08 \x01(\x01\x12,\n\rt_match_query\x18\t \x01(\x0b\x32\x15.revisit.v1.Transform\x12)\n\x08\x65vidence\x18\n \x01(\x0b\x32\x17.google.protobuf.Struct\x12\x15\n\rcreated_at_ns\x18\x0b \x01(\x03\x12\x37\n\x0bgraph_state\x18\x0c \x01(\x0e\x32\".revisit.v1.LoopClosure.GraphState\x12*\n\x0bt_map_query\x18\r \x01(\x0b\x32\x15.revisit.v1.Transform\x12*\n\x0bt_map_match\x18\x0e \x01(\x0b\x32\x15.revisit.v1.Transform\x12\r\n\x05\x66rame\x18\x0f \x01(\t\x12\x13\n\x0bmap_version\x18\x10 \x01(\x04\x12\x0e\n\x06manual\x18\x11 \x01(\x08\"H\n\x05State\x12\x15\n\x11STATE_UNSPECIFIED\x10\x00\x12\x0c\n\x08\x41\x43\x43\x45PTED\x10\x01\x12\x0c\n\x08REJECTED\x10\x02\x12\x0c\n\x08PROPOSED\x10\x03\"U\n\nGraphState\x12\x1b\n\x17GRAPH_STATE_UNSPECIFIED\x10\x00\x12\n\n\x06IN_MAP\x10\x01\x12\r\n\tSET_ASIDE\x10\x02\x12\x0f\n\x0bUNCONNECTED\x10\x03\"3\n\nDescriptor\x12\x0e\n\x06vector\x18\x01 \x03(\x02\x12\x15\n\rmodel_version\x18\x02 \x01(\t\"\xfe\x03\n\x14SearchSubmapsRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\x10\n\x06submap\x18\x02 \x01(\tH\x00\x12,\n\ndescriptor\x18\x03 \x01(\x0b\x32\x16.revisit.v1.DescriptorH\x00\x12\"\n\x05\x63loud\x18\x04 \x01(\x0b\x32\x11.revisit.v1.CloudH\x00\x12\x0e\n\x01k\x18\x05 \x01(\x05H\x01\x88\x01\x01\x12\x1b\n\x0emin_similarity\x18\x06 \x01(\x01H\x02\x88\x01\x01\x12\x17\n\x0f\x65xclude_session\x18\x07 \x01(\t\x12\x14\n\x0conly_session\x18\x08 \x01(\t\x12\x1a\n\rmin_index_gap\x18\t \x01(\rH\x03\x88\x01\x01\x12-\n\x10prior_position_m\x18\n \x01(\x0b\x32\x13.revisit.v1.Vector3\x12\x15\n\x08radius_m\x18\x0b \x01(\x01H\x04\x88\x01\x01\x12\x0f\n\x07min_seq\x18\x0c \x01(\x04\x12\x1e\n\x11min_seq_timeout_s\x18\r \x01(\x01H\x05\x88\x01\x01\x12,\n\rt_level_query\x18\x0e \x01(\x0b\x32\x15.revisit.v1.TransformB\x07\n\x05queryB\x04\n\x02_kB\x11\n\x0f_min_similarityB\x10\n\x0e_min_index_gapB\x0b\n\t_radius_mB\x14\n\x12_min_seq_timeout_s\"\xa9\x01\n\tSearchHit\x12\x0e\n\x06submap\x18\x01 \x01(\t\x12\x12\n\nsimilarity\x18\x02 \x01(\x01\x12\'\n\nposition_m\x18\x03 \x01(\x0b\x32\x13.revisit.v1.Vector3\x12+\n\x0ct_map_submap\x18\x04 \x01(\x0b\x32\x15.revisit.v1.Transform\x12\r\n\x05\x66rame\x18\x05 \x01(\t\x12\x13\n\x0bmap_version\x18\x06 \x01(\x04\"N\n\x15SearchSubmapsResponse\x12#\n\x04hits\x18\x01 \x03(\x0b\x32\x15.revisit.v1.SearchHit\x12\x10\n\x08searched\x18\x02 \x01(\r\"\xcc\x02\n\x0fLocalizeRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12 \n\x05\x63loud\x18\x02 \x01(\x0b\x32\x11.revisit.v1.Cloud\x12-\n\x10prior_position_m\x18\x03 \x01(\x0b\x32\x13.revisit.v1.Vector3\x12\x15\n\x08radius_m\x18\x04 \x01(\x01H\x00\x88\x01\x01\x12\x17\n\ncandidates\x18\x05 \x01(\x05H\x01\x88\x01\x01\x12\x0f\n\x07min_seq\x18\x06 \x01(\x04\x12\x1e\n\x11min_seq_timeout_s\x18\x07 \x01(\x01H\x02\x88\x01\x01\x12\x17\n\x0f\x65xclude_session\x18\x08 \x01(\t\x12,\n\rt_level_query\x18\t \x01(\x0b\x32\x15.revisit.v1.TransformB\x0b\n\t_radius_mB\r\n\x0b_candidatesB\x14\n\x12_min_seq_timeout_s\"\xc2\x01\n\x12LocalizedCandidate\x12\x0e\n\x06submap\x18\x01 \x01(\t\x12\x10\n\x08\x61\x63\x63\x65pted\x18\x02 \x01(\x08\x12\x0e\n\x06reason\x18\x03 \x01(\t\x12\x12\n\nsimilarity\x18\x04 \x01(\x01\x12\r\n\x05score\x18\x05 \x01(\x01\x12,\n\rt_match_query\x18\x06 \x01(\x0b\x32\x15.revisit.v1.Transform\x12)\n\x08\x65vidence\x18\x07 \x01(\x0b\x32\x17.google.protobuf.Struct\"\x88\x02\n\x10LocalizeResponse\x12,\n\x04\x62\x65st\x18\x01 \x01(\x0b\x32\x1e.revisit.v1.LocalizedCandidate\x12\x32\n\ncandidates\x18\x03 \x03(\x0b\x32\x1e.revisit.v1.LocalizedCandidate\x12+\n\x0ct_odom_query\x18\x04 \x01(\x0b\x32\x15.revisit.v1.Transform\x12\x0f\n\x07session\x18\x05 \x01(\t\x12*\n\x0bt_map_query\x18\x06 \x01(\x0b\x32\x15.revisit.v1.Transform\x12\r\n\x05\x66rame\x18\x07 \x01(\t\x12\x13\n\x0bmap_version\x18\x08 \x01(\x04J\x04\x08\x02\x10\x03\"%\n\x15GetLoopClosureRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"G\n\x16GetLoopClosureResponse\x12-\n\x0cloop_closure\x18\x01 \x01(\x0b\x32\x17.revisit.v1.LoopClosure\"\x9f\x02\n\x17ListLoopClosuresRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\x05\x12\x12\n\npage_token\x18\x03 \x01(\t\x12,\n\x05state\x18\x04 \x01(\x0e\x32\x1d.revisit.v1.LoopClosure.State\x12\x0f\n\x07session\x18\x05 \x01(\t\x12\x0f\n\x07min_seq\x18\x06 \x01(\x04\x12\x1e\n\x11min_seq_timeout_s\x18\x07 \x01(\x01H\x00\x88\x01\x01\x12\x37\n\x0bgraph_state\x18\x08 \x01(\x0e\x32\".revisit.v1.LoopClosure.GraphState\x12\x0e\n\x06reason\x18\t \x01(\tB\x14\n\x12_min_seq_timeout_s\"c\n\x18ListLoopClosuresResponse\x12.\n\rloop_closures\x18\x01 \x03(\x0b\x32\x17.revisit.v1.LoopClosure\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"J\n\x18WatchLoopClosuresRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\r\n\x05\x61\x66ter\x18\x02 \x01(\x04\x12\x0f\n\x07session\x18\x03 \x01(\t\"J\n\x19WatchLoopClosuresResponse\x12-\n\x0cloop_closure\x18\x01 \x01(\x0b\x32\x17.revisit.v1.LoopClosure2\xcd\x03\n\x12LoopClosureService\x12T\n\rSearchSubmaps\x12 .revisit.v1.SearchSubmapsRequest\x1a!.revisit.v1.SearchSubmapsResponse\x12\x45\n\x08Localize\x12\x1b.revisit.v1.LocalizeRequest\x1a\x1c.revisit.v1.LocalizeResponse\x12W\n\x0eGetLoopClosure\x12!.revisit.v1.GetLoopClosureRequest\x1a\".revisit.v1.GetLoopClosureResponse\x12]\n\x10ListLoopClosures\x12#.revisit.v1.ListLoopClosuresRequest\x1a$.revisit.v1.ListLoopClosuresResponse\x12\x62\n\x11WatchLoopClosures\x12$.revisit.v1.WatchLoopClosuresRequest\x1a%.revisit.v1.WatchLoopClosuresResponse0\x01\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -35,35 +35,37 @@ _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'revisit.v1.loop_closure_pb2
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
   _globals['_LOOPCLOSURE']._serialized_start=127
-  _globals['_LOOPCLOSURE']._serialized_end=469
-  _globals['_LOOPCLOSURE_STATE']._serialized_start=411
-  _globals['_LOOPCLOSURE_STATE']._serialized_end=469
-  _globals['_DESCRIPTOR']._serialized_start=471
-  _globals['_DESCRIPTOR']._serialized_end=522
-  _globals['_SEARCHSUBMAPSREQUEST']._serialized_start=525
-  _globals['_SEARCHSUBMAPSREQUEST']._serialized_end=1035
-  _globals['_SEARCHHIT']._serialized_start=1037
-  _globals['_SEARCHHIT']._serialized_end=1125
-  _globals['_SEARCHSUBMAPSRESPONSE']._serialized_start=1127
-  _globals['_SEARCHSUBMAPSRESPONSE']._serialized_end=1205
-  _globals['_LOCALIZEREQUEST']._serialized_start=1208
-  _globals['_LOCALIZEREQUEST']._serialized_end=1540
-  _globals['_LOCALIZEDCANDIDATE']._serialized_start=1543
-  _globals['_LOCALIZEDCANDIDATE']._serialized_end=1737
-  _globals['_LOCALIZERESPONSE']._serialized_start=1740
-  _globals['_LOCALIZERESPONSE']._serialized_end=1937
-  _globals['_GETLOOPCLOSUREREQUEST']._serialized_start=1939
-  _globals['_GETLOOPCLOSUREREQUEST']._serialized_end=1976
-  _globals['_GETLOOPCLOSURERESPONSE']._serialized_start=1978
-  _globals['_GETLOOPCLOSURERESPONSE']._serialized_end=2049
-  _globals['_LISTLOOPCLOSURESREQUEST']._serialized_start=2052
-  _globals['_LISTLOOPCLOSURESREQUEST']._serialized_end=2266
-  _globals['_LISTLOOPCLOSURESRESPONSE']._serialized_start=2268
-  _globals['_LISTLOOPCLOSURESRESPONSE']._serialized_end=2367
-  _globals['_WATCHLOOPCLOSURESREQUEST']._serialized_start=2369
-  _globals['_WATCHLOOPCLOSURESREQUEST']._serialized_end=2443
-  _globals['_WATCHLOOPCLOSURESRESPONSE']._serialized_start=2445
-  _globals['_WATCHLOOPCLOSURESRESPONSE']._serialized_end=2519
-  _globals['_LOOPCLOSURESERVICE']._serialized_start=2522
-  _globals['_LOOPCLOSURESERVICE']._serialized_end=2983
+  _globals['_LOOPCLOSURE']._serialized_end=767
+  _globals['_LOOPCLOSURE_STATE']._serialized_start=608
+  _globals['_LOOPCLOSURE_STATE']._serialized_end=680
+  _globals['_LOOPCLOSURE_GRAPHSTATE']._serialized_start=682
+  _globals['_LOOPCLOSURE_GRAPHSTATE']._serialized_end=767
+  _globals['_DESCRIPTOR']._serialized_start=769
+  _globals['_DESCRIPTOR']._serialized_end=820
+  _globals['_SEARCHSUBMAPSREQUEST']._serialized_start=823
+  _globals['_SEARCHSUBMAPSREQUEST']._serialized_end=1333
+  _globals['_SEARCHHIT']._serialized_start=1336
+  _globals['_SEARCHHIT']._serialized_end=1505
+  _globals['_SEARCHSUBMAPSRESPONSE']._serialized_start=1507
+  _globals['_SEARCHSUBMAPSRESPONSE']._serialized_end=1585
+  _globals['_LOCALIZEREQUEST']._serialized_start=1588
+  _globals['_LOCALIZEREQUEST']._serialized_end=1920
+  _globals['_LOCALIZEDCANDIDATE']._serialized_start=1923
+  _globals['_LOCALIZEDCANDIDATE']._serialized_end=2117
+  _globals['_LOCALIZERESPONSE']._serialized_start=2120
+  _globals['_LOCALIZERESPONSE']._serialized_end=2384
+  _globals['_GETLOOPCLOSUREREQUEST']._serialized_start=2386
+  _globals['_GETLOOPCLOSUREREQUEST']._serialized_end=2423
+  _globals['_GETLOOPCLOSURERESPONSE']._serialized_start=2425
+  _globals['_GETLOOPCLOSURERESPONSE']._serialized_end=2496
+  _globals['_LISTLOOPCLOSURESREQUEST']._serialized_start=2499
+  _globals['_LISTLOOPCLOSURESREQUEST']._serialized_end=2786
+  _globals['_LISTLOOPCLOSURESRESPONSE']._serialized_start=2788
+  _globals['_LISTLOOPCLOSURESRESPONSE']._serialized_end=2887
+  _globals['_WATCHLOOPCLOSURESREQUEST']._serialized_start=2889
+  _globals['_WATCHLOOPCLOSURESREQUEST']._serialized_end=2963
+  _globals['_WATCHLOOPCLOSURESRESPONSE']._serialized_start=2965
+  _globals['_WATCHLOOPCLOSURESRESPONSE']._serialized_end=3039
+  _globals['_LOOPCLOSURESERVICE']._serialized_start=3042
+  _globals['_LOOPCLOSURESERVICE']._serialized_end=3503
 # @@protoc_insertion_point(module_scope)

@@ -11,15 +11,27 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class LoopClosure(_message.Message):
-    __slots__ = ("name", "number", "query", "match", "state", "reason", "similarity", "score", "t_match_query", "evidence", "created_at_ns")
+    __slots__ = ("name", "number", "query", "match", "state", "reason", "similarity", "score", "t_match_query", "evidence", "created_at_ns", "graph_state", "t_map_query", "t_map_match", "frame", "map_version", "manual")
     class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STATE_UNSPECIFIED: _ClassVar[LoopClosure.State]
         ACCEPTED: _ClassVar[LoopClosure.State]
         REJECTED: _ClassVar[LoopClosure.State]
+        PROPOSED: _ClassVar[LoopClosure.State]
     STATE_UNSPECIFIED: LoopClosure.State
     ACCEPTED: LoopClosure.State
     REJECTED: LoopClosure.State
+    PROPOSED: LoopClosure.State
+    class GraphState(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        GRAPH_STATE_UNSPECIFIED: _ClassVar[LoopClosure.GraphState]
+        IN_MAP: _ClassVar[LoopClosure.GraphState]
+        SET_ASIDE: _ClassVar[LoopClosure.GraphState]
+        UNCONNECTED: _ClassVar[LoopClosure.GraphState]
+    GRAPH_STATE_UNSPECIFIED: LoopClosure.GraphState
+    IN_MAP: LoopClosure.GraphState
+    SET_ASIDE: LoopClosure.GraphState
+    UNCONNECTED: LoopClosure.GraphState
     NAME_FIELD_NUMBER: _ClassVar[int]
     NUMBER_FIELD_NUMBER: _ClassVar[int]
     QUERY_FIELD_NUMBER: _ClassVar[int]
@@ -31,6 +43,12 @@ class LoopClosure(_message.Message):
     T_MATCH_QUERY_FIELD_NUMBER: _ClassVar[int]
     EVIDENCE_FIELD_NUMBER: _ClassVar[int]
     CREATED_AT_NS_FIELD_NUMBER: _ClassVar[int]
+    GRAPH_STATE_FIELD_NUMBER: _ClassVar[int]
+    T_MAP_QUERY_FIELD_NUMBER: _ClassVar[int]
+    T_MAP_MATCH_FIELD_NUMBER: _ClassVar[int]
+    FRAME_FIELD_NUMBER: _ClassVar[int]
+    MAP_VERSION_FIELD_NUMBER: _ClassVar[int]
+    MANUAL_FIELD_NUMBER: _ClassVar[int]
     name: str
     number: int
     query: str
@@ -42,7 +60,13 @@ class LoopClosure(_message.Message):
     t_match_query: _geometry_pb2.Transform
     evidence: _struct_pb2.Struct
     created_at_ns: int
-    def __init__(self, name: _Optional[str] = ..., number: _Optional[int] = ..., query: _Optional[str] = ..., match: _Optional[str] = ..., state: _Optional[_Union[LoopClosure.State, str]] = ..., reason: _Optional[str] = ..., similarity: _Optional[float] = ..., score: _Optional[float] = ..., t_match_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., evidence: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ..., created_at_ns: _Optional[int] = ...) -> None: ...
+    graph_state: LoopClosure.GraphState
+    t_map_query: _geometry_pb2.Transform
+    t_map_match: _geometry_pb2.Transform
+    frame: str
+    map_version: int
+    manual: bool
+    def __init__(self, name: _Optional[str] = ..., number: _Optional[int] = ..., query: _Optional[str] = ..., match: _Optional[str] = ..., state: _Optional[_Union[LoopClosure.State, str]] = ..., reason: _Optional[str] = ..., similarity: _Optional[float] = ..., score: _Optional[float] = ..., t_match_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., evidence: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ..., created_at_ns: _Optional[int] = ..., graph_state: _Optional[_Union[LoopClosure.GraphState, str]] = ..., t_map_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., t_map_match: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., frame: _Optional[str] = ..., map_version: _Optional[int] = ..., manual: _Optional[bool] = ...) -> None: ...
 
 class Descriptor(_message.Message):
     __slots__ = ("vector", "model_version")
@@ -85,14 +109,20 @@ class SearchSubmapsRequest(_message.Message):
     def __init__(self, parent: _Optional[str] = ..., submap: _Optional[str] = ..., descriptor: _Optional[_Union[Descriptor, _Mapping]] = ..., cloud: _Optional[_Union[_cloud_pb2.Cloud, _Mapping]] = ..., k: _Optional[int] = ..., min_similarity: _Optional[float] = ..., exclude_session: _Optional[str] = ..., only_session: _Optional[str] = ..., min_index_gap: _Optional[int] = ..., prior_position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., radius_m: _Optional[float] = ..., min_seq: _Optional[int] = ..., min_seq_timeout_s: _Optional[float] = ..., t_level_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ...) -> None: ...
 
 class SearchHit(_message.Message):
-    __slots__ = ("submap", "similarity", "position_m")
+    __slots__ = ("submap", "similarity", "position_m", "t_map_submap", "frame", "map_version")
     SUBMAP_FIELD_NUMBER: _ClassVar[int]
     SIMILARITY_FIELD_NUMBER: _ClassVar[int]
     POSITION_M_FIELD_NUMBER: _ClassVar[int]
+    T_MAP_SUBMAP_FIELD_NUMBER: _ClassVar[int]
+    FRAME_FIELD_NUMBER: _ClassVar[int]
+    MAP_VERSION_FIELD_NUMBER: _ClassVar[int]
     submap: str
     similarity: float
     position_m: _geometry_pb2.Vector3
-    def __init__(self, submap: _Optional[str] = ..., similarity: _Optional[float] = ..., position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ...) -> None: ...
+    t_map_submap: _geometry_pb2.Transform
+    frame: str
+    map_version: int
+    def __init__(self, submap: _Optional[str] = ..., similarity: _Optional[float] = ..., position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., t_map_submap: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., frame: _Optional[str] = ..., map_version: _Optional[int] = ...) -> None: ...
 
 class SearchSubmapsResponse(_message.Message):
     __slots__ = ("hits", "searched")
@@ -143,16 +173,22 @@ class LocalizedCandidate(_message.Message):
     def __init__(self, submap: _Optional[str] = ..., accepted: _Optional[bool] = ..., reason: _Optional[str] = ..., similarity: _Optional[float] = ..., score: _Optional[float] = ..., t_match_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., evidence: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ...) -> None: ...
 
 class LocalizeResponse(_message.Message):
-    __slots__ = ("best", "candidates", "t_odom_query", "session")
+    __slots__ = ("best", "candidates", "t_odom_query", "session", "t_map_query", "frame", "map_version")
     BEST_FIELD_NUMBER: _ClassVar[int]
     CANDIDATES_FIELD_NUMBER: _ClassVar[int]
     T_ODOM_QUERY_FIELD_NUMBER: _ClassVar[int]
     SESSION_FIELD_NUMBER: _ClassVar[int]
+    T_MAP_QUERY_FIELD_NUMBER: _ClassVar[int]
+    FRAME_FIELD_NUMBER: _ClassVar[int]
+    MAP_VERSION_FIELD_NUMBER: _ClassVar[int]
     best: LocalizedCandidate
     candidates: _containers.RepeatedCompositeFieldContainer[LocalizedCandidate]
     t_odom_query: _geometry_pb2.Transform
     session: str
-    def __init__(self, best: _Optional[_Union[LocalizedCandidate, _Mapping]] = ..., candidates: _Optional[_Iterable[_Union[LocalizedCandidate, _Mapping]]] = ..., t_odom_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., session: _Optional[str] = ...) -> None: ...
+    t_map_query: _geometry_pb2.Transform
+    frame: str
+    map_version: int
+    def __init__(self, best: _Optional[_Union[LocalizedCandidate, _Mapping]] = ..., candidates: _Optional[_Iterable[_Union[LocalizedCandidate, _Mapping]]] = ..., t_odom_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., session: _Optional[str] = ..., t_map_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., frame: _Optional[str] = ..., map_version: _Optional[int] = ...) -> None: ...
 
 class GetLoopClosureRequest(_message.Message):
     __slots__ = ("name",)
@@ -167,7 +203,7 @@ class GetLoopClosureResponse(_message.Message):
     def __init__(self, loop_closure: _Optional[_Union[LoopClosure, _Mapping]] = ...) -> None: ...
 
 class ListLoopClosuresRequest(_message.Message):
-    __slots__ = ("parent", "page_size", "page_token", "state", "session", "min_seq", "min_seq_timeout_s")
+    __slots__ = ("parent", "page_size", "page_token", "state", "session", "min_seq", "min_seq_timeout_s", "graph_state", "reason")
     PARENT_FIELD_NUMBER: _ClassVar[int]
     PAGE_SIZE_FIELD_NUMBER: _ClassVar[int]
     PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
@@ -175,6 +211,8 @@ class ListLoopClosuresRequest(_message.Message):
     SESSION_FIELD_NUMBER: _ClassVar[int]
     MIN_SEQ_FIELD_NUMBER: _ClassVar[int]
     MIN_SEQ_TIMEOUT_S_FIELD_NUMBER: _ClassVar[int]
+    GRAPH_STATE_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
     parent: str
     page_size: int
     page_token: str
@@ -182,7 +220,9 @@ class ListLoopClosuresRequest(_message.Message):
     session: str
     min_seq: int
     min_seq_timeout_s: float
-    def __init__(self, parent: _Optional[str] = ..., page_size: _Optional[int] = ..., page_token: _Optional[str] = ..., state: _Optional[_Union[LoopClosure.State, str]] = ..., session: _Optional[str] = ..., min_seq: _Optional[int] = ..., min_seq_timeout_s: _Optional[float] = ...) -> None: ...
+    graph_state: LoopClosure.GraphState
+    reason: str
+    def __init__(self, parent: _Optional[str] = ..., page_size: _Optional[int] = ..., page_token: _Optional[str] = ..., state: _Optional[_Union[LoopClosure.State, str]] = ..., session: _Optional[str] = ..., min_seq: _Optional[int] = ..., min_seq_timeout_s: _Optional[float] = ..., graph_state: _Optional[_Union[LoopClosure.GraphState, str]] = ..., reason: _Optional[str] = ...) -> None: ...
 
 class ListLoopClosuresResponse(_message.Message):
     __slots__ = ("loop_closures", "next_page_token")

@@ -7,7 +7,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class Map(_message.Message):
-    __slots__ = ("name", "display_name", "tau_m", "stride_m", "min_index_gap", "session_count", "submap_count", "created_at_ns", "scene_scale", "loop_policy")
+    __slots__ = ("name", "display_name", "tau_m", "stride_m", "min_index_gap", "session_count", "submap_count", "created_at_ns", "scene_scale", "loop_policy", "map_version")
     NAME_FIELD_NUMBER: _ClassVar[int]
     DISPLAY_NAME_FIELD_NUMBER: _ClassVar[int]
     TAU_M_FIELD_NUMBER: _ClassVar[int]
@@ -18,6 +18,7 @@ class Map(_message.Message):
     CREATED_AT_NS_FIELD_NUMBER: _ClassVar[int]
     SCENE_SCALE_FIELD_NUMBER: _ClassVar[int]
     LOOP_POLICY_FIELD_NUMBER: _ClassVar[int]
+    MAP_VERSION_FIELD_NUMBER: _ClassVar[int]
     name: str
     display_name: str
     tau_m: float
@@ -28,7 +29,8 @@ class Map(_message.Message):
     created_at_ns: int
     scene_scale: float
     loop_policy: LoopPolicy
-    def __init__(self, name: _Optional[str] = ..., display_name: _Optional[str] = ..., tau_m: _Optional[float] = ..., stride_m: _Optional[float] = ..., min_index_gap: _Optional[int] = ..., session_count: _Optional[int] = ..., submap_count: _Optional[int] = ..., created_at_ns: _Optional[int] = ..., scene_scale: _Optional[float] = ..., loop_policy: _Optional[_Union[LoopPolicy, _Mapping]] = ...) -> None: ...
+    map_version: int
+    def __init__(self, name: _Optional[str] = ..., display_name: _Optional[str] = ..., tau_m: _Optional[float] = ..., stride_m: _Optional[float] = ..., min_index_gap: _Optional[int] = ..., session_count: _Optional[int] = ..., submap_count: _Optional[int] = ..., created_at_ns: _Optional[int] = ..., scene_scale: _Optional[float] = ..., loop_policy: _Optional[_Union[LoopPolicy, _Mapping]] = ..., map_version: _Optional[int] = ...) -> None: ...
 
 class LoopPolicy(_message.Message):
     __slots__ = ("candidates", "min_score", "min_overlap", "max_seen_through")

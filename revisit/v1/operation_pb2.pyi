@@ -24,10 +24,14 @@ class Operation(_message.Message):
         DESCRIBE_SUBMAP: _ClassVar[Operation.Kind]
         SEARCH_CLOUD: _ClassVar[Operation.Kind]
         LOCALIZE: _ClassVar[Operation.Kind]
+        OPTIMISE_MAP: _ClassVar[Operation.Kind]
+        VERIFY_LOOP: _ClassVar[Operation.Kind]
     KIND_UNSPECIFIED: Operation.Kind
     DESCRIBE_SUBMAP: Operation.Kind
     SEARCH_CLOUD: Operation.Kind
     LOCALIZE: Operation.Kind
+    OPTIMISE_MAP: Operation.Kind
+    VERIFY_LOOP: Operation.Kind
     class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STATE_UNSPECIFIED: _ClassVar[Operation.State]

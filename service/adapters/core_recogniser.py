@@ -45,7 +45,7 @@ class CoreRecogniser:
             described = describe(submap, self._models, config)
         return SubmapDescription(
             descriptor=described.descriptor.vector,
-            signature=described.place.to_blob(),
+            place=described.place.to_blob(),
             neural_map=described.neural_map.to_blob(),
             mesh=_mesh(described),
             flags=described.flags,
@@ -79,8 +79,8 @@ def warm_up(recogniser: CoreRecogniser) -> None:
     config = PipelineConfig()
     # Whether this yard can be described does not matter; a fault that matters will show on a real submap.
     with suppress(RevisitError):
-        signature = recogniser.describe(_made_up_yard(config), config).signature
-        recogniser.verify(signature, signature, 1.0, config)
+        place = recogniser.describe(_made_up_yard(config), config).place
+        recogniser.verify(place, place, 1.0, config)
 
 
 def _made_up_yard(config: PipelineConfig) -> Submap:

@@ -6,6 +6,8 @@
     ingest         scans and submaps coming in
     catalogue      maps, robots, sessions, submaps: create, get, list, delete
     query          searches, loop closures, operations
+    push           watching the events of a map
+    mapping        one map out of many sessions: versions of its poses, corrections, decisions on loops
     housekeeping   sweeping, retention, the index, dead letters, readiness
     recognise      what a worker does with a job
 
@@ -25,6 +27,7 @@ from revisit.service.application.capacity.backlog import JobPosting
 from revisit.service.application.capacity.byte_budget import ByteBudget
 from revisit.service.application.catalogue.blob_references import BlobCollector
 from revisit.service.application.catalogue.maps import Maps
+from revisit.service.application.catalogue.paging import Lists, PageTokens
 from revisit.service.application.catalogue.robots import Robots
 from revisit.service.application.catalogue.sessions import Sessions
 from revisit.service.application.catalogue.submaps import Submaps
@@ -35,6 +38,9 @@ from revisit.service.application.housekeeping.system import System
 from revisit.service.application.ingest.scans import Scans
 from revisit.service.application.ingest.submap_posting import SubmapPosting
 from revisit.service.application.installation import Installation
+from revisit.service.application.mapping.corrections import Corrections
+from revisit.service.application.mapping.versions import MapVersions
+from revisit.service.application.push.events import Events, Glance
 from revisit.service.application.query.loops import Loops
 from revisit.service.application.query.operations import Operations
 from revisit.service.application.query.searches import Searches
@@ -53,6 +59,9 @@ class UseCases:
     searches: Searches
     loops: Loops
     operations: Operations
+    events: Events
+    map_versions: MapVersions
+    corrections: Corrections
     dead_letters: DeadLetters
     system: System
     admission: Admission
@@ -65,20 +74,23 @@ class UseCases:
     def over(cls, of: Installation, version: str, rules: AccessRules = AccessRules()) -> UseCases:
         """All use cases of an installation; `version` is the product's."""
         storage, clock, policy, streams, decoder = of.storage, of.clock, of.policy, of.open_streams, of.decoder
-        backlog = of.backlog
+        backlog, lists = of.backlog, Lists(storage, of.in_flight, PageTokens(of.secret))
         admission = Admission(of.stopping, of.disk, of.in_flight, backlog, of.quota)
         jobs, collector = JobPosting(backlog, clock, policy), BlobCollector(storage)
-        operations, audit = Operations(storage, admission), AuditLog(storage, clock)
+        operations, audit = Operations(storage, lists, admission), AuditLog(storage, clock)
         return cls(
-            maps=Maps(storage, admission, collector, of.index, streams, clock, policy),
-            robots=Robots(storage, admission, clock),
-            sessions=Sessions(storage, admission, jobs, collector, streams, clock),
+            maps=Maps(storage, lists, admission, collector, of.index, streams, clock, policy),
+            robots=Robots(storage, lists, admission, clock),
+            sessions=Sessions(storage, lists, admission, jobs, collector, streams, clock),
             scans=Scans(storage, admission, decoder, jobs, of.in_flight, streams, clock, policy),
             posting=SubmapPosting(storage, admission, decoder, jobs, clock),
-            submaps=Submaps(storage, admission, collector, clock, policy),
+            submaps=Submaps(storage, lists, admission, collector, clock, policy),
             searches=Searches(storage, admission, decoder, jobs, of.memory, operations),
-            loops=Loops(storage, admission),
+            loops=Loops(storage, lists, admission),
             operations=operations,
+            events=Events(storage, admission, Glance(storage)),
+            map_versions=MapVersions(storage, lists, admission, clock, policy),
+            corrections=Corrections(storage, admission),
             dead_letters=DeadLetters(storage, admission, backlog, policy),
             system=System(storage, admission, of.disk, of.index_health, clock, version),
             admission=admission,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 import threading
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -14,6 +15,7 @@ from revisit.service.application.contract.blobs import BlobStore
 from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.disk import DiskSpace, UnlimitedDisk
 from revisit.service.application.contract.index import VectorIndex
+from revisit.service.application.contract.map_optimiser import MapOptimiser
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.recogniser import PlaceRecogniser
 from revisit.service.application.contract.storage import Storage
@@ -21,6 +23,7 @@ from revisit.service.application.contract.transactions import Transactions
 from revisit.service.application.housekeeping.index_keeping import IndexHealth, IndexKeeper
 from revisit.service.application.ingest.clouds import CloudDecoder
 from revisit.service.application.ingest.open_streams import OpenStreams
+from revisit.service.application.mapping.optimisation import MapOptimisation
 from revisit.service.application.query.place_memory import PlaceMemory
 from revisit.service.application.recognise.recognition import Recognition
 
@@ -40,6 +43,8 @@ class Installation:
     index_health: IndexHealth = field(default_factory=IndexHealth)
     open_streams: OpenStreams = field(default_factory=OpenStreams)
     budget: ByteBudget = field(default_factory=ByteBudget)
+    secret: bytes = field(default_factory=lambda: secrets.token_bytes(32))
+    """Known to nobody else: makes the tokens of pages unreadable."""
     decoder: CloudDecoder = field(default_factory=lambda: CloudDecoder(DECODERS))
 
     @cached_property
@@ -63,9 +68,10 @@ class Installation:
         most_bytes = self.policy.tenant_storage_bytes
         return None if most_bytes is None else StorageQuota(self.storage, most_bytes)
 
-    def recognition(self, recogniser: PlaceRecogniser) -> Recognition:
-        """What a worker does with a job; `recogniser` is the method, and the index this worker's own cache."""
-        return Recognition(self.transactions, self.blobs, self.memory, self.clock, self.policy, recogniser)
+    def recognition(self, recogniser: PlaceRecogniser, optimiser: MapOptimiser) -> Recognition:
+        """What a worker does with a job; `recogniser` and `optimiser` are the method; the index is its own cache."""
+        mapping = MapOptimisation(self.transactions, self.clock, self.policy, optimiser)
+        return Recognition(self.transactions, self.blobs, self.memory, self.clock, self.policy, recogniser, mapping)
 
     def index_keeper(self) -> IndexKeeper:
         """What loads the index and compares it with the database. From now on the service is not ready until then."""

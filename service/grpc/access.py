@@ -45,6 +45,16 @@ SCOPES: dict[str, dict[str, frozenset[Scope]]] = {
         "ListLoopClosures": _QUERY,
         "WatchLoopClosures": _QUERY,
     },
+    "EventService": {"WatchEvents": _QUERY},
+    "MappingService": {
+        "OptimiseMap": _INGEST | _ADMIN,
+        "ListMapVersions": _EITHER,
+        "GetMapVersion": _EITHER,
+        "ListSubmapPoses": _EITHER,
+        "RevertMap": _ADMIN,
+        "GetCorrection": _EITHER,
+        "WatchCorrections": _EITHER,
+    },
     "OperationService": {
         "GetOperation": _EITHER,
         "ListOperations": _EITHER,

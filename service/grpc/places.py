@@ -12,7 +12,7 @@ from typing import Any
 from revisit.service.application.access.callers import current_actor, current_tenant
 from revisit.service.application.capacity.places import Claim, Places
 
-_LASTING = frozenset({"WatchLoopClosures"})
+_LASTING = frozenset({"WatchLoopClosures", "WatchCorrections", "WatchEvents"})
 _STREAMS = frozenset({"StreamScans"})
 
 

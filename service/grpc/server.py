@@ -14,9 +14,11 @@ from revisit.service.application.contract.tracing import NoTracer, Tracer
 from revisit.service.grpc.access import Gate, require_declared_scopes
 from revisit.service.grpc.errors import LARGEST_MESSAGE_BYTES, ErrorInterceptor
 from revisit.service.grpc.places import CallLimits, CallPlaces
+from revisit.service.grpc.servicers.events import EventServicer
 from revisit.service.grpc.servicers.health import HealthServicer
 from revisit.service.grpc.servicers.ingest import IngestServicer
 from revisit.service.grpc.servicers.loops import LoopClosureServicer
+from revisit.service.grpc.servicers.mapping import MappingServicer
 from revisit.service.grpc.servicers.maps import MapServicer
 from revisit.service.grpc.servicers.operations import OperationServicer
 from revisit.service.grpc.servicers.robots import RobotServicer
@@ -27,12 +29,16 @@ from revisit.service.grpc.timing import CallTimer
 from revisit.service.grpc.tracing import CallTracing
 from revisit.service.metrics import RequestMetrics
 from revisit.v1 import (
+    event_pb2,
+    event_pb2_grpc,
     ingest_pb2,
     ingest_pb2_grpc,
     loop_closure_pb2,
     loop_closure_pb2_grpc,
     map_pb2,
     map_pb2_grpc,
+    mapping_pb2,
+    mapping_pb2_grpc,
     operation_pb2,
     operation_pb2_grpc,
     robot_pb2,
@@ -72,6 +78,8 @@ _SERVICES: tuple[tuple[Any, Callable[[UseCases], object], Callable[..., None]], 
     (submap_pb2, SubmapServicer, submap_pb2_grpc.add_SubmapServiceServicer_to_server),
     (ingest_pb2, IngestServicer, ingest_pb2_grpc.add_IngestServiceServicer_to_server),
     (loop_closure_pb2, LoopClosureServicer, loop_closure_pb2_grpc.add_LoopClosureServiceServicer_to_server),
+    (event_pb2, EventServicer, event_pb2_grpc.add_EventServiceServicer_to_server),
+    (mapping_pb2, MappingServicer, mapping_pb2_grpc.add_MappingServiceServicer_to_server),
     (operation_pb2, OperationServicer, operation_pb2_grpc.add_OperationServiceServicer_to_server),
     (system_pb2, SystemServicer, system_pb2_grpc.add_SystemServiceServicer_to_server),
 )

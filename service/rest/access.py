@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Iterator
 from typing import Any
 
@@ -12,9 +13,10 @@ from fastapi.security import SecurityScopes
 from starlette.requests import Request
 from starlette.routing import BaseRoute
 
-from revisit.service.application.access.admission import Credential
+from revisit.core.errors import RevisitError
+from revisit.service.application.access.admission import STREAM_RECHECK_S, Credential
 from revisit.service.application.access.callers import Scope, enter
-from revisit.service.application.contract.errors import Unauthenticated
+from revisit.service.application.contract.errors import PermissionDenied, TooManyFailures, Unauthenticated
 from revisit.service.rest.tracing import call_of
 
 SCHEME = "bearer"
@@ -32,6 +34,20 @@ async def admitted(request: Request, needed: SecurityScopes) -> None:
     path = f"{request.method} {request.url.path}"
     access = request.app.state.use_cases.access
     enter(await access.admit(credential_of(request), scopes, call_of(request.scope), path))
+
+
+async def until_refused(request: Request, scopes: frozenset[Scope]) -> RevisitError:
+    """Why the caller of an answer that goes on has lost its right to it; returns once it has."""
+    access, path = request.app.state.use_cases.access, f"{request.method} {request.url.path}"
+    while True:
+        await asyncio.sleep(STREAM_RECHECK_S)
+        try:
+            await access.admit(credential_of(request), scopes, call_of(request.scope), path)
+        except (Unauthenticated, PermissionDenied, TooManyFailures) as error:
+            return error
+        except RevisitError:
+            # A store that does not answer now is asked again.
+            continue
 
 
 async def anyone() -> None:

@@ -7,10 +7,13 @@ from typing import Any
 from fastapi import FastAPI
 
 from revisit.service.application import UseCases
+from revisit.service.application.capacity.places import Places
+from revisit.service.application.capacity.turns import Turns
 from revisit.service.application.contract.tracing import NoTracer, Tracer
 from revisit.service.metrics import RequestMetrics
 from revisit.service.rest.access import describe_access, require_declared_scopes
 from revisit.service.rest.answers import describe_answers
+from revisit.service.rest.bodies import LONG_BODIES_AT_A_TIME
 from revisit.service.rest.errors import PROBLEM_JSON, install_error_handlers
 from revisit.service.rest.limits import HttpLimits
 from revisit.service.rest.middleware import (
@@ -21,7 +24,19 @@ from revisit.service.rest.middleware import (
     RequestPlaces,
     RequestTimer,
 )
-from revisit.service.rest.routes import loops, maps, operations, robots, searches, sessions, submaps, system
+from revisit.service.rest.routes import (
+    events,
+    loops,
+    mapping,
+    maps,
+    operations,
+    page,
+    robots,
+    searches,
+    sessions,
+    submaps,
+    system,
+)
 from revisit.service.rest.schemas import Problem
 from revisit.service.rest.tracing import RequestTracing
 from revisit.service.status import STATUS
@@ -53,7 +68,9 @@ def create_app(
     )
     app.state.use_cases = use_cases
     app.state.limits = limits
-    for module in (maps, robots, searches, submaps, sessions, loops, operations, system):
+    app.state.long_bodies = Turns(LONG_BODIES_AT_A_TIME, of_tenant=1)
+    app.state.watches = Places()
+    for module in (mapping, maps, robots, searches, submaps, sessions, loops, events, operations, system, page):
         app.include_router(module.router)
     require_declared_scopes(app)
     install_error_handlers(app)

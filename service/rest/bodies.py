@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import re
+from functools import partial
 from typing import Any, TypeVar
 
 from fastapi import Depends
@@ -12,11 +14,23 @@ from starlette.requests import ClientDisconnect, Request
 
 from revisit.core.errors import BadField, MalformedBody, TooLarge, UnsupportedEncoding
 from revisit.formats import MEDIA_TYPES
+from revisit.service.application.access.callers import current_tenant
+from revisit.service.application.capacity.admission import Admission
+from revisit.service.application.capacity.turns import Turns
 from revisit.service.application.ingest.clouds import EncodedCloud
 from revisit.service.rest.errors import bad_field
 from revisit.service.rest.limits import HttpLimits
+from revisit.service.rest.schemas import Request as Body
 
-SchemaT = TypeVar("SchemaT", bound=BaseModel)
+SHORT_JSON_BYTES = 16 * 2**10
+"""A longer body waits for its turn, one of each tenant at a time, and is parsed beside the event loop."""
+
+LONG_BODIES_AT_A_TIME = 16
+
+SchemaT = TypeVar("SchemaT", bound=Body)
+
+JSON_BYTES_A_POINT = 4
+"""So many bytes of JSON take as long to read as one point of a cloud."""
 
 # Ends with the text where a string does not, and gives nothing back: else one without an end is tried at each quote.
 _STRING = re.compile(r'"(?:[^"\\]++|\\.)*+"?', re.DOTALL)
@@ -39,7 +53,7 @@ def json_body(schema: type[SchemaT]) -> Any:
     """A dependency that reads the body as strict JSON of `schema`."""
 
     async def read(request: Request) -> SchemaT:
-        return parse_json(await json_bytes(request), schema, limits_of(request))
+        return await read_json(request, schema)
 
     return Depends(read)
 
@@ -50,32 +64,47 @@ def describe_json(schema: type[BaseModel]) -> dict[str, Any]:
     return {"requestBody": {"required": True, "content": content}}
 
 
-async def json_bytes(request: Request) -> bytes:
-    """The body of an `application/json` request. Raises UnsupportedEncoding, TooLarge."""
+async def read_json(request: Request, schema: type[SchemaT]) -> SchemaT:
+    """The body of an `application/json` request, which is charged to the rate limits, refused or not.
+
+    Raises UnsupportedEncoding, TooLarge, RateLimited, and what `parse_json` raises.
+    """
     if media_type(request) != "application/json" or request.headers.get("content-encoding"):
         raise UnsupportedEncoding("this call takes application/json without Content-Encoding")
-    limit = limits_of(request).json_bytes
-    data = await body_bytes(request)
-    if len(data) > limit:
-        raise TooLarge(f"a JSON body may have at most {limit} bytes")
-    return data
+    if _declared_bytes(request, schema.most_bytes) <= SHORT_JSON_BYTES:
+        return parse_json(await _charged_body(request, SHORT_JSON_BYTES), schema, limits_of(request))
+    turns: Turns = request.app.state.long_bodies
+    # Its turn comes before it is read: a client that sends many at once waits for itself.
+    async with turns.of(current_tenant()):
+        data = await _charged_body(request, schema.most_bytes)
+        return await asyncio.to_thread(parse_json, data, schema, limits_of(request))
 
 
 def parse_json(data: bytes, schema: type[SchemaT], limits: HttpLimits) -> SchemaT:
-    """Strict JSON: UTF-8 without BOM, no NaN, no duplicate keys, bounded depth, no unknown or coerced fields.
+    """Strict JSON: UTF-8 without BOM, no NaN, no duplicate keys, bounded structure, no unknown or coerced fields.
+
+    Whatever a body of its schema may hold takes a few milliseconds at most.
 
     Raises MalformedBody for what is not such JSON, BadField for what does not fit the schema.
     """
     try:
         text = data.decode("utf-8", errors="strict")
-        _check_depth(text, limits.json_depth)
-        json.loads(text, parse_constant=_refuse_constant, object_pairs_hook=_without_duplicates, parse_float=_finite)
+        _check_structure(text, limits)
+        hook = partial(_without_duplicates, most=limits.json_keys)
+        json.loads(text, parse_constant=_refuse_constant, object_pairs_hook=hook, parse_float=_finite)
     except (ValueError, RecursionError) as error:
         raise MalformedBody("the body is not strict JSON in UTF-8") from error
     try:
         return schema.model_validate_json(data)
     except ValidationError as error:
         raise bad_field(error.errors(include_url=False, include_context=False, include_input=False)) from error
+
+
+async def _charged_body(request: Request, most: int) -> bytes:
+    admission: Admission = request.app.state.use_cases.admission
+    data = await body_bytes(request, most)
+    admission.charge_call(current_tenant(), len(data) // JSON_BYTES_A_POINT)
+    return data
 
 
 async def cloud_body(request: Request) -> EncodedCloud:
@@ -86,15 +115,31 @@ async def cloud_body(request: Request) -> EncodedCloud:
     return EncodedCloud(await body_bytes(request), content_type, request.headers.get("content-encoding"))
 
 
-async def body_bytes(request: Request) -> bytes:
-    """The whole body, within the limit that the middleware enforces. Raises MalformedBody where the client left."""
+async def body_bytes(request: Request, most: int | None = None) -> bytes:
+    """The whole body, within the limit that the middleware enforces, or of at most `most` bytes.
+
+    Raises TooLarge, mostly before anything is read; MalformedBody where the client left.
+    """
+    most = limits_of(request).body_bytes if most is None else most
+    _declared_bytes(request, most)
     data = bytearray()
     try:
         async for chunk in request.stream():
             data += chunk
+            if len(data) > most:
+                raise TooLarge(f"this body may have at most {most} bytes")
     except ClientDisconnect as error:
         raise MalformedBody("the client went away before the body was complete") from error
     return bytes(data)
+
+
+def _declared_bytes(request: Request, most: int) -> int:
+    """The length that a body declares; where it declares none, `most`. Raises TooLarge beyond that."""
+    # The middleware has refused what is no number.
+    declared = int(request.headers.get("content-length", str(most))[:20])
+    if declared > most:
+        raise TooLarge(f"this body may have at most {most} bytes")
+    return declared
 
 
 def media_type(request: Request) -> str:
@@ -108,12 +153,15 @@ def limits_of(request: Request) -> HttpLimits:
     return limits
 
 
-def _check_depth(text: str, limit: int) -> None:
+def _check_structure(text: str, limits: HttpLimits) -> None:
+    """Raises MalformedBody for more arrays and objects, or deeper ones, than any call takes."""
     depth = 0
-    for bracket in _BRACKET.finditer(_STRING.sub("", text)):
+    for number, bracket in enumerate(_BRACKET.finditer(_STRING.sub("", text))):
         depth += 1 if bracket[0] in "[{" else -1
-        if depth > limit:
-            raise MalformedBody(f"JSON may nest at most {limit} deep")
+        if depth > limits.json_depth or number >= 2 * limits.json_containers:
+            raise MalformedBody(
+                f"JSON may nest at most {limits.json_depth} deep, in {limits.json_containers} arrays and objects"
+            )
 
 
 def _refuse_constant(name: str) -> Any:
@@ -127,7 +175,9 @@ def _finite(text: str) -> float:
     return value
 
 
-def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _without_duplicates(pairs: list[tuple[str, Any]], most: int) -> dict[str, Any]:
+    if len(pairs) > most:
+        raise ValueError("too many keys")
     keys = {key for key, _ in pairs}
     if len(keys) != len(pairs):
         raise ValueError("duplicate key")

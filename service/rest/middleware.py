@@ -71,7 +71,9 @@ class RequestEnvelope:
             nonlocal started
             if message["type"] == "http.response.start":
                 started = True
-                MutableHeaders(scope=message).update(headers)
+                own = MutableHeaders(scope=message)
+                kept = own.get("cache-control")
+                own.update(headers if kept is None else {**headers, "cache-control": kept})
             await send(message)
 
         try:

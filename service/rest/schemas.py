@@ -6,7 +6,7 @@ Answers are no schemas of their own: they are the messages of `proto/revisit/v1`
 from __future__ import annotations
 
 import re
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
@@ -39,6 +39,8 @@ DisplayName = Annotated[str, Field(max_length=limits.DISPLAY_NAME_CHARACTERS, pa
 _DESCRIPTOR_LENGTH: dict[str, Any] = {
     "min_length": int(limits.DESCRIPTOR_LENGTH.least),
     "max_length": int(limits.DESCRIPTOR_LENGTH.most),
+    # The first bad number is reported, not each of thousands.
+    "fail_fast": True,
 }
 Coordinate = Annotated[float, Field(**bounds(limits.PRIOR_COORDINATE_M))]
 
@@ -47,6 +49,9 @@ class Request(BaseModel):
     """What a client sends: nothing unknown, nothing coerced, nothing infinite."""
 
     model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False, frozen=True)
+
+    most_bytes: ClassVar[int] = 16 * 2**10
+    """Of the body: several times what its fields take at most."""
 
 
 class LoopPolicyRequest(Request):
@@ -100,12 +105,21 @@ class CreateSessionRequest(Request):
     robot_id: Id | None = None
 
 
+class RevertMapRequest(Request):
+    """Which version of the map comes back."""
+
+    version: Annotated[int, Field(**bounds(limits.MAP_VERSION))]
+
+
 class SearchRequest(Request):
     """Search by `submap` (a resource name) or by `descriptor` with its `model_version`; exactly one of the two.
 
     `min_seq`, the seq of a submap: the answer rests on every submap of the map up to it, or is a 504 (SEQ_NOT_REACHED)
     after `min_seq_timeout_s` seconds. A submap whose description failed is not waited for.
     """
+
+    most_bytes: ClassVar[int] = 128 * 2**10
+    """The longest descriptor takes 100,000 bytes, written with all digits."""
 
     submap: Annotated[str, Field(max_length=limits.RESOURCE_NAME_CHARACTERS)] | None = None
     descriptor: Annotated[list[float], Field(**_DESCRIPTOR_LENGTH)] | None = None

@@ -19,10 +19,14 @@ from revisit.service.application.catalogue.maps import MapView
 from revisit.service.application.catalogue.paging import Page
 from revisit.service.application.catalogue.robots import RobotView
 from revisit.service.application.catalogue.sessions import SessionView
+from revisit.service.application.contract.map_frames import MapPose, matrix_of
 from revisit.service.application.contract.views import OperationFailure, OperationView, SubmapView
 from revisit.service.application.housekeeping.system import ServiceStatus
 from revisit.service.application.ingest.scans import ScanAck
 from revisit.service.application.ingest.submap_posting import PostedSubmap
+from revisit.service.application.mapping.corrections import CorrectionView
+from revisit.service.application.mapping.versions import MapVersionView, SubmapPoseView
+from revisit.service.application.push.events import EventView
 from revisit.service.application.query.loops import LoopClosureView
 from revisit.service.application.query.search_answers import Localization, LocalizedCandidate, SearchHit, SearchResult
 
@@ -43,6 +47,7 @@ def of_map(view: MapView) -> Fields:
         "submap_count": view.submap_count,
         "created_at_ns": view.created_at_ns,
         "loop_policy": asdict(view.loop_policy),
+        "map_version": view.map_version,
     }
 
 
@@ -107,6 +112,7 @@ def of_submap(view: SubmapView) -> Fields:
         "operation": f"operations/{view.operation_id}",
         "created_at_ns": view.created_at_ns,
         "descriptor": None if view.descriptor is None else view.descriptor.tolist(),
+        **_in_map("t_map_submap", view.in_map),
     }
 
 
@@ -144,6 +150,58 @@ def of_loop(view: LoopClosureView) -> Fields:
         "t_match_query": _transform(view.T_match_query),
         "evidence": view.evidence,
         "created_at_ns": view.created_at_ns,
+        "graph_state": None if view.graph_state is None else view.graph_state.value,
+        "manual": view.manual,
+        **_in_map("t_map_query", None if view.in_map is None else view.in_map.query),
+        "t_map_match": _transform(matrix_of(None if view.in_map is None else view.in_map.match)),
+    }
+
+
+def of_map_version(view: MapVersionView) -> Fields:
+    """The fields of a MapVersion."""
+    return {
+        "name": f"maps/{view.map_id}/versions/{view.version}",
+        "version": view.version,
+        "in_force": view.in_force,
+        "restored_from": view.restored_from,
+        "content_hash": view.content_hash,
+        "operation": None if view.operation_id is None else f"operations/{view.operation_id}",
+        "created_at_ns": view.created_at_ns,
+        "summary": view.summary,
+    }
+
+
+def of_submap_pose(view: SubmapPoseView) -> Fields:
+    """The fields of a SubmapPose."""
+    return {
+        "submap": view.key.name,
+        "t_map_submap": _transform(view.T_map_submap),
+        "frame": view.frame,
+        "covariance": view.covariance.ravel().tolist(),
+    }
+
+
+def of_correction(view: CorrectionView) -> Fields:
+    """The fields of a Correction."""
+    return {
+        "session": view.session.name,
+        "t_map_odom": _transform(view.T_map_odom),
+        "frame": view.frame,
+        "map_version": view.map_version,
+        "covariance": view.covariance.ravel().tolist(),
+        "created_at_ns": view.created_at_ns,
+    }
+
+
+def of_event(view: EventView) -> Fields:
+    """The fields of an Event."""
+    return {
+        "number": view.number,
+        "kind": view.kind.value,
+        "map": f"maps/{view.map_id}" if view.map_id else "",
+        "loop_closure": None if view.loop is None else of_loop(view.loop),
+        "operation": None if view.operation is None else of_operation(view.operation),
+        "map_version": None if view.map_version is None else of_map_version(view.map_version),
     }
 
 
@@ -159,6 +217,7 @@ def of_localization(result: Localization) -> Fields:
         "t_odom_query": _transform(result.T_odom_query),
         "session": None if result.session is None else result.session.name,
         "candidates": [_candidate(candidate) for candidate in result.candidates],
+        **_in_map("t_map_query", result.in_map),
     }
 
 
@@ -192,6 +251,13 @@ def _transform(T_target_source: Matrix4 | None) -> Fields | None:
     return {"translation": _vector(T_target_source[:3, 3]), "rotation": {"x": x, "y": y, "z": z, "w": w}}
 
 
+def _in_map(field: str, pose: MapPose | None) -> Fields:
+    """A pose in the map as the fields that tell of it; None where there is none."""
+    if pose is None:
+        return {field: None, "frame": None, "map_version": None}
+    return {field: _transform(matrix_of(pose)), "frame": pose.frame, "map_version": pose.map_version}
+
+
 def _failure(failure: OperationFailure | None) -> Fields | None:
     return None if failure is None else {"reason": failure.code, "message": failure.message}
 
@@ -203,7 +269,12 @@ def _report(report: CloudReport | None) -> Fields | None:
 
 
 def _hit(hit: SearchHit) -> Fields:
-    return {"submap": hit.submap.name, "similarity": hit.similarity, "position_m": _vector(hit.position_m)}
+    return {
+        "submap": hit.submap.name,
+        "similarity": hit.similarity,
+        "position_m": _vector(hit.position_m),
+        **_in_map("t_map_submap", hit.in_map),
+    }
 
 
 def _candidate(candidate: LocalizedCandidate) -> Fields:

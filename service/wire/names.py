@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from revisit.core.errors import BadField
 from revisit.service.application import SessionKey, SubmapKey
+from revisit.service.application.contract import limits
 
 
 def segments(name: str, pattern: str, field: str) -> list[str]:
@@ -39,6 +40,19 @@ def loop_key(name: str) -> tuple[str, str]:
     """Map id and loop id of `maps/{map}/loopClosures/{loop_closure}`."""
     of_map, loop_id = segments(name, "maps/*/loopClosures/*", "name")
     return of_map, loop_id
+
+
+def version_key(name: str, field: str = "name") -> tuple[str, int]:
+    """Map id and version of `maps/{map}/versions/{version}`."""
+    of_map, version = segments(name, "maps/*/versions/*", field)
+    return of_map, version_number(version, field)
+
+
+def version_number(text: str, field: str = "version") -> int:
+    """The number of a version. Raises BadField where it is none."""
+    if not (text.isascii() and text.isdigit() and len(text) < 20):
+        raise BadField(f"{field} must name a version by its number", field=field)
+    return limits.MAP_VERSION.validated(int(text), field)
 
 
 def operation_id(name: str) -> str:

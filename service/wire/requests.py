@@ -20,7 +20,7 @@ from revisit.service.application.catalogue.sessions import CreateSession
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.identity import SessionKey
 from revisit.service.application.contract.loop_policy import LoopPolicy
-from revisit.service.application.contract.states import LoopState, OperationState
+from revisit.service.application.contract.states import EventKind, GraphState, LoopState, OperationState
 from revisit.service.application.ingest.clouds import EncodedCloud
 from revisit.service.application.ingest.scans import AppendScan
 from revisit.service.application.ingest.submap_posting import PostSubmap
@@ -30,6 +30,7 @@ from revisit.service.application.query.searches import LocalizeQuery
 from revisit.service.wire import names
 from revisit.v1 import (
     cloud_pb2,
+    event_pb2,
     geometry_pb2,
     ingest_pb2,
     loop_closure_pb2,
@@ -54,6 +55,12 @@ _DOWNLOADS: dict[int, tuple[DownloadKind, str | None]] = {
 def page(request: Any) -> PageRequest:
     """Of any List request. Raises BadField."""
     return PageRequest(request.page_size or PageRequest().size, request.page_token)
+
+
+def watch(request: event_pb2.WatchEventsRequest) -> tuple[int | None, frozenset[EventKind]]:
+    """Behind which event a watch begins, and what it tells of. Raises BadField for an unknown number of a kind."""
+    kinds = frozenset(EventKind(_enum_name(event_pb2.Event.Kind, kind)) for kind in request.kinds if kind)
+    return _optional(request, "after"), kinds
 
 
 def create_map(request: map_pb2.CreateMapRequest) -> CreateMap:
@@ -157,6 +164,11 @@ def operation_state(value: int) -> OperationState | None:
 def loop_state(value: int) -> LoopState | None:
     """The state of a filter, None where unspecified. Raises BadField for an unknown number."""
     return None if value == 0 else LoopState(_enum_name(loop_closure_pb2.LoopClosure.State, value))
+
+
+def graph_state(value: int) -> GraphState | None:
+    """The verdict of the graph in a filter, None where unspecified. Raises BadField for an unknown number."""
+    return None if value == 0 else GraphState(_enum_name(loop_closure_pb2.LoopClosure.GraphState, value))
 
 
 def _optional(message: Any, field: str) -> Any:

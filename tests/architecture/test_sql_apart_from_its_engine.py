@@ -27,7 +27,7 @@ from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.records import TurnRecord, WorkerRecord
 from tests.contract.test_transactions import fill
 from tests.support.plain_engine import HIGHEST, PlainTransactions
-from tests.support.records import TENANT, a_job, a_map
+from tests.support.records import TENANT, a_job, a_map, a_submap
 
 SQL = Path(__file__).resolve().parents[2] / "service" / "adapters" / "sql"
 DIALECT = re.compile(
@@ -52,7 +52,9 @@ CALLS = {
     "SqlScans.points_of": lambda uow: uow.scans.points_of(TENANT),
     "SqlSubmaps.points_of": lambda uow: uow.submaps.points_of(TENANT),
     "SqlScans.with_seqs": lambda uow: uow.scans.with_seqs(TENANT, "town", "monday", [1, 2]),
-    "SqlSubmaps.last_number": lambda uow: uow.submaps.last_number(),
+    "SqlSubmaps.placed": lambda uow: uow.submaps.placed(TENANT, "town"),
+    "SqlSubmaps.add": lambda uow: uow.submaps.add(a_submap(submap_id="another")),
+    "SqlSubmaps.last_number": lambda uow: uow.submaps.last_number(TENANT),
     "SqlSubmaps.waiting_up_to": lambda uow: uow.submaps.waiting_up_to(TENANT, "town", 2),
     "SqlJobs.next_runnable": lambda uow: (uow.jobs.next_runnable(NOW, TENANT), uow.jobs.add(a_job())),
     "SqlJobs.exhausted": lambda uow: uow.jobs.exhausted(NOW),
@@ -123,7 +125,7 @@ def test_every_statement_compiles_for_postgresql(statements):
 
 @pytest.mark.parametrize("table", tables.metadata.sorted_tables, ids=lambda table: table.name)
 def test_every_table_compiles_for_postgresql(table):
-    assert "SERIAL" in for_postgresql(CreateTable(table)) or table.name in ("workers", "tenant_turns")
+    assert "SERIAL" in for_postgresql(CreateTable(table)) or table.name in ("workers", "tenant_turns", "last_submaps")
     assert all(index.name in for_postgresql(CreateIndex(index)) for index in table.indexes)
 
 

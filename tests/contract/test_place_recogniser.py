@@ -51,7 +51,7 @@ def test_a_description_is_complete(recogniser, described):
     assert recogniser.model_version
     assert described.descriptor.dtype == np.float32 and described.descriptor.ndim == 1
     assert np.linalg.norm(described.descriptor) == pytest.approx(1.0, abs=1e-5)
-    assert described.signature and described.neural_map
+    assert described.place and described.neural_map
     assert len(described.mesh.normals) == len(described.mesh.vertices) > 0
     assert 0 <= described.mesh.faces.min() <= described.mesh.faces.max() < len(described.mesh.vertices)
 
@@ -59,22 +59,22 @@ def test_a_description_is_complete(recogniser, described):
 def test_the_same_submap_is_described_alike_again(recogniser, described):
     again = recogniser.describe(seen_from(TILTED, 1), CONFIG)
     np.testing.assert_array_equal(again.descriptor, described.descriptor)
-    assert again.signature == described.signature
+    assert again.place == described.place
 
 
 def test_a_place_matches_itself_and_the_evidence_is_json(recogniser, described):
-    verdict = recogniser.verify(described.signature, described.signature, 1.0, CONFIG)
+    verdict = recogniser.verify(described.place, described.place, 1.0, CONFIG)
     assert verdict.accepted and verdict.reason is None and 0.9 < verdict.score <= 1.0 + 1e-6
     assert json.loads(json.dumps(verdict.evidence, allow_nan=False)) == verdict.evidence
 
 
 def test_the_verdict_names_its_rules_and_tells_other_rules_apart():
     method = load_recogniser()
-    signature = method.describe(seen_from(np.eye(4), 1), CONFIG).signature
+    place = method.describe(seen_from(np.eye(4), 1), CONFIG).place
 
     def judged(**rules):
         config = replace(CONFIG, verification=replace(CONFIG.verification, **rules))
-        return method.verify(signature, signature, 1.0, config)
+        return method.verify(place, place, 1.0, config)
 
     usual, strict = judged(), judged(min_overlap=1.0, max_tilt=14.0)
     rules = CONFIG.verification
@@ -87,7 +87,7 @@ def test_the_verdict_names_its_rules_and_tells_other_rules_apart():
 
 def test_another_place_is_rejected_with_a_reason(recogniser, described):
     other = recogniser.describe(seen_from(np.eye(4), 2), CONFIG)
-    verdict = recogniser.verify(described.signature, other.signature, 0.1, CONFIG)
+    verdict = recogniser.verify(described.place, other.place, 0.1, CONFIG)
     assert not verdict.accepted and verdict.reason
     json.dumps(verdict.evidence, allow_nan=False)
 
@@ -103,7 +103,7 @@ def test_the_mesh_of_the_method_lies_in_the_frame_of_the_submap():
     assert up[2] / np.linalg.norm(up) > 0.99
 
 
-def test_a_damaged_signature_is_data_loss(described):
+def test_a_damaged_place_is_data_loss(described):
     recogniser = load_recogniser()
     with pytest.raises(DataLoss):
-        recogniser.verify(described.signature[:-5], described.signature, 1.0, CONFIG)
+        recogniser.verify(described.place[:-5], described.place, 1.0, CONFIG)

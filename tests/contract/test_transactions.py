@@ -80,9 +80,9 @@ def test_find_filters_pages_and_keeps_the_tenant(write, read):
 
 def test_the_values_of_a_field_are_told_once_without_those_of_others(write, read):
     *_, first, second, _ = write(fill)
-    write(lambda uow: uow.submaps.replace(replace(first, state="DESCRIBED", signature_sha256="s" * 64)))
+    write(lambda uow: uow.submaps.replace(replace(first, state="DESCRIBED", place_sha256="s" * 64)))
     assert read(lambda uow: uow.submaps.distinct(TENANT, "operation_id")) == {"op-1"}
-    assert read(lambda uow: uow.submaps.distinct(TENANT, "signature_sha256")) == {"s" * 64}
+    assert read(lambda uow: uow.submaps.distinct(TENANT, "place_sha256")) == {"s" * 64}
     assert read(lambda uow: uow.submaps.distinct(TENANT, "number")) == {first.number, second.number}
     assert read(lambda uow: uow.submaps.distinct(TENANT, "submap_id", map_id="town", state="QUEUED")) == {"b"}
     assert read(lambda uow: uow.submaps.distinct(OTHER, "operation_id")) == set()
@@ -140,11 +140,12 @@ def test_what_waits_in_a_map_is_counted_up_to_a_number_of_this_tenant(write, rea
 
 
 def test_the_last_number_outlives_the_submap_that_had_it(write, read):
-    assert read(lambda uow: uow.submaps.last_number()) == 0
+    assert read(lambda uow: uow.submaps.last_number(TENANT)) == 0
     _, _, _, second, loop = write(fill)
     write(lambda uow: uow.loops.delete(TENANT, loop_id=loop.loop_id))
     write(lambda uow: uow.submaps.delete(TENANT, number=second.number))
-    assert read(lambda uow: uow.submaps.last_number()) == second.number
+    assert read(lambda uow: uow.submaps.last_number(TENANT)) == second.number
+    assert read(lambda uow: uow.submaps.last_number(OTHER)) == 0
 
 
 def test_the_change_log_tells_additions_and_removals_in_order(write, read):

@@ -161,8 +161,8 @@ SABOTAGES = (
     Sabotage(
         "the client is told before the commit",
         {
-            f"{ADAPTERS}sqlite.group_commit:_attempt": _tell_at_once,
-            f"{ADAPTERS}sqlite.group_commit:_Outcome.tell": _tell_once,
+            f"{ADAPTERS}sqlite.transactions:_attempt": _tell_at_once,
+            f"{ADAPTERS}sqlite.transactions:_Outcome.tell": _tell_once,
         },
         f"{CRASH}test_an_undisturbed_drive_leaves_nothing_to_complain_about",
     ),
@@ -217,7 +217,7 @@ SABOTAGES = (
     ),
     Sabotage(
         "a tenant sees the rows of others",
-        {f"{ADAPTERS}sql.statements:of_tenant": lambda _of_tenant: lambda _tenant, equals: dict(equals)},
+        {f"{ADAPTERS}sql.repositories:of_tenant": lambda _of_tenant: lambda _tenant, equals: dict(equals)},
         "tests/contract/test_transactions.py::test_find_filters_pages_and_keeps_the_tenant",
         quick=True,
     ),
@@ -255,7 +255,7 @@ SABOTAGES = (
     ),
     Sabotage(
         "after a failed sync the service goes on",
-        {f"{ADAPTERS}files.fail_stop:FailStop.require_sound": nothing},
+        {f"{ADAPTERS}files.disk:FailStop.require_sound": nothing},
         "tests/integration/test_failing_disk.py::"
         "test_after_a_failed_sync_nothing_is_written_even_if_the_disk_seems_well_again",
     ),

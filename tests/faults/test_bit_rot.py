@@ -18,7 +18,7 @@ from tests.support.campaigns import Campaign, sizes
 from tests.support.service_world import SESSION, TENANT, World, open_session, sqlite_world, submap
 
 SERVED_AS = {CLOUD_BLOB: DownloadKind.POINTS, MESH_BLOB: DownloadKind.MESH, NEURAL_MAP_BLOB: DownloadKind.NEURAL}
-"""What a client asks for to be given a stored file; the signatures are for the workers alone."""
+"""What a client asks for to be given a stored file; the places are for the workers alone."""
 
 SUBMAPS = ("a", "b", "c")
 

@@ -95,8 +95,8 @@ TARGETS: dict[str, Target] = {
     "page token": refusing(lambda data: PageRequest(token=data.decode("latin-1")).after, RevisitError),
     "neural map": refusing(blob.unpack, DataLoss),
     "neural map behind its checksum": behind_checksum(blob.unpack, blob.CONTAINER.magic, 32),
-    "signature": refusing(Place.from_blob, DataLoss),
-    "signature behind its checksum": behind_checksum(Place.from_blob, place.CONTAINER.magic, DIGEST_BYTES),
+    "place": refusing(Place.from_blob, DataLoss),
+    "place behind its checksum": behind_checksum(Place.from_blob, place.CONTAINER.magic, DIGEST_BYTES),
     "stored cloud": refusing(unpack_cloud, DataLoss),
     "stored mesh": refusing(unpack_mesh, DataLoss),
 }

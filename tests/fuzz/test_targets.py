@@ -52,8 +52,8 @@ def seeds() -> dict[str, list[bytes]]:
         "page token": [b"YWZ0ZXI6MTI="],
         "neural map": [neural_map],
         "neural map behind its checksum": [neural_map[len(blob.CONTAINER.magic) : -32]],
-        "signature": [place.CONTAINER.magic + sections],
-        "signature behind its checksum": [sections],
+        "place": [place.CONTAINER.magic + sections],
+        "place behind its checksum": [sections],
         "stored cloud": [pack_cloud(StoredCloud(values[:, :3], values[:, 3]))],
         "stored mesh": [pack_mesh(triangle)],
     }

@@ -18,6 +18,7 @@ from revisit.service.adapters.sqlite import backup
 from revisit.service.adapters.sqlite.backup import BackupRefused, make_backup, restore_backup
 from revisit.service.adapters.sqlite.examination import examine, scrub
 from revisit.service.application.catalogue.downloads import DownloadKind
+from revisit.service.application.contract.blobs import PLACE_BLOB
 from tests.support.service_world import TENANT, open_session, sqlite_world, submap
 
 
@@ -28,7 +29,7 @@ def home(tmp_path):
 
 @pytest.fixture
 async def world(home):
-    """Four described submaps in one session, each with a cloud, signature, mesh and neural map."""
+    """Four described submaps in one session, each with a cloud, place, mesh and neural map."""
     opened = sqlite_world(home)
     await open_session(opened)
     for number in range(4):
@@ -196,7 +197,7 @@ async def test_a_backup_says_what_was_lost_before_it_and_can_still_be_restored(w
     assert not healthy(tmp_path / "restored")
 
 
-@pytest.mark.parametrize("kind", ["cloud", "signature", "mesh", "neural-map"])
+@pytest.mark.parametrize("kind", ["cloud", PLACE_BLOB, "mesh", "neural-map"])
 async def test_a_flipped_bit_is_found_moved_aside_and_hurts_one_item_only(world, home, kind):
     victim = next(home / name for name in sorted(blobs(home)) if f"/{kind}/" in name)
     flip_a_bit(victim)

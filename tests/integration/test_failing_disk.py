@@ -14,7 +14,7 @@ from revisit.formats import KITTI, encode_kitti
 from revisit.sdk.errors import Unavailable
 from revisit.sdk.retry import RetryPolicy
 from revisit.service.adapters.files.blobs import FileBlobStore
-from revisit.service.adapters.files.fail_stop import FailStop
+from revisit.service.adapters.files.disk import FailStop
 from revisit.service.application.contract.errors import StorageUncertain
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.gateway import FAIL_STOP_S

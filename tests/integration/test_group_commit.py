@@ -10,9 +10,9 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from sqlalchemy.exc import OperationalError
 
+from revisit.service.adapters.sqlite.connections import WriterLock
 from revisit.service.adapters.sqlite.migration import migrate
 from revisit.service.adapters.sqlite.transactions import SqliteTransactions
-from revisit.service.adapters.sqlite.writer_lock import WriterLock
 from revisit.service.application.contract.errors import AlreadyExists, StorageFull
 from tests.support.records import TENANT, a_map
 

@@ -8,6 +8,7 @@ import faiss
 import numpy as np
 import pytest
 
+from revisit.core.adapted_index import AdaptedIndex
 from revisit.core.index import FaissIndex
 from revisit.service.adapters.vector_index import PlaceVectorIndex
 from revisit.service.application import UseCases
@@ -22,15 +23,20 @@ from tests.support.service_world import SESSION, TENANT, open_session, sqlite_wo
 SUBMAPS = 12
 
 
-@pytest.fixture
-async def context(tmp_path):
-    """A filled database, and an index of FAISS that has not seen it yet."""
+def adapted(dimension: int) -> AdaptedIndex:
+    """The index that the service uses."""
+    return AdaptedIndex(dimension, FaissIndex)
+
+
+@pytest.fixture(params=[FaissIndex, adapted], ids=["faiss", "adapted"])
+async def context(tmp_path, request):
+    """A filled database, and an index that has not seen it yet."""
     world = sqlite_world(tmp_path)
     await open_session(world)
     for number in range(SUBMAPS):
         await world.use_cases.posting.post(TENANT, submap(f"s{number}", number))
     world.work_off()
-    yield replace(world.context, index=PlaceVectorIndex(FaissIndex))
+    yield replace(world.context, index=PlaceVectorIndex(request.param))
     world.context.transactions.close()
 
 
@@ -120,8 +126,9 @@ async def test_a_few_maps_at_a_time_each_gets_its_turn(context, keeper, monkeypa
 
 
 def inner(context) -> FaissIndex:
-    """The structure inside the map's index."""
-    return context.index._maps[map_of(context).number].places
+    """The innermost structure of the map's index."""
+    places = context.index._maps[map_of(context).number].places
+    return places._places if isinstance(places, AdaptedIndex) else places
 
 
 def damage_vector(places, rng, row=None) -> None:

@@ -7,12 +7,11 @@ from contextlib import closing
 
 import pytest
 
-from revisit.service.adapters.files.fail_stop import FailStop
+from revisit.service.adapters.files.disk import FailStop
 from revisit.service.adapters.sqlite import checkpoints
 from revisit.service.adapters.sqlite.checkpoints import LARGE_BYTES, OLD_S, SMALL_BYTES, Checkpoints
-from revisit.service.adapters.sqlite.connections import write_ahead_log
+from revisit.service.adapters.sqlite.connections import StorageFailures, write_ahead_log
 from revisit.service.adapters.sqlite.examination import examine
-from revisit.service.adapters.sqlite.failures import StorageFailures
 from revisit.service.adapters.sqlite.migration import migrate
 from revisit.service.adapters.sqlite.transactions import SqliteTransactions
 from revisit.service.application.contract.errors import StorageUncertain

@@ -13,6 +13,7 @@ import pytest
 
 from revisit import ApiError, Client, Cloud
 from revisit.formats import NPY, encode_npy
+from revisit.sdk.errors import unreachable
 from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.spool import Spool, SpoolDisagrees
 from tests.support.live_service import live_service
@@ -68,6 +69,23 @@ def test_what_is_sent_through_a_spool_arrives_once_in_order(client, session, tmp
         assert (stream.state.pending, stream.state.committed_seq, stream.state.last_stamp_ns) == (0, 25, 25)
         assert len(stream.submaps) == 1
     check_stored(client, session, 25)
+
+
+def test_a_session_that_the_robot_creates_on_its_way_takes_what_waits(client, request, tmp_path):
+    map_id, calls = f"m{abs(hash(request.node.name))}", []
+
+    def prepare():
+        calls.append(1)
+        if len(calls) == 1:
+            raise unreachable("the service", "no link yet")
+        client.create_session(client.create_map(map_id), "offline")
+
+    name = f"maps/{map_id}/sessions/offline"
+    with client.spooled_stream(name, tmp_path / "spool", prepare=prepare) as stream:
+        drive(stream, 1, 3)
+        stream.flush(timeout_s=30)
+    check_stored(client, client.get_session(name), 3)
+    assert len(calls) == 2
 
 
 def test_what_is_sent_after_the_spool_ran_empty_arrives_too(client, session, tmp_path):

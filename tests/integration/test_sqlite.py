@@ -13,7 +13,7 @@ from alembic.migration import MigrationContext
 from sqlalchemy import event
 from sqlalchemy.exc import OperationalError
 
-from revisit.service.adapters.files.fail_stop import FailStop
+from revisit.service.adapters.files.disk import FailStop
 from revisit.service.adapters.sql import tables
 from revisit.service.adapters.sqlite.connections import reader_engine, writer_engine
 from revisit.service.adapters.sqlite.migration import current_revision, migrate
@@ -139,7 +139,7 @@ def test_a_read_sees_one_snapshot_while_others_write(database):
 
 
 def test_a_writer_that_does_not_get_its_turn_says_so_and_stores_nothing(database, monkeypatch):
-    monkeypatch.setattr("revisit.service.adapters.sqlite.writer_lock.LOCK_TIMEOUT_S", 0.1)
+    monkeypatch.setattr("revisit.service.adapters.sqlite.connections.LOCK_TIMEOUT_S", 0.1)
     store, other = SqliteTransactions(database, checkpoints=True), SqliteTransactions(database, checkpoints=False)
     entered, leave = threading.Event(), threading.Event()
 

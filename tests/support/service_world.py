@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from revisit.core.config import PipelineConfig
 from revisit.formats import DecodedCloud
+from revisit.service.adapters.core_map_optimiser import CoreMapOptimiser
 from revisit.service.adapters.files.blobs import FileBlobStore
 from revisit.service.adapters.memory import MemoryBlobStore, MemoryTransactions, MemoryVectorIndex
 from revisit.service.adapters.sqlite.migration import migrate
@@ -19,6 +20,7 @@ from revisit.service.application import DEFAULT_TENANT, Installation, Policy, Se
 from revisit.service.application.catalogue.maps import CreateMap
 from revisit.service.application.catalogue.sessions import CreateSession
 from revisit.service.application.contract.clock import Instant
+from revisit.service.application.contract.disk import DiskSpace, UnlimitedDisk
 from revisit.service.application.contract.recogniser import PlaceRecogniser
 from revisit.service.application.ingest.scans import AppendScan
 from revisit.service.application.ingest.submap_posting import PostSubmap
@@ -56,7 +58,7 @@ class World:
     def worker(self, recogniser: PlaceRecogniser | None = None) -> Recognition:
         """Another worker's recognition, with an index of its own."""
         own = replace(self.context, index=MemoryVectorIndex())
-        return own.recognition(recogniser or FakeRecogniser())
+        return own.recognition(recogniser or FakeRecogniser(), CoreMapOptimiser())
 
     def claim(self, owner: str = "w1"):
         """The next lease, or None."""
@@ -85,17 +87,17 @@ def memory_world(**overrides) -> World:
     return _world(MemoryTransactions(rules.lease_ms), MemoryBlobStore(), rules)
 
 
-def sqlite_world(home: Path, **overrides) -> World:
+def sqlite_world(home: Path, disk: DiskSpace = UnlimitedDisk(), **overrides) -> World:
     """The service over SQLite and files in `home`; close its transactions at the end."""
     rules = policy(**overrides)
     migrate(home / "revisit.db")
     transactions = SqliteTransactions(home / "revisit.db", checkpoints=True, lease_ms=rules.lease_ms)
-    return _world(transactions, FileBlobStore(home / "blobs"), rules)
+    return _world(transactions, FileBlobStore(home / "blobs"), rules, disk)
 
 
-def _world(transactions, blobs, rules: Policy) -> World:
+def _world(transactions, blobs, rules: Policy, disk: DiskSpace = UnlimitedDisk()) -> World:
     clock = SteppedClock()
-    context = Installation(transactions, blobs, MemoryVectorIndex(), clock, rules, threading.Event())
+    context = Installation(transactions, blobs, MemoryVectorIndex(), clock, rules, threading.Event(), disk=disk)
     return World(context, UseCases.over(context, "test"), clock)
 
 

@@ -35,6 +35,7 @@ trace = Trace()
 threading.settrace(trace)
 
 from revisit.sdk.clouds import encoded  # noqa: E402  # threads that imports start are traced too
+from revisit.service.adapters.files.disk import Disk  # noqa: E402
 from revisit.service.application.access import callers  # noqa: E402
 from revisit.service.grpc.servicers import ingest  # noqa: E402
 from revisit.v1 import cloud_pb2, geometry_pb2, ingest_pb2  # noqa: E402
@@ -57,7 +58,7 @@ def scan(seq: int) -> ingest_pb2.StreamScansRequest:
 async def stream(home: Path) -> None:
     """Send the scans, each after the answer to the one before."""
     sys.settrace(trace)
-    world, acknowledged = sqlite_world(home), asyncio.Event()
+    world, acknowledged = sqlite_world(home, Disk(home, reserve_bytes=0)), asyncio.Event()
     callers.enter(callers.ANYONE)
     await open_session(world)
 

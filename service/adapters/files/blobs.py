@@ -15,6 +15,7 @@ from pathlib import Path
 import structlog
 
 from revisit.core.errors import DataLoss
+from revisit.service.adapters.files.disk import FailStop
 from revisit.service.adapters.files.durable_files import (
     NO_ROOM,
     TEMPORARY_PREFIX,
@@ -23,7 +24,6 @@ from revisit.service.adapters.files.durable_files import (
     move_durably,
     sync_directory,
 )
-from revisit.service.adapters.files.fail_stop import FailStop
 from revisit.service.application.contract.blobs import StoredBlob
 from revisit.service.application.contract.errors import StorageFull, StorageUncertain
 from revisit.service.application.contract.identity import TenantId

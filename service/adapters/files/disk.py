@@ -1,22 +1,27 @@
-"""Free space of the data disk, and a reserve for the time when there is none.
+"""The disk of the data folder when it is full, and when it fails.
 
 On a full disk a database cannot even delete rows. So an empty file reserves some space. It is deleted when the disk
 runs full and made again when there is space for it.
+
+Once a disk has failed to sync, nothing more is acknowledged and the process ends. After a failed fsync the kernel may
+mark the pages clean although they never reached the disk. A second fsync that succeeds therefore proves nothing: only
+a restart, which reads what is really there, can tell what was stored.
 """
 
 from __future__ import annotations
 
 import os
+import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import structlog
 
 from revisit.service.adapters.files.durable_files import make_room
+from revisit.service.application.contract.errors import StorageUncertain
 
 FLOOR_SHARE = 4
 """The disk counts as full where less than a quarter of the reserve is free beside it."""
-
-log = structlog.get_logger(__name__)
 
 
 class Disk:
@@ -69,3 +74,34 @@ class Disk:
                 log.warning("reserve_not_made", reason=error.strerror)
                 return
             log.info("storage_has_room", free_bytes=self.free_bytes())
+
+
+log = structlog.get_logger(__name__)
+
+
+class FailStop:
+    """The switch that all stores of a process share: tripped once, never reset."""
+
+    def __init__(self, stop: Callable[[], None] = lambda: None) -> None:
+        """`stop` is called once, in the thread that met the error. It should end the process soon."""
+        self._stop = stop
+        self._lock = threading.Lock()
+        self._tripped = False
+
+    @property
+    def tripped(self) -> bool:
+        """Whether storage has failed."""
+        return self._tripped
+
+    def trip(self, reason: str) -> None:
+        """Storage has failed: refuse every later write and end the process."""
+        with self._lock:
+            first, self._tripped = not self._tripped, True
+        if first:
+            log.critical("storage_failed", reason=reason)
+            self._stop()
+
+    def require_sound(self) -> None:
+        """Raises StorageUncertain once storage has failed."""
+        if self._tripped:
+            raise StorageUncertain("storage has failed and the service is restarting")

@@ -9,6 +9,7 @@ from typing import Any, Generic, TypeVar
 
 from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.errors import AlreadyExists, NotFound
+from revisit.service.application.contract.events import ChangeOf, EventRecord
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.index import IndexChange
 from revisit.service.application.contract.records import (
@@ -18,7 +19,8 @@ from revisit.service.application.contract.records import (
     TurnRecord,
     WorkerRecord,
 )
-from revisit.service.application.contract.states import OperationState, SubmapState
+from revisit.service.application.contract.repositories import PlacedSubmap
+from revisit.service.application.contract.states import EventKind, OperationState, SubmapState
 
 R = TypeVar("R")
 
@@ -27,22 +29,24 @@ Scalar = str | int | None
 
 @dataclass
 class Rows:
-    """The rows of one table by number, and the last number given out."""
+    """The rows of one table by number, and the last number given out, in all and to each tenant."""
 
     by_number: dict[int, Any] = field(default_factory=dict)
     last: int = 0
+    last_of: dict[str, int] = field(default_factory=dict)
 
     def copy(self) -> Rows:
         """An independent copy; records are immutable."""
-        return Rows(dict(self.by_number), self.last)
+        return Rows(dict(self.by_number), self.last, dict(self.last_of))
 
 
 class MemoryRepository(Generic[R]):
     """`Repository` over `Rows`."""
 
-    def __init__(self, rows: Rows, key: tuple[str, ...]) -> None:
-        """`key` names the fields that, with the tenant, identify a record."""
+    def __init__(self, rows: Rows, key: tuple[str, ...], on_change: ChangeOf[R] | None = None) -> None:
+        """`key` names the fields that, with the tenant, identify a record; `on_change` hears each add and replace."""
         self._rows = rows
+        self._on_change = on_change
         self._key = ("tenant", *key)
 
     def add(self, record: R) -> R:
@@ -52,6 +56,8 @@ class MemoryRepository(Generic[R]):
         self._rows.last += 1
         added: R = dataclasses.replace(record, number=self._rows.last)  # type: ignore[type-var]  # R is a record
         self._rows.by_number[self._rows.last] = added
+        if self._on_change is not None:
+            self._on_change(None, added)
         return added
 
     def get(self, tenant: TenantId, *key: str | int) -> R | None:
@@ -88,7 +94,10 @@ class MemoryRepository(Generic[R]):
         number = record.number  # type: ignore[attr-defined]  # R is a record
         if number not in self._rows.by_number:
             raise NotFound
+        before = self._rows.by_number[number]
         self._rows.by_number[number] = record
+        if self._on_change is not None:
+            self._on_change(before, record)
 
     def delete(self, tenant: TenantId, **equals: Scalar) -> int:
         """See `Repository`."""
@@ -127,13 +136,24 @@ class MemoryScans(MemoryRepository[ScanRecord]):
 class MemorySubmaps(MemoryRepository[SubmapRecord]):
     """`SubmapRepository`."""
 
-    def last_number(self) -> int:
+    def add(self, record: SubmapRecord) -> SubmapRecord:
+        """See `Repository`; the number is noted for `last_number`."""
+        added = super().add(record)
+        self._rows.last_of[record.tenant] = added.number
+        return added
+
+    def last_number(self, tenant: TenantId) -> int:
         """See `SubmapRepository`."""
-        return self._rows.last
+        return self._rows.last_of.get(tenant, 0)
 
     def points_of(self, tenant: TenantId) -> int:
         """See `SubmapRepository`."""
         return sum(row.point_count for row in self.find(tenant) if row.cloud_sha256 is not None)
+
+    def placed(self, tenant: TenantId, map_id: str) -> list[PlacedSubmap]:
+        """See `SubmapRepository`."""
+        of_map = sorted(self.find(tenant, map_id=map_id), key=lambda one: (one.session_number, one.ordinal))
+        return [PlacedSubmap(one.number, one.session_number, one.ordinal, one.T_odom_submap) for one in of_map]
 
     def waiting_up_to(self, tenant: TenantId, map_id: str, number: int) -> int:
         """See `SubmapRepository`."""
@@ -230,6 +250,43 @@ class MemoryChangeLog:
         vector = submap.descriptor if change.described else None
         place = (submap.session_number, submap.ordinal, submap.position_m)
         return IndexChange(change.number, change.submap_number, *place, vector)
+
+
+class MemoryEventLog:
+    """`EventLog`."""
+
+    def __init__(self, rows: Rows) -> None:
+        """Events by number."""
+        self._rows = rows
+
+    def record(self, event: EventRecord) -> None:
+        """See `EventLog`."""
+        self._rows.last += 1
+        self._rows.by_number[self._rows.last] = dataclasses.replace(event, number=self._rows.last)
+
+    def following(self, tenant: TenantId, number: int, limit: int, map_id: str | None = None) -> list[EventRecord]:
+        """See `EventLog`."""
+        rows = [row for at, row in sorted(self._rows.by_number.items()) if at > number and row.tenant == tenant]
+        return [row for row in rows if map_id is None or row.map_id in (map_id, "")][:limit]
+
+    def last_number(self) -> int:
+        """See `EventLog`."""
+        return self._rows.last
+
+    def forget(self, kept: int) -> int:
+        """See `EventLog`."""
+        tenants = {row.tenant for row in self._rows.by_number.values()}
+        return sum(self._forget_of(tenant, kept) for tenant in tenants)
+
+    def _forget_of(self, tenant: TenantId, kept: int) -> int:
+        own = sorted(number for number, row in self._rows.by_number.items() if row.tenant == tenant)
+        if len(own) <= kept + 1:
+            return 0
+        cut = own[-kept - 1]
+        for number in own[: -kept - 1]:
+            del self._rows.by_number[number]
+        self._rows.by_number[cut] = EventRecord(tenant, "", EventKind.FORGOTTEN.value, "", cut)
+        return len(own) - kept - 1
 
 
 class MemoryWorkerLog:

@@ -12,6 +12,7 @@ from revisit.service.adapters.leased_jobs import LeasedJobs
 from revisit.service.adapters.memory.access import MemoryAuditTrail, MemoryKeyRing
 from revisit.service.adapters.memory.repositories import (
     MemoryChangeLog,
+    MemoryEventLog,
     MemoryJobs,
     MemoryRepository,
     MemoryScans,
@@ -20,14 +21,24 @@ from revisit.service.adapters.memory.repositories import (
     MemoryWorkerLog,
     Rows,
 )
-from revisit.service.application.contract.records import LoopRecord, MapRecord, RobotRecord, SessionRecord
+from revisit.service.application.contract.events import on_job_change, on_loop_change, on_version_change
+from revisit.service.application.contract.records import (
+    LoopEventRecord,
+    LoopRecord,
+    MapRecord,
+    MapVersionRecord,
+    RobotRecord,
+    SessionPosesRecord,
+    SessionRecord,
+)
 from revisit.service.application.contract.transactions import UnitOfWork
 
 T = TypeVar("T")
 
 _TABLES = (
     *("maps", "robots", "sessions", "scans", "submaps", "loops"),
-    *("jobs", "turns", "changes", "workers", "keys", "audit"),
+    *("loop_events", "map_versions", "session_poses"),
+    *("jobs", "turns", "changes", "events", "workers", "keys", "audit"),
 )
 
 
@@ -41,8 +52,17 @@ class MemoryUnitOfWork:
         self.sessions: MemoryRepository[SessionRecord] = MemoryRepository(tables["sessions"], ("map_id", "session_id"))
         self.scans = MemoryScans(tables["scans"], ("map_id", "session_id", "seq"))
         self.submaps = MemorySubmaps(tables["submaps"], ("map_id", "session_id", "submap_id"))
-        self.loops: MemoryRepository[LoopRecord] = MemoryRepository(tables["loops"], ("map_id", "loop_id"))
-        self.jobs = MemoryJobs(tables["jobs"], ("operation_id",))
+        self.events = MemoryEventLog(tables["events"])
+        told = on_loop_change(self.events)
+        self.loops: MemoryRepository[LoopRecord] = MemoryRepository(tables["loops"], ("map_id", "loop_id"), told)
+        self.jobs = MemoryJobs(tables["jobs"], ("operation_id",), on_job_change(self.events))
+        self.loop_events: MemoryRepository[LoopEventRecord] = MemoryRepository(tables["loop_events"], ("number",))
+        self.map_versions: MemoryRepository[MapVersionRecord] = MemoryRepository(
+            tables["map_versions"], ("map_id", "version"), on_version_change(self.events)
+        )
+        self.session_poses: MemoryRepository[SessionPosesRecord] = MemoryRepository(
+            tables["session_poses"], ("map_id", "version", "session_id")
+        )
         self.queue = LeasedJobs(self.jobs, FairTurns(MemoryTenantTurns(tables["turns"], self.jobs)), lease_ms)
         self.changes = MemoryChangeLog(tables["changes"], tables["submaps"])
         self.workers = MemoryWorkerLog(tables["workers"])

@@ -7,12 +7,12 @@ from typing import Any
 from sqlalchemy import Column, CompoundSelect, Select, literal, select, text, union
 
 from revisit.service.adapters.sql.tables import scans, submaps
-from revisit.service.application.contract.blobs import CLOUD_BLOB, MESH_BLOB, NEURAL_MAP_BLOB, SIGNATURE_BLOB
+from revisit.service.application.contract.blobs import CLOUD_BLOB, MESH_BLOB, NEURAL_MAP_BLOB, PLACE_BLOB
 
 REFERENCES: tuple[tuple[str, Column[Any]], ...] = (
     (CLOUD_BLOB, scans.c.cloud_sha256),
     (CLOUD_BLOB, submaps.c.cloud_sha256),
-    (SIGNATURE_BLOB, submaps.c.signature_sha256),
+    (PLACE_BLOB, submaps.c.place_sha256),
     (NEURAL_MAP_BLOB, submaps.c.neural_map_sha256),
     (MESH_BLOB, submaps.c.mesh_sha256),
 )

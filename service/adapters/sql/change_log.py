@@ -10,7 +10,7 @@ from sqlalchemy import Connection, Row, Select, bindparam, insert, select
 
 from revisit.service.adapters.sql import tables
 from revisit.service.adapters.sql.engine import DatabaseEngine
-from revisit.service.adapters.sql.statements import new_row
+from revisit.service.adapters.sql.repositories import new_row
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.index import IndexChange
 

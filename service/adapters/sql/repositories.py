@@ -1,31 +1,46 @@
-"""Repositories over one connection: records in and out. The tenant is in every statement that a use case can reach."""
+"""Repositories over one connection: records in and out. The tenant is in every statement that a use case can reach.
+
+The statements that they share are built once, because building one takes as long as running it.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import Any, Generic, TypeVar
 
-from sqlalchemy import Connection, Row, Table, and_, delete, func, select
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Row,
+    Select,
+    Table,
+    Update,
+    and_,
+    bindparam,
+    delete,
+    func,
+    insert,
+    select,
+    true,
+    update,
+)
 from sqlalchemy.exc import IntegrityError
+from sqlalchemy.sql.dml import ReturningInsert
 
 from revisit.service.adapters.sql import tables
 from revisit.service.adapters.sql.engine import DatabaseEngine
-from revisit.service.adapters.sql.statements import (
-    Asked,
-    Scalar,
-    changed_row,
-    column_values,
-    count_where,
-    matches,
-    new_row,
-    of_tenant,
-    rows_where,
-)
 from revisit.service.application.contract.errors import AlreadyExists, NotFound
+from revisit.service.application.contract.events import ChangeOf
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.records import ScanRecord, SubmapRecord
+from revisit.service.application.contract.repositories import PlacedSubmap
 from revisit.service.application.contract.states import SubmapState
+
+Scalar = str | int | None
+Asked = Mapping[str, Scalar]
+"""The value that each named column must have; also the parameters of the statements that are built from it."""
 
 R = TypeVar("R")
 
@@ -34,14 +49,21 @@ class SqlRepository(Generic[R]):
     """`Repository` over a table whose columns are the fields of the record."""
 
     def __init__(
-        self, connection: Connection, engine: DatabaseEngine, table: Table, record: type[R], key: tuple[str, ...]
+        self,
+        connection: Connection,
+        engine: DatabaseEngine,
+        table: Table,
+        record: type[R],
+        key: tuple[str, ...],
+        on_change: ChangeOf[R] | None = None,
     ) -> None:
-        """`key` names the columns that, with the tenant, identify a record."""
+        """`key` names the columns that, with the tenant, identify a record; `on_change` hears each add and replace."""
         self._connection = connection
         self._engine = engine
         self._table = table
         self._record = record
         self._key = key
+        self._on_change = on_change
 
     def add(self, record: R) -> R:
         """See `Repository`."""
@@ -53,7 +75,10 @@ class SqlRepository(Generic[R]):
             if self._engine.is_duplicate(error):
                 raise AlreadyExists from error
             raise NotFound("the parent of this resource does not exist") from error
-        return dataclasses.replace(record, number=number)  # type: ignore[type-var]  # R is always a record dataclass
+        added: R = dataclasses.replace(record, number=number)  # type: ignore[type-var]  # R is always a record dataclass
+        if self._on_change is not None:
+            self._on_change(None, added)
+        return added
 
     def get(self, tenant: TenantId, *key: str | int) -> R | None:
         """See `Repository`."""
@@ -93,9 +118,12 @@ class SqlRepository(Generic[R]):
     def replace(self, record: R) -> None:
         """See `Repository`."""
         row = column_values(record)
+        before = None if self._on_change is None else self.numbered(row["tenant"], [row["number"]]).get(row["number"])
         which = {"its_number": row.pop("number"), "its_tenant": row.pop("tenant")}
         if self._connection.execute(changed_row(self._table), {**row, **which}).rowcount != 1:
             raise NotFound
+        if self._on_change is not None:
+            self._on_change(before, record)
 
     def delete(self, tenant: TenantId, **equals: Scalar) -> int:
         """See `Repository`."""
@@ -108,7 +136,7 @@ class SqlRepository(Generic[R]):
         return [self._of(row) for row in self._connection.execute(query, asked)]
 
     def _of(self, row: Row[Any]) -> R:
-        return self._record(**row._mapping)
+        return self._record(**dict(zip(self._table.columns.keys(), row, strict=True)))
 
 
 class SqlScans(SqlRepository[ScanRecord]):
@@ -138,9 +166,19 @@ class SqlScans(SqlRepository[ScanRecord]):
 class SqlSubmaps(SqlRepository[SubmapRecord]):
     """`SubmapRepository`."""
 
-    def last_number(self) -> int:
+    def add(self, record: SubmapRecord) -> SubmapRecord:
+        """See `Repository`; the number is noted for `last_number`."""
+        added = super().add(record)
+        later = {"its_tenant": added.tenant, "its_number": added.number}
+        # No upsert, which is not standard SQL: the transaction holds the lock of the writers.
+        if self._connection.execute(_later_number(), later).rowcount == 0:
+            first = {"tenant": added.tenant, "number": added.number}
+            self._connection.execute(insert(tables.last_submaps), first)
+        return added
+
+    def last_number(self, tenant: TenantId) -> int:
         """See `SubmapRepository`."""
-        return self._engine.last_number(self._connection, tables.submaps)
+        return int(self._connection.execute(_last_number(), {"tenant": tenant}).scalar() or 0)
 
     def points_of(self, tenant: TenantId) -> int:
         """See `SubmapRepository`."""
@@ -149,8 +187,86 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
         query = select(func.coalesce(func.sum(submaps.point_count), 0)).where(posted)
         return int(self._connection.execute(query).scalar_one())
 
+    def placed(self, tenant: TenantId, map_id: str) -> list[PlacedSubmap]:
+        """See `SubmapRepository`."""
+        submaps, asked = tables.submaps.c, of_tenant(tenant, {"map_id": map_id})
+        columns = (submaps.number, submaps.session_number, submaps.ordinal, submaps.T_odom_submap)
+        query = select(*columns).where(matches(tables.submaps, asked)).order_by(submaps.session_number, submaps.ordinal)
+        return [PlacedSubmap(*row) for row in self._connection.execute(query, asked)]
+
     def waiting_up_to(self, tenant: TenantId, map_id: str, number: int) -> int:
         """See `SubmapRepository`."""
         asked = of_tenant(tenant, {"state": SubmapState.QUEUED.value, "map_id": map_id})
         query = count_where(tables.submaps, asked).where(tables.submaps.c.number <= number)
         return int(self._connection.execute(query, asked).scalar_one())
+
+
+def of_tenant(tenant: TenantId, equals: Asked) -> dict[str, Scalar]:
+    """`equals` within the rows of one tenant: no row of another is ever looked at."""
+    return {"tenant": tenant, **equals}
+
+
+def column_values(record: Any) -> dict[str, Any]:
+    """The fields of a record by column, not copied deeply: JSON fields stay as they are."""
+    return {field.name: getattr(record, field.name) for field in dataclasses.fields(record)}
+
+
+def rows_where(table: Table, asked: Asked) -> Select[Any]:
+    """The rows that have what is asked."""
+    return _rows_where(table, *_given_and_absent(asked))
+
+
+def count_where(table: Table, asked: Asked) -> Select[int]:
+    """How many rows have what is asked."""
+    return _count_where(table, *_given_and_absent(asked))
+
+
+def matches(table: Table, asked: Asked) -> ColumnElement[bool]:
+    """Whether a row has what is asked."""
+    return _matches(table, *_given_and_absent(asked))
+
+
+@cache
+def new_row(table: Table) -> ReturningInsert[Any]:
+    """A new row; gives its primary key."""
+    return insert(table).returning(*table.primary_key.columns)
+
+
+@cache
+def changed_row(table: Table) -> Update:
+    """Overwrites the row of number `its_number` of tenant `its_tenant`."""
+    return update(table).where(table.c.number == bindparam("its_number"), table.c.tenant == bindparam("its_tenant"))
+
+
+def _given_and_absent(asked: Asked) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The columns that must equal the parameter of their name, and those that must be null."""
+    given = tuple(name for name, value in asked.items() if value is not None)
+    return given, tuple(name for name, value in asked.items() if value is None)
+
+
+@cache
+def _later_number() -> Update:
+    """Makes `its_number` the last number of tenant `its_tenant`."""
+    last = tables.last_submaps
+    return update(last).where(last.c.tenant == bindparam("its_tenant")).values(number=bindparam("its_number"))
+
+
+@cache
+def _last_number() -> Select[int]:
+    last = tables.last_submaps.c
+    return select(last.number).where(last.tenant == bindparam("tenant"))
+
+
+@cache
+def _rows_where(table: Table, given: tuple[str, ...], absent: tuple[str, ...]) -> Select[Any]:
+    return select(table).where(_matches(table, given, absent))
+
+
+@cache
+def _count_where(table: Table, given: tuple[str, ...], absent: tuple[str, ...]) -> Select[int]:
+    return select(func.count()).select_from(table).where(_matches(table, given, absent))
+
+
+def _matches(table: Table, given: tuple[str, ...], absent: tuple[str, ...]) -> ColumnElement[bool]:
+    equal = (table.c[name] == bindparam(name) for name in given)
+    return and_(true(), *equal, *(table.c[name].is_(None) for name in absent))

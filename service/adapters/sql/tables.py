@@ -11,6 +11,7 @@ from typing import Any
 from sqlalchemy import (
     JSON,
     BigInteger,
+    Boolean,
     Column,
     Dialect,
     Float,
@@ -97,6 +98,8 @@ maps = _numbered(
     _real("max_seen_through", nullable=True),
     _text("model_version", length=128, nullable=True),
     _integer("created_at_ns"),
+    Column("map_version", BigInteger, nullable=False, server_default="0"),
+    Column("graph_edits", BigInteger, nullable=False, server_default="0"),
 )
 
 robots = _numbered(
@@ -169,7 +172,8 @@ submaps = _numbered(
     _integer("created_at_ns"),
     _text("model_version", length=128, nullable=True),
     Column("descriptor", LargeBinary, nullable=True),
-    _text("signature_sha256", nullable=True),
+    # Its name in the database is that of version 0.1 (docs/decisions/0085).
+    Column("signature_sha256", String(64), key="place_sha256", nullable=True),
     _text("neural_map_sha256", nullable=True),
     _integer("neural_map_bytes", nullable=True),
     _text("mesh_sha256", nullable=True),
@@ -180,7 +184,7 @@ submaps = _numbered(
     ),
     Index(None, "state", "tenant", "map_id"),
     Index(None, "tenant", "cloud_sha256"),
-    Index(None, "tenant", "signature_sha256"),
+    Index(None, "tenant", "place_sha256"),
     Index(None, "tenant", "neural_map_sha256"),
     Index(None, "tenant", "mesh_sha256"),
 )
@@ -203,12 +207,74 @@ loops = _numbered(
     _tuple("T_match_query", nullable=True),
     _json("evidence"),
     _integer("created_at_ns"),
+    _text("graph_state", length=16, nullable=True),
+    Column("manual", Boolean, nullable=False, server_default="0"),
     ForeignKeyConstraint(["tenant", "map_id"], ["maps.tenant", "maps.map_id"]),
     ForeignKeyConstraint(["query_number"], ["submaps.number"]),
     ForeignKeyConstraint(["match_number"], ["submaps.number"]),
     Index(None, "tenant", "map_id", "state"),
     Index(None, "query_number"),
     Index(None, "match_number"),
+)
+
+loop_events = _numbered(
+    "loop_events",
+    ("number",),
+    _text("map_id"),
+    _text("loop_id"),
+    _text("kind", length=16),
+    _text("state", length=16),
+    _text("reason", nullable=True),
+    _text("graph_state", length=16, nullable=True),
+    _tuple("T_match_query", nullable=True),
+    _text("actor", length=128),
+    Column("note", Text, nullable=False),
+    _integer("map_version"),
+    _json("details"),
+    Column("query_number", Integer, nullable=False),
+    Column("match_number", Integer, nullable=False),
+    _text("query_session_id"),
+    _text("match_session_id"),
+    _integer("at_ns"),
+    ForeignKeyConstraint(["tenant", "map_id"], ["maps.tenant", "maps.map_id"]),
+    Index(None, "tenant", "map_id", "loop_id"),
+    Index(None, "query_number"),
+    Index(None, "match_number"),
+)
+
+map_versions = _numbered(
+    "map_versions",
+    ("map_id", "version"),
+    _text("map_id"),
+    _integer("version"),
+    _integer("restored_from", nullable=True),
+    _text("operation_id", nullable=True),
+    _json("summary"),
+    Column("loops", LargeBinary, nullable=False),
+    _text("loops_hash"),
+    _integer("created_at_ns"),
+    ForeignKeyConstraint(["tenant", "map_id"], ["maps.tenant", "maps.map_id"]),
+)
+
+session_poses = _numbered(
+    "session_poses",
+    ("map_id", "version", "session_id"),
+    _text("map_id"),
+    _integer("version"),
+    _text("session_id"),
+    _integer("session_number"),
+    _text("frame"),
+    _tuple("T_map_odom"),
+    Column("submaps", LargeBinary, nullable=False),
+    _text("content_hash"),
+    _integer("created_at_ns"),
+    ForeignKeyConstraint(
+        ["tenant", "map_id", "session_id"], ["sessions.tenant", "sessions.map_id", "sessions.session_id"]
+    ),
+    ForeignKeyConstraint(
+        ["tenant", "map_id", "version"], ["map_versions.tenant", "map_versions.map_id", "map_versions.version"]
+    ),
+    Index(None, "tenant", "map_id", "session_id"),
 )
 
 jobs = _numbered(
@@ -252,6 +318,17 @@ index_changes = Table(
     Index(None, "tenant", "map_number", "seq"),
 )
 
+events = Table(
+    "events",
+    metadata,
+    Column("number", Integer, primary_key=True, autoincrement=True),
+    Column("tenant", String(64), nullable=False),
+    _text("map_id"),
+    _text("kind", length=16),
+    _text("subject"),
+    Index(None, "tenant", "number"),
+)
+
 workers = Table(
     "workers",
     metadata,
@@ -267,4 +344,11 @@ tenant_turns = Table(
     Column("tenant", String(64), primary_key=True),
     Column("started_ms", BigInteger, nullable=False),
     Column("spent_ms", BigInteger, nullable=False),
+)
+
+last_submaps = Table(
+    "last_submaps",
+    metadata,
+    Column("tenant", String(64), primary_key=True),
+    Column("number", BigInteger, nullable=False),
 )

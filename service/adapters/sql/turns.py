@@ -8,7 +8,7 @@ from typing import Any
 from sqlalchemy import Connection, Select, bindparam, delete, func, insert, select
 
 from revisit.service.adapters.sql import tables
-from revisit.service.adapters.sql.statements import column_values
+from revisit.service.adapters.sql.repositories import column_values
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.records import TurnRecord
 from revisit.service.application.contract.states import OperationState

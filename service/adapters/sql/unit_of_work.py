@@ -13,16 +13,21 @@ from revisit.service.adapters.sql import tables
 from revisit.service.adapters.sql.access import SqlAuditTrail, SqlKeyRing
 from revisit.service.adapters.sql.change_log import SqlChangeLog
 from revisit.service.adapters.sql.engine import DatabaseEngine
+from revisit.service.adapters.sql.event_log import SqlEventLog
 from revisit.service.adapters.sql.jobs import SqlJobs
 from revisit.service.adapters.sql.repositories import SqlRepository, SqlScans, SqlSubmaps
 from revisit.service.adapters.sql.turns import SqlTenantTurns
 from revisit.service.adapters.sql.worker_log import SqlWorkerLog
+from revisit.service.application.contract.events import on_job_change, on_loop_change, on_version_change
 from revisit.service.application.contract.records import (
     JobRecord,
+    LoopEventRecord,
     LoopRecord,
     MapRecord,
+    MapVersionRecord,
     RobotRecord,
     ScanRecord,
+    SessionPosesRecord,
     SessionRecord,
     SubmapRecord,
 )
@@ -65,12 +70,31 @@ class SqlUnitOfWork:
     @cached_property
     def loops(self) -> SqlRepository[LoopRecord]:
         """Loop closures by (map_id, loop_id)."""
-        return SqlRepository(self.connection, self.engine, tables.loops, LoopRecord, ("map_id", "loop_id"))
+        key, told = ("map_id", "loop_id"), on_loop_change(self.events)
+        return SqlRepository(self.connection, self.engine, tables.loops, LoopRecord, key, told)
+
+    @cached_property
+    def loop_events(self) -> SqlRepository[LoopEventRecord]:
+        """Changes of loop closures by (number)."""
+        return SqlRepository(self.connection, self.engine, tables.loop_events, LoopEventRecord, ("number",))
+
+    @cached_property
+    def map_versions(self) -> SqlRepository[MapVersionRecord]:
+        """Versions of maps by (map_id, version)."""
+        key, told = ("map_id", "version"), on_version_change(self.events)
+        return SqlRepository(self.connection, self.engine, tables.map_versions, MapVersionRecord, key, told)
+
+    @cached_property
+    def session_poses(self) -> SqlRepository[SessionPosesRecord]:
+        """The poses of sessions in versions of maps by (map_id, version, session_id)."""
+        key = ("map_id", "version", "session_id")
+        return SqlRepository(self.connection, self.engine, tables.session_poses, SessionPosesRecord, key)
 
     @cached_property
     def jobs(self) -> SqlJobs:
         """Jobs by (operation_id)."""
-        return SqlJobs(self.connection, self.engine, tables.jobs, JobRecord, ("operation_id",))
+        told = on_job_change(self.events)
+        return SqlJobs(self.connection, self.engine, tables.jobs, JobRecord, ("operation_id",), told)
 
     @cached_property
     def queue(self) -> LeasedJobs:
@@ -81,6 +105,11 @@ class SqlUnitOfWork:
     def changes(self) -> SqlChangeLog:
         """The change log of the maps' indexes."""
         return SqlChangeLog(self.connection, self.engine)
+
+    @cached_property
+    def events(self) -> SqlEventLog:
+        """The log of what happens in the maps."""
+        return SqlEventLog(self.connection, self.engine)
 
     @cached_property
     def workers(self) -> SqlWorkerLog:

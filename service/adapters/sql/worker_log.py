@@ -5,7 +5,7 @@ from __future__ import annotations
 from sqlalchemy import Connection, delete, insert, select
 
 from revisit.service.adapters.sql import tables
-from revisit.service.adapters.sql.statements import column_values
+from revisit.service.adapters.sql.repositories import column_values
 from revisit.service.application.contract.records import WorkerRecord
 
 

@@ -15,9 +15,7 @@ from pathlib import Path
 import structlog
 from sqlalchemy.exc import DatabaseError
 
-from revisit.service.adapters.sqlite.connections import write_ahead_log
-from revisit.service.adapters.sqlite.failures import StorageFailures
-from revisit.service.adapters.sqlite.writer_lock import WriterLock
+from revisit.service.adapters.sqlite.connections import StorageFailures, WriterLock, write_ahead_log
 
 SMALL_BYTES = 4 * 2**20
 """A log beyond this is folded back at once."""

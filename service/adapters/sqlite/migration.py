@@ -11,8 +11,7 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import Connection
 
 from revisit.service.adapters.files.filesystem import require_local
-from revisit.service.adapters.sqlite.connections import writer_engine
-from revisit.service.adapters.sqlite.writer_lock import WriterLock
+from revisit.service.adapters.sqlite.connections import WriterLock, writer_engine
 
 MIGRATIONS = Path(__file__).resolve().parents[3] / "migrations"
 

@@ -3,23 +3,32 @@
 Why it looks like this (measured, docs/decisions/0011): Python's driver begins no transaction before a SELECT, so
 read-modify-write loses updates; with synchronous=NORMAL a power cut loses acknowledged rows of the write-ahead log;
 SQLite before 3.51.3 can damage the log when two connections write or checkpoint at the same instant.
+
+Group commit: writes that wait while another is synced to disk share the next transaction and its one fsync.
 """
 
 from __future__ import annotations
 
+import queue
+import threading
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, Generic, TypeVar
 
 from sqlalchemy import Connection
+from sqlalchemy.exc import DatabaseError, IntegrityError
 
-from revisit.service.adapters.files.fail_stop import FailStop
+from revisit.service.adapters.files.disk import FailStop
 from revisit.service.adapters.sql.unit_of_work import SqlUnitOfWork
 from revisit.service.adapters.sqlite.connections import (
     READER_PRAGMAS,
     READERS,
+    StorageFailures,
+    WriterLock,
     reader_engine,
     require_pragmas,
     write_ahead_log,
@@ -27,13 +36,14 @@ from revisit.service.adapters.sqlite.connections import (
     writer_pragmas,
 )
 from revisit.service.adapters.sqlite.engine import SqliteEngine
-from revisit.service.adapters.sqlite.failures import StorageFailures
-from revisit.service.adapters.sqlite.group_commit import GroupCommitter
-from revisit.service.adapters.sqlite.writer_lock import WriterLock
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.failpoints import failpoint
 
 T = TypeVar("T")
+
+MAX_GROUP = 64
+MAX_GROUP_S = 0.005
+"""A group is closed at this many members or after this long, whichever is first. It never waits for a member."""
 
 
 class SqliteTransactions:
@@ -96,3 +106,120 @@ class SqliteTransactions:
 
     def _unit_of_work(self, connection: Connection) -> UnitOfWork:
         return SqlUnitOfWork(connection, self._engine, self._lease_ms)
+
+
+@dataclass(frozen=True)
+class _Write(Generic[T]):
+    """Work to be committed; `alone`: in a transaction of its own."""
+
+    work: Callable[[Connection], T]
+    alone: bool
+    future: Future[T] = field(default_factory=Future)
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    """What a member's work returned or raised; it is told after the commit of the group."""
+
+    write: _Write[Any]
+    value: Any = None
+    error: BaseException | None = None
+
+    def tell(self) -> None:
+        """Complete the future."""
+        if self.error is None:
+            self.write.future.set_result(self.value)
+        else:
+            self.write.future.set_exception(self.error)
+
+
+class GroupCommitter:
+    """One thread that runs writes in the order of their arrival and answers each after its commit.
+
+    Every member of a group runs in a savepoint: what it raises undoes its own changes only. Nobody is answered before
+    the commit, because even an error may depend on the changes of an earlier member. If the commit fails, all members
+    fail with it.
+    """
+
+    def __init__(self, transaction: Callable[[], AbstractContextManager[Connection]]) -> None:
+        """`transaction` begins a transaction and commits it durably at the end of its block."""
+        self._transaction = transaction
+        self._queue: queue.SimpleQueue[_Write[Any] | None] = queue.SimpleQueue()
+        self._waiting: _Write[Any] | None = None
+        self._submitting = threading.Lock()
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name="writer", daemon=True)
+        self._thread.start()
+
+    def submit(self, work: Callable[[Connection], T], *, alone: bool) -> Future[T]:
+        """Commit `work`; `alone`: it sees committed rows only."""
+        write = _Write(work, alone)
+        # It cannot be cancelled: a client that disconnects does not undo its request.
+        write.future.set_running_or_notify_cancel()
+        with self._submitting:
+            if self._closed:
+                raise RuntimeError("the store is closed")
+            self._queue.put(write)
+        return write.future
+
+    def close(self) -> None:
+        """Commit what is queued and end the thread."""
+        with self._submitting:
+            if not self._closed:
+                self._queue.put(None)
+            self._closed = True
+        self._thread.join()
+
+    def _run(self) -> None:
+        while (first := self._next()) is not None:
+            self._commit(first)
+
+    def _next(self) -> _Write[Any] | None:
+        waiting, self._waiting = self._waiting, None
+        return waiting or self._queue.get()
+
+    def _commit(self, first: _Write[Any]) -> None:
+        outcomes: list[_Outcome] = []
+        members: list[_Write[Any]] = []
+        try:
+            with self._transaction() as connection:
+                for write in self._group(first):
+                    members.append(write)
+                    outcomes.append(_attempt(connection, write))
+        except BaseException as error:  # noqa: BLE001  # every member of the group is told, whatever it was
+            outcomes = [_Outcome(write, error=error) for write in members or [first]]
+        for outcome in outcomes:
+            outcome.tell()
+
+    def _group(self, first: _Write[Any]) -> Iterator[_Write[Any]]:
+        """`first` and the writes queued behind it that may share its transaction."""
+        yield first
+        deadline = time.monotonic() + MAX_GROUP_S
+        for _ in range(0 if first.alone else MAX_GROUP - 1):
+            if time.monotonic() >= deadline:
+                return
+            try:
+                write = self._queue.get_nowait()
+            except queue.Empty:
+                return
+            if write is None:
+                self._queue.put(None)
+                return
+            if write.alone:
+                self._waiting = write
+                return
+            yield write
+
+
+def _attempt(connection: Connection, write: _Write[Any]) -> _Outcome:
+    """Run one member in a savepoint. Raises errors of the database itself: they end the whole transaction."""
+    connection.exec_driver_sql("SAVEPOINT member")
+    try:
+        outcome = _Outcome(write, value=write.work(connection))
+    except BaseException as error:  # the future carries it
+        if isinstance(error, DatabaseError) and not isinstance(error, IntegrityError):
+            raise
+        connection.exec_driver_sql("ROLLBACK TO member")
+        outcome = _Outcome(write, error=error)
+    connection.exec_driver_sql("RELEASE member")
+    return outcome

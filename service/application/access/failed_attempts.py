@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 
-from revisit.service.application.capacity.token_bucket import TokenBucket
+from revisit.service.application.capacity.in_flight import TokenBucket
 
 ADDRESSES = 4096
 """Addresses remembered; the one that failed longest ago is forgotten first."""

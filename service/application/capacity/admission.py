@@ -63,6 +63,11 @@ class Admission:
         if self._quota is not None:
             self._quota.note(tenant, points)
 
+    def charge_call(self, tenant: TenantId, points: int) -> None:
+        """Charge a request that takes as long as so many points. Raises RateLimited, and charges nothing."""
+        self._in_flight.check_rate(tenant)
+        self._in_flight.charge_call(tenant, points)
+
     def precheck_cloud(self, tenant: TenantId) -> None:
         """What can be checked before a cloud is read. Raises Draining, RateLimited, WorkersBusy."""
         self.require_running()
@@ -76,7 +81,7 @@ class Admission:
 
     @asynccontextmanager
     async def cloud(
-        self, tenant: TenantId, *, patient: bool = False, queued: bool = True
+        self, tenant: TenantId, *, refused_points: int = 0, patient: bool = False, queued: bool = True
     ) -> AsyncIterator[Callable[[int], None]]:
         """Reserve capacity for one cloud, which becomes a job if it is `queued`; see `InFlight.reserve_cloud`.
 
@@ -85,5 +90,5 @@ class Admission:
         self._in_flight.check_rate(tenant)
         if queued:
             await self._backlog.precheck(tenant)
-        async with self._in_flight.reserve_cloud(tenant, patient=patient) as decoded:
+        async with self._in_flight.reserve_cloud(tenant, refused_points, patient=patient) as decoded:
             yield decoded

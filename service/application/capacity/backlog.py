@@ -71,6 +71,10 @@ def _waiting(uow: UnitOfWork, tenant: TenantId) -> int:
     return uow.jobs.count(tenant, state=OperationState.QUEUED.value)
 
 
+QUERIES = (OperationKind.SEARCH_CLOUD, OperationKind.LOCALIZE)
+"""The kinds of jobs for which a client waits."""
+
+
 class JobPosting:
     """Adds jobs to the queue, within the limit of the backlog."""
 
@@ -83,7 +87,7 @@ class JobPosting:
     def post(
         self, uow: UnitOfWork, tenant: TenantId, kind: OperationKind, subject: str, payload: dict[str, Any]
     ) -> JobRecord:
-        """Queue a new job. Searches, for which a client waits, go before descriptions. Raises WorkersBusy."""
+        """Queue a new job. Those for which a client waits go before others. Raises WorkersBusy."""
         self._backlog.require_space(uow, tenant)
         request = current_request()
         job = JobRecord(
@@ -96,7 +100,7 @@ class JobPosting:
             attempts=0,
             max_attempts=self._policy.max_attempts,
             created_at_ns=self._clock.wall_ns(),
-            priority=1 if kind is OperationKind.DESCRIBE_SUBMAP else 0,
+            priority=0 if kind in QUERIES else 1,
             request_id=request.request_id,
             traceparent=request.span.traceparent,
         )

@@ -15,7 +15,7 @@ from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 
-from revisit.service.application.capacity.token_bucket import TokenBucket
+from revisit.core.errors import RevisitError
 from revisit.service.application.contract.errors import RateLimited, WorkersBusy
 from revisit.service.application.contract.identity import TenantId
 
@@ -47,6 +47,38 @@ class CapacityLimits:
     """The share of those that one tenant may have."""
     streams: int = 256
     client_streams: int = 8
+
+
+@dataclass
+class TokenBucket:
+    """Refilled with `per_s` tokens a second up to `burst`; times in seconds of a monotonic clock.
+
+    More may be taken than there is. The balance is then negative until the rate has made up for it.
+    """
+
+    per_s: float
+    burst: float
+    balance: float
+    at_s: float
+
+    @classmethod
+    def full(cls, per_s: float, burst: float, now_s: float) -> TokenBucket:
+        """A bucket with a whole burst in it."""
+        return cls(per_s, burst, burst, now_s)
+
+    def wait_s(self, now_s: float, needed: float = 0.0) -> float:
+        """Seconds until the balance is at least `needed`; 0 where it is."""
+        self._refill(now_s)
+        return max(0.0, (needed - self.balance) / self.per_s)
+
+    def take(self, tokens: float, now_s: float) -> None:
+        """Take tokens; a negative number gives them back."""
+        self._refill(now_s)
+        self.balance -= tokens
+
+    def _refill(self, now_s: float) -> None:
+        self.balance = min(self.burst, self.balance + (now_s - self.at_s) * self.per_s)
+        self.at_s = now_s
 
 
 @dataclass(eq=False)
@@ -122,11 +154,14 @@ class InFlight:
             raise WorkersBusy(message, retry_after_s=BUSY_RETRY_S)
 
     @asynccontextmanager
-    async def reserve_cloud(self, tenant: TenantId, *, patient: bool = False) -> AsyncIterator[Callable[[int], None]]:
+    async def reserve_cloud(
+        self, tenant: TenantId, refused_points: int = 0, *, patient: bool = False
+    ) -> AsyncIterator[Callable[[int], None]]:
         """Reserve the slot of one cloud until it is stored; call the given function with its points once decoded.
 
         Points are charged in advance, as many as the tenant's last cloud had; the difference is charged or refunded
         once the cloud is decoded. Otherwise a burst of clouds would pass the limit before any of them is counted.
+        One that is refused is charged `refused_points`: reading it took as long.
         Raises WorkersBusy where all slots, or the tenant's share of them, are taken. A `patient` cloud waits for a slot
         instead: one of a stream, which sends its next cloud after the answer.
         """
@@ -139,6 +174,10 @@ class InFlight:
         self.charge_call(tenant, reservation.prepaid)
         try:
             yield partial(self._count, reservation)
+        except RevisitError:
+            if not reservation.decoded:
+                self._charge_difference(reservation, refused_points)
+            raise
         finally:
             if not reservation.decoded:
                 self._charge_difference(reservation, 0)

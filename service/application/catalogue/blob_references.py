@@ -9,8 +9,8 @@ from revisit.service.application.contract.blobs import (
     CLOUD_BLOB,
     MESH_BLOB,
     NEURAL_MAP_BLOB,
+    PLACE_BLOB,
     QUERY_CLOUD_BLOB,
-    SIGNATURE_BLOB,
     BlobStore,
 )
 from revisit.service.application.contract.identity import TenantId
@@ -28,7 +28,7 @@ BLOBS_PER_TURN = 200
 
 FIELDS = {
     CLOUD_BLOB: "cloud_sha256",
-    SIGNATURE_BLOB: "signature_sha256",
+    PLACE_BLOB: "place_sha256",
     NEURAL_MAP_BLOB: "neural_map_sha256",
     MESH_BLOB: "mesh_sha256",
 }

@@ -10,7 +10,9 @@ from dataclasses import replace
 
 from revisit.service.application.catalogue.blob_references import Blob, blobs_of_rows, blobs_of_submap
 from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.lookup import require_map
 from revisit.service.application.contract.records import MapRecord, SessionRecord, SubmapRecord
+from revisit.service.application.contract.session_poses import forget_submap
 from revisit.service.application.contract.states import OperationState, SubmapState
 from revisit.service.application.contract.transactions import UnitOfWork
 
@@ -20,8 +22,11 @@ SUBMAP_DELETED = {"outcome": "the submap was deleted"}
 
 def delete_submap(uow: UnitOfWork, record: MapRecord, submap: SubmapRecord, at_ns: int) -> set[Blob]:
     """Delete a submap of a map with its loop closures; its blobs, which other rows may name too."""
-    uow.loops.delete(submap.tenant, query_number=submap.number)
-    uow.loops.delete(submap.tenant, match_number=submap.number)
+    for rows in (uow.loops, uow.loop_events):
+        rows.delete(submap.tenant, query_number=submap.number)
+        rows.delete(submap.tenant, match_number=submap.number)
+    forget_submap(uow, submap.tenant, submap.map_id, submap.session_id, submap.number)
+    _make_graph_void(uow, submap.tenant, submap.map_id)
     _remove_from_index(uow, record, at_ns, number=submap.number)
     uow.submaps.delete(submap.tenant, number=submap.number)
     return blobs_of_submap(submap)
@@ -33,9 +38,11 @@ def delete_session(uow: UnitOfWork, record: MapRecord, session: SessionRecord, a
     doomed = blobs_of_rows(uow, tenant, **of_session)
     _remove_from_index(uow, record, at_ns, **of_session)
     for side in ("query_session_id", "match_session_id"):
-        uow.loops.delete(tenant, map_id=session.map_id, **{side: session.session_id})
-    for rows in (uow.submaps, uow.scans, uow.sessions):
-        rows.delete(tenant, **of_session)
+        for rows in (uow.loops, uow.loop_events):
+            rows.delete(tenant, map_id=session.map_id, **{side: session.session_id})
+    for of_it in (uow.session_poses, uow.submaps, uow.scans, uow.sessions):
+        of_it.delete(tenant, **of_session)
+    _make_graph_void(uow, tenant, session.map_id)
     return doomed
 
 
@@ -44,9 +51,16 @@ def delete_map(uow: UnitOfWork, record: MapRecord, at_ns: int) -> set[Blob]:
     of_map = {"map_id": record.map_id}
     doomed = blobs_of_rows(uow, record.tenant, **of_map)
     _drop_jobs(uow, record.tenant, at_ns, **of_map)
-    for rows in (uow.loops, uow.submaps, uow.scans, uow.sessions, uow.maps):
+    versions = (uow.session_poses, uow.map_versions)
+    for rows in (*versions, uow.loop_events, uow.loops, uow.submaps, uow.scans, uow.sessions, uow.maps):
         rows.delete(record.tenant, **of_map)
     return doomed
+
+
+def _make_graph_void(uow: UnitOfWork, tenant: TenantId, map_id: str) -> None:
+    """What an optimisation under way has read of the map is no longer all there: it reads again."""
+    record = require_map(uow, tenant, map_id)
+    uow.maps.replace(replace(record, graph_edits=record.graph_edits + 1))
 
 
 def _remove_from_index(uow: UnitOfWork, record: MapRecord, at_ns: int, **submaps: str | int) -> None:

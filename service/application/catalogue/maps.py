@@ -11,7 +11,7 @@ from revisit.service.application.access.audit import AuditEntry
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.catalogue.blob_references import Blob, BlobCollector
 from revisit.service.application.catalogue.deletion import delete_map
-from revisit.service.application.catalogue.paging import Page, PageRequest, page_of
+from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.errors import AlreadyExists
@@ -45,7 +45,10 @@ class CreateMap:
 
 @dataclass(frozen=True)
 class MapView:
-    """A map as clients see it; `tau_m`, `stride_m`, `min_index_gap` and `loop_policy` are the values in force."""
+    """A map as clients see it; `tau_m`, `stride_m`, `min_index_gap` and `loop_policy` are the values in force.
+
+    `map_version` is the version of its poses that answers rest on, 0 before the first.
+    """
 
     map_id: str
     display_name: str
@@ -57,6 +60,7 @@ class MapView:
     submap_count: int
     created_at_ns: int
     loop_policy: LoopPolicy = LoopPolicy()
+    map_version: int = 0
 
 
 @dataclass(frozen=True)
@@ -73,6 +77,7 @@ class Maps:
     def __init__(
         self,
         storage: Storage,
+        lists: Lists,
         admission: Admission,
         collector: BlobCollector,
         index: VectorIndex,
@@ -82,6 +87,7 @@ class Maps:
     ) -> None:
         """`index` forgets a deleted map, `streams` end, `collector` deletes its blobs."""
         self._storage = storage
+        self._lists = lists
         self._admission = admission
         self._collector = collector
         self._index = index
@@ -109,11 +115,9 @@ class Maps:
 
     async def list(self, tenant: TenantId, page: PageRequest) -> Page[MapView]:
         """The tenant's maps, oldest first."""
-        return await self._storage.read(partial(self._page, tenant=tenant, page=page))
-
-    def _page(self, uow: UnitOfWork, tenant: TenantId, page: PageRequest) -> Page[MapView]:
-        records = uow.maps.find(tenant, after=page.after, limit=page.size + 1)
-        return page_of(records, page, partial(self._view, uow))
+        return await self._lists.page(
+            tenant, page, lambda uow, after, limit: uow.maps.find(tenant, after=after, limit=limit), self._view
+        )
 
     async def delete(self, tenant: TenantId, map_id: str) -> None:
         """Delete a map with everything in it. Raises NotFound, Draining."""
@@ -165,6 +169,7 @@ class Maps:
             submap_count=uow.submaps.count(record.tenant, map_id=record.map_id),
             created_at_ns=record.created_at_ns,
             loop_policy=_policy_in_force(config),
+            map_version=record.map_version,
         )
 
 

@@ -4,16 +4,31 @@ from __future__ import annotations
 
 import base64
 import binascii
-import re
+import hashlib
+import hmac
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Generic, Protocol, TypeVar
 
 from revisit.core.errors import BadField
+from revisit.service.application.capacity.in_flight import InFlight
+from revisit.service.application.capacity.turns import Turns
 from revisit.service.application.contract import limits
+from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.transactions import UnitOfWork
 
 T = TypeVar("T")
 N = TypeVar("N", bound="Numbered")
+
+ROW_POINTS = 300
+"""What a row of a list is charged: it takes as long as decoding so many points."""
+
+LISTS_AT_A_TIME = 2
+"""Lists that are read at the same time, one of each tenant."""
+
+_HALF_BYTES = 8
 
 
 @dataclass(frozen=True)
@@ -26,19 +41,6 @@ class PageRequest:
     def __post_init__(self) -> None:
         """Raises BadField for a size out of bounds."""
         limits.PAGE_SIZE.validated(self.size, "page_size")
-
-    @property
-    def after(self) -> int:
-        """The number of the last item already seen, 0 for none. Raises BadField for a foreign token."""
-        if not self.token:
-            return 0
-        try:
-            text = base64.b64decode(self.token.encode("ascii"), altchars=b"-_", validate=True).decode("ascii")
-        except (UnicodeError, binascii.Error) as error:
-            raise BadField("page_token was not given out by this service", field="page_token") from error
-        if not re.fullmatch(r"after:[0-9]{1,18}", text, re.ASCII):
-            raise BadField("page_token was not given out by this service", field="page_token")
-        return int(text.removeprefix("after:"))
 
 
 @dataclass(frozen=True)
@@ -58,12 +60,90 @@ class Numbered(Protocol):
         ...
 
 
-def page_of(records: Sequence[N], page: PageRequest, view: Callable[[N], T]) -> Page[T]:
-    """A page of the views of `records`, of which one more than `page.size` was loaded where there is more."""
-    shown = records[: page.size]
-    more = len(records) > page.size
-    return Page(tuple(view(record) for record in shown), _token_after(shown[-1].number) if more else "")
+class PageTokens:
+    """Tokens that tell their reader nothing and are good for one tenant only.
+
+    A row's number counts the rows of all tenants, so it is encrypted: with a stream made of its own keyed hash, as SIV
+    modes do (RFC 5297). The hash comes first in the token and proves it.
+    """
+
+    def __init__(self, secret: bytes) -> None:
+        """`secret` is known to this installation alone. With another one, tokens given out before are refused."""
+        self._secret = secret
+
+    def after(self, tenant: TenantId, number: int) -> str:
+        """The token of the page after the row of that number."""
+        plain = number.to_bytes(_HALF_BYTES, "big")
+        proof = self._hash(b"proof", tenant, plain)
+        return base64.urlsafe_b64encode(proof + _xor(plain, self._hash(b"stream", tenant, proof))).decode()
+
+    def number_in(self, tenant: TenantId, token: str) -> int:
+        """The number of the last row already seen, 0 without a token. Raises BadField for a foreign token."""
+        if not token:
+            return 0
+        try:
+            content = base64.b64decode(token.encode("ascii"), altchars=b"-_", validate=True)
+        except (UnicodeError, binascii.Error) as error:
+            raise _foreign() from error
+        proof, hidden = content[:_HALF_BYTES], content[_HALF_BYTES:]
+        plain = _xor(hidden, self._hash(b"stream", tenant, proof))
+        if len(content) != 2 * _HALF_BYTES or not hmac.compare_digest(proof, self._hash(b"proof", tenant, plain)):
+            raise _foreign()
+        return int.from_bytes(plain, "big")
+
+    def _hash(self, purpose: bytes, tenant: TenantId, data: bytes) -> bytes:
+        message = b"\0".join((b"page token", purpose, tenant.encode(), data))
+        return hmac.digest(self._secret, message, hashlib.sha256)[:_HALF_BYTES]
 
 
-def _token_after(number: int) -> str:
-    return base64.urlsafe_b64encode(f"after:{number}".encode()).decode()
+class Lists:
+    """Reads lists, page by page. They cost quota by the row, and tenants take turns: a long page keeps a core busy."""
+
+    def __init__(self, storage: Storage, in_flight: InFlight, tokens: PageTokens) -> None:
+        """Rows are charged to the rate limits of `in_flight`."""
+        self._storage = storage
+        self._in_flight = in_flight
+        self._tokens = tokens
+        self._turns = Turns(LISTS_AT_A_TIME, of_tenant=1)
+
+    async def page(
+        self,
+        tenant: TenantId,
+        page: PageRequest,
+        find: Callable[[UnitOfWork, int, int], Sequence[N]],
+        view: Callable[[UnitOfWork, N], T],
+    ) -> Page[T]:
+        """The views of a page of rows; `find` gets the number after which they begin, and how many it may find at most.
+
+        Raises BadField for a token of somebody else, RateLimited, and what `find` and `view` raise.
+        """
+        after = self._tokens.number_in(tenant, page.token)
+        self._in_flight.check_rate(tenant)
+        async with self._turns.of(tenant):
+            read = partial(self._read, tenant=tenant, after=after, size=page.size, find=find, view=view)
+            found = await self._storage.read(read)
+        self._in_flight.charge_call(tenant, ROW_POINTS * len(found.items))
+        return found
+
+    def _read(
+        self,
+        uow: UnitOfWork,
+        tenant: TenantId,
+        after: int,
+        size: int,
+        find: Callable[[UnitOfWork, int, int], Sequence[N]],
+        view: Callable[[UnitOfWork, N], T],
+    ) -> Page[T]:
+        # One more than is shown tells whether there is a next page.
+        records = find(uow, after, size + 1)
+        shown = records[:size]
+        token = self._tokens.after(tenant, shown[-1].number) if len(records) > size else ""
+        return Page(tuple(view(uow, record) for record in shown), token)
+
+
+def _xor(one: bytes, other: bytes) -> bytes:
+    return bytes(first ^ second for first, second in zip(one, other, strict=False))
+
+
+def _foreign() -> BadField:
+    return BadField("page_token was not given out to you by this service", field="page_token")

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from revisit.service.application.capacity.admission import Admission
-from revisit.service.application.catalogue.paging import Page, PageRequest, page_of
+from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.errors import AlreadyExists
 from revisit.service.application.contract.identity import TenantId, content_hash, validated_id, validated_label
@@ -44,8 +44,9 @@ class CreatedRobot:
 class Robots:
     """Create, get and list robots."""
 
-    def __init__(self, storage: Storage, admission: Admission, clock: Clock) -> None:
-        """Robots are kept in `storage`."""
+    def __init__(self, storage: Storage, lists: Lists, admission: Admission, clock: Clock) -> None:
+        """Robots are kept in `storage`, and listed by `lists`."""
+        self._lists = lists
         self._storage = storage
         self._admission = admission
         self._clock = clock
@@ -68,8 +69,12 @@ class Robots:
 
     async def list(self, tenant: TenantId, page: PageRequest) -> Page[RobotView]:
         """The tenant's robots, oldest first."""
-        records = await self._storage.read(lambda uow: uow.robots.find(tenant, after=page.after, limit=page.size + 1))
-        return page_of(records, page, _view)
+        return await self._lists.page(
+            tenant,
+            page,
+            lambda uow, after, limit: uow.robots.find(tenant, after=after, limit=limit),
+            lambda _, row: _view(row),
+        )
 
 
 def _add(uow: UnitOfWork, record: RobotRecord) -> CreatedRobot:

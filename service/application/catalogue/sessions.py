@@ -11,7 +11,7 @@ from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.capacity.backlog import JobPosting
 from revisit.service.application.catalogue.blob_references import Blob, BlobCollector
 from revisit.service.application.catalogue.deletion import delete_session
-from revisit.service.application.catalogue.paging import Page, PageRequest, page_of
+from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.errors import AlreadyExists
 from revisit.service.application.contract.identity import SessionKey, TenantId, content_hash, validated_id
@@ -21,8 +21,7 @@ from revisit.service.application.contract.states import SessionState
 from revisit.service.application.contract.storage import Storage
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.ingest.open_streams import OpenStreams
-from revisit.service.application.ingest.scan_windows import remainder, window_of
-from revisit.service.application.ingest.window_submaps import add_window_submap
+from revisit.service.application.ingest.windows import add_window_submap, remainder, window_of
 from revisit.service.failpoints import failpoint
 
 
@@ -67,6 +66,7 @@ class Sessions:
     def __init__(
         self,
         storage: Storage,
+        lists: Lists,
         admission: Admission,
         jobs: JobPosting,
         collector: BlobCollector,
@@ -75,6 +75,7 @@ class Sessions:
     ) -> None:
         """The last submap of a finished session is queued through `jobs`; `streams` of a deleted one end."""
         self._storage = storage
+        self._lists = lists
         self._admission = admission
         self._jobs = jobs
         self._collector = collector
@@ -93,7 +94,7 @@ class Sessions:
 
     async def list(self, tenant: TenantId, map_id: str, page: PageRequest) -> Page[SessionView]:
         """The sessions of a map, oldest first. Raises NotFound for the map."""
-        return await self._storage.read(partial(_page, tenant=tenant, map_id=map_id, page=page))
+        return await self._lists.page(tenant, page, partial(_of_map, tenant=tenant, map_id=map_id), _view)
 
     async def finish(self, tenant: TenantId, key: SessionKey) -> SessionView:
         """Close the session; the scans of its last, shorter window become a submap. Again: no effect.
@@ -159,10 +160,9 @@ def _add(uow: UnitOfWork, record: SessionRecord) -> CreatedSession:
     return CreatedSession(_view(uow, known), replay=True)
 
 
-def _page(uow: UnitOfWork, tenant: TenantId, map_id: str, page: PageRequest) -> Page[SessionView]:
+def _of_map(uow: UnitOfWork, after: int, limit: int, *, tenant: TenantId, map_id: str) -> list[SessionRecord]:
     require_map(uow, tenant, map_id)
-    records = uow.sessions.find(tenant, after=page.after, limit=page.size + 1, map_id=map_id)
-    return page_of(records, page, partial(_view, uow))
+    return uow.sessions.find(tenant, after=after, limit=limit, map_id=map_id)
 
 
 def _delete(uow: UnitOfWork, key: SessionKey, entry: AuditEntry, at_ns: int) -> set[Blob]:

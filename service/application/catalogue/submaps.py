@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -14,10 +14,11 @@ from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.catalogue.blob_references import Blob, BlobCollector
 from revisit.service.application.catalogue.deletion import delete_submap
 from revisit.service.application.catalogue.downloads import Download, DownloadKind, render_download
-from revisit.service.application.catalogue.paging import Page, PageRequest, page_of
+from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.identity import SessionKey, SubmapKey, TenantId
 from revisit.service.application.contract.lookup import require_map, require_session, require_submap
+from revisit.service.application.contract.map_frames import MapFrames, submap_in_map
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.records import SubmapRecord
 from revisit.service.application.contract.storage import Storage
@@ -31,10 +32,17 @@ class Submaps:
     """Get, list, delete and download submaps."""
 
     def __init__(
-        self, storage: Storage, admission: Admission, collector: BlobCollector, clock: Clock, policy: Policy
+        self,
+        storage: Storage,
+        lists: Lists,
+        admission: Admission,
+        collector: BlobCollector,
+        clock: Clock,
+        policy: Policy,
     ) -> None:
         """`collector` deletes the blobs of what was deleted."""
         self._storage = storage
+        self._lists = lists
         self._admission = admission
         self._collector = collector
         self._clock = clock
@@ -43,16 +51,15 @@ class Submaps:
 
     async def get(self, tenant: TenantId, key: SubmapKey, *, full: bool = False) -> SubmapView:
         """The submap, with its descriptor where `full`. Raises NotFound."""
-        record = await self._storage.read(partial(require_submap, tenant=tenant, key=key))
-        view = submap_view(record)
+        record, view = await self._storage.read(partial(_seen, tenant=tenant, key=key))
         if not full or record.descriptor is None:
             return view
         return replace(view, descriptor=np.frombuffer(record.descriptor, dtype="<f4").astype(np.float32))
 
     async def list(self, tenant: TenantId, session: SessionKey, page: PageRequest) -> Page[SubmapView]:
         """The submaps of a session in their order. Raises NotFound for the session."""
-        records = await self._storage.read(partial(_of_session, tenant=tenant, session=session, page=page))
-        return page_of(records, page, submap_view)
+        find = partial(_of_session, tenant=tenant, session=session)
+        return await self._lists.page(tenant, page, find, lambda _, row: row.view)
 
     async def delete(self, tenant: TenantId, key: SubmapKey) -> None:
         """Delete a submap, its loop closures and its entry in the index. Raises NotFound, Draining."""
@@ -79,10 +86,25 @@ class Submaps:
         return record, submap_source(uow, self._policy, record)
 
 
-def _of_session(uow: UnitOfWork, tenant: TenantId, session: SessionKey, page: PageRequest) -> list[SubmapRecord]:
+def _seen(uow: UnitOfWork, tenant: TenantId, key: SubmapKey) -> tuple[SubmapRecord, SubmapView]:
+    record = require_submap(uow, tenant, key)
+    return record, submap_view(record, submap_in_map(uow, record))
+
+
+@dataclass(frozen=True)
+class _Row:
+    """A row of the list: a submap's number, and the view of it."""
+
+    number: int
+    view: SubmapView
+
+
+def _of_session(uow: UnitOfWork, after: int, limit: int, *, tenant: TenantId, session: SessionKey) -> list[_Row]:
     require_session(uow, tenant, session)
     of_session = {"map_id": session.map_id, "session_id": session.session_id}
-    return uow.submaps.find(tenant, after=page.after, limit=page.size + 1, **of_session)
+    records = uow.submaps.find(tenant, after=after, limit=limit, **of_session)
+    frames = MapFrames(uow, tenant, session.map_id)
+    return [_Row(record.number, submap_view(record, frames.submap(record))) for record in records]
 
 
 def _delete(uow: UnitOfWork, key: SubmapKey, entry: AuditEntry, at_ns: int) -> set[Blob]:

@@ -10,7 +10,8 @@ from revisit.service.application.contract.identity import TenantId
 
 CLOUD_BLOB = "cloud"
 QUERY_CLOUD_BLOB = "query-cloud"
-SIGNATURE_BLOB = "signature"
+PLACE_BLOB = "signature"
+"""What verification keeps of a submap, under the name that stores of version 0.1 gave it (docs/decisions/0085)."""
 NEURAL_MAP_BLOB = "neural-map"
 MESH_BLOB = "mesh"
 

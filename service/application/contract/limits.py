@@ -66,6 +66,7 @@ LOOP_CANDIDATES = Range(1, 100)
 MIN_SCORE = Range(0.0, 1.0)
 MIN_OVERLAP = Range(0.0, 1.0)
 MAX_SEEN_THROUGH = Range(0.0, 1.0)
+MAP_VERSION = Range(1, LARGEST_INTEGER)
 
 # Clouds
 SCAN_SEQ = Range(1, LARGEST_INTEGER)
@@ -88,6 +89,10 @@ DESCRIPTOR_LENGTH = Range(1, 4096)
 PAGE_SIZE = Range(1, 500)
 PAGE_TOKEN_CHARACTERS = 200
 MIN_SEQ = Range(0, LARGEST_INTEGER)
+REASON_CHARACTERS = 64
+"""Of the reason by which rejected loop closures are kept in a list."""
+EVENT_NUMBER = Range(0, LARGEST_INTEGER)
+"""Of the event behind which a watch goes on."""
 WAIT_S = Range(0.0, 60.0, "seconds")
 """For an operation, or for the submaps that an answer must rest on."""
 

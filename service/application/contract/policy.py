@@ -13,13 +13,20 @@ N = TypeVar("N", int, float)
 
 @dataclass(frozen=True)
 class Policy:
-    """The parameters of the method, the bounds of the job queue, and how much a tenant may store (None: no bound)."""
+    """The parameters of the method, the bounds of the job queue, and how much a tenant may store (None: no bound).
+
+    A map is optimised `optimise_delay_ms` after `optimise_after_loops` accepted loops wait to be asked (0: only when
+    somebody asks); its last `map_versions_kept` versions stay.
+    """
 
     pipeline: PipelineConfig = field(default_factory=PipelineConfig)
     max_queued_jobs: int = 1000
     max_attempts: int = 3
     lease_ms: int = 10_000
     tenant_storage_bytes: int | None = None
+    optimise_after_loops: int = 0
+    optimise_delay_ms: int = 5000
+    map_versions_kept: int = 20
 
     def for_map(self, record: MapRecord) -> PipelineConfig:
         """The parameters of the method with what the map overrides."""

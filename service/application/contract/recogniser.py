@@ -27,7 +27,7 @@ class SubmapDescription:
     """What a worker learns about a submap. `descriptor` (d,) float32, L2-normalised; blobs are versioned by `core`."""
 
     descriptor: NDArray[np.float32]
-    signature: bytes
+    place: bytes
     neural_map: bytes | None
     mesh: Mesh
     flags: tuple[str, ...]
@@ -54,9 +54,9 @@ class PlaceRecogniser(Protocol):
         ...
 
     def describe(self, submap: Submap, config: PipelineConfig) -> SubmapDescription:
-        """Neural map, descriptor and signature of a submap. Raises RevisitError where it cannot be described."""
+        """Neural map, descriptor and place of a submap. Raises RevisitError where it cannot be described."""
         ...
 
     def verify(self, query: bytes, match: bytes, similarity: float, config: PipelineConfig) -> LoopVerdict:
-        """Compare two signatures geometrically. Raises DataLoss for damaged ones."""
+        """Compare two places geometrically. Raises DataLoss for damaged ones."""
         ...

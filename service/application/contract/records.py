@@ -19,7 +19,8 @@ class MapRecord:
     """A map; None stands for "as the service is configured"; `model_version` is that of its descriptors, if any.
 
     `scene_scale` is the size of its scene compared with a street (docs/decisions/0009); it never changes.
-    `loop_candidates` to `max_seen_through` are the map's own `LoopPolicy`.
+    `loop_candidates` to `max_seen_through` are the map's own `LoopPolicy`. `map_version` is the version of its poses in
+    force, 0 for none; `graph_edits` counts the changes that made a part of its pose graph void.
     """
 
     tenant: TenantId
@@ -36,6 +37,8 @@ class MapRecord:
     min_score: float | None = None
     min_overlap: float | None = None
     max_seen_through: float | None = None
+    map_version: int = 0
+    graph_edits: int = 0
     number: int = 0
 
 
@@ -53,7 +56,7 @@ class RobotRecord:
 
 @dataclass(frozen=True)
 class SessionRecord:
-    """A session and where its current window of scans stands (see `scan_windows`)."""
+    """A session and where its current window of scans stands (see `ingest.windows`)."""
 
     tenant: TenantId
     map_id: str
@@ -113,7 +116,7 @@ class SubmapRecord:
     created_at_ns: int
     model_version: str | None = None
     descriptor: bytes | None = None
-    signature_sha256: str | None = None
+    place_sha256: str | None = None
     neural_map_sha256: str | None = None
     neural_map_bytes: int | None = None
     mesh_sha256: str | None = None
@@ -124,7 +127,11 @@ class SubmapRecord:
 
 @dataclass(frozen=True)
 class LoopRecord:
-    """A loop closure between two submaps, accepted or rejected, with its evidence."""
+    """A loop closure between two submaps, accepted or rejected, with its evidence.
+
+    `graph_state` is the verdict of the version of the map in force, None where none knows the loop. `manual`: a person
+    made it.
+    """
 
     tenant: TenantId
     map_id: str
@@ -141,6 +148,76 @@ class LoopRecord:
     score: float
     T_match_query: Pose | None
     evidence: dict[str, Any]
+    created_at_ns: int
+    graph_state: str | None = None
+    manual: bool = False
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class LoopEventRecord:
+    """A change of a loop closure: what it was made (`state`, `reason`, `graph_state`), by whom, and why.
+
+    `kind` is a `LoopEventKind`; `details` is JSON: thresholds and model version of a verdict, the distance from the
+    poses of a version of the map. The ends are those of the loop, with which its events are deleted.
+    """
+
+    tenant: TenantId
+    map_id: str
+    loop_id: str
+    kind: str
+    state: str
+    reason: str | None
+    graph_state: str | None
+    T_match_query: Pose | None
+    actor: str
+    note: str
+    map_version: int
+    details: dict[str, Any]
+    query_number: int
+    match_number: int
+    query_session_id: str
+    match_session_id: str
+    at_ns: int
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class MapVersionRecord:
+    """A version of a map's poses (see `SessionPosesRecord`), and what it says of each loop, packed.
+
+    `loops` holds, of every loop that it judged, its number, its state and its squared distance from the poses (see
+    `contract.session_poses`); `loops_hash` is that of `loops`.
+    """
+
+    tenant: TenantId
+    map_id: str
+    version: int
+    restored_from: int | None
+    operation_id: str | None
+    summary: dict[str, Any]
+    loops: bytes
+    loops_hash: str
+    created_at_ns: int
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class SessionPosesRecord:
+    """The poses of a session in a version of a map, packed (see `contract.session_poses`); `content_hash` is of them.
+
+    `frame` names the frame of the map that they are in. Those of one session are together, so that they go with it.
+    """
+
+    tenant: TenantId
+    map_id: str
+    version: int
+    session_id: str
+    session_number: int
+    frame: str
+    T_map_odom: Pose
+    submaps: bytes
+    content_hash: str
     created_at_ns: int
     number: int = 0
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
 from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.records import JobRecord, ScanRecord, SubmapRecord
+from revisit.service.application.contract.records import JobRecord, Pose, ScanRecord, SubmapRecord
 
 R = TypeVar("R")
 
@@ -86,15 +87,29 @@ class ScanRepository(Repository[ScanRecord], Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class PlacedSubmap:
+    """Number of a submap, number of its session, place in the order of the drive, and pose in the odometry frame."""
+
+    number: int
+    session_number: int
+    ordinal: int
+    T_odom_submap: Pose
+
+
 class SubmapRepository(Repository[SubmapRecord], Protocol):
     """Submaps, also by how far a map has come with them."""
 
-    def last_number(self) -> int:
-        """The last number that was given out, to whichever tenant, deleted since or not; 0 for none."""
+    def last_number(self, tenant: TenantId) -> int:
+        """The last number that a submap of the tenant was given, deleted since or not; 0 for none."""
         ...
 
     def points_of(self, tenant: TenantId) -> int:
         """How many points the clouds have together that a tenant has posted as submaps."""
+        ...
+
+    def placed(self, tenant: TenantId, map_id: str) -> list[PlacedSubmap]:
+        """Every submap of a map with its place in its session, by session and then in the order of the drive."""
         ...
 
     def waiting_up_to(self, tenant: TenantId, map_id: str, number: int) -> int:

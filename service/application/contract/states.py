@@ -21,10 +21,40 @@ class SubmapState(StrEnum):
 
 
 class LoopState(StrEnum):
-    """The verdict on a loop closure."""
+    """The verdict of geometry on a loop closure, or of the person who overruled it; PROPOSED has none yet."""
 
     ACCEPTED = "ACCEPTED"
     REJECTED = "REJECTED"
+    PROPOSED = "PROPOSED"
+
+
+class GraphState(StrEnum):
+    """The verdict of the pose graph on an accepted loop closure."""
+
+    IN_MAP = "IN_MAP"
+    SET_ASIDE = "SET_ASIDE"
+    UNCONNECTED = "UNCONNECTED"
+
+
+class LoopEventKind(StrEnum):
+    """What happened to a loop closure."""
+
+    VERIFIED = "VERIFIED"
+    PROPOSED = "PROPOSED"
+    ACCEPTED = "ACCEPTED"
+    REJECTED = "REJECTED"
+    REVERTED = "REVERTED"
+    JUDGED = "JUDGED"
+
+
+class EventKind(StrEnum):
+    """What an event tells of."""
+
+    LOOP_CLOSURE = "LOOP_CLOSURE"
+    OPERATION = "OPERATION"
+    MAP_VERSION = "MAP_VERSION"
+    OPENED = "OPENED"
+    FORGOTTEN = "FORGOTTEN"
 
 
 class OperationKind(StrEnum):
@@ -33,6 +63,8 @@ class OperationKind(StrEnum):
     DESCRIBE_SUBMAP = "DESCRIBE_SUBMAP"
     SEARCH_CLOUD = "SEARCH_CLOUD"
     LOCALIZE = "LOCALIZE"
+    OPTIMISE_MAP = "OPTIMISE_MAP"
+    VERIFY_LOOP = "VERIFY_LOOP"
 
 
 class OperationState(StrEnum):

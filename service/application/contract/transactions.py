@@ -7,9 +7,18 @@ from concurrent.futures import Future
 from typing import Protocol, TypeVar
 
 from revisit.service.application.contract.access_ports import AuditTrail, KeyRing
+from revisit.service.application.contract.events import EventLog
 from revisit.service.application.contract.index import ChangeLog
 from revisit.service.application.contract.job_queue import JobQueue, WorkerLog
-from revisit.service.application.contract.records import LoopRecord, MapRecord, RobotRecord, SessionRecord
+from revisit.service.application.contract.records import (
+    LoopEventRecord,
+    LoopRecord,
+    MapRecord,
+    MapVersionRecord,
+    RobotRecord,
+    SessionPosesRecord,
+    SessionRecord,
+)
 from revisit.service.application.contract.repositories import (
     JobRepository,
     Repository,
@@ -23,7 +32,7 @@ T = TypeVar("T")
 class UnitOfWork(Protocol):
     """One transaction: all of it is committed, or none.
 
-    Twelve properties and no methods: one for each kind of record, so that a transaction can change any of them.
+    Sixteen properties and no methods: one for each kind of record, so that a transaction can change any of them.
     """
 
     @property
@@ -57,6 +66,21 @@ class UnitOfWork(Protocol):
         ...
 
     @property
+    def loop_events(self) -> Repository[LoopEventRecord]:
+        """Changes of loop closures by (number)."""
+        ...
+
+    @property
+    def map_versions(self) -> Repository[MapVersionRecord]:
+        """Versions of maps by (map_id, version)."""
+        ...
+
+    @property
+    def session_poses(self) -> Repository[SessionPosesRecord]:
+        """The poses of sessions in versions of maps by (map_id, version, session_id)."""
+        ...
+
+    @property
     def jobs(self) -> JobRepository:
         """Jobs by (operation_id)."""
         ...
@@ -69,6 +93,11 @@ class UnitOfWork(Protocol):
     @property
     def changes(self) -> ChangeLog:
         """The change log of the maps' indexes."""
+        ...
+
+    @property
+    def events(self) -> EventLog:
+        """The log of what happens in the maps."""
         ...
 
     @property

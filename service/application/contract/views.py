@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.geometry.se3 import Matrix4
+from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.service.application.contract.identity import SubmapKey
-from revisit.service.application.contract.poses import pose_matrix
+from revisit.service.application.contract.map_frames import MapPose
 from revisit.service.application.contract.records import JobRecord, SubmapRecord
 from revisit.service.application.contract.states import OperationKind, OperationState, SubmapState
 
@@ -51,7 +51,7 @@ class SubmapView:
     frame; `first_seq`..`last_seq` are its scans (None for a posted cloud); `raw_bytes` is the float32 xyz cloud's
     size, `neural_map_bytes` that of its neural map; `failure` says why it could not be described. `descriptor` (d,) is
     there where it was asked for and the submap is described. `seq` grows with every submap of the service, in the order
-    of their commits: a query's `min_seq` (see `freshness`).
+    of their commits: a query's `min_seq` (see `freshness`). `in_map` is T_map_submap where its session has a frame.
     """
 
     key: SubmapKey
@@ -73,6 +73,7 @@ class SubmapView:
     operation_id: str
     created_at_ns: int
     descriptor: NDArray[np.float32] | None = field(default=None, compare=False)
+    in_map: MapPose | None = None
 
 
 def operation_view(record: JobRecord) -> OperationView:
@@ -100,7 +101,7 @@ def submap_key(record: SubmapRecord) -> SubmapKey:
     return SubmapKey(record.map_id, record.session_id, record.submap_id)
 
 
-def submap_view(record: SubmapRecord) -> SubmapView:
+def submap_view(record: SubmapRecord, in_map: MapPose | None = None) -> SubmapView:
     """The client's view of a submap."""
     return SubmapView(
         key=submap_key(record),
@@ -121,4 +122,5 @@ def submap_view(record: SubmapRecord) -> SubmapView:
         failure=failure_of(record.failure_code, record.failure_message),
         operation_id=record.operation_id,
         created_at_ns=record.created_at_ns,
+        in_map=in_map,
     )

@@ -1,4 +1,4 @@
-"""Retention: the operations of queries by cloud are deleted some time after they ended."""
+"""Retention: operations of queries by cloud are deleted some time after they ended, events once there are enough."""
 
 from __future__ import annotations
 
@@ -28,3 +28,11 @@ async def forget_answers(storage: Storage, clock: Clock, kept_s: float) -> int:
 
 def _forget(uow: UnitOfWork, before_ns: int) -> int:
     return uow.jobs.forget_answers(before_ns, PORTION)
+
+
+async def forget_events(storage: Storage, kept: int) -> int:
+    """Delete all but the last `kept` events of each tenant; how many."""
+    forgotten = await storage.write(lambda uow: uow.events.forget(kept))
+    if forgotten:
+        log.info("events_forgotten", events=forgotten)
+    return forgotten

@@ -20,10 +20,16 @@ from revisit.core.container import decompressed, from_byte_planes, to_byte_plane
 from revisit.core.errors import BadField, DataLoss, TooLarge
 from revisit.core.scan import CloudReport, Points, validate_cloud
 from revisit.formats import DecodedCloud, decode_cloud
+from revisit.formats.cloud import DEFAULT_LIMITS
 from revisit.formats.compression import decode_content
+from revisit.service.application.capacity.turns import Turns
 from revisit.service.application.contract import limits
+from revisit.service.application.contract.identity import TenantId
 
 QUERY_NONCE_BYTES = 16
+
+BYTES_A_POINT = 4
+"""So many bytes of text take as long to read as one point of a binary cloud, its packing included."""
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -76,17 +82,30 @@ def accept_cloud(cloud: CloudInput, max_points: int) -> tuple[StoredCloud, Cloud
     return StoredCloud(points, np.ascontiguousarray(kept, dtype=np.float32)), report
 
 
+def reading_points(cloud: CloudInput) -> int:
+    """What it takes at most to read a cloud that is refused in the end, in points of one that is not."""
+    if not isinstance(cloud, EncodedCloud):
+        return len(cloud.points)
+    ratio = DEFAULT_LIMITS.max_ratio if cloud.coding else 1
+    return min(ratio * len(cloud.data), DEFAULT_LIMITS.max_decoded_bytes) // BYTES_A_POINT
+
+
 class CloudDecoder:
-    """Decodes clouds beside the event loop, as many at a time as there are threads: a cloud keeps a core busy."""
+    """Decodes clouds beside the event loop, as many at a time as there are threads; tenants take turns.
+
+    A cloud keeps a core busy, up to a fifth of a second. Whoever sends many waits for the own ones, and not the others.
+    """
 
     def __init__(self, threads: int) -> None:
         """Clouds beyond `threads` wait for their turn."""
         self._pool = ThreadPoolExecutor(threads, "decode")
+        self._turns = Turns(threads)
 
-    async def run(self, work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-        """What `work` returns, run in one of the threads with the context of the request."""
+    async def run(self, tenant: TenantId, work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+        """What `work` returns for `tenant`, run in one of the threads with the context of the request."""
         in_context = partial(copy_context().run, work, *args, **kwargs)
-        return await asyncio.get_running_loop().run_in_executor(self._pool, in_context)
+        async with self._turns.of(tenant):
+            return await asyncio.get_running_loop().run_in_executor(self._pool, in_context)
 
 
 def pack_cloud(cloud: StoredCloud) -> bytes:

@@ -12,7 +12,7 @@ import numpy as np
 
 from revisit.core.config import SubmapConfig
 from revisit.core.errors import BadField
-from revisit.core.geometry.se3 import Matrix4
+from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
 from revisit.core.scan import CloudReport, Scan
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.capacity.backlog import JobPosting
@@ -24,15 +24,20 @@ from revisit.service.application.contract.errors import AlreadyExists, NotFound,
 from revisit.service.application.contract.identity import SessionKey, TenantId
 from revisit.service.application.contract.lookup import require_active, require_map, require_session
 from revisit.service.application.contract.policy import Policy
-from revisit.service.application.contract.poses import pose_matrix, pose_row
 from revisit.service.application.contract.records import ScanRecord, SessionRecord
 from revisit.service.application.contract.storage import Storage
 from revisit.service.application.contract.transactions import UnitOfWork
-from revisit.service.application.ingest.clouds import CloudDecoder, CloudInput, accept_cloud, pack_cloud, unpack_cloud
+from revisit.service.application.ingest.clouds import (
+    CloudDecoder,
+    CloudInput,
+    accept_cloud,
+    pack_cloud,
+    reading_points,
+    unpack_cloud,
+)
 from revisit.service.application.ingest.open_streams import OpenStreams
-from revisit.service.application.ingest.scan_windows import Window, advance, window_of
 from revisit.service.application.ingest.submap_posting import PostedSubmap
-from revisit.service.application.ingest.window_submaps import add_window_submap
+from revisit.service.application.ingest.windows import Window, add_window_submap, advance, window_of
 from revisit.service.failpoints import failpoint
 
 SAME_POSE = 1e-9
@@ -158,8 +163,9 @@ class Scans:
         replay = _is_replay(session, command.seq)
         if not replay:
             await self._admission.require_room(tenant)
-        async with self._admission.cloud(tenant, patient=patient, queued=False) as decoded:
-            accepted = await self._decoder.run(_accept, command)
+        price = reading_points(command.cloud)
+        async with self._admission.cloud(tenant, refused_points=price, patient=patient, queued=False) as decoded:
+            accepted = await self._decoder.run(tenant, _accept, command)
             decoded(len(accepted.scan.points))
             if replay:
                 return await self._replayed(session, accepted)
@@ -179,7 +185,7 @@ class Scans:
         if stored.cloud_sha256 == _sha256(accepted):
             return True
         packed = await asyncio.to_thread(self._storage.blobs.get, stored.tenant, CLOUD_BLOB, stored.cloud_sha256)
-        return await self._decoder.run(_same_points, packed, accepted.packed)
+        return await self._decoder.run(stored.tenant, _same_points, packed, accepted.packed)
 
     async def _store(self, tenant: TenantId, key: SessionKey, accepted: _Accepted) -> ScanAck:
         await self._storage.put_blob(tenant, CLOUD_BLOB, accepted.packed)

@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from revisit.core.errors import BadField
-from revisit.core.geometry.se3 import Matrix4
+from revisit.core.geometry.se3 import Matrix4, pose_row, position_row
 from revisit.core.scan import MAX_SCENE_M, CloudReport, Scan, scene_size
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.capacity.backlog import JobPosting
@@ -27,13 +27,19 @@ from revisit.service.application.contract.identity import (
     validated_id,
 )
 from revisit.service.application.contract.lookup import require_active, require_job, require_session
-from revisit.service.application.contract.poses import pose_row, position_row
 from revisit.service.application.contract.records import SessionRecord, SubmapRecord
 from revisit.service.application.contract.states import OperationKind, SubmapState
 from revisit.service.application.contract.storage import Storage
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.views import OperationView, SubmapView, operation_view, submap_view
-from revisit.service.application.ingest.clouds import CloudDecoder, CloudInput, StoredCloud, accept_cloud, pack_cloud
+from revisit.service.application.ingest.clouds import (
+    CloudDecoder,
+    CloudInput,
+    StoredCloud,
+    accept_cloud,
+    pack_cloud,
+    reading_points,
+)
 from revisit.service.failpoints import failpoint
 
 
@@ -87,11 +93,11 @@ class SubmapPosting:
         StorageFull, StorageUncertain.
         """
         self._admission.require_storage()
-        async with self._admission.cloud(tenant) as decoded:
+        async with self._admission.cloud(tenant, refused_points=reading_points(command.cloud)) as decoded:
             return await self._store(tenant, command, decoded)
 
     async def _store(self, tenant: TenantId, command: PostSubmap, decoded: Callable[[int], None]) -> PostedSubmap:
-        accepted = await self._decoder.run(_accept, tenant, command, self._clock.wall_ns())
+        accepted = await self._decoder.run(tenant, _accept, tenant, command, self._clock.wall_ns())
         decoded(accepted.row.point_count)
         replay = await self._storage.read(partial(_replayed, row=accepted.row))
         if replay is not None:

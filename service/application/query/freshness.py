@@ -42,8 +42,8 @@ async def await_freshness(
 ) -> None:
     """Return once whatever is read from now on holds what is `wanted`.
 
-    Raises SeqNotReached after the time allowed, or at once for a number that was never given out; Draining where the
-    service stops meanwhile; NotFound for the map.
+    Raises SeqNotReached after the time allowed, or at once for a number beyond the tenant's own submaps, whether or not
+    somebody else has it; Draining where the service stops meanwhile; NotFound for the map.
     """
     if wanted.validated().min_seq == 0:
         return
@@ -62,7 +62,7 @@ async def await_freshness(
 
 def _last(uow: UnitOfWork, tenant: TenantId, map_id: str) -> int:
     require_map(uow, tenant, map_id)
-    return uow.submaps.last_number()
+    return uow.submaps.last_number(tenant)
 
 
 def _waiting(uow: UnitOfWork, tenant: TenantId, map_id: str, min_seq: int) -> int:

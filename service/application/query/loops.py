@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from revisit.core.geometry.se3 import Matrix4
+from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.service.application.capacity.admission import Admission
-from revisit.service.application.catalogue.paging import Page, PageRequest, page_of
+from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract.errors import NotFound
 from revisit.service.application.contract.identity import SessionKey, SubmapKey, TenantId
 from revisit.service.application.contract.lookup import require_map, require_session
-from revisit.service.application.contract.poses import pose_matrix
+from revisit.service.application.contract.map_frames import LoopInMap, MapFrames
 from revisit.service.application.contract.records import LoopRecord
-from revisit.service.application.contract.states import LoopState
+from revisit.service.application.contract.states import GraphState, LoopState
 from revisit.service.application.contract.storage import Storage
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.query.freshness import Freshness, await_freshness
@@ -35,7 +35,8 @@ class LoopClosureView:
     `T_match_query` (4, 4) maps points of the query submap's frame into the match submap's frame, None where the
     candidate was rejected before an alignment existed; `reason` says which gate rejected it; `evidence` holds the
     measurements (inliers, overlap, residual, covariance), and the model version as JSON.
-    `number` grows with every closure of the service: it orders them and resumes a watch.
+    `number` grows with every closure of the service: it orders them and resumes a watch. `graph_state` is the verdict
+    of the version of the map in force, `in_map` where that has both submaps in one frame; `manual`: a person made it.
     """
 
     loop_id: str
@@ -50,6 +51,9 @@ class LoopClosureView:
     T_match_query: Matrix4 | None
     evidence: dict[str, Any]
     created_at_ns: int
+    graph_state: GraphState | None = None
+    manual: bool = False
+    in_map: LoopInMap | None = None
 
     @property
     def name(self) -> str:
@@ -60,15 +64,15 @@ class LoopClosureView:
 class Loops:
     """Get, list and watch loop closures."""
 
-    def __init__(self, storage: Storage, admission: Admission) -> None:
+    def __init__(self, storage: Storage, lists: Lists, admission: Admission) -> None:
         """Watching ends when `admission` says that the service stops."""
         self._storage = storage
+        self._lists = lists
         self._admission = admission
 
     async def get(self, tenant: TenantId, map_id: str, loop_id: str) -> LoopClosureView:
         """Raises NotFound."""
-        record = await self._storage.read(partial(_require_loop, tenant=tenant, map_id=map_id, loop_id=loop_id))
-        return loop_view(record)
+        return await self._storage.read(partial(_seen, tenant=tenant, map_id=map_id, loop_id=loop_id))
 
     async def list(
         self,
@@ -78,16 +82,19 @@ class Loops:
         state: LoopState | None = None,
         session_id: str | None = None,
         fresh: Freshness = Freshness(),
+        graph_state: GraphState | None = None,
+        reason: str | None = None,
     ) -> Page[LoopClosureView]:
         """The closures of a map, oldest first; `session_id` keeps those whose query submap is of that session.
+
+        `reason` keeps those that were rejected for it.
 
         Raises NotFound for the map and the session, SeqNotReached where `fresh` was not reached.
         """
         await await_freshness(self._storage, self._admission, tenant, map_id, fresh)
-        records = await self._storage.read(
-            lambda uow: _load(uow, tenant, map_id, page.after, page.size + 1, state, session_id)
-        )
-        return page_of(records, page, loop_view)
+        wanted = Wanted(map_id, state, session_id, graph_state, reason or None)
+        find = partial(_views, tenant=tenant, wanted=wanted)
+        return await self._lists.page(tenant, page, find, lambda _, view: view)
 
     async def watch(
         self, tenant: TenantId, map_id: str, after: int = 0, session_id: str | None = None
@@ -98,22 +105,43 @@ class Loops:
         """
         seen = min(after, _LAST_NUMBER)
         while not self._admission.stopping:
-            records = await self._accepted_after(tenant, map_id, seen, session_id)
-            for record in records:
-                seen = record.number
-                yield loop_view(record)
-            if not records:
+            views = await self._accepted_after(tenant, map_id, seen, session_id)
+            for view in views:
+                seen = view.number
+                yield view
+            if not views:
                 await asyncio.sleep(_WATCH_POLL_S)
 
     async def _accepted_after(
         self, tenant: TenantId, map_id: str, after: int, session_id: str | None
-    ) -> Sequence[LoopRecord]:
-        return await self._storage.read(
-            lambda uow: _load(uow, tenant, map_id, after, _WATCH_BATCH, LoopState.ACCEPTED, session_id)
-        )
+    ) -> Sequence[LoopClosureView]:
+        wanted = Wanted(map_id, LoopState.ACCEPTED, session_id)
+        return await self._storage.read(partial(_views, tenant=tenant, wanted=wanted, after=after, limit=_WATCH_BATCH))
 
 
-def loop_view(record: LoopRecord) -> LoopClosureView:
+@dataclass(frozen=True)
+class Wanted:
+    """Which loop closures of a map: in a state, of a session, with a verdict of the graph, for a reason."""
+
+    map_id: str
+    state: LoopState | None = None
+    session_id: str | None = None
+    graph_state: GraphState | None = None
+    reason: str | None = None
+
+    def equals(self) -> dict[str, Any]:
+        """The fields that a row must have."""
+        asked = {
+            "map_id": self.map_id,
+            "state": self.state,
+            "query_session_id": self.session_id,
+            "graph_state": self.graph_state,
+            "reason": self.reason,
+        }
+        return {name: str(value) for name, value in asked.items() if value is not None}
+
+
+def loop_view(record: LoopRecord, in_map: LoopInMap | None = None) -> LoopClosureView:
     """The client's view of a loop closure."""
     return LoopClosureView(
         loop_id=record.loop_id,
@@ -128,30 +156,34 @@ def loop_view(record: LoopRecord) -> LoopClosureView:
         T_match_query=None if record.T_match_query is None else pose_matrix(record.T_match_query),
         evidence=record.evidence,
         created_at_ns=record.created_at_ns,
+        graph_state=None if record.graph_state is None else GraphState(record.graph_state),
+        manual=record.manual,
+        in_map=in_map,
     )
 
 
-def _require_loop(uow: UnitOfWork, tenant: TenantId, map_id: str, loop_id: str) -> LoopRecord:
+def loop_seen(uow: UnitOfWork, record: LoopRecord) -> LoopClosureView:
+    """The client's view of a loop closure, with where the map has it."""
+    in_map = MapFrames(uow, record.tenant, record.map_id).loops([record])
+    return loop_view(record, in_map.get(record.number))
+
+
+def _seen(uow: UnitOfWork, tenant: TenantId, map_id: str, loop_id: str) -> LoopClosureView:
+    return loop_seen(uow, require_loop(uow, tenant, map_id, loop_id))
+
+
+def require_loop(uow: UnitOfWork, tenant: TenantId, map_id: str, loop_id: str) -> LoopRecord:
+    """The loop closure. Raises NotFound."""
     record = uow.loops.get(tenant, map_id, loop_id)
     if record is None:
         raise NotFound(f"there is no loop closure {loop_id!r} in map {map_id!r}"[:300])
     return record
 
 
-def _load(
-    uow: UnitOfWork,
-    tenant: TenantId,
-    map_id: str,
-    after: int,
-    limit: int,
-    state: LoopState | None,
-    session_id: str | None,
-) -> list[LoopRecord]:
-    require_map(uow, tenant, map_id)
-    equals: dict[str, str] = {"map_id": map_id}
-    if state is not None:
-        equals["state"] = state.value
-    if session_id is not None:
-        require_session(uow, tenant, SessionKey(map_id, session_id))
-        equals["query_session_id"] = session_id
-    return uow.loops.find(tenant, after=after, limit=limit, **equals)
+def _views(uow: UnitOfWork, after: int, limit: int, *, tenant: TenantId, wanted: Wanted) -> list[LoopClosureView]:
+    require_map(uow, tenant, wanted.map_id)
+    if wanted.session_id is not None:
+        require_session(uow, tenant, SessionKey(wanted.map_id, wanted.session_id))
+    records = uow.loops.find(tenant, after=after, limit=limit, **wanted.equals())
+    in_map = MapFrames(uow, tenant, wanted.map_id).loops(records)
+    return [loop_view(record, in_map.get(record.number)) for record in records]

@@ -7,7 +7,7 @@ import time
 from functools import partial
 
 from revisit.service.application.capacity.admission import Admission
-from revisit.service.application.catalogue.paging import Page, PageRequest, page_of
+from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.lookup import require_job
@@ -21,9 +21,10 @@ _POLL_S = (0.02, 0.25)
 class Operations:
     """Get, list and wait for operations."""
 
-    def __init__(self, storage: Storage, admission: Admission) -> None:
+    def __init__(self, storage: Storage, lists: Lists, admission: Admission) -> None:
         """Waiting ends when `admission` says that the service stops."""
         self._storage = storage
+        self._lists = lists
         self._admission = admission
 
     async def get(self, tenant: TenantId, operation_id: str) -> OperationView:
@@ -36,10 +37,12 @@ class Operations:
     ) -> Page[OperationView]:
         """The tenant's operations, oldest first."""
         only: dict[str, str] = {} if state is None else {"state": state.value}
-        records = await self._storage.read(
-            lambda uow: uow.jobs.find(tenant, after=page.after, limit=page.size + 1, **only)
+        return await self._lists.page(
+            tenant,
+            page,
+            lambda uow, after, limit: uow.jobs.find(tenant, after=after, limit=limit, **only),
+            lambda _, record: operation_view(record),
         )
-        return page_of(records, page, operation_view)
 
     async def wait(self, tenant: TenantId, operation_id: str, timeout_s: float) -> OperationView:
         """The operation once it has ended, or as it stands after `timeout_s` (at most 60). Raises NotFound.

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from revisit.service.application.contract.errors import NotFound
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.index import IndexChange, VectorFilter, VectorIndex, VectorMatch
+from revisit.service.application.contract.map_frames import MapFrames
 from revisit.service.application.contract.records import MapRecord, SubmapRecord
 from revisit.service.application.contract.transactions import Transactions, UnitOfWork
 from revisit.service.application.contract.views import submap_key
@@ -72,16 +73,21 @@ class PlaceMemory:
         """The answer to a client's search."""
         recall = self.recall(map_record, vector, criteria.k, where)
         floor = -1.0 if criteria.min_similarity is None else criteria.min_similarity
-        hits = (
-            SearchHit(submap_key(place.submap), place.similarity, place.submap.position_m)
-            for place in recall.places
-            if place.similarity >= floor
-        )
-        return SearchResult(tuple(hits), self._index.size(map_record.number))
+        places = [place for place in recall.places if place.similarity >= floor]
+        hits = self._transactions.read(partial(_hits, map_record=map_record, places=places)).result()
+        return SearchResult(hits, self._index.size(map_record.number))
 
 
 def _changes(uow: UnitOfWork, tenant: TenantId, number: int, seq: int) -> list[IndexChange]:
     return uow.changes.since(tenant, number, seq, PORTION)
+
+
+def _hits(uow: UnitOfWork, map_record: MapRecord, places: list[RecalledPlace]) -> tuple[SearchHit, ...]:
+    frames = MapFrames(uow, map_record.tenant, map_record.map_id)
+    return tuple(
+        SearchHit(submap_key(place.submap), place.similarity, place.submap.position_m, frames.submap(place.submap))
+        for place in places
+    )
 
 
 def vector_filter(

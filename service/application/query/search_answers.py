@@ -6,10 +6,10 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from revisit.core.errors import BadField
-from revisit.core.geometry.se3 import Matrix4
+from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.identity import SessionKey, SubmapKey
-from revisit.service.application.contract.poses import pose_matrix, pose_row
+from revisit.service.application.contract.map_frames import MapPose
 
 
 @dataclass(frozen=True)
@@ -31,11 +31,12 @@ class SearchCriteria:
 
 @dataclass(frozen=True)
 class SearchHit:
-    """A submap and its cosine similarity to the query."""
+    """A submap and its cosine similarity to the query; `in_map` is T_map_submap where its session has a frame."""
 
     submap: SubmapKey
     similarity: float
     position_m: tuple[float, float, float]
+    in_map: MapPose | None = None
 
 
 @dataclass(frozen=True)
@@ -63,12 +64,14 @@ class LocalizedCandidate:
 class Localization:
     """The best verified candidate, if any, and all that were compared.
 
-    `T_odom_query` (4, 4) maps points of the cloud into the odometry frame of `session`.
+    `T_odom_query` (4, 4) maps points of the cloud into the odometry frame of `session`; `in_map` is T_map_query where
+    that session has a frame.
     """
 
     best: LocalizedCandidate | None
     T_odom_query: Matrix4 | None
     candidates: tuple[LocalizedCandidate, ...]
+    in_map: MapPose | None = None
 
     @property
     def session(self) -> SessionKey | None:
@@ -110,8 +113,7 @@ def search_result_to_json(result: SearchResult) -> dict[str, Any]:
 
 def search_result_from_json(data: dict[str, Any]) -> SearchResult:
     """The inverse of `search_result_to_json`."""
-    hits = (SearchHit(SubmapKey(**hit["submap"]), hit["similarity"], tuple(hit["position_m"])) for hit in data["hits"])
-    return SearchResult(tuple(hits), data["searched"])
+    return SearchResult(tuple(_hit_from_json(hit) for hit in data["hits"]), data["searched"])
 
 
 def localization_to_json(localization: Localization) -> dict[str, Any]:
@@ -121,6 +123,7 @@ def localization_to_json(localization: Localization) -> dict[str, Any]:
         "best": None if best is None else localization.candidates.index(best),
         "T_odom_query": None if localization.T_odom_query is None else pose_row(localization.T_odom_query),
         "candidates": [_candidate_to_json(candidate) for candidate in localization.candidates],
+        "in_map": None if localization.in_map is None else asdict(localization.in_map),
     }
 
 
@@ -131,7 +134,18 @@ def localization_from_json(data: dict[str, Any]) -> Localization:
         best=None if data["best"] is None else candidates[data["best"]],
         T_odom_query=None if data["T_odom_query"] is None else pose_matrix(tuple(data["T_odom_query"])),
         candidates=candidates,
+        in_map=_map_pose_from_json(data),
     )
+
+
+def _hit_from_json(data: dict[str, Any]) -> SearchHit:
+    x, y, z = data["position_m"]
+    return SearchHit(SubmapKey(**data["submap"]), data["similarity"], (x, y, z), _map_pose_from_json(data))
+
+
+def _map_pose_from_json(data: dict[str, Any]) -> MapPose | None:
+    pose = data.get("in_map")
+    return None if pose is None else MapPose(tuple(pose["T_map"]), pose["frame"], pose["map_version"])
 
 
 def _candidate_to_json(candidate: LocalizedCandidate) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from revisit.core.errors import BadField, DescriptorModelMismatch
 from revisit.core.geometry import se3
-from revisit.core.geometry.se3 import Matrix4
+from revisit.core.geometry.se3 import Matrix4, pose_row
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.capacity.backlog import JobPosting
 from revisit.service.application.contract import limits
@@ -23,7 +23,6 @@ from revisit.service.application.contract.errors import NoAnswer, NotReady, erro
 from revisit.service.application.contract.identity import SubmapKey, TenantId
 from revisit.service.application.contract.index import VectorFilter
 from revisit.service.application.contract.lookup import require_map, require_submap
-from revisit.service.application.contract.poses import pose_row
 from revisit.service.application.contract.records import JobRecord, MapRecord, SubmapRecord
 from revisit.service.application.contract.states import OperationKind, OperationState
 from revisit.service.application.contract.storage import Storage
@@ -35,6 +34,7 @@ from revisit.service.application.ingest.clouds import (
     CloudInput,
     accept_cloud,
     pack_cloud,
+    reading_points,
 )
 from revisit.service.application.query.freshness import Freshness, await_freshness
 from revisit.service.application.query.operations import Operations
@@ -166,8 +166,8 @@ class Searches:
         """
         self._admission.require_storage()
         await self._storage.read(partial(require_map, tenant=tenant, map_id=payload["map_id"]))
-        async with self._admission.cloud(tenant) as decoded:
-            packed, points = await self._decoder.run(_accept, cloud)
+        async with self._admission.cloud(tenant, refused_points=reading_points(cloud)) as decoded:
+            packed, points = await self._decoder.run(tenant, _accept, cloud)
             decoded(points)
             sha256 = await self._storage.put_blob(tenant, QUERY_CLOUD_BLOB, packed)
         posted: list[JobRecord] = []

@@ -7,19 +7,22 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from revisit.core.errors import DescriptorModelMismatch
+from revisit.core.geometry.se3 import pose_row
 from revisit.service.application.catalogue.deletion import SUBMAP_DELETED
 from revisit.service.application.contract.blobs import BlobStore
 from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.index import IndexChange, VectorFilter
 from revisit.service.application.contract.job_queue import Lease
 from revisit.service.application.contract.lookup import require_map
-from revisit.service.application.contract.poses import pose_row
+from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.recogniser import LoopVerdict, SubmapDescription
 from revisit.service.application.contract.records import LoopRecord, MapRecord, SubmapRecord
-from revisit.service.application.contract.states import LoopState
+from revisit.service.application.contract.states import LoopEventKind, LoopState
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.views import submap_key
 from revisit.service.application.ingest.submap_source import SubmapSource
+from revisit.service.application.mapping.loop_events import Change, add_loop
+from revisit.service.application.mapping.optimisation import optimise_soon
 from revisit.service.application.query.place_memory import RecalledPlace
 from revisit.service.failpoints import failpoint
 
@@ -55,6 +58,7 @@ class DescriptionCommit:
     """The one transaction that ends a description."""
 
     blobs: BlobStore
+    policy: Policy
     lease: Lease
     task: DescriptionTask
     described: StoredDescription
@@ -82,9 +86,11 @@ class DescriptionCommit:
         failpoint("merge.after_submap")
         present = [item for item in self.judged if uow.submaps.count(tenant, number=item.place.submap.number)]
         for item in present:
-            uow.loops.add(self._loop(item))
-        failpoint("merge.after_loops")
+            add_loop(uow, self._loop(item), Change(LoopEventKind.VERIFIED, self.now_ns, details=self._rules(item)))
         accepted = sum(item.verdict.accepted for item in present)
+        if accepted:
+            optimise_soon(uow, tenant, map_record.map_id, self.policy, self.now, self.now_ns)
+        failpoint("merge.after_loops")
         timings = {stage: round(seconds, 4) for stage, seconds in self.described.description.timings_s.items()}
         result = {"submap": submap_key(self.task.submap).name, "loops_accepted": accepted}
         self._end(uow, {**result, "loops_rejected": len(present) - accepted, "timings_s": timings})
@@ -106,6 +112,12 @@ class DescriptionCommit:
 
     def _end(self, uow: UnitOfWork, result: dict[str, Any]) -> None:
         uow.queue.complete(self.lease, result, self.now, self.now_ns)
+
+    def _rules(self, item: JudgedPlace) -> dict[str, Any]:
+        """What the verdict was given by: the model and the thresholds."""
+        told = ("thresholds", "thresholds_version")
+        rules = {name: item.verdict.evidence[name] for name in told if name in item.verdict.evidence}
+        return {"model_version": self.described.row.model_version, **rules}
 
     def _loop(self, item: JudgedPlace) -> LoopRecord:
         query, match, verdict = self.task.submap, item.place.submap, item.verdict

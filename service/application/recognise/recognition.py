@@ -17,6 +17,7 @@ import structlog
 from revisit.core.candidates import candidate_policy
 from revisit.core.config import PipelineConfig
 from revisit.core.errors import DataLoss, DescriptorModelMismatch, ErrorCode, RevisitError
+from revisit.core.geometry.se3 import pose_matrix
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
 from revisit.service.application.catalogue.deletion import SUBMAP_DELETED
@@ -25,8 +26,8 @@ from revisit.service.application.catalogue.meshes import pack_mesh
 from revisit.service.application.contract.blobs import (
     MESH_BLOB,
     NEURAL_MAP_BLOB,
+    PLACE_BLOB,
     QUERY_CLOUD_BLOB,
-    SIGNATURE_BLOB,
     BlobStore,
 )
 from revisit.service.application.contract.clock import Clock
@@ -35,8 +36,8 @@ from revisit.service.application.contract.identity import SubmapKey
 from revisit.service.application.contract.index import VectorFilter
 from revisit.service.application.contract.job_queue import Lease
 from revisit.service.application.contract.lookup import require_map
+from revisit.service.application.contract.map_frames import MapPose, submap_in_map
 from revisit.service.application.contract.policy import Policy
-from revisit.service.application.contract.poses import pose_matrix
 from revisit.service.application.contract.recogniser import LoopVerdict, PlaceRecogniser, SubmapDescription
 from revisit.service.application.contract.records import JobRecord, MapRecord, SubmapRecord
 from revisit.service.application.contract.states import OperationKind, SubmapState
@@ -46,6 +47,7 @@ from revisit.service.application.contract.views import submap_key
 from revisit.service.application.housekeeping.dead_letters import mark_subject_failed
 from revisit.service.application.ingest.clouds import QUERY_NONCE_BYTES, unpack_cloud
 from revisit.service.application.ingest.submap_source import load_submap, submap_source
+from revisit.service.application.mapping.optimisation import MapOptimisation
 from revisit.service.application.query.place_memory import PlaceMemory, RecalledPlace, vector_filter
 from revisit.service.application.query.search_answers import (
     Localization,
@@ -76,14 +78,16 @@ class Recognition:
         clock: Clock,
         policy: Policy,
         recogniser: PlaceRecogniser,
+        mapping: MapOptimisation,
     ) -> None:
-        """`recogniser` is the method; `memory` searches this worker's own index."""
+        """`recogniser` is the method; `memory` searches this worker's own index; `mapping` optimises maps."""
         self._transactions = transactions
         self._blobs = blobs
         self._memory = memory
         self._clock = clock
         self._policy = policy
         self._recogniser = recogniser
+        self._mapping = mapping
 
     def run(self, lease: Lease) -> None:
         """Run a job and commit its end, good or bad. Raises only what storage raises while the end is committed."""
@@ -91,6 +95,7 @@ class Recognition:
             OperationKind.DESCRIBE_SUBMAP: self._describe_submap,
             OperationKind.SEARCH_CLOUD: self._search_cloud,
             OperationKind.LOCALIZE: self._localize,
+            OperationKind.OPTIMISE_MAP: self._mapping.run,
         }
         try:
             failpoint("job.after_claim")
@@ -154,7 +159,7 @@ class Recognition:
     def _store(self, task: DescriptionTask, description: SubmapDescription) -> StoredDescription:
         """Make the blobs of a description durable before any row names them."""
         submap = task.submap
-        blobs = [(SIGNATURE_BLOB, description.signature), (MESH_BLOB, pack_mesh(description.mesh))]
+        blobs = [(PLACE_BLOB, description.place), (MESH_BLOB, pack_mesh(description.mesh))]
         if description.neural_map is not None:
             blobs.append((NEURAL_MAP_BLOB, description.neural_map))
         failpoint("job.after_description")
@@ -166,7 +171,7 @@ class Recognition:
             flags=tuple(dict.fromkeys((*submap.flags, *description.flags))),
             model_version=model_for_map(task.map, self._recogniser.model_version),
             descriptor=np.asarray(description.descriptor, dtype="<f4").tobytes(),
-            signature_sha256=sha256[SIGNATURE_BLOB],
+            place_sha256=sha256[PLACE_BLOB],
             mesh_sha256=sha256[MESH_BLOB],
             neural_map_sha256=sha256.get(NEURAL_MAP_BLOB),
             neural_map_bytes=None if description.neural_map is None else len(description.neural_map),
@@ -186,23 +191,25 @@ class Recognition:
             recall = self._memory.recall(task.map, described.description.descriptor, config.loop.candidates, where)
             for place in recall.places:
                 if place.submap.number not in judged:
-                    judged[place.submap.number] = self._judge(described.description.signature, place, config)
+                    judged[place.submap.number] = self._judge(described.description.place, place, config)
             kept = [judged[place.submap.number] for place in recall.places]
             now, now_ns = self._clock.instant(), self._clock.wall_ns()
-            commit = DescriptionCommit(self._blobs, lease, task, described, kept, where, recall.seq, now, now_ns)
+            commit = DescriptionCommit(
+                self._blobs, self._policy, lease, task, described, kept, where, recall.seq, now, now_ns
+            )
             failpoint("job.before_commit")
             if self._transactions.write(commit).result():
                 return
 
-    def _judge(self, signature: bytes, place: RecalledPlace, config: PipelineConfig) -> JudgedPlace:
-        submap = place.submap
+    def _judge(self, place: bytes, recalled: RecalledPlace, config: PipelineConfig) -> JudgedPlace:
+        submap = recalled.submap
         try:
-            blob = self._blobs.get(submap.tenant, SIGNATURE_BLOB, str(submap.signature_sha256))
-            verdict = self._recogniser.verify(signature, blob, place.similarity, config)
+            blob = self._blobs.get(submap.tenant, PLACE_BLOB, str(submap.place_sha256))
+            verdict = self._recogniser.verify(place, blob, recalled.similarity, config)
         except DataLoss as error:
-            log.error("signature_lost", submap=submap_key(submap).name, reason=error.message)
-            verdict = LoopVerdict(False, "SIGNATURE_LOST", 0.0, None, {"message": error.message})
-        return JudgedPlace(place, verdict)
+            log.error("place_lost", submap=submap_key(submap).name, reason=error.message)
+            verdict = LoopVerdict(False, "PLACE_LOST", 0.0, None, {"message": error.message})
+        return JudgedPlace(recalled, verdict)
 
     def _require_same_model(self, record: MapRecord) -> None:
         own = model_for_map(record, self._recogniser.model_version)
@@ -226,8 +233,10 @@ class Recognition:
         config = self._policy.for_map(map_record)
         k = criteria_from_json(lease.job.payload["criteria"]).k
         recall = self._memory.recall(map_record, description.descriptor, k, where)
-        judged = [self._judge(description.signature, place, config) for place in recall.places]
-        self._complete(lease, localization_to_json(_localization(judged)))
+        judged = [self._judge(description.place, place, config) for place in recall.places]
+        found = _localization(judged)
+        in_map = self._transactions.read(partial(_in_map, found=found, judged=judged)).result()
+        self._complete(lease, localization_to_json(replace(found, in_map=in_map)))
 
     def _query(self, lease: Lease) -> tuple[MapRecord, VectorFilter]:
         return self._transactions.read(partial(_queried, job=lease.job)).result()
@@ -252,6 +261,16 @@ def _queried(uow: UnitOfWork, job: JobRecord) -> tuple[MapRecord, VectorFilter]:
     map_id, criteria = str(job.payload["map_id"]), criteria_from_json(job.payload["criteria"])
     where = vector_filter(uow, job.tenant, map_id, criteria, None)
     return require_map(uow, job.tenant, map_id), where
+
+
+def _in_map(uow: UnitOfWork, found: Localization, judged: list[JudgedPlace]) -> MapPose | None:
+    """Where the cloud lies in the map, if the session of the best candidate does."""
+    best = found.best
+    if best is None or best.T_match_query is None:
+        return None
+    match = next(item.place.submap for item in judged if submap_key(item.place.submap) == best.submap)
+    T_map_match = submap_in_map(uow, match)
+    return None if T_map_match is None else T_map_match.of_child(best.T_match_query)
 
 
 def _loop_filter(submap: SubmapRecord, config: PipelineConfig) -> VectorFilter:

@@ -10,6 +10,7 @@ from revisit.service.application import TenantId, UseCases
 from revisit.service.application.query.search_answers import SearchResult
 from revisit.service.grpc.tenancy import tenant_of
 from revisit.service.wire import answers, names, requests
+from revisit.service.wire.rendering import page_message
 from revisit.v1 import loop_closure_pb2 as pb
 from revisit.v1 import loop_closure_pb2_grpc
 
@@ -42,8 +43,11 @@ class LoopClosureServicer(loop_closure_pb2_grpc.LoopClosureServiceServicer):
         map_id = names.map_id(request.parent, "parent")
         session_id = names.session_id_in(request.parent, request.session, "session")
         paging, state, fresh = requests.page(request), requests.loop_state(request.state), requests.freshness(request)
-        page = await self._loops.list(tenant_of(context), map_id, paging, state, session_id, fresh)
-        return pb.ListLoopClosuresResponse(**answers.of_page("loop_closures", page, answers.of_loop))
+        graph_state = requests.graph_state(request.graph_state)
+        page = await self._loops.list(
+            tenant_of(context), map_id, paging, state, session_id, fresh, graph_state, request.reason
+        )
+        return await page_message(pb.ListLoopClosuresResponse, "loop_closures", page, answers.of_loop)
 
     async def WatchLoopClosures(
         self, request: pb.WatchLoopClosuresRequest, context: Any

@@ -7,6 +7,7 @@ from typing import Any
 from revisit.service.application import UseCases
 from revisit.service.grpc.tenancy import tenant_of
 from revisit.service.wire import answers, names, requests
+from revisit.service.wire.rendering import page_message
 from revisit.v1 import map_pb2 as pb
 from revisit.v1 import map_pb2_grpc
 
@@ -31,7 +32,7 @@ class MapServicer(map_pb2_grpc.MapServiceServicer):
     async def ListMaps(self, request: pb.ListMapsRequest, context: Any) -> pb.ListMapsResponse:
         """List the maps."""
         page = await self._maps.list(tenant_of(context), requests.page(request))
-        return pb.ListMapsResponse(**answers.of_page("maps", page, answers.of_map))
+        return await page_message(pb.ListMapsResponse, "maps", page, answers.of_map)
 
     async def DeleteMap(self, request: pb.DeleteMapRequest, context: Any) -> pb.DeleteMapResponse:
         """Delete a map."""

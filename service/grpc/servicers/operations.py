@@ -7,6 +7,7 @@ from typing import Any
 from revisit.service.application import UseCases
 from revisit.service.grpc.tenancy import tenant_of
 from revisit.service.wire import answers, names, requests
+from revisit.service.wire.rendering import page_message
 from revisit.v1 import operation_pb2 as pb
 from revisit.v1 import operation_pb2_grpc
 
@@ -28,7 +29,7 @@ class OperationServicer(operation_pb2_grpc.OperationServiceServicer):
         """List the operations."""
         paging, state = requests.page(request), requests.operation_state(request.state)
         page = await self._operations.list(tenant_of(context), paging, state)
-        return pb.ListOperationsResponse(**answers.of_page("operations", page, answers.of_operation))
+        return await page_message(pb.ListOperationsResponse, "operations", page, answers.of_operation)
 
     async def WaitOperation(self, request: pb.WaitOperationRequest, context: Any) -> pb.WaitOperationResponse:
         """The operation once it has ended, or as it stands after the timeout."""

@@ -8,6 +8,7 @@ from revisit.service.application import UseCases
 from revisit.service.application.catalogue.robots import CreateRobot
 from revisit.service.grpc.tenancy import tenant_of
 from revisit.service.wire import answers, names, requests
+from revisit.service.wire.rendering import page_message
 from revisit.v1 import robot_pb2 as pb
 from revisit.v1 import robot_pb2_grpc
 
@@ -32,4 +33,4 @@ class RobotServicer(robot_pb2_grpc.RobotServiceServicer):
     async def ListRobots(self, request: pb.ListRobotsRequest, context: Any) -> pb.ListRobotsResponse:
         """List the robots."""
         page = await self._robots.list(tenant_of(context), requests.page(request))
-        return pb.ListRobotsResponse(**answers.of_page("robots", page, answers.of_robot))
+        return await page_message(pb.ListRobotsResponse, "robots", page, answers.of_robot)

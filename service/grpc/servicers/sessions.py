@@ -7,6 +7,7 @@ from typing import Any
 from revisit.service.application import UseCases
 from revisit.service.grpc.tenancy import tenant_of
 from revisit.service.wire import answers, names, requests
+from revisit.service.wire.rendering import page_message
 from revisit.v1 import session_pb2 as pb
 from revisit.v1 import session_pb2_grpc
 
@@ -32,7 +33,7 @@ class SessionServicer(session_pb2_grpc.SessionServiceServicer):
         """List the sessions of a map."""
         map_id = names.map_id(request.parent, "parent")
         page = await self._sessions.list(tenant_of(context), map_id, requests.page(request))
-        return pb.ListSessionsResponse(**answers.of_page("sessions", page, answers.of_session))
+        return await page_message(pb.ListSessionsResponse, "sessions", page, answers.of_session)
 
     async def FinishSession(self, request: pb.FinishSessionRequest, context: Any) -> pb.FinishSessionResponse:
         """Finish a session."""

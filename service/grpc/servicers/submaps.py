@@ -9,6 +9,7 @@ from revisit.service.application import UseCases
 from revisit.service.application.catalogue.downloads import RENDERING_BYTES
 from revisit.service.grpc.tenancy import tenant_of
 from revisit.service.wire import answers, names, requests
+from revisit.service.wire.rendering import page_message
 from revisit.v1 import submap_pb2 as pb
 from revisit.v1 import submap_pb2_grpc
 
@@ -37,7 +38,7 @@ class SubmapServicer(submap_pb2_grpc.SubmapServiceServicer):
         """List the submaps of a session."""
         session = names.session_key(request.parent, "parent")
         page = await self._submaps.list(tenant_of(context), session, requests.page(request))
-        return pb.ListSubmapsResponse(**answers.of_page("submaps", page, answers.of_submap))
+        return await page_message(pb.ListSubmapsResponse, "submaps", page, answers.of_submap)
 
     async def DeleteSubmap(self, request: pb.DeleteSubmapRequest, context: Any) -> pb.DeleteSubmapResponse:
         """Delete a submap."""

@@ -8,11 +8,11 @@ from fastapi import APIRouter, Response
 
 from revisit.service.application.access.callers import Scope
 from revisit.service.rest.access import allows
-from revisit.service.rest.answers import Map, MapPage, answer, answers
+from revisit.service.rest.answers import Map, MapPage, answer, answers, page_answer
 from revisit.service.rest.bodies import describe_json, json_body
 from revisit.service.rest.parameters import Cases, Id, Paging, Tenant
 from revisit.service.rest.schemas import CreateMapRequest
-from revisit.service.wire.answers import of_map, of_page
+from revisit.service.wire.answers import of_map
 
 router = APIRouter(prefix="/v1/maps", tags=["maps"])
 
@@ -31,7 +31,7 @@ async def create_map(
 @router.get("", **answers(MapPage), dependencies=[allows(Scope.INGEST, Scope.QUERY)])
 async def list_maps(cases: Cases, tenant: Tenant, paging: Paging) -> Response:
     """List the maps, oldest first."""
-    return answer(MapPage, of_page("maps", await cases.maps.list(tenant, paging), of_map))
+    return await page_answer(MapPage, "maps", await cases.maps.list(tenant, paging), of_map)
 
 
 @router.get("/{map_id}", **answers(Map), dependencies=[allows(Scope.INGEST, Scope.QUERY)])

@@ -10,10 +10,10 @@ from revisit.service.application.access.callers import Scope
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.states import OperationState
 from revisit.service.rest.access import allows
-from revisit.service.rest.answers import Operation, OperationPage, answer, answers
+from revisit.service.rest.answers import Operation, OperationPage, answer, answers, page_answer
 from revisit.service.rest.parameters import Cases, Id, Paging, Tenant
 from revisit.service.rest.schemas import bounds
-from revisit.service.wire.answers import of_operation, of_page
+from revisit.service.wire.answers import of_operation
 from revisit.service.wire.requests import DEFAULT_OPERATION_WAIT_S
 
 router = APIRouter(prefix="/v1/operations", tags=["operations"])
@@ -25,7 +25,7 @@ async def list_operations(
 ) -> Response:
     """List the operations, oldest first."""
     page = await cases.operations.list(tenant, paging, state)
-    return answer(OperationPage, of_page("operations", page, of_operation))
+    return await page_answer(OperationPage, "operations", page, of_operation)
 
 
 @router.get("/{operation_id}:wait", **answers(Operation), dependencies=[allows(Scope.INGEST, Scope.QUERY)])

@@ -8,11 +8,11 @@ from fastapi import APIRouter, Response
 
 from revisit.service.application.access.callers import Scope
 from revisit.service.rest.access import allows
-from revisit.service.rest.answers import Robot, RobotPage, answer, answers
+from revisit.service.rest.answers import Robot, RobotPage, answer, answers, page_answer
 from revisit.service.rest.bodies import describe_json, json_body
 from revisit.service.rest.parameters import Cases, Id, Paging, Tenant
 from revisit.service.rest.schemas import CreateRobotRequest
-from revisit.service.wire.answers import of_page, of_robot
+from revisit.service.wire.answers import of_robot
 
 router = APIRouter(prefix="/v1/robots", tags=["robots"])
 
@@ -31,7 +31,7 @@ async def create_robot(
 @router.get("", **answers(RobotPage), dependencies=[allows(Scope.INGEST, Scope.QUERY)])
 async def list_robots(cases: Cases, tenant: Tenant, paging: Paging) -> Response:
     """List the robots, oldest first."""
-    return answer(RobotPage, of_page("robots", await cases.robots.list(tenant, paging), of_robot))
+    return await page_answer(RobotPage, "robots", await cases.robots.list(tenant, paging), of_robot)
 
 
 @router.get("/{robot_id}", **answers(Robot), dependencies=[allows(Scope.INGEST, Scope.QUERY)])

@@ -22,10 +22,8 @@ from revisit.service.rest.bodies import (
     CLOUD_BODY,
     CLOUD_CONTENT,
     cloud_body,
-    json_bytes,
-    limits_of,
     media_type,
-    parse_json,
+    read_json,
 )
 from revisit.service.rest.parameters import (
     Cases,
@@ -74,7 +72,7 @@ async def search_submaps(
 ) -> Response:
     """The submaps most like a submap, a descriptor or a cloud."""
     if media_type(request) == "application/json":
-        body = parse_json(await json_bytes(request), SearchRequest, limits_of(request))
+        body = await read_json(request, SearchRequest)
         return answer(SearchAnswer, of_search(await _search_by_json(cases, tenant, map_id, body)))
     cloud = await cloud_body(request)
     found = await cases.searches.by_cloud(tenant, map_id, cloud, criteria, fresh, T_level_query=level)

@@ -11,11 +11,11 @@ from revisit.service.application.catalogue.sessions import CreateSession
 from revisit.service.application.contract import limits
 from revisit.service.application.ingest.scans import AppendScan
 from revisit.service.rest.access import allows
-from revisit.service.rest.answers import Ack, Session, SessionPage, answer, answers
+from revisit.service.rest.answers import Ack, Session, SessionPage, answer, answers, page_answer
 from revisit.service.rest.bodies import CLOUD_BODY, describe_json, json_body
 from revisit.service.rest.parameters import Cases, Cloud, Id, Paging, PoseOfSensor, SessionOf, StampNs, Tenant
 from revisit.service.rest.schemas import IN_DIGITS, CreateSessionRequest, bounds
-from revisit.service.wire.answers import of_ack, of_page, of_session
+from revisit.service.wire.answers import of_ack, of_session
 
 router = APIRouter(prefix="/v1/maps/{map_id}/sessions", tags=["sessions"])
 
@@ -37,7 +37,7 @@ async def create_session(
 @router.get("", **answers(SessionPage), dependencies=[allows(Scope.INGEST, Scope.QUERY)])
 async def list_sessions(map_id: Id, cases: Cases, tenant: Tenant, paging: Paging) -> Response:
     """List the sessions of a map, oldest first."""
-    return answer(SessionPage, of_page("sessions", await cases.sessions.list(tenant, map_id, paging), of_session))
+    return await page_answer(SessionPage, "sessions", await cases.sessions.list(tenant, map_id, paging), of_session)
 
 
 @router.post("/{session_id}:finish", **answers(Session), dependencies=[allows(Scope.INGEST)])

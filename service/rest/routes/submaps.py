@@ -13,11 +13,11 @@ from revisit.service.application.contract import limits
 from revisit.service.application.contract.identity import SubmapKey
 from revisit.service.application.ingest.submap_posting import PostSubmap
 from revisit.service.rest.access import allows
-from revisit.service.rest.answers import Posted, Submap, SubmapPage, answer, answers
+from revisit.service.rest.answers import Posted, Submap, SubmapPage, answer, answers, page_answer
 from revisit.service.rest.bodies import ANY_BINARY, CLOUD_BODY
 from revisit.service.rest.files import FileInPieces
 from revisit.service.rest.parameters import Cases, Cloud, Paging, PoseOfSubmap, SessionOf, StampNs, SubmapOf, Tenant
-from revisit.service.wire.answers import of_page, of_posted, of_submap
+from revisit.service.wire.answers import of_posted, of_submap
 
 router = APIRouter(prefix="/v1/maps/{map_id}/sessions/{session_id}/submaps", tags=["submaps"])
 
@@ -75,7 +75,7 @@ async def post_submap(
 @router.get("", **answers(SubmapPage), dependencies=[allows(Scope.INGEST, Scope.QUERY)])
 async def list_submaps(key: SessionOf, cases: Cases, tenant: Tenant, paging: Paging) -> Response:
     """List the submaps of a session in their order."""
-    return answer(SubmapPage, of_page("submaps", await cases.submaps.list(tenant, key, paging), of_submap))
+    return await page_answer(SubmapPage, "submaps", await cases.submaps.list(tenant, key, paging), of_submap)
 
 
 @router.get(

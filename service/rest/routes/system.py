@@ -1,20 +1,15 @@
-"""Health, version, status, and the dashboard."""
+"""Health, version and status."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from fastapi import APIRouter, Response
-from fastapi.responses import FileResponse, JSONResponse
+from fastapi.responses import JSONResponse
 
 from revisit.service.application.access.callers import Scope
 from revisit.service.rest.access import PUBLIC, allows
 from revisit.service.rest.answers import Status, answer, answers
 from revisit.service.rest.parameters import Cases, Tenant
 from revisit.service.wire.answers import of_status
-
-WEB = Path(__file__).resolve().parents[2] / "web"
-
 
 router = APIRouter(tags=["system"])
 
@@ -44,18 +39,3 @@ async def version(cases: Cases, tenant: Tenant) -> dict[str, str | None]:
 async def get_status(cases: Cases, tenant: Tenant) -> Response:
     """Queue depth, index size, workers and versions."""
     return answer(Status, of_status(await cases.system.status(tenant)))
-
-
-def _serve(path: str, file: str, media_type: str) -> None:
-    """Answer `path` with a file of the dashboard."""
-
-    async def answer() -> FileResponse:
-        return FileResponse(WEB / file, media_type=media_type)
-
-    router.add_api_route(path, answer, include_in_schema=False, name=file, dependencies=[PUBLIC])
-
-
-_serve("/", "index.html", "text/html")
-_serve("/dashboard.css", "dashboard.css", "text/css")
-for _script in ("dashboard", "drawing", "placement", "reading"):
-    _serve(f"/{_script}.js", f"{_script}.js", "text/javascript")

@@ -13,19 +13,13 @@ from revisit.service.grpc import access as grpc_access
 from revisit.service.grpc import server as grpc_server
 from revisit.service.rest.access import allows, every_route, require_declared_scopes, scopes_of
 from revisit.service.rest.app import create_app
+from revisit.service.rest.routes.page import WEB
 from tests.support.credentials import a_key, bearer, ended
 from tests.support.service_world import memory_world
 
 PATHS = {"map_id": "town", "session_id": "monday", "submap_id": "a", "loop_id": "loop-1", "operation_id": "op-1"}
-PUBLIC_PATHS = {
-    "/livez",
-    "/readyz",
-    "/",
-    "/dashboard.css",
-    "/dashboard.js",
-    "/drawing.js",
-    "/placement.js",
-    "/reading.js",
+PUBLIC_PATHS = {"/livez", "/readyz", "/"} | {
+    f"/{file.relative_to(WEB).as_posix()}" for file in WEB.rglob("*") if file.suffix in (".css", ".js", ".svg")
 }
 
 

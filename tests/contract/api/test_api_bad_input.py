@@ -196,7 +196,15 @@ def test_a_submap_that_is_not_described_yet_has_no_mesh(client, session, service
     assert (refused.value.code, refused.value.reason) == ("FAILED_PRECONDITION", "NOT_READY")
 
 
-FOREIGN_TOKENS = ["forged", "YWZ0ZXI6MQ", "!YWZ0ZXI6MQ==", "YWZ0ZXI6LTE=", "\u00e9", "YWZ0ZXI6MQ==" + "=" * 200]
+FOREIGN_TOKENS = [
+    "forged",
+    "YWZ0ZXI6MQ",
+    "!YWZ0ZXI6MQ==",
+    "YWZ0ZXI6LTE=",
+    "\u00e9",
+    "YWZ0ZXI6MQ==" + "=" * 200,
+    "A" * 22 + "==",
+]
 
 
 @pytest.mark.parametrize("token", FOREIGN_TOKENS)

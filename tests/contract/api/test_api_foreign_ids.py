@@ -24,7 +24,7 @@ REQUEST_ID = {"x-request-id": "fixed"}
 CLOUD = encode_quantised(cloud_points(1))
 POSE = "0,0,0,0,0,0,1"
 QUERY = {"submap_id": "new", "stamp_ns": 1, "T_odom_submap": POSE, "format": "ply", "timeout_s": 0}
-UNIVERSE = {"robot": "rover", "map": "town", "session": "monday", "submap": "a"}
+UNIVERSE = {"robot": "rover", "map": "town", "session": "monday", "submap": "a", "version": "1"}
 
 
 def rest_calls():
@@ -70,6 +70,7 @@ def fill(client):
     for number, name in enumerate("ab"):
         operation = client.post_submap(session, name, cloud_points(1), np.eye(4), number + 1)
         client.wait(operation, 20.0)
+    client.wait(client.optimise_map("maps/town"), 20.0)
     loops = client.loop_closures("maps/town", state=None)
     loop = loops[0].name.rpartition("/")[2] if loops else "loop-guess"
     return {**UNIVERSE, "operation": operation.name.removeprefix("operations/"), "loop": loop}
@@ -81,6 +82,8 @@ def ask(http, channel, metadata, ids):
     for method, path in rest_calls():
         filled = re.sub(r"{(\w+)_id}", lambda m: ids[m[1]], path)
         body = {"json": {"session_id": "new"}} if path.endswith("/sessions") else {}
+        if path.endswith(":revert"):
+            body = {"json": {"version": 1}}
         if not body:
             body = {"content": CLOUD, "headers": {"content-type": QUANTISED}}
         query = {**QUERY, "seq": 1, "T_odom_sensor": POSE} if method == "post" else QUERY
@@ -118,6 +121,12 @@ def message(method, ids):
     request = GetMessageClass(method.input_type)()
     noun = method.containing_service.name.removesuffix("Service")
     session = f"maps/{ids['map']}/sessions/{ids['session']}"
+    version = f"maps/{ids['map']}/versions/{ids['version']}"
+    mapping = {
+        **dict.fromkeys(("OptimiseMap", "RevertMap", "ListMapVersions", "WatchCorrections"), f"maps/{ids['map']}"),
+        **dict.fromkeys(("GetMapVersion", "ListSubmapPoses"), version),
+        "GetCorrection": session,
+    }
     names = {
         "Map": f"maps/{ids['map']}",
         "Robot": f"robots/{ids['robot']}",
@@ -125,13 +134,16 @@ def message(method, ids):
         "Submap": f"{session}/submaps/{ids['submap']}",
         "LoopClosure": f"maps/{ids['map']}/loopClosures/{ids['loop']}",
         "Operation": f"operations/{ids['operation']}",
+        "Mapping": mapping.get(method.name),
     }
-    parents = {"Session": names["Map"], "Submap": session, "LoopClosure": names["Map"]}
+    parents = {"Session": names["Map"], "Submap": session, "LoopClosure": names["Map"], "Mapping": names["Mapping"]}
     fields = method.input_type.fields_by_name
     values = {"name": names.get(noun), "parent": parents.get(noun), "session_id": "new", "submap_id": "new"}
     for name, value in values.items():
         if name in fields and value and fields[name].type == FieldDescriptor.TYPE_STRING:
             setattr(request, name, value)
+    if method.name == "RevertMap":
+        request.version = 1
     if "open" in fields:
         request.open.session = session
     if method.name == "DownloadSubmap":

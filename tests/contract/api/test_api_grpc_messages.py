@@ -25,7 +25,7 @@ LIMITS = settings(
     max_examples=EXAMPLES, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck)
 )
 # A watch ends only with its deadline.
-DEADLINE_S = {"WatchLoopClosures": 0.1, "WaitOperation": 0.3}
+DEADLINE_S = {"WatchLoopClosures": 0.1, "WatchCorrections": 0.1, "WatchEvents": 0.1, "WaitOperation": 0.3}
 DOCUMENTED = {status.grpc for status in STATUS.values()} - {"INTERNAL"} | {"OK", "UNIMPLEMENTED", "DEADLINE_EXCEEDED"}
 
 GOOD_CLOUDS = list(valid_files(records(120)).values())

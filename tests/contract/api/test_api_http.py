@@ -15,7 +15,7 @@ import zstandard
 from revisit.core.errors import ErrorCode
 from revisit.formats import QUANTISED, encode_quantised
 from revisit.service.application.contract.records import WorkerRecord
-from revisit.service.rest.routes.system import WEB
+from revisit.service.rest.routes.page import WEB
 from revisit.service.status import STATUS
 from tests.support.service_world import cloud_points
 
@@ -73,7 +73,9 @@ STRANGE_JSON = {
     "1e400": (b'{"map_id": "x", "tau_m": 1e400}', 400),
     "5000 digits": (b'{"map_id": "x", "min_index_gap": ' + b"9" * 5000 + b"}", 400),
     "2^64": (b'{"map_id": "x", "min_index_gap": 18446744073709551616}', 422),
-    "200,000 brackets": (b"[" * 200_000, 400),
+    "200,000 brackets": (b"[" * 200_000, 413),
+    "16,000 brackets": (b"[" * 16_000, 400),
+    "300 arrays side by side": (b"[" + b"[]," * 300 + b"[]]", 400),
     "17 levels": (b"[" * 17 + b"]" * 17, 400),
     "duplicate keys": (b'{"map_id": "x", "map_id": "y"}', 400),
     "unknown field": (b'{"map_id": "x", "tenant_id": "y"}', 422),
@@ -85,7 +87,9 @@ STRANGE_JSON = {
     "a lone surrogate": (b'{"map_id": "\\ud800"}', 422),
     "a NUL": (b'{"map_id": "a\\u0000"}', 422),
     "nothing": (b"", 400),
-    "400 KB of wrong items": (json.dumps({"map_id": "x", **{f"f{n}": n for n in range(30_000)}}).encode(), 422),
+    "400 KB of wrong items": (json.dumps({"map_id": "x", **{f"f{n}": n for n in range(30_000)}}).encode(), 413),
+    "more keys than any call has": (json.dumps({"map_id": "x", **{f"f{n}": n for n in range(64)}}).encode(), 400),
+    "60 wrong items": (json.dumps({"map_id": "x", **{f"f{n}": n for n in range(60)}}).encode(), 422),
     "an unknown rule for loops": (b'{"map_id": "x", "loop_policy": {"min_scor": 0.5}}', 422),
     "a rule for loops out of bounds": (b'{"map_id": "x", "loop_policy": {"min_score": 1.5}}', 422),
     "control characters in a label": (b'{"map_id": "x", "display_name": "a\\r\\n\\u001b[31m"}', 422),
@@ -97,7 +101,7 @@ def test_strange_json_is_refused_and_nothing_is_stored(case, http, service):
     body, status = STRANGE_JSON[case]
     before = service.stored()
     answer = http.post("/v1/maps", content=body, headers={"content-type": "application/json"})
-    assert_problem(answer, status, "MALFORMED_BODY" if status == 400 else "BAD_FIELD")
+    assert_problem(answer, status, {400: "MALFORMED_BODY", 413: "TOO_LARGE"}.get(status, "BAD_FIELD"))
     assert service.stored() == before
 
 
@@ -275,10 +279,10 @@ def test_health_version_and_status_answer(http):
     assert http.get("/v1/status").json()["failed_jobs"] >= 0
 
 
-def test_the_dashboard_is_served_with_its_script_and_style_and_nothing_inline(http):
+def test_the_page_is_served_with_its_scripts_and_style_and_nothing_inline(http):
     page = http.get("/")
     assert page.headers["content-type"].startswith("text/html")
-    for source in ("/dashboard.js", "/dashboard.css"):
+    for source in ("/page.js", "/page.css", "/theme.js", "/mark.svg"):
         assert source in page.text
         assert http.get(source).status_code == 200
     assert "<script>" not in page.text
@@ -290,6 +294,16 @@ def test_the_dashboard_is_served_with_its_script_and_style_and_nothing_inline(ht
         assert served.headers["content-type"].startswith("text/javascript")
         assert not re.search(r"innerHTML|outerHTML|insertAdjacentHTML|eval\(", served.text)
     assert http.get("/settings.js").status_code == 404
+
+
+def test_what_the_page_needs_of_others_comes_from_the_service_and_may_be_kept(http):
+    imports = re.compile("""(?:from |src=|href=)["'](/[^"']+)["']""")
+    named = {path for file in WEB.glob("*.*") for path in imports.findall(file.read_text())}
+    for path in sorted(named):
+        assert http.get(path).status_code == 200, path
+    three = http.get("/vendor/three-0.187.0/three.module.js")
+    assert three.headers["cache-control"] == "public, max-age=86400, immutable"
+    assert http.get("/page.js").headers["cache-control"] == "no-store"
 
 
 RAW_REQUESTS = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 import hmac
 import re
 from types import SimpleNamespace
@@ -121,6 +122,24 @@ def test_an_unknown_field_of_a_message_does_not_choose_the_tenant(guarded, guard
     stub = map_pb2_grpc.MapServiceStub(guarded_grpc)
     lists = [stub.ListMaps(map_pb2.ListMapsRequest(), metadata=key).maps for key in (ours, theirs)]
     assert [[m.name for m in maps] for maps in lists] == [["maps/wired"], []]
+
+
+def test_a_page_token_tells_nothing_and_is_good_for_its_own_tenant_alone(guarded, guarded_http, guarded_grpc):
+    ours, theirs = (bearer(a_key(guarded.world, tenant=name)) for name in ("pages", "other-pages"))
+    for key in (ours, theirs, ours):
+        for map_id in ("town-1", "town-2"):
+            guarded_http.post("/v1/maps", json={"map_id": map_id}, headers=key)
+    token = guarded_http.get("/v1/maps?page_size=1", headers=ours).json()["next_page_token"]
+    number = guarded.world.context.transactions.read(lambda uow: uow.maps.find("pages")[0].number).result()
+    content = base64.urlsafe_b64decode(token)
+    assert len(content) == 16 and number.to_bytes(8, "big") not in content and str(number).encode() not in content
+    path, stub = f"/v1/maps?page_token={token}", map_pb2_grpc.MapServiceStub(guarded_grpc)
+    assert [m["name"] for m in guarded_http.get(path, headers=ours).json()["maps"]] == ["maps/town-2"]
+    refused = guarded_http.get(path, headers=theirs)
+    assert (refused.status_code, refused.json()["field"]) == (422, "page_token")
+    with pytest.raises(grpc.RpcError) as told:
+        stub.ListMaps(map_pb2.ListMapsRequest(page_token=token), metadata=tuple(theirs.items()))
+    assert told.value.code() is grpc.StatusCode.INVALID_ARGUMENT
 
 
 def test_a_flood_of_bad_keys_is_answered_429_and_shuts_no_good_key_out():

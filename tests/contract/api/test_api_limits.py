@@ -153,7 +153,7 @@ def gone(connection):
         return False
 
 
-PIPELINE = b"GET /dashboard.js HTTP/1.1\r\nHost: localhost\r\n\r\n" * 100
+PIPELINE = b"GET /page.js HTTP/1.1\r\nHost: localhost\r\n\r\n" * 100
 
 
 class UnreadAnswers(DeadlineProtocol):

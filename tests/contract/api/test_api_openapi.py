@@ -39,6 +39,8 @@ def no_server_error(ctx, response, case):
 
 AGREES = [no_server_error, status_code_conformance, content_type_conformance, response_schema_conformance]
 DOCUMENT = json.loads((Path(__file__).resolve().parents[3] / "docs/reference/openapi.json").read_text())
+ENDLESS = {"/v1/maps/{map_id}/events"}
+"""Answers that go on until the client ends them; test_api_events asks for these."""
 POSE = "1,2,3,0,0,0,1"
 GOOD_CLOUDS = dict(valid_files(records(300)).values())
 
@@ -53,6 +55,7 @@ def operations():
     paths = {
         path: {method: {**operation, "security": []} for method, operation in methods.items()}
         for path, methods in DOCUMENT["paths"].items()
+        if path not in ENDLESS
     }
     schema = schemathesis.openapi.from_dict({**DOCUMENT, "paths": paths})
     return {f"{o.method.upper()} {o.path}": o for o in (result.ok() for result in schema.get_all_operations())}

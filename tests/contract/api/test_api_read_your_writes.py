@@ -14,6 +14,7 @@ import pytest
 from revisit import Client
 from revisit.sdk.errors import DeadlineExceeded, InvalidArgument
 from tests.support.campaigns import Campaign, sizes
+from tests.support.credentials import a_key
 from tests.support.fake_recogniser import CANNOT_BE_DESCRIBED
 from tests.support.live_service import live_service
 from tests.support.service_world import cloud_points, pose, sqlite_world
@@ -175,3 +176,17 @@ def test_random_queries_over_a_database_never_miss_silently(tmp_path, checks):
     world.context.transactions.close()
     assert refused < campaign.done
     campaign.publish(f"0 of {campaign.done} queries missed what they named; {refused} were refused as too early")
+
+
+def test_a_tenant_without_submaps_cannot_find_out_how_many_others_have(guarded):
+    clients = {name: Client(guarded.http, api_key=a_key(guarded.world, tenant=name).text) for name in ("many", "none")}
+    for client in clients.values():
+        client.create_session(client.create_map("town"), "monday")
+    seq = max(post(clients["many"], "maps/town/sessions/monday", name).seq for name in "abc")
+    for min_seq in (1, seq, seq + 1, 10**9):
+        with pytest.raises(DeadlineExceeded) as refused:
+            clients["none"].loop_closures("maps/town", min_seq=min_seq, min_seq_timeout_s=5.0)
+        assert refused.value.message == f"no submap with seq {min_seq} was stored"
+    assert clients["many"].loop_closures("maps/town", min_seq=seq, min_seq_timeout_s=20.0) is not None
+    for client in clients.values():
+        client.close()

@@ -18,6 +18,7 @@ from revisit.core.implicit_map.gradient_steps import predict, sdf_loss, tensors_
 from revisit.core.implicit_map.neural_points import ElasticAccumulator
 from revisit.core.implicit_map.samples import draw_samples
 from revisit.core.kernels.nearest_points import nearest_points
+from revisit.core.kernels.point_columns import columns_of
 from revisit.core.kernels.voxel_table import table_of, voxels_of
 from revisit.core.model_bundle import load_packaged_models
 from revisit.core.scan import Scan
@@ -123,7 +124,8 @@ def test_gradient_steps_lower_the_loss_on_the_training_samples(make_drive, shape
     for steps in (0, 10):
         field = fit(submap, dataclasses.replace(LEARNED, steps=steps))
         origins = submap.origins[submap.scan_index]
-        samples = draw_samples(submap.points, origins, field.points, field.table, CONFIG, np.random.default_rng(9))
+        table = table_of(voxels_of(field.points.positions, CONFIG.resolution))
+        samples = draw_samples(submap.points, origins, field.points, table, CONFIG, np.random.default_rng(9))
         distance, nearest = field.sdf(samples.positions)
         known = np.isfinite(nearest)
         predicted, labels = torch.from_numpy(distance[known]), torch.from_numpy(samples.labels[known])
@@ -144,8 +146,7 @@ def test_nearest_neural_points_agree_with_brute_force():
     cells = np.unique(rng.integers(-10, 10, (2000, 3)), axis=0)
     positions = ((cells + rng.uniform(0.05, 0.95, cells.shape)) * 0.4).astype(np.float32)
     queries = rng.uniform(-3.5, 3.5, (500, 3)).astype(np.float32)
-    table = table_of(voxels_of(positions, 0.4))
-    indices, squared = nearest_points(queries, positions, table, 0.4, 6, 2)
+    indices, squared = nearest_points(queries, columns_of(positions, 0.4), 0.4, 6, 2)
     gaps = ((queries[:, None] - positions) ** 2).sum(axis=2)
     order = np.argsort(gaps, axis=1)[:, :6]
     expected = np.take_along_axis(gaps, order, axis=1)

@@ -13,7 +13,8 @@ from revisit.core.kernels.choose_returns import choose_returns
 from revisit.core.kernels.column_histograms import MIN_MEMBERS, column_histograms
 from revisit.core.kernels.elastic_points import POOLED_RETURNS, pooled_covariances
 from revisit.core.kernels.heading_profiles import face_profiles, plan_profiles
-from revisit.core.kernels.neighbour_blend import blend_neighbours
+from revisit.core.kernels.neighbour_blend import blend_neighbours, blend_normals, tangent_frames
+from revisit.core.kernels.oriented_normals import NORMAL_PRIOR, oriented_normals
 from revisit.core.kernels.patch_histograms import patch_histograms
 from revisit.core.kernels.visibility import range_image
 from revisit.core.kernels.voxel_table import table_of, voxels_of
@@ -108,6 +109,36 @@ def test_the_blend_of_neighbours_is_equations_2_to_4():
     np.testing.assert_allclose(weights, expected, atol=1e-5)
     np.testing.assert_allclose(encoding, np.einsum("mk,mke->me", expected, encode_positions(local, 0.4)), atol=1e-4)
     np.testing.assert_allclose(plane, np.einsum("mk,mk->m", expected, local[..., 2]), atol=1e-5)
+    mean = np.einsum("mk,mka->ma", expected, normals[indices])
+    mean /= np.linalg.norm(mean, axis=1, keepdims=True)
+    np.testing.assert_allclose(blend_normals(indices, squared, normals, 1.0), mean, atol=1e-5)
+
+
+def test_the_weights_of_neighbours_are_any_power_of_their_distance():
+    queries, positions = np.zeros((1, 3), np.float32), np.array([[1, 0, 0], [0, 2, 0]], np.float32)
+    indices, squared = np.array([[0, 1]], np.int32), np.array([[1, 4]], np.float32)
+    weights, *_ = blend_neighbours(queries, positions, tangent_frames(positions), indices, squared, 2.0, 0.4)
+    np.testing.assert_allclose(weights, [[0.8, 0.2]], rtol=1e-6)
+
+
+def test_local_frames_are_those_of_the_plain_formula():
+    normals = unit_rows(np.random.default_rng(8), 200).astype(np.float32)
+    normals[:3] = [[0, 0, 1], [0, 0, -1], [5e-4, 0, 1]]
+    np.testing.assert_allclose(tangent_frames(normals), orientations(normals), atol=1e-6)
+
+
+def test_normals_are_the_least_axes_of_numpy_on_the_side_of_the_sensor():
+    rng = np.random.default_rng(10)
+    samples = rng.normal(size=(500, 8, 3)) * np.exp(2.0 * rng.normal(size=(500, 1, 3)))
+    samples[:50] = 0.0
+    samples[50:100, :, 1:] = 0.0
+    covariances, views = np.einsum("nki,nkj->nij", samples, samples), rng.normal(size=(500, 3))
+    view = views / np.linalg.norm(views, axis=1, keepdims=True)
+    spread = np.trace(covariances, axis1=1, axis2=2)[:, None, None] + 1e-9
+    prior = np.eye(3) - view[:, :, None] * view[:, None, :]
+    expected = np.linalg.eigh(covariances / spread + NORMAL_PRIOR * prior)[1][:, :, 0]
+    expected *= np.sign(np.einsum("ij,ij->i", expected, view))[:, None]
+    np.testing.assert_allclose(oriented_normals(covariances, views), expected, atol=1e-6)
 
 
 def test_pooled_covariances_are_those_of_the_returns_around_each_point():

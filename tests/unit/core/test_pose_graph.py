@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,6 @@ from revisit.core.pose_graph import (
     LoopEdge,
     LoopState,
     Node,
-    OdometryModel,
     PoseGraph,
     Robustness,
     Trajectory,
@@ -24,69 +23,7 @@ from revisit.core.pose_graph import (
 )
 from revisit.core.pose_graph.consistency import agreement, consistent_sets, largest_clique, oriented
 from revisit.core.pose_graph.g2o import read_g2o, write_g2o
-
-MODEL = OdometryModel()
-LOOP_COVARIANCE = np.diag([0.05**2] * 3 + [0.003**2] * 3)
-
-
-@dataclass(frozen=True)
-class Fleet:
-    """A made-up fleet on one closed road: its graph, and the true poses of its submaps in the world."""
-
-    graph: PoseGraph
-    truth: dict[str, np.ndarray]
-
-    def error_m(self, T_map_submap: dict[str, np.ndarray]) -> float:
-        """Root mean square of the position errors after the best rigid alignment, metres."""
-        estimated = np.concatenate([T_map_submap[name][:, :3, 3] for name in self.truth])
-        true = np.concatenate([poses[:, :3, 3] for poses in self.truth.values()])
-        a, b = estimated - estimated.mean(axis=0), true - true.mean(axis=0)
-        u, _, vt = np.linalg.svd(a.T @ b)
-        rotation = (u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt).T
-        return float(np.sqrt(np.mean(np.sum((a @ rotation.T - b) ** 2, axis=1))))
-
-
-def road(submaps: int, phase: float, direction: int) -> np.ndarray:
-    """Poses (n, 4, 4) around a bumpy closed road of 5 m a submap."""
-    angle = phase + direction * np.linspace(0.0, 2 * np.pi, submaps, endpoint=False)
-    radius = 5.0 * submaps / (2 * np.pi) * (1 + 0.2 * np.sin(3 * angle))
-    places = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sin(2 * angle)], axis=1)
-    ahead = np.roll(places, -1, axis=0) - places
-    return np.stack(
-        [se3.from_yaw(np.arctan2(step[1], step[0]), place) for step, place in zip(ahead, places, strict=True)]
-    )
-
-
-def drifted(truth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Odometry of a drive: an arbitrary start and the drift that the model states."""
-    poses = [se3.from_yaw(rng.uniform(-3, 3), rng.uniform(-500, 500, 3))]
-    for first, second in itertools.pairwise(truth):
-        step = se3.inverse(first) @ second
-        covariance = MODEL.covariances(np.array([np.linalg.norm(step[:3, 3])]))[0]
-        poses.append(poses[-1] @ step @ se3.exp(rng.multivariate_normal(np.zeros(6), covariance)))
-    return np.stack(poses)
-
-
-def fleet(seed: int, wrong_share: float, sessions: int = 3, submaps: int = 80, per_pair: int = 20) -> Fleet:
-    """Robots that drive the road from other starts, every second one reversed; loops between all pairs of sessions."""
-    rng = np.random.default_rng(seed)
-    truth = {f"s{n}": road(submaps, rng.uniform(0, 6), -1 if n % 2 else 1) for n in range(sessions)}
-    loops: list[LoopEdge] = []
-    for (a, true_a), (b, true_b) in itertools.combinations(truth.items(), 2):
-        near = np.argwhere(np.linalg.norm(true_a[:, None, :3, 3] - true_b[None, :, :3, 3], axis=2) < 8.0)
-        for row, column in rng.permutation(near)[:per_pair]:
-            noise = se3.exp(rng.multivariate_normal(np.zeros(6), LOOP_COVARIANCE))
-            T = noise @ se3.inverse(true_a[row]) @ true_b[column]
-            loops.append(LoopEdge(f"right-{len(loops)}", Node(a, int(row)), Node(b, int(column)), T, LOOP_COVARIANCE))
-        for _ in range(round(per_pair * wrong_share / (1 - wrong_share))):
-            ends = Node(a, int(rng.integers(submaps))), Node(b, int(rng.integers(submaps)))
-            loops.append(LoopEdge(f"wrong-{len(loops)}", *ends, random_motion(rng), LOOP_COVARIANCE))
-    trajectories = [Trajectory.from_odometry(name, drifted(poses, rng)) for name, poses in truth.items()]
-    return Fleet(PoseGraph.of(trajectories, loops), truth)
-
-
-def random_motion(rng: np.random.Generator) -> np.ndarray:
-    return se3.from_yaw(rng.uniform(-np.pi, np.pi), (*rng.uniform(-5, 5, 2), 0.0))
+from tests.support.made_up_fleet import LOOP_COVARIANCE, MODEL, drifted, fleet, random_motion, road
 
 
 def in_map(graph: PoseGraph, states: tuple[LoopState, ...]) -> list[str]:
@@ -277,3 +214,24 @@ def test_half_wrong_loops_do_not_move_a_recorded_graph() -> None:
         assert not [name for name in in_map(spoilt, result.loops) if name.startswith("wrong")]
         gap = result.T_map_submap["g2o"][:, :3, 3] - best
         assert np.sqrt(np.mean(np.sum(gap**2, axis=1))) < 0.1
+
+
+def test_covariances_of_a_straight_drive_are_the_sums_of_its_steps() -> None:
+    T_odom_submap = np.tile(np.eye(4), (4, 1, 1))
+    T_odom_submap[:, 0, 3] = [0.0, 5.0, 10.0, 15.0]
+    graph = PoseGraph.of([Trajectory.from_odometry("a", T_odom_submap)], [])
+    optimised = optimise(graph)
+    step = MODEL.covariances(np.array([5.0]))[0]
+    along = [optimised.covariances["a"][n][0, 0] for n in range(4)]
+    assert along == pytest.approx([n * step[0, 0] + 1e-8 for n in range(4)], rel=1e-6)
+    turns = sum(step[5, 5] * distance_m**2 for distance_m in (10.0, 5.0, 0.0))
+    across = 3 * step[1, 1] + turns + 1e-8 + 1e-8 * 15.0**2
+    assert optimised.covariances["a"][3][1, 1] == pytest.approx(across, rel=1e-6)
+    assert (optimised.chi2, optimised.degrees_of_freedom) == (pytest.approx(0.0, abs=1e-9), 0)
+
+
+def test_chi2_of_right_loops_is_about_its_degrees_of_freedom() -> None:
+    optimised = optimise(fleet(3, 0.0).graph)
+    kept = optimised.loops.count(LoopState.IN_MAP)
+    assert optimised.degrees_of_freedom == 6 * (kept - 3 + 1)
+    assert 0.7 < optimised.chi2 / optimised.degrees_of_freedom < 1.3

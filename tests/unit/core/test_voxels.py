@@ -15,7 +15,8 @@ from revisit.core.geometry.voxel_keys import voxel_keys
 from revisit.core.implicit_map.neural_points import ElasticAccumulator
 from revisit.core.kernels.elastic_points import insert_returns
 from revisit.core.kernels.nearest_points import nearest_points
-from revisit.core.kernels.voxel_table import VoxelTable, add, find, slot_of, table_of, voxels_of
+from revisit.core.kernels.point_columns import MAX_GRID, columns_of
+from revisit.core.kernels.voxel_table import VoxelTable, find, slot_of, table_of, voxels_of
 from revisit.core.model_bundle import load_packaged_models
 from revisit.core.pipeline import describe
 from revisit.core.scan import Scan
@@ -70,8 +71,8 @@ def colliding_voxels() -> np.ndarray:
 def test_voxels_that_share_a_slot_are_all_found():
     voxels = colliding_voxels()
     table = table_of(voxels)
-    assert [find.py_func(table, *(int(v) for v in voxel)) for voxel in voxels] == [0, 1, 2, 3]
-    assert find.py_func(table, 5, 5, 5) == -1
+    assert [find.py_func(*table, *(int(v) for v in voxel)) for voxel in voxels] == [0, 1, 2, 3]
+    assert find.py_func(*table, 5, 5, 5) == -1
 
 
 def test_no_occupied_voxel_is_dropped_where_voxels_share_a_slot():
@@ -79,19 +80,35 @@ def test_no_occupied_voxel_is_dropped_where_voxels_share_a_slot():
     accumulator = ElasticAccumulator(0.4)
     accumulator.insert(positions, np.zeros(3, np.float32), 0)
     assert len(accumulator.finish()) == 4
-    indices, squared = nearest_points(positions, positions, table_of(voxels_of(positions, 0.4)), 0.4, 4, 2)
+    indices, squared = nearest_points(positions, columns_of(positions, 0.4), 0.4, 4, 2)
     assert indices[:, 0].tolist() == [0, 1, 2, 3]
     assert np.allclose(squared[:, 0], 0.0)
 
 
-def test_two_columns_that_share_slots_give_no_neighbour_twice():
-    near = np.array([[0, 0, 0], [0, 1, 0], [1, 1, 0], [1, 0, 1]], np.int32)
-    crowded = VoxelTable(np.full(8, -1, np.int32), np.full(4, -1, np.int32), np.zeros((4, 3), np.int32))
-    for row, voxel in enumerate(near):
-        add.py_func(crowded, row, *(int(v) for v in voxel))
-    positions = ((near + 0.5) * 0.4).astype(np.float32)
-    indices, _ = nearest_points(positions, positions, crowded, 0.4, 6, 2)
-    assert [sorted(row[row >= 0].tolist()) for row in indices] == [[0, 1, 2, 3]] * 4
+@pytest.mark.parametrize("spread", [20.0, 3000.0])
+def test_neighbours_are_those_of_brute_force_and_of_equals_the_lower_voxel(spread):
+    rng = np.random.default_rng(6)
+    clumps = rng.uniform(-spread, spread, (60, 1, 3)).round()
+    voxels = np.unique((clumps + rng.integers(-2, 3, (60, 12, 3))).reshape(-1, 3), axis=0)
+    positions = (voxels[rng.permutation(len(voxels))] + 0.5).astype(np.float32)
+    columns = columns_of(positions, 1.0)
+    assert (len(columns.grid) == 0) == (np.prod(columns.shape) > MAX_GRID) == (spread > 1000)
+    queries = np.concatenate([positions[::3] + np.float32(0.5), rng.uniform(-spread, spread, (50, 3))]).astype(
+        np.float32
+    )
+    indices, squared = nearest_points(queries, columns, 1.0, 6, 2)
+    for query, found, gaps in zip(queries, indices, squared, strict=True):
+        distance = ((positions - query) ** 2).sum(axis=1)
+        order = np.lexsort((*positions.T[::-1], distance))
+        near = order[distance[order] < 4.0][:6]
+        assert found.tolist() == [*near.tolist(), *[-1] * (6 - len(near))]
+        assert gaps[: len(near)].tolist() == distance[near].tolist()
+        assert np.isinf(gaps[len(near) :]).all()
+
+
+def test_no_points_have_no_neighbours():
+    columns = columns_of(np.zeros((0, 3), np.float32), 0.4)
+    assert nearest_points(np.zeros((2, 3), np.float32), columns, 0.4, 3, 2)[0].tolist() == [[-1] * 3] * 2
 
 
 def test_as_many_neural_points_as_occupied_voxels_on_a_hundred_thousand_returns():
@@ -121,14 +138,18 @@ def test_the_insertion_kernel_sums_what_numpy_sums():
     assert (scans[:size] == [7, 7, 1]).all()
 
 
-def dense_cells(positions: np.ndarray, normals: np.ndarray, resolution: float) -> list[tuple[int, int, int]]:
+def plain_cells(
+    positions: np.ndarray, normals: np.ndarray, resolution: float, observed: float
+) -> list[tuple[int, int, int]]:
     """The cells of `cells_near_planes`, in its order, by plain loops."""
     found: dict[tuple[int, int, int], None] = {}
+    corners = np.array(list(np.ndindex(2, 2, 2)))
     for position, normal in zip(positions.astype(np.float64), normals.astype(np.float64), strict=True):
         home = np.floor(position / resolution).astype(int)
         for step in np.ndindex(3, 3, 3):
             cell = home + step - 1
-            if abs(((cell + 0.5) * resolution - position) @ normal) <= 0.9 * resolution:
+            gaps = np.linalg.norm((cell + corners)[:, None] * resolution - positions, axis=2).min(axis=1)
+            if abs(((cell + 0.5) * resolution - position) @ normal) <= 0.9 * resolution and gaps.max() <= observed:
                 found[tuple(int(v) for v in cell)] = None
     return list(found)
 
@@ -141,24 +162,27 @@ def random_surface(count: int, reach: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_cells_near_planes_are_those_of_the_plain_formula_in_its_order():
-    positions, normals = random_surface(200, 2.0)
-    near = cells_near_planes(positions, normals, 0.4)
-    assert [tuple(cell) for cell in near.cells.tolist()] == dense_cells(positions, normals, 0.4)
+    positions, normals = random_surface(200, 1.0)
+    near = cells_near_planes(positions, normals, 0.4, 0.6)
+    assert [tuple(cell) for cell in near.cells.tolist()] == plain_cells(positions, normals, 0.4, 0.6)
+    assert len(near.cells) > 50
     steps = np.array([[c & 1, (c >> 1) & 1, (c >> 2) & 1] for c in range(8)])
     assert np.array_equal(near.corners[near.cell_corners], near.cells[:, None] + steps)
     assert len(np.unique(near.corners, axis=0)) == len(near.corners)
-    first_seen = np.unique(near.cell_corners.ravel(), return_index=True)[1]
-    assert (np.diff(first_seen) > 0).all()
+    gaps = np.linalg.norm(near.corners[:, None] * 0.4 - positions, axis=2).min(axis=1)
+    assert gaps.max() <= 0.6 + 1e-6
+    lattice = np.array(list(np.ndindex(12, 12, 12))) - 6
+    assert len(near.corners) == (np.linalg.norm(lattice[:, None] * 0.4 - positions, axis=2).min(axis=1) <= 0.6).sum()
 
 
 @pytest.mark.parametrize("reach", [600.0, FAR_M])
 def test_cells_of_far_returns_take_little_memory(reach):
     corners = np.array([[-1, -1, -1], [1, 1, 1], [1, -1, 1], [-1, 1, -1]], np.float32) * np.float32(reach)
     up = np.tile(np.array([0, 0, 1], np.float32), (4, 1))
-    cells_near_planes(corners, up, 0.4)
+    cells_near_planes(corners, up, 0.4, 0.8)
     with at_most(20):
-        near = cells_near_planes(corners, up, 0.4)
-    assert len(near.cells) >= 4 * 9
+        near = cells_near_planes(corners, up, 0.4, 0.8)
+    assert len(near.cells) >= 4
 
 
 def surface_of(vertices: np.ndarray) -> Surface:

@@ -147,3 +147,23 @@ def test_the_systemd_unit_starts_a_command_that_the_service_has():
     module, command = re.search(r"^ExecStart=\S+/python -m (\S+) (\S+)$", unit, re.MULTILINE).groups()
     done = subprocess.run([sys.executable, "-m", module, command, "--help"], cwd=ROOT, capture_output=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def variables(steps):
+    """What the ENV instructions of a target set for the service."""
+    pairs = (pair.split("=", 1) for word, rest in steps if word == "ENV" for pair in rest.split())
+    return {name: value for name, value in pairs if name.startswith("REVISIT_")}
+
+
+def test_the_image_by_itself_lets_nobody_in_without_a_credential(monkeypatch):
+    for name, value in variables(own_and_inherited("gateway")).items():
+        monkeypatch.setenv(name, value)
+    settings = Settings()
+    assert (settings.exposed, settings.credential_required) == (True, True)
+
+
+def test_only_a_gateway_that_this_machine_alone_can_reach_is_open_without_a_key():
+    gateway = COMPOSE[COMPOSE.index("  gateway:") : COMPOSE.index("  worker:")]
+    published = re.findall(r'"([^"]*:\d+:\d+)"', gateway)
+    assert published and all(port.startswith("127.0.0.1:") for port in published)
+    assert "REVISIT_AUTHENTICATION: auto" in gateway and "REVISIT_AUTHENTICATION" not in COMPOSE.replace(gateway, "")

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
-PAGES = [*sorted((ROOT / "docs").rglob("*.md")), *sorted(ROOT.glob("*.md"))]
+PAGES = [path for where in ("docs/**/*.md", "ros/**/*.md", "*.md") for path in sorted(ROOT.glob(where))]
 
 
 def without_code(text: str) -> str:

@@ -19,6 +19,7 @@ from revisit.v1 import (
     ingest_pb2,
     loop_closure_pb2,
     map_pb2,
+    mapping_pb2,
     operation_pb2,
     robot_pb2,
     session_pb2,
@@ -29,7 +30,7 @@ from revisit.v1 import (
 ROOT = Path(__file__).resolve().parents[3]
 DOCS = ROOT / "docs"
 PROTOCOLS = (
-    ingest_pb2, loop_closure_pb2, map_pb2, operation_pb2, robot_pb2, session_pb2, submap_pb2, system_pb2,
+    ingest_pb2, loop_closure_pb2, map_pb2, mapping_pb2, operation_pb2, robot_pb2, session_pb2, submap_pb2, system_pb2,
 )  # fmt: skip
 
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from google.protobuf.json_format import MessageToDict, ParseDict
 
+from revisit.core.geometry.se3 import pose_row
 from revisit.core.scan import CloudReport
 from revisit.service.application.catalogue.maps import MapView
 from revisit.service.application.catalogue.paging import Page
@@ -16,7 +18,9 @@ from revisit.service.application.catalogue.robots import RobotView
 from revisit.service.application.catalogue.sessions import SessionView
 from revisit.service.application.contract.identity import SessionKey, SubmapKey
 from revisit.service.application.contract.loop_policy import LoopPolicy
+from revisit.service.application.contract.map_frames import LoopInMap, MapPose
 from revisit.service.application.contract.states import (
+    GraphState,
     LoopState,
     OperationKind,
     OperationState,
@@ -26,6 +30,8 @@ from revisit.service.application.contract.states import (
 from revisit.service.application.contract.views import OperationFailure, OperationView, SubmapView
 from revisit.service.application.ingest.scans import ScanAck
 from revisit.service.application.ingest.submap_posting import PostedSubmap
+from revisit.service.application.mapping.corrections import CorrectionView
+from revisit.service.application.mapping.versions import MapVersionView, SubmapPoseView
 from revisit.service.application.query.loops import LoopClosureView
 from revisit.service.application.query.search_answers import Localization, LocalizedCandidate, SearchHit, SearchResult
 from revisit.service.rest import answers as kinds
@@ -41,7 +47,8 @@ EVIDENCE = {
 }
 FAILURE = OperationFailure("DEGENERATE_CLOUD", "one line")
 POSE = np.array([[0.0, -1, 0, 1.5], [1, 0, 0, -2], [0, 0, 1, 0.25], [0, 0, 0, 1]])
-MAP = MapView("town", "Town", 10.0, 5.0, 20, 0.25, 3, 70_000, LARGE, LoopPolicy(5, 0.5, 0.25, 0.0))
+MAP = MapView("town", "Town", 10.0, 5.0, 20, 0.25, 3, 70_000, LARGE, LoopPolicy(5, 0.5, 0.25, 0.0), 3)
+IN_MAP = MapPose(pose_row(POSE), "frame-1", LARGE)
 SESSION = SessionView(SUBMAP_KEY.session, "rover", SessionState.FINISHED, LARGE, 12.5, 2, LARGE, LARGE, 0)
 QUEUED = OperationView("op-1", OperationKind.DESCRIBE_SUBMAP, OperationState.QUEUED, "x", 0, None, None, 1, None)
 FAILED = OperationView("op-2", OperationKind.LOCALIZE, OperationState.FAILED, "x", 3, {}, FAILURE, 1, LARGE)
@@ -60,6 +67,12 @@ REJECTED = LocalizedCandidate(SUBMAP_KEY, False, "LOW_SCORE", -0.5, 0.0, None, {
 LOOP = LoopClosureView(
     "l", LARGE, "town", SUBMAP_KEY, SUBMAP_KEY, LoopState.ACCEPTED, None, 1.0, 0.5, POSE, EVIDENCE, 1
 )
+PLACED_LOOP = replace(LOOP, graph_state=GraphState.IN_MAP, manual=True, in_map=LoopInMap(IN_MAP, IN_MAP))
+SUMMARY = {
+    "sessions": 2, "submaps": 60, "frames": 1, "loops_in_map": 10, "loops_set_aside": 4, "loops_unconnected": 0,
+    "chi2": 61.5, "degrees_of_freedom": 60, "mean_change_m": 0.0, "max_change_m": None,
+}  # fmt: skip
+COVARIANCE = (np.arange(36, dtype=np.float32) / 4).reshape(6, 6)
 
 ANSWERS = {
     "a map": (kinds.Map, answers.of_map(MAP)),
@@ -80,6 +93,37 @@ ANSWERS = {
     "hits": (
         kinds.SearchAnswer,
         answers.of_search(SearchResult((SearchHit(SUBMAP_KEY, 0.75, (1.0, 2.0, 3.0)),), 9)),
+    ),
+    "a hit in the map": (
+        kinds.SearchAnswer,
+        answers.of_search(SearchResult((SearchHit(SUBMAP_KEY, 0.75, (1.0, 2.0, 3.0), IN_MAP),), 9)),
+    ),
+    "a submap in the map": (kinds.Submap, answers.of_submap(replace(SCANNED, in_map=IN_MAP))),
+    "a place in the map": (
+        kinds.LocalizeAnswer,
+        answers.of_localization(Localization(ACCEPTED, POSE, (ACCEPTED,), IN_MAP)),
+    ),
+    "a loop": (kinds.LoopClosure, answers.of_loop(LOOP)),
+    "a loop in the map": (kinds.LoopClosure, answers.of_loop(PLACED_LOOP)),
+    "a version of a map": (
+        kinds.MapVersion,
+        answers.of_map_version(MapVersionView("town", 4, True, None, "hash", "op-1", SUMMARY, LARGE)),
+    ),
+    "a version that came back": (
+        kinds.MapVersion,
+        answers.of_map_version(MapVersionView("town", 5, False, 3, "hash", None, SUMMARY, LARGE)),
+    ),
+    "a correction": (
+        kinds.Correction,
+        answers.of_correction(CorrectionView(SUBMAP_KEY.session, POSE, "frame-1", 4, COVARIANCE, LARGE)),
+    ),
+    "poses": (
+        kinds.SubmapPosePage,
+        answers.of_page(
+            "submap_poses",
+            Page((SubmapPoseView(SUBMAP_KEY, POSE, "frame-1", COVARIANCE, 1),), ""),
+            answers.of_submap_pose,
+        ),
     ),
     "no hits": (kinds.SearchAnswer, answers.of_search(SearchResult((), 0))),
     "a known place": (

@@ -1,0 +1,50 @@
+"""How much of a loop its neighbours do not say already: windows that overlap show the same surfaces."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.pose_graph.graph import LoopEdge, Node, PoseGraph
+
+Array64 = NDArray[np.float64]
+
+
+def weighed(graph: PoseGraph, window_m: float) -> PoseGraph:
+    """The graph with the `independent_share` of each of its loops, whose submaps cover `window_m` metres each.
+
+    Two loops between the same sessions share what their windows share at both ends; a loop that shares as much with
+    others as a whole one is worth a half. A far loop shares nothing.
+    """
+    groups: dict[tuple[str, str], list[int]] = {}
+    for number, loop in enumerate(graph.loops):
+        groups.setdefault((loop.match.session, loop.query.session), []).append(number)
+    loops = list(graph.loops)
+    for members in groups.values():
+        for number, share in zip(members, _shares(graph, [loops[n] for n in members], window_m), strict=True):
+            loops[number] = replace(loops[number], independent_share=float(share))
+    return PoseGraph(graph.trajectories, tuple(loops))
+
+
+def _shares(graph: PoseGraph, loops: list[LoopEdge], window_m: float) -> Array64:
+    """The share (l,) of each of some loops between the same two sessions."""
+    matches = np.stack([_position(graph, loop.match) for loop in loops])
+    queries = np.stack([_position(graph, loop.query) for loop in loops])
+    return np.array([1.0 / _common(row, matches, queries, window_m) for row in range(len(loops))])
+
+
+def _common(row: int, matches: Array64, queries: Array64, window_m: float) -> float:
+    """How many loops say what loop `row` says, itself among them."""
+    common = _overlap(matches, row, window_m) * _overlap(queries, row, window_m)
+    return float(common.sum())
+
+
+def _overlap(positions: Array64, row: int, window_m: float) -> Array64:
+    distances = np.linalg.norm(positions - positions[row], axis=1)
+    return np.asarray(np.maximum(0.0, 1.0 - distances / window_m))
+
+
+def _position(graph: PoseGraph, node: Node) -> Array64:
+    return graph.by_session[node.session].T_odom_submap[node.ordinal, :3, 3]

@@ -1,0 +1,185 @@
+from revisit.v1 import geometry_pb2 as _geometry_pb2
+from revisit.v1 import operation_pb2 as _operation_pb2
+from google.protobuf.internal import containers as _containers
+from google.protobuf import descriptor as _descriptor
+from google.protobuf import message as _message
+from collections.abc import Iterable as _Iterable, Mapping as _Mapping
+from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
+
+DESCRIPTOR: _descriptor.FileDescriptor
+
+class MapVersion(_message.Message):
+    __slots__ = ("name", "version", "in_force", "restored_from", "content_hash", "operation", "created_at_ns", "summary")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    VERSION_FIELD_NUMBER: _ClassVar[int]
+    IN_FORCE_FIELD_NUMBER: _ClassVar[int]
+    RESTORED_FROM_FIELD_NUMBER: _ClassVar[int]
+    CONTENT_HASH_FIELD_NUMBER: _ClassVar[int]
+    OPERATION_FIELD_NUMBER: _ClassVar[int]
+    CREATED_AT_NS_FIELD_NUMBER: _ClassVar[int]
+    SUMMARY_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    version: int
+    in_force: bool
+    restored_from: int
+    content_hash: str
+    operation: str
+    created_at_ns: int
+    summary: MapVersionSummary
+    def __init__(self, name: _Optional[str] = ..., version: _Optional[int] = ..., in_force: _Optional[bool] = ..., restored_from: _Optional[int] = ..., content_hash: _Optional[str] = ..., operation: _Optional[str] = ..., created_at_ns: _Optional[int] = ..., summary: _Optional[_Union[MapVersionSummary, _Mapping]] = ...) -> None: ...
+
+class MapVersionSummary(_message.Message):
+    __slots__ = ("sessions", "submaps", "frames", "loops_in_map", "loops_set_aside", "loops_unconnected", "chi2", "degrees_of_freedom", "mean_change_m", "max_change_m")
+    SESSIONS_FIELD_NUMBER: _ClassVar[int]
+    SUBMAPS_FIELD_NUMBER: _ClassVar[int]
+    FRAMES_FIELD_NUMBER: _ClassVar[int]
+    LOOPS_IN_MAP_FIELD_NUMBER: _ClassVar[int]
+    LOOPS_SET_ASIDE_FIELD_NUMBER: _ClassVar[int]
+    LOOPS_UNCONNECTED_FIELD_NUMBER: _ClassVar[int]
+    CHI2_FIELD_NUMBER: _ClassVar[int]
+    DEGREES_OF_FREEDOM_FIELD_NUMBER: _ClassVar[int]
+    MEAN_CHANGE_M_FIELD_NUMBER: _ClassVar[int]
+    MAX_CHANGE_M_FIELD_NUMBER: _ClassVar[int]
+    sessions: int
+    submaps: int
+    frames: int
+    loops_in_map: int
+    loops_set_aside: int
+    loops_unconnected: int
+    chi2: float
+    degrees_of_freedom: int
+    mean_change_m: float
+    max_change_m: float
+    def __init__(self, sessions: _Optional[int] = ..., submaps: _Optional[int] = ..., frames: _Optional[int] = ..., loops_in_map: _Optional[int] = ..., loops_set_aside: _Optional[int] = ..., loops_unconnected: _Optional[int] = ..., chi2: _Optional[float] = ..., degrees_of_freedom: _Optional[int] = ..., mean_change_m: _Optional[float] = ..., max_change_m: _Optional[float] = ...) -> None: ...
+
+class SubmapPose(_message.Message):
+    __slots__ = ("submap", "t_map_submap", "frame", "covariance")
+    SUBMAP_FIELD_NUMBER: _ClassVar[int]
+    T_MAP_SUBMAP_FIELD_NUMBER: _ClassVar[int]
+    FRAME_FIELD_NUMBER: _ClassVar[int]
+    COVARIANCE_FIELD_NUMBER: _ClassVar[int]
+    submap: str
+    t_map_submap: _geometry_pb2.Transform
+    frame: str
+    covariance: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, submap: _Optional[str] = ..., t_map_submap: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., frame: _Optional[str] = ..., covariance: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class Correction(_message.Message):
+    __slots__ = ("session", "t_map_odom", "frame", "map_version", "covariance", "created_at_ns")
+    SESSION_FIELD_NUMBER: _ClassVar[int]
+    T_MAP_ODOM_FIELD_NUMBER: _ClassVar[int]
+    FRAME_FIELD_NUMBER: _ClassVar[int]
+    MAP_VERSION_FIELD_NUMBER: _ClassVar[int]
+    COVARIANCE_FIELD_NUMBER: _ClassVar[int]
+    CREATED_AT_NS_FIELD_NUMBER: _ClassVar[int]
+    session: str
+    t_map_odom: _geometry_pb2.Transform
+    frame: str
+    map_version: int
+    covariance: _containers.RepeatedScalarFieldContainer[float]
+    created_at_ns: int
+    def __init__(self, session: _Optional[str] = ..., t_map_odom: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., frame: _Optional[str] = ..., map_version: _Optional[int] = ..., covariance: _Optional[_Iterable[float]] = ..., created_at_ns: _Optional[int] = ...) -> None: ...
+
+class OptimiseMapRequest(_message.Message):
+    __slots__ = ("name",)
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    def __init__(self, name: _Optional[str] = ...) -> None: ...
+
+class OptimiseMapResponse(_message.Message):
+    __slots__ = ("operation", "replay")
+    OPERATION_FIELD_NUMBER: _ClassVar[int]
+    REPLAY_FIELD_NUMBER: _ClassVar[int]
+    operation: _operation_pb2.Operation
+    replay: bool
+    def __init__(self, operation: _Optional[_Union[_operation_pb2.Operation, _Mapping]] = ..., replay: _Optional[bool] = ...) -> None: ...
+
+class ListMapVersionsRequest(_message.Message):
+    __slots__ = ("parent", "page_size", "page_token")
+    PARENT_FIELD_NUMBER: _ClassVar[int]
+    PAGE_SIZE_FIELD_NUMBER: _ClassVar[int]
+    PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
+    parent: str
+    page_size: int
+    page_token: str
+    def __init__(self, parent: _Optional[str] = ..., page_size: _Optional[int] = ..., page_token: _Optional[str] = ...) -> None: ...
+
+class ListMapVersionsResponse(_message.Message):
+    __slots__ = ("map_versions", "next_page_token")
+    MAP_VERSIONS_FIELD_NUMBER: _ClassVar[int]
+    NEXT_PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
+    map_versions: _containers.RepeatedCompositeFieldContainer[MapVersion]
+    next_page_token: str
+    def __init__(self, map_versions: _Optional[_Iterable[_Union[MapVersion, _Mapping]]] = ..., next_page_token: _Optional[str] = ...) -> None: ...
+
+class GetMapVersionRequest(_message.Message):
+    __slots__ = ("name",)
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    def __init__(self, name: _Optional[str] = ...) -> None: ...
+
+class GetMapVersionResponse(_message.Message):
+    __slots__ = ("map_version",)
+    MAP_VERSION_FIELD_NUMBER: _ClassVar[int]
+    map_version: MapVersion
+    def __init__(self, map_version: _Optional[_Union[MapVersion, _Mapping]] = ...) -> None: ...
+
+class ListSubmapPosesRequest(_message.Message):
+    __slots__ = ("parent", "page_size", "page_token")
+    PARENT_FIELD_NUMBER: _ClassVar[int]
+    PAGE_SIZE_FIELD_NUMBER: _ClassVar[int]
+    PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
+    parent: str
+    page_size: int
+    page_token: str
+    def __init__(self, parent: _Optional[str] = ..., page_size: _Optional[int] = ..., page_token: _Optional[str] = ...) -> None: ...
+
+class ListSubmapPosesResponse(_message.Message):
+    __slots__ = ("submap_poses", "next_page_token")
+    SUBMAP_POSES_FIELD_NUMBER: _ClassVar[int]
+    NEXT_PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
+    submap_poses: _containers.RepeatedCompositeFieldContainer[SubmapPose]
+    next_page_token: str
+    def __init__(self, submap_poses: _Optional[_Iterable[_Union[SubmapPose, _Mapping]]] = ..., next_page_token: _Optional[str] = ...) -> None: ...
+
+class RevertMapRequest(_message.Message):
+    __slots__ = ("name", "version")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    VERSION_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    version: int
+    def __init__(self, name: _Optional[str] = ..., version: _Optional[int] = ...) -> None: ...
+
+class RevertMapResponse(_message.Message):
+    __slots__ = ("map_version",)
+    MAP_VERSION_FIELD_NUMBER: _ClassVar[int]
+    map_version: MapVersion
+    def __init__(self, map_version: _Optional[_Union[MapVersion, _Mapping]] = ...) -> None: ...
+
+class GetCorrectionRequest(_message.Message):
+    __slots__ = ("name",)
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    def __init__(self, name: _Optional[str] = ...) -> None: ...
+
+class GetCorrectionResponse(_message.Message):
+    __slots__ = ("correction",)
+    CORRECTION_FIELD_NUMBER: _ClassVar[int]
+    correction: Correction
+    def __init__(self, correction: _Optional[_Union[Correction, _Mapping]] = ...) -> None: ...
+
+class WatchCorrectionsRequest(_message.Message):
+    __slots__ = ("parent", "after", "session")
+    PARENT_FIELD_NUMBER: _ClassVar[int]
+    AFTER_FIELD_NUMBER: _ClassVar[int]
+    SESSION_FIELD_NUMBER: _ClassVar[int]
+    parent: str
+    after: int
+    session: str
+    def __init__(self, parent: _Optional[str] = ..., after: _Optional[int] = ..., session: _Optional[str] = ...) -> None: ...
+
+class WatchCorrectionsResponse(_message.Message):
+    __slots__ = ("correction",)
+    CORRECTION_FIELD_NUMBER: _ClassVar[int]
+    correction: Correction
+    def __init__(self, correction: _Optional[_Union[Correction, _Mapping]] = ...) -> None: ...

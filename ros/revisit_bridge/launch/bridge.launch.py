@@ -1,0 +1,33 @@
+"""`ros2 launch revisit_bridge bridge.launch.py cloud_topic:=/points odometry_topic:=/kiss/odometry`."""
+
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+OFTEN_SET = ("service", "map_id", "robot_id", "cloud_topic", "odometry_topic", "odom_frame", "map_frame")
+
+
+def generate_launch_description() -> LaunchDescription:
+    """The node with the parameters of a file, and over them those that are given as arguments."""
+    config = Path(get_package_share_directory("revisit_bridge")) / "config" / "bridge.yaml"
+    given = [DeclareLaunchArgument(name, default_value="", description="as the file says") for name in OFTEN_SET]
+    file = DeclareLaunchArgument("params_file", default_value=str(config))
+    return LaunchDescription([*given, file, OpaqueFunction(function=_nodes)])
+
+
+def _nodes(context: LaunchContext) -> list[Node]:
+    values = {name: LaunchConfiguration(name).perform(context) for name in OFTEN_SET}
+    file = LaunchConfiguration("params_file").perform(context)
+    return [
+        Node(
+            package="revisit_bridge",
+            executable="bridge",
+            name="revisit_bridge",
+            output="screen",
+            parameters=[file, {name: value for name, value in values.items() if value}],
+        )
+    ]

@@ -1,0 +1,213 @@
+"""The bridge without ROS: clouds and odometry in, scans on the robot's disk, news of the service out."""
+
+from __future__ import annotations
+
+import logging
+import queue
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from revisit.core.errors import RevisitError
+from revisit.core.geometry import se3
+from revisit_bridge.answers import Answers, News, Newsroom
+from revisit_bridge.messages import Points, points_of, pose_of
+from revisit_bridge.outbox import Outbox
+from revisit_bridge.pairing import Mountings, OdometryPoses, PosedCloud, TransformPoses, WaitingClouds
+from revisit_bridge.parameters import Parameters
+from revisit_bridge.session_rule import Begun, LastScan, Motion, Repeated, judge, new_session_id
+
+log = logging.getLogger("revisit_bridge")
+SAVE_S = 1.0
+
+
+@dataclass
+class Journey:
+    """What the robot did last: the scan that was offered last, and the pose of the one that was sent last."""
+
+    last: LastScan | None = None
+    T_odom_sent: se3.Matrix4 | None = None
+
+    def travelled(self, T_odom_sensor: se3.Matrix4, min_travel_m: float, min_turn_deg: float) -> bool:
+        """Whether the sensor has moved on since the last scan that was sent."""
+        if self.T_odom_sent is None:
+            return True
+        step = se3.inverse(self.T_odom_sent) @ T_odom_sensor
+        turn_deg = np.degrees(se3.rotation_angle(step))
+        return bool(np.linalg.norm(step[:3, 3]) >= min_travel_m or turn_deg >= min_turn_deg)
+
+
+class Bridge:
+    """Fed by one thread (`take_cloud`, `take_odometry`, `work`); asks the service in a thread of its own."""
+
+    def __init__(
+        self,
+        parameters: Parameters,
+        transforms: Mountings,
+        outbox: Outbox,
+        answers: Answers,
+        boot: str,
+        state_file: Path,
+        now_s: Callable[[], float],
+    ) -> None:
+        """`boot` names the run of the machine, `now_s` is a monotonic clock. Goes on with the session of `state_file`
+        if the first scan fits to it.
+        """
+        self._parameters, self._outbox, self._boot, self._now_s = parameters, outbox, boot, now_s
+        self._state_file, self._saved_s = state_file, -SAVE_S
+        self._motion = Motion(parameters.max_jump_m, parameters.max_speed_m_s, parameters.max_gap_s)
+        self._odometry = OdometryPoses(transforms) if parameters.odometry_topic else None
+        source = self._odometry or TransformPoses(parameters.odom_frame, transforms)
+        self._clouds = WaitingClouds(source, parameters.pose_wait_s, parameters.max_waiting_clouds, now_s)
+        self._journey = Journey(LastScan.load(state_file))
+        if self._journey.last is not None:
+            outbox.resume(self._journey.last.session_id)
+        self._newsroom = Newsroom(answers)
+        self._news: queue.SimpleQueue[News] = queue.SimpleQueue()
+        self._refused: dict[str, int] = {}
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._ask, name="revisit answers", daemon=True)
+
+    @property
+    def odom_frame(self) -> str:
+        """The frame of the odometry, as its messages say it, else as the parameters do."""
+        told = self._odometry.odom_frame if self._odometry is not None else ""
+        return told or self._parameters.odom_frame
+
+    @property
+    def outbox(self) -> Outbox:
+        """The spools."""
+        return self._outbox
+
+    @property
+    def left_out(self) -> int:
+        """Clouds that got no pose."""
+        return self._clouds.left_out
+
+    @property
+    def problem(self) -> str:
+        """What is wrong just now, "" for nothing."""
+        return "; ".join([*self._refused, *([self._newsroom.error] if self._newsroom.error else [])])
+
+    def start(self) -> None:
+        """Begin to ask the service."""
+        self._thread.start()
+
+    def take_odometry(self, message: Any) -> None:
+        """A nav_msgs/Odometry. One that is no rigid motion is passed over: odometries publish zeros at their start."""
+        if self._odometry is None:
+            return
+        try:
+            self._odometry.take(pose_of(message))
+        except RevisitError as error:
+            self._complain(f"odometry: {error.message}")
+        self.work()
+
+    def take_cloud(self, message: Any) -> None:
+        """A sensor_msgs/PointCloud2."""
+        self._clouds.take(message)
+        self.work()
+
+    def work(self) -> None:
+        """Put the clouds whose poses are known on the disk."""
+        for posed in self._clouds.ready():
+            self._offer(posed)
+
+    def news(self) -> list[News]:
+        """What was found since the last call."""
+        found = []
+        while not self._news.empty():
+            found.append(self._news.get())
+        return found
+
+    def end_session(self) -> None:
+        """The next scan begins a new session; this one is finished once its scans are sent."""
+        self._outbox.end()
+        self._journey = Journey()
+        self._state_file.unlink(missing_ok=True)
+
+    def close(self) -> None:
+        """Stop; what is not sent stays on the disk."""
+        self._closing.set()
+        if self._thread.is_alive():
+            self._thread.join(timeout=5.0)
+        if self._journey.last is not None:
+            self._journey.last.save(self._state_file)
+        self._outbox.close()
+
+    def _offer(self, posed: PosedCloud) -> None:
+        """A cloud with its pose: judged, then sent if the robot has moved on."""
+        session_id = self._journey.last.session_id if self._journey.last else ""
+        scan = LastScan(
+            session_id, self._boot, self.odom_frame, posed.sensor_frame, posed.stamp_ns, posed.T_odom_sensor
+        )
+        verdict = judge(self._journey.last, scan, self._motion)
+        if isinstance(verdict, Repeated):
+            return
+        lost = self._outbox.lost
+        if lost is not None or isinstance(verdict, Begun):
+            scan = replace(scan, session_id=self._begun(lost or _reason(verdict)))
+        self._remember(scan)
+        if self._journey.travelled(posed.T_odom_sensor, self._parameters.min_travel_m, self._parameters.min_turn_deg):
+            self._send(posed)
+
+    def _begun(self, reason: str) -> str:
+        session_id = new_session_id(self._parameters.robot_id, self._outbox.session_ids)
+        log.info("session %s begins: %s", session_id, reason)
+        self._outbox.begin(session_id)
+        self._journey = Journey()
+        return session_id
+
+    def _send(self, posed: PosedCloud) -> None:
+        try:
+            self._outbox.send(self._points(posed), posed.T_odom_sensor, posed.stamp_ns)
+        except RevisitError as error:
+            self._complain(error.message)
+            return
+        self._journey.T_odom_sent = posed.T_odom_sensor
+        self._refused.clear()
+
+    def _points(self, posed: PosedCloud) -> Points:
+        """The points (n, 3) in the sensor's frame. Clouds that are registered in the odometry's frame are taken back.
+
+        Raises RevisitError.
+        """
+        points = points_of(posed.cloud)
+        if posed.sensor_frame != self.odom_frame:
+            return points
+        if self._odometry is None:
+            raise RevisitError(f"the clouds are registered in {self.odom_frame}: give those of the sensor")
+        return se3.apply(se3.inverse(posed.T_odom_sensor), points.astype(np.float64)).astype(np.float32)
+
+    def _remember(self, scan: LastScan) -> None:
+        self._journey.last = scan
+        if self._now_s() - self._saved_s >= SAVE_S:
+            scan.save(self._state_file)
+            self._saved_s = self._now_s()
+
+    def _complain(self, message: str) -> None:
+        """Say something once, and count it."""
+        if message not in self._refused:
+            log.warning("%s", message)
+        if len(self._refused) < 20 or message in self._refused:
+            self._refused[message] = self._refused.get(message, 0) + 1
+
+    def _ask(self) -> None:
+        """Look after the spools and ask for news, until the end."""
+        while not self._closing.wait(self._parameters.poll_s):
+            try:
+                self._outbox.tend()
+                session = self._outbox.state.session
+                news = self._newsroom.ask(session) if session else None
+                if news is not None:
+                    self._news.put(news)
+            except RevisitError as error:
+                log.warning("%s", error.message)
+
+
+def _reason(verdict: object) -> str:
+    return verdict.reason if isinstance(verdict, Begun) else ""

@@ -1,0 +1,71 @@
+"""What the bridge reads of ROS messages: clouds, poses and times. Any object with the fields of the message will do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.geometry import se3
+from revisit.formats.cloud import CloudLimits
+from revisit.formats.pointcloud2 import PackedCloud, PointField, decode_packed
+
+Points = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class StampedPose:
+    """Where the frame `child` was in the frame `parent`. T_parent_child (4, 4), nanoseconds."""
+
+    stamp_ns: int
+    parent: str
+    child: str
+    T_parent_child: se3.Matrix4
+
+
+def stamp_ns(header: Any) -> int:
+    """The time of a std_msgs/Header, nanoseconds."""
+    return int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)
+
+
+def frame(name: str) -> str:
+    """The name of a frame as TF 2 has it, without a slash in front."""
+    return name.removeprefix("/")
+
+
+def points_of(cloud: Any) -> Points:
+    """The finite points (n, 3) of a sensor_msgs/PointCloud2 that lie off the sensor's origin, metres.
+
+    Raises core.errors.RevisitError for fields or sizes that cannot be.
+    """
+    columns = tuple(PointField(item.name, item.offset, item.datatype, item.count) for item in cloud.fields)
+    packed = PackedCloud(
+        columns, cloud.point_step, cloud.width, _rows(cloud), height=cloud.height, big_endian=bool(cloud.is_bigendian)
+    )
+    points = decode_packed(packed, CloudLimits()).points
+    kept = np.isfinite(points).all(axis=1) & (points != 0.0).any(axis=1)
+    return np.asarray(points[kept], dtype=np.float32)
+
+
+def _rows(cloud: Any) -> bytes:
+    """The points' bytes without what some drivers put behind each row."""
+    data, row_bytes = bytes(cloud.data), cloud.width * cloud.point_step
+    if cloud.height <= 1 or cloud.row_step == row_bytes:
+        return data
+    starts = range(0, cloud.height * cloud.row_step, cloud.row_step) if cloud.row_step > 0 else ()
+    return b"".join(data[start : start + row_bytes] for start in starts)
+
+
+def pose_of(odometry: Any) -> StampedPose:
+    """The pose of a nav_msgs/Odometry. Raises core.errors.BadTransform."""
+    pose, header = odometry.pose.pose, odometry.header
+    parent, child = frame(header.frame_id), frame(odometry.child_frame_id)
+    return StampedPose(stamp_ns(header), parent, child, matrix(pose.position, pose.orientation))
+
+
+def matrix(position: Any, orientation: Any) -> se3.Matrix4:
+    """The transform (4, 4) of a position or translation and a quaternion. Raises core.errors.BadTransform."""
+    quaternion = (orientation.x, orientation.y, orientation.z, orientation.w)
+    return se3.from_quaternion(quaternion, (position.x, position.y, position.z))

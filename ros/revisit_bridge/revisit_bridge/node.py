@@ -1,0 +1,183 @@
+"""The ROS 2 node: subscriptions, timers and publishers around `bridge`. The only module that imports rclpy."""
+
+from __future__ import annotations
+
+import logging
+import time
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import (
+    Point,
+    Pose,
+    PoseWithCovariance,
+    Quaternion,
+    Transform,
+    TransformStamped,
+    Vector3,
+)
+from nav_msgs.msg import Odometry
+from rclpy.duration import Duration
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.time import Time as RosTime
+from revisit_msgs.msg import LoopClosure, PoseGraph, PoseGraphNode
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
+from std_srvs.srv import Trigger
+from tf2_ros import Buffer, TransformBroadcaster, TransformException, TransformListener
+
+from revisit.core.geometry import se3
+from revisit.sdk.client import Client
+from revisit_bridge.answers import Correction, News, ServiceAnswers
+from revisit_bridge.bridge import Bridge
+from revisit_bridge.messages import matrix
+from revisit_bridge.outbox import Outbox, ServiceSessions
+from revisit_bridge.pairing import Unknown
+from revisit_bridge.parameters import Parameters
+from revisit_bridge.publishing import (
+    MessageTypes,
+    loop_message,
+    pose_graph_message,
+    status_message,
+    transform_message,
+)
+from revisit_bridge.session_rule import boot_id
+
+WORK_S = 0.1
+PUBLISH_S = 0.1
+STATUS_S = 1.0
+TF_HISTORY_S = 30.0
+TYPES = MessageTypes(
+    Time, Header, Point, Vector3, Quaternion, Pose, PoseWithCovariance, Transform, TransformStamped, LoopClosure,
+    PoseGraphNode, PoseGraph, KeyValue, DiagnosticStatus, DiagnosticArray, DiagnosticStatus.OK, DiagnosticStatus.WARN,
+)  # fmt: skip
+
+
+class BridgeNode(Node):
+    """`revisit_bridge`."""
+
+    def __init__(self) -> None:
+        super().__init__("revisit_bridge")
+        logging.getLogger("revisit_bridge").addHandler(_RosLog(self.get_logger()))
+        logging.getLogger("revisit_bridge").setLevel(logging.INFO)
+        for item in Parameters.declared():
+            self.declare_parameter(item.name, item.default)
+        values = {item.name: self.get_parameter(item.name).value for item in Parameters.declared()}
+        self.parameters = Parameters.of(values)
+        self._tf = Buffer(cache_time=Duration(seconds=TF_HISTORY_S))
+        self._listener = TransformListener(self._tf, self)
+        self._broadcaster = TransformBroadcaster(self)
+        self._correction: Correction | None = None
+        self._corrected_session = ""
+        self.bridge = self._bridge()
+        self._publish()
+        self._subscribe()
+        self.bridge.start()
+
+    def _bridge(self) -> Bridge:
+        own = self.parameters
+        folder = Path(own.spool_dir).expanduser() if own.spool_dir else Path.home() / ".revisit" / "spool"
+        self._client = Client.grpc(own.service)
+        sessions = ServiceSessions(self._client, own.robot_id, own.spool_max_mb * 2**20)
+        outbox = Outbox(folder, own.map_id, sessions, time.monotonic)
+        answers = ServiceAnswers(self._client)
+        return Bridge(own, self._lookup, outbox, answers, boot_id(), folder / "last_scan.json", time.monotonic)
+
+    def _subscribe(self) -> None:
+        own = self.parameters
+        self.create_subscription(PointCloud2, own.cloud_topic, self.bridge.take_cloud, qos_profile_sensor_data)
+        if own.odometry_topic:
+            self.create_subscription(Odometry, own.odometry_topic, self.bridge.take_odometry, qos_profile_sensor_data)
+        self.create_service(Trigger, "~/end_session", self._end_session)
+        self.create_timer(WORK_S, self.bridge.work)
+        self.create_timer(PUBLISH_S, self._tell)
+        self.create_timer(STATUS_S, self._tell_status)
+
+    def _publish(self) -> None:
+        kept = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._loops = self.create_publisher(LoopClosure, "~/loop_closures", QoSProfile(depth=100))
+        self._graph = self.create_publisher(PoseGraph, "~/pose_graph", kept)
+        self._status = self.create_publisher(DiagnosticArray, "/diagnostics", QoSProfile(depth=1))
+
+    def _lookup(self, target: str, source: str, stamp: int) -> se3.Matrix4 | Unknown:
+        """See `pairing.Mountings`. tf2 tells apart neither too early nor unknown: the cloud's own patience ends it."""
+        try:
+            found = self._tf.lookup_transform(target, source, RosTime(nanoseconds=stamp)).transform
+        except TransformException:
+            return Unknown.NOT_YET
+        return matrix(found.translation, found.rotation)
+
+    def _tell(self) -> None:
+        """Publish what is new, and the transform that holds."""
+        for news in self.bridge.news():
+            self._tell_news(news)
+        correction = self._correction
+        if correction is None or not self.parameters.publish_tf:
+            return
+        if self._corrected_session != self.bridge.outbox.state.session:
+            self._correction = None  # of a session that has ended: its odometry frame is no more
+            return
+        ahead_ns = int(self.parameters.tf_tolerance_s * 1e9)
+        stamp_ns = self.get_clock().now().nanoseconds + ahead_ns
+        frames = self.parameters.map_frame, self.bridge.odom_frame
+        self._broadcaster.sendTransform(transform_message(TYPES, correction, frames, stamp_ns))
+
+    def _tell_news(self, news: News) -> None:
+        for loop in news.found:
+            self._loops.publish(loop_message(TYPES, loop))
+        for loop in news.revoked:
+            self._loops.publish(loop_message(TYPES, loop, revoked=True))
+        now_ns = self.get_clock().now().nanoseconds
+        self._graph.publish(pose_graph_message(TYPES, news.answer, self.bridge.odom_frame, now_ns))
+        self._correction, self._corrected_session = news.answer.correction, news.answer.session
+
+    def _tell_status(self) -> None:
+        now_ns = self.get_clock().now().nanoseconds
+        state, left_out = self.bridge.outbox.state, self.bridge.left_out
+        self._status.publish(status_message(TYPES, state, self.bridge.problem, left_out, now_ns))
+
+    def _end_session(self, _: Any, response: Any) -> Any:
+        self.bridge.end_session()
+        response.success, response.message = True, "the next scan begins a new session"
+        return response
+
+    def destroy_node(self) -> None:
+        """Stop; scans that are not sent stay on the disk."""
+        self.bridge.close()
+        self._client.close()
+        super().destroy_node()
+
+
+class _RosLog(logging.Handler):
+    """The bridge's log in that of ROS."""
+
+    def __init__(self, logger: Any) -> None:
+        super().__init__()
+        self._logger = logger
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Hand a record on."""
+        tell = self._logger.warning if record.levelno >= logging.WARNING else self._logger.info
+        tell(record.getMessage())
+
+
+def main() -> None:
+    """`ros2 run revisit_bridge bridge`."""
+    rclpy.init()
+    node = BridgeNode()
+    try:
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,249 @@
+"""The sessions' spools in one folder: the current one is filled, earlier ones are emptied, finished and removed."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from revisit.core.errors import RevisitError
+from revisit.core.geometry import se3
+from revisit.sdk.client import Client
+from revisit.sdk.errors import ApiError
+from revisit.sdk.spool import Spool, SpoolState
+from revisit_bridge.messages import Points
+
+SUFFIX = ".spool"
+RETRY_S = 30.0
+LOST_SESSION = frozenset({"SESSION_FINISHED", "NOT_FOUND", "SEQ_GAP", "ALREADY_EXISTS"})
+"""Reasons after which a session cannot go on: only a new one helps. After others the stream is opened again."""
+
+
+class Stream(Protocol):
+    """What is used of the SDK's `SpooledStream`."""
+
+    @property
+    def state(self) -> SpoolState:
+        """What waits in the spool."""
+
+    @property
+    def error(self) -> Exception | None:
+        """Why nothing is sent any more."""
+
+    def send(self, points: Points, T_odom_sensor: se3.Matrix4, stamp_ns: int) -> None:
+        """Put a scan on the disk. Raises RevisitError."""
+
+
+class Sessions(Protocol):
+    """What is used of the service."""
+
+    def stream(self, session: str, spool: Path) -> contextlib.AbstractContextManager[Stream]:
+        """The stream of a session by way of a file; the session is created once there is a link."""
+
+    def finish(self, session: str) -> None:
+        """Finish a session. Raises ApiError."""
+
+
+@dataclass(frozen=True)
+class ServiceSessions:
+    """Sessions of one robot over the SDK. The map and the robot are created with the first of them."""
+
+    client: Client
+    robot_id: str
+    max_bytes: int
+
+    def stream(self, session: str, spool: Path) -> contextlib.AbstractContextManager[Stream]:
+        """See Sessions."""
+        return self.client.spooled_stream(
+            session, spool, max_bytes=self.max_bytes, prepare=lambda: self._create(session)
+        )
+
+    def finish(self, session: str) -> None:
+        """See Sessions."""
+        self.client.finish_session(session)
+
+    def _create(self, session: str) -> None:
+        _, map_id, _, session_id = session.split("/")
+        with contextlib.suppress(ApiError):
+            # A map that is there may have other settings than the service's defaults: that is no matter here.
+            self.client.create_map(map_id)
+        self.client.create_session(f"maps/{map_id}", session_id, robot=self.client.create_robot(self.robot_id))
+
+
+@dataclass
+class _Open:
+    """A session whose spool is open. `stopped_at_s` is when its stream was found to have ended."""
+
+    name: str
+    spool: Path
+    stream: Stream
+    close: Callable[[], Any]
+    stopped_at_s: float | None = None
+
+
+@dataclass(frozen=True)
+class OutboxState:
+    """How things stand. `pending` scans wait in all spools; `stuck`: sessions that the service refuses for good."""
+
+    session: str
+    pending: int
+    dead_letters: int
+    committed_seq: int | None
+    error: str
+    stuck: tuple[str, ...]
+
+
+class Outbox:
+    """Safe between the thread that sends and the one that tends."""
+
+    def __init__(self, folder: Path, map_id: str, sessions: Sessions, now_s: Callable[[], float]) -> None:
+        """Opens what earlier runs have left in `folder`, which is made where there is none. Raises SpoolUnusable."""
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        self._folder, self._map_id, self._sessions, self._now_s = folder, map_id, sessions, now_s
+        self._lock = threading.RLock()
+        self._current: _Open | None = None
+        self._ending = [self._opened(_session_of(spool), spool) for spool in sorted(folder.glob(f"*{SUFFIX}"))]
+        self._stuck: dict[str, str] = {}
+
+    def resume(self, session_id: str) -> None:
+        """Go on with a session of an earlier run, before anything is sent or tended."""
+        with self._lock:
+            mine = [left for left in self._ending if left.spool.stem == session_id]
+            self._ending = [left for left in self._ending if left not in mine]
+            self._current = mine[0] if mine else self._opened(self._name(session_id), self._path(session_id))
+
+    def begin(self, session_id: str) -> None:
+        """Scans go to a new session from now on; the one before is finished once its scans are sent."""
+        with self._lock:
+            if self._current is not None:
+                self._ending.append(self._current)
+            self._current = self._opened(self._name(session_id), self._path(session_id))
+
+    def end(self) -> None:
+        """No session is current any more; see `begin`."""
+        with self._lock:
+            if self._current is not None:
+                self._ending.append(self._current)
+            self._current = None
+
+    def send(self, points: Points, T_odom_sensor: se3.Matrix4, stamp_ns: int) -> None:
+        """Put a scan of the current session on the disk. Raises RevisitError, SpoolFull among them."""
+        with self._lock:
+            if self._current is None:
+                raise RevisitError("no session was begun")
+            self._current.stream.send(points, T_odom_sensor, stamp_ns)
+
+    @property
+    def lost(self) -> str | None:
+        """Why the current session cannot go on, None where it can: the next scan needs a new one."""
+        with self._lock:
+            error = self._current.stream.error if self._current is not None else None
+        reason = _reason(error)
+        return None if reason not in LOST_SESSION else f"the service refuses the session: {error}"
+
+    def tend(self) -> None:
+        """Finish and remove what is sent; open streams again that ended for a passing reason. Asks the service."""
+        with self._lock:
+            ending, current = list(self._ending), self._current
+        for left in ending:
+            self._tend_ending(left)
+        if current is not None and current.stream.error is not None and self.lost is None:
+            self._reopen(current)
+
+    def _tend_ending(self, left: _Open) -> None:
+        if left.stream.error is not None:
+            if _reason(left.stream.error) in LOST_SESSION:
+                self._give_up(left, left.stream.error)
+            else:
+                self._reopen(left)
+        elif left.stream.state.pending == 0:
+            try:
+                if left.stream.state.committed_seq:
+                    self._sessions.finish(left.name)
+            except ApiError as error:
+                if error.reason not in LOST_SESSION:
+                    return  # at the next time
+            self._remove(left)
+
+    def _give_up(self, left: _Open, error: Exception) -> None:
+        """Its scans stay in the file, and are told of; nothing more is tried before the next start."""
+        with self._lock:
+            self._stuck[left.name] = str(error)
+            self._ending = [other for other in self._ending if other is not left]
+            left.close()
+
+    def _remove(self, left: _Open) -> None:
+        with self._lock:
+            self._ending = [other for other in self._ending if other is not left]
+            left.close()
+            for file in left.spool.parent.glob(f"{left.spool.name}*"):
+                file.unlink(missing_ok=True)
+
+    def _reopen(self, ended: _Open) -> None:
+        with self._lock:
+            if ended.stopped_at_s is None:
+                ended.stopped_at_s = self._now_s()
+            if self._now_s() - ended.stopped_at_s < RETRY_S:
+                return
+            ended.close()
+            again = self._opened(ended.name, ended.spool)
+            self._ending = [again if other is ended else other for other in self._ending]
+            self._current = again if self._current is ended else self._current
+
+    @property
+    def state(self) -> OutboxState:
+        """How things stand now."""
+        with self._lock:
+            current, all_open = self._current, [*self._ending, *([self._current] if self._current else [])]
+            states = [item.stream.state for item in all_open]
+            errors = [str(item.stream.error) for item in all_open if item.stream.error is not None]
+            return OutboxState(
+                session=current.name if current else "",
+                pending=sum(state.pending for state in states),
+                dead_letters=sum(state.dead_letters for state in states),
+                committed_seq=current.stream.state.committed_seq if current else None,
+                error="; ".join(errors),
+                stuck=tuple(sorted(self._stuck)),
+            )
+
+    def close(self) -> None:
+        """Let go of all spools; what they hold stays for the next run."""
+        with self._lock:
+            for item in [*self._ending, *([self._current] if self._current else [])]:
+                item.close()
+            self._ending, self._current = [], None
+
+    @property
+    def session_ids(self) -> set[str]:
+        """Ids of the sessions that have a spool here."""
+        return {spool.stem for spool in self._folder.glob(f"*{SUFFIX}")}
+
+    def _opened(self, name: str, spool: Path) -> _Open:
+        stack = contextlib.ExitStack()
+        stream = stack.enter_context(self._sessions.stream(name, spool))
+        return _Open(name, spool, stream, stack.close)
+
+    def _path(self, session_id: str) -> Path:
+        return self._folder / f"{session_id}{SUFFIX}"
+
+    def _name(self, session_id: str) -> str:
+        return f"maps/{self._map_id}/sessions/{session_id}"
+
+
+def _session_of(spool: Path) -> str:
+    """The session that a spool's scans belong to: that of its map at the time, whatever the parameters say now."""
+    opened = Spool(spool)
+    try:
+        return opened.state.session
+    finally:
+        opened.close()
+
+
+def _reason(error: Exception | None) -> str:
+    """The reason of an error of the service or of the spool, "" for none."""
+    if isinstance(error, ApiError):
+        return error.reason
+    return str(error.code) if isinstance(error, RevisitError) else ""

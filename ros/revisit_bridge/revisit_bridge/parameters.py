@@ -1,0 +1,67 @@
+"""Every parameter of the node, once: name, default, unit, meaning."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import Field, dataclass, field, fields
+from typing import Any, Self
+
+
+def _parameter(default: Any, meaning: str) -> Any:
+    return field(default=default, metadata={"meaning": meaning})
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """What can be set; the ROS parameters have the same names."""
+
+    service: str = _parameter("127.0.0.1:8090", "gRPC address of the service; `grpcs://host:port` for TLS")
+    map_id: str = _parameter("default", "map that the sessions belong to; created where there is none")
+    robot_id: str = _parameter("robot", "robot that the sessions belong to; created where there is none")
+    spool_dir: str = _parameter("", "folder for scans that wait for the service; empty: ~/.revisit/spool")
+    spool_max_mb: int = _parameter(4096, "MB that the clouds of one session may take on this disk")
+    cloud_topic: str = _parameter("points", "sensor_msgs/PointCloud2, deskewed, in the frame of the sensor")
+    odometry_topic: str = _parameter("", "nav_msgs/Odometry; empty: poses are taken from TF")
+    odom_frame: str = _parameter("odom", "frame that moves smoothly, z up; with `odometry_topic` its header says it")
+    map_frame: str = _parameter("map", "parent of the published transform")
+    pose_wait_s: float = _parameter(2.0, "seconds that a cloud waits for its pose, then it is left out")
+    max_waiting_clouds: int = _parameter(30, "clouds that wait for a pose at most")
+    min_travel_m: float = _parameter(0.3, "metres between scans that are sent; standing still sends nothing")
+    min_turn_deg: float = _parameter(10.0, "degrees of turning that count as travel")
+    max_jump_m: float = _parameter(5.0, "metres that the odometry may jump at any speed; beyond, a new session begins")
+    max_speed_m_s: float = _parameter(40.0, "fastest speed of the robot; what is faster is a jump")
+    max_gap_s: float = _parameter(10.0, "seconds without scans after which a new session begins")
+    poll_s: float = _parameter(5.0, "seconds between two questions for loops and corrections")
+    publish_tf: bool = _parameter(True, "publish `map_frame` -> `odom_frame` once the service has placed the session")
+    tf_tolerance_s: float = _parameter(0.5, "seconds that the published transform is dated ahead")
+
+    def __post_init__(self) -> None:
+        for name in ("spool_max_mb", "pose_wait_s", "max_waiting_clouds", "max_jump_m", "max_speed_m_s", "max_gap_s",
+                     "poll_s"):  # fmt: skip
+            if getattr(self, name) <= 0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        for name in ("cloud_topic", "map_id", "robot_id", "odom_frame", "map_frame"):
+            if not getattr(self, name):
+                raise ValueError(f"{name} must not be empty")
+        if self.map_frame == self.odom_frame:
+            raise ValueError(f"map_frame and odom_frame are both {self.map_frame}")
+
+    @classmethod
+    def declared(cls) -> tuple[Field[Any], ...]:
+        """The parameters with default (`default`) and meaning (`metadata["meaning"]`)."""
+        return fields(cls)
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> Self:
+        """From values by name; what is missing is as declared. Raises ValueError."""
+        return cls(**values)
+
+
+def as_table() -> str:
+    """The parameters as the table of the README."""
+    rows = [f"| `{item.name}` | `{_shown(item.default)}` | {item.metadata['meaning']} |" for item in fields(Parameters)]
+    return "\n".join(["| parameter | default | meaning |", "|---|---|---|", *rows]) + "\n"
+
+
+def _shown(value: object) -> str:
+    return str(value).lower() if isinstance(value, bool) else '""' if value == "" else str(value)

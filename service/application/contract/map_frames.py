@@ -1,0 +1,132 @@
+"""Where things lie in the map: what the version of a map in force says of its submaps and sessions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
+from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.records import LoopRecord, Pose, SubmapRecord
+from revisit.service.application.contract.session_poses import PackedSubmaps
+from revisit.service.application.contract.transactions import UnitOfWork
+
+
+@dataclass(frozen=True)
+class MapPose:
+    """A pose in a frame of the map, 16 floats, row-major, by a version of the map."""
+
+    T_map: Pose
+    frame: str
+    map_version: int
+
+    def of_child(self, T_parent_child: Matrix4) -> MapPose:
+        """The pose of what lies at `T_parent_child` (4, 4) in the frame whose pose this is."""
+        return MapPose(pose_row(pose_matrix(self.T_map) @ T_parent_child), self.frame, self.map_version)
+
+
+@dataclass(frozen=True)
+class LoopInMap:
+    """The two submaps of a loop, where they share a frame of the map."""
+
+    query: MapPose
+    match: MapPose
+
+
+@dataclass(frozen=True)
+class _SessionInMap:
+    frame: str
+    T_map_odom: Matrix4
+    submaps: PackedSubmaps
+
+
+class MapFrames:
+    """The poses of one map, read within one transaction as they are asked for."""
+
+    def __init__(self, uow: UnitOfWork, tenant: TenantId, map_id: str) -> None:
+        """Those of the version in force; of none where the map has none, or is not there."""
+        record = uow.maps.get(tenant, map_id)
+        self._uow = uow
+        self._tenant = tenant
+        self._map_id = map_id
+        self._version = 0 if record is None else record.map_version
+        self._sessions: dict[str, _SessionInMap | None] = {}
+
+    def submap(self, record: SubmapRecord) -> MapPose | None:
+        """T_map_submap; of a submap that came after the version by its session's correction. None without a frame."""
+        known = self._known(record.session_id, record.number)
+        if known is not None:
+            return known
+        session = self._session(record.session_id)
+        if session is None:
+            return None
+        T_map_submap = session.T_map_odom @ pose_matrix(record.T_odom_submap)
+        return MapPose(pose_row(T_map_submap), session.frame, self._version)
+
+    def loops(self, records: Iterable[LoopRecord]) -> dict[int, LoopInMap]:
+        """The ends of those loops, by number, whose submaps share a frame."""
+        if not self._version:
+            return {}
+        records = list(records)
+        later = self._later([number for loop in records for number in (loop.query_number, loop.match_number)], records)
+        ends = {
+            loop.number: (
+                self._known(loop.query_session_id, loop.query_number) or later.get(loop.query_number),
+                self._known(loop.match_session_id, loop.match_number) or later.get(loop.match_number),
+            )
+            for loop in records
+        }
+        return {
+            number: LoopInMap(query, match)
+            for number, (query, match) in ends.items()
+            if query is not None and match is not None and query.frame == match.frame
+        }
+
+    def _later(self, numbers: list[int], loops: list[LoopRecord]) -> dict[int, MapPose]:
+        """The poses of those submaps that are not in the version, but whose session is."""
+        sessions = {loop.query_number: loop.query_session_id for loop in loops}
+        sessions |= {loop.match_number: loop.match_session_id for loop in loops}
+        missing = sorted(
+            number
+            for number in set(numbers)
+            if self._session(sessions[number]) is not None and self._known(sessions[number], number) is None
+        )
+        found = self._uow.submaps.numbered(self._tenant, missing) if missing else {}
+        poses = {number: self.submap(record) for number, record in found.items()}
+        return {number: pose for number, pose in poses.items() if pose is not None}
+
+    def _known(self, session_id: str, number: int) -> MapPose | None:
+        session = self._session(session_id)
+        place = None if session is None else session.submaps.place_of(number)
+        if session is None or place is None:
+            return None
+        return MapPose(pose_row(session.submaps.T_map_submap[place]), session.frame, self._version)
+
+    def _session(self, session_id: str) -> _SessionInMap | None:
+        if not self._version:
+            return None
+        if session_id not in self._sessions:
+            row = self._uow.session_poses.get(self._tenant, self._map_id, self._version, session_id)
+            self._sessions[session_id] = (
+                None
+                if row is None
+                else _SessionInMap(row.frame, pose_matrix(row.T_map_odom), PackedSubmaps.of(row.submaps))
+            )
+        return self._sessions[session_id]
+
+
+def frame_name(session_number: int) -> str:
+    """The frame of the map that is the odometry frame of this session: its oldest one."""
+    return f"frame-{session_number}"
+
+
+def submap_in_map(uow: UnitOfWork, record: SubmapRecord) -> MapPose | None:
+    """T_map_submap of one submap (see `MapFrames.submap`)."""
+    return MapFrames(uow, record.tenant, record.map_id).submap(record)
+
+
+def matrix_of(pose: MapPose | None) -> Matrix4 | None:
+    """The (4, 4) transform of a pose in the map."""
+    return None if pose is None else np.array(pose_matrix(pose.T_map))

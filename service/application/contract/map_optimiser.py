@@ -1,0 +1,89 @@
+"""The optimisation of a map's pose graph, as the workers call it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.geometry.se3 import Matrix4
+from revisit.service.application.contract.states import GraphState
+
+Array64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SessionTrack:
+    """The submaps of a session in the order of their drive, by number, and where its odometry saw them (n, 4, 4)."""
+
+    session_number: int
+    submaps: tuple[int, ...]
+    T_odom_submap: Array64
+
+
+@dataclass(frozen=True)
+class TrackLoop:
+    """A loop of number `number` between two submaps, by number.
+
+    T_match_query (4, 4); covariance (6, 6) of its tangent (x, y, z, rx, ry, rz) in the match frame, metres and radians,
+    None where nobody measured it.
+    """
+
+    number: int
+    match: int
+    query: int
+    T_match_query: Matrix4
+    covariance: Array64 | None
+
+
+@dataclass(frozen=True)
+class MapGraph:
+    """The sessions of a map and the accepted loops between their submaps, each of which covers `window_m` metres."""
+
+    tracks: tuple[SessionTrack, ...]
+    loops: tuple[TrackLoop, ...]
+    window_m: float
+
+
+@dataclass(frozen=True)
+class OptimisedTrack:
+    """A session in a frame of the map, which is the odometry frame of the session of number `anchor`.
+
+    T_map_submap (n, 4, 4) and covariances (n, 6, 6), each of the tangent (x, y, z, rx, ry, rz) in the submap's frame,
+    are of the submaps of its track; T_map_odom (4, 4) is its correction as of the last of them.
+    """
+
+    session_number: int
+    anchor: int
+    T_map_odom: Matrix4
+    T_map_submap: Array64
+    covariances: Array64
+
+
+@dataclass(frozen=True)
+class JudgedLoop:
+    """What the graph says of a loop; its squared Mahalanobis distance from the poses, NaN where it is UNCONNECTED."""
+
+    number: int
+    state: GraphState
+    squared_distance: float
+
+
+@dataclass(frozen=True)
+class OptimisedMap:
+    """The most likely poses, what they say of every loop, and how well they fit: `chi2` by `degrees_of_freedom`."""
+
+    tracks: tuple[OptimisedTrack, ...]
+    loops: tuple[JudgedLoop, ...]
+    chi2: float
+    degrees_of_freedom: int
+
+
+class MapOptimiser(Protocol):
+    """Places the sessions of a map to each other."""
+
+    def optimise(self, graph: MapGraph) -> OptimisedMap:
+        """The same graph gives the same answer, bit for bit. Tracks and loops answer in their order."""
+        ...

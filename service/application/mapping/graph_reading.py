@@ -1,0 +1,67 @@
+"""The pose graph of a map as the database holds it: the drives of its sessions and the accepted loops between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.geometry.se3 import pose_matrix
+from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.map_optimiser import MapGraph, SessionTrack, TrackLoop
+from revisit.service.application.contract.policy import Policy
+from revisit.service.application.contract.records import LoopRecord, MapRecord, SessionPosesRecord
+from revisit.service.application.contract.states import LoopState
+from revisit.service.application.contract.transactions import UnitOfWork
+
+
+@dataclass(frozen=True)
+class MapTask:
+    """A map to optimise: its pose graph, its loops in the order of the graph's, and its poses by the version in force.
+
+    `session_ids` are those of the tracks.
+    """
+
+    map: MapRecord
+    graph: MapGraph
+    session_ids: tuple[str, ...]
+    loops: tuple[LoopRecord, ...]
+    before: tuple[SessionPosesRecord, ...]
+
+
+def read_task(uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str) -> MapTask | None:
+    """The map as it is now, None where it is gone."""
+    record = uow.maps.get(tenant, map_id)
+    if record is None:
+        return None
+    ids = {session.number: session.session_id for session in uow.sessions.find(tenant, map_id=map_id)}
+    tracks = _tracks(uow, tenant, map_id)
+    accepted = uow.loops.find(tenant, map_id=map_id, state=LoopState.ACCEPTED.value)
+    loops = tuple(loop for loop in accepted if loop.T_match_query is not None)
+    graph = MapGraph(tracks, tuple(_track_loop(loop) for loop in loops), policy.for_map(record).submap.tau)
+    before = uow.session_poses.find(tenant, map_id=map_id, version=record.map_version)
+    return MapTask(record, graph, tuple(ids[track.session_number] for track in tracks), loops, tuple(before))
+
+
+def _tracks(uow: UnitOfWork, tenant: TenantId, map_id: str) -> tuple[SessionTrack, ...]:
+    tracks = []
+    for number, of_session in groupby(uow.submaps.placed(tenant, map_id), key=lambda one: one.session_number):
+        placed = list(of_session)
+        poses = np.stack([pose_matrix(one.T_odom_submap) for one in placed])
+        tracks.append(SessionTrack(number, tuple(one.number for one in placed), poses))
+    return tuple(tracks)
+
+
+def _track_loop(record: LoopRecord) -> TrackLoop:
+    T_match_query = pose_matrix(record.T_match_query or ())
+    covariance = measured_covariance(record.evidence)
+    return TrackLoop(record.number, record.match_number, record.query_number, T_match_query, covariance)
+
+
+def measured_covariance(evidence: dict[str, Any]) -> NDArray[np.float64] | None:
+    """The covariance (6, 6) that verification measured, None where it has none that is finite."""
+    measured = np.asarray(evidence.get("measurement", {}).get("covariance", []), dtype=np.float64)
+    return measured.reshape(6, 6) if measured.size == 36 and np.isfinite(measured).all() else None

@@ -1,0 +1,86 @@
+"""The history of loop closures: every change is an event, and the events alone give the state."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from revisit.service.application.contract.records import LoopEventRecord, LoopRecord, Pose
+from revisit.service.application.contract.states import LoopEventKind, LoopState
+from revisit.service.application.contract.transactions import UnitOfWork
+
+SERVICE = "service"
+"""Who is named for what no person did."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """What happens to a loop, by whom, and why; `details` is JSON."""
+
+    kind: LoopEventKind
+    at_ns: int
+    actor: str = SERVICE
+    note: str = ""
+    map_version: int = 0
+    details: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class LoopStanding:
+    """What may change of a loop: verdict, its reason, the alignment, and the verdict of the pose graph."""
+
+    state: LoopState
+    reason: str | None
+    T_match_query: Pose | None
+    graph_state: str | None
+
+    @classmethod
+    def of(cls, record: LoopRecord | LoopEventRecord) -> LoopStanding:
+        """As a loop's row has it, or as an event left it."""
+        return cls(LoopState(record.state), record.reason, record.T_match_query, record.graph_state)
+
+
+def standing_after(events: Iterable[LoopEventRecord]) -> LoopStanding | None:
+    """The state of a loop by its events alone, oldest first; None where there are none."""
+    standing = None
+    for event in events:
+        standing = LoopStanding.of(event)
+    return standing
+
+
+def add_loop(uow: UnitOfWork, record: LoopRecord, change: Change) -> LoopRecord:
+    """Store a new loop with its first event."""
+    added = uow.loops.add(record)
+    uow.loop_events.add(_event(added, change))
+    return added
+
+
+def change_loop(uow: UnitOfWork, record: LoopRecord, change: Change, **fields: Any) -> LoopRecord:
+    """Store a loop with changed fields, and the event that tells of it."""
+    changed = replace(record, **fields)
+    uow.loops.replace(changed)
+    uow.loop_events.add(_event(changed, change))
+    return changed
+
+
+def _event(loop: LoopRecord, change: Change) -> LoopEventRecord:
+    return LoopEventRecord(
+        tenant=loop.tenant,
+        map_id=loop.map_id,
+        loop_id=loop.loop_id,
+        kind=change.kind.value,
+        state=loop.state,
+        reason=loop.reason,
+        graph_state=loop.graph_state,
+        T_match_query=loop.T_match_query,
+        actor=change.actor,
+        note=change.note,
+        map_version=change.map_version,
+        details=change.details,
+        query_number=loop.query_number,
+        match_number=loop.match_number,
+        query_session_id=loop.query_session_id,
+        match_session_id=loop.match_session_id,
+        at_ns=change.at_ns,
+    )

@@ -1,0 +1,117 @@
+"""Optimising a map: what a worker does with the job, and how it comes into the queue."""
+
+from __future__ import annotations
+
+import secrets
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+from revisit.service.application.contract.clock import Clock, Instant
+from revisit.service.application.contract.errors import Unavailable
+from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.job_queue import Lease
+from revisit.service.application.contract.map_optimiser import MapOptimiser
+from revisit.service.application.contract.policy import Policy
+from revisit.service.application.contract.records import JobRecord
+from revisit.service.application.contract.states import LoopState, OperationKind, OperationState
+from revisit.service.application.contract.tracing import current_request
+from revisit.service.application.contract.transactions import Transactions, UnitOfWork
+from revisit.service.application.mapping.graph_reading import read_task
+from revisit.service.application.mapping.version_commit import MAP_DELETED, VersionCommit
+from revisit.service.failpoints import failpoint
+
+NO_SUBMAPS = {"outcome": "the map holds no submaps"}
+"""The result of a job that had nothing to optimise."""
+
+_READINGS = 5
+"""How often a graph is read again that has lost a part while it was optimised."""
+
+
+class MapOptimisation:
+    """Runs the jobs that optimise maps; all calls block."""
+
+    def __init__(self, transactions: Transactions, clock: Clock, policy: Policy, optimiser: MapOptimiser) -> None:
+        """`optimiser` places the sessions to each other."""
+        self._transactions = transactions
+        self._clock = clock
+        self._policy = policy
+        self._optimiser = optimiser
+
+    def run(self, lease: Lease) -> None:
+        """Read the graph, optimise it, commit a version. Raises Unavailable where the graph changes all the time."""
+        map_id = str(lease.job.payload["map_id"])
+        read = partial(read_task, policy=self._policy, tenant=lease.job.tenant, map_id=map_id)
+        for _ in range(_READINGS):
+            task = self._transactions.read(read).result()
+            if task is None or not task.graph.tracks:
+                self._end(lease, MAP_DELETED if task is None else NO_SUBMAPS)
+                return
+            failpoint("optimise.after_read")
+            optimised = self._optimiser.optimise(task.graph)
+            failpoint("optimise.after_solution")
+            now, now_ns = self._clock.instant(), self._clock.wall_ns()
+            commit = VersionCommit(lease, task, optimised, self._policy.map_versions_kept, now, now_ns)
+            if self._transactions.write(commit).result():
+                return
+        raise Unavailable("the map was changed again and again while it was optimised")
+
+    def _end(self, lease: Lease, result: dict[str, Any]) -> None:
+        now, now_ns = self._clock.instant(), self._clock.wall_ns()
+        self._transactions.write(lambda uow: uow.queue.complete(lease, result, now, now_ns)).result()
+
+
+def optimise_soon(uow: UnitOfWork, tenant: TenantId, map_id: str, policy: Policy, now: Instant, now_ns: int) -> None:
+    """Let a map be optimised once its new loops have settled, where the service does that by itself and enough wait."""
+    least = policy.optimise_after_loops
+    if not least or waiting_optimisation(uow, tenant, map_id) is not None:
+        return
+    unasked = {"map_id": map_id, "state": LoopState.ACCEPTED.value, "graph_state": None}
+    if least == 1 or uow.loops.count(tenant, **unasked) >= least:
+        due = Instant(now.epoch, now.ms + policy.optimise_delay_ms)
+        post_optimisation(uow, tenant, map_id, policy, now_ns, due)
+
+
+def post_optimisation(
+    uow: UnitOfWork, tenant: TenantId, map_id: str, policy: Policy, now_ns: int, due: Instant | None = None
+) -> JobRecord:
+    """Queue the job, not to be run before `due`. A map has one that waits at most, so no backlog bounds them."""
+    request = current_request()
+    return uow.queue.enqueue(
+        JobRecord(
+            tenant=tenant,
+            operation_id=f"op-{secrets.token_hex(10)}",
+            kind=OperationKind.OPTIMISE_MAP.value,
+            state=OperationState.QUEUED.value,
+            subject=f"maps/{map_id}",
+            payload={"map_id": map_id},
+            attempts=0,
+            max_attempts=policy.max_attempts,
+            created_at_ns=now_ns,
+            lease_epoch="" if due is None else due.epoch,
+            not_before_ms=0 if due is None else due.ms,
+            request_id=request.request_id,
+            traceparent=request.span.traceparent,
+        )
+    )
+
+
+def waiting_optimisation(uow: UnitOfWork, tenant: TenantId, map_id: str) -> JobRecord | None:
+    """The job of a map that no worker has taken yet."""
+    queued, kind = OperationState.QUEUED.value, OperationKind.OPTIMISE_MAP.value
+    found = uow.jobs.find(tenant, limit=1, state=queued, kind=kind, subject=f"maps/{map_id}")
+    return found[0] if found else None
+
+
+def brought_forward(uow: UnitOfWork, job: JobRecord) -> JobRecord:
+    """The waiting job, due at once."""
+    due = replace(job, lease_epoch="", not_before_ms=0)
+    uow.jobs.replace(due)
+    return due
+
+
+def drop_waiting(uow: UnitOfWork, tenant: TenantId, map_id: str, result: dict[str, Any], now_ns: int) -> None:
+    """End the waiting job of a map, if there is one, without running it."""
+    job = waiting_optimisation(uow, tenant, map_id)
+    if job is not None:
+        uow.jobs.replace(replace(job, state=OperationState.DONE.value, result=result, finished_at_ns=now_ns))

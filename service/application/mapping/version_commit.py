@@ -1,0 +1,175 @@
+"""The transaction that stores a version of a map: poses, verdicts on loops and the end of the job, together."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.geometry.se3 import pose_row
+from revisit.service.application.contract.clock import Instant
+from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.job_queue import Lease
+from revisit.service.application.contract.map_frames import frame_name
+from revisit.service.application.contract.map_optimiser import JudgedLoop, OptimisedMap, OptimisedTrack
+from revisit.service.application.contract.records import LoopRecord, MapRecord, MapVersionRecord, SessionPosesRecord
+from revisit.service.application.contract.session_poses import (
+    PackedSubmaps,
+    hash_of_loops,
+    hash_of_session,
+    pack_loops,
+)
+from revisit.service.application.contract.states import GraphState, LoopEventKind
+from revisit.service.application.contract.transactions import UnitOfWork
+from revisit.service.application.mapping.graph_reading import MapTask
+from revisit.service.application.mapping.loop_events import Change, change_loop
+from revisit.service.failpoints import failpoint
+
+MAP_DELETED = {"outcome": "the map was deleted"}
+MAP_REVERTED = {"outcome": "an earlier version was brought back meanwhile"}
+"""Results of a job whose map is gone, or is not to be moved from where a person has put it."""
+
+
+@dataclass(frozen=True)
+class VersionCommit:
+    """The one transaction that ends an optimisation; at most `kept` versions of the map stay."""
+
+    lease: Lease
+    task: MapTask
+    optimised: OptimisedMap
+    kept: int
+    now: Instant
+    now_ns: int
+
+    def __call__(self, uow: UnitOfWork) -> bool:
+        """Commit, or change nothing and return False where the graph has lost or changed a part since it was read.
+
+        Raises StaleLease where another worker holds the job.
+        """
+        uow.queue.require(self.lease)
+        known = self.task.map
+        current = uow.maps.get(known.tenant, known.map_id)
+        if current is None or current.number != known.number:
+            self._end(uow, MAP_DELETED)
+        elif current.map_version != known.map_version and _was_restored(uow, current):
+            self._end(uow, MAP_REVERTED)
+        elif (current.map_version, current.graph_edits) != (known.map_version, known.graph_edits):
+            return False
+        else:
+            self._store(uow, current)
+        return True
+
+    def _store(self, uow: UnitOfWork, current: MapRecord) -> None:
+        version, summary = current.map_version + 1, summary_of(self.task, self.optimised)
+        packed = pack_loops(self.optimised.loops)
+        uow.map_versions.add(
+            MapVersionRecord(
+                tenant=current.tenant,
+                map_id=current.map_id,
+                version=version,
+                restored_from=None,
+                operation_id=self.lease.job.operation_id,
+                summary=summary,
+                loops=packed,
+                loops_hash=hash_of_loops(packed),
+                created_at_ns=self.now_ns,
+            )
+        )
+        failpoint("optimise.after_version")
+        for row in self._poses(version):
+            uow.session_poses.add(row)
+        judge_loops(uow, self.task.loops, self.optimised.loops, version, self.now_ns)
+        failpoint("optimise.after_poses")
+        uow.maps.replace(replace(current, map_version=version))
+        forget_versions(uow, current.tenant, current.map_id, version - self.kept)
+        self._end(uow, {"version": f"maps/{current.map_id}/versions/{version}", **summary})
+
+    def _poses(self, version: int) -> Iterable[SessionPosesRecord]:
+        known, graph = self.task.map, self.task.graph
+        for session_id, track, solved in zip(self.task.session_ids, graph.tracks, self.optimised.tracks, strict=True):
+            numbers = np.array(track.submaps, dtype=np.int64)
+            data = PackedSubmaps(numbers, solved.T_map_submap, solved.covariances.astype(np.float32)).packed()
+            frame = frame_name(solved.anchor)
+            yield SessionPosesRecord(
+                tenant=known.tenant,
+                map_id=known.map_id,
+                version=version,
+                session_id=session_id,
+                session_number=track.session_number,
+                frame=frame,
+                T_map_odom=pose_row(solved.T_map_odom),
+                submaps=data,
+                content_hash=hash_of_session(track.session_number, frame, solved.T_map_odom, data),
+                created_at_ns=self.now_ns,
+            )
+
+    def _end(self, uow: UnitOfWork, result: dict[str, Any]) -> None:
+        uow.queue.complete(self.lease, result, self.now, self.now_ns)
+
+
+def judge_loops(
+    uow: UnitOfWork, loops: Iterable[LoopRecord], judged: Iterable[JudgedLoop], version: int, now_ns: int
+) -> None:
+    """Store what a version says of each of some loops; a loop of which it says nothing has no verdict of the graph."""
+    verdicts = {verdict.number: verdict for verdict in judged}
+    for loop in loops:
+        verdict = verdicts.get(loop.number)
+        state = None if verdict is None else verdict.state.value
+        if state == loop.graph_state:
+            continue
+        distance = np.nan if verdict is None else verdict.squared_distance
+        details = {"squared_distance": float(distance)} if np.isfinite(distance) else {}
+        change = Change(LoopEventKind.JUDGED, now_ns, map_version=version, details=details)
+        change_loop(uow, loop, change, graph_state=state)
+
+
+def forget_versions(uow: UnitOfWork, tenant: TenantId, map_id: str, last: int) -> None:
+    """Delete the versions of a map up to number `last`, with the operations that made them."""
+    for version in sorted(uow.map_versions.distinct(tenant, "version", map_id=map_id)):
+        if version > last:
+            return
+        of_version: dict[str, str | int] = {"map_id": map_id, "version": version}
+        for operation_id in uow.map_versions.distinct(tenant, "operation_id", **of_version):
+            uow.jobs.delete(tenant, operation_id=operation_id)
+        uow.session_poses.delete(tenant, **of_version)
+        uow.map_versions.delete(tenant, **of_version)
+
+
+def summary_of(task: MapTask, optimised: OptimisedMap) -> dict[str, Any]:
+    """What a version rests on, and how far it moved the submaps: the fields of a MapVersionSummary."""
+    states = Counter(loop.state for loop in optimised.loops)
+    changes = _changes_m(task, optimised.tracks)
+    return {
+        "sessions": len(optimised.tracks),
+        "submaps": sum(len(track.submaps) for track in task.graph.tracks),
+        "frames": len({track.anchor for track in optimised.tracks}),
+        "loops_in_map": states[GraphState.IN_MAP],
+        "loops_set_aside": states[GraphState.SET_ASIDE],
+        "loops_unconnected": states[GraphState.UNCONNECTED],
+        "chi2": float(optimised.chi2),
+        "degrees_of_freedom": optimised.degrees_of_freedom,
+        "mean_change_m": float(changes.mean()) if len(changes) else None,
+        "max_change_m": float(changes.max()) if len(changes) else None,
+    }
+
+
+def _changes_m(task: MapTask, tracks: Iterable[OptimisedTrack]) -> NDArray[np.float64]:
+    """How far each submap moved that the version before has in the same frame, metres."""
+    before = {row.session_number: row for row in task.before}
+    moved = [np.empty(0)]
+    for track, solved in zip(task.graph.tracks, tracks, strict=True):
+        row = before.get(track.session_number)
+        if row is not None and row.frame == frame_name(solved.anchor):
+            old = PackedSubmaps.of(row.submaps)
+            _, here, there = np.intersect1d(track.submaps, old.numbers, return_indices=True)
+            moved.append(np.linalg.norm(solved.T_map_submap[here, :3, 3] - old.T_map_submap[there, :3, 3], axis=1))
+    return np.concatenate(moved)
+
+
+def _was_restored(uow: UnitOfWork, record: MapRecord) -> bool:
+    version = uow.map_versions.get(record.tenant, record.map_id, record.map_version)
+    return version is not None and version.restored_from is not None

@@ -1,0 +1,114 @@
+"""Server-sent events: an answer that goes on for as long as its client reads it and may.
+
+https://html.spec.whatwg.org/multipage/server-sent-events.html
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable, Coroutine
+from typing import Any
+
+from fastapi import Response
+from pydantic_core import to_json
+from starlette.types import Message, Receive, Scope, Send
+
+from revisit.core.errors import RevisitError
+from revisit.service.application.access.callers import current_actor, current_tenant
+from revisit.service.application.capacity.places import Claim, Places
+from revisit.service.application.push.events import EventView
+from revisit.service.rest.errors import problem
+from revisit.service.rest.limits import HttpLimits
+from revisit.service.wire.answers import of_event
+from revisit.service.wire.json_form import json_form
+from revisit.v1 import event_pb2
+
+MEDIA_TYPE = "text/event-stream"
+
+RECONNECT_MS = 2000
+"""How long a browser waits before it connects again."""
+
+HEADERS = [
+    (b"content-type", f"{MEDIA_TYPE}; charset=utf-8".encode()),
+    # Proxies that collect answers before they pass them on must not.
+    (b"x-accel-buffering", b"no"),
+]
+
+
+class EventStream(Response):
+    """Sends events until the client goes, loses its right, or the service stops.
+
+    A client that does not read is cut off by `DeadlineProtocol`; what the service holds for it is one batch of events.
+    """
+
+    media_type = MEDIA_TYPE
+
+    def __init__(
+        self,
+        events: AsyncIterator[EventView | None],
+        places: Places,
+        limits: HttpLimits,
+        refused: Callable[[], Coroutine[Any, Any, RevisitError]],
+    ) -> None:
+        """`refused` returns once the client has lost its right to read, with the reason."""
+        super().__init__()
+        self._events = events
+        self._places = places
+        self._limits = limits
+        self._refused = refused
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send the events. Raises RateLimited, and what the first of them raises."""
+        with self._places.hold(*_claims(self._limits)):
+            first = await anext(self._events)
+            await send({"type": "http.response.start", "status": 200, "headers": HEADERS})
+            await send(_piece(f"retry: {RECONNECT_MS}\n\n{text_of(first)}"))
+            sending = asyncio.create_task(self._send(send))
+            gone, refused = asyncio.create_task(_gone(receive)), asyncio.create_task(self._refused())
+            try:
+                await asyncio.wait((sending, gone, refused), return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                for task in (sending, gone, refused):
+                    task.cancel()
+            ends = await asyncio.gather(sending, refused, gone, return_exceptions=True)
+            error = next((end for end in ends if isinstance(end, RevisitError)), None)
+            if error is not None:
+                await send(_piece(_problem_text(error, scope["state"]["request_id"])))
+            await send({"type": "http.response.body", "body": b"", "more_body": False})
+            defect = next((end for end in ends if isinstance(end, Exception) and end is not error), None)
+            if defect is not None:
+                raise defect
+
+    async def _send(self, send: Send) -> None:
+        async for event in self._events:
+            await send(_piece(text_of(event)))
+
+
+def text_of(event: EventView | None) -> str:
+    """An event as it is sent; None is a comment, which clients ignore."""
+    if event is None:
+        return ": alive\n\n"
+    data = to_json(json_form(event_pb2.Event, of_event(event)), inf_nan_mode="null").decode()
+    return f"id: {event.number}\nevent: {event.kind.value.lower()}\ndata: {data}\n\n"
+
+
+def _problem_text(error: RevisitError, request_id: str) -> str:
+    return f"event: problem\ndata: {bytes(problem(error, request_id).body).decode()}\n\n"
+
+
+def _piece(text: str) -> Message:
+    return {"type": "http.response.body", "body": text.encode(), "more_body": True}
+
+
+def _claims(limits: HttpLimits) -> tuple[Claim, ...]:
+    tenant, client = current_tenant(), current_actor()
+    return (
+        Claim(("watches", tenant, client), limits.client_watches, "watches of this client"),
+        Claim(("watches", tenant), limits.tenant_watches, "watches of this tenant"),
+        Claim(("watches",), limits.watches, "watches"),
+    )
+
+
+async def _gone(receive: Receive) -> None:
+    while (await receive())["type"] != "http.disconnect":
+        pass

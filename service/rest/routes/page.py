@@ -1,0 +1,34 @@
+"""The page: every file of `service/web`, by its name there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fastapi import APIRouter
+from fastapi.responses import FileResponse
+
+from revisit.service.rest.access import PUBLIC
+
+WEB = Path(__file__).resolve().parents[2] / "web"
+
+MEDIA_TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
+
+KEPT_BY_BROWSERS = {"cache-control": "public, max-age=86400, immutable"}
+"""Of the files in `vendor`: their folder has the version in its name."""
+
+router = APIRouter()
+
+
+def _serve(path: str, file: Path) -> None:
+    """Answer `path` with a file."""
+    headers = KEPT_BY_BROWSERS if "vendor" in file.relative_to(WEB).parts else None
+
+    async def answer() -> FileResponse:
+        return FileResponse(file, media_type=MEDIA_TYPES[file.suffix], headers=headers)
+
+    router.add_api_route(path, answer, include_in_schema=False, name=path, dependencies=[PUBLIC])
+
+
+_serve("/", WEB / "index.html")
+for _file in sorted(file for file in WEB.rglob("*") if file.suffix in MEDIA_TYPES and file.name != "index.html"):
+    _serve(f"/{_file.relative_to(WEB).as_posix()}", _file)

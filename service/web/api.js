@@ -1,0 +1,76 @@
+// What the page asks the service for. An API key is kept by the tab alone.
+"use strict";
+
+const PAGE_SIZE = 500;
+const MOST_PAGES = 20;
+const KEY = "revisit-api-key";
+
+/** The service lets nobody read without a key, or not with this one. */
+export class KeyNeeded extends Error {}
+
+/** The service refused; `reason` is that of its table of errors. */
+export class Refused extends Error {
+  constructor(problem) {
+    super(problem.detail);
+    this.reason = problem.reason;
+    this.status = problem.status;
+  }
+}
+
+/** Use this API key from now on, until the tab is closed. */
+export function useKey(key) {
+  sessionStorage.setItem(KEY, key.trim());
+}
+
+export function hasKey() {
+  return Boolean(sessionStorage.getItem(KEY));
+}
+
+/** The headers of a request, with the key where there is one. */
+export function headers(accept) {
+  const key = sessionStorage.getItem(KEY);
+  return { accept, ...(key ? { authorization: `Bearer ${key}` } : {}) };
+}
+
+async function checked(answer) {
+  if (answer.ok) return answer;
+  const problem = await answer.json().catch(() => ({ detail: `${answer.url} answered ${answer.status}` }));
+  if (answer.status === 401) throw new KeyNeeded(problem.detail);
+  throw new Refused({ ...problem, status: answer.status });
+}
+
+export async function read(path) {
+  const answer = await fetch(path, { headers: headers("application/json"), cache: "no-store" });
+  if (answer.status === 503 && path === "/readyz") return answer.json();
+  return (await checked(answer)).json();
+}
+
+/** Ask the service to do something: POST with a JSON body. */
+export async function send(path, body = {}) {
+  const answer = await fetch(path, {
+    method: "POST",
+    headers: { ...headers("application/json"), "content-type": "application/json" },
+    body: JSON.stringify(body),
+  });
+  return (await checked(answer)).json();
+}
+
+export async function readFile(path) {
+  const answer = await fetch(path, { headers: headers("*/*") });
+  return (await checked(answer)).arrayBuffer();
+}
+
+/** All items of a list, up to 10,000: more than a person can tell apart on a screen. */
+export async function readAll(path, field, told = () => {}) {
+  const items = [];
+  let token = "";
+  for (let page = 0; page < MOST_PAGES; page += 1) {
+    const separator = path.includes("?") ? "&" : "?";
+    const answer = await read(`${path}${separator}page_size=${PAGE_SIZE}&page_token=${encodeURIComponent(token)}`);
+    items.push(...answer[field]);
+    told(items.length);
+    token = answer.next_page_token;
+    if (!token) break;
+  }
+  return items;
+}

@@ -1,0 +1,107 @@
+// Points and surfaces of submaps: fetched when they are asked for, a few at a time, the latest ones kept.
+"use strict";
+
+import { Box3, BufferAttribute, BufferGeometry, Vector3 } from "/vendor/three-0.187.0/three.module.js";
+import { PLYLoader } from "/vendor/three-0.187.0/PLYLoader.js";
+import { readFile } from "/api.js";
+
+const AT_ONCE = 3;
+const MOST_KEPT = 400;
+const MOST_POINTS = 60_000;
+
+const loader = new PLYLoader();
+const kept = new Map();
+const waiting = [];
+let loading = 0;
+
+/** The geometry of a submap in its own frame: `kind` is points or mesh. Raises Refused where it is not to be had. */
+export function geometryOf(submap, kind) {
+  const key = `${kind}:${submap}`;
+  if (!kept.has(key)) {
+    const made = new Promise((resolve, reject) => waiting.push({ submap, kind, resolve, reject }));
+    made.catch(() => kept.delete(key));
+    kept.set(key, made);
+    if (kept.size > MOST_KEPT) drop(kept.keys().next().value);
+    pump();
+  }
+  return kept.get(key);
+}
+
+/** Forget what nobody has begun to fetch: the map or the mode is another. */
+export function forgetWaiting() {
+  for (const { submap, kind, reject } of waiting.splice(0)) {
+    kept.delete(`${kind}:${submap}`);
+    reject(new Error("no longer asked for"));
+  }
+}
+
+function drop(key) {
+  kept.get(key).then((geometry) => geometry.dispose()).catch(() => {});
+  kept.delete(key);
+}
+
+function pump() {
+  while (loading < AT_ONCE && waiting.length) {
+    const { submap, kind, resolve, reject } = waiting.shift();
+    loading += 1;
+    fetched(submap, kind).then(resolve, reject).finally(() => {
+      loading -= 1;
+      pump();
+    });
+  }
+}
+
+async function fetched(submap, kind) {
+  const bytes = await readFile(`/v1/${submap}:download?format=${kind === "mesh" ? "mesh" : "ply"}`);
+  const geometry = loader.parse(bytes);
+  return kind === "mesh" ? whole(geometry) : thinned(geometry);
+}
+
+function whole(geometry) {
+  if (!geometry.getAttribute("normal")) geometry.computeVertexNormals();
+  geometry.computeBoundingSphere();
+  return geometry;
+}
+
+/** Every n-th point, so that there are at most `MOST_POINTS`. */
+function thinned(geometry) {
+  const all = geometry.getAttribute("position");
+  const step = Math.max(1, Math.ceil(all.count / MOST_POINTS));
+  const count = Math.ceil(all.count / step);
+  const points = new Float32Array(3 * count);
+  for (let to = 0, from = 0; to < count; to += 1, from += step) {
+    points.set([all.getX(from), all.getY(from), all.getZ(from)], 3 * to);
+  }
+  const made = new BufferGeometry();
+  made.setAttribute("position", new BufferAttribute(points, 3));
+  made.computeBoundingSphere();
+  made.userData.heights = heightsOf(points);
+  return made;
+}
+
+/** The heights between which nearly all points lie, metres. */
+function heightsOf(points) {
+  const heights = points.filter((_, index) => index % 3 === 2).sort();
+  return [heights[Math.floor(0.02 * (heights.length - 1))] ?? 0, heights[Math.ceil(0.97 * (heights.length - 1))] ?? 1];
+}
+
+/** The extent of a geometry without its outermost points: [centre, radius in metres]. */
+export function extentOf(geometry) {
+  const positions = geometry.getAttribute("position");
+  const axes = [[], [], []];
+  const step = Math.max(1, Math.floor(positions.count / 4000));
+  for (let at = 0; at < positions.count; at += step) {
+    axes[0].push(positions.getX(at));
+    axes[1].push(positions.getY(at));
+    axes[2].push(positions.getZ(at));
+  }
+  const low = new Vector3();
+  const high = new Vector3();
+  axes.forEach((values, axis) => {
+    values.sort((a, b) => a - b);
+    low.setComponent(axis, values[Math.floor(0.04 * (values.length - 1))]);
+    high.setComponent(axis, values[Math.ceil(0.96 * (values.length - 1))]);
+  });
+  const box = new Box3(low, high);
+  return [box.getCenter(new Vector3()), Math.max(2, box.getSize(new Vector3()).length() / 2)];
+}

@@ -1,0 +1,636 @@
+// The page: one map of the service, live. What it holds is in `model`; `render` shows it.
+"use strict";
+
+import { KeyNeeded, Refused, hasKey, read, readAll, useKey } from "/api.js";
+import { sessionColour } from "/colours.js";
+import { byId, element, lastOf, plural, press, sessionOf, shortName, soon } from "/dom.js";
+import { Watch } from "/events.js";
+import { inverse, mainFrame, matrixOf, placements, product } from "/frames.js";
+import { listen } from "/keyboard.js";
+import { PairView } from "/pair.js";
+import { actionsOf } from "/review.js";
+import { MapView, roundMetres } from "/scene.js";
+import { stateOf, verdictOf } from "/words.js";
+
+const STATUS_EVERY_MS = 5000;
+const LISTED_AT_ONCE = 120;
+const RELISTED_FROM = 20;
+
+const model = {
+  map: null,
+  maps: [],
+  sessions: new Map(),
+  submaps: new Map(),
+  loops: new Map(),
+  operations: new Map(),
+  hidden: new Set(),
+  states: new Set(["accepted", "ambiguous"]),
+  search: "",
+  listed: LISTED_AT_ONCE,
+  rejectedRead: false,
+  selected: null,
+  corrected: 1,
+  status: null,
+};
+
+let view = null;
+let watch = null;
+const pair = new PairView({ onStep: stepPair, onClose: () => select(model.selected), actionsOf: (loop) => actionsOf(loop, taken) });
+
+// ---------------------------------------------------------------------------------------------- reading
+
+async function openMap(name) {
+  // The first map counts from the request of the page.
+  const began_ms = model.map ? performance.now() : 0;
+  watch?.stop();
+  Object.assign(model, { map: name, rejectedRead: false, selected: null, listed: LISTED_AT_ONCE });
+  for (const held of [model.sessions, model.submaps, model.loops, model.operations, model.hidden]) held.clear();
+  watch = new Watch(name, { onEvent: take, onState: tellConnection, onForgotten: readMap });
+  await watch.opened;
+  await readMap();
+  render(true);
+  document.body.dataset.drawnMs = String(Math.round(performance.now() - began_ms));
+}
+
+/** Everything of the map but its rejected candidates, which are many and seldom wanted. */
+async function readMap() {
+  const name = model.map;
+  const sessions = await readAll(`/v1/${name}/sessions`, "sessions");
+  const [accepted, ambiguous, running, failed, ...tracks] = await Promise.all([
+    readAll(`/v1/${name}/loopClosures?state=ACCEPTED`, "loop_closures"),
+    readAll(`/v1/${name}/loopClosures?state=REJECTED&reason=AMBIGUOUS`, "loop_closures"),
+    readAll("/v1/operations?state=RUNNING", "operations"),
+    readAll("/v1/operations?state=FAILED", "operations"),
+    ...sessions.map((session) => readAll(`/v1/${session.name}/submaps`, "submaps")),
+  ]);
+  if (name !== model.map) return;
+  for (const session of sessions) model.sessions.set(session.name, session);
+  for (const submap of tracks.flat()) model.submaps.set(submap.name, submap);
+  for (const loop of [...accepted, ...ambiguous]) model.loops.set(loop.name, loop);
+  for (const operation of [...running, ...failed]) if (ofMap(operation)) model.operations.set(operation.name, operation);
+  if (model.states.has("rejected")) await readRejected();
+}
+
+async function readRejected() {
+  if (model.rejectedRead) return;
+  model.rejectedRead = true;
+  const name = model.map;
+  const loops = await readAll(`/v1/${name}/loopClosures?state=REJECTED`, "loop_closures", (count) => {
+    byId("listed").textContent = `reading ${count.toLocaleString("en")}`;
+  });
+  if (name === model.map) for (const loop of loops) model.loops.set(loop.name, loop);
+}
+
+const ofMap = (operation) => operation.subject === model.map || operation.subject.startsWith(`${model.map}/`);
+
+// ---------------------------------------------------------------------------------------------- live
+
+const stale = new Set();
+
+function take(event) {
+  if (event.kind === "LOOP_CLOSURE") model.loops.set(event.loop_closure.name, event.loop_closure);
+  if (event.kind === "OPERATION") {
+    model.operations.set(event.operation.name, event.operation);
+    if (event.operation.subject.includes("/submaps/")) stale.add(event.operation.subject);
+  }
+  // With a new version of the map every submap may lie elsewhere.
+  if (event.kind === "MAP_VERSION") readMap().then(renderSoon, tellError);
+  catchUp();
+  renderSoon();
+}
+
+const catchUp = soon(async () => {
+  const names = [...stale];
+  stale.clear();
+  const sessions = new Set(names.map(sessionOf));
+  const lists = names.length >= RELISTED_FROM ? [...sessions].map((name) => readAll(`/v1/${name}/submaps`, "submaps")) : names.map(async (name) => [await read(`/v1/${name}`)]);
+  const told = [...lists, ...[...sessions].map(async (name) => [await read(`/v1/${name}`)])];
+  for (const result of await Promise.allSettled(told)) {
+    for (const item of result.value ?? []) (item.name.includes("/submaps/") ? model.submaps : model.sessions).set(item.name, item);
+  }
+  renderSoon();
+}, 250);
+
+function tellConnection(state) {
+  const lost = state === "lost";
+  document.body.dataset.live = String(!lost);
+  showBanner(lost ? "The connection to the service is lost; trying again" : "");
+}
+
+// ---------------------------------------------------------------------------------------------- drawing
+
+const renderSoon = soon(() => render());
+
+function visibleLoops() {
+  const wanted = model.search.toLowerCase().split(/\s+/).filter(Boolean);
+  return [...model.loops.values()].filter((loop) => {
+    if (!model.states.has(stateOf(loop))) return false;
+    if (model.hidden.has(sessionOf(loop.query)) || model.hidden.has(sessionOf(loop.match))) return false;
+    const text = `${shortName(loop.query)} ${shortName(loop.match)} ${verdictOf(loop)} ${loop.reason ?? ""} ${lastOf(loop.name)}`.toLowerCase();
+    return wanted.every((word) => text.includes(word));
+  });
+}
+
+function tracks() {
+  const bySession = Map.groupBy(model.submaps.values(), (submap) => sessionOf(submap.name));
+  return [...model.sessions.values()].map((session, index) => ({
+    name: session.name,
+    colour: sessionColour(index),
+    submaps: (bySession.get(session.name) ?? []).sort((a, b) => a.ordinal - b.ordinal),
+  }));
+}
+
+function render(refit = false) {
+  const loops = visibleLoops();
+  renderSessions();
+  renderLoops(loops);
+  renderWork();
+  renderFigures();
+  renderStage(loops, refit);
+  renderSelection();
+}
+
+function renderStage(loops, refit) {
+  const every = tracks();
+  const submaps = every.reduce((sum, track) => sum + track.submaps.length, 0);
+  model.frame = mainFrame(model.submaps.values());
+  model.placed = placements(every, [...model.loops.values()].filter((loop) => loop.state === "ACCEPTED"), model.frame);
+  const drawn = every.filter((track) => model.placed.has(track.name) && !model.hidden.has(track.name));
+  byId("frames").hidden = model.frame === null;
+  if (view) {
+    if (refit) view.places.clear();
+    view.show({
+      tracks: drawn.map((track) => ({ ...track, T_drawing_odom: model.placed.get(track.name) })),
+      loops: loops.map((loop) => ({ loop, state: stateOf(loop) })),
+      lift: liftPerSubmap(),
+      frame: model.frame,
+      corrected: model.corrected,
+    });
+  }
+  Object.assign(document.body.dataset, { submaps, drawnSubmaps: view?.places.size ?? 0, drawnLoops: view?.drawnLoops ?? 0, listedLoops: loops.length });
+  tellCaption(every, drawn);
+  tellEmpty(submaps);
+}
+
+function liftPerSubmap() {
+  const share = Number(byId("lift").value) / 100;
+  if (!share || !view) return 0;
+  const size = [...model.submaps.values()].reduce((most, { position_m: p }) => Math.max(most, Math.abs(p.x), Math.abs(p.y)), 10);
+  return (share * share * 2.5 * size) / Math.max(20, model.submaps.size);
+}
+
+function tellCaption(every, drawn) {
+  const apart = every.filter((track) => track.submaps.length && !model.placed.has(track.name) && !model.hidden.has(track.name));
+  const said = [`${plural(drawn.length, "session")}, ${plural(view?.places.size ?? 0, "submap")}`];
+  if (model.frame !== null) said.push(model.corrected > 0.5 ? `in the frame of the map, version ${versionShown()}` : `as odometry has it: up to ${driftInWords(drawn)} off`);
+  else if (drawn.length > 1) said.push("sessions placed by their best loop closure");
+  if (apart.length) said.push(`${plural(apart.length, "session")} not drawn: no loop closure leads there yet`);
+  byId("caption").textContent = said.join(" \u00b7 ");
+}
+
+const versionShown = () => Math.max(0, ...[...model.submaps.values()].map((submap) => Number(submap.map_version)));
+
+/** How far odometry alone puts the worst submap from where the map has it. */
+function driftInWords(drawn) {
+  let most = 0;
+  for (const track of drawn) {
+    for (const submap of track.submaps) {
+      if (!submap.t_map_submap || submap.frame !== model.frame) continue;
+      const driven = product(model.placed.get(track.name), matrixOf(submap.t_odom_submap)).elements;
+      const { x, y, z } = submap.t_map_submap.translation;
+      most = Math.max(most, Math.hypot(driven[12] - x, driven[13] - y, driven[14] - z));
+    }
+  }
+  return `${most.toFixed(most < 10 ? 1 : 0)} m`;
+}
+
+function tellEmpty(submaps) {
+  if (!model.maps.length) {
+    showEmpty("Nothing here yet", "Stream a recording, or let the demonstration drive two simulated robots through a town.", "revisit ingest DIR --map town      a recording\nrevisit demo                       a simulated drive");
+  } else if (!submaps) {
+    showEmpty("This map has no submaps yet", "A submap appears once a robot has travelled far enough (10 m by default), or when one is posted. This page shows it at once.", `revisit ingest DIR --map ${lastOf(model.map)}`);
+  } else if (!view) {
+    showEmpty("No 3D here", "This browser offers no WebGL. The lists on the left work all the same.", "");
+  } else showEmpty("");
+}
+
+function showEmpty(title, text = "", command = "", locked = false) {
+  byId("empty").hidden = !title;
+  byId("empty-title").textContent = title;
+  byId("empty-text").textContent = text;
+  byId("empty-command").textContent = command;
+  byId("empty-command").hidden = !command;
+  byId("unlock").hidden = !locked;
+}
+
+function showBanner(text) {
+  byId("banner").hidden = !text;
+  byId("banner").textContent = text;
+}
+
+// ---------------------------------------------------------------------------------------------- lists
+
+function renderSessions() {
+  const rows = [...model.sessions.values()].map((session, index) => {
+    const shown = !model.hidden.has(session.name);
+    const box = element("input", { type: "checkbox", id: `session-${index}` });
+    box.checked = shown;
+    box.addEventListener("change", () => hideSession(session.name, !box.checked));
+    const detail = [plural(session.submap_count, "submap")];
+    if (session.travelled_m >= 1) detail.push(`${Math.round(session.travelled_m).toLocaleString("en")} m`);
+    if (session.state === "ACTIVE") detail.push("open");
+    return element(
+      "li",
+      { colour: sessionColour(index), class: shown ? null : "off" },
+      element("label", { for: `session-${index}` }, box, element("i", { class: "swatch" }), element("span", { class: "name" }, lastOf(session.name)), element("small", {}, detail.join(" \u00b7 "))),
+      element("button", { type: "button", class: "link only", title: "Show this session alone", onclick: () => showAlone(session.name) }, "only"),
+    );
+  });
+  byId("sessions").replaceChildren(...(rows.length ? rows : [element("li", { class: "nothing" }, "No sessions yet")]));
+  byId("all-sessions").hidden = !model.hidden.size;
+}
+
+function hideSession(name, hide) {
+  if (hide) model.hidden.add(name);
+  else model.hidden.delete(name);
+  render();
+}
+
+function showAlone(name) {
+  for (const other of model.sessions.keys()) model.hidden.add(other);
+  model.hidden.delete(name);
+  render();
+}
+
+function renderLoops(loops) {
+  const counts = Object.groupBy(model.loops.values(), stateOf);
+  for (const button of byId("states").children) {
+    const { state } = button.dataset;
+    const known = state !== "rejected" || model.rejectedRead;
+    button.querySelector("b").textContent = known ? (counts[state]?.length ?? 0).toLocaleString("en") : "";
+    button.setAttribute("aria-pressed", String(model.states.has(state)));
+  }
+  model.order = loops.sort((a, b) => Number(b.number) - Number(a.number)).map((loop) => loop.name);
+  byId("listed").textContent = loops.length ? `${loops.length.toLocaleString("en")}, newest first` : "";
+  const rows = loops.slice(0, model.listed).map(loopRow);
+  if (loops.length > model.listed) {
+    rows.push(element("li", { class: "more" }, element("button", { type: "button", class: "link", onclick: showMore }, `show ${Math.min(LISTED_AT_ONCE, loops.length - model.listed)} more of ${loops.length.toLocaleString("en")}`)));
+  }
+  byId("loops").replaceChildren(...(rows.length ? rows : [element("li", { class: "nothing" }, nothingListed())]));
+}
+
+function nothingListed() {
+  if (model.search) return "Nothing matches the search";
+  if (!model.loops.size) return "No loop closures yet: they appear when a place is seen again";
+  return "None in the chosen states and sessions";
+}
+
+function showMore() {
+  model.listed += LISTED_AT_ONCE;
+  renderSoon();
+}
+
+function loopRow(loop) {
+  const state = stateOf(loop);
+  const within = sessionOf(loop.query) === sessionOf(loop.match);
+  const pairText = within
+    ? [element("em", {}, lastOf(sessionOf(loop.query))), ` ${lastOf(loop.query)} \u2192 ${lastOf(loop.match)}`]
+    : [element("em", {}, lastOf(sessionOf(loop.query))), ` ${lastOf(loop.query)} \u2192 `, element("em", {}, lastOf(sessionOf(loop.match))), ` ${lastOf(loop.match)}`];
+  return element(
+    "li",
+    { "data-name": loop.name, class: loop.name === model.selected?.loop ? "chosen" : null },
+    element(
+      "button",
+      { type: "button", onclick: () => openPair(loop.name), onmouseenter: () => view?.mark([loop.query, loop.match], loop), onmouseleave: () => renderSelection() },
+      element("i", { class: `sign ${state}` }),
+      element("span", { class: "pair-names" }, ...pairText),
+      element("small", {}, state === "accepted" ? `score ${loop.score.toFixed(2)} \u00b7 overlap ${Math.round(100 * (loop.evidence?.measurement?.overlap ?? 0))} %` : verdictOf(loop)),
+    ),
+  );
+}
+
+function renderWork() {
+  const submaps = [...model.submaps.values()];
+  const waiting = submaps.filter((submap) => submap.state === "QUEUED").length;
+  const failed = submaps.filter((submap) => submap.state === "FAILED");
+  const others = [...model.operations.values()].filter((operation) => !operation.subject.includes("/submaps/"));
+  const busy = others.filter((operation) => ["QUEUED", "RUNNING"].includes(operation.state));
+  byId("work").hidden = !waiting && !failed.length && !others.length;
+  byId("work-count").textContent = waiting ? `${waiting.toLocaleString("en")} of ${submaps.length.toLocaleString("en")} submaps wait` : busy.length ? plural(busy.length, "operation") : "";
+  byId("progress").hidden = !waiting;
+  byId("progress").value = submaps.length ? 1 - waiting / submaps.length : 0;
+  const running = [...model.operations.values()].filter((operation) => operation.state === "RUNNING" && operation.subject.includes("/submaps/"));
+  byId("operations").replaceChildren(
+    ...others.slice(-6).map((operation) => workRow(operation.kind.toLowerCase().replaceAll("_", " "), operation.state.toLowerCase(), operation.state === "FAILED")),
+    ...(waiting ? running.slice(0, 4) : []).map((operation) => workRow(shortName(operation.subject), "is being described")),
+    ...failed.slice(0, 20).map((submap) => workRow(shortName(submap.name), submap.failure ? submap.failure.message : "failed", true, submap.name)),
+  );
+}
+
+function workRow(title, detail, bad = false, submap = null) {
+  const row = element("li", { class: bad ? "bad" : null }, element("span", {}, title), element("small", {}, detail));
+  if (submap) row.addEventListener("click", () => select({ submap }));
+  return row;
+}
+
+function renderFigures() {
+  const accepted = [...model.loops.values()].filter((loop) => loop.state === "ACCEPTED").length;
+  const rows = [["submaps", model.submaps.size], ["loop closures", accepted]];
+  byId("figures").replaceChildren(...rows.map(([term, value]) => element("div", {}, element("dd", {}, value.toLocaleString("en")), element("dt", {}, term))));
+}
+
+// ---------------------------------------------------------------------------------------------- selection
+
+function select(what) {
+  model.selected = what;
+  renderSelection();
+  for (const row of byId("loops").children) row.classList.toggle("chosen", row.dataset.name === what?.loop);
+}
+
+function renderSelection() {
+  const { submap, loop } = model.selected ?? {};
+  const chosen = loop && model.loops.get(loop);
+  document.body.dataset.selected = loop ?? submap ?? "";
+  if (chosen) view?.mark([chosen.query, chosen.match], chosen);
+  else view?.mark(submap ? [submap] : []);
+  showCard(submap && model.submaps.get(submap));
+}
+
+function showCard(submap) {
+  byId("card").hidden = !submap;
+  if (!submap) return;
+  const loops = [...model.loops.values()].filter((loop) => loop.state === "ACCEPTED" && [loop.query, loop.match].includes(submap.name));
+  const { x, y, z } = submap.position_m;
+  const rows = [
+    ["State", submap.state.toLowerCase()],
+    ["Points", submap.point_count.toLocaleString("en")],
+    ["Odometry", `${x.toFixed(1)}, ${y.toFixed(1)}, ${z.toFixed(1)} m`],
+    ["Taken", new Date(Number(submap.stamp_ns) / 1e6).toLocaleString()],
+    submap.neural_map_bytes ? ["Neural map", `${Math.round(submap.neural_map_bytes / 1024).toLocaleString("en")} KiB`] : null,
+    submap.flags?.length ? ["Flags", submap.flags.join(", ").toLowerCase().replaceAll("_", " ")] : null,
+    submap.failure ? ["Failure", `${submap.failure.reason}: ${submap.failure.message}`] : null,
+  ].filter(Boolean);
+  byId("card").replaceChildren(
+    element("header", {}, element("h2", {}, shortName(submap.name)), element("button", { type: "button", class: "link", onclick: () => select(null) }, "close")),
+    element("dl", {}, ...rows.flatMap(([term, value]) => [element("dt", {}, term), element("dd", {}, value)])),
+    element("h3", {}, loops.length ? plural(loops.length, "loop closure") : "No accepted loop closure"),
+    element("ul", { class: "loops" }, ...loops.slice(0, 12).map(loopRow)),
+  );
+}
+
+/** Where the frames that are drawn put the query in the match's frame, before this loop closure; null where they do not. */
+function beforeOf(loop) {
+  const [query, match] = [model.submaps.get(loop.query), model.submaps.get(loop.match)];
+  const [of_query, of_match] = [sessionOf(loop.query), sessionOf(loop.match)];
+  if (!query || !match) return null;
+  const [T_q, T_m] = [matrixOf(query.t_odom_submap), matrixOf(match.t_odom_submap)];
+  return of_query === of_match ? product(inverse(T_m), T_q) : null;
+}
+
+function openPair(name) {
+  const loop = model.loops.get(name);
+  if (!loop) return;
+  select({ loop: name });
+  const at = (model.order ?? []).indexOf(name);
+  pair.open(loop, beforeOf(loop), at < 0 ? "" : `${at + 1} of ${model.order.length}`);
+}
+
+/** The next loop closure of the list, or the previous one. */
+function stepPair(by) {
+  const order = model.order ?? [];
+  const at = order.indexOf(model.selected?.loop);
+  const next = order[at < 0 ? 0 : (at + by + order.length) % order.length];
+  if (!next) return;
+  if (pair.isOpen) openPair(next);
+  else {
+    select({ loop: next });
+    byId("loops").querySelector(".chosen")?.scrollIntoView({ block: "nearest" });
+  }
+}
+
+/** A loop closure was reviewed: show it as the service has it now. */
+function taken(loop) {
+  model.loops.set(loop.name, loop);
+  render();
+  if (pair.isOpen && model.selected?.loop === loop.name) openPair(loop.name);
+}
+
+// ---------------------------------------------------------------------------------------------- commands
+
+function setStates(state) {
+  if (model.states.has(state)) model.states.delete(state);
+  else model.states.add(state);
+  if (state === "rejected" && model.states.has(state)) readRejected().then(() => render(), tellError);
+  render();
+}
+
+function setSurface(surface) {
+  press(byId("surface"), "surface", surface);
+  view?.showSurface(surface);
+  view?.draw();
+}
+
+function setView(name) {
+  view?.fit(name);
+  if (name !== "fit") press(byId("camera"), "view", name);
+}
+
+const FRAMES_MS = 900;
+
+/** Move from odometry to the frame of the map, or back, so that one sees what the loop closures have done. */
+function setFrames(moment) {
+  press(byId("frames"), "frames", moment);
+  const [from, to, began_ms] = [model.corrected, moment === "after" ? 1 : 0, performance.now()];
+  const still = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
+  const step = (now_ms) => {
+    const done = still ? 1 : Math.min(1, Math.max(0, (now_ms - began_ms) / FRAMES_MS));
+    model.corrected = from + (to - from) * done * done * (3 - 2 * done);
+    renderStage(visibleLoops(), false);
+    renderSelection();
+    if (done < 1) requestAnimationFrame(step);
+  };
+  requestAnimationFrame(step);
+}
+
+function switchTheme() {
+  const dark = document.documentElement.dataset.theme ?? (window.matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
+  document.documentElement.dataset.theme = dark === "dark" ? "light" : "dark";
+  localStorage.setItem("revisit-theme", document.documentElement.dataset.theme);
+  view?.retint();
+  pair.paint();
+}
+
+const toggle = (current, other) => (byId("surface").querySelector("[aria-pressed=true]").dataset.surface === current ? setSurface(other) : setSurface(current));
+
+listen(
+  [
+    [["/"], "search loop closures", () => byId("search").focus()],
+    [["j"], "next loop closure", () => stepPair(1), true],
+    [["k"], "previous loop closure", () => stepPair(-1), true],
+    [["Enter"], "open the chosen loop closure", () => model.selected?.loop && openPair(model.selected.loop)],
+    [["b"], "before or after the loop closure", () => pair.slideTo(pair.share > 0.5 ? 0 : 1), true],
+    [["t"], "look from above", () => setView("top")],
+    [["p"], "look tilted", () => setView("tilted")],
+    [["f"], "show everything", () => setView("fit")],
+    [["o"], "odometry, or the frame of the map", () => model.frame !== null && setFrames(model.corrected > 0.5 ? "before" : "after")],
+    [["s"], "points of the submaps", () => toggle("points", "none")],
+    [["m"], "surfaces of the submaps", () => toggle("mesh", "none")],
+    [["1"], "accepted loop closures", () => setStates("accepted")],
+    [["2"], "ambiguous loop closures", () => setStates("ambiguous")],
+    [["3"], "rejected loop closures", () => setStates("rejected")],
+    [["d"], "light or dark", switchTheme, true],
+    [["?"], "this list", () => byId("help").showModal()],
+    [["Escape"], "close, or choose nothing", () => select(null)],
+  ],
+  () => pair.isOpen || byId("help").open,
+);
+
+// ---------------------------------------------------------------------------------------------- start
+
+function tellHealth(readiness, status) {
+  const jobs = Number(status.queued_jobs) + Number(status.running_jobs);
+  const [text, mood] = !readiness.ready
+    ? [readiness.reasons.join(", "), "bad"]
+    : readiness.degraded?.length
+      ? [readiness.degraded[0].split(":")[0], "bad"]
+      : !status.workers.length
+        ? ["waiting for a worker", "bad"]
+        : jobs
+          ? [`working on ${jobs.toLocaleString("en")}`, "busy"]
+          : ["ready", "good"];
+  byId("health").textContent = text;
+  byId("health").className = `health ${mood}`;
+  byId("health").title = `${(readiness.degraded ?? []).join("; ")}${readiness.degraded?.length ? "\n" : ""}Revisit ${status.version}, models ${status.model_version || "not loaded yet"}`;
+}
+
+async function refreshStatus() {
+  const [readiness, status] = await Promise.all([read("/readyz"), read("/v1/status")]);
+  tellHealth(readiness, status);
+  const maps = await readAll("/v1/maps", "maps");
+  const known = model.maps.map((map) => map.name).join();
+  model.maps = maps;
+  if (maps.map((map) => map.name).join() !== known) await chooseMap();
+  else if (!maps.length) tellEmpty(0);
+}
+
+async function chooseMap() {
+  const select = byId("map");
+  // A link may name the map (`/#maps/town`); else the newest one is shown.
+  const wished = [decodeURIComponent(location.hash.slice(1)), model.map, model.maps.at(-1)?.name];
+  const chosen = wished.find((name) => model.maps.some((map) => map.name === name));
+  select.replaceChildren(
+    ...model.maps.map((map) => {
+      const option = element("option", { value: map.name }, map.display_name ? `${map.display_name} (${lastOf(map.name)})` : lastOf(map.name));
+      return option;
+    }),
+  );
+  select.disabled = !model.maps.length;
+  if (!chosen) return render();
+  select.value = chosen;
+  if (chosen !== model.map) await openMap(chosen);
+}
+
+function tellError(error) {
+  const locked = error instanceof KeyNeeded;
+  byId("health").textContent = locked ? "locked" : "no answer";
+  byId("health").className = "health bad";
+  if (locked) {
+    model.maps = [];
+    showBanner("");
+    showEmpty(hasKey() ? "This key does not open it" : "An API key is needed", hasKey() ? error.message : "This service lets nobody read without a key. It is kept by this tab alone, until you close it.", hasKey() ? "" : "revisit keys create --scope query", true);
+  } else if (error instanceof Refused) {
+    model.maps = [];
+    showEmpty("The service refuses", error.message, "", error.status === 403);
+  } else showBanner("The service does not answer; trying again");
+}
+
+async function run() {
+  if (!document.hidden) {
+    try {
+      await refreshStatus();
+      if (document.body.dataset.live !== "false") showBanner("");
+    } catch (error) {
+      tellError(error);
+    }
+  }
+  setTimeout(run, STATUS_EVERY_MS);
+}
+
+function connect() {
+  byId("map").addEventListener("change", ({ target }) => {
+    history.replaceState(null, "", `#${target.value}`);
+    openMap(target.value).catch(tellError);
+  });
+  byId("unlock").addEventListener("submit", (event) => {
+    event.preventDefault();
+    useKey(byId("api-key").value);
+    byId("api-key").value = "";
+    refreshStatus().catch(tellError);
+  });
+  byId("all-sessions").addEventListener("click", () => {
+    model.hidden.clear();
+    render();
+  });
+  byId("states").addEventListener("click", ({ target }) => {
+    const button = target.closest("button");
+    if (button) setStates(button.dataset.state);
+  });
+  byId("search").addEventListener("input", ({ target }) => {
+    model.search = target.value;
+    model.listed = LISTED_AT_ONCE;
+    renderSoon();
+  });
+  byId("surface").addEventListener("click", ({ target }) => target.dataset.surface && setSurface(target.dataset.surface));
+  byId("camera").addEventListener("click", ({ target }) => target.dataset.view && setView(target.dataset.view));
+  byId("frames").addEventListener("click", ({ target }) => target.dataset.frames && setFrames(target.dataset.frames));
+  byId("lift").addEventListener("input", renderSoon);
+  byId("theme").addEventListener("click", switchTheme);
+  byId("keys").addEventListener("click", () => byId("help").showModal());
+  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => view?.retint());
+}
+
+function connectStage() {
+  const canvas = byId("view");
+  let pressed = null;
+  canvas.addEventListener("pointerdown", (event) => (pressed = [event.clientX, event.clientY]));
+  canvas.addEventListener("pointermove", (event) => tellPointed(event));
+  canvas.addEventListener("pointerleave", () => (byId("tip").hidden = true));
+  canvas.addEventListener("pointerup", (event) => {
+    const still = pressed && Math.hypot(event.clientX - pressed[0], event.clientY - pressed[1]) < 4;
+    if (!still) return view.surface !== "none" && view.showSurface(view.surface);
+    const found = view.nearest(event.offsetX, event.offsetY);
+    if (found?.loop) openPair(found.loop.name);
+    else select(found ? { submap: found.submap.name } : null);
+  });
+}
+
+function tellPointed(event) {
+  const found = event.buttons ? null : view.nearest(event.offsetX, event.offsetY);
+  const tip = byId("tip");
+  tip.hidden = !found;
+  byId("view").classList.toggle("over", Boolean(found));
+  if (!found) return;
+  tip.textContent = found.loop ? `${verdictOf(found.loop)}: ${shortName(found.loop.query)} \u2192 ${shortName(found.loop.match)}` : shortName(found.submap.name);
+  tip.style.left = `${Math.min(event.offsetX + 14, byId("view").clientWidth - 260)}px`;
+  tip.style.top = `${event.offsetY + 14}px`;
+}
+
+function tellScale(of) {
+  const scale = byId("scale");
+  const metres = roundMetres(of.metresOf(70));
+  scale.hidden = !of.places.size;
+  scale.firstElementChild.textContent = metres >= 1000 ? `${metres / 1000} km` : `${metres} m`;
+  scale.style.width = `${Math.round((70 * metres) / of.metresOf(70))}px`;
+}
+
+try {
+  view = new MapView(byId("view"), tellScale);
+  connectStage();
+} catch {
+  byId("view").hidden = true;
+}
+connect();
+run();
+
+/** For tests: where a submap is drawn, and what is drawn. */
+globalThis.revisitPage = { model, whereIs: (name) => view?.whereIs(name), view: () => view, openPair, pair };

@@ -1,0 +1,444 @@
+// The map in 3D: sessions as coloured paths of submaps, loop closures between them, points or surfaces on demand.
+"use strict";
+
+import * as THREE from "/vendor/three-0.187.0/three.module.js";
+import { OrbitControls } from "/vendor/three-0.187.0/OrbitControls.js";
+import { Line2 } from "/vendor/three-0.187.0/Line2.js";
+import { LineGeometry } from "/vendor/three-0.187.0/LineGeometry.js";
+import { LineMaterial } from "/vendor/three-0.187.0/LineMaterial.js";
+import { LineSegments2 } from "/vendor/three-0.187.0/LineSegments2.js";
+import { LineSegmentsGeometry } from "/vendor/three-0.187.0/LineSegmentsGeometry.js";
+import { forgetWaiting, geometryOf } from "/clouds.js";
+import { themed } from "/colours.js";
+import { between, matrixOf, product } from "/frames.js";
+
+const NEAR_PX = 14;
+const NEAR_LOOP_PX = 7;
+const MOST_SURFACES = 250;
+const SHAPES = { DESCRIBED: 0, QUEUED: 1, FAILED: 2 };
+
+const DOTS = {
+  vertexShader: `
+    attribute vec3 tint; attribute float shape; attribute float size;
+    uniform float pixels;
+    varying vec3 vTint; varying float vShape;
+    void main() {
+      vTint = tint; vShape = shape;
+      gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
+      gl_PointSize = size * pixels;
+    }`,
+  fragmentShader: `
+    uniform vec3 paper;
+    varying vec3 vTint; varying float vShape;
+    void main() {
+      vec2 at = 2.0 * gl_PointCoord - 1.0;
+      float r = length(at), soft = fwidth(r);
+      float inside = 1.0 - smoothstep(0.98 - soft, 0.98, r);
+      vec3 tint = mix(vTint, paper, smoothstep(0.70 - soft, 0.70, r));
+      if (vShape > 0.5 && vShape < 1.5) tint = mix(paper, tint, smoothstep(0.42 - soft, 0.42, r));
+      if (vShape > 1.5) {
+        float cross = min(abs(at.x - at.y), abs(at.x + at.y));
+        inside = 1.0 - smoothstep(0.30, 0.36, cross);
+        tint = vTint;
+      }
+      if (inside < 0.02) discard;
+      gl_FragColor = vec4(tint, inside);
+      #include <colorspace_fragment>
+    }`,
+};
+
+/** The loop closures of one state as lines: how they look says what they are, without their colour, too. */
+const LINES = {
+  accepted: { colour: "--accepted", linewidth: 1.5, opacity: 0.8 },
+  ambiguous: { colour: "--ambiguous", linewidth: 1.8, opacity: 0.9, dashed: true },
+  rejected: { colour: "--rejected", linewidth: 1, opacity: 0.45, dashed: true },
+};
+
+/** The drawing on a canvas. Give it a map with `show`; ask it with `nearest` what is under the pointer. */
+export class MapView {
+  constructor(canvas, onCamera = () => {}) {
+    THREE.Object3D.DEFAULT_UP.set(0, 0, 1);
+    this.canvas = canvas;
+    this.onCamera = onCamera;
+    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, powerPreference: "high-performance" });
+    this.scene = new THREE.Scene();
+    this.camera = new THREE.PerspectiveCamera(40, 1, 0.1, 50_000);
+    this.camera.up.set(0, 0, 1);
+    this.controls = new OrbitControls(this.camera, canvas);
+    Object.assign(this.controls, { enableDamping: false, screenSpacePanning: false, maxPolarAngle: Math.PI * 0.495, zoomToCursor: true });
+    this.controls.mouseButtons = { LEFT: THREE.MOUSE.PAN, MIDDLE: THREE.MOUSE.DOLLY, RIGHT: THREE.MOUSE.ROTATE };
+    this.controls.addEventListener("change", () => this.draw());
+    this.paths = new THREE.Group();
+    this.loops = new THREE.Group();
+    this.surfaces = new THREE.Group();
+    this.marks = new THREE.Group();
+    this.dots = null;
+    this.grid = null;
+    this.scene.add(this.surfaces, this.paths, this.loops, this.marks);
+    this.scene.add(new THREE.HemisphereLight("#ffffff", "#66727e", 1.5));
+    this.sun = new THREE.DirectionalLight("#ffffff", 1.5);
+    this.sun.position.set(0.9, -1.2, 0.9);
+    this.scene.add(this.sun);
+    this.map = { tracks: [], loops: [] };
+    this.places = new Map();
+    this.surface = "none";
+    this.asked = 0;
+    new ResizeObserver(() => this.resize()).observe(canvas);
+    this.resize();
+  }
+
+  /**
+   * `tracks` is [{ name, colour, submaps, T_drawing_odom }] of the visible sessions; `loops` [{ loop, state }]; `lift` in
+   * metres a submap; `frame` is that of the map in which submaps are drawn, null for none, and `corrected` 0..1 how far
+   * they are there, on the way from where odometry has them.
+   */
+  show({ tracks, loops, lift, frame = null, corrected = 1 }) {
+    const first = !this.places.size;
+    this.map = { tracks, loops };
+    this.place(lift, frame, corrected);
+    this.drawPaths();
+    this.drawLoops();
+    this.drawGrid();
+    this.showSurface(this.surface);
+    if (first && this.places.size) this.fit();
+    this.draw();
+  }
+
+  /** Where each submap is drawn: its matrix, with the lift. */
+  place(lift, frame, corrected) {
+    this.places.clear();
+    let floor = 0;
+    for (const track of this.map.tracks) {
+      track.submaps.forEach((submap, index) => {
+        const driven = product(track.T_drawing_odom, matrixOf(submap.t_odom_submap));
+        const known = frame !== null && submap.t_map_submap && submap.frame === frame;
+        const pose = known ? between(driven, matrixOf(submap.t_map_submap), corrected) : driven;
+        const raised = new THREE.Matrix4().makeTranslation(0, 0, floor + lift * index).multiply(pose);
+        const at = new THREE.Vector3().setFromMatrixPosition(raised);
+        this.places.set(submap.name, { submap, track, matrix: raised, at });
+      });
+      floor += lift * (track.submaps.length + 4);
+    }
+  }
+
+  drawPaths() {
+    clear(this.paths);
+    const points = [...this.places.values()];
+    for (const track of this.map.tracks) {
+      const line = track.submaps.flatMap((submap) => this.places.get(submap.name).at.toArray());
+      if (line.length >= 6) this.paths.add(this.line(new LineGeometry().setPositions(line), track.colour, 2.6));
+    }
+    const small = points.length > 600 ? 8 : points.length > 200 ? 10 : 12;
+    const geometry = new THREE.BufferGeometry();
+    const tints = points.map(({ submap, track }) => (submap.state === "FAILED" ? new THREE.Color(themed("--failed")) : new THREE.Color(track.colour)));
+    geometry.setAttribute("position", floats(points.flatMap(({ at }) => at.toArray()), 3));
+    geometry.setAttribute("tint", floats(tints.flatMap((tint) => tint.toArray()), 3));
+    geometry.setAttribute("shape", floats(points.map(({ submap }) => SHAPES[submap.state] ?? 0), 1));
+    geometry.setAttribute("size", floats(points.map(({ submap }) => (submap.state === "FAILED" ? small + 4 : small)), 1));
+    const uniforms = { pixels: { value: this.renderer.getPixelRatio() }, paper: { value: new THREE.Color(themed("--stage")) } };
+    const material = new THREE.ShaderMaterial({ ...DOTS, uniforms, transparent: true, depthWrite: false, depthTest: false });
+    this.dots = new THREE.Points(geometry, material);
+    this.dots.renderOrder = 3;
+    this.dots.frustumCulled = false;
+    this.paths.add(this.dots);
+  }
+
+  drawLoops() {
+    clear(this.loops);
+    this.ends = [];
+    const byState = Map.groupBy(this.map.loops, ({ state }) => state);
+    for (const [state, style] of Object.entries(LINES)) {
+      const positions = [];
+      for (const { loop } of byState.get(state) ?? []) {
+        const [query, match] = [this.places.get(loop.query), this.places.get(loop.match)];
+        if (!query || !match) continue;
+        positions.push(...query.at.toArray(), ...match.at.toArray());
+        this.ends.push({ loop, from: query.at, to: match.at });
+      }
+      if (!positions.length) continue;
+      const material = this.material(themed(style.colour), style.linewidth);
+      // Many of them are a texture: what the sessions' colours say must show through it.
+      const many = Math.min(1, Math.max(0.22, 60 / (positions.length / 6)));
+      Object.assign(material, { transparent: true, opacity: style.opacity * many, dashed: Boolean(style.dashed), dashSize: 1.2, gapSize: 0.9 });
+      const lines = new LineSegments2(new LineSegmentsGeometry().setPositions(positions), material);
+      if (style.dashed) lines.computeLineDistances();
+      lines.renderOrder = 1;
+      this.loops.add(lines);
+    }
+    this.drawnLoops = this.ends.length;
+  }
+
+  line(geometry, colour, width) {
+    const made = new Line2(geometry, this.material(colour, width));
+    made.material.depthTest = false;
+    made.renderOrder = 2;
+    return made;
+  }
+
+  material(colour, linewidth) {
+    const material = new LineMaterial({ color: new THREE.Color(colour), linewidth });
+    material.resolution.set(this.canvas.clientWidth, this.canvas.clientHeight);
+    return material;
+  }
+
+  /** Ground lines at round steps below everything that is drawn. */
+  drawGrid() {
+    if (this.grid) {
+      this.scene.remove(this.grid);
+      this.grid.geometry.dispose();
+    }
+    this.grid = null;
+    const box = this.extent();
+    if (box.isEmpty()) return;
+    const size = box.getSize(new THREE.Vector3());
+    const span = Math.max(size.x, size.y, 20) * 3;
+    const step = roundMetres(span / 45);
+    const count = 2 * Math.ceil(span / step / 2);
+    this.grid = new THREE.GridHelper(count * step, count, themed("--grid-strong"), themed("--grid"));
+    this.grid.rotation.x = Math.PI / 2;
+    const centre = box.getCenter(new THREE.Vector3());
+    this.grid.position.set(Math.round(centre.x / step) * step, Math.round(centre.y / step) * step, box.min.z - 0.02 * span - 1);
+    this.grid.renderOrder = -1;
+    this.grid.material.depthWrite = false;
+    this.scene.add(this.grid);
+  }
+
+  extent() {
+    const box = new THREE.Box3();
+    for (const { at } of this.places.values()) box.expandByPoint(at);
+    return box;
+  }
+
+  /** Mark what is selected: the names of submaps, and a loop closure between two of them. */
+  mark(names, loop = null) {
+    clear(this.marks);
+    const at = names.map((name) => this.places.get(name)?.at).filter(Boolean);
+    const uniforms = { pixels: { value: this.renderer.getPixelRatio() }, paper: { value: new THREE.Color(themed("--stage")) } };
+    if (at.length) {
+      const geometry = new THREE.BufferGeometry();
+      const tint = new THREE.Color(themed("--mark"));
+      geometry.setAttribute("position", floats(at.flatMap((point) => point.toArray()), 3));
+      geometry.setAttribute("tint", floats(at.flatMap(() => tint.toArray()), 3));
+      geometry.setAttribute("shape", floats(at.map(() => 1), 1));
+      geometry.setAttribute("size", floats(at.map(() => 24), 1));
+      const rings = new THREE.Points(geometry, new THREE.ShaderMaterial({ ...DOTS, fragmentShader: RING, uniforms, transparent: true, depthTest: false }));
+      rings.renderOrder = 5;
+      rings.frustumCulled = false;
+      this.marks.add(rings);
+    }
+    if (loop && at.length === 2) {
+      const line = this.line(new LineGeometry().setPositions(at.flatMap((point) => point.toArray())), themed("--mark"), 4);
+      line.renderOrder = 4;
+      this.marks.add(line);
+    }
+    this.draw();
+  }
+
+  /** Show points or surfaces of the visible submaps, those nearest to the centre of the view first. */
+  showSurface(kind) {
+    const asked = (this.asked += 1);
+    if (kind !== this.surface) {
+      clear(this.surfaces, false);
+      forgetWaiting();
+    }
+    this.surface = kind;
+    const wanted = kind === "none" ? [] : this.nearestTo(this.controls.target).slice(0, MOST_SURFACES);
+    const names = new Set(wanted.map(({ submap }) => submap.name));
+    for (const shown of [...this.surfaces.children]) if (!names.has(shown.name)) this.surfaces.remove(shown);
+    const there = new Map(this.surfaces.children.map((shown) => [shown.name, shown]));
+    for (const place of wanted) {
+      const shown = there.get(place.submap.name);
+      if (shown) shown.matrix.copy(place.matrix);
+      else if (kind === "points" || place.submap.state === "DESCRIBED") this.addSurface(place, kind, asked);
+    }
+    return wanted.length;
+  }
+
+  async addSurface(place, kind, asked) {
+    const geometry = await geometryOf(place.submap.name, kind).catch(() => null);
+    const now = this.places.get(place.submap.name);
+    if (!geometry || asked > this.asked || this.surface !== kind || !now) return;
+    if (this.surfaces.children.some((shown) => shown.name === place.submap.name)) return;
+    const shown = kind === "mesh" ? new THREE.Mesh(geometry, surfaceMaterial(now.track.colour)) : new THREE.Points(geometry, pointsMaterial(now.track.colour, 1.4 * this.renderer.getPixelRatio(), geometry.userData.heights));
+    shown.name = place.submap.name;
+    shown.matrixAutoUpdate = false;
+    shown.matrix.copy(now.matrix);
+    this.surfaces.add(shown);
+    this.draw();
+  }
+
+  nearestTo(point) {
+    return [...this.places.values()].sort((a, b) => a.at.distanceToSquared(point) - b.at.distanceToSquared(point));
+  }
+
+  /** Where a submap is on the canvas, in CSS pixels, or null. */
+  whereIs(name) {
+    const place = this.places.get(name);
+    return place ? this.project(place.at) : null;
+  }
+
+  project(at) {
+    const seen = at.clone().project(this.camera);
+    return { x: ((seen.x + 1) / 2) * this.canvas.clientWidth, y: ((1 - seen.y) / 2) * this.canvas.clientHeight, hidden: seen.z > 1 };
+  }
+
+  /** The submap, else the loop closure, within reach of a point of the canvas: { submap } or { loop } or null. */
+  nearest(x, y) {
+    let found = null;
+    let reach = NEAR_PX;
+    for (const place of this.places.values()) {
+      const at = this.project(place.at);
+      const distance = at.hidden ? Infinity : Math.hypot(at.x - x, at.y - y);
+      if (distance < reach) [found, reach] = [{ submap: place.submap, track: place.track }, distance];
+    }
+    if (found) return found;
+    reach = NEAR_LOOP_PX;
+    for (const { loop, from, to } of this.ends ?? []) {
+      const distance = distanceToSegment(x, y, this.project(from), this.project(to));
+      if (distance < reach) [found, reach] = [{ loop }, distance];
+    }
+    return found;
+  }
+
+  /** Look at everything; `view` top or tilted keeps to that direction, fit to the one there is. */
+  fit(view = "tilted", names = null) {
+    const box = new THREE.Box3();
+    for (const [name, { at }] of this.places) if (!names || names.includes(name)) box.expandByPoint(at);
+    if (box.isEmpty()) return;
+    const centre = box.getCenter(new THREE.Vector3());
+    const size = box.getSize(new THREE.Vector3());
+    const back = new THREE.Vector3().subVectors(this.camera.position, this.controls.target).normalize();
+    if (view === "top") back.set(0, -0.001, 1);
+    if (view === "tilted" || back.lengthSq() < 0.5) back.set(-0.25, -0.9, 0.75).normalize();
+    const wide = Math.max(size.length(), 12);
+    this.camera.near = wide / 2000;
+    this.camera.far = wide * 60;
+    this.controls.target.copy(centre);
+    const points = [...this.places].filter(([name]) => !names || names.includes(name)).map(([, { at }]) => at);
+    this.camera.position.copy(centre).addScaledVector(back, this.distanceTo(points, centre, back, wide));
+    this.camera.updateProjectionMatrix();
+    this.controls.update();
+    this.draw();
+  }
+
+  /** How far back the camera stands so that all points are within the view, with a margin. */
+  distanceTo(points, centre, back, wide) {
+    const half = Math.tan((this.camera.fov * Math.PI) / 360);
+    const right = new THREE.Vector3().crossVectors(this.camera.up, back).normalize();
+    const up = new THREE.Vector3().crossVectors(back, right);
+    const offset = new THREE.Vector3();
+    return points.reduce((most, point) => {
+      offset.subVectors(point, centre);
+      const across = Math.max(Math.abs(offset.dot(right)) / this.camera.aspect, Math.abs(offset.dot(up)));
+      return Math.max(most, (across * 1.14) / half + offset.dot(back));
+    }, 0.8 * wide / (points.length > 2 ? 4 : 1));
+  }
+
+  /** How many metres a number of CSS pixels are in the centre of the view. */
+  metresOf(pixels) {
+    const distance = this.camera.position.distanceTo(this.controls.target);
+    return (2 * distance * Math.tan((this.camera.fov * Math.PI) / 360) * pixels) / this.canvas.clientHeight;
+  }
+
+  retint() {
+    this.renderer.setClearColor(themed("--stage"));
+    this.drawPaths();
+    this.drawLoops();
+    this.drawGrid();
+    this.draw();
+  }
+
+  resize() {
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    if (!width || !height) return;
+    this.renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, 2));
+    this.renderer.setSize(width, height, false);
+    this.renderer.setClearColor(themed("--stage"));
+    this.camera.aspect = width / height;
+    this.camera.updateProjectionMatrix();
+    for (const group of [this.paths, this.loops, this.marks]) {
+      for (const { material } of group.children) material.resolution?.set(width, height);
+    }
+    this.paint();
+  }
+
+  /** Draw with the next frame. */
+  draw() {
+    if (this.due) return;
+    this.due = requestAnimationFrame(() => this.paint());
+  }
+
+  paint() {
+    cancelAnimationFrame(this.due);
+    this.due = 0;
+    this.renderer.render(this.scene, this.camera);
+    this.onCamera(this);
+  }
+}
+
+const RING = `
+  varying vec3 vTint; varying float vShape;
+  void main() {
+    float r = length(2.0 * gl_PointCoord - 1.0), soft = fwidth(r);
+    float ring = smoothstep(0.74 - soft, 0.74, r) * (1.0 - smoothstep(0.98 - soft, 0.98, r));
+    if (ring < 0.02) discard;
+    gl_FragColor = vec4(vTint, ring);
+    #include <colorspace_fragment>
+  }`;
+
+/** Points of one colour, darker below and lighter above, so that a cloud is not a flat stain. */
+export function pointsMaterial(colour, size, [low, high]) {
+  const tint = new THREE.Color(colour);
+  const uniforms = {
+    size: { value: size },
+    low: { value: low },
+    high: { value: Math.max(high, low + 0.5) },
+    below: { value: tint.clone().multiplyScalar(0.42) },
+    above: { value: tint.clone().lerp(new THREE.Color("#ffffff"), 0.35) },
+  };
+  return new THREE.ShaderMaterial({ ...CLOUD, uniforms });
+}
+
+const CLOUD = {
+  vertexShader: `
+    uniform float size, low, high; uniform vec3 below, above;
+    varying vec3 vTint;
+    void main() {
+      vTint = mix(below, above, smoothstep(low, high, position.z));
+      gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
+      gl_PointSize = size;
+    }`,
+  fragmentShader: `
+    varying vec3 vTint;
+    void main() {
+      gl_FragColor = vec4(vTint, 1.0);
+      #include <colorspace_fragment>
+    }`,
+};
+
+export const surfaceMaterial = (colour) => new THREE.MeshStandardMaterial({ color: colour, roughness: 0.85, metalness: 0, side: THREE.DoubleSide });
+
+const floats = (values, size) => new THREE.BufferAttribute(new Float32Array(values), size);
+
+/** Take everything out of a group; geometries that others use, too, stay. */
+function clear(group, own = true) {
+  for (const child of [...group.children]) {
+    group.remove(child);
+    child.material.dispose();
+    if (own) child.geometry.dispose();
+  }
+}
+
+function distanceToSegment(x, y, from, to) {
+  if (from.hidden || to.hidden) return Infinity;
+  const [dx, dy] = [to.x - from.x, to.y - from.y];
+  const length = dx * dx + dy * dy;
+  const along = length ? Math.max(0, Math.min(1, ((x - from.x) * dx + (y - from.y) * dy) / length)) : 0;
+  return Math.hypot(from.x + along * dx - x, from.y + along * dy - y);
+}
+
+/** 1, 2 or 5 times a power of ten, at least `atLeast`. */
+export function roundMetres(atLeast) {
+  const power = 10 ** Math.floor(Math.log10(atLeast));
+  return power * [1, 2, 5, 10].find((factor) => factor * power >= atLeast * 0.999);
+}

@@ -1,0 +1,98 @@
+"""The contract of EventLog, and what the other repositories write into it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from revisit.service.application.contract.clock import Instant
+from revisit.service.application.contract.events import EventRecord, map_of
+from revisit.service.application.contract.identity import TenantId
+from tests.support.records import TENANT, a_job, a_loop, a_map, a_session, a_submap
+
+OTHER = TenantId("other")
+NOW = Instant("boot", 1_000)
+
+
+def note(uow, map_id="town", subject="x", tenant=TENANT):
+    uow.events.record(EventRecord(tenant, map_id, "OPERATION", subject))
+
+
+def told(read, after=0, tenant=TENANT, map_id=None, limit=100):
+    return read(lambda uow: uow.events.following(tenant, after, limit, map_id))
+
+
+def test_events_follow_each_other_by_number_within_their_tenant_and_map(write, read):
+    for map_id, subject, tenant in (("town", "a", TENANT), ("yard", "b", TENANT), ("town", "c", OTHER)):
+        write(lambda uow, row=(map_id, subject, tenant): note(uow, *row))
+    write(lambda uow: note(uow, "town", "d"))
+    assert [event.subject for event in told(read)] == ["a", "b", "d"]
+    assert [event.subject for event in told(read, map_id="town")] == ["a", "d"]
+    assert [event.subject for event in told(read, tenant=OTHER)] == ["c"]
+    first = told(read)[0]
+    assert [event.subject for event in told(read, after=first.number, limit=1)] == ["b"]
+    assert read(lambda uow: uow.events.last_number()) == told(read)[-1].number
+
+
+def test_what_is_forgotten_leaves_a_sign_and_the_newest(write, read):
+    for subject in "abcdef":
+        write(lambda uow, subject=subject: note(uow, subject=subject))
+    write(lambda uow: note(uow, subject="g", tenant=OTHER))
+    last = read(lambda uow: uow.events.last_number())
+    assert write(lambda uow: uow.events.forget(2)) == 3
+    assert [(event.kind, event.subject) for event in told(read)] == [
+        ("FORGOTTEN", ""), ("OPERATION", "e"), ("OPERATION", "f"),
+    ]  # fmt: skip
+    assert [event.kind for event in told(read, map_id="elsewhere")] == ["FORGOTTEN"]
+    assert [event.subject for event in told(read, tenant=OTHER)] == ["g"]
+    assert write(lambda uow: uow.events.forget(2)) == 0
+    assert read(lambda uow: uow.events.last_number()) == last
+
+
+def test_a_job_is_an_event_when_its_state_changes_and_not_with_each_heartbeat(write, read):
+    subject = "maps/town/sessions/monday/submaps/a"
+    write(lambda uow: uow.queue.enqueue(a_job("op-1", subject=subject)))
+    lease = write(lambda uow: uow.queue.claim("w", NOW))
+    write(lambda uow: uow.queue.extend(lease, NOW))
+    write(lambda uow: uow.queue.complete(lease, {}, NOW, 1))
+    events = told(read, map_id="town")
+    assert [(event.kind, event.subject) for event in events] == [("OPERATION", "op-1")] * 3
+
+
+def test_a_query_that_a_client_waits_for_is_no_event(write, read):
+    write(lambda uow: uow.queue.enqueue(a_job("op-1", subject="maps/town", kind="LOCALIZE", priority=0)))
+    assert told(read) == []
+
+
+def test_a_loop_is_an_event_when_it_is_accepted_or_changes(write, read):
+    def fill(uow):
+        uow.maps.add(a_map())
+        uow.sessions.add(a_session())
+        numbers = [uow.submaps.add(a_submap(name, ordinal=at)).number for at, name in enumerate("ab")]
+        accepted = uow.loops.add(a_loop(numbers[1], numbers[0]))
+        rejected = replace(accepted, loop_id="no", state="REJECTED", reason="TOO_DIFFERENT")
+        uow.loops.add(replace(rejected, loop_id="maybe", reason="AMBIGUOUS"))
+        return accepted, uow.loops.add(rejected)
+
+    accepted, rejected = write(fill)
+    assert [event.subject for event in told(read)] == [accepted.loop_id, "maybe"]
+    write(lambda uow: uow.loops.replace(replace(accepted, evidence={"more": 1})))
+    assert len(told(read)) == 2
+    write(lambda uow: uow.loops.replace(replace(rejected, state="ACCEPTED", reason=None)))
+    assert [event.subject for event in told(read)][2:] == ["no"]
+
+
+def test_a_change_that_is_undone_is_no_event(write, read):
+    def fails(uow):
+        note(uow)
+        raise RuntimeError("half way")
+
+    with pytest.raises(RuntimeError):
+        write(fails)
+    assert told(read) == []
+
+
+def test_the_map_of_a_subject_is_in_its_name():
+    assert map_of("maps/town/sessions/monday/submaps/a") == map_of("maps/town") == "town"
+    assert map_of("robots/rover") == map_of("") == ""

@@ -1,0 +1,189 @@
+"""The ROS 2 bridge's logic against the real service: drives, reboots, no link, sessions that are lost."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rosbags", reason="in the extra `dev`: gives the messages' types")
+
+from revisit_bridge.answers import Answer, ServiceAnswers
+from revisit_bridge.bridge import Bridge
+from revisit_bridge.outbox import Outbox, ServiceSessions
+from revisit_bridge.pairing import Unknown
+from revisit_bridge.parameters import Parameters
+
+from revisit import Client
+from revisit.core.geometry import se3
+from revisit.sdk.retry import RetryPolicy
+from tests.support.live_service import live_service
+from tests.support.ros_messages import Messages
+from tests.support.service_world import cloud_points
+
+SECOND = 10**9
+QUICK = RetryPolicy(attempts=2, base_s=0.01, cap_s=0.05)
+NOWHERE = "127.0.0.1:1"
+PATIENCE_S = 60.0
+
+
+@pytest.fixture(scope="module")
+def service():
+    with live_service() as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def ros():
+    return Messages()
+
+
+@pytest.fixture(autouse=True)
+def impatient(monkeypatch):
+    """Reconnect at once: these tests wait for it."""
+    monkeypatch.setattr("revisit.sdk.client.RECONNECT", RetryPolicy(attempts=1, base_s=0.01, cap_s=0.1))
+    monkeypatch.setattr("revisit_bridge.outbox.RETRY_S", 0.1)
+
+
+class Robot:
+    """A robot with the bridge: odometry and clouds go in as ROS sends them."""
+
+    def __init__(self, ros: Messages, grpc: str, folder: Path, map_id: str, boot: str = "boot 1") -> None:
+        self.ros = ros
+        self.client = Client.grpc(grpc, retry=QUICK)
+        own = Parameters(map_id=map_id, robot_id="spot", odometry_topic="odometry", poll_s=0.05)
+        outbox = Outbox(folder, map_id, ServiceSessions(self.client, "spot", 2**30), time.monotonic)
+        answers = ServiceAnswers(self.client)
+        unknown = lambda target, source, stamp: Unknown.NOT_YET  # noqa: E731
+        self.bridge = Bridge(own, unknown, outbox, answers, boot, folder / "last_scan.json", time.monotonic)
+        self.bridge.start()
+
+    def drive(self, first: int, last: int, stop_at: int = 1_000) -> None:
+        """Half a metre every tenth of a second, up to a scan, then none; clouds come before their poses."""
+        for index in range(first, last + 1):
+            stamp = 1000 * SECOND + index * SECOND // 10
+            pose = se3.from_yaw(0.0, (0.5 * min(index, stop_at), 0.0, 0.0))
+            self.bridge.take_cloud(self.ros.cloud(cloud_points(index), stamp, "base_link"))
+            self.bridge.take_odometry(self.ros.odometry(pose, stamp))
+
+    @property
+    def session(self) -> str:
+        return self.bridge.outbox.state.session
+
+    def until(self, condition) -> None:
+        deadline = time.monotonic() + PATIENCE_S
+        while not condition():
+            assert time.monotonic() < deadline, (self.bridge.outbox.state, self.bridge.problem)
+            time.sleep(0.02)
+
+    def off(self) -> None:
+        self.bridge.close()
+        self.client.close()
+
+
+@pytest.fixture
+def robot_in(ros, service, tmp_path, request):
+    """Makes robots that share a disk and a map; they are switched off at the end."""
+    made: list[Robot] = []
+
+    def make(grpc: str | None = None, boot: str = "boot 1") -> Robot:
+        made.append(Robot(ros, grpc or service.grpc, tmp_path, f"m{abs(hash(request.node.name))}", boot))
+        return made[-1]
+
+    yield make
+    for robot in made:
+        robot.off()
+
+
+def stored(robot: Robot) -> int:
+    return robot.client.get_session(robot.session).committed_seq
+
+
+def test_a_drive_arrives_whole_and_standing_still_sends_nothing(robot_in) -> None:
+    robot = robot_in()
+    robot.drive(0, 40, stop_at=20)
+    robot.until(lambda: robot.bridge.outbox.state.pending == 0 and stored(robot) >= 21)
+    assert stored(robot) == 21
+    session = robot.client.get_session(robot.session)
+    assert session.robot == "robots/spot" and session.state == "ACTIVE"
+
+
+def test_the_news_have_the_submaps_of_the_session(robot_in) -> None:
+    robot, answers = robot_in(), []
+    robot.drive(0, 45)
+
+    def told() -> bool:
+        answers.extend(news.answer for news in robot.bridge.news())
+        return bool(answers) and len(answers[-1].submaps) >= 2
+
+    robot.until(told)
+    answer: Answer = answers[-1]
+    assert answer.session == robot.session
+    assert all(submap.name.startswith(f"{robot.session}/submaps/") for submap in answer.submaps)
+
+
+def test_after_a_reboot_a_new_session_begins_and_the_old_one_is_sent_and_finished(robot_in) -> None:
+    robot = robot_in(NOWHERE)
+    robot.drive(0, 9)
+    first = robot.session
+    robot.off()
+    robot = robot_in(boot="boot 2")
+    robot.drive(0, 4)
+    assert robot.session != first
+    robot.until(lambda: robot.bridge.outbox.state.pending == 0 and len(robot.bridge.outbox.session_ids) == 1)
+    old = robot.client.get_session(first)
+    assert (old.committed_seq, old.state) == (10, "FINISHED")
+    assert stored(robot) == 5
+
+
+def test_a_node_that_starts_again_goes_on_with_its_session(robot_in) -> None:
+    robot = robot_in()
+    robot.drive(0, 9)
+    first = robot.session
+    robot.off()
+    robot = robot_in()
+    robot.drive(10, 14)
+    assert robot.session == first
+    robot.until(lambda: robot.bridge.outbox.state.pending == 0 and stored(robot) >= 15)
+    assert stored(robot) == 15
+
+
+def test_a_session_that_was_finished_elsewhere_is_followed_by_a_new_one(robot_in) -> None:
+    robot = robot_in()
+    robot.drive(0, 4)
+    robot.until(lambda: robot.bridge.outbox.state.pending == 0)
+    first = robot.session
+    robot.client.finish_session(first)
+    robot.drive(5, 6)
+    robot.until(lambda: robot.bridge.outbox.lost is not None)
+    robot.drive(7, 9)
+    assert robot.session != first
+    robot.until(lambda: robot.bridge.outbox.state.stuck == (first,))
+    robot.until(lambda: stored(robot) == 3)
+
+
+def test_a_cloud_that_is_damaged_costs_that_cloud_and_is_told(robot_in) -> None:
+    robot = robot_in()
+    robot.drive(0, 2)
+    broken = robot.ros.cloud(cloud_points(3), 1000 * SECOND + 3 * SECOND // 10, "base_link")
+    broken.width += 1
+    robot.bridge.take_cloud(broken)
+    robot.bridge.take_odometry(robot.ros.odometry(se3.from_yaw(0.0, (1.5, 0.0, 0.0)), 1000 * SECOND + 3 * SECOND // 10))
+    assert "bytes" in robot.bridge.problem or "points" in robot.bridge.problem
+    robot.drive(4, 6)
+    robot.until(lambda: robot.bridge.outbox.state.pending == 0 and stored(robot) >= 6)
+    assert robot.bridge.problem == ""
+
+
+def test_registered_clouds_are_taken_back_to_the_sensor(robot_in) -> None:
+    robot = robot_in(NOWHERE)
+    pose, stamp = se3.from_yaw(0.7, (30.0, 2.0, 0.0)), 1000 * SECOND
+    sent: list[np.ndarray] = []
+    robot.bridge.outbox.send = lambda points, *_: sent.append(points)
+    registered = se3.apply(pose, cloud_points(1).astype(float)).astype(np.float32)
+    robot.bridge.take_odometry(robot.ros.odometry(np.eye(4), stamp - SECOND))
+    robot.bridge.take_odometry(robot.ros.odometry(pose, stamp))
+    robot.bridge.take_cloud(robot.ros.cloud(registered, stamp, "odom"))
+    assert np.allclose(sent[0], cloud_points(1), atol=1e-4)

@@ -1,0 +1,83 @@
+"""ROS 2 messages without ROS: types of the library `rosbags`, and those of `ros/revisit_msgs`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from revisit.core.geometry import se3
+
+MSG_FOLDER = Path(__file__).resolve().parents[2] / "ros/revisit_msgs/msg"
+_STANDARD = (
+    "builtin_interfaces/msg/Time", "std_msgs/msg/Header", "geometry_msgs/msg/Point", "geometry_msgs/msg/Vector3",
+    "geometry_msgs/msg/Quaternion", "geometry_msgs/msg/Pose", "geometry_msgs/msg/PoseWithCovariance",
+    "geometry_msgs/msg/Transform", "geometry_msgs/msg/TransformStamped", "diagnostic_msgs/msg/KeyValue",
+    "diagnostic_msgs/msg/DiagnosticStatus", "diagnostic_msgs/msg/DiagnosticArray",
+)  # fmt: skip
+OWN = ("LoopClosure", "PoseGraphNode", "PoseGraph")
+
+
+def ros_store():
+    """The types of ROS 2 Humble with our own."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for name in ("LoopClosure", "PoseGraphNode", "PoseGraph"):
+        text = (MSG_FOLDER / f"{name}.msg").read_text()
+        store.register(get_types_from_msg(text, f"revisit_msgs/msg/{name}"))
+    return store
+
+
+def message_classes(store) -> dict[str, type]:
+    """The classes that the bridge makes messages of, by their short names."""
+    names = [*_STANDARD, *(f"revisit_msgs/msg/{name}" for name in OWN)]
+    return {name.rpartition("/")[2]: store.types[name] for name in names}
+
+
+class Messages:
+    """Makes messages as a robot sends them."""
+
+    def __init__(self) -> None:
+        self.store = ros_store()
+        self.types = self.store.types
+
+    def header(self, stamp_ns: int, frame: str):
+        time = self.types["builtin_interfaces/msg/Time"](sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
+        return self.types["std_msgs/msg/Header"](stamp=time, frame_id=frame)
+
+    def cloud(
+        self, points: np.ndarray, stamp_ns: int, frame: str, *, rows: int = 1, padding: int = 0, big: bool = False
+    ):
+        """x, y, z and a ring number a point, in `rows` rows with `padding` bytes behind each."""
+        kind = np.dtype({"names": ["x", "y", "z", "ring"], "formats": [">f4" if big else "<f4"] * 3 + ["u1"],
+                         "offsets": [0, 4, 8, 16], "itemsize": 20})  # fmt: skip
+        records = np.zeros(len(points), kind)
+        for index, name in enumerate("xyz"):
+            records[name] = points[:, index]
+        width = len(points) // rows
+        data = b"".join(records[row * width : (row + 1) * width].tobytes() + bytes(padding) for row in range(rows))
+        field = self.types["sensor_msgs/msg/PointField"]
+        fields = [field(name=name, offset=4 * index, datatype=7, count=1) for index, name in enumerate("xyz")]
+        message = self.types["sensor_msgs/msg/PointCloud2"](
+            header=self.header(stamp_ns, frame), height=rows, width=width,
+            fields=[*fields, field(name="ring", offset=16, datatype=2, count=1)], is_bigendian=big, point_step=20,
+            row_step=20 * width + padding, data=np.frombuffer(data, np.uint8), is_dense=False,
+        )  # fmt: skip
+        return self.sent(message, "sensor_msgs/msg/PointCloud2")
+
+    def odometry(self, pose: np.ndarray, stamp_ns: int, frame: str = "odom", child: str = "base_link"):
+        named = {name.rpartition("/")[2]: kind for name, kind in self.types.items() if name.startswith("geometry_msgs")}
+        x, y, z, w = se3.to_quaternion(pose)
+        placed = named["Pose"](position=named["Point"](*pose[:3, 3]), orientation=named["Quaternion"](x, y, z, w))
+        still = named["Twist"](linear=named["Vector3"](0.0, 0.0, 0.0), angular=named["Vector3"](0.0, 0.0, 0.0))
+        message = self.types["nav_msgs/msg/Odometry"](
+            header=self.header(stamp_ns, frame), child_frame_id=child,
+            pose=named["PoseWithCovariance"](pose=placed, covariance=np.zeros(36)),
+            twist=named["TwistWithCovariance"](twist=still, covariance=np.zeros(36)),
+        )  # fmt: skip
+        return self.sent(message, "nav_msgs/msg/Odometry")
+
+    def sent(self, message, kind: str):
+        """The message as it arrives: written as CDR and read again."""
+        return self.store.deserialize_cdr(bytes(self.store.serialize_cdr(message, kind)), kind)

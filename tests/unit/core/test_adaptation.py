@@ -1,0 +1,132 @@
+"""Descriptors are standardised by the places of their own map, without labels."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from revisit.core.adapted_index import AdaptedIndex
+from revisit.core.config import AdaptationConfig
+from revisit.core.descriptor.adaptation import learn_site, learned_from
+from revisit.core.index import ExactIndex, IndexEntry, Match, SearchFilter
+
+SIZE = 64
+Array = NDArray[np.float32]
+
+
+def visits(common: Array, places: Array, noise: float, seed: int) -> Array:
+    """Unit descriptors of visits to `places` (n, d), which all have `common` (d,) in them."""
+    rng = np.random.default_rng(seed)
+    seen = common + places + noise * rng.normal(size=places.shape)
+    return np.asarray(seen / np.linalg.norm(seen, axis=1, keepdims=True), dtype=np.float32)
+
+
+def drawn(count: int, seed: int) -> Array:
+    return np.random.default_rng(seed).normal(size=(count, SIZE)).astype(np.float32) / np.float32(np.sqrt(SIZE))
+
+
+def entries(first: int, count: int, session: int = 1, spacing_m: float = 10.0) -> list[IndexEntry]:
+    return [IndexEntry(first + i, session, i, np.array([spacing_m * i, 0.0, 0.0])) for i in range(count)]
+
+
+def filled(vectors: Array, session: int = 1, spacing_m: float = 10.0) -> AdaptedIndex:
+    index = AdaptedIndex(SIZE, ExactIndex)
+    index.add(entries(0, len(vectors), session, spacing_m), vectors)
+    return index
+
+
+def answers(index: AdaptedIndex, queries: Array, only: SearchFilter = SearchFilter()) -> list[list[Match]]:
+    return [index.search(query, 5, only) for query in queries]
+
+
+def test_what_all_places_of_a_map_share_no_longer_makes_them_alike() -> None:
+    common, places = 3.0 * drawn(1, seed=0)[0], drawn(120, seed=1)
+    known, new = visits(common, places[:100], 0.02, seed=2), visits(common, places[100:], 0.02, seed=3)
+    assert (known @ new.T).max() > 0.9  # places that were never seen look like loops
+    assert max(found[0].similarity for found in answers(filled(known), new)) < 0.7
+    again = visits(common, places[:100], 0.02, seed=4)
+    assert [found[0].id for found in answers(filled(known), again)] == list(range(100))
+    assert min(found[0].similarity for found in answers(filled(known), again)) > 0.7
+
+
+def test_a_session_of_another_sensor_is_taken_relative_to_its_own_mean() -> None:
+    places, shift = drawn(100, seed=1), 4.0 * drawn(1, seed=5)[0]
+    first, second = visits(0 * shift, places, 0.05, seed=2), visits(shift, places, 0.05, seed=3)
+    index = filled(first)
+    asks = SearchFilter(only_session=1)
+    before = [found[0].id for found in answers(index, second, asks)]
+    index.add(entries(100, 100, session=2), second)
+    told = SearchFilter(only_session=1, near=(2, 0, 0))
+    after = [found[0].id for found in answers(index, second, told)]
+    right = list(range(100))
+    assert np.mean(np.equal(before, right)) < 0.8
+    assert np.mean(np.equal(after, right)) > 0.95
+
+
+def test_few_places_change_nothing() -> None:
+    vectors = drawn(7, seed=1)
+    unit = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    found = filled(vectors).search(vectors[0], 7)
+    assert [match.similarity for match in found] == pytest.approx(np.sort(unit @ unit[0])[::-1], abs=1e-6)
+
+
+def test_a_robot_that_waits_teaches_one_place_only() -> None:
+    vectors = visits(drawn(1, seed=0)[0], 0.01 * drawn(200, seed=1), 0.0, seed=2)
+    waiting = filled(vectors, spacing_m=0.001)
+    assert waiting.search(vectors[0], 200)[-1].similarity > 0.99
+    assert filled(vectors, spacing_m=10.0).search(vectors[0], 200)[-1].similarity < 0.9
+
+
+def test_the_answers_do_not_depend_on_how_the_places_came() -> None:
+    vectors = np.concatenate(
+        [visits(drawn(1, 0)[0], drawn(60, 1), 0.1, 2), visits(drawn(1, 3)[0], drawn(47, 4), 0.1, 5)]
+    )
+    all_entries = entries(0, 60) + entries(60, 47, session=2)
+    at_once, one_by_one = AdaptedIndex(SIZE, ExactIndex), AdaptedIndex(SIZE, ExactIndex)
+    at_once.add(all_entries, vectors)
+    for row, entry in enumerate(all_entries):
+        one_by_one.add([entry], vectors[row : row + 1])
+        one_by_one.search(vectors[row], 3, SearchFilter(near=(entry.session, entry.ordinal, 2)))
+    queries = drawn(20, seed=6)
+    assert answers(one_by_one, queries) == answers(at_once, queries)
+    assert one_by_one.differing(all_entries, vectors) == []
+
+
+def test_a_place_that_was_removed_leaves_nothing_behind() -> None:
+    vectors = visits(drawn(1, 0)[0], drawn(90, 1), 0.1, seed=2)
+    index, queries = filled(vectors), drawn(20, seed=3)
+    answers(index, queries)
+    index.remove(list(range(0, 90, 3)))
+    left = [row for row in range(90) if row % 3]
+    other = AdaptedIndex(SIZE, ExactIndex)
+    other.add([entries(0, 90)[row] for row in left], vectors[left])
+    assert answers(index, queries) == answers(other, queries)
+    index.remove(left)
+    assert len(index) == 0 and answers(index, queries) == [[]] * 20
+
+
+def test_a_descriptor_that_was_changed_inside_is_noticed() -> None:
+    vectors = visits(drawn(1, 0)[0], drawn(30, 1), 0.1, seed=2)
+    index = filled(vectors)
+    index.search(vectors[0], 1)
+    index._places._vectors[-30 + 4, 0] += 1.0  # type: ignore[attr-defined]
+    index._rows.vectors[9, 0] += 1.0
+    assert index.differing(entries(0, 30), vectors) == [4, 9]
+
+
+def test_statistics_are_learned_in_steps() -> None:
+    config = AdaptationConfig()
+    steps = {learned_from(count, config) for count in range(1000)}
+    assert [learned_from(count, config) for count in (0, 7, 8, 9, 10)] == [0, 0, 8, 8, 10]
+    assert len(steps) < 25
+    assert all(learned_from(step, config) == step for step in steps)
+
+
+def test_adapting_rows_apart_gives_the_same_bits() -> None:
+    vectors, sessions = drawn(50, seed=1), np.arange(50) % 3
+    site = learn_site(vectors, sessions, AdaptationConfig()).with_session(1, vectors[:9])
+    together = site.adapted(vectors, sessions)
+    apart = np.concatenate([site.adapted(vectors[i : i + 1], sessions[i : i + 1]) for i in range(50)])
+    assert together.tobytes() == apart.tobytes()
+    assert np.linalg.norm(together, axis=1) == pytest.approx(np.ones(50), abs=1e-6)

@@ -1,0 +1,194 @@
+"""The table of real-world bags in docs/reference/bag-layouts.md: every row is made, opened, and does what it says."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from revisit.core.errors import RevisitError
+from revisit.core.geometry import se3
+from revisit.evaluation.datasets import notes_of, open_recording
+from tests.support.bag_layouts import (
+    MOUNTED,
+    PERIOD_NS,
+    SCANS,
+    START_NS,
+    Layout,
+    body_at,
+    deviation,
+    fast_lio,
+    kiss_icp,
+    lio_sam,
+    nuscenes_like,
+    registered_in_the_body,
+    registered_only,
+    tf_only,
+    two_lidars,
+)
+
+pytest.importorskip("rosbags", reason="in the extra `dev`: writes the bags")
+
+PAGE = Path(__file__).resolve().parents[3] / "docs/reference/bag-layouts.md"
+NOT_MOVED = lambda stamp: np.eye(4)  # noqa: E731
+
+
+def livox_with_fast_lio() -> Layout:
+    layout = Layout().livox("/livox/lidar").clouds("/cloud_registered", "camera_init", NOT_MOVED)
+    return layout.odometry("/Odometry", "camera_init", "body")
+
+
+def late_odometry() -> Layout:
+    layout = Layout().raw("/points", "lidar").odometry("/odom", "odom", "lidar")
+    layout.rows = [row for row in layout.rows if row[1] != "/odom" or row[0] > START_NS + 3 * PERIOD_NS]
+    return layout
+
+
+def clock_since_boot() -> Layout:
+    seen = lambda stamp: se3.inverse(body_at(stamp))  # noqa: E731
+    layout = Layout().clouds("/points", "lidar", seen, stamped=lambda stamp: stamp - START_NS + 5 * 10**9)
+    return layout.odometry("/odom", "odom", "lidar")
+
+
+def stamps_of_zero() -> Layout:
+    layout = Layout().clouds("/points", "lidar", lambda stamp: se3.inverse(body_at(stamp)), stamped=lambda stamp: 0)
+    return layout.odometry("/odom", "odom", "lidar")
+
+
+def organised() -> Layout:
+    seen = lambda stamp: se3.inverse(body_at(stamp) @ MOUNTED)  # noqa: E731
+    layout = Layout().clouds("/ouster/points", "os_lidar", seen, organised=True)
+    return layout.odometry("/odom", "odom", "base").transform("base", "os_lidar", MOUNTED, moving=False)
+
+
+def packets() -> Layout:
+    layout = Layout().own_type("/velodyne_packets", "velodyne_msgs/msg/VelodyneScan", "std_msgs/Header header")
+    return layout.odometry("/odom", "odom", "base")
+
+
+def flat() -> Layout:
+    return Layout().flat_scans("/scan").odometry("/odom", "odom", "base")
+
+
+def utm() -> Layout:
+    far = se3.from_yaw(0.0, (691_000.0, 5_334_000.0, 520.0))
+    return Layout().raw("/points", "lidar").transform("utm", "lidar", lambda stamp: far @ body_at(stamp), moving=True)
+
+
+def whole(layout: Callable[[], Layout]) -> Callable[[Path], Path]:
+    return lambda folder: layout().write2(folder / "drive")
+
+
+def ros1(compression: str | None) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        layout = Layout(ros1=True).raw("/velodyne_points", "velodyne", MOUNTED)
+        layout.odometry("/odom", "odom", "base_link").transform("base_link", "velodyne", MOUNTED, moving=False)
+        return layout.write1(folder / "drive.bag", compression)
+
+    return write
+
+
+def split(folder: Path) -> Path:
+    rows, middle = fast_lio().rows, START_NS + 4 * PERIOD_NS - 1
+    for number in (0, 1):
+        half = Layout(rows=[row for row in rows if (row[0] >= middle) == bool(number)])
+        file = half.write2(folder / f"half{number}") / f"half{number}.mcap"
+        (folder / "drive").mkdir(exist_ok=True)
+        file.rename(folder / "drive" / f"drive_{number}.mcap")
+    return folder / "drive"
+
+
+def compressed_messages(folder: Path) -> Path:
+    return fast_lio().write2(folder / "drive", "SQLITE3", zstd=True)
+
+
+@dataclass(frozen=True)
+class Row:
+    """`bag` as the page names it; `said` is found in what is said; `scans` is 0 for a refusal."""
+
+    bag: str
+    write: Callable[[Path], Path]
+    said: str
+    scans: int = SCANS
+    from_world_m: float = 1e-3
+
+
+ROWS = [
+    Row("FAST-LIO: `/cloud_registered` and `/Odometry` in `camera_init`, `/livox/lidar`", whole(fast_lio),
+        "clouds of /livox/lidar"),
+    Row("FAST-LIO with Livox `CustomMsg`: only `/cloud_registered` is a PointCloud2", whole(livox_with_fast_lio),
+        "taken back to its sensor by the inverse of its pose"),
+    Row("FAST-LIO with `/cloud_registered_body`", whole(registered_in_the_body), "clouds of /cloud_registered_body"),
+    Row("LIO-SAM: registered clouds and odometry in `odom`, raw clouds, static transforms", whole(lio_sam),
+        "clouds of /points_raw"),
+    Row("KISS-ICP: `/points`, `/kiss/odometry`, two static transforms to the LiDAR", whole(kiss_icp),
+        "the transforms tell where os_lidar is in base_link"),
+    Row("nuScenes-like: no odometry, `map` -> `base_link` -> `LIDAR_TOP` on `/tf`", whole(nuscenes_like),
+        "poses by the transforms of /tf"),
+    Row("`/tf` alone, `map` -> `odom` jumps", whole(tf_only), "the transforms tell where laser is in odom"),
+    Row("Registered clouds alone, with odometry", whole(registered_only), "clouds of /cloud_registered"),
+    Row("Two LiDARs on one robot", whole(two_lidars), "not used: /rear/points; --topic chooses"),
+    Row("A path (`nav_msgs/Path`) in place of odometry",
+        whole(lambda: Layout().raw("/points", "lidar").path("/lio_sam/mapping/path", "odom")),
+        "poses of /lio_sam/mapping/path"),
+    Row("Motion capture (`geometry_msgs/TransformStamped`)",
+        whole(lambda: Layout().raw("/points", "lidar").tracked("/vicon/robot", "world", "lidar")),
+        "poses of /vicon/robot (frame world, following lidar)"),
+    Row("Ouster: organised, float64, padded rows, half of the points NaN", whole(organised),
+        "clouds of /ouster/points"),
+    Row("Poses in UTM, millions of metres from the origin", whole(utm), "the transforms tell where lidar is in utm",
+        from_world_m=1e6 * 6),
+    Row("ROS 1, LZ4", ros1("LZ4"), "clouds of /velodyne_points"),
+    Row("ROS 1, bzip2 or uncompressed", ros1("BZ2"), "clouds of /velodyne_points"),
+    Row("Split into several files", split, "2 files read as one recording"),
+    Row("Odometry that began after the clouds", whole(late_odometry), "4 of 8 with a pose", scans=4),
+    Row("No static transform from the body to the LiDAR",
+        whole(lambda: Layout().raw("/points", "lidar", MOUNTED).odometry("/odom", "odom", "base")),
+        "warning: nothing tells where lidar is in base: taken as the same; else say it with --T-body-sensor",
+        from_world_m=60.0),
+    Row("Clouds alone, no poses", whole(lambda: Layout().raw("/points", "lidar")),
+        "Run a LiDAR odometry (KISS-ICP, FAST-LIO) and record what it publishes", scans=0),
+    Row("Livox `CustomMsg` alone", whole(lambda: Layout().livox("/livox/lidar").odometry("/odom", "odom", "base")),
+        "xfer_format 0", scans=0),
+    Row("Packets of the driver alone (`VelodyneScan`, Ouster `PacketMsg`)", whole(packets),
+        "record the sensor_msgs/PointCloud2 that it publishes", scans=0),
+    Row("A 2D scanner (`LaserScan`)", whole(flat), "a 3D LiDAR is needed", scans=0),
+    Row("Clouds stamped since the sensor's start, poses by the computer's clock", whole(clock_since_boot),
+        "are both stamped by one clock?", scans=0),
+    Row("Clouds stamped 0", whole(stamps_of_zero), "are both stamped by one clock?", scans=0),
+    Row("Compressed by message or file (`--compression-mode`)", compressed_messages, "ros2 bag convert", scans=0),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: re.sub(r"\W+", "-", row.bag)[:50])
+def test_every_bag_of_the_table_is_read_right_or_refused_with_advice(tmp_path: Path, row: Row) -> None:
+    bag = row.write(tmp_path)
+    if row.scans == 0:
+        with pytest.raises(RevisitError) as refused:
+            open_recording(bag)
+        assert row.said in refused.value.message
+        return
+    recording = open_recording(bag)
+    assert len(recording) == row.scans
+    assert row.said in " | ".join(notes_of(recording))
+    assert deviation(recording) < row.from_world_m
+
+
+def test_poses_in_utm_keep_their_millimetres(tmp_path: Path) -> None:
+    recording = open_recording(utm().write2(tmp_path / "drive"))
+    steps = np.diff([recording.pose(index)[:3, 3] for index in range(SCANS)], axis=0)
+    near = open_recording(Layout().raw("/points", "lidar").transform("odom", "lidar", body_at, moving=True)
+                          .write2(tmp_path / "near"))  # fmt: skip
+    assert np.allclose(steps, np.diff([near.pose(index)[:3, 3] for index in range(SCANS)], axis=0), atol=1e-6)
+
+
+def test_the_page_has_exactly_these_rows() -> None:
+    lines = [line for line in PAGE.read_text().splitlines() if line.startswith("| ")]
+    cells = [line.removeprefix("| ").split(" | ") for line in lines]
+    assert [(bag, outcome.split()[0].rstrip(",:")) for bag, outcome, *_ in cells[1:]] == [
+        (row.bag, "refused" if row.scans == 0 else "read") for row in ROWS
+    ]

@@ -1,0 +1,129 @@
+"""What the ROS 2 bridge makes of clouds, odometry and TF, with messages that went through CDR."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rosbags", reason="in the extra `dev`: gives the messages' types")
+
+from revisit_bridge.messages import points_of, pose_of
+from revisit_bridge.pairing import OdometryPoses, TransformPoses, Unknown, WaitingClouds
+
+from revisit.core.errors import BadTransform, RevisitError
+from revisit.core.geometry import se3
+from tests.support.ros_messages import Messages
+
+SECOND = 10**9
+MOUNTED = se3.from_yaw(np.pi / 2, (0.9, 0.1, 1.8))
+TWIST = np.array([1.5, 0.2, 0.0, 0.0, 0.0, 0.6])
+
+
+@pytest.fixture(scope="module")
+def ros():
+    return Messages()
+
+
+def body_at(stamp_ns: int) -> np.ndarray:
+    return se3.exp(TWIST * stamp_ns / SECOND)
+
+
+def mounted(target: str, source: str, stamp: int):
+    return MOUNTED if (target, source) == ("base_link", "lidar") else Unknown.NOT_YET
+
+
+@pytest.mark.parametrize("layout", [{}, {"rows": 4}, {"rows": 4, "padding": 7}, {"big": True}], ids=str)
+def test_points_are_read_whatever_the_layout(ros, layout) -> None:
+    points = np.random.default_rng(1).uniform(-30, 30, (400, 3)).astype(np.float32)
+    assert np.array_equal(points_of(ros.cloud(points, SECOND, "lidar", **layout)), points)
+
+
+def test_points_that_did_not_come_back_are_left_out(ros) -> None:
+    points = np.ones((6, 3), np.float32)
+    points[1], points[2, 1], points[3] = 0.0, np.nan, np.inf
+    assert len(points_of(ros.cloud(points, SECOND, "lidar"))) == 3
+
+
+def test_a_cloud_that_holds_less_than_it_says_is_refused(ros) -> None:
+    cloud = ros.cloud(np.ones((6, 3), np.float32), SECOND, "lidar")
+    cloud.width = 7
+    with pytest.raises(RevisitError):
+        points_of(cloud)
+    cloud.height, cloud.row_step = 2, 0
+    with pytest.raises(RevisitError):
+        points_of(cloud)
+
+
+def test_a_pose_is_read_with_frames_as_tf_names_them(ros) -> None:
+    pose = pose_of(ros.odometry(body_at(SECOND), 5 * SECOND + 7, "/odom", "/base_link"))
+    assert (pose.stamp_ns, pose.parent, pose.child) == (5 * SECOND + 7, "odom", "base_link")
+    assert np.allclose(pose.T_parent_child, body_at(SECOND))
+
+
+def test_an_odometry_that_has_not_started_is_refused(ros) -> None:
+    message = ros.odometry(np.eye(4), SECOND)
+    message.pose.pose.orientation.w = 0.0
+    with pytest.raises(BadTransform):
+        pose_of(message)
+
+
+def odometry_at(ros, *tenths: int) -> OdometryPoses:
+    poses = OdometryPoses(mounted)
+    for tenth in tenths:
+        poses.take(pose_of(ros.odometry(body_at(tenth * SECOND // 10), tenth * SECOND // 10)))
+    return poses
+
+
+def test_a_pose_between_two_messages_lies_on_the_screw_between_them(ros) -> None:
+    poses = odometry_at(ros, 1, 2, 3)
+    stamp = 137_000_000
+    assert np.allclose(poses.sensor_pose("base_link", stamp), body_at(stamp), atol=1e-9)
+    assert np.allclose(poses.sensor_pose("lidar", stamp), body_at(stamp) @ MOUNTED, atol=1e-9)
+
+
+def test_a_pose_is_not_yet_known_or_never_again(ros) -> None:
+    poses = odometry_at(ros, 1, 2)
+    assert poses.sensor_pose("base_link", 3 * SECOND // 10) is Unknown.NOT_YET
+    assert poses.sensor_pose("base_link", SECOND // 20) is Unknown.NEVER
+    assert poses.sensor_pose("a_frame_nobody_told", 15 * SECOND // 100) is Unknown.NOT_YET
+    assert OdometryPoses(mounted).sensor_pose("base_link", SECOND) is Unknown.NOT_YET
+
+
+def test_odometry_that_starts_anew_forgets_what_was_before(ros) -> None:
+    poses = odometry_at(ros, 500, 501, 3, 4)
+    assert poses.sensor_pose("base_link", 501 * SECOND // 10) is Unknown.NOT_YET
+    assert np.allclose(poses.sensor_pose("base_link", 4 * SECOND // 10), body_at(4 * SECOND // 10))
+
+
+def test_a_message_that_comes_late_changes_nothing(ros) -> None:
+    poses = odometry_at(ros, 10, 12, 11)
+    assert np.allclose(poses.sensor_pose("base_link", 12 * SECOND // 10), body_at(12 * SECOND // 10))
+
+
+def test_the_history_is_bounded(ros) -> None:
+    poses = odometry_at(ros, *range(0, 400, 5))
+    assert len(poses._poses) <= 21
+
+
+def test_clouds_wait_for_their_pose_and_keep_their_order(ros) -> None:
+    clock, poses = [0.0], odometry_at(ros, 1)
+    clouds = WaitingClouds(poses, wait_s=2.0, max_waiting=3, now_s=lambda: clock[0])
+    for tenth in (2, 3):
+        clouds.take(ros.cloud(np.ones((4, 3), np.float32), tenth * SECOND // 10, "lidar"))
+    assert clouds.ready() == []
+    poses.take(pose_of(ros.odometry(body_at(SECOND // 4), SECOND // 4)))
+    (first,) = clouds.ready()
+    assert first.stamp_ns == SECOND // 5 and np.allclose(first.T_odom_sensor, body_at(SECOND // 5) @ MOUNTED)
+    poses.take(pose_of(ros.odometry(body_at(SECOND // 2), SECOND // 2)))
+    assert [posed.stamp_ns for posed in clouds.ready()] == [3 * SECOND // 10]
+    assert clouds.left_out == 0
+
+
+def test_a_cloud_without_a_pose_is_left_out_in_time_and_counted(ros) -> None:
+    clock = [0.0]
+    clouds = WaitingClouds(TransformPoses("odom", mounted), wait_s=2.0, max_waiting=3, now_s=lambda: clock[0])
+    for stamp in range(5):
+        clouds.take(ros.cloud(np.ones((4, 3), np.float32), stamp + 1, "lidar"))
+    assert clouds.left_out == 2  # there was no room for them
+    clock[0] = 2.1
+    assert clouds.ready() == [] and clouds.left_out == 5

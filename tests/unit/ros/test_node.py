@@ -1,0 +1,175 @@
+"""The node with a stand-in for rclpy: what it subscribes to, publishes and hands on. Real ROS is not installed here."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from types import ModuleType, SimpleNamespace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rosbags", reason="in the extra `dev`: gives the messages' types")
+
+from revisit_bridge.answers import Answer, Correction, News
+from revisit_bridge.parameters import Parameters
+
+from revisit.core.geometry import se3
+from tests.support.ros_messages import Messages
+from tests.unit.ros.test_bridge_output import loop, submap
+
+SECOND = 10**9
+
+
+class FakeNode:
+    """What is used of rclpy.node.Node."""
+
+    overrides: dict[str, object] = {}
+
+    def __init__(self, name: str) -> None:
+        self.name, self.parameters_declared = name, {}
+        self.subscriptions_made, self.publishers_made, self.services, self.timers = {}, {}, {}, []
+        self.logged: list[str] = []
+
+    def declare_parameter(self, name, default):
+        self.parameters_declared[name] = self.overrides.get(name, default)
+
+    def get_parameter(self, name):
+        return SimpleNamespace(value=self.parameters_declared[name])
+
+    def create_subscription(self, kind, topic, callback, qos):
+        self.subscriptions_made[topic] = (kind, callback)
+
+    def create_publisher(self, kind, topic, qos):
+        self.publishers_made[topic] = published = []
+        return SimpleNamespace(publish=published.append)
+
+    def create_service(self, kind, name, callback):
+        self.services[name] = callback
+
+    def create_timer(self, period, callback):
+        self.timers.append(callback)
+
+    def get_logger(self):
+        return SimpleNamespace(info=self.logged.append, warning=self.logged.append)
+
+    def get_clock(self):
+        return SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=50 * SECOND))
+
+    def destroy_node(self):
+        pass
+
+
+class NoTransform(Exception):
+    pass
+
+
+class FakeBuffer:
+    """tf2 that knows base_link -> lidar."""
+
+    def __init__(self, **_: object) -> None:
+        pass
+
+    def lookup_transform(self, target, source, time):
+        if (target, source) != ("base_link", "lidar"):
+            raise NoTransform
+        return SimpleNamespace(transform=SimpleNamespace(
+            translation=SimpleNamespace(x=0.0, y=0.0, z=1.5), rotation=SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0),
+        ))  # fmt: skip
+
+
+@pytest.fixture
+def made(monkeypatch, tmp_path):
+    """The node's module over stand-ins, and a node of it with odometry on a topic."""
+    ros = Messages()
+    sent: list[object] = []
+
+    def module(name: str, **content: object) -> None:
+        made = ModuleType(name)
+        vars(made).update(content)
+        monkeypatch.setitem(sys.modules, name, made)
+
+    for package in ("builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "nav_msgs", "revisit_msgs",
+                    "sensor_msgs", "std_msgs"):  # fmt: skip
+        kinds = {name.rpartition("/")[2]: kind for name, kind in ros.types.items() if name.startswith(f"{package}/")}
+        module(package)
+        module(f"{package}.msg", **kinds)
+    module("std_srvs")
+    module("std_srvs.srv", Trigger=object)
+    module("rclpy", init=None, spin=None, try_shutdown=None)
+    module("rclpy.duration", Duration=lambda seconds: seconds)
+    module("rclpy.executors", ExternalShutdownException=NoTransform)
+    module("rclpy.node", Node=FakeNode)
+    qos = {"DurabilityPolicy": SimpleNamespace(TRANSIENT_LOCAL=1), "QoSProfile": lambda **k: k}
+    module("rclpy.qos", **qos, qos_profile_sensor_data="sensor data")
+    module("rclpy.time", Time=lambda nanoseconds: nanoseconds)
+    broadcaster = lambda node: SimpleNamespace(sendTransform=sent.append)  # noqa: E731
+    module("tf2_ros", Buffer=FakeBuffer, TransformBroadcaster=broadcaster, TransformException=NoTransform,
+           TransformListener=lambda *_: None)  # fmt: skip
+    monkeypatch.delitem(sys.modules, "revisit_bridge.node", raising=False)
+    nothing_listens = "127.0.0.1:1"
+    monkeypatch.setattr(FakeNode, "overrides", {
+        "service": nothing_listens, "odometry_topic": "odometry", "spool_dir": str(tmp_path), "robot_id": "spot",
+        "min_travel_m": 0.1,
+    })  # fmt: skip
+    node = importlib.import_module("revisit_bridge.node").BridgeNode()
+    yield ros, node, sent
+    node.destroy_node()
+    sys.modules.pop("revisit_bridge.node", None)
+
+
+def test_the_node_declares_every_parameter_and_keeps_scans_without_a_link(made, tmp_path) -> None:
+    ros, node, _ = made
+    assert node.parameters_declared.keys() == {item.name for item in Parameters.declared()}
+    take_cloud, take_odometry = node.subscriptions_made["points"][1], node.subscriptions_made["odometry"][1]
+    for index in range(5):
+        stamp = SECOND + index * SECOND // 10
+        take_cloud(ros.cloud(np.random.default_rng(index).uniform(-9, 9, (500, 3)), stamp, "lidar"))
+        take_odometry(ros.odometry(se3.from_yaw(0.0, (0.2 * index, 0.0, 0.0)), stamp))
+    state = node.bridge.outbox.state
+    assert state.pending == 5 and state.session.startswith("maps/default/sessions/spot-")
+    assert any("session spot-" in line for line in node.logged)
+    for timer in node.timers:
+        timer()
+    told = {item.key: item.value for item in node.publishers_made["/diagnostics"][0].status[0].values}
+    assert told["scans waiting"] == "5"
+
+
+def test_the_node_publishes_loops_the_graph_and_the_transform(made, monkeypatch) -> None:
+    ros, node, sent = made
+    take_cloud, take_odometry = node.subscriptions_made["points"][1], node.subscriptions_made["odometry"][1]
+    take_cloud(ros.cloud(np.ones((50, 3)), SECOND, "lidar"))
+    take_odometry(ros.odometry(np.eye(4), SECOND, "odom_lidar"))
+    session = node.bridge.outbox.state.session
+    answer = Answer(session, (submap("a/submaps/1", 0.0, 1),), (loop(1),), Correction(se3.from_yaw(1.0, (7, 0, 0)), 1))
+    news = [News(answer, (loop(1),), (loop(2),))]
+    monkeypatch.setattr(node.bridge, "news", lambda: [news.pop()] if news else [])
+    for timer in node.timers:
+        timer()
+    assert [message.revoked for message in node.publishers_made["~/loop_closures"]] == [False, True]
+    (graph,) = node.publishers_made["~/pose_graph"]
+    assert (graph.header.frame_id, len(graph.loops)) == ("odom_lidar", 1)
+    transform = sent[-1]
+    assert (transform.header.frame_id, transform.child_frame_id) == ("map", "odom_lidar")
+    assert (transform.transform.translation.x, transform.header.stamp.sec) == (7.0, 50)
+
+
+def test_the_transform_of_a_session_that_has_ended_is_not_published(made, monkeypatch) -> None:
+    _, node, sent = made
+    answer = Answer("maps/default/sessions/earlier", (), (), Correction(np.eye(4), 1))
+    monkeypatch.setattr(node.bridge, "news", lambda: [News(answer, (), ())])
+    for timer in node.timers:
+        timer()
+    assert sent == []
+
+
+def test_a_session_is_ended_on_request(made) -> None:
+    ros, node, _ = made
+    take_cloud, take_odometry = node.subscriptions_made["points"][1], node.subscriptions_made["odometry"][1]
+    sessions = []
+    for index in range(2):
+        take_cloud(ros.cloud(np.ones((50, 3)), SECOND * (index + 1), "lidar"))
+        take_odometry(ros.odometry(np.eye(4), SECOND * (index + 1)))
+        sessions.append(node.bridge.outbox.state.session)
+        assert node.services["~/end_session"](None, SimpleNamespace()).success
+    assert len(set(sessions)) == 2
