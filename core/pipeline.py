@@ -72,6 +72,18 @@ def describe(submap: Submap, models: ModelBundle, config: PipelineConfig, seed: 
     return DescribedPlace(**vars(described), neural_map=dataclasses.replace(neural_map, frame=frame), flags=flags)
 
 
+def describe_again(
+    neural_map: NeuralMap, models: ModelBundle, config: PipelineConfig, seed: int = 0
+) -> DescribedSurface:
+    """What other `models` make of a submap, from its stored neural map instead of its scans.
+
+    Raises what `describe` raises.
+    """
+    models.require_fits(config)
+    surface = extract_surface(neural_map, config.surface)
+    return describe_surface(surface, neural_map.frame, models, config, np.random.default_rng(seed))
+
+
 def describe_surface(
     surface: Surface, frame: LevelFrame, models: ModelBundle, config: PipelineConfig, rng: np.random.Generator
 ) -> DescribedSurface:

@@ -16,7 +16,7 @@ from revisit.core.errors import DataLoss, DegenerateCloud, DescriptorModelMismat
 from revisit.core.geometry import se3
 from revisit.core.implicit_map import NeuralMap, blob
 from revisit.core.model_bundle import load_packaged_models
-from revisit.core.pipeline import DescribedPlace, DescribedSurface, describe, verify
+from revisit.core.pipeline import DescribedPlace, DescribedSurface, describe, describe_again, verify
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
 from revisit.core.verification import RejectedLoop, VerifiedLoop
@@ -148,6 +148,20 @@ def test_the_neural_map_knows_the_frame_of_its_submap(seen_from):
     described, submap = seen_from(1, turn)
     in_map = described.neural_map.frame.points_to_level(submap.points[::50])
     assert np.median(np.abs(described.neural_map.sdf(in_map.astype(np.float32))[0])) < 0.03
+
+
+def test_a_place_described_again_from_its_stored_map_is_the_place_it_was(seen_from):
+    described, _ = seen_from(1)
+    models = load_packaged_models()
+    stored = NeuralMap.from_blob(described.neural_map.to_blob(), models.decoder, CONFIG.implicit_map)
+    again = describe_again(stored, models, CONFIG)
+    other, _ = seen_from(2)
+    likeness = described.descriptor.similarity(again.descriptor)
+    assert likeness > 0.95
+    assert likeness > described.descriptor.similarity(other.descriptor) + 0.1
+    verdict = verify(again.place, described.place, likeness, CONFIG.verification)
+    assert isinstance(verdict, VerifiedLoop)
+    assert np.allclose(verdict.T_match_query, np.eye(4), atol=0.03)
 
 
 def test_a_stored_neural_map_whose_frame_is_no_similarity_is_refused(seen_from):
