@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -124,9 +125,9 @@ def _write_grid(out: Path, http: str, placed: list[PlacedSubmap], report: Report
 
 _WRITERS: dict[str, Callable[[Path, str, list[PlacedSubmap], Report], dict[str, int]]] = {
     "kitti": _write_kitti,
-    "ply": lambda *given: _write_cloud(*given, kind="ply"),
-    "pcd": lambda *given: _write_cloud(*given, kind="pcd"),
-    "mesh": lambda *given: _write_mesh(*given, kind="ply"),
-    "glb": lambda *given: _write_mesh(*given, kind="glb"),
+    "ply": partial(_write_cloud, kind="ply"),
+    "pcd": partial(_write_cloud, kind="pcd"),
+    "mesh": partial(_write_mesh, kind="ply"),
+    "glb": partial(_write_mesh, kind="glb"),
     "grid": _write_grid,
 }
