@@ -79,7 +79,7 @@ def fleet_recall(
             found.append(bool(right.any()))
         index.add([IndexEntry(query, 0, query, positions[query])], vector[None])
     return FleetRecall(
-        len(distractors), len(found), float(np.mean(first or [0.0])), float(np.mean(found or [0.0])),
+        len(distractors), len(found), float(np.mean(first or [False])), float(np.mean(found or [False])),
         added - started, float(np.median(seconds)), max(seconds),
     )  # fmt: skip
 

@@ -74,7 +74,7 @@ class Case:
 def run(
     folder: Path, graphs: Sequence[str] = GRAPHS, limit_s: float = 120.0, seed: int = SEED
 ) -> Iterator[tuple[Case, Outcome]]:
-    """Every method on every graph of `folder` with all kinds of wrong loops, each for at most `limit_s` CPU seconds."""
+    """Every method on every graph of `folder` with every kind of wrong loops, for `limit_s` CPU seconds at most."""
     for name in graphs:
         for spoiling in SPOILINGS:
             for method in METHODS:

@@ -1,48 +1,133 @@
-"""`revisit export`: submap poses and accepted loops in files that other tools read."""
+"""`revisit export`: a map in files that other tools read."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from revisit.cli.extras import what_is_missing
 from revisit.cli.options import HTTP, Http, Json, MapName
-from revisit.cli.output import emit_json, refuse, say
+from revisit.cli.output import emit_json, progress_bar, refuse, reporter, say
 
 if TYPE_CHECKING:
+    from revisit.cli.map_files import PlacedSubmap
     from revisit.cli.pose_graph_files import Graph
+
+TEXTS = ("g2o", "tum", "csv")
+FILES = ("kitti", "ply", "pcd", "mesh", "glb", "grid")
+
+Report = Callable[[str, int, int], None]
 
 
 def export(
     map_id: MapName = "default",
-    file_format: Annotated[str, typer.Option("--format", help="g2o, tum or csv.")] = "g2o",
+    file_format: Annotated[
+        str, typer.Option("--format", help="g2o, tum, csv, kitti, ply or pcd (cloud), mesh (ply), glb (mesh) or grid.")
+    ] = "g2o",
     session_id: Annotated[str, typer.Option("--session", help="Only this session; tum needs one.")] = "",
-    out: Annotated[Path | None, typer.Option(help="File to write; stdout by default.")] = None,
+    out: Annotated[Path | None, typer.Option(help="File to write; g2o, tum and csv go to stdout by default.")] = None,
     http: Http = HTTP,
     json: Json = False,
 ) -> None:
-    """Write a map as an optimised pose graph (g2o), a session as a trajectory (tum), or a table of loops (csv)."""
+    """Write a map: pose graph (g2o), loops (csv), a session's odometry (tum), poses in the map (kitti), one cloud (ply,
+    pcd), one mesh (mesh, glb) or an occupancy grid (grid). Poses are those of the version in force, or else
+    optimised here.
+    """
+    if file_format not in TEXTS + FILES:
+        raise refuse(f"--format is one of {', '.join(TEXTS + FILES)}")
+    if file_format == "tum" and not session_id:
+        raise refuse("a tum file holds one trajectory: give --session")
+    if file_format in FILES and out is None:
+        raise refuse(f"--format {file_format} needs --out")
+    try:
+        if out is None or file_format in TEXTS:
+            summary = _write_text(file_format, out, http, map_id, session_id)
+        else:
+            summary = _write_file(file_format, out, http, map_id, session_id)
+    except ModuleNotFoundError as error:
+        raise refuse(what_is_missing("service", error)) from error
+    if json and out is not None:
+        emit_json(summary)
+    elif out is not None:
+        counts = ", ".join(f"{value} {name}" for name, value in summary.items() if name != "file")
+        say(f"{out}: {counts}")
+
+
+def _write_text(file_format: str, out: Path | None, http: str, map_id: str, session_id: str) -> dict[str, Any]:
+    """A graph, a trajectory or a table, to a file or to stdout; what it holds."""
     from revisit.cli.pose_graph_files import as_csv, as_g2o, as_tum, read_graph
 
     writers: dict[str, Callable[[Graph], str]] = {"g2o": as_g2o, "tum": as_tum, "csv": as_csv}
-    if file_format not in writers:
-        raise refuse("--format is g2o, tum or csv")
-    if file_format == "tum" and not session_id:
-        raise refuse("a tum file holds one trajectory: give --session")
     graph = read_graph(http, map_id, session_id)
-    try:
-        text = writers[file_format](graph)
-    except ModuleNotFoundError as error:
-        raise refuse(what_is_missing("service", error)) from error
+    text = writers[file_format](graph)
     if out is None:
         say(text.rstrip("\n"))
-        return
-    out.write_text(text)
-    summary = {"file": str(out), "submaps": sum(map(len, graph.tracks)), "loops": len(graph.loops)}
-    if json:
-        emit_json(summary)
     else:
-        say(f"{out}: {summary['submaps']} submaps, {summary['loops']} loops")
+        out.write_text(text)
+    return {"file": str(out), "submaps": sum(map(len, graph.tracks)), "loops": len(graph.loops)}
+
+
+def _write_file(file_format: str, out: Path, http: str, map_id: str, session_id: str) -> dict[str, Any]:
+    """Poses, a cloud, a mesh or a grid, with a bar; what it holds."""
+    from revisit.cli.map_files import placed_submaps
+
+    placed = placed_submaps(http, map_id, session_id)
+    if not placed:
+        raise refuse(f"map {map_id} holds no submaps")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with progress_bar(quiet=False) as bar:
+        counts = _WRITERS[file_format](out, http, placed, reporter(bar))
+    return {"file": str(out), "submaps": len(placed), **counts}
+
+
+def _write_kitti(out: Path, _http: str, placed: list[PlacedSubmap], _report: Report) -> dict[str, int]:
+    """`out` and, beside it, NAME.times.txt."""
+    from revisit.cli.map_files import as_kitti
+
+    poses, times = as_kitti(placed)
+    out.write_text(poses)
+    out.with_suffix(".times.txt").write_text(times)
+    return {}
+
+
+def _write_cloud(out: Path, http: str, placed: list[PlacedSubmap], report: Report, kind: str) -> dict[str, int]:
+    from revisit.cli.map_files import merged_cloud
+    from revisit.formats import pcd, ply
+
+    points = merged_cloud(http, placed, report)
+    out.write_bytes((ply if kind == "ply" else pcd).encode(points))
+    return {"points": len(points)}
+
+
+def _write_mesh(out: Path, http: str, placed: list[PlacedSubmap], report: Report, kind: str) -> dict[str, int]:
+    from revisit.cli.map_files import merged_map, merged_mesh
+    from revisit.formats import glb, ply
+
+    vertices, normals, faces = merged_mesh(merged_map(http, placed, report))
+    out.write_bytes((glb if kind == "glb" else ply).encode_mesh(vertices, normals, faces))
+    return {"vertices": len(vertices), "faces": len(faces)}
+
+
+def _write_grid(out: Path, http: str, placed: list[PlacedSubmap], report: Report) -> dict[str, int]:
+    """`out` as PGM and, beside it, NAME.yaml."""
+    from revisit.cli.map_files import merged_cloud
+    from revisit.formats.occupancy_grid import grid_of
+
+    grid = grid_of(merged_cloud(http, placed, report))
+    out.write_bytes(grid.to_pgm())
+    out.with_suffix(".yaml").write_text(grid.to_yaml(out.name))
+    return {"rows": grid.cells.shape[0], "columns": grid.cells.shape[1]}
+
+
+_WRITERS: dict[str, Callable[[Path, str, list[PlacedSubmap], Report], dict[str, int]]] = {
+    "kitti": _write_kitti,
+    "ply": partial(_write_cloud, kind="ply"),
+    "pcd": partial(_write_cloud, kind="pcd"),
+    "mesh": partial(_write_mesh, kind="ply"),
+    "glb": partial(_write_mesh, kind="glb"),
+    "grid": _write_grid,
+}

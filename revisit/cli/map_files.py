@@ -1,0 +1,129 @@
+"""A map as one cloud, one mesh or one grid: submaps where its version in force, or an optimisation here, puts them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Container, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.cli.pose_graph_files import Graph, pose_graph, read_graph
+from revisit.core.geometry.se3 import Matrix4
+from revisit.formats import npy
+from revisit.formats.cloud import DEFAULT_LIMITS
+from revisit.sdk.client import Client
+
+if TYPE_CHECKING:
+    from revisit.core.implicit_map import NeuralMap
+
+Points = NDArray[np.float64]
+
+CLOUD_VOXEL_M = 0.1
+"""A merged cloud has one point in a voxel of this edge."""
+
+
+@dataclass(frozen=True)
+class PlacedSubmap:
+    """A submap by its name, when it was taken, and where it lies in its frame of the map."""
+
+    name: str
+    stamp_ns: int
+    T_map_submap: Matrix4
+
+
+def placed_submaps(http: str, map_id: str, session_id: str = "") -> list[PlacedSubmap]:
+    """The submaps of a map, or of one session, in the version that is in force; without one, optimised here.
+
+    Where loops do not join all sessions, those of the largest group: other groups have frames of their own.
+    """
+    graph = read_graph(http, map_id, session_id)
+    submaps = {one.name: one for track in graph.tracks for one in track}
+    frames = _of_version(http, map_id, submaps) or _optimised_here(graph)
+    largest = max(frames.values(), key=len, default={})
+    return [PlacedSubmap(name, submaps[name].stamp_ns, pose) for name, pose in largest.items()]
+
+
+def _of_version(http: str, map_id: str, submaps: Container[str]) -> dict[str, dict[str, Matrix4]]:
+    """T_map_submap by submap, by frame, of the version in force; empty without one."""
+    frames: dict[str, dict[str, Matrix4]] = {}
+    with Client(http) as client:
+        version = next((one for one in client.map_versions(f"maps/{map_id}") if one.in_force), None)
+        for pose in client.submap_poses(version) if version else []:
+            if pose.submap in submaps:
+                frames.setdefault(pose.frame, {})[pose.submap] = pose.T_map_submap
+    return frames
+
+
+def _optimised_here(graph: Graph) -> dict[str, dict[str, Matrix4]]:
+    """T_map_submap by submap, by group of sessions that loops join."""
+    from revisit.core.pose_graph import optimise
+
+    posed = pose_graph(graph)
+    if not posed.trajectories:
+        return {}
+    optimised = optimise(posed)
+    names = {track[0].name.partition("/submaps/")[0]: [one.name for one in track] for track in graph.tracks if track}
+    return {
+        group[0]: {
+            name: pose
+            for session in group
+            for name, pose in zip(names[session], optimised.T_map_submap[session], strict=True)
+        }
+        for group in optimised.components
+    }
+
+
+def merged_cloud(http: str, placed: Sequence[PlacedSubmap], report: Callable[[str, int, int], None]) -> Points:
+    """The points (n, 3) of all submaps in the map, one in a voxel."""
+    parts = []
+    with Client(http) as client:
+        for number, one in enumerate(placed, 1):
+            points = npy.decode(client.download(one.name, "npy"), DEFAULT_LIMITS).points.astype(np.float64)
+            parts.append(thinned(points @ one.T_map_submap[:3, :3].T + one.T_map_submap[:3, 3]))
+            report("clouds", number, len(placed))
+    return thinned(np.concatenate(parts)) if parts else np.zeros((0, 3))
+
+
+def thinned(points: Points) -> Points:
+    """The first of the points (n, 3) in each voxel, in their order."""
+    voxels = np.floor(points / CLOUD_VOXEL_M).astype(np.int64)
+    voxels -= voxels.min(axis=0, initial=0)
+    width, depth = (int(voxels[:, axis].max(initial=0)) + 1 for axis in (1, 2))
+    keys = (voxels[:, 0] * width + voxels[:, 1]) * depth + voxels[:, 2]
+    return np.asarray(points[np.sort(np.unique(keys, return_index=True)[1])])
+
+
+def merged_map(http: str, placed: Sequence[PlacedSubmap], report: Callable[[str, int, int], None]) -> NeuralMap:
+    """One neural map out of those of all submaps."""
+    from revisit.core.config import PipelineConfig
+    from revisit.core.implicit_map import NeuralMap
+    from revisit.core.merge import PlacedMap, merge_neural_maps
+    from revisit.core.model_bundle import load_packaged_models
+
+    decoder, config = load_packaged_models().decoder, PipelineConfig().implicit_map
+    maps = []
+    with Client(http) as client:
+        for number, one in enumerate(placed, 1):
+            stored = NeuralMap.from_blob(client.download(one.name, "neural"), decoder, config)
+            maps.append(PlacedMap(stored, one.T_map_submap))
+            report("neural maps", number, len(placed))
+    return merge_neural_maps(maps)
+
+
+def merged_mesh(neural_map: NeuralMap) -> tuple[Points, Points, NDArray[np.int32]]:
+    """Vertices (v, 3) in metres in the map, their normals (v, 3) and faces (f, 3) of a merged neural map."""
+    from revisit.core.config import PipelineConfig
+    from revisit.core.surface import extract_surface
+
+    surface = extract_surface(neural_map, PipelineConfig().surface)
+    vertices = neural_map.frame.points_to_submap(surface.vertices)
+    return vertices, surface.normals @ neural_map.frame.rotation.T, surface.faces
+
+
+def as_kitti(placed: Sequence[PlacedSubmap]) -> tuple[str, str]:
+    """Poses as KITTI lists them, 12 numbers a line, and the times of the lines in seconds."""
+    ordered = sorted(placed, key=lambda one: (one.stamp_ns, one.name))
+    poses = "".join(" ".join(f"{value:.9e}" for value in one.T_map_submap[:3].ravel()) + "\n" for one in ordered)
+    return poses, "".join(f"{one.stamp_ns / 1e9:.9f}\n" for one in ordered)
