@@ -1,8 +1,8 @@
 """One neural map out of several that are placed to each other.
 
-All of them were fitted with one decoder, so that a neural point means the same in each: points are moved and turned
-into the frame of the map, where two of them describe one spot the better supported stays, and the latent features are
-fitted once more, to the fields that they came from.
+All of them are of one kind, tangent planes or learned with one decoder, so that a neural point means the same in each.
+Points are moved and turned into the frame of the map, and where two of them describe one spot the better supported
+stays. Latent features, where there are any, are fitted once more, to the fields that they came from.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from revisit.core.errors import BadField, DescriptorModelMismatch
 from revisit.core.geometry import se3
 from revisit.core.geometry.level_frame import LevelFrame
 from revisit.core.implicit_map import DecoderWeights, NeuralMap
-from revisit.core.implicit_map.fitting import fit_features
 from revisit.core.implicit_map.neural_points import NeuralPoints
 from revisit.core.implicit_map.settled import settle
 
@@ -56,30 +55,45 @@ def merge_neural_maps(placed: Sequence[PlacedMap], seed: int = 0) -> NeuralMap:
     every = _joined(moved, [len(one.neural_map.stamps_ns) for one in placed])
     kept = _best_supported(every, owner, config.resolution)
     points, owner = settle(every.subset(kept), config.resolution), owner[kept]
-    merged = NeuralMap(
-        points, np.zeros((len(points), decoder.feature_size), np.float32),
-        np.concatenate([one.neural_map.stamps_ns for one in placed]), decoder, config, LevelFrame(scale=scale),
-    )  # fmt: skip
-    rng = np.random.default_rng(seed)
+    stamps_ns, frame = np.concatenate([one.neural_map.stamps_ns for one in placed]), LevelFrame(scale=scale)
+    if decoder is None:
+        return NeuralMap.of_planes(points, stamps_ns, config, frame)
+    return _fitted(NeuralMap(
+        points, np.zeros((len(points), decoder.feature_size), np.float32), stamps_ns, decoder, config, frame
+    ), owner, placed, decoder, seed)  # fmt: skip
+
+
+def _fitted(
+    merged: NeuralMap, owner: NDArray[np.int64], placed: Sequence[PlacedMap], decoder: DecoderWeights, seed: int
+) -> NeuralMap:
+    """The merged map of a learned field with features for the fields of its sources."""
+    from revisit.core.implicit_map.gradient_steps import fit_features  # torch, and only where it is needed
+
+    rng, scale, config = np.random.default_rng(seed), merged.frame.scale, merged.config
     positions, labels = _samples_of_sources(merged, owner, placed, scale, rng)
     near = merged.neighbourhood(positions)
-    features, _ = fit_features(near, labels, len(points), decoder, replace(config, update_decoder=False), rng)
+    features, _ = fit_features(near, labels, len(merged.points), decoder, replace(config, update_decoder=False), rng)
     return replace(merged, features=features)
 
 
-def _shared(placed: Sequence[PlacedMap]) -> tuple[ImplicitMapConfig, DecoderWeights, float]:
+def _shared(placed: Sequence[PlacedMap]) -> tuple[ImplicitMapConfig, DecoderWeights | None, float]:
     """What all of the maps share: parameters, decoder and scene scale."""
     if not placed:
         raise BadField("there is no map to merge", field="maps")
     first = placed[0].neural_map
     for one in (other.neural_map for other in placed):
-        if one.decoder.digest != first.decoder.digest:
+        if _kind(one) != _kind(first):
             raise DescriptorModelMismatch("neural maps of different decoders cannot be merged")
         if one.config.resolution != first.config.resolution:
             raise BadField("neural maps of different resolution cannot be merged", field="resolution")
         if not np.isclose(one.frame.scale, first.frame.scale):
             raise BadField("neural maps of different scene scale cannot be merged", field="scene_scale")
     return first.config, first.decoder, first.frame.scale
+
+
+def _kind(neural_map: NeuralMap) -> str:
+    """The digest of the decoder; "" for tangent planes."""
+    return "" if neural_map.decoder is None else neural_map.decoder.digest
 
 
 def _moved(one: PlacedMap, scale: float) -> NeuralPoints:
