@@ -42,6 +42,11 @@ class WorkerIdentity:
     model_version: str
     parent_pid: int | None
 
+    @property
+    def orphaned(self) -> bool:
+        """Whether the gateway that started this worker is gone."""
+        return self.parent_pid is not None and os.getppid() != self.parent_pid
+
 
 class Heartbeat:
     """Beats from `with` to the end of its block. `lease` is that of the job under way."""
@@ -94,7 +99,7 @@ class Heartbeat:
         beat_every_s = self._lease_ms / 1000 / BEATS_PER_LEASE
         beaten_s = time.monotonic()
         while not self._ended.wait(min(beat_every_s, LOOK_EVERY_S)):
-            if self._identity.parent_pid is not None and os.getppid() != self._identity.parent_pid:
+            if self._identity.orphaned:
                 os._exit(ORPHANED)
             self._end_overtime()
             if time.monotonic() - beaten_s >= beat_every_s:

@@ -68,7 +68,8 @@ class Worker:
         """Work until told to stop; a job that was begun is finished."""
         done = 0
         with self._heartbeat:
-            while not self._stopping.is_set() and not self._used_up(done):
+            # The next gateway forgives the runs that it finds under way: an orphan must not begin one after that.
+            while not (self._stopping.is_set() or self._identity.orphaned or self._used_up(done)):
                 lease = self._claim()
                 if lease is None:
                     self._stopping.wait(IDLE_POLL_S)

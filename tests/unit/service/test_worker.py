@@ -10,6 +10,7 @@ import threading
 import pytest
 
 from revisit.service import ONE_THREAD
+from revisit.service.worker import heartbeat
 from revisit.service.worker.heartbeat import WorkerIdentity
 from revisit.service.worker.loop import Worker, WorkerLimits
 from tests.support.processes import ROOT
@@ -28,9 +29,9 @@ async def world():
     made.context.transactions.close()
 
 
-def run_worker(world, limits):
+def run_worker(world, limits, parent_pid=None):
     """Run a worker to its end; how many jobs are done then."""
-    identity = WorkerIdentity("w1", "fake-1", None)
+    identity = WorkerIdentity("w1", "fake-1", parent_pid)
     worker = Worker(world.context, world.worker(), identity, threading.Event(), limits)
     thread = threading.Thread(target=worker.run)
     thread.start()
@@ -41,6 +42,15 @@ def run_worker(world, limits):
 
 async def test_a_worker_ends_after_its_number_of_jobs(world):
     assert run_worker(world, WorkerLimits(jobs=2, recycled_at_bytes=64 * GIB, job_timeout_s=60)) == 2
+
+
+async def test_a_worker_whose_gateway_is_gone_begins_no_job(world, monkeypatch):
+    # The heartbeat would end this process.
+    monkeypatch.setattr(heartbeat, "LOOK_EVERY_S", 3600.0)
+    monkeypatch.setattr(heartbeat, "BEATS_PER_LEASE", 0.001)
+    limits = WorkerLimits(jobs=2, recycled_at_bytes=64 * GIB, job_timeout_s=60)
+    assert run_worker(world, limits, parent_pid=os.getpid()) == 0
+    assert run_worker(world, limits, parent_pid=os.getppid()) == 2
 
 
 async def test_a_worker_that_keeps_too_much_memory_ends_between_two_jobs(world):
