@@ -111,7 +111,7 @@ class _Verge:
 
     def plant_trees(self, side: int) -> None:
         """Trees and bushes, most of them near the way."""
-        for at in np.flatnonzero(self._rng.random(len(self._yaw)) < 0.6 * self._green):
+        for at in np.flatnonzero(self._rng.random(len(self._yaw)) < 0.6 * self._green).tolist():
             centre = self._beside(at, side * (self._clear + 0.6 + self._rng.gamma(1.3, 4.0)))
             if not self._grown[at] and self._free(centre, 1.0, 1.0):
                 self._solids.add(*vegetation.plant(self._on(centre), self._rng))
