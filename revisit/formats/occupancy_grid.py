@@ -47,7 +47,7 @@ class OccupancyGrid:
         x, y = self.origin
         return (
             f"image: {image}\nmode: trinary\nresolution: {self.resolution_m:g}\norigin: [{x:.6f}, {y:.6f}, 0.0]\n"
-            "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.25\n"
+            "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
         )
 
 
