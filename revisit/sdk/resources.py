@@ -459,7 +459,10 @@ class MapVersionSummary:
 
 @dataclass(frozen=True)
 class SubmapPose:
-    """Where a submap lies in a frame of the map; covariance (6, 6) of (x, y, z, rx, ry, rz) in the submap's frame."""
+    """Where a submap lies in a frame of the map; covariance (6, 6) of (x, y, z, rx, ry, rz) in the submap's frame.
+
+    The covariance is NaN where the graph does not tell it.
+    """
 
     submap: str
     T_map_submap: Matrix4 = field(compare=False)
@@ -630,6 +633,8 @@ def _map_pose(message: Any, name: str) -> MapPose | None:
 
 
 def _covariance(message: Any) -> Matrix4:
+    if not message.covariance:
+        return np.full((6, 6), np.nan)
     return np.array(message.covariance, dtype=np.float64).reshape(6, 6)
 
 

@@ -11,6 +11,7 @@ from dataclasses import asdict
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
@@ -201,13 +202,18 @@ def of_map_version(view: MapVersionView) -> Fields:
     }
 
 
+def _covariance(covariance: NDArray[np.float32]) -> list[float]:
+    """Its numbers; none where the graph does not tell them."""
+    return covariance.ravel().tolist() if np.isfinite(covariance).all() else []
+
+
 def of_submap_pose(view: SubmapPoseView) -> Fields:
     """The fields of a SubmapPose."""
     return {
         "submap": view.key.name,
         "t_map_submap": _transform(view.T_map_submap),
         "frame": view.frame,
-        "covariance": view.covariance.ravel().tolist(),
+        "covariance": _covariance(view.covariance),
     }
 
 
@@ -218,7 +224,7 @@ def of_correction(view: CorrectionView) -> Fields:
         "t_map_odom": _transform(view.T_map_odom),
         "frame": view.frame,
         "map_version": view.map_version,
-        "covariance": view.covariance.ravel().tolist(),
+        "covariance": _covariance(view.covariance),
         "created_at_ns": view.created_at_ns,
     }
 
