@@ -93,7 +93,7 @@ def test_the_advice_for_a_rejection_names_rules_that_can_be_set_and_no_others():
 
 def test_every_promise_names_tests_and_all_of_them_exist():
     rows = re.findall(r"^\| (P\d+) \|[^|]*\|([^|]*)\|", (DOCS / "reference/reliability.md").read_text(), re.MULTILINE)
-    assert [promise for promise, _ in rows] == [f"P{number}" for number in range(1, 33)]
+    assert [promise for promise, _ in rows] == [f"P{number}" for number in range(1, 35)]
     named = {promise: re.findall(r"`([\w/]+(?:\.py|/))`", tests) for promise, tests in rows}
     assert [promise for promise, tests in named.items() if not tests] == []
     assert [test for tests in named.values() for test in tests if not has_tests(ROOT / "tests" / test)] == []
@@ -116,7 +116,7 @@ def test_every_option_in_a_guide_is_an_option_of_its_command(page):
 
 def test_every_setting_in_a_guide_exists():
     clients = {"REVISIT_URL", "REVISIT_GRPC", "REVISIT_API_KEY", "REVISIT_CA"}
-    clients |= {"REVISIT_CERTIFICATE", "REVISIT_CERTIFICATE_KEY"}
+    clients |= {"REVISIT_CERTIFICATE", "REVISIT_CERTIFICATE_KEY", "REVISIT_DATA"}
     known = {f"REVISIT_{name.upper()}" for name in Settings.model_fields} | clients
     for page in [*(DOCS / "how-to").glob("*.md"), *(DOCS / "tutorial").glob("*.md"), ROOT / "README.md"]:
         assert set(re.findall(r"REVISIT_[A-Z_]+", page.read_text())) <= known, page.name
