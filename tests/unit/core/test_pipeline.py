@@ -161,7 +161,7 @@ def test_a_place_described_again_from_its_stored_map_is_the_place_it_was(seen_fr
     assert likeness > described.descriptor.similarity(other.descriptor) + 0.1
     verdict = verify(again.place, described.place, likeness, CONFIG.verification)
     assert isinstance(verdict, VerifiedLoop)
-    assert np.allclose(verdict.T_match_query, np.eye(4), atol=0.03)
+    assert np.allclose(verdict.measurement.T_match_query, np.eye(4), atol=0.03)
 
 
 def test_a_stored_neural_map_whose_frame_is_no_similarity_is_refused(seen_from):

@@ -25,9 +25,9 @@ class Rehearsed(FakeRecogniser):
             raise self._error
         return super().describe(submap, config)
 
-    def verify(self, query, match, similarity, config):
+    def verify(self, query, match, similarity, config, near=None):
         self.asked.append(("verify", query == match))
-        return super().verify(query, match, similarity, config)
+        return super().verify(query, match, similarity, config, near)
 
 
 def test_the_rehearsal_describes_a_yard_with_walls_and_compares_it_with_itself():
