@@ -11,6 +11,7 @@ import fcntl
 import os
 import resource
 import secrets
+from collections.abc import Callable
 from pathlib import Path
 
 from revisit.service.failpoints import failpoint
@@ -22,10 +23,10 @@ NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """The kernel's errors for no space: on the disk, in a quota, or within the limit of a file's size."""
 
 
-def durable_write(path: Path, data: bytes) -> None:
+def durable_write(path: Path, data: bytes, reached: Callable[[str], None] = failpoint) -> None:
     """Make `path` hold `data`, all or nothing, surviving a power cut once this returns.
 
-    Raises OSError; then the file is as it was before.
+    `reached` is told the failpoints of a blob. Raises OSError; then the file is as it was before.
     """
     temporary = path.with_name(f"{TEMPORARY_PREFIX}{path.name}.{os.getpid()}.{secrets.token_hex(4)}")
     try:
@@ -33,14 +34,14 @@ def durable_write(path: Path, data: bytes) -> None:
         with os.fdopen(descriptor, "wb") as file:
             file.write(data)
             file.flush()
-            failpoint("blob.before_sync")
+            reached("blob.before_sync")
             os.fsync(file.fileno())
-        failpoint("blob.before_rename")
+        reached("blob.before_rename")
         temporary.replace(path)
     except OSError:
         temporary.unlink(missing_ok=True)
         raise
-    failpoint("blob.before_directory_sync")
+    reached("blob.before_directory_sync")
     sync_directory(path.parent)
 
 

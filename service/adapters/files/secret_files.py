@@ -29,5 +29,8 @@ def read_secret(path: Path) -> bytes:
 
 
 def keep_secret(path: Path, secret: bytes) -> None:
-    """Write it, replacing another one. Raises OSError."""
-    durable_write(path, f"{secret.hex()}\n".encode())
+    """Write it, replacing another one. It is no blob: campaigns that let the n-th blob fail do not count it.
+
+    Raises OSError.
+    """
+    durable_write(path, f"{secret.hex()}\n".encode(), reached=lambda _: None)

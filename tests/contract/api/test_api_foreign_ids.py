@@ -24,7 +24,7 @@ REQUEST_ID = {"x-request-id": "fixed"}
 CLOUD = encode_quantised(cloud_points(1))
 POSE = "0,0,0,0,0,0,1"
 QUERY = {"submap_id": "new", "stamp_ns": 1, "T_odom_submap": POSE, "format": "ply", "timeout_s": 0}
-UNIVERSE = {"robot": "rover", "map": "town", "session": "monday", "submap": "a", "version": "1"}
+UNIVERSE = {"robot": "rover", "map": "town", "session": "monday", "submap": "a", "version": "1", "webhook": "hook"}
 
 
 def rest_calls():
@@ -71,6 +71,7 @@ def fill(client):
         operation = client.post_submap(session, name, cloud_points(1), np.eye(4), number + 1)
         client.wait(operation, 20.0)
     client.wait(client.optimise_map("maps/town"), 20.0)
+    client.create_webhook("hook", "https://hooks.example.com/revisit", map_="maps/town")
     loops = client.loop_closures("maps/town", state=None)
     loop = loops[0].name.rpartition("/")[2] if loops else "loop-guess"
     return {**UNIVERSE, "operation": operation.name.removeprefix("operations/"), "loop": loop}
@@ -140,6 +141,7 @@ def message(method, ids):
         "LoopClosure": f"maps/{ids['map']}/loopClosures/{ids['loop']}",
         "Operation": f"operations/{ids['operation']}",
         "Mapping": mapping.get(method.name),
+        "Webhook": f"webhooks/{ids['webhook']}",
     }
     parents = {
         "Session": names["Map"],
@@ -147,6 +149,7 @@ def message(method, ids):
         "LoopClosure": names["Map"],
         "Mapping": names["Mapping"],
         "Event": names["Map"],
+        "Webhook": names["Webhook"],
     }
     fields = method.input_type.fields_by_name
     values = {"name": names.get(noun), "parent": parents.get(noun), "session_id": "new", "submap_id": "new"}
