@@ -13,7 +13,6 @@ from revisit.core.config import SubmapConfig
 from revisit.core.errors import BadField, EmptyCloud
 from revisit.core.geometry import se3
 from revisit.core.geometry.level_frame import LevelFrame
-from revisit.core.kernels.rigid_motion import moved_points, placed_returns
 from revisit.core.scan import MIN_POINTS, Points, Scan
 
 
@@ -55,6 +54,8 @@ class Submap:
 
         Place recognition looks at places from above; a tilted sensor must not tilt them.
         """
+        from revisit.core.kernels.rigid_motion import moved_points  # compiled: the gateway needs none of it
+
         up = self.T_odom_submap[2, :3]
         axis = np.cross(up, [0.0, 0.0, 1.0])
         sine, cosine = float(np.linalg.norm(axis)), float(up[2])
@@ -87,6 +88,8 @@ class Submap:
         Returns out of the sensor's range are left out, and so is what lies beyond range and tau from the middle scan:
         odometry that jumped. Raises EmptyCloud where fewer than 100 points remain.
         """
+        from revisit.core.kernels.rigid_motion import placed_returns  # compiled: the gateway needs none of it
+
         T_odom_submap = scans[len(scans) // 2].T_odom_sensor
         T_submap_odom = se3.inverse(T_odom_submap)
         clouds, indices, origins = [], [], []

@@ -28,15 +28,15 @@ def adapted(dimension: int) -> AdaptedIndex:
     return AdaptedIndex(dimension, FaissIndex)
 
 
-@pytest.fixture(params=[FaissIndex, adapted], ids=["faiss", "adapted"])
-async def context(tmp_path, request):
+@pytest.fixture
+async def context(tmp_path):
     """A filled database, and an index that has not seen it yet."""
     world = sqlite_world(tmp_path)
     await open_session(world)
     for number in range(SUBMAPS):
         await world.use_cases.posting.post(TENANT, submap(f"s{number}", number))
     world.work_off()
-    yield replace(world.context, index=PlaceVectorIndex(request.param))
+    yield replace(world.context, index=PlaceVectorIndex(adapted))
     world.context.transactions.close()
 
 

@@ -11,7 +11,6 @@ import fcntl
 import os
 import resource
 import secrets
-from collections.abc import Callable
 from pathlib import Path
 
 from revisit.service.failpoints import failpoint
@@ -23,10 +22,10 @@ NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """The kernel's errors for no space: on the disk, in a quota, or within the limit of a file's size."""
 
 
-def durable_write(path: Path, data: bytes, reached: Callable[[str], None] = failpoint) -> None:
+def durable_write(path: Path, data: bytes, *, is_blob: bool = True) -> None:
     """Make `path` hold `data`, all or nothing, surviving a power cut once this returns.
 
-    `reached` is told the failpoints of a blob. Raises OSError; then the file is as it was before.
+    The failpoints count blobs only. Raises OSError; then the file is as it was before.
     """
     temporary = path.with_name(f"{TEMPORARY_PREFIX}{path.name}.{os.getpid()}.{secrets.token_hex(4)}")
     try:
@@ -34,14 +33,17 @@ def durable_write(path: Path, data: bytes, reached: Callable[[str], None] = fail
         with os.fdopen(descriptor, "wb") as file:
             file.write(data)
             file.flush()
-            reached("blob.before_sync")
+            if is_blob:
+                failpoint("blob.before_sync")
             os.fsync(file.fileno())
-        reached("blob.before_rename")
+        if is_blob:
+            failpoint("blob.before_rename")
         temporary.replace(path)
     except OSError:
         temporary.unlink(missing_ok=True)
         raise
-    reached("blob.before_directory_sync")
+    if is_blob:
+        failpoint("blob.before_directory_sync")
     sync_directory(path.parent)
 
 

@@ -33,4 +33,4 @@ def keep_secret(path: Path, secret: bytes) -> None:
 
     Raises OSError.
     """
-    durable_write(path, f"{secret.hex()}\n".encode(), reached=lambda _: None)
+    durable_write(path, f"{secret.hex()}\n".encode(), is_blob=False)

@@ -132,7 +132,7 @@ def test_a_page_token_tells_nothing_and_is_good_for_its_own_tenant_alone(guarded
     token = guarded_http.get("/v1/maps?page_size=1", headers=ours).json()["next_page_token"]
     number = guarded.world.context.transactions.read(lambda uow: uow.maps.find("pages")[0].number).result()
     content = base64.urlsafe_b64decode(token)
-    assert len(content) == 16 and number.to_bytes(8, "big") not in content and str(number).encode() not in content
+    assert len(content) == 16 and number.to_bytes(8, "big") not in content
     path, stub = f"/v1/maps?page_token={token}", map_pb2_grpc.MapServiceStub(guarded_grpc)
     assert [m["name"] for m in guarded_http.get(path, headers=ours).json()["maps"]] == ["maps/town-2"]
     refused = guarded_http.get(path, headers=theirs)

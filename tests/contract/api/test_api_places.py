@@ -47,7 +47,9 @@ async def watched(open_watch, targets):
     """Open `WATCHES` watches on a few connections; those that live, and the refusals of the others."""
     calls = [open_watch(channel) for channel in targets for _ in range(WATCHES // len(targets))]
     heads = [asyncio.create_task(call.read()) for call in calls]
-    _, waiting = await asyncio.wait(heads, timeout=SETTLED_S)
+    answered, waiting = await asyncio.wait(heads, timeout=SETTLED_S)
+    while answered and waiting:  # until nothing more is said for so long
+        answered, waiting = await asyncio.wait(waiting, timeout=SETTLED_S)
     ended = [head.exception() for head in heads if head not in waiting]
     refused = [error for error in ended if isinstance(error, grpc.aio.AioRpcError)]
     for head in waiting:
