@@ -51,6 +51,7 @@ def test_a_submap_whose_worker_is_killed_again_and_again_is_described_all_the_sa
         assert (ended["state"], ended["attempts"]) == ("DONE", 5)
 
 
+@pytest.mark.slow
 def test_a_submap_that_was_under_way_when_the_service_was_killed_again_and_again_is_described(tmp_path):
     with running_town(tmp_path / "home", fake_delay_s="0.5", lease_s=1) as town:
         operation = town.posted("innocent", 1)

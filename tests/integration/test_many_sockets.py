@@ -72,7 +72,7 @@ def slowest_answer_s(service, authority) -> float:
     return slowest_s
 
 
-@pytest.mark.parametrize("port", ["http", "grpc"])
+@pytest.mark.parametrize("port", ["http", pytest.param("grpc", marks=pytest.mark.slow)])
 def test_beginnings_of_handshakes_beyond_the_soft_limit_keep_nobody_out(service, authority, port):
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (4 * SOFT, resource.getrlimit(resource.RLIMIT_NOFILE)[1]))

@@ -156,6 +156,7 @@ async def test_a_revert_is_not_undone_by_an_optimisation_that_was_under_way():
     assert world.work_off() == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("point", ["optimise.after_version", "optimise.after_poses"])
 async def test_a_commit_that_breaks_off_leaves_the_old_version_whole(point):
     world = memory_world()

@@ -93,6 +93,7 @@ def test_a_submap_that_is_clicked_is_told_of(page):
     assert not card.is_visible()
 
 
+@pytest.mark.slow
 def test_a_session_that_is_switched_off_goes_with_its_loop_closures(page):
     page.tab.locator("#sessions input").nth(1).uncheck()
     assert (page.data("drawn-submaps"), page.data("drawn-loops")) == ("5", "1")
@@ -100,6 +101,7 @@ def test_a_session_that_is_switched_off_goes_with_its_loop_closures(page):
     assert page.data("drawn-submaps") == "8"
 
 
+@pytest.mark.slow
 def test_loop_closures_are_filtered_by_state_and_searched(page, service):
     rejected = sum(loop.state == "REJECTED" for loop in loops_of(service))
     page.tab.keyboard.press("3")
@@ -150,6 +152,7 @@ def test_a_loop_closure_is_rejected_with_a_note_and_the_decision_taken_back(page
     assert page.complaints == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["points", "mesh"])
 def test_what_a_submap_consists_of_is_shown_on_demand(page, kind):
     assert not [url for url in page.asked if ":download" in url]
@@ -159,6 +162,7 @@ def test_what_a_submap_consists_of_is_shown_on_demand(page, kind):
     assert len([url for url in page.asked if url.endswith(f":download?format={wanted}")]) == 8
 
 
+@pytest.mark.slow
 def test_what_the_service_finds_appears_without_a_reload(chromium, service):
     with Client(service.http) as client:
         fill(client, "live")
@@ -175,6 +179,7 @@ def test_what_the_service_finds_appears_without_a_reload(chromium, service):
     shown.tab.close()
 
 
+@pytest.mark.slow
 def test_a_lost_connection_is_said_and_found_again(chromium, service):
     shown = Page(chromium, service.http, "/#maps/town")
     shown.drawn()
@@ -185,6 +190,7 @@ def test_a_lost_connection_is_said_and_found_again(chromium, service):
     shown.tab.close()
 
 
+@pytest.mark.slow
 def test_an_empty_service_and_an_empty_map_say_what_to_do(chromium):
     with live_service() as running:
         shown = Page(chromium, running.http)
@@ -232,6 +238,7 @@ def test_the_drawing_looks_as_it_did(page):
     assert apart < 0.35 * shown, f"{apart:.2f} of {shown:.2f} differ: REVISIT_NEW_PICTURE=1 writes the reference anew"
 
 
+@pytest.mark.slow
 def test_dark_and_light_differ_and_the_choice_is_kept(page):
     light = page.tab.evaluate("getComputedStyle(document.body).backgroundColor")
     page.tab.keyboard.press("d")
@@ -278,6 +285,7 @@ def many(tmp_path_factory):
     world.context.transactions.close()
 
 
+@pytest.mark.slow
 def test_a_thousand_submaps_are_drawn_within_three_seconds(chromium, many):
     times_s = []
     for _ in range(3):

@@ -70,6 +70,7 @@ def test_a_stopped_worker_is_replaced_and_its_late_result_has_no_effect(start):
     assert town.service.wait_for("worker_silent")["worker"] == ready["worker"]
 
 
+@pytest.mark.slow
 def test_a_worker_that_stops_while_it_holds_the_database_keeps_the_others_waiting_only_so_long(start, tmp_path):
     town = start(lease_s=1.0, fail="merge.after_loops=sleep@1")
     town.service.wait_for("worker_ready")

@@ -124,4 +124,4 @@ class LoopsOfAMap(RuleBasedStateMachine):
 
 TestLoopsOfAMap = LoopsOfAMap.TestCase
 # Without shrinking, which takes minutes here: the steps are told as they were.
-TestLoopsOfAMap.settings = settings(max_examples=30, stateful_step_count=20, deadline=None, phases=[Phase.generate])
+TestLoopsOfAMap.settings = settings(max_examples=12, stateful_step_count=20, deadline=None, phases=[Phase.generate])

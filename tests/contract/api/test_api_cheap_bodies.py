@@ -138,7 +138,12 @@ def posts(running, key: dict[str, str], name: str) -> list[float]:
     return sorted(times)
 
 
-@pytest.mark.parametrize("name", attacks())
+LONG = ("refused descriptors", "ASCII clouds")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if name in LONG else []) for name in attacks()]
+)
 def test_what_is_cheap_to_send_delays_no_other_tenant(service, name):
     running, keys = service
     word = name.replace(" ", "-")
