@@ -44,9 +44,7 @@ class _Rows:
         self.entries.extend(entries)
         for row, (entry, cell) in enumerate(zip(entries, self._cells_of(entries), strict=True), start):
             self.rows[entry.id], self.sessions[row] = row, entry.session
-            self.counted[row] = cell not in self._cells
-            self.counts[entry.session] += cell not in self._cells
-            self._cells.add(cell)
+            self._count(row, cell)
 
     def drop(self, ids: Sequence[int]) -> bool:
         """Forget descriptors; whether one of them was there."""
@@ -83,9 +81,14 @@ class _Rows:
         self.counted[: len(self.entries)] = False
         self.counts, self._cells = Counter(), set()
         for row, cell in zip(live.tolist(), self._cells_of(self.entries_of(live)), strict=True):
-            self.counted[row] = cell not in self._cells
-            self.counts[cell[0]] += cell not in self._cells
-            self._cells.add(cell)
+            self._count(row, cell)
+
+    def _count(self, row: int, cell: tuple[int, ...]) -> None:
+        """Whether a row is the first of its session in its cell, and so counts."""
+        first = cell not in self._cells
+        self.counted[row] = first
+        self.counts[cell[0]] += first
+        self._cells.add(cell)
 
     def _cells_of(self, entries: Sequence[IndexEntry]) -> list[tuple[int, ...]]:
         """The session and the three indices of the cell of each entry."""

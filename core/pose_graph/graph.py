@@ -14,6 +14,20 @@ from revisit.core.geometry import se3
 
 Array64 = NDArray[np.float64]
 
+ASSUMED_COVARIANCE = np.diag([0.1**2] * 3 + [np.radians(1.8) ** 2] * 3)
+"""Of a loop that came without a covariance: 0.1 m and 1.8 degrees."""
+
+LEAST_VARIANCE = 1e-8
+"""m^2 and rad^2: no measurement is surer, and an information matrix stays finite."""
+
+
+def loop_covariance(measured: Array64 | None) -> Array64:
+    """The covariance (6, 6) to weigh a loop with: what was measured with a floor, or an assumed one."""
+    if measured is None:
+        return ASSUMED_COVARIANCE
+    variances, axes = np.linalg.eigh(measured)
+    return np.asarray(axes * np.maximum(variances, LEAST_VARIANCE) @ axes.T)
+
 
 class Node(NamedTuple):
     """A submap: the name of its session and its place in it, from 0."""

@@ -19,12 +19,6 @@ from revisit.sdk.resources import LoopClosure, Submap
 if TYPE_CHECKING:
     from revisit.core.pose_graph import LoopEdge, Node, OptimisedGraph, PoseGraph
 
-ASSUMED_COVARIANCE = np.diag([0.1**2] * 3 + [np.radians(1.8) ** 2] * 3)
-"""Of a loop that came without a covariance: 0.1 m and 1.8 degrees."""
-
-LEAST_VARIANCE = 1e-8
-"""m^2 and rad^2: no measurement is surer, and an information matrix stays finite."""
-
 
 @dataclass(frozen=True)
 class Graph:
@@ -123,11 +117,11 @@ def _edge(loop: LoopClosure, T_match_query: Matrix4, node: dict[str, Node]) -> L
 
 def _covariance(loop: LoopClosure) -> NDArray[np.float64]:
     """The covariance (x, y, z, rx, ry, rz) in the match frame, as verification measured it."""
+    from revisit.core.pose_graph import loop_covariance
+
     measured = np.asarray(loop.evidence.get("measurement", {}).get("covariance", []), dtype=np.float64)
-    if measured.size != 36 or not np.isfinite(measured).all():
-        return ASSUMED_COVARIANCE
-    variances, axes = np.linalg.eigh(measured.reshape(6, 6))
-    return np.asarray(axes * np.maximum(variances, LEAST_VARIANCE) @ axes.T)
+    usable = measured.size == 36 and bool(np.isfinite(measured).all())
+    return loop_covariance(measured.reshape(6, 6) if usable else None)
 
 
 def _numbers(transform: Matrix4) -> str:

@@ -22,12 +22,6 @@ if TYPE_CHECKING:
 
 Array64 = NDArray[np.float64]
 
-ASSUMED_COVARIANCE = np.diag([0.1**2] * 3 + [np.radians(1.8) ** 2] * 3)
-"""Of a loop that came without a covariance: 0.1 m and 1.8 degrees."""
-
-LEAST_VARIANCE = 1e-8
-"""m^2 and rad^2: no measurement is surer, and an information matrix stays finite."""
-
 
 class CoreMapOptimiser:
     """`MapOptimiser` by `core.pose_graph`."""
@@ -76,15 +70,10 @@ def _optimised_track(track: SessionTrack, posed: PoseGraph, optimised: Optimised
 
 
 def _edge(loop: TrackLoop, nodes: dict[int, Node]) -> LoopEdge:
-    from revisit.core.pose_graph import LoopEdge
+    from revisit.core.pose_graph import LoopEdge, loop_covariance
 
-    covariance = ASSUMED_COVARIANCE if loop.covariance is None else _with_a_floor(loop.covariance)
+    covariance = loop_covariance(loop.covariance)
     return LoopEdge(_name(loop.number), nodes[loop.match], nodes[loop.query], loop.T_match_query, covariance)
-
-
-def _with_a_floor(covariance: Array64) -> Array64:
-    variances, axes = np.linalg.eigh(covariance)
-    return np.asarray(axes * np.maximum(variances, LEAST_VARIANCE) @ axes.T)
 
 
 def _name(number: int) -> str:

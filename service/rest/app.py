@@ -44,6 +44,10 @@ from revisit.service.status import STATUS
 
 API_VERSION = "1"
 
+ROUTES = (
+    mapping, maps, robots, searches, submaps, sessions, loops, events, webhooks, operations, system, page,
+)  # fmt: skip
+
 
 def create_app(
     use_cases: UseCases,
@@ -71,20 +75,7 @@ def create_app(
     app.state.limits = limits
     app.state.long_bodies = Turns(LONG_BODIES_AT_A_TIME, of_tenant=1)
     app.state.watches = Places()
-    for module in (
-        mapping,
-        maps,
-        robots,
-        searches,
-        submaps,
-        sessions,
-        loops,
-        events,
-        webhooks,
-        operations,
-        system,
-        page,
-    ):
+    for module in ROUTES:
         app.include_router(module.router)
     require_declared_scopes(app)
     install_error_handlers(app)

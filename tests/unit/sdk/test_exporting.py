@@ -12,8 +12,9 @@ from typer.testing import CliRunner
 
 from revisit.cli import pose_graph_files
 from revisit.cli.app import app
-from revisit.cli.pose_graph_files import ASSUMED_COVARIANCE, Graph, as_g2o
+from revisit.cli.pose_graph_files import Graph, as_g2o
 from revisit.core.geometry import se3
+from revisit.core.pose_graph.graph import ASSUMED_COVARIANCE
 from revisit.sdk.resources import LoopClosure, Submap
 
 COVARIANCE = np.diag([0.01, 0.04, 0.09, 1e-4, 1e-4, 4e-4])
