@@ -83,16 +83,10 @@ def _loop(edge: LoopEdge, submaps: dict[tuple[str, int], SubmapRecord]) -> LoopR
     if query.number < match.number:
         query, match, T_match_query = match, query, se3.inverse(T_match_query)
     covariance = edge.covariance if query is submaps[edge.query] else edge.covariance_in_query
-    return LoopRecord(
-        tenant=query.tenant,
-        map_id=query.map_id,
+    return LoopRecord.between(
+        query,
+        match,
         loop_id=edge.name,
-        query_number=query.number,
-        match_number=match.number,
-        query_session_id=query.session_id,
-        query_submap_id=query.submap_id,
-        match_session_id=match.session_id,
-        match_submap_id=match.submap_id,
         state="ACCEPTED",
         reason=None,
         similarity=0.9,

@@ -153,6 +153,21 @@ class LoopRecord:
     manual: bool = False
     number: int = 0
 
+    @classmethod
+    def between(cls, query: SubmapRecord, match: SubmapRecord, **fields: Any) -> LoopRecord:
+        """A loop closure between two submaps of one map; `fields` are the others."""
+        return cls(
+            tenant=query.tenant,
+            map_id=query.map_id,
+            query_number=query.number,
+            match_number=match.number,
+            query_session_id=query.session_id,
+            query_submap_id=query.submap_id,
+            match_session_id=match.session_id,
+            match_submap_id=match.submap_id,
+            **fields,
+        )
+
 
 @dataclass(frozen=True)
 class LoopEventRecord:

@@ -203,16 +203,10 @@ def _by_hand(uow: UnitOfWork, tenant: TenantId, query: SubmapRecord, match: Subm
 
 
 def _new_loop(query: SubmapRecord, match: SubmapRecord, ordinal: int, T: Matrix4 | None, now_ns: int) -> LoopRecord:
-    return LoopRecord(
-        tenant=query.tenant,
-        map_id=query.map_id,
+    return LoopRecord.between(
+        query,
+        match,
         loop_id=f"manual-{query.number}-{match.number}-{ordinal}",
-        query_number=query.number,
-        match_number=match.number,
-        query_session_id=query.session_id,
-        query_submap_id=query.submap_id,
-        match_session_id=match.session_id,
-        match_submap_id=match.submap_id,
         state=LoopState.PROPOSED.value,
         reason=None,
         similarity=0.0,

@@ -120,16 +120,10 @@ class DescriptionCommit:
 
     def _loop(self, item: JudgedPlace) -> LoopRecord:
         query, match, verdict = self.task.submap, item.place.submap, item.verdict
-        return LoopRecord(
-            tenant=query.tenant,
-            map_id=query.map_id,
+        return LoopRecord.between(
+            query,
+            match,
             loop_id=f"loop-{query.number}-{match.number}",
-            query_number=query.number,
-            match_number=match.number,
-            query_session_id=query.session_id,
-            query_submap_id=query.submap_id,
-            match_session_id=match.session_id,
-            match_submap_id=match.submap_id,
             state=(LoopState.ACCEPTED if verdict.accepted else LoopState.REJECTED).value,
             reason=verdict.reason,
             similarity=item.place.similarity,
