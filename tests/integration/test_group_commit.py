@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from sqlalchemy.exc import OperationalError
 
+from revisit.service.adapters.sqlite import transactions
 from revisit.service.adapters.sqlite.connections import WriterLock
 from revisit.service.adapters.sqlite.migration import migrate
 from revisit.service.adapters.sqlite.transactions import SqliteTransactions
@@ -18,7 +19,9 @@ from tests.support.records import TENANT, a_map
 
 
 @pytest.fixture
-def store(tmp_path):
+def store(tmp_path, monkeypatch):
+    """A store whose groups are closed by what waits alone, so that a slow machine does not part them."""
+    monkeypatch.setattr(transactions, "MAX_GROUP_S", 60.0)
     migrate(tmp_path / "test.db")
     opened = SqliteTransactions(tmp_path / "test.db", checkpoints=True)
     yield opened
