@@ -93,14 +93,6 @@ def test_a_patch_is_counted_relative_to_the_orientation_of_its_keypoint() -> Non
     np.testing.assert_allclose(histogram, [[1, 0, 0, 0, 0, 0]], atol=1e-3)
 
 
-def test_an_angle_of_pi_that_was_rounded_up_is_described() -> None:
-    alternating = labelled(np.tile(np.arange(80, dtype=np.int8) % 2, (80, 1)))
-    angle = np.array([np.pi], np.float32)
-    assert float(angle[0]) > np.pi  # the first orientation comes to lie a little below zero
-    described = describe_patches(alternating, np.array([[40, 40]]), angle, BevConfig())
-    assert np.linalg.norm(described) == pytest.approx(1.0)
-
-
 def test_a_patch_seen_upside_down_is_its_reversed_copy() -> None:
     config = BevConfig(patch_px=24, patch_step=1, cells=2)
     index = np.random.default_rng(0).integers(0, 6, (61, 61)).astype(np.int8)
