@@ -318,12 +318,12 @@ SABOTAGES = (
     Sabotage(
         "a stranger may watch health as often as it likes",
         {f"{SERVICE}grpc.places:CallPlaces.of_public": _no_place},
-        f"{PLACES}test_a_stranger_who_watches_health_keeps_nobody_out",
+        f"{PLACES}test_whoever_watches_keeps_no_other_tenant_out[stranger-24]",
     ),
     Sabotage(
         "a key may watch loop closures as often as it likes",
         {f"{SERVICE}grpc.places:CallPlaces.of_caller": _no_place},
-        f"{PLACES}test_a_key_that_watches_loop_closures_keeps_no_other_tenant_out",
+        f"{PLACES}test_whoever_watches_keeps_no_other_tenant_out[greedy-32]",
     ),
     Sabotage(
         "a client that does not read is waited for",

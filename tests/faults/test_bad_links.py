@@ -18,8 +18,9 @@ from tests.faults.survey import survey
 from tests.support.campaigns import Campaign, sizes
 from tests.support.figures import publish
 from tests.support.live_service import LiveService, live_service
+from tests.support.patience import PATIENCE_S, eventually
 from tests.support.service_world import pose, sqlite_world
-from tests.support.town import SESSION, eventually
+from tests.support.town import SESSION
 
 CLIENTS = 6
 ATTEMPTS = 100
@@ -178,7 +179,7 @@ class Driver:
 
     def close(self) -> None:
         """Once all is acknowledged."""
-        self.stream.flush(timeout_s=60)
+        self.stream.flush(timeout_s=PATIENCE_S)
         for operation in self._open:
             self._history.settle(operation, Outcome.OK)
         self._opened.__exit__(None, None, None)

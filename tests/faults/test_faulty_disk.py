@@ -17,6 +17,7 @@ from tests.faults.fleet import Fleet, Robot, fleet_of
 from tests.faults.history import Outcome
 from tests.faults.robots import EXPECTED, TOO_FEW_POINTS
 from tests.support.campaigns import Campaign, sizes
+from tests.support.patience import PATIENCE_S
 from tests.support.town import SESSION
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C compiler here: a disk cannot be made to fail")
@@ -41,7 +42,7 @@ def settle(fleet: Fleet, robot: Robot) -> Counter[str]:
     """Repeat what is open, on a sound disk, and hold the answer against what is there before; what it was."""
     found: Counter[str] = Counter()
     not_refused = {operation.key for operation in fleet.history.operations if operation.had_effect}
-    with httpx.Client(base_url=fleet.service.url, timeout=20) as client:
+    with httpx.Client(base_url=fleet.service.url, timeout=PATIENCE_S) as client:
         for submap_id, place in robot.open.items():
             stored = client.get(f"/v1/{SESSION}/submaps/{submap_id}").status_code == 200
             assert not stored or f"submap/{submap_id}" in not_refused, "stored although each attempt was refused"

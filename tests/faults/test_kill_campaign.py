@@ -11,8 +11,8 @@ import pytest
 
 from tests.faults.fleet import Fleet, fleet_of
 from tests.support.campaigns import Campaign, sizes
+from tests.support.patience import eventually
 from tests.support.processes import ServiceProcess, is_running
-from tests.support.town import eventually
 
 DRAINED_S = 15.0
 GATEWAY_EVERY = 4

@@ -19,9 +19,10 @@ from tests.faults.robots import body
 from tests.faults.survey import survey
 from tests.support.campaigns import Campaign, sizes
 from tests.support.fake_recogniser import NOWHERE
+from tests.support.patience import eventually
 from tests.support.processes import ServiceProcess, WorkerProcess, is_free
 from tests.support.service_world import pose
-from tests.support.town import SESSION, eventually
+from tests.support.town import SESSION
 
 DESCRIBES_FOR_S = 1.0
 MISTAKEN = "tests.support.fake_recogniser:load_mistaken"

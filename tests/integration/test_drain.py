@@ -11,6 +11,7 @@ import httpx
 import pytest
 
 from revisit.v1 import ingest_pb2, ingest_pb2_grpc
+from tests.support.patience import PATIENCE_S
 from tests.support.town import SESSION, half_a_post, running_town
 
 DRAIN_S = 2.0
@@ -28,7 +29,7 @@ def test_clients_that_hang_on_either_transport_do_not_delay_the_end(town):
     requests = queue.SimpleQueue()
     requests.put(ingest_pb2.StreamScansRequest(open=ingest_pb2.Open(session=SESSION)))
     with grpc.insecure_channel(service.grpc_target) as channel:
-        call = ingest_pb2_grpc.IngestServiceStub(channel).StreamScans(iter(requests.get, None), timeout=60)
+        call = ingest_pb2_grpc.IngestServiceStub(channel).StreamScans(iter(requests.get, None), timeout=PATIENCE_S)
         assert next(call).opened.committed_seq == 0
         began_s = time.monotonic()
         service.send(signal.SIGTERM)

@@ -19,6 +19,7 @@ from revisit.service.application.contract.errors import StorageUncertain
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.gateway import FAIL_STOP_S
 from tests.support.campaigns import Campaign, sizes
+from tests.support.patience import PATIENCE_S
 from tests.support.service_world import cloud_points, pose
 from tests.support.town import SESSION, Town, half_a_post, running_town
 
@@ -103,7 +104,7 @@ def test_a_commit_that_cannot_be_synced_ends_the_service_and_loses_nothing(tmp_p
         acknowledged, refusal = post_until_refused(town)
         assert refusal is None or refusal.status_code == 503
         ends_and_recovers(town, [*before, *acknowledged])
-        tracer.wait(10)
+        tracer.wait(PATIENCE_S)
         assert len(before) == 5 and "INJECTED" in log.read_text()
 
 

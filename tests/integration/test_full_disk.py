@@ -14,9 +14,10 @@ from revisit.service.adapters.files.disk import Disk
 from revisit.service.adapters.files.durable_files import may_grow
 from revisit.service.application import UseCases
 from revisit.service.application.contract.errors import StorageFull
+from tests.support.patience import PATIENCE_S, eventually
 from tests.support.processes import ServiceProcess
 from tests.support.service_world import open_session, sqlite_world, submap
-from tests.support.town import SESSION, Town, eventually, running_town
+from tests.support.town import SESSION, Town, running_town
 
 SIZE_MB, RESERVE_MB = 64, 8
 MOUNTED = ("unshare", "-rm", "sh", "-c", f'mount -t tmpfs -o size={SIZE_MB}m tmpfs "$REVISIT_HOME" && exec "$@"', "sh")
@@ -32,7 +33,7 @@ def may_mount() -> bool:
     """Whether this user may make a mount namespace with a tmpfs in it."""
     probe = ["unshare", "-rm", "sh", "-c", "mount -t tmpfs tmpfs /mnt"]
     try:
-        return subprocess.run(probe, capture_output=True, check=False, timeout=10).returncode == 0
+        return subprocess.run(probe, capture_output=True, check=False, timeout=PATIENCE_S).returncode == 0
     except OSError:
         return False
 

@@ -10,8 +10,9 @@ import sys
 import pytest
 
 from tests.support.fake_recogniser import KILLS_THE_WORKER
+from tests.support.patience import PATIENCE_S, eventually
 from tests.support.processes import ROOT, ServiceProcess, is_running
-from tests.support.town import SESSION, eventually, running_town
+from tests.support.town import SESSION, running_town
 
 
 @pytest.fixture
@@ -94,6 +95,8 @@ def test_a_worker_that_is_still_loading_does_not_delay_the_end(tmp_path):
 def test_an_address_that_others_can_reach_ends_the_start_with_78_and_a_message(tmp_path):
     environment = {**os.environ, "REVISIT_HOME": str(tmp_path), "REVISIT_HOST": "0.0.0.0"}
     command = [sys.executable, "-m", "revisit.service", "serve"]
-    ended = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=30, check=False)
+    ended = subprocess.run(
+        command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=PATIENCE_S, check=False
+    )
     assert ended.returncode == 78 and "REVISIT_INSECURE_BIND=1" in ended.stderr
     assert list(tmp_path.iterdir()) == []

@@ -17,8 +17,8 @@ from revisit.service.adapters.sqlite.transactions import SqliteTransactions
 from revisit.service.application.contract.errors import StorageUncertain
 from revisit.service.application.contract.records import WorkerRecord
 from revisit.service.application.housekeeping.system import WAL_ALARM_BYTES
+from tests.support.patience import eventually
 from tests.support.processes import ServiceProcess
-from tests.support.town import eventually
 
 
 class World:

@@ -15,6 +15,7 @@ import pytest
 import trustme
 
 from tests.support.figures import publish
+from tests.support.patience import PATIENCE_S
 from tests.support.processes import ServiceProcess
 
 SOFT = 1024
@@ -83,7 +84,7 @@ def test_beginnings_of_handshakes_beyond_the_soft_limit_keep_nobody_out(service,
         with contextlib.ExitStack() as held:
             beginning = half_hello()
             for _ in range(SOCKETS):
-                connection = held.enter_context(socket.create_connection((host, int(number)), timeout=10))
+                connection = held.enter_context(socket.create_connection((host, int(number)), timeout=PATIENCE_S))
                 connection.send(beginning)
                 waiting.register(connection, selectors.EVENT_READ)
             slowest_s, began_s = slowest_answer_s(service, authority), time.monotonic()

@@ -10,8 +10,9 @@ from datetime import datetime
 import pytest
 
 from tests.support.fake_recogniser import EATS_MEMORY, HANGS, HOLDS_EVERY_THREAD, SEGFAULTS
+from tests.support.patience import eventually
 from tests.support.processes import is_free, is_running
-from tests.support.town import eventually, running_town
+from tests.support.town import running_town
 
 
 @pytest.fixture

@@ -16,6 +16,7 @@ from revisit import Client
 from revisit.sdk.retry import RetryPolicy
 from tests.support.figures import publish
 from tests.support.http2 import PREFACE
+from tests.support.patience import PATIENCE_S
 from tests.support.processes import ServiceProcess
 
 CLOSED_WITHIN_S = 15.0
@@ -42,7 +43,7 @@ def opened(service, beginning: tuple[str, str]) -> socket.socket:
     """A socket that has sent no more than a beginning."""
     address = service.url.removeprefix("http://") if beginning[0] == "http" else service.grpc_target
     host, _, port = address.rpartition(":")
-    connection = socket.create_connection((host, int(port)), timeout=10)
+    connection = socket.create_connection((host, int(port)), timeout=PATIENCE_S)
     connection.setblocking(False)
     with contextlib.suppress(OSError):
         connection.send(BEGINNINGS[beginning])

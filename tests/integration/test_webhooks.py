@@ -24,6 +24,7 @@ from revisit.service.application.push import deliveries
 from revisit.service.application.push.deliveries import MOST_FAILURES, Deliveries, pause_s
 from revisit.service.application.push.webhooks import CreateWebhook
 from revisit.service.wire.webhook_body import webhook_body
+from tests.support.patience import PATIENCE_S
 from tests.support.service_world import SESSION, TENANT, memory_world, open_session, sqlite_world, submap
 
 PAGE = PageRequest(500)
@@ -58,7 +59,7 @@ def receiver(**given):
             body = self.rfile.read(int(self.headers["content-length"]))
             made.requests.append((dict(self.headers), body))
             if made.hold is not None:
-                made.hold.wait(20)
+                made.hold.wait(PATIENCE_S)
             status = made.answers.pop(0) if made.answers else 204
             self.send_response(status)
             if status == 302:

@@ -21,6 +21,7 @@ import pytest
 from revisit.formats import PLY, QUANTISED, encode_quantised
 from tests.support.credentials import a_key, bearer
 from tests.support.figures import publish
+from tests.support.patience import PATIENCE_S
 from tests.support.processes import ServiceProcess
 from tests.support.service_world import cloud_points, sqlite_world
 
@@ -78,7 +79,7 @@ def be_greedy(address: str, key: dict[str, str], name: str, ready, stop, told) -
     counts: list[str] = []
 
     def send() -> None:
-        connection = http.client.HTTPConnection(address, timeout=60)
+        connection = http.client.HTTPConnection(address, timeout=PATIENCE_S)
         while not stop.is_set():
             try:
                 connection.request(method, path, body or None, {**headers, **key})
@@ -107,7 +108,7 @@ def service(tmp_path_factory):
     world.context.transactions.close()
     running = ServiceProcess(home, workers=0, max_queued_jobs=100_000)
     for tenant, key in keys.items():
-        with httpx.Client(base_url=running.url, trust_env=False, headers=key, timeout=60) as client:
+        with httpx.Client(base_url=running.url, trust_env=False, headers=key, timeout=PATIENCE_S) as client:
             client.post("/v1/maps", json={"map_id": "town"}).raise_for_status()
             client.post("/v1/maps/town/sessions", json={"session_id": "monday"}).raise_for_status()
             with ThreadPoolExecutor(4) as pool:
@@ -131,7 +132,7 @@ def post(client: httpx.Client, submap_id: str) -> float:
 def posts(running, key: dict[str, str], name: str) -> list[float]:
     """The times of `POSTS` posts, milliseconds, in order of size."""
     times = []
-    with httpx.Client(base_url=running.url, trust_env=False, headers=key, timeout=60) as client:
+    with httpx.Client(base_url=running.url, trust_env=False, headers=key, timeout=PATIENCE_S) as client:
         for number in range(POSTS):
             times.append(post(client, f"{name}-{number}"))
             time.sleep(EVERY_S)
@@ -153,11 +154,11 @@ def test_what_is_cheap_to_send_delays_no_other_tenant(service, name):
     address = urlsplit(running.url).netloc
     attacker = processes.Process(target=be_greedy, args=(address, keys["greedy"], name, ready, stop, told))
     attacker.start()
-    assert ready.wait(60)
+    assert ready.wait(PATIENCE_S)
     beside = posts(running, keys["modest"], f"{word}-beside")
     stop.set()
-    answered = told.get(timeout=90)
-    attacker.join(30)
+    answered = told.get(timeout=PATIENCE_S)
+    attacker.join(PATIENCE_S)
     middle = [round(statistics.median(times), 1) for times in (alone, beside)]
     publish("cheap bodies", attack=name, alone_ms=middle[0], beside_ms=middle[1], p99_ms=beside[-1], answers=answered)
     assert sum(answered.values()) > len(alone) // 10, answered

@@ -23,6 +23,7 @@ from revisit.service.rest.slow_clients import DeadlineProtocol
 from tests.faults.proxy import Fault, bad_link
 from tests.support.credentials import a_key
 from tests.support.live_service import live_service
+from tests.support.patience import PATIENCE_S
 from tests.support.service_world import cloud_points, pose
 
 SOON = RetryPolicy(attempts=1, base_s=0.01, cap_s=0.05)
@@ -77,7 +78,7 @@ def test_a_watch_begins_with_what_happens_from_now_on(client, session, town):
     while watch.number is None:
         time.sleep(0.01)
     operation = client.wait(post(client, session, "after", 30))
-    reader.join(10)
+    reader.join(PATIENCE_S)
     assert [event.operation.name for event in arrived] == [operation.name]
 
 
@@ -208,8 +209,8 @@ def test_a_watch_needs_a_key_and_ends_when_the_key_is_revoked(guarded, monkeypat
         while watch.number is None:
             time.sleep(0.01)
         revoke = guarded.world.use_cases.keys.revoke(key.record.key_id)
-        asyncio.run_coroutine_threadsafe(revoke, guarded.loop).result(5)
-        reader.join(10)
+        asyncio.run_coroutine_threadsafe(revoke, guarded.loop).result(PATIENCE_S)
+        reader.join(PATIENCE_S)
         assert [error.reason for error in failed] == ["UNAUTHENTICATED"]
     answer = httpx.get(f"{guarded.http}/v1/maps/watched/events", trust_env=False)
     assert answer.status_code == 401
@@ -265,7 +266,7 @@ def test_a_reader_that_does_not_read_is_cut_off(monkeypatch):
         with socket.create_connection((host, int(port))) as idle:
             idle.sendall(b"GET /v1/maps/town/events HTTP/1.1\r\nhost: localhost\r\n\r\n")
             time.sleep(3.0)
-            idle.settimeout(10)
+            idle.settimeout(PATIENCE_S)
             received = 0
             while True:
                 try:

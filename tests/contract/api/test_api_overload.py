@@ -20,6 +20,7 @@ from revisit.service.application.capacity import backlog
 from revisit.service.application.capacity.in_flight import CALL_POINTS, CapacityLimits
 from revisit.v1 import cloud_pb2, geometry_pb2, ingest_pb2, ingest_pb2_grpc
 from tests.support.live_service import live_service
+from tests.support.patience import PATIENCE_S
 from tests.support.service_world import cloud_points, pose
 
 POINTS = 300
@@ -120,7 +121,7 @@ def test_a_refused_body_is_not_even_read(service, limits):
             f"POST {path} HTTP/1.1\r\nHost: localhost\r\nContent-Type: {QUANTISED}\r\nContent-Length: 1000000\r\n\r\n"
         )
         where = urlsplit(service.http)
-        with socket.create_connection((where.hostname, where.port), timeout=30) as connection:
+        with socket.create_connection((where.hostname, where.port), timeout=PATIENCE_S) as connection:
             # The body is promised and never sent: whoever wanted to read it would wait until its time is up.
             connection.sendall(head.encode())
             answer = connection.recv(65_536).decode()
@@ -135,7 +136,7 @@ class Held:
     def __init__(self, stub, session):
         self._requests = queue.SimpleQueue()
         self._requests.put(ingest_pb2.StreamScansRequest(open=ingest_pb2.Open(session=session)))
-        self.call = stub.StreamScans(iter(self._requests.get, None), timeout=60)
+        self.call = stub.StreamScans(iter(self._requests.get, None), timeout=PATIENCE_S)
 
     def opened(self):
         return next(self.call).opened

@@ -97,7 +97,7 @@ def test_a_number_that_no_submap_has_yet_is_not_answered_as_if_it_had(client, se
 def test_submaps_of_other_maps_and_later_ones_are_not_waited_for(client, session, town, paused):
     paused.set()
     operation = post(client, session)
-    client.wait(operation, 20)
+    client.wait(operation)
     paused.clear()
     post(client, session, "later", 2)
     other = client.create_session(client.create_map(f"other-{operation.seq}"), "monday")
