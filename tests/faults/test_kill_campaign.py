@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import random
 import signal
@@ -11,7 +12,7 @@ import pytest
 
 from tests.faults.fleet import Fleet, fleet_of
 from tests.support.campaigns import Campaign, sizes
-from tests.support.patience import eventually
+from tests.support.patience import eventually, in_time
 from tests.support.processes import ServiceProcess, is_running
 
 DRAINED_S = 15.0
@@ -36,8 +37,10 @@ def kill_gateway(fleet: Fleet) -> None:
 
 
 def kill_worker(fleet: Fleet, rng: random.Random) -> None:
-    eventually(fleet.service.worker_pids, "no worker is started")
-    os.kill(rng.choice(fleet.service.worker_pids()), signal.SIGKILL)
+    pids: list[int] = []
+    eventually(lambda: pids.extend(fleet.service.worker_pids()) or pids, "no worker is started")
+    with contextlib.suppress(ProcessLookupError):  # it may have ended by itself just now
+        os.kill(rng.choice(pids), signal.SIGKILL)
 
 
 @pytest.mark.parametrize("kills", sizes("KILLS", 20, 1_000))
@@ -66,6 +69,6 @@ def test_a_service_that_is_told_to_end_does_so_in_time_and_keeps_what_it_acknowl
         took_s.append(ended_s)
         assert (status, [pid for pid in workers if is_running(pid)]) == (0, [])
         fleet.start_again()
-    assert max(took_s) < DRAINED_S
+    assert in_time(max(took_s), DRAINED_S)
     assert set(fleet.require_kept(folder / "home").states) == {"DESCRIBED"}
     campaign.publish(f"every exit 0, the slowest after {max(took_s):.1f} s; 0 of {fleet.acknowledged()} lost")

@@ -16,6 +16,7 @@ from revisit.formats import NPY, encode_npy
 from revisit.sdk.errors import unreachable
 from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.spool import Spool, SpoolDisagrees
+from tests.faults.proxy import bad_link
 from tests.support.live_service import live_service
 from tests.support.patience import PATIENCE_S
 from tests.support.processes import ServiceProcess
@@ -162,7 +163,6 @@ def test_a_service_that_lost_acknowledged_scans_is_noticed(client, session, tmp_
 @pytest.fixture
 def real_service(tmp_path):
     running = ServiceProcess(tmp_path / "home")
-    running.set(grpc_port=running.grpc_target.rpartition(":")[2])
     yield running
     running.close()
 
@@ -181,15 +181,15 @@ with Client.grpc(target, retry=RetryPolicy(base_s=0.05)) as client, client.spool
 """
 
 
-def start_robot(service, session, spool):
-    command = [sys.executable, "-c", ROBOT, service.grpc_target, session.name, str(spool)]
+def start_robot(link, session, spool):
+    command = [sys.executable, "-c", ROBOT, link.address, session.name, str(spool)]
     return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
 
 
 def test_killing_robot_and_service_in_turn_loses_and_repeats_nothing(real_service, tmp_path):
-    with Client.grpc(real_service.grpc_target) as client:
+    with bad_link(real_service.grpc_target) as link, Client.grpc(link.address) as client:
         session = client.create_session(client.create_map("town"), "monday")
-        robot = start_robot(real_service, session, tmp_path / "spool")
+        robot = start_robot(link, session, tmp_path / "spool")
         for scan in (15, 40):
             while int(robot.stdout.readline()) < scan:
                 pass
@@ -197,9 +197,10 @@ def test_killing_robot_and_service_in_turn_loses_and_repeats_nothing(real_servic
                 real_service.kill()
             os.kill(robot.pid, signal.SIGKILL)
             robot.wait()
-            robot = start_robot(real_service, session, tmp_path / "spool")
+            robot = start_robot(link, session, tmp_path / "spool")
             if scan == 40:
                 real_service.start()
+                link.target = real_service.grpc_target
         assert (robot.communicate(timeout=PATIENCE_S), robot.returncode)[1] == 0
         check_stored(client, session, 80)
     spool = Spool(tmp_path / "spool")

@@ -9,7 +9,7 @@ import os
 import time
 from collections.abc import Callable
 
-PATIENCE_S = 120.0
+PATIENCE_S = float(os.environ.get("REVISIT_TEST_PATIENCE_S", "120"))
 """The limit of every wait in tests; well below pytest's own of 300 s, so that the wait says what did not happen."""
 
 

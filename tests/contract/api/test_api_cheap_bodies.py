@@ -21,7 +21,7 @@ import pytest
 from revisit.formats import PLY, QUANTISED, encode_quantised
 from tests.support.credentials import a_key, bearer
 from tests.support.figures import publish
-from tests.support.patience import PATIENCE_S
+from tests.support.patience import PATIENCE_S, in_time
 from tests.support.processes import ServiceProcess
 from tests.support.service_world import cloud_points, sqlite_world
 
@@ -162,4 +162,4 @@ def test_what_is_cheap_to_send_delays_no_other_tenant(service, name):
     middle = [round(statistics.median(times), 1) for times in (alone, beside)]
     publish("cheap bodies", attack=name, alone_ms=middle[0], beside_ms=middle[1], p99_ms=beside[-1], answers=answered)
     assert sum(answered.values()) > len(alone) // 10, answered
-    assert middle[1] < max(MOST_MS, MOST_TIMES * middle[0]), (alone, beside, answered)
+    assert in_time(middle[1], max(MOST_MS, MOST_TIMES * middle[0])), (alone, beside, answered)

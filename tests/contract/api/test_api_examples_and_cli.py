@@ -8,7 +8,6 @@ import re
 import shutil
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import httpx
@@ -223,10 +222,8 @@ def test_help_does_not_load_the_libraries_of_the_method():
         "assert CliRunner().invoke(app, ['--help']).exit_code == 0\n"
         "print([m for m in ('torch', 'numpy', 'grpc', 'fastapi', 'faiss', 'cv2') if m in sys.modules])"
     )
-    started = time.monotonic()
     result = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"
-    assert time.monotonic() - started < 20.0
 
 
 def test_a_map_is_optimised_looked_at_and_brought_back_by_typing(service):
