@@ -43,7 +43,7 @@ def kill_worker(fleet: Fleet, rng: random.Random) -> None:
         os.kill(rng.choice(pids), signal.SIGKILL)
 
 
-@pytest.mark.parametrize("kills", sizes("KILLS", 20, 1_000))
+@pytest.mark.parametrize("kills", sizes("KILLS", 8, 1_000))
 @pytest.mark.timeout(7200)
 def test_what_was_acknowledged_survives_kills_of_gateway_and_workers_once(fleet, folder, kills):
     rng, campaign = random.Random(17), Campaign("P1", kills)
@@ -59,7 +59,7 @@ def test_what_was_acknowledged_survives_kills_of_gateway_and_workers_once(fleet,
     campaign.publish(f"0 of {fleet.acknowledged()} acknowledged lost, 0 twice, index = database")
 
 
-@pytest.mark.parametrize("drains", sizes("DRAINS", 2, 500))
+@pytest.mark.parametrize("drains", sizes("DRAINS", 1, 500))
 @pytest.mark.timeout(7200)
 def test_a_service_that_is_told_to_end_does_so_in_time_and_keeps_what_it_acknowledged(fleet, folder, drains):
     took_s, campaign = [], Campaign("P13", drains)

@@ -259,6 +259,7 @@ def test_a_reader_that_does_not_read_is_cut_off(monkeypatch):
     async def endless(self, tenant, map_id, after=None, kinds=frozenset()):
         while True:
             yield EventView(1, EventKind.OPENED, "x" * 10_000)
+            await asyncio.sleep(0)  # where the end of the connection is noticed
 
     monkeypatch.setattr(Events, "watch", endless)
     with live_service() as running:

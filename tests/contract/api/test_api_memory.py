@@ -24,10 +24,10 @@ from tests.support.patience import PATIENCE_S
 from tests.support.processes import ServiceProcess
 
 CEILING_MIB = 512.0
-SEARCHES, LOCALIZES, DOWNLOADS = 12, 24, 16
+SEARCHES, LOCALIZES, DOWNLOADS = 8, 12, 8
 FULL = (60, 150, 100)
 POINTS = 1_900_000
-WAIT_S = 3
+WAIT_S = 1
 TOWN = "maps/town"
 
 
