@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Annotated
 
 import typer
@@ -79,6 +80,8 @@ def run() -> None:
     from revisit.core.errors import RevisitError
     from revisit.sdk.errors import ApiError
 
+    # gRPC writes lines of its own where the service it talks to stops or falls idle, in the middle of a bar.
+    os.environ.setdefault("GRPC_VERBOSITY", "NONE")
     try:
         app()
     except (ApiError, RevisitError, OSError, TimeoutError) as error:
