@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
@@ -34,7 +35,7 @@ PAIR_M = 32.0
 """How far the pair is drawn around its middle."""
 
 MESH_M = 25.0
-STYLE = {
+STYLE: Any = {
     "font.size": 11, "axes.titlesize": 13, "axes.titleweight": "bold", "axes.titlelocation": "left",
     "axes.titlepad": 10, "axes.edgecolor": TRUTH, "axes.labelcolor": SOFT, "text.color": INK,
     "xtick.color": SOFT, "ytick.color": SOFT,
@@ -58,7 +59,7 @@ def draw(figure: DemoFigure, file: Path) -> None:
     file.parent.mkdir(parents=True, exist_ok=True)
     with plt.rc_context(STYLE):
         canvas = plt.figure(figsize=(19, 11.4), layout="constrained", facecolor="white")
-        canvas.get_layout_engine().set(w_pad=0.12, h_pad=0.14)  # type: ignore[union-attr]  # the layout named above
+        canvas.get_layout_engine().set(w_pad=0.12, h_pad=0.14)  # type: ignore[union-attr,call-arg]  # as named above
         rows = canvas.add_gridspec(2, 1, height_ratios=(1.12, 1.0))
         above, below = rows[0].subgridspec(1, 3), rows[1].subgridspec(1, 4)
         _draw_drives(canvas.add_subplot(above[0]), canvas.add_subplot(above[1]), figure)
