@@ -107,7 +107,7 @@ def service(tmp_path_factory):
     keys = {tenant: bearer(a_key(world, tenant)) for tenant in TENANTS}
     world.context.transactions.close()
     running = ServiceProcess(home, workers=0, max_queued_jobs=100_000)
-    for tenant, key in keys.items():
+    for key in keys.values():
         with httpx.Client(base_url=running.url, trust_env=False, headers=key, timeout=PATIENCE_S) as client:
             client.post("/v1/maps", json={"map_id": "town"}).raise_for_status()
             client.post("/v1/maps/town/sessions", json={"session_id": "monday"}).raise_for_status()
