@@ -248,3 +248,19 @@ def test_a_map_without_submaps_is_refused_by_the_optimise_command(service):
         "the map holds no submaps"
         in CliRunner().invoke(app, ["map", "optimise", "--map", "nothing-in-it", "--http", service.http]).output
     )
+
+
+def test_what_happens_in_a_map_is_printed_a_line_each(service):
+    with Client(service.http) as client:
+        town = client.create_map("watched")
+        for day in ("monday", "tuesday"):
+            session = client.create_session(town, day)
+            client.wait(client.post_submap(session, day[0], cloud_points(7), pose(0.0), 1_000))
+        (loop,) = client.loop_closures(town)
+    told = ("watch", "--map", "watched", "--after", 0, "--http", service.http)
+    assert "describe submap" in invoke(*told, "--count", 1)
+    line = invoke(*told, "--kind", "loop_closure", "--count", 1).strip()
+    assert line.endswith(f"loop closure accepted: tuesday/t -> monday/m, score {loop.score:.2f}")
+    (document,) = invoke(*told, "--kind", "LOOP_CLOSURE", "--count", 1, "--json").splitlines()
+    assert json.loads(document)["loop_closure"]["name"] == loop.name
+    invoke(*told, "--kind", "weather", status=1)
