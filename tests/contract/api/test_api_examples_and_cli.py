@@ -19,6 +19,7 @@ from revisit import Client
 from revisit.cli.app import app
 from revisit.evaluation.datasets import write_kitti
 from tests.support.fleet_in_service import fleet_in
+from tests.support.patience import PATIENCE_S
 from tests.support.service_world import cloud_points, pose
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -27,7 +28,7 @@ ROOT = Path(__file__).resolve().parents[3]
 def run_example(name, **environment):
     command = [sys.executable, ROOT / "docs" / "examples" / name]
     variables = {"PYTHONPATH": str(ROOT), **environment}
-    result = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, env=variables)
+    result = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False, env=variables)
     assert result.returncode == 0, result.stderr
     return result.stdout
 
@@ -209,7 +210,7 @@ def test_the_doctor_reports_each_part(service, tmp_path):
 
 def test_a_command_that_cannot_reach_the_service_says_so_in_one_line():
     command = [sys.executable, "-m", "revisit.cli", "loops", "--http", "http://127.0.0.1:1"]
-    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60, check=False)
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     assert result.returncode == 1
     assert result.stderr.startswith("revisit: UNREACHABLE")
     assert len(result.stderr.splitlines()) == 1
