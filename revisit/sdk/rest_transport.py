@@ -174,6 +174,10 @@ class RestTransport:
         """See Transport."""
         return self._message(loop_closure_pb2.LoopClosure, "POST", f"{_path(name)}:{decision}", json={"note": note})
 
+    def loop_keypoints(self, name: str) -> loop_closure_pb2.GetLoopClosureKeypointsResponse:
+        """See Transport."""
+        return self._message(loop_closure_pb2.GetLoopClosureKeypointsResponse, "GET", f"{_path(name)}/keypoints")
+
     def watch(self, request: event_pb2.WatchEventsRequest) -> Iterator[event_pb2.Event | None]:
         """See Transport."""
         params: Json = {"kinds": _kind_names(request.kinds)}

@@ -41,6 +41,7 @@ Ack = ingest_pb2.AppendScanResponse
 LocalizeAnswer = loop_closure_pb2.LocalizeResponse
 LoopClosure = loop_closure_pb2.LoopClosure
 LoopClosurePage = loop_closure_pb2.ListLoopClosuresResponse
+LoopKeypoints = loop_closure_pb2.GetLoopClosureKeypointsResponse
 LoopClosureEventPage = loop_closure_pb2.ListLoopClosureEventsResponse
 ProposedLoop = loop_closure_pb2.CreateLoopClosureResponse
 Map = map_pb2.Map
