@@ -8,7 +8,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -83,11 +83,15 @@ def run_demo(picture: Path = Path("out/demo.png"), *, seed: int = 1, console: Co
 
 
 @contextmanager
-def running_service(home: Path, console: Console) -> Iterator[Addresses]:
-    """`python -m revisit.service serve` on free ports with its data in `home`, stopped on leaving."""
+def running_service(home: Path, console: Console, settings: Mapping[str, str] | None = None) -> Iterator[Addresses]:
+    """`python -m revisit.service serve` on free ports with its data in `home`, stopped on leaving.
+
+    `settings` are further variables of its environment.
+    """
     environment = {
         **os.environ, "REVISIT_HOME": str(home / "data"), "REVISIT_HTTP_PORT": "0", "REVISIT_GRPC_PORT": "0",
         "REVISIT_HOST": "127.0.0.1", "REVISIT_WORKERS": str(os.cpu_count() or 1), "REVISIT_LOG_LEVEL": "INFO",
+        **(settings or {}),
     }  # fmt: skip
     log = home / "service.log"
     with log.open("wb") as stream:
