@@ -15,6 +15,7 @@ from revisit.core.pose_graph.consistency import ConsistentSet, consistent_sets
 from revisit.core.pose_graph.graph import LoopEdge, Node, PoseGraph, Trajectory
 from revisit.core.pose_graph.placement import Component, place_sessions
 from revisit.core.pose_graph.support import LoopsWithin
+from revisit.core.pose_graph.variance_factor import rescaled, variance_factor
 
 Array64 = NDArray[np.float64]
 
@@ -83,7 +84,13 @@ class OptimisedGraph:
 
 
 def optimise(graph: PoseGraph, robustness: Robustness = Robustness.COMMIT) -> OptimisedGraph:
-    """Place the sessions by the loops that agree, optimise each component, set loops aside that do not fit."""
+    """Place the sessions by the loops that agree, optimise each component, set loops aside that do not fit.
+
+    Uncertainties that small circles show to be far too large are reduced before (see `variance_factor`), but for PLAIN
+    and the other methods that are for comparison; covariances and distances in the answer rest on the reduced ones.
+    """
+    if robustness in (Robustness.ONLINE, Robustness.COMMIT):
+        graph = rescaled(graph, variance_factor(graph))
     sets, within = consistent_sets(graph), LoopsWithin.of(graph)
     components = place_sessions(graph, sets)
     trusted = Trusted.of(graph, sets, within)

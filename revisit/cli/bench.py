@@ -142,6 +142,31 @@ def graphs(
     say(f"{len(outcomes)} runs in {out / 'pose-graphs.md'}")
 
 
+@group.command("fleet")
+@needs("evaluation")
+def fleet(
+    out: Annotated[Path, typer.Option(help="Folder for the drives, the table, the pictures and TUM files.")] = Path(
+        "out/fleet"
+    ),
+    seed: Annotated[int, typer.Option(help="Seed of the simulated town.")] = 1,
+    only: Annotated[str, typer.Option(help="Kinds of wrong loops by name, with commas; all by default.")] = "",
+) -> None:
+    """Stream a simulated fleet into a service, put wrong loops into its map, compare the maps with the truth.
+
+    The drives are streamed once: a second run goes on with what the first one has left in OUT.
+    """
+    from rich.console import Console
+
+    from revisit.cli.fleet import SPOILINGS, run_fleet
+
+    chosen = _named("--only", only, tuple(SPOILINGS))
+    with progress_bar(quiet=False) as bar:
+        outcomes = run_fleet(out, seed, reporter(bar), Console(stderr=True), chosen)
+    say((out / "fleet.md").read_text().rstrip("\n"))
+    if not all(one.reached for one in outcomes):
+        raise typer.Exit(1)
+
+
 @group.command("domains")
 @needs("evaluation")
 def domains(
