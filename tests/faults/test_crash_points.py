@@ -19,8 +19,8 @@ from tests.faults.history import History
 from tests.faults.survey import survey
 
 ROOT = Path(__file__).resolve().parents[2]
-END = Counter({"DESCRIBED": 6, "FAILED": 1})
-"""a, c, d and three windows of scans; the degenerate one."""
+END = Counter({"DESCRIBED": 8, "FAILED": 1})
+"""a, c, d, three windows of scans and two of the annex; the degenerate one."""
 
 processes = multiprocessing.get_context("forkserver")
 processes.set_forkserver_preload(["tests.faults.drive"])
