@@ -218,7 +218,6 @@ def load_recogniser(name: str) -> PlaceRecogniser:
 
 
 def _new_index(dimension: int) -> PlaceIndex:
-    from revisit.core.adapted_index import AdaptedIndex
     from revisit.core.index import FaissIndex
 
-    return AdaptedIndex(dimension, FaissIndex)
+    return FaissIndex(dimension)

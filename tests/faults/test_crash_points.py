@@ -17,6 +17,7 @@ from revisit.service.failpoints import POINTS, arm
 from tests.faults.drive import DEGENERATE, undisturbed
 from tests.faults.history import History
 from tests.faults.survey import survey
+from tests.support.patience import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
 END = Counter({"DESCRIBED": 8, "FAILED": 1})
@@ -37,7 +38,7 @@ def exit_status(home: Path, armed: str) -> int:
     """How a drive ends in a process of its own with `armed` points."""
     child = processes.Process(target=_drive_into, args=(home, home.parent / "log", armed))
     child.start()
-    child.join(60)
+    child.join(PATIENCE_S)
     status = child.exitcode
     child.close()
     assert status is not None

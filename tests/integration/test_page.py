@@ -16,6 +16,7 @@ from revisit.service.application.access.callers import Scope
 from tests.support.browser import Page, browser
 from tests.support.credentials import a_key
 from tests.support.live_service import live_service
+from tests.support.patience import in_time
 from tests.support.records import a_loop, a_map, a_session, a_submap
 from tests.support.service_world import cloud_points, memory_world, pose, sqlite_world
 
@@ -296,4 +297,4 @@ def test_a_thousand_submaps_are_drawn_within_three_seconds(chromium, many):
         assert shown.complaints == []
         shown.tab.close()
     print(f"{MANY} submaps drawn after {min(times_s):.2f} s, at most {max(times_s):.2f} s")
-    assert min(times_s) <= SECONDS_FOR_MANY
+    assert in_time(min(times_s), SECONDS_FOR_MANY)

@@ -20,13 +20,13 @@ from revisit import Client
 from revisit.core.geometry import se3
 from revisit.sdk.retry import RetryPolicy
 from tests.support.live_service import live_service
+from tests.support.patience import PATIENCE_S
 from tests.support.ros_messages import Messages
 from tests.support.service_world import cloud_points
 
 SECOND = 10**9
 QUICK = RetryPolicy(attempts=2, base_s=0.01, cap_s=0.05)
 NOWHERE = "127.0.0.1:1"
-PATIENCE_S = 60.0
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,7 @@
 
 The descriptor is the histogram of the points' heights (clouds of the same seed match, others do not). Clouds of
 special sizes misbehave: see the constants. REVISIT_FAKE_DELAY_S makes each description take that long,
-REVISIT_FAKE_BUSY_S that much of a core.
+REVISIT_FAKE_BUSY_S that much of a core; none ends before the file REVISIT_FAKE_GATE is there.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 
@@ -36,6 +37,11 @@ SEGFAULTS = 672
 BINS = 64
 ACCEPTED_FROM = 0.98
 JUMP_M = 15.0
+
+
+def _wait_at(gate: str | None) -> None:
+    while gate and not Path(gate).exists():
+        time.sleep(0.01)
 
 
 def _be_busy(cpu_s: float) -> None:
@@ -81,6 +87,7 @@ class FakeRecogniser:
         """A description, or misbehaviour for clouds of the special sizes."""
         time.sleep(float(os.environ.get("REVISIT_FAKE_DELAY_S", "0")))
         _be_busy(float(os.environ.get("REVISIT_FAKE_BUSY_S", "0")))
+        _wait_at(os.environ.get("REVISIT_FAKE_GATE"))
         if len(submap.points) == KILLS_THE_WORKER:
             os._exit(9)
         if len(submap.points) in MISCHIEF:

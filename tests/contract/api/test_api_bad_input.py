@@ -118,7 +118,7 @@ def test_the_sdk_refuses_a_reflection_before_it_is_sent(client, session):
     [([1.0, 2.0], "fake-1"), ([0.0] * 64, "fake-1"), ([1.0] * 64, "another-model"), ([], "fake-1")],
 )
 def test_a_descriptor_that_cannot_be_compared_is_refused(vector, version, client, session, town):
-    client.wait(client.post_submap(session, "a", GOOD, pose(), 1), timeout_s=20)
+    client.wait(client.post_submap(session, "a", GOOD, pose(), 1))
     with pytest.raises(ApiError) as refused:
         client.search(town, descriptor=vector, model_version=version)
     assert refused.value.reason in ("BAD_FIELD", "DESCRIPTOR_MODEL_MISMATCH")
@@ -267,6 +267,6 @@ def test_a_failed_operation_says_why(client, session):
     # 668 points are what the fake recogniser cannot describe.
     operation = client.post_submap(session, "dull", cloud_points(1, 668), pose(), 1)
     with pytest.raises(ApiError) as failed:
-        client.wait(operation, timeout_s=20)
+        client.wait(operation)
     assert failed.value.reason == "DEGENERATE_CLOUD"
     assert client.get_submap(operation.subject).state == "FAILED"

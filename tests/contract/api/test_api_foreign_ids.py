@@ -19,6 +19,7 @@ from revisit.service.rest.app import create_app
 from tests.support.credentials import a_key, bearer
 from tests.support.fake_merger import EasyMerger
 from tests.support.live_service import live_service
+from tests.support.patience import PATIENCE_S
 from tests.support.service_world import cloud_points, memory_world
 
 REQUEST_ID = {"x-request-id": "fixed"}
@@ -74,12 +75,12 @@ def fill(client):
     session = client.create_session(client.create_map("town", min_index_gap=0), "monday")
     for number, name in enumerate("ab"):
         operation = client.post_submap(session, name, cloud_points(1), np.eye(4), number + 1)
-        client.wait(operation, 20.0)
-    client.wait(client.optimise_map("maps/town"), 20.0)
+        client.wait(operation)
+    client.wait(client.optimise_map("maps/town"))
     annex = client.create_session(client.create_map("annex", min_index_gap=0), "tuesday")
     for number, name in enumerate("cd"):
-        client.wait(client.post_submap(annex, name, cloud_points(1), np.eye(4), number + 1), 20.0)
-    merge = client.wait(client.merge_map("maps/town", "maps/annex"), 20.0).result["merge"].rpartition("/")[2]
+        client.wait(client.post_submap(annex, name, cloud_points(1), np.eye(4), number + 1))
+    merge = client.wait(client.merge_map("maps/town", "maps/annex")).result["merge"].rpartition("/")[2]
     client.create_webhook("hook", "https://hooks.example.com/revisit", map_="maps/town")
     loops = client.loop_closures("maps/town", state=None)
     loop = loops[0].name.rpartition("/")[2] if loops else "loop-guess"
@@ -125,7 +126,7 @@ def status(channel, metadata, method, ids):
     )
     data = request.SerializeToString()
     try:
-        answer = rpc(iter([data]) if method.client_streaming else data, metadata=metadata, timeout=10)
+        answer = rpc(iter([data]) if method.client_streaming else data, metadata=metadata, timeout=PATIENCE_S)
         if method.server_streaming:
             list(answer)
     except grpc.RpcError as error:
@@ -226,6 +227,6 @@ def test_a_search_finds_nothing_of_another_tenants_map_of_the_same_name():
         for tenant, place in (("one", 1), ("two", 1), ("three", 2)):
             with Client(running.http, api_key=a_key(world, tenant).text, retry=once) as client:
                 session = client.create_session(client.create_map("town"), tenant)
-                client.wait(client.post_submap(session, "a", cloud_points(place), np.eye(4), 1), 20.0)
+                client.wait(client.post_submap(session, "a", cloud_points(place), np.eye(4), 1))
                 found[tenant] = [hit.submap for hit in client.search("maps/town", points=cloud_points(1), k=100)]
     assert found == {tenant: [f"maps/town/sessions/{tenant}/submaps/a"] for tenant in ("one", "two", "three")}

@@ -29,7 +29,7 @@ def other(fleet):
 
 
 def merged(client, fleet, **asked):
-    return client.wait(client.merge_map(fleet.name, other(fleet), **asked), 60.0).result
+    return client.wait(client.merge_map(fleet.name, other(fleet), **asked)).result
 
 
 def everything(client, map_name):
@@ -84,7 +84,7 @@ def test_a_merge_is_listed_with_its_evidence_and_the_changes_between_the_days(cl
 
 
 def test_a_merge_that_is_taken_back_leaves_the_map_as_it_was_to_a_bit(client, two):
-    client.wait(client.optimise_map(two.name), 60.0)
+    client.wait(client.optimise_map(two.name))
     first, before = client.get_map_version(f"{two.name}/versions/1"), everything(client, two.name)
     result = merged(client, two)
     reverted = client.revert_merge(result["merge"])
@@ -108,7 +108,7 @@ def test_a_merge_of_a_map_without_poses_is_taken_back_to_that(client, two):
 
 def test_an_optimisation_after_a_merge_moves_nothing(client, two):
     merged(client, two)
-    again = client.get_map_version(client.wait(client.optimise_map(two.name), 60.0).result["version"])
+    again = client.get_map_version(client.wait(client.optimise_map(two.name)).result["version"])
     assert again.summary.max_change_m < 1e-9 and again.summary.frames == 1
 
 
@@ -116,7 +116,7 @@ def test_any_base_gives_the_same_poses(client, two):
     names = (two.name, other(two))
     poses = []
     for into, source in (names, names[::-1]):
-        result = client.wait(client.merge_map(into, source), 60.0).result
+        result = client.wait(client.merge_map(into, source)).result
         poses.append({one.submap.split("/", 2)[2]: one.T_map_submap for one in client.submap_poses(result["version"])})
         client.revert_merge(result["merge"])
     origin = next(iter(poses[0]))
@@ -127,7 +127,7 @@ def test_any_base_gives_the_same_poses(client, two):
 
 def test_one_session_of_a_map_is_merged_and_renamed_where_its_name_is_taken(client, two):
     client.create_session(two.name, "s1")
-    result = client.wait(client.merge_map(two.name, f"{other(two)}/sessions/s1"), 60.0).result
+    result = client.wait(client.merge_map(two.name, f"{other(two)}/sessions/s1")).result
     assert result["sessions"] == [f"{two.name}/sessions/{other(two).partition('/')[2]}.s1"]
 
 
@@ -147,7 +147,7 @@ def test_an_initial_pose_narrows_the_search_and_one_that_is_wrong_leads_to_a_ref
 def test_maps_without_a_common_place_are_refused_with_a_reason(client, service, two):
     number = next(_numbers)
     far = fleet_in_two(service.world, (f"far-{number}", f"farther-{number}"), seed=9, sessions=2, submaps=5, per_pair=0)
-    refused = client.wait(client.merge_map(two.name, far.name), 60.0).result
+    refused = client.wait(client.merge_map(two.name, far.name)).result
     assert refused["verdict"] == "REFUSED"
     assert refused["refusal"] in ("TOO_FEW_LOOPS", "COMMON_TRACK_TOO_SHORT")
     assert "version" not in refused
@@ -163,7 +163,7 @@ def test_what_cannot_be_merged_is_told_at_once(client, session, two):
     for into, source in ((town, "maps/nothing"), ("maps/nothing", town), (town, f"{two.name}/sessions/nobody")):
         with pytest.raises(NotFound):
             client.merge_map(into, source)
-    empty = client.wait(client.merge_map(two.name, town), 60.0)
+    empty = client.wait(client.merge_map(two.name, town))
     assert "holds no described submap" in empty.result["outcome"]
 
 
@@ -182,7 +182,7 @@ def test_operations_that_wait_are_cancelled_at_once_and_only_some_kinds_can_be(c
             client.cancel_operation(posted)
     finally:
         service.working.set()
-    client.wait(posted, 20.0)
+    client.wait(posted)
     assert client.map_merges(two.name) == []
     done = client.get_operation(waiting.name)
     assert client.cancel_operation(waiting) == done
