@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.config import AdaptationConfig
-from revisit.core.descriptor.adaptation import by_session, learn_site
+from revisit.core.descriptor.adaptation import SessionSums, by_session, learn_site
 
 Array = NDArray[np.float32]
 
@@ -49,10 +49,8 @@ def joining_candidates(
 def _standardised(vectors: Array, sessions: NDArray[np.int64], config: AdaptationConfig = AdaptationConfig()) -> Array:
     if len(vectors) < config.first_places:
         return vectors
-    site = learn_site(vectors, sessions, config)
-    for session, rows in by_session(sessions):
-        site = site.with_session(session, vectors[rows])
-    return site.adapted(vectors, sessions)
+    sums = {session: SessionSums.of(vectors[rows]) for session, rows in by_session(sessions)}
+    return learn_site(sums, config).with_sessions(sums).adapted(vectors, sessions)
 
 
 def _products(first: Array, second: Array) -> Array:

@@ -23,7 +23,7 @@ from revisit.core.merge.overlap import looked_through, seen_from
 Array64 = NDArray[np.float64]
 
 SAME_THING_M = 0.8
-LEAST_POINTS = 12
+LEAST_POINTS = 16
 LEAST_HEIGHT_M = 0.4
 MOST_CHANGES = 500
 NEAR_M = 25.0

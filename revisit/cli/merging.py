@@ -66,8 +66,8 @@ def _show(result: dict[str, Any]) -> None:
         return
     evidence, limits = result["evidence"], result["limits"]
     rows = [
-        ("loops that agree", evidence["loops"], f">= {limits['loops']:g}"),
-        ("loops of another alignment", evidence["rival_loops"], f"< {limits['rival_share']:g} of them"),
+        ("loops that agree", f"{evidence['loops']:g}", f">= {limits['loops']:g}"),
+        ("loops of another alignment", f"{evidence['rival_loops']:g}", f"< {limits['rival_share']:g} of them"),
         ("common track m", f"{evidence['common_track_m']:.1f}", f">= {limits['common_track_m']:g}"),
         ("candidates, verified", f"{evidence['candidates']:g}, {evidence['verified']:g}", ""),
     ]

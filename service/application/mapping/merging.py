@@ -31,6 +31,9 @@ from revisit.service.application.mapping.merge_reading import MergeOrder, MergeT
 from revisit.service.application.mapping.progress import OperationCancelled, Progress
 from revisit.service.failpoints import failpoint
 
+CANDIDATES = 3
+"""Of each submap in the other map: loops are needed along the common track, not of every submap."""
+
 MOST_PAIRS = 1_000
 """Pairs of submaps that are verified, the likest first: 0.04 s of a core each, and a job has two minutes."""
 
@@ -126,7 +129,7 @@ class MapMerging:
     ) -> Iterator[CrossingLoop]:
         """Candidates between both maps with the verdicts on them, the likest first."""
         progress("FIND_CANDIDATES")
-        found = self._merger.candidates(task.target.places, task.source.places, config.loop.candidates)
+        found = self._merger.candidates(task.target.places, task.source.places, CANDIDATES)
         near = [(one, other, cosine) for one, other, cosine in found if _may_meet(order, task, one, other)][:MOST_PAIRS]
         for done, (one, other, cosine) in enumerate(near):
             progress("VERIFY_LOOPS", done, len(near))
