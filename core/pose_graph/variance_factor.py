@@ -56,7 +56,8 @@ def rescaled(graph: PoseGraph, factor: float) -> PoseGraph:
     if factor == 1.0:
         return graph
     tracks = (replace(one, step_covariances=factor * one.step_covariances) for one in graph.trajectories)
-    return PoseGraph(tuple(tracks), tuple(replace(loop, covariance=factor * loop.covariance) for loop in graph.loops))
+    loops = (replace(loop, covariance=factor * loop.covariance) for loop in graph.loops)
+    return replace(graph, trajectories=tuple(tracks), loops=tuple(loops))
 
 
 def _groups(graph: PoseGraph) -> Iterator[tuple[str, str, list[LoopEdge]]]:

@@ -155,13 +155,11 @@ def fleet(
 
     The drives are streamed once: a second run goes on with what the first one has left in OUT.
     """
-    from rich.console import Console
-
     from revisit.cli.fleet import SPOILINGS, run_fleet
 
     chosen = _named("--only", only, tuple(SPOILINGS))
     with progress_bar(quiet=False) as bar:
-        outcomes = run_fleet(out, seed, reporter(bar), Console(stderr=True), chosen)
+        outcomes = run_fleet(out, seed, reporter(bar), chosen)
     say((out / "fleet.md").read_text().rstrip("\n"))
     if not all(one.reached for one in outcomes):
         raise typer.Exit(1)

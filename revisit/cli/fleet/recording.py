@@ -8,7 +8,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 
 from revisit.cli.demo.own_service import running_service
 from revisit.evaluation.fleet import FleetDrive, PlacedSubmap, fleet_drives
@@ -26,7 +25,7 @@ _TRUTH = "truth.json"
 Report = Callable[[str, int, int], None]
 
 
-def recorded(out: Path, seed: int, report: Report, console: Console) -> list[PlacedSubmap]:
+def recorded(out: Path, seed: int, report: Report) -> list[PlacedSubmap]:
     """The submaps of the fleet with the truth about them, by session in their order; the service's data are in
     `out`/service. A second call finds what the first one has left.
     """

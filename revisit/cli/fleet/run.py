@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from rich.console import Console
 
 from revisit.cli.demo.own_service import running_service
 from revisit.cli.fleet.recording import MAP, SETTINGS, Report, recorded
@@ -55,15 +54,15 @@ class MapOfFleet:
     seconds: float
 
 
-def run_fleet(out: Path, seed: int, report: Report, console: Console, chosen: Sequence[str] = ()) -> list[FleetOutcome]:
+def run_fleet(out: Path, seed: int, report: Report, chosen: Sequence[str] = ()) -> list[FleetOutcome]:
     """Stream the drives once, put each kind of wrong loops into a copy, optimise it, measure it.
 
     Writes fleet.md, fleet.json, a picture, and the trajectories with the truth as TUM files into `out`.
     """
-    submaps = recorded(out, seed, report, console)
+    submaps = recorded(out, seed, report)
     outcomes = []
     for title in chosen or SPOILINGS:
-        made = _made(out, title, submaps, seed, console)
+        made = _made(out, title, submaps, seed)
         judged = _judged(submaps, made)
         outcomes.append(_outcome(title, submaps, made, judged))
         _write(out, outcomes, submaps, made, judged)
@@ -71,7 +70,7 @@ def run_fleet(out: Path, seed: int, report: Report, console: Console, chosen: Se
     return outcomes
 
 
-def _made(out: Path, title: str, submaps: Sequence[PlacedSubmap], seed: int, console: Console) -> MapOfFleet:
+def _made(out: Path, title: str, submaps: Sequence[PlacedSubmap], seed: int) -> MapOfFleet:
     """The map that a service makes of a copy of the recording with wrong loops in it."""
     share, wrong_loops = SPOILINGS[title]
     home = out / "spoilt"
