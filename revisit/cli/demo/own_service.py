@@ -27,7 +27,8 @@ class Addresses:
 def running_service(home: Path, settings: Mapping[str, str] | None = None) -> Iterator[Addresses]:
     """`python -m revisit.service serve` on free ports with its data in `home`, stopped on leaving.
 
-    `settings` are further variables of its environment. Raises RuntimeError with the end of its log where it does not start.
+    `settings` are further variables of its environment. Raises RuntimeError with the end of its log where it does not
+    start.
     """
     environment = {
         **os.environ, "REVISIT_HOME": str(home / "data"), "REVISIT_HTTP_PORT": "0", "REVISIT_GRPC_PORT": "0",

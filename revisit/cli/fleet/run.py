@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-
 from revisit.cli.demo.own_service import running_service
 from revisit.cli.fleet.recording import MAP, SETTINGS, Report, recorded
 from revisit.cli.fleet.spoiling import put_in
