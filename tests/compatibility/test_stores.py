@@ -16,7 +16,7 @@ from tests.faults.history import History
 from tests.faults.survey import survey
 from tests.support.service_world import TENANT, sqlite_world
 
-END = {"DESCRIBED": 6, "FAILED": 1}
+END = {"DESCRIBED": 8, "FAILED": 1}
 
 
 def unpacked(file: Path, folder: Path) -> Path:

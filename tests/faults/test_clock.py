@@ -62,7 +62,7 @@ def test_a_drive_under_a_jumping_wall_clock_stores_what_it_stores_under_a_steady
         world.context.transactions.close()
     found = survey(folder / "home")
     assert found.against(history) == []
-    assert found.states == {"DESCRIBED": 6, "FAILED": 1}
+    assert found.states == {"DESCRIBED": 8, "FAILED": 1}
     assert found.committed == {POSTED.session_id: 0, STREAMED.session_id: SCANS}
     # In the order in which they came, whatever time their labels tell.
     assert [record.submap_id for record in listed][:4] == ["a", "c", "d", "degenerate"]
