@@ -103,12 +103,12 @@ async def test_a_drive_through_one_of_two_equal_corridors_is_refused_and_an_init
         await driven(world, name, seen(corridors(3), poses, seed=len(poses)), starts[-1], recogniser)
     result = await merged(world, "a", "b", recogniser, validate_only=True)
     print(result["refusal"], result["evidence"])
-    assert result["verdict"] == "REFUSED"
+    assert (result["verdict"], result["refusal"]) == ("REFUSED", "ALIGNMENTS_COMPETE")
     near = starts[0] @ np.linalg.inv(starts[1])
     told = await merged(world, "a", "b", recogniser, validate_only=True, T_map_source=near, radius_m=12.0)
     print(told["verdict"], told["refusal"], told["evidence"])
-    if told["verdict"] == "MERGEABLE":
-        assert offset(told, *starts, np.array([18.0, 30.0, 0.0]))[0] <= 0.3
+    assert told["verdict"] == "MERGEABLE" and told["evidence"]["rival_loops"] == 0
+    assert offset(told, *starts, np.array([18.0, 30.0, 0.0]))[0] <= 0.3
 
 
 async def test_the_same_yard_on_two_days_is_merged(recogniser):
