@@ -44,10 +44,10 @@ class MergeLimits:
 
     loops: int = 3
     common_track_m: float = 10.0
-    rival_share: float = 0.5
+    rival_share: float = 0.25
     common_points: int = 1_000
     median_residual_m: float = 0.15
-    seen_through_share: float = 0.045
+    seen_through_share: float = 0.054
 
     def scaled(self, scale: float) -> MergeLimits:
         """The limits of a scene of another size: lengths times `scale`."""

@@ -253,7 +253,7 @@ COMMENTS = {
     'revisit.v1.MappingService.RevertMapMerge': 'Take the last merge back: its copies are deleted, the poses from before it come back bit for bit.',
     'revisit.v1.MappingService.WatchCorrections': 'The corrections of the sessions of a map, also those to come, until the caller stops.',
     'revisit.v1.MergeMapRequest.name': 'maps/{map}, which grows.',
-    'revisit.v1.MergeMapRequest.radius_m': 'How far from there loops may put two submaps, above 0 to 1000000 metres; absent means 30.',
+    'revisit.v1.MergeMapRequest.radius_m': 'How far from there loops may put two submaps. Above 0 to 1e6 metres; absent means 30.',
     'revisit.v1.MergeMapRequest.source': 'maps/{map} or maps/{map}/sessions/{session}: what is copied into it. It stays as it is.',
     'revisit.v1.MergeMapRequest.t_map_source': 'Roughly where the frame of the source lies in that of the map; absent searches everywhere.',
     'revisit.v1.MergeMapRequest.validate_only': 'Only say what would happen, and what speaks for and against it.',

@@ -51,6 +51,7 @@ def content(place: int, points: int = 300) -> str:
 
 async def drive(world: World, history: History) -> None:
     """Do all of it, and note each step before and after."""
+    world.merger = EasyMerger()
     for session in (POSTED, STREAMED, SCRAPPED):
         await open_session(world, session)
     for submap_id, place in PLACES.items():
@@ -92,7 +93,6 @@ def undisturbed(home: Path, log: Path, boot: str = "boot-1") -> None:
     """A drive from its beginning to its end over the store in `home`; what happened is appended to `log`."""
     migrate(home / "revisit.db")
     world = sqlite_world(home)
-    world.merger = EasyMerger()
     world.clock.epoch = boot
     try:
         asyncio.run(drive(world, History(log)))

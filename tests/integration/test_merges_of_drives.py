@@ -12,6 +12,7 @@ import pytest
 
 from revisit.evaluation.datasets import KittiRecording
 from revisit.service.adapters.core_recogniser import load_recogniser
+from tests.support.block_worlds import along, corridors, seen, yard
 from tests.support.driven_maps import driven, merged, offset, random_start, real_world
 
 pytestmark = pytest.mark.slow
@@ -82,3 +83,41 @@ async def test_two_sessions_in_a_courtyard_are_merged(tmp_path, recogniser):
     assert result["verdict"] == "MERGEABLE"
     error_m, error_deg = offset(result, *starts, np.zeros(3))
     assert error_m <= 0.3 and error_deg <= 0.5
+
+
+async def test_a_yard_and_its_mirror_image_are_refused(recogniser):
+    world, rng = real_world(), np.random.default_rng(8)
+    for name, mirrored in (("a", False), ("b", True)):
+        drive = seen(yard(4, mirrored), along((-22.0, 0.0), (22.0, 0.0)), seed=mirrored)
+        await driven(world, name, drive, random_start(rng), recogniser)
+    result = await merged(world, "a", "b", recogniser)
+    print(result["refusal"], result["evidence"])
+    assert result["verdict"] == "REFUSED" and result["refusal"] is not None
+
+
+async def test_a_drive_through_one_of_two_equal_corridors_is_refused_and_an_initial_pose_tells_them_apart(recogniser):
+    world, rng, starts = real_world(), np.random.default_rng(9), []
+    both = along((0.0, 0.0), (44.0, 0.0), (44.0, 30.0), (0.0, 30.0))
+    for name, poses in (("a", both), ("b", along((36.0, 30.0), (0.0, 30.0)))):
+        starts.append(random_start(rng))
+        await driven(world, name, seen(corridors(3), poses, seed=len(poses)), starts[-1], recogniser)
+    result = await merged(world, "a", "b", recogniser, validate_only=True)
+    print(result["refusal"], result["evidence"])
+    assert (result["verdict"], result["refusal"]) == ("REFUSED", "ALIGNMENTS_COMPETE")
+    near = starts[0] @ np.linalg.inv(starts[1])
+    told = await merged(world, "a", "b", recogniser, validate_only=True, T_map_source=near, radius_m=12.0)
+    print(told["verdict"], told["refusal"], told["evidence"])
+    assert told["verdict"] == "MERGEABLE" and told["evidence"]["rival_loops"] == 0
+    assert offset(told, *starts, np.array([18.0, 30.0, 0.0]))[0] <= 0.3
+
+
+async def test_the_same_yard_on_two_days_is_merged(recogniser):
+    world, rng, starts = real_world(), np.random.default_rng(10), []
+    for name, y in (("a", 0.0), ("b", 1.0)):
+        starts.append(random_start(rng))
+        drive = seen(yard(4, False), along((-22.0, y), (22.0, y))[:: 1 if y else -1], seed=int(y))
+        await driven(world, name, drive, starts[-1], recogniser)
+    result = await merged(world, "a", "b", recogniser, validate_only=True)
+    print(result["refusal"], result["evidence"])
+    assert result["verdict"] == "MERGEABLE"
+    assert offset(result, *starts, np.zeros(3))[0] <= 0.3

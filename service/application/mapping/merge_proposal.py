@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,13 @@ from numpy.typing import NDArray
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4, pose_row
 from revisit.service.application.contract.map_frames import frame_name
-from revisit.service.application.contract.map_merger import AlignedMaps, Judgement, PlacedSubmapMap, SurfaceEvidence
+from revisit.service.application.contract.map_merger import (
+    AlignedMaps,
+    Judgement,
+    MapChange,
+    PlacedSubmapMap,
+    SurfaceEvidence,
+)
 from revisit.service.application.contract.map_optimiser import OptimisedTrack, TrackLoop
 from revisit.service.application.contract.recogniser import LoopVerdict
 from revisit.service.application.contract.records import SubmapRecord
@@ -60,7 +66,7 @@ class MergeProposal:
             "evidence": self._evidence(),
             "limits": self.judgement.limits,
             "would_change": self._would_change(),
-            "changes": [_plain(asdict(one)) for one in self.surfaces.changes] if self.surfaces else [],
+            "changes": [_change(one) for one in self.surfaces.changes] if self.surfaces else [],
         }
 
     def joined(self) -> list[OptimisedTrack]:
@@ -117,6 +123,15 @@ def _first_in_source(source: MapSide, first: OptimisedTrack) -> Matrix4 | None:
     numbers = [one.session_number for one in source.submaps]
     T_source_submap = np.asarray(source.T_map_submap[numbers.index(first.session_number)])
     return T_source_submap if np.isfinite(T_source_submap).all() else None
+
+
+def _change(change: MapChange) -> dict[str, Any]:
+    return {
+        "kind": change.kind.value,
+        "centre_m": list(change.centre_m),
+        "extent_m": list(change.extent_m),
+        "points": change.points,
+    }
 
 
 def _plain(fields: dict[str, Any]) -> dict[str, Any]:

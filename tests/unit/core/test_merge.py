@@ -151,7 +151,7 @@ def test_groups_that_share_nothing_are_refused_for_their_overlap(pair):
         (2, 30.0, 0, MergeRefusal.TOO_FEW_LOOPS),
         (5, 3.0, 0, MergeRefusal.COMMON_TRACK_TOO_SHORT),
         (6, 30.0, 3, MergeRefusal.ALIGNMENTS_COMPETE),
-        (6, 30.0, 2, None),
+        (9, 30.0, 2, None),
     ],
 )
 def test_too_little_evidence_is_named(loops, track_m, rivals, reason):
