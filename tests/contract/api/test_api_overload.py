@@ -19,7 +19,7 @@ from revisit.sdk.retry import RetryPolicy
 from revisit.service.application.capacity import backlog
 from revisit.service.application.capacity.in_flight import CALL_POINTS, CapacityLimits
 from revisit.v1 import cloud_pb2, geometry_pb2, ingest_pb2, ingest_pb2_grpc
-from tests.support.live_service import live_service
+from tests.support.live_service import connected, live_service
 from tests.support.patience import PATIENCE_S, eventually
 from tests.support.service_world import cloud_points, pose
 
@@ -54,8 +54,7 @@ def limits(service, monkeypatch):
 
 @pytest.fixture(params=["rest", "grpc"])
 def client(request, service):
-    made = Client(service.http, retry=ONCE) if request.param == "rest" else Client.grpc(service.grpc, retry=ONCE)
-    with made:
+    with connected(service, request.param) as made:
         yield made
 
 
