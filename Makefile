@@ -54,7 +54,7 @@ generated: $(STAMP) ## check that the committed generated files are up to date
 check: lint types generated test ## run everything that a change must pass
 
 bench: $(STAMP) ## measure the product and compare with the committed baseline
-	$(BIN)/revisit bench
+	$(BIN)/revisit bench --check
 
 proto: $(STAMP) ## write the Python stubs of proto/
 	$(PYTHON) scripts/generated_files.py write proto

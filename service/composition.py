@@ -18,6 +18,7 @@ import structlog
 from revisit.service import VERSION
 from revisit.service.access_rules import access_rules
 from revisit.service.adapters.clock import SystemClock
+from revisit.service.adapters.core_map_merger import CoreMapMerger
 from revisit.service.adapters.core_map_optimiser import CoreMapOptimiser
 from revisit.service.adapters.files.blobs import FileBlobStore
 from revisit.service.adapters.files.disk import Disk, FailStop
@@ -185,7 +186,12 @@ def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None
     limits = WorkerLimits(settings.jobs_per_worker, settings.worker_memory_mb * 2**20 * 3 // 4, settings.job_timeout_s)
     tracer = build_tracer(settings, "worker")
     worker = Worker(
-        installation, installation.recognition(recogniser, CoreMapOptimiser()), identity, stopping, limits, tracer
+        installation,
+        installation.recognition(recogniser, CoreMapOptimiser(), CoreMapMerger()),
+        identity,
+        stopping,
+        limits,
+        tracer,
     )
     try:
         worker.run()

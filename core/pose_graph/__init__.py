@@ -2,6 +2,7 @@
 
 graph          trajectories and loops, and how much odometry drifts
 independence   how much of a loop its neighbours do not say already
+variance_factor how much too large a graph states its uncertainties
 consistency    sets of loops between two sessions that agree with each other
 support        loops within a session that its odometry allows and that others support
 placement      where sessions lie to each other before optimisation

@@ -20,6 +20,7 @@ from revisit.cli import (
     inspect,
     keys,
     maps,
+    merging,
     operations,
     optimise,
     queries,
@@ -48,8 +49,8 @@ def _version(wanted: bool) -> None:
 
 COMMANDS = (
     serve.serve, serve.worker, serve.migrate, inspect.inspect, ingest.ingest, spool.spool, queries.query,
-    queries.loops, watch.watch, explain.explain, export.export, optimise.optimise, demo.demo, evaluate.evaluate,
-    doctor.doctor, backup.backup, backup.restore, backup.scrub,
+    queries.loops, watch.watch, explain.explain, export.export, optimise.optimise, merging.merge, demo.demo,
+    evaluate.evaluate, doctor.doctor, backup.backup, backup.restore, backup.scrub,
 )  # fmt: skip
 GROUPS = {
     "map": maps.group,

@@ -174,6 +174,10 @@ class RestTransport:
         """See Transport."""
         return self._message(loop_closure_pb2.LoopClosure, "POST", f"{_path(name)}:{decision}", json={"note": note})
 
+    def loop_keypoints(self, name: str) -> loop_closure_pb2.GetLoopClosureKeypointsResponse:
+        """See Transport."""
+        return self._message(loop_closure_pb2.GetLoopClosureKeypointsResponse, "GET", f"{_path(name)}/keypoints")
+
     def watch(self, request: event_pb2.WatchEventsRequest) -> Iterator[event_pb2.Event | None]:
         """See Transport."""
         params: Json = {"kinds": _kind_names(request.kinds)}
@@ -196,6 +200,23 @@ class RestTransport:
     def revert_map(self, name: str, version: int) -> mapping_pb2.MapVersion:
         """See Transport."""
         return self._message(mapping_pb2.MapVersion, "POST", f"{_path(name)}:revert", json={"version": version})
+
+    def merge_map(self, request: mapping_pb2.MergeMapRequest) -> operation_pb2.Operation:
+        """See Transport."""
+        body = {"source": request.source, "validate_only": request.validate_only}
+        if request.HasField("t_map_source"):
+            body["T_map_source"] = _pose_text(request.t_map_source)
+        if request.HasField("radius_m"):
+            body["radius_m"] = request.radius_m
+        return self._message(operation_pb2.Operation, "POST", f"{_path(request.name)}:merge", json=body)
+
+    def revert_merge(self, name: str) -> mapping_pb2.MapMerge:
+        """See Transport."""
+        return self._message(mapping_pb2.MapMerge, "POST", f"{_path(name)}:revert")
+
+    def cancel_operation(self, name: str) -> operation_pb2.Operation:
+        """See Transport."""
+        return self._message(operation_pb2.Operation, "POST", f"{_path(name)}:cancel")
 
     def correction(self, session: str) -> mapping_pb2.Correction:
         """See Transport."""

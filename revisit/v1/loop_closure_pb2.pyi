@@ -376,3 +376,41 @@ class ListLoopClosureEventsResponse(_message.Message):
     loop_closure_events: _containers.RepeatedCompositeFieldContainer[LoopClosureEvent]
     next_page_token: str
     def __init__(self, loop_closure_events: _Optional[_Iterable[_Union[LoopClosureEvent, _Mapping]]] = ..., next_page_token: _Optional[str] = ...) -> None: ...
+
+class GetLoopClosureKeypointsRequest(_message.Message):
+    __slots__ = ("name",)
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    def __init__(self, name: _Optional[str] = ...) -> None: ...
+
+class KeypointPlan(_message.Message):
+    __slots__ = ("submap", "t_submap_level", "x", "y")
+    SUBMAP_FIELD_NUMBER: _ClassVar[int]
+    T_SUBMAP_LEVEL_FIELD_NUMBER: _ClassVar[int]
+    X_FIELD_NUMBER: _ClassVar[int]
+    Y_FIELD_NUMBER: _ClassVar[int]
+    submap: str
+    t_submap_level: _geometry_pb2.Transform
+    x: _containers.RepeatedScalarFieldContainer[float]
+    y: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, submap: _Optional[str] = ..., t_submap_level: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., x: _Optional[_Iterable[float]] = ..., y: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class KeypointPair(_message.Message):
+    __slots__ = ("query", "match", "agrees")
+    QUERY_FIELD_NUMBER: _ClassVar[int]
+    MATCH_FIELD_NUMBER: _ClassVar[int]
+    AGREES_FIELD_NUMBER: _ClassVar[int]
+    query: int
+    match: int
+    agrees: bool
+    def __init__(self, query: _Optional[int] = ..., match: _Optional[int] = ..., agrees: _Optional[bool] = ...) -> None: ...
+
+class GetLoopClosureKeypointsResponse(_message.Message):
+    __slots__ = ("query", "match", "pairs")
+    QUERY_FIELD_NUMBER: _ClassVar[int]
+    MATCH_FIELD_NUMBER: _ClassVar[int]
+    PAIRS_FIELD_NUMBER: _ClassVar[int]
+    query: KeypointPlan
+    match: KeypointPlan
+    pairs: _containers.RepeatedCompositeFieldContainer[KeypointPair]
+    def __init__(self, query: _Optional[_Union[KeypointPlan, _Mapping]] = ..., match: _Optional[_Union[KeypointPlan, _Mapping]] = ..., pairs: _Optional[_Iterable[_Union[KeypointPair, _Mapping]]] = ...) -> None: ...

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,10 +20,12 @@ from revisit.service.application.catalogue.maps import CreateMap
 from revisit.service.application.catalogue.sessions import CreateSession
 from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.disk import DiskSpace, UnlimitedDisk
+from revisit.service.application.contract.map_merger import MapMerger
 from revisit.service.application.contract.recogniser import PlaceRecogniser
 from revisit.service.application.ingest.scans import AppendScan
 from revisit.service.application.ingest.submap_posting import PostSubmap
 from revisit.service.application.recognise.recognition import Recognition
+from tests.support.fake_merger import FakeMerger
 from tests.support.fake_recogniser import FakeRecogniser
 from tests.support.made_database import made_database
 
@@ -54,11 +56,12 @@ class World:
     context: Installation
     use_cases: UseCases
     clock: SteppedClock
+    merger: MapMerger = field(default_factory=FakeMerger)
 
     def worker(self, recogniser: PlaceRecogniser | None = None) -> Recognition:
         """Another worker's recognition, with an index of its own."""
         own = replace(self.context, index=MemoryVectorIndex())
-        return own.recognition(recogniser or FakeRecogniser(), CoreMapOptimiser())
+        return own.recognition(recogniser or FakeRecogniser(), CoreMapOptimiser(), self.merger)
 
     def claim(self, owner: str = "w1"):
         """The next lease, or None."""

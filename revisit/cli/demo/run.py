@@ -105,7 +105,10 @@ def _in_a_service(
         visited = post_drive(posting, MAP, robots[1], len(truth), console)
         driven = Drives(robots, truth | visited[0], windows | visited[1])
         wait_for_descriptions(posting, console)
-        return driven, _outcome(posting, driven, targets, console)
+        outcome = _outcome(posting, driven, targets, console)
+        with step(console, "the service stops"):
+            opened.close()
+        return driven, outcome
 
 
 def wait_for_descriptions(client: Client, console: Console) -> None:

@@ -24,6 +24,8 @@ from revisit.core.pose_graph import (
 )
 from revisit.core.pose_graph.consistency import agreement, consistent_sets, largest_clique, oriented
 from revisit.core.pose_graph.g2o import read_g2o, write_g2o
+from revisit.core.pose_graph.variance_factor import rescaled, variance_factor
+from revisit.evaluation.pose_graph_benchmark import Case, Spoiling, measure
 from revisit.evaluation.wrong_loops import is_wrong, with_agreeing_loops
 from tests.support.made_up_fleet import LOOP_COVARIANCE, MODEL, drifted, fleet, random_motion, road
 
@@ -46,18 +48,39 @@ def test_a_commit_keeps_right_loops_and_no_wrong_one(wrong_share: float) -> None
 
 
 def test_wrong_loops_within_a_session_are_set_aside() -> None:
-    rng = np.random.default_rng(5)
-    truth = np.concatenate([road(60, 0.0, 1)] * 2)
-    trajectory = Trajectory.from_odometry("s", drifted(truth, rng))
-    right = [_loop(f"right-{n}", n, n + 60, se3.inverse(truth[n]) @ truth[n + 60]) for n in range(0, 60, 3)]
-    wrong = [_loop(f"wrong-{n}", n, n + 30, random_motion(rng)) for n in range(0, 60, 3)]
-    graph = PoseGraph.of([trajectory], right + wrong)
+    graph = _twice_around()
     for robustness in (Robustness.ONLINE, Robustness.COMMIT):
         kept = in_map(graph, optimise(graph, robustness).loops)
         assert len(kept) >= 19 and all(name.startswith("right") for name in kept), robustness
     bent = optimise(graph, Robustness.PLAIN).T_map_submap["s"][:, :3, 3]
     good = optimise(graph, Robustness.COMMIT).T_map_submap["s"][:, :3, 3]
     assert np.linalg.norm(bent - good, axis=1).max() > 10.0
+
+
+def test_uncertainties_are_reduced_that_small_circles_show_to_be_far_too_large() -> None:
+    made = _twice_around(wrong=8)
+    assert variance_factor(made) == 1.0
+    assert variance_factor(rescaled(made, 1e3)) == 1.0
+    assert 0.001 < variance_factor(rescaled(made, 1e5)) < 0.1
+
+
+def test_what_a_graph_states_is_believed_where_few_circles_speak_against_it() -> None:
+    unsure = rescaled(_twice_around(wrong=0), 1e5)
+    assert variance_factor(replace(unsure, loops=unsure.loops[:3])) == 1.0
+    rng = np.random.default_rng(1)
+    apart = [replace(loop, T_match_query=random_motion(rng)) for loop in unsure.loops]
+    assert variance_factor(replace(unsure, loops=(*unsure.loops, *apart))) > variance_factor(unsure)
+
+
+def _twice_around(wrong: int = 20) -> PoseGraph:
+    """A drive twice around a road, 20 right loops between its rounds, and wrong ones."""
+    rng = np.random.default_rng(5)
+    truth = np.concatenate([road(60, 0.0, 1)] * 2)
+    trajectory = Trajectory.from_odometry("s", drifted(truth, rng))
+    right = [_loop(f"right-{n}", n, n + 60, se3.inverse(truth[n]) @ truth[n + 60]) for n in range(0, 60, 3)]
+    ends = [(4 * n, (4 * n + int(rng.integers(30, 90))) % 120) for n in range(wrong)]
+    mistaken = [_loop(f"wrong-{n}", n, m, random_motion(rng)) for n, m in ends]
+    return PoseGraph.of([trajectory], right + mistaken)
 
 
 def _loop(name: str, match: int, query: int, T_match_query: np.ndarray) -> LoopEdge:
@@ -216,6 +239,16 @@ def test_half_wrong_loops_do_not_move_a_recorded_graph() -> None:
         assert not [name for name in in_map(spoilt, result.loops) if name.startswith("wrong")]
         gap = result.T_map_submap["g2o"][:, :3, 3] - best
         assert np.sqrt(np.mean(np.sum(gap**2, axis=1))) < 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.real_data
+@pytest.mark.skipif("REVISIT_DATA" not in os.environ, reason="REVISIT_DATA names no folder of recorded graphs")
+def test_wrong_loops_do_not_bend_a_recorded_graph_that_states_far_too_large_uncertainties() -> None:
+    file = Path(os.environ["REVISIT_DATA"]) / "graphs/parking-garage.g2o"
+    outcome = measure(Case(file, Spoiling(0.5), Robustness.ONLINE))
+    assert (outcome.right_kept, outcome.wrong_kept) == (outcome.right, 0)
+    assert outcome.distance_m < 0.1
 
 
 def test_covariances_of_a_straight_drive_are_the_sums_of_its_steps() -> None:
