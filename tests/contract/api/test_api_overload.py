@@ -83,7 +83,7 @@ def test_points_beyond_a_quota_are_refused_with_the_time_to_come_back(client, se
 
 
 def test_a_full_queue_refuses_one_more_job_on_either_transport(client, session, service, limits, monkeypatch):
-    monkeypatch.setattr(backlog, "RECOUNT_S", 60.0)
+    monkeypatch.setattr(backlog, "RECOUNT_S", 3600.0)
     queued = service.world.context.transactions.read(lambda uow: uow.jobs.count("default", state="QUEUED")).result()
     for number in range(5 - queued):
         post(client, session, number)
