@@ -33,7 +33,7 @@ class SilentCall:
         return self
 
     def result(self, timeout):
-        assert timeout <= 0.06
+        assert timeout <= 0.07
         raise grpc.FutureTimeoutError
 
     def cancel(self):
