@@ -63,7 +63,7 @@ T = TypeVar("T")
 _DESCRIBED = (
     Ack, Event, LocalizeAnswer, LoopClosurePage, MapPage, OperationPage, Posted, RobotPage, SearchAnswer, SessionPage,
     Status, SubmapPage, Correction, MapVersionPage, SubmapPosePage,
-    LoopClosureEventPage, ProposedLoop, CreatedWebhook, WebhookPage, DeliveryPage,
+    LoopClosureEventPage, LoopKeypoints, ProposedLoop, CreatedWebhook, WebhookPage, DeliveryPage,
 )  # fmt: skip
 
 
