@@ -286,7 +286,7 @@ class Client:
             _turn_upright(request, T_level_query)
         else:
             of_descriptor = {"vector": [float(v) for v in descriptor or ()], "model_version": model_version}
-            request.descriptor.CopyFrom(request_of(loop_closure_pb2.Descriptor, of_descriptor))
+            request.place_descriptor.CopyFrom(request_of(loop_closure_pb2.Descriptor, of_descriptor))
         return [SearchHit.of(hit) for hit in self._transport.search(request).hits]
 
     def localize(

@@ -268,7 +268,7 @@ class Submap:
             flags=tuple(message.flags),
             model_version=message.model_version or None,
             operation=message.operation,
-            descriptor=tuple(message.descriptor),
+            descriptor=tuple(message.place_descriptor),
             seq=message.seq,
             in_map=_map_pose(message, "t_map_submap"),
         )

@@ -65,7 +65,7 @@ T = TypeVar("T")
 _DESCRIBED = (
     Ack, Event, LocalizeAnswer, LoopClosurePage, MapPage, OperationPage, Posted, RobotPage, SearchAnswer, SessionPage,
     Status, SubmapPage, Correction, MapVersionPage, SubmapPosePage, MapMergePage,
-    LoopClosureEventPage, ProposedLoop, CreatedWebhook, WebhookPage, DeliveryPage,
+    LoopClosureEventPage, LoopKeypoints, ProposedLoop, CreatedWebhook, WebhookPage, DeliveryPage,
 )  # fmt: skip
 
 

@@ -120,7 +120,7 @@ def of_submap(view: SubmapView) -> Fields:
         "failure": _failure(view.failure),
         "operation": f"operations/{view.operation_id}",
         "created_at_ns": view.created_at_ns,
-        "descriptor": None if view.descriptor is None else view.descriptor.tolist(),
+        "place_descriptor": None if view.descriptor is None else view.descriptor.tolist(),
         **_in_map("t_map_submap", view.in_map),
     }
 

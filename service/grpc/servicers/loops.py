@@ -110,8 +110,8 @@ class LoopClosureServicer(loop_closure_pb2_grpc.LoopClosureServiceServicer):
             case "submap":
                 key = names.submap_key_in(request.parent, request.submap, "submap")
                 return await self._searches.by_submap(tenant, key, criteria, fresh)
-            case "descriptor":
-                vector, version = requests.vector(request.descriptor), request.descriptor.model_version
+            case "place_descriptor":
+                vector, version = requests.vector(request.place_descriptor), request.place_descriptor.model_version
                 return await self._searches.by_descriptor(tenant, map_id, vector, version, criteria, fresh)
             case "cloud":
                 cloud, level = requests.cloud(request.cloud), requests.level_pose(request)
