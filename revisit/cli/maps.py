@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from revisit.cli import map_versions
 from revisit.cli.options import HTTP, Http, Json, MapName
 from revisit.cli.output import emit_json, emit_table, progress_bar, refuse, say, utc
 
@@ -20,6 +21,10 @@ LOOK_S = 1.0
 """How often a person sees how an optimisation stands."""
 
 group = typer.Typer(help="Make one map out of many sessions: optimise it, look at it, go back.", no_args_is_help=True)
+group.command("save")(map_versions.save)
+group.command("check")(map_versions.check)
+group.command("diff")(map_versions.diff)
+group.command("localise")(map_versions.localise)
 
 
 @group.command("status")
