@@ -47,7 +47,7 @@ class RowWriter(Protocol[R]):
         ...
 
     def add_all(self, records: Sequence[R]) -> None:
-        """Store new records in few statements; their numbers are not told. Raises AlreadyExists where a key is taken."""
+        """Store new records in few statements, without telling their numbers. Raises AlreadyExists."""
         ...
 
     def replace(self, record: R) -> None:
