@@ -7,6 +7,7 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
+import gtsam
 import numpy as np
 import pytest
 
@@ -24,6 +25,7 @@ from revisit.core.pose_graph import (
 )
 from revisit.core.pose_graph.consistency import agreement, consistent_sets, largest_clique, oriented
 from revisit.core.pose_graph.g2o import read_g2o, write_g2o
+from revisit.core.pose_graph.least_squares import INLIER, graduated, minimise
 from revisit.core.pose_graph.variance_factor import rescaled, variance_factor
 from revisit.evaluation.pose_graph_benchmark import Case, Spoiling, measure
 from revisit.evaluation.wrong_loops import is_wrong, with_agreeing_loops
@@ -330,3 +332,57 @@ def test_errors_of_the_last_poses_are_as_large_as_their_covariances_say() -> Non
             error = se3.log(se3.inverse(result.T_map_submap[name][-1]) @ origin @ made.truth[name][-1])
             below.append(error @ np.linalg.solve(result.covariances[name][-1], error) < 12.59)
     assert np.mean(below) >= 0.9
+
+
+def test_short_steps_end_where_one_long_call_of_the_solver_ends() -> None:
+    factors, start = _ring()
+    params = gtsam.LevenbergMarquardtParams()
+    params.setRelativeErrorTol(1e-9)
+    params.setAbsoluteErrorTol(1e-9)
+    at_once = gtsam.LevenbergMarquardtOptimizer(factors, start, params).optimize()
+    in_steps = minimise(factors, start)
+    assert factors.error(in_steps) < 0.5 * factors.error(start)
+    for key in range(12):
+        assert np.array_equal(in_steps.atPose3(key).matrix(), at_once.atPose3(key).matrix())
+
+
+def test_graduated_non_convexity_gives_wrong_loops_no_weight() -> None:
+    factors, start = _ring()
+    noise = gtsam.noiseModel.Isotropic.Sigma(6, 0.05)
+    right = [gtsam.BetweenFactorPose3(n, n + 6, _ring_pose(n).inverse() * _ring_pose(n + 6), noise)
+             for n in range(6)]  # fmt: skip
+    wrong = [gtsam.BetweenFactorPose3(n, n + 5, gtsam.Pose3(gtsam.Rot3.Yaw(n), (9, n, 0)), noise) for n in (1, 4)]
+    rounds = []
+
+    def weighted(weights: np.ndarray) -> gtsam.NonlinearFactorGraph:
+        rounds.append(weights)
+        graph = gtsam.NonlinearFactorGraph(factors)
+        for factor, weight in zip(right + wrong, weights, strict=True):
+            if weight > 0.0:
+                scaled = gtsam.noiseModel.Isotropic.Sigma(6, 0.05 / np.sqrt(weight))
+                graph.add(gtsam.BetweenFactorPose3(*factor.keys(), factor.measured(), scaled))
+        return graph
+
+    def costs(values: gtsam.Values) -> np.ndarray:
+        return np.array([factor.error(values) for factor in right + wrong])
+
+    values = graduated(weighted, costs, start)
+    np.testing.assert_allclose(rounds[-1], [1.0] * 6 + [0.0] * 2, atol=1e-3)
+    assert (costs(values)[:6] < INLIER).all() and (costs(values)[6:] > INLIER).all()
+
+
+def _ring_pose(n: int) -> gtsam.Pose3:
+    angle = 2 * np.pi * n / 12
+    return gtsam.Pose3(gtsam.Rot3.Yaw(angle), (8 * np.cos(angle), 8 * np.sin(angle), 0.0))
+
+
+def _ring() -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+    """Twelve poses on a ring, joined by steps and closed, and a start that is off."""
+    noise, factors, values = gtsam.noiseModel.Isotropic.Sigma(6, 0.1), gtsam.NonlinearFactorGraph(), gtsam.Values()
+    factors.add(gtsam.PriorFactorPose3(0, _ring_pose(0), noise))
+    rng = np.random.default_rng(0)
+    for n in range(12):
+        values.insert(n, _ring_pose(n).retract(0.1 * rng.normal(size=6)))
+        measured = _ring_pose(n).inverse() * _ring_pose((n + 1) % 12) * gtsam.Pose3.Expmap(0.004 * rng.normal(size=6))
+        factors.add(gtsam.BetweenFactorPose3(n, (n + 1) % 12, measured, noise))
+    return factors, values
