@@ -13,7 +13,6 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.adapted_index import AdaptedIndex
 from revisit.core.config import PipelineConfig
 from revisit.core.errors import DescriptorModelMismatch
 from revisit.core.geometry import se3
@@ -50,9 +49,9 @@ class AreaMap:
         self._sessions = {
             name: number for number, name in enumerate(dict.fromkeys(one.session for one in file.submaps))
         }
-        self._index: AdaptedIndex | None = None
+        self._index: FaissIndex | None = None
         if file.submaps:
-            self._index = AdaptedIndex(file.descriptors.shape[1], FaissIndex)
+            self._index = FaissIndex(file.descriptors.shape[1])
             self._index.add([self._entry(row, one) for row, one in enumerate(file.submaps)], file.descriptors)
 
     @classmethod
