@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from revisit.core.geometry import se3
 from revisit.core.pose_graph.consistency import ConsistentSet, consistent_sets
 from revisit.core.pose_graph.graph import LoopEdge, Node, PoseGraph, Trajectory
+from revisit.core.pose_graph.least_squares import graduated, minimise
 from revisit.core.pose_graph.placement import Component, place_sessions
 from revisit.core.pose_graph.support import LoopsWithin
+from revisit.core.pose_graph.variance_factor import rescaled, variance_factor
 
 Array64 = NDArray[np.float64]
 
@@ -91,8 +93,12 @@ def optimise(
 ) -> OptimisedGraph:
     """Place the sessions by the loops that agree, optimise each component, set loops aside that do not fit.
 
+    Uncertainties that small circles show to be far too large are reduced before (see `variance_factor`), but for PLAIN
+    and the other methods that are for comparison; covariances and distances in the answer rest on the reduced ones.
     `told` hears how many of how many components are done, and may raise to end the work.
     """
+    if robustness in (Robustness.ONLINE, Robustness.COMMIT):
+        graph = rescaled(graph, variance_factor(graph))
     sets, within = consistent_sets(graph), LoopsWithin.of(graph)
     components = [one.anchored(graph.anchors) for one in place_sessions(graph, sets)]
     trusted = Trusted.of(graph, sets, within)
@@ -195,14 +201,25 @@ class Problem:
             factors.add(_between(self.keys[loop.match], self.keys[loop.query], loop.T_match_query, noise))
         return factors
 
+    def weighted(self, loops: Sequence[int], weights: Array64) -> gtsam.NonlinearFactorGraph:
+        """The factors of the steps and of some loops, which weigh so much (l,), 0 to 1."""
+        factors = gtsam.NonlinearFactorGraph(self.steps)
+        for number, weight in zip(loops, weights, strict=True):
+            if weight == 1.0:
+                factors.add(self.loop_factors[number])
+            elif weight > 0.0:
+                factors.add(self.factor(self.edges[number], float(weight)))
+        return factors
+
     def residuals(self, values: gtsam.Values) -> Array64:
         """Squared Mahalanobis distance of every loop of the component."""
         return np.array([2.0 * self.loop_factors[number].error(values) for number in self.loops])
 
-    def factor(self, loop: LoopEdge) -> gtsam.NoiseModelFactor:
-        """The factor of a loop between submaps of the component."""
+    def factor(self, loop: LoopEdge, weight: float = 1.0) -> gtsam.NoiseModelFactor:
+        """The factor of a loop between submaps of the component, which counts `weight` times."""
         ends = self.keys[loop.match], self.keys[loop.query]
-        return _between(*ends, loop.T_match_query, _noise(loop.covariance_in_query / loop.independent_share))
+        covariance = loop.covariance_in_query / (weight * loop.independent_share)
+        return _between(*ends, loop.T_match_query, _noise(covariance))
 
     def covariances(self, values: gtsam.Values, kept: set[int]) -> dict[str, Array64]:
         """The marginal covariances (n, 6, 6) of the poses of each session, translations first."""
@@ -330,24 +347,16 @@ def _within(problem: Problem, values: gtsam.Values, usable: set[int], gate: floa
 
 
 def _graduated(problem: Problem, usable: set[int]) -> gtsam.Values:
-    """Graduated non-convexity with truncated least squares: steps are known to be right, loops weigh 0 or 1."""
-    if not usable:
+    """Graduated non-convexity on some loops: steps are known to be right."""
+    numbers = sorted(usable)
+    if not numbers:
         return problem.start
-    params = gtsam.GncLMParams()
-    params.setLossType(gtsam.GncLossType.TLS)
-    params.setKnownInliers(list(range(problem.steps.size())))
-    optimiser = gtsam.GncLMOptimizer(problem.graph(usable), problem.start, params)
-    optimiser.setInlierCostThresholdsAtProbability(0.99)
-    return optimiser.optimize()
-
-
-def minimise(factors: gtsam.NonlinearFactorGraph, start: gtsam.Values) -> gtsam.Values:
-    """The values of least cost near `start`, by Levenberg and Marquardt."""
-    params = gtsam.LevenbergMarquardtParams()
-    params.setMaxIterations(100)
-    params.setRelativeErrorTol(1e-9)
-    params.setAbsoluteErrorTol(1e-9)
-    return gtsam.LevenbergMarquardtOptimizer(factors, start, params).optimize()
+    factors = [problem.loop_factors[number] for number in numbers]
+    return graduated(
+        lambda weights: problem.weighted(numbers, weights),
+        lambda values: np.array([factor.error(values) for factor in factors]),
+        problem.start,
+    )
 
 
 def settled(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
@@ -13,6 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from mpl_toolkits.mplot3d import Axes3D  # type: ignore[import-untyped]  # matplotlib types all but this
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]  # as above
 from numpy.typing import NDArray
@@ -34,7 +36,7 @@ PAIR_M = 32.0
 """How far the pair is drawn around its middle."""
 
 MESH_M = 25.0
-STYLE = {
+STYLE: dict[Any, Any] = {
     "font.size": 11, "axes.titlesize": 13, "axes.titleweight": "bold", "axes.titlelocation": "left",
     "axes.titlepad": 10, "axes.edgecolor": TRUTH, "axes.labelcolor": SOFT, "text.color": INK,
     "xtick.color": SOFT, "ytick.color": SOFT,
@@ -57,8 +59,8 @@ def draw(figure: DemoFigure, file: Path) -> None:
     """Write the picture as PNG; its folder is made where missing."""
     file.parent.mkdir(parents=True, exist_ok=True)
     with plt.rc_context(STYLE):
-        canvas = plt.figure(figsize=(19, 11.4), layout="constrained", facecolor="white")
-        canvas.get_layout_engine().set(w_pad=0.12, h_pad=0.14)  # type: ignore[union-attr]  # the layout named above
+        spaced = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.14)
+        canvas = plt.figure(figsize=(19, 11.4), layout=spaced, facecolor="white")
         rows = canvas.add_gridspec(2, 1, height_ratios=(1.12, 1.0))
         above, below = rows[0].subgridspec(1, 3), rows[1].subgridspec(1, 4)
         _draw_drives(canvas.add_subplot(above[0]), canvas.add_subplot(above[1]), figure)

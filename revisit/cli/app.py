@@ -24,6 +24,7 @@ from revisit.cli import (
     operations,
     optimise,
     queries,
+    reembed,
     serve,
     spool,
     watch,
@@ -50,7 +51,8 @@ def _version(wanted: bool) -> None:
 COMMANDS = (
     serve.serve, serve.worker, serve.migrate, inspect.inspect, ingest.ingest, spool.spool, queries.query,
     queries.loops, watch.watch, explain.explain, export.export, optimise.optimise, merging.merge, demo.demo,
-    evaluate.evaluate, doctor.doctor, backup.backup, backup.restore, backup.scrub,
+    evaluate.evaluate, doctor.doctor, reembed.reembed, backup.backup, backup.restore,
+    backup.scrub,
 )  # fmt: skip
 GROUPS = {
     "map": maps.group,

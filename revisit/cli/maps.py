@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from revisit.cli import map_versions
 from revisit.cli.merging import show_changes
 from revisit.cli.options import HTTP, Http, Json, MapName
 from revisit.cli.output import emit_json, emit_table, refuse, say, utc
@@ -19,6 +20,10 @@ if TYPE_CHECKING:
     from revisit.sdk.resources import Correction, LoopClosure, MapMerge, MapVersion
 
 group = typer.Typer(help="Make one map out of many sessions: optimise it, look at it, go back.", no_args_is_help=True)
+group.command("save")(map_versions.save)
+group.command("check")(map_versions.check)
+group.command("diff")(map_versions.diff)
+group.command("localise")(map_versions.localise)
 
 
 @group.command("status")

@@ -26,6 +26,7 @@ from revisit.sdk.resources import (
     Localization,
     LoopClosure,
     LoopClosureEvent,
+    LoopKeypoints,
     LoopPolicy,
     Map,
     MapMerge,
@@ -285,7 +286,7 @@ class Client:
             _turn_upright(request, T_level_query)
         else:
             of_descriptor = {"vector": [float(v) for v in descriptor or ()], "model_version": model_version}
-            request.descriptor.CopyFrom(request_of(loop_closure_pb2.Descriptor, of_descriptor))
+            request.place_descriptor.CopyFrom(request_of(loop_closure_pb2.Descriptor, of_descriptor))
         return [SearchHit.of(hit) for hit in self._transport.search(request).hits]
 
     def localize(
@@ -409,6 +410,10 @@ class Client:
         """What happened to a loop closure, oldest first."""
         request = loop_closure_pb2.ListLoopClosureEventsRequest(parent=_name(loop))
         return [LoopClosureEvent.of(item) for item in self._transport.list("events", request)]
+
+    def loop_keypoints(self, loop: str | LoopClosure) -> LoopKeypoints:
+        """What was compared: the keypoints of both submaps, which look alike, and which of these the pose joins."""
+        return LoopKeypoints.of(self._transport.loop_keypoints(_name(loop)))
 
     def watch(self, map_: str | Map, *, after: int | None = None, kinds: Sequence[str] = ()) -> Watch:
         """The events of a map as they happen, in a loop: `for event in client.watch("maps/yard"): ...`.

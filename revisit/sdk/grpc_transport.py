@@ -206,6 +206,14 @@ class GrpcTransport:
         changed: loop_closure_pb2.LoopClosure = self._answer(_STUBS["loopClosures"], method, request).loop_closure
         return changed
 
+    def loop_keypoints(self, name: str) -> loop_closure_pb2.GetLoopClosureKeypointsResponse:
+        """See Transport."""
+        request = loop_closure_pb2.GetLoopClosureKeypointsRequest(name=name)
+        found: loop_closure_pb2.GetLoopClosureKeypointsResponse = self._answer(
+            _STUBS["loopClosures"], "GetLoopClosureKeypoints", request
+        )
+        return found
+
     def watch(self, request: event_pb2.WatchEventsRequest) -> Iterator[event_pb2.Event | None]:
         """See Transport."""
         call = self._method(event_pb2_grpc.EventServiceStub, "WatchEvents")(request, metadata=self._metadata)

@@ -268,7 +268,7 @@ class Submap:
             flags=tuple(message.flags),
             model_version=message.model_version or None,
             operation=message.operation,
-            descriptor=tuple(message.descriptor),
+            descriptor=tuple(message.place_descriptor),
             seq=message.seq,
             in_map=_map_pose(message, "t_map_submap"),
         )
@@ -382,6 +382,41 @@ class LoopClosure:
             in_map=_map_pose(message, "t_map_query"),
             T_map_match=_optional_matrix(message, "t_map_match"),
         )
+
+
+@dataclass(frozen=True)
+class KeypointPlan:
+    """The keypoints (n, 2) of a submap, metres in its upright frame; T_submap_level (4, 4) is where that lies."""
+
+    submap: str
+    T_submap_level: Matrix4 = field(compare=False)
+    keypoints: NDArray[np.float64] = field(compare=False)
+
+    @classmethod
+    def of(cls, message: loop_closure_pb2.KeypointPlan) -> Self:
+        """From its message."""
+        return cls(message.submap, _matrix(message.t_submap_level), np.stack([message.x, message.y], axis=1))
+
+
+@dataclass(frozen=True)
+class LoopKeypoints:
+    """What was compared for a loop closure, as the method saw both submaps from above.
+
+    pairs (p, 2): rows of the keypoints of query and match that look alike, the most alike first; agrees (p,): whether
+    the pose of the loop closure brings them together.
+    """
+
+    query: KeypointPlan
+    match: KeypointPlan
+    pairs: NDArray[np.int64] = field(compare=False)
+    agrees: NDArray[np.bool_] = field(compare=False)
+
+    @classmethod
+    def of(cls, message: loop_closure_pb2.GetLoopClosureKeypointsResponse) -> Self:
+        """From its message."""
+        pairs = np.array([(pair.query, pair.match) for pair in message.pairs], dtype=np.int64).reshape(-1, 2)
+        agrees = np.array([pair.agrees for pair in message.pairs], dtype=bool)
+        return cls(KeypointPlan.of(message.query), KeypointPlan.of(message.match), pairs, agrees)
 
 
 @dataclass(frozen=True)

@@ -128,9 +128,9 @@ class RestTransport:
         criteria = _criteria(request)
         if request.WhichOneof("query") == "cloud":
             return self._message(kind, "POST", path, **_cloud(request.cloud, _with_prior_text(criteria)))
-        if request.WhichOneof("query") == "descriptor":
-            criteria["descriptor"] = list(request.descriptor.vector)
-            criteria["model_version"] = request.descriptor.model_version
+        if request.WhichOneof("query") == "place_descriptor":
+            criteria["descriptor"] = list(request.place_descriptor.vector)
+            criteria["model_version"] = request.place_descriptor.model_version
         return self._message(kind, "POST", path, json=criteria)
 
     def localize(self, request: loop_closure_pb2.LocalizeRequest) -> loop_closure_pb2.LocalizeResponse:
@@ -173,6 +173,10 @@ class RestTransport:
     def decide_loop(self, decision: str, name: str, note: str) -> loop_closure_pb2.LoopClosure:
         """See Transport."""
         return self._message(loop_closure_pb2.LoopClosure, "POST", f"{_path(name)}:{decision}", json={"note": note})
+
+    def loop_keypoints(self, name: str) -> loop_closure_pb2.GetLoopClosureKeypointsResponse:
+        """See Transport."""
+        return self._message(loop_closure_pb2.GetLoopClosureKeypointsResponse, "GET", f"{_path(name)}/keypoints")
 
     def watch(self, request: event_pb2.WatchEventsRequest) -> Iterator[event_pb2.Event | None]:
         """See Transport."""
@@ -410,7 +414,8 @@ def _plain_value(field: Any, value: Any) -> Any:
 
 def _criteria(request: Any) -> Json:
     """The fields of a query but for its map and its cloud or descriptor; sessions by id, the prior as numbers."""
-    criteria = {name: value for name, value in plain(request).items() if name not in ("parent", "cloud", "descriptor")}
+    elsewhere = ("parent", "cloud", "place_descriptor")
+    criteria = {name: value for name, value in plain(request).items() if name not in elsewhere}
     for name in ("exclude_session", "only_session"):
         if name in criteria:
             criteria[name] = _last(criteria[name])

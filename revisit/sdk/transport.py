@@ -169,6 +169,10 @@ class Transport(Protocol):
         """`accept`, `reject` or `revert` a loop closure."""
         ...
 
+    def loop_keypoints(self, name: str) -> loop_closure_pb2.GetLoopClosureKeypointsResponse:
+        """The keypoints of a loop closure's two submaps."""
+        ...
+
     def watch(self, request: event_pb2.WatchEventsRequest) -> Iterator[event_pb2.Event | None]:
         """The events of a map over one connection, None for a sign of life; ends where the service ends it."""
         ...

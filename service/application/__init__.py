@@ -44,6 +44,7 @@ from revisit.service.application.mapping.merges import MapMerges
 from revisit.service.application.mapping.versions import MapVersions
 from revisit.service.application.push.events import Events, Glance
 from revisit.service.application.push.webhooks import Webhooks
+from revisit.service.application.query.loop_keypoints import LoopKeypointReading
 from revisit.service.application.query.loops import Loops
 from revisit.service.application.query.operations import Operations
 from revisit.service.application.query.searches import Searches
@@ -61,6 +62,7 @@ class UseCases:
     submaps: Submaps
     searches: Searches
     loops: Loops
+    loop_keypoints: LoopKeypointReading
     operations: Operations
     events: Events
     webhooks: Webhooks
@@ -93,6 +95,7 @@ class UseCases:
             submaps=Submaps(storage, lists, admission, collector, clock, policy),
             searches=Searches(storage, admission, decoder, jobs, of.memory, operations),
             loops=Loops(storage, lists, admission),
+            loop_keypoints=LoopKeypointReading(storage, policy),
             operations=operations,
             events=Events(storage, admission, Glance(storage)),
             webhooks=Webhooks(storage, lists, admission, clock, policy.webhook_private_networks),

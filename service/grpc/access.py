@@ -49,6 +49,7 @@ SCOPES: dict[str, dict[str, frozenset[Scope]]] = {
         "RejectLoopClosure": _ADMIN,
         "RevertLoopClosure": _ADMIN,
         "ListLoopClosureEvents": _QUERY,
+        "GetLoopClosureKeypoints": _QUERY,
     },
     "WebhookService": dict.fromkeys(
         (

@@ -43,6 +43,7 @@ Ack = ingest_pb2.AppendScanResponse
 LocalizeAnswer = loop_closure_pb2.LocalizeResponse
 LoopClosure = loop_closure_pb2.LoopClosure
 LoopClosurePage = loop_closure_pb2.ListLoopClosuresResponse
+LoopKeypoints = loop_closure_pb2.GetLoopClosureKeypointsResponse
 LoopClosureEventPage = loop_closure_pb2.ListLoopClosureEventsResponse
 ProposedLoop = loop_closure_pb2.CreateLoopClosureResponse
 Map = map_pb2.Map
@@ -64,7 +65,7 @@ T = TypeVar("T")
 _DESCRIBED = (
     Ack, Event, LocalizeAnswer, LoopClosurePage, MapPage, OperationPage, Posted, RobotPage, SearchAnswer, SessionPage,
     Status, SubmapPage, Correction, MapVersionPage, SubmapPosePage, MapMergePage,
-    LoopClosureEventPage, ProposedLoop, CreatedWebhook, WebhookPage, DeliveryPage,
+    LoopClosureEventPage, LoopKeypoints, ProposedLoop, CreatedWebhook, WebhookPage, DeliveryPage,
 )  # fmt: skip
 
 

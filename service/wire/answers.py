@@ -32,6 +32,7 @@ from revisit.service.application.mapping.merges import MapMergeView
 from revisit.service.application.mapping.versions import MapVersionView, SubmapPoseView
 from revisit.service.application.push.events import EventView
 from revisit.service.application.push.webhooks import CreatedWebhook, WebhookView
+from revisit.service.application.query.loop_keypoints import KeypointPlan, LoopKeypoints
 from revisit.service.application.query.loops import LoopClosureView
 from revisit.service.application.query.search_answers import Localization, LocalizedCandidate, SearchHit, SearchResult
 
@@ -119,7 +120,7 @@ def of_submap(view: SubmapView) -> Fields:
         "failure": _failure(view.failure),
         "operation": f"operations/{view.operation_id}",
         "created_at_ns": view.created_at_ns,
-        "descriptor": None if view.descriptor is None else view.descriptor.tolist(),
+        "place_descriptor": None if view.descriptor is None else view.descriptor.tolist(),
         **_in_map("t_map_submap", view.in_map),
     }
 
@@ -172,6 +173,21 @@ def of_proposed_loop(proposed: ProposedLoop) -> Fields:
         "operation": of_operation(proposed.operation),
         "replay": proposed.replay,
     }
+
+
+def of_loop_keypoints(view: LoopKeypoints) -> Fields:
+    """The fields of a GetLoopClosureKeypointsResponse."""
+    pairs = zip(view.pairs.tolist(), view.agrees.tolist(), strict=True)
+    return {
+        "query": _keypoint_plan(view.query),
+        "match": _keypoint_plan(view.match),
+        "pairs": [{"query": query, "match": match, "agrees": agrees} for (query, match), agrees in pairs],
+    }
+
+
+def _keypoint_plan(plan: KeypointPlan) -> Fields:
+    x, y = plan.keypoints.T.round(3).tolist()
+    return {"submap": plan.submap.name, "t_submap_level": _transform(plan.T_submap_level), "x": x, "y": y}
 
 
 def of_loop_event(view: LoopEventView) -> Fields:

@@ -15,6 +15,7 @@ import sys
 from collections.abc import Awaitable
 from pathlib import Path
 
+from revisit.service.adapters.sqlite.migration import migrate
 from revisit.service.application import SessionKey, SubmapKey
 from revisit.service.application.catalogue.paging import PageRequest
 from revisit.service.application.contract.errors import NotFound, SessionFinished
@@ -90,6 +91,7 @@ async def _merge_and_take_back(world: World, history: History) -> None:
 
 def undisturbed(home: Path, log: Path, boot: str = "boot-1") -> None:
     """A drive from its beginning to its end over the store in `home`; what happened is appended to `log`."""
+    migrate(home / "revisit.db")
     world = sqlite_world(home)
     world.clock.epoch = boot
     try:

@@ -20,11 +20,11 @@ from pathlib import Path
 import numpy as np
 
 from revisit.core.config import PipelineConfig
-from revisit.core.errors import DegenerateCloud
+from revisit.core.errors import DataLoss, DegenerateCloud
 from revisit.core.geometry import se3
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
-from revisit.service.application.contract.recogniser import LoopVerdict, Mesh, SubmapDescription
+from revisit.service.application.contract.recogniser import LoopVerdict, Mesh, Redescription, SubmapDescription
 
 KILLS_THE_WORKER = 666
 RAISES = 667
@@ -101,6 +101,13 @@ class FakeRecogniser:
         mesh = Mesh(submap.points[:3], np.tile(np.float32([0, 0, 1]), (3, 1)), np.array([[0, 1, 2]], dtype=np.int32))
         neural_map = b"neural " + descriptor.tobytes()
         return SubmapDescription(descriptor, descriptor.tobytes(), neural_map, mesh, (), {"all": 0.0})
+
+    def describe_again(self, neural_map: bytes, config: PipelineConfig) -> Redescription:
+        """The same descriptor, reversed: that of another model."""
+        if not neural_map.startswith(b"neural "):
+            raise DataLoss("not a neural map")
+        descriptor = np.frombuffer(neural_map.removeprefix(b"neural "), dtype=np.float32)[::-1].copy()
+        return Redescription(descriptor, descriptor.tobytes())
 
     def verify(
         self, query: bytes, match: bytes, similarity: float, config: PipelineConfig, near: np.ndarray | None = None

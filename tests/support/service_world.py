@@ -14,7 +14,6 @@ from revisit.formats import DecodedCloud
 from revisit.service.adapters.core_map_optimiser import CoreMapOptimiser
 from revisit.service.adapters.files.blobs import FileBlobStore
 from revisit.service.adapters.memory import MemoryBlobStore, MemoryTransactions, MemoryVectorIndex
-from revisit.service.adapters.sqlite.migration import migrate
 from revisit.service.adapters.sqlite.transactions import SqliteTransactions
 from revisit.service.application import DEFAULT_TENANT, Installation, Policy, SessionKey, SubmapKey, UseCases
 from revisit.service.application.catalogue.maps import CreateMap
@@ -28,6 +27,7 @@ from revisit.service.application.ingest.submap_posting import PostSubmap
 from revisit.service.application.recognise.recognition import Recognition
 from tests.support.fake_merger import FakeMerger
 from tests.support.fake_recogniser import FakeRecogniser
+from tests.support.made_database import made_database
 
 TENANT = DEFAULT_TENANT
 SESSION = SessionKey("town", "monday")
@@ -93,8 +93,8 @@ def memory_world(**overrides) -> World:
 def sqlite_world(home: Path, disk: DiskSpace = UnlimitedDisk(), **overrides) -> World:
     """The service over SQLite and files in `home`; close its transactions at the end."""
     rules = policy(**overrides)
-    migrate(home / "revisit.db")
-    transactions = SqliteTransactions(home / "revisit.db", checkpoints=True, lease_ms=rules.lease_ms)
+    database = made_database(home / "revisit.db")
+    transactions = SqliteTransactions(database, checkpoints=True, lease_ms=rules.lease_ms)
     return _world(transactions, FileBlobStore(home / "blobs"), rules, disk)
 
 

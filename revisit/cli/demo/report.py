@@ -33,13 +33,13 @@ def show_map(report: MapReport, console: Console) -> None:
     """Print what one map does for each robot: its errors before and after, and its correction."""
     table = Table(title=f"One map of both robots: {_resting(report)}")
     table.add_column("robot", overflow="fold")
-    errors = ("odometry, at worst", "in the map, at worst", "trajectory error before", "after")
-    for heading in ("way", *errors, "correction"):
+    for heading in ("way", "odometry off", "map off", "correction: x, y, yaw"):
         table.add_column(heading, justify="right")
     for track in report.tracks:
         table.add_row(*_track(track))
     console.print(table)
     better = "[green]reached[/]" if report.better else "[red]missed[/]"
+    console.print("Off: absolute trajectory error (after the best rigid fit), and the farthest from the truth.")
     console.print(f"Trajectory error of both in one map: {report.ate_m:.2f} m, less than odometry alone: {better}")
 
 
@@ -52,10 +52,8 @@ def _track(track: RobotTrack) -> tuple[str, ...]:
     return (
         track.robot,
         f"{track.way_m[-1]:.0f} m",
-        f"{track.odometry_off_m.max():.2f} m",
-        f"{track.map_off_m.max():.2f} m",
-        f"{track.odometry_ate_m:.2f} m",
-        f"{track.map_ate_m:.2f} m",
+        f"{track.odometry_ate_m:.2f} m, at most {track.odometry_off_m.max():.2f} m",
+        f"{track.map_ate_m:.2f} m, at most {track.map_off_m.max():.2f} m",
         f"{x:.1f} m, {y:.1f} m, {math.degrees(se3.yaw(track.T_map_odom)):.1f} deg",
     )
 

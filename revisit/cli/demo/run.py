@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import tempfile
 import time
 from contextlib import ExitStack
@@ -35,6 +34,7 @@ from revisit.evaluation.demo import (
     judge_map,
     portray,
 )
+from revisit.formats import NPY, decode_cloud
 from revisit.sdk.client import Client
 from revisit.sdk.resources import LoopClosure, Submap
 
@@ -105,7 +105,10 @@ def _in_a_service(
         visited = post_drive(posting, MAP, robots[1], len(truth), console)
         driven = Drives(robots, truth | visited[0], windows | visited[1])
         wait_for_descriptions(posting, console)
-        return driven, _outcome(posting, driven, targets, console)
+        outcome = _outcome(posting, driven, targets, console)
+        with step(console, "the service stops"):
+            opened.close()
+        return driven, outcome
 
 
 def wait_for_descriptions(client: Client, console: Console) -> None:
@@ -158,8 +161,7 @@ def _clouds(client: Client, pair: ClosingPair | None) -> PairClouds | None:
 
 
 def _points(client: Client, submap: str) -> NDArray[np.float32]:
-    table = np.load(io.BytesIO(client.download(submap, "npy")), allow_pickle=False)
-    return np.asarray(table[:, :3], dtype=np.float32)
+    return decode_cloud(client.download(submap, "npy"), NPY).points
 
 
 def _figure(driven: Drives, outcome: Outcome) -> DemoFigure:

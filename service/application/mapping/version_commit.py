@@ -26,7 +26,7 @@ from revisit.service.application.contract.session_poses import (
 from revisit.service.application.contract.states import GraphState, LoopEventKind
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.mapping.graph_reading import MapTask
-from revisit.service.application.mapping.loop_events import Change, change_loop
+from revisit.service.application.mapping.loop_events import Change, change_loops
 from revisit.service.failpoints import failpoint
 
 MAP_DELETED = {"outcome": "the map was deleted"}
@@ -133,6 +133,7 @@ def judge_loops(
 ) -> None:
     """Store what a version says of each of some loops; a loop of which it says nothing has no verdict of the graph."""
     verdicts = {verdict.number: verdict for verdict in judged}
+    changes: dict[str | None, list[tuple[LoopRecord, Change]]] = {}
     for loop in loops:
         verdict = verdicts.get(loop.number)
         state = None if verdict is None else verdict.state.value
@@ -141,7 +142,9 @@ def judge_loops(
         distance = np.nan if verdict is None else verdict.squared_distance
         details = {"squared_distance": float(distance)} if np.isfinite(distance) else {}
         change = Change(LoopEventKind.JUDGED, now_ns, map_version=version, details=details)
-        change_loop(uow, loop, change, graph_state=state)
+        changes.setdefault(state, []).append((loop, change))
+    for state, some in changes.items():
+        change_loops(uow, some, state)
 
 
 def forget_versions(uow: UnitOfWork, tenant: TenantId, map_id: str, last: int) -> None:
