@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,13 +33,21 @@ class JoiningLoops:
 
     @classmethod
     def of(
-        cls, graph: PoseGraph, optimised: OptimisedGraph, second: frozenset[str], scale: float = 1.0
+        cls,
+        graph: PoseGraph,
+        optimised: OptimisedGraph,
+        second: frozenset[str],
+        scale: float = 1.0,
+        spare: Sequence[LoopEdge] = (),
     ) -> JoiningLoops:
-        """Those with one end in the sessions `second` and one in others; `scale` is that of the scene."""
+        """Those with one end in the sessions `second` and one in others; `scale` is that of the scene.
+
+        `spare` loops the poses do not rest on; they may speak for another alignment.
+        """
         crossing = [n for n, one in enumerate(graph.loops) if _ends_within(one, second) == 1]
         kept = [n for n in crossing if optimised.loops[n] is LoopState.IN_MAP]
         others = [graph.loops[n] for n in crossing if optimised.loops[n] is not LoopState.IN_MAP]
-        rivals = [loop for loop in others if _is_apart(loop, optimised, scale)]
+        rivals = [loop for loop in (*others, *spare) if _is_apart(loop, optimised, scale)]
         track_m = _common_track_m(graph, (graph.loops[n] for n in kept), second, LONGEST_GAP_M * scale)
         return cls(len(kept), track_m, _rival_loops(graph, rivals, second))
 

@@ -18,7 +18,7 @@ from revisit.service.application.contract.map_merger import (
     PlacedSubmapMap,
     SurfaceEvidence,
 )
-from revisit.service.application.contract.map_optimiser import MapGraph, Told
+from revisit.service.application.contract.map_optimiser import MapGraph, Told, TrackLoop
 from revisit.service.application.contract.states import ChangeKind
 
 if TYPE_CHECKING:
@@ -46,7 +46,9 @@ class CoreMapMerger:
         rows = zip(found.pairs.tolist(), found.similarities.tolist(), strict=True)
         return [(one, other, cosine) for (one, other), cosine in rows]
 
-    def align(self, graph: MapGraph, second: frozenset[int], scale: float, told: Told) -> AlignedMaps:
+    def align(
+        self, graph: MapGraph, second: frozenset[int], spare: Sequence[TrackLoop], scale: float, told: Told
+    ) -> AlignedMaps:
         """See `MapMerger`."""
         from revisit.core.merge.joining import JoiningLoops
         from revisit.core.pose_graph import optimise
@@ -54,7 +56,7 @@ class CoreMapMerger:
         named = NamedGraph.of(graph)
         optimised = optimise(named.posed, told=partial(told, "ALIGN"))
         sessions = frozenset(named.names[number] for number in second)
-        found = JoiningLoops.of(named.posed, optimised, sessions, scale)
+        found = JoiningLoops.of(named.posed, optimised, sessions, scale, named.edges(spare))
         return AlignedMaps(named.answer(optimised), found.loops, found.common_track_m, found.rival_loops)
 
     def compare(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
@@ -49,6 +50,7 @@ class NamedGraph:
     graph: MapGraph
     names: dict[int, str]
     posed: PoseGraph
+    _nodes: dict[int, Node]
 
     @classmethod
     def of(cls, graph: MapGraph) -> NamedGraph:
@@ -67,7 +69,11 @@ class NamedGraph:
         }
         anchors = tuple(names[number] for number in graph.anchors or sorted(names))
         posed = PoseGraph.of(trajectories, [_edge(loop, nodes) for loop in graph.loops], anchors)
-        return cls(graph, names, weighed(posed, graph.window_m))
+        return cls(graph, names, weighed(posed, graph.window_m), nodes)
+
+    def edges(self, loops: Sequence[TrackLoop]) -> list[LoopEdge]:
+        """Further loops between its submaps."""
+        return [_edge(loop, self._nodes) for loop in loops]
 
     def answer(self, optimised: OptimisedGraph) -> OptimisedMap:
         """What the port answers."""

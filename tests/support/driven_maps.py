@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from revisit.core.config import LoopConfig
 from revisit.core.geometry import se3
 from revisit.formats import DecodedCloud
 from revisit.service.adapters.core_map_merger import CoreMapMerger
@@ -37,7 +38,11 @@ def random_start(rng: np.random.Generator) -> np.ndarray:
 async def driven(
     world: World, map_id: str, drive: Drive, T_odom_world: np.ndarray, recogniser: CoreRecogniser, **of_map: Any
 ) -> None:
-    """Store a drive as the only session `day` of a map, and describe its submaps."""
+    """Store a drive as the only session `day` of a map, and describe its submaps.
+
+    As in the product, and unlike in other tests, neighbours within a drive are no loops.
+    """
+    of_map = {"min_index_gap": LoopConfig().min_index_gap, **of_map}
     key = SessionKey(map_id, "day")
     await world.use_cases.maps.create(TENANT, CreateMap(map_id, **of_map))
     await world.use_cases.sessions.create(TENANT, CreateSession(map_id, key.session_id))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry.se3 import Matrix4
-from revisit.service.application.contract.map_optimiser import MapGraph, OptimisedMap, Told
+from revisit.service.application.contract.map_optimiser import MapGraph, OptimisedMap, Told, TrackLoop
 from revisit.service.application.contract.states import ChangeKind
 
 
@@ -85,8 +85,13 @@ class MapMerger(Protocol):
         """
         ...
 
-    def align(self, graph: MapGraph, second: frozenset[int], scale: float, told: Told) -> AlignedMaps:
-        """Optimise both maps together; `second` numbers the sessions of the one that joins."""
+    def align(
+        self, graph: MapGraph, second: frozenset[int], spare: Sequence[TrackLoop], scale: float, told: Told
+    ) -> AlignedMaps:
+        """Optimise both maps together; `second` numbers the sessions of the one that joins.
+
+        The poses do not rest on `spare` loops, which may still agree on another alignment.
+        """
         ...
 
     def compare(

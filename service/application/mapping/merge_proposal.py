@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from revisit.service.application.contract.map_optimiser import OptimisedTrack, T
 from revisit.service.application.contract.recogniser import LoopVerdict
 from revisit.service.application.contract.records import SubmapRecord
 from revisit.service.application.contract.states import MergeVerdict
+from revisit.service.application.mapping.graph_reading import measured_covariance
 from revisit.service.application.mapping.merge_reading import MapSide, MergeOrder, MergeTask
 from revisit.service.application.mapping.version_commit import summary_of
 
@@ -150,7 +152,32 @@ def placed_maps(side: MapSide, tracks: Iterable[OptimisedTrack], anchors: set[in
     return [PlacedSubmapMap(str(one.neural_map_sha256), poses[one.number]) for one in held]
 
 
-def track_loop(number: int, found: CrossingLoop, covariance: NDArray[np.float64] | None) -> TrackLoop:
+def chosen(crossing: Sequence[CrossingLoop]) -> tuple[list[CrossingLoop], list[CrossingLoop]]:
+    """The accepted loops that are the best of both of their submaps, and the other accepted ones.
+
+    Neighbours of a place see it, too, from farther away: what they measure is worse than its covariance says, and adds
+    nothing to what the place itself says.
+    """
+    accepted = [one for one in crossing if one.verdict.accepted and one.verdict.T_match_query is not None]
+    ranked = sorted(accepted, key=_quality, reverse=True)
+    best_of: dict[int, CrossingLoop] = {}
+    for one in ranked:
+        best_of.setdefault(one.query.number, one)
+        best_of.setdefault(one.match.number, one)
+    is_best = [best_of[one.query.number] is one is best_of[one.match.number] for one in accepted]
+    return list(compress(accepted, is_best)), [one for one, best in zip(accepted, is_best, strict=True) if not best]
+
+
+def _quality(found: CrossingLoop) -> tuple[float, float, str]:
+    """How much of both surfaces a loop rests on, and how near they were taken; what is left is decided by content."""
+    T_match_query = np.asarray(found.verdict.T_match_query)
+    overlap = found.verdict.evidence.get("measurement", {}).get("overlap", found.verdict.score)
+    names = sorted((found.query.place_sha256 or "", found.match.place_sha256 or ""))
+    return float(overlap), -float(np.linalg.norm(T_match_query[:3, 3])), ":".join(names)
+
+
+def track_loop(number: int, found: CrossingLoop) -> TrackLoop:
     """A verified candidate as a loop of the graph."""
+    covariance = measured_covariance(found.verdict.evidence)
     T_match_query = np.asarray(found.verdict.T_match_query, dtype=np.float64)
     return TrackLoop(number, found.match.number, found.query.number, T_match_query, covariance)

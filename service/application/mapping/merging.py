@@ -24,9 +24,14 @@ from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.recogniser import LoopVerdict, PlaceRecogniser
 from revisit.service.application.contract.records import SubmapRecord
 from revisit.service.application.contract.transactions import Transactions
-from revisit.service.application.mapping.graph_reading import measured_covariance
 from revisit.service.application.mapping.merge_commit import NOTHING_TO_MERGE, MergeCommit
-from revisit.service.application.mapping.merge_proposal import CrossingLoop, MergeProposal, placed_maps, track_loop
+from revisit.service.application.mapping.merge_proposal import (
+    CrossingLoop,
+    MergeProposal,
+    chosen,
+    placed_maps,
+    track_loop,
+)
 from revisit.service.application.mapping.merge_reading import MergeOrder, MergeTask, read_merge
 from revisit.service.application.mapping.progress import OperationCancelled, Progress
 from revisit.service.failpoints import failpoint
@@ -102,13 +107,13 @@ class MapMerging:
     def _proposal(self, tenant: TenantId, order: MergeOrder, task: MergeTask, progress: Progress) -> MergeProposal:
         config = self._policy.for_map(task.target.task.map)
         crossing = tuple(self._crossing(order, task, config, progress))
-        accepted = [one for one in crossing if one.verdict.accepted and one.verdict.T_match_query is not None]
-        numbers = {-place: one for place, one in enumerate(accepted, 1)}
-        loops = tuple(
-            track_loop(number, one, measured_covariance(one.verdict.evidence)) for number, one in numbers.items()
-        )
+        best, others = chosen(crossing)
+        numbers = {-place: one for place, one in enumerate(best, 1)}
+        loops = tuple(track_loop(number, one) for number, one in numbers.items())
+        spare = [track_loop(-place, one) for place, one in enumerate(others, 1 + len(best))]
         progress("ALIGN")
-        aligned = self._merger.align(task.graph(loops), frozenset(task.source.sessions), config.scene_scale, progress)
+        sessions, scale = frozenset(task.source.sessions), config.scene_scale
+        aligned = self._merger.align(task.graph(loops), sessions, spare, scale, progress)
         surfaces = self._surfaces(tenant, task, aligned, config.scene_scale, progress)
         judgement = self._merger.judge(aligned, surfaces, config.scene_scale)
         return MergeProposal(order, task, crossing, numbers, aligned, surfaces, judgement)

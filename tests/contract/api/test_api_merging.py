@@ -134,7 +134,7 @@ def test_one_session_of_a_map_is_merged_and_renamed_where_its_name_is_taken(clie
 def test_an_initial_pose_narrows_the_search_and_one_that_is_wrong_leads_to_a_refusal(client, two):
     found = merged(client, two, validate_only=True)
     near = np.reshape(found["T_map_source"], (4, 4))
-    narrowed = merged(client, two, validate_only=True, T_map_source=near, radius_m=15.0)
+    narrowed = merged(client, two, validate_only=True, T_map_source=near, radius_m=5.0)
     assert narrowed["verdict"] == "MERGEABLE"
     assert narrowed["evidence"]["candidates"] < found["evidence"]["candidates"]
     far = near.copy()
