@@ -27,6 +27,7 @@ PAGES = {
 NAVIGATION = {
     "Start": (
         "index",
+        "gallery",
         "tutorial/first-loop",
         "quick-start/ros-2",
         "quick-start/bags",

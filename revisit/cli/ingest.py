@@ -146,7 +146,8 @@ def _transfer(recording: Recording, target: Target, extent: Extent, as_json: boo
     if as_json:
         emit_json(asdict(done))
     else:
-        emit_table("Ingested", ("what", "value"), asdict(done).items())
+        told = asdict(done) | {"findings": ", ".join(done.findings) or "none"}
+        emit_table("Ingested", ("what", "value"), told.items())
         warn_of_findings(session)
 
 

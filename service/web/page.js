@@ -183,7 +183,7 @@ function liftPerSubmap() {
 function tellCaption(every, drawn) {
   const apart = every.filter((track) => track.submaps.length && !model.placed.has(track.name) && !model.hidden.has(track.name));
   const said = [`${plural(drawn.length, "session")}, ${plural(view?.places.size ?? 0, "submap")}`];
-  if (model.frame !== null) said.push(model.corrected > 0.5 ? `in the frame of the map, version ${versionShown()}` : `as odometry has it: up to ${driftInWords(drawn)} off`);
+  if (model.frame !== null) said.push(model.corrected > 0.5 ? `in the frame of the map, version ${versionShown()}; odometry alone is up to ${driftInWords(drawn)} off` : `as odometry has it: up to ${driftInWords(drawn)} off`);
   else if (drawn.length > 1) said.push("sessions placed by their best loop closure");
   if (apart.length) said.push(`${plural(apart.length, "session")} not drawn: no loop closure leads there yet`);
   byId("caption").textContent = said.join(" \u00b7 ");

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from revisit import Client
 from revisit.service.application.access.callers import Scope
 from tests.support.browser import Page, browser
 from tests.support.credentials import a_key
+from tests.support.fleet_in_service import fleet_in
 from tests.support.live_service import live_service
 from tests.support.patience import in_time
 from tests.support.places import places_of
@@ -101,6 +103,23 @@ def test_a_session_that_is_switched_off_goes_with_its_loop_closures(page):
     assert (page.data("drawn-submaps"), page.data("drawn-loops")) == ("5", "1")
     page.tab.locator("#all-sessions").click()
     assert page.data("drawn-submaps") == "8"
+
+
+def test_a_map_is_drawn_in_its_own_frame_and_as_odometry_has_it(chromium, service):
+    made = fleet_in(service.world, "placed", 0.3, sessions=2, submaps=20, per_pair=8)
+    with Client(service.http) as client:
+        client.wait(client.optimise_map(f"maps/{made.map_id}"))
+        last = client.list_submaps(client.list_sessions(f"maps/{made.map_id}")[0])[-1].name
+    shown = Page(chromium, service.http, f"/#maps/{made.map_id}")
+    shown.drawn()
+    told = re.compile(r"in the frame of the map, version 1; odometry alone is up to [0-9.]+ m off")
+    shown.tab.get_by_text(told).wait_for()
+    in_map = shown.where(last)
+    shown.tab.keyboard.press("o")
+    shown.tab.get_by_text(re.compile(r"as odometry has it: up to [0-9.]+ m off")).wait_for()
+    assert shown.where(last) != pytest.approx(in_map, abs=1.0)
+    assert shown.complaints == []
+    shown.tab.close()
 
 
 @pytest.mark.slow
