@@ -14,6 +14,7 @@ from revisit.service.application import UseCases
 from revisit.service.application.access.admission import STREAM_RECHECK_S, Credential
 from revisit.service.application.access.callers import Scope, enter
 from revisit.service.application.contract.errors import PermissionDenied, TooManyFailures, Unauthenticated
+from revisit.service.grpc.strangers import Strangers
 
 _INGEST = frozenset({Scope.INGEST})
 _QUERY = frozenset({Scope.QUERY})
@@ -85,9 +86,12 @@ SCOPES: dict[str, dict[str, frozenset[Scope]]] = {
 class Gate:
     """Admits calls, and watches over those that last."""
 
-    def __init__(self, use_cases: UseCases, *, recheck_s: float = STREAM_RECHECK_S) -> None:
-        """Verifies the credential of an open stream again every `recheck_s` seconds."""
+    def __init__(
+        self, use_cases: UseCases, strangers: Strangers | None = None, *, recheck_s: float = STREAM_RECHECK_S
+    ) -> None:
+        """Verifies the credential of an open stream again every `recheck_s` seconds; tells `strangers` who is none."""
         self._access = use_cases.access
+        self._strangers = strangers or Strangers()
         self._recheck_s = recheck_s
 
     async def admit(self, method: str, context: Any) -> None:
@@ -98,6 +102,7 @@ class Gate:
         service, name = method.rsplit("/", 1)
         scopes = SCOPES[service.rpartition(".")[2]][name]
         enter(await self._access.admit(credential_of(context), scopes, method))
+        self._strangers.admit(str(context.peer()))
 
     @asynccontextmanager
     async def watching(self, method: str, context: Any) -> AsyncIterator[None]:

@@ -6,6 +6,7 @@ For bodies see `BodyLimit`, for what is answered where all places are taken `Req
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from typing import Any
 
 import h11
@@ -53,6 +54,9 @@ class DeadlineProtocol(H11Protocol):
     write_s = WRITE_S
     most_connections = CONNECTIONS
     most_pipelined = PIPELINED
+    settle: Callable[[], None] | None = None
+    """To be called once the first request head is there, or the connection is gone: see `Newcomers`."""
+
     _deadline: asyncio.TimerHandle | None = None
     _write_check: asyncio.TimerHandle | None = None
     _heard_s = 0.0
@@ -77,6 +81,7 @@ class DeadlineProtocol(H11Protocol):
         super().data_received(data)
         if was_idle and not self._idle():
             self._heard_s = asyncio.get_running_loop().time()
+            self._settle()
         self._watch()
 
     def on_response_complete(self) -> None:
@@ -103,10 +108,16 @@ class DeadlineProtocol(H11Protocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Stop the clocks."""
+        self._settle()
         self._stop()
         if self._write_check is not None:
             self._write_check.cancel()
         super().connection_lost(exc)
+
+    def _settle(self) -> None:
+        if self.settle is not None:
+            self.settle()
+            self.settle = None
 
     def _watch_writing(self) -> None:
         """Look every now and then whether what waits for the client becomes less, until nothing does."""

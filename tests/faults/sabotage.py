@@ -399,7 +399,7 @@ SABOTAGES = (
     ),
     Sabotage(
         "a TLS handshake may take as long as it likes",
-        {f"{SERVICE}gateway:HANDSHAKE_S": lambda _seconds: 60.0},
+        {f"{SERVICE}rest.listening:HANDSHAKE_S": lambda _seconds: 60.0},
         "tests/integration/test_many_sockets.py::"
         "test_beginnings_of_handshakes_beyond_the_soft_limit_keep_nobody_out[http]",
     ),

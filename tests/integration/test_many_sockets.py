@@ -15,22 +15,13 @@ import pytest
 import trustme
 
 from tests.support.figures import publish
+from tests.support.handshakes import half_hello
 from tests.support.processes import ServiceProcess
 
 SOFT = 1024
 SOCKETS = 1100
 CLOSED_WITHIN_S = 15.0
 SLOWEST_S = 2.0
-
-
-def half_hello() -> bytes:
-    """The first half of what a TLS client begins with."""
-    sent = ssl.MemoryBIO()
-    client = ssl.create_default_context().wrap_bio(ssl.MemoryBIO(), sent, server_hostname="localhost")
-    with contextlib.suppress(ssl.SSLWantReadError):
-        client.do_handshake()
-    hello = sent.read()
-    return hello[: len(hello) // 2]
 
 
 pytestmark = pytest.mark.skipif(

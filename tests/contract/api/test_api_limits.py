@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import socket
+import ssl
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -13,13 +14,17 @@ from urllib.parse import quote
 
 import httpx
 import pytest
+import trustme
 import uvicorn
 
 from revisit.formats import QUANTISED, encode_quantised
 from revisit.service.application.capacity.byte_budget import ByteBudget
+from revisit.service.application.capacity.newcomers import Newcomers
 from revisit.service.rest.app import create_app
 from revisit.service.rest.limits import HttpLimits
+from revisit.service.rest.listening import ListeningServer
 from revisit.service.rest.slow_clients import HEAD_BYTES, PIPELINED, DeadlineProtocol, uvicorn_limits
+from tests.support.handshakes import half_hello
 from tests.support.service_world import cloud_points, memory_world
 
 SHORT_S = 0.4
@@ -34,17 +39,19 @@ class FewConnections(DeadlineProtocol):
 
 
 @contextlib.contextmanager
-def http_server(limits=HttpLimits(), hosts=frozenset(), budget=ByteBudget(), **settings):
+def http_server(limits=HttpLimits(), hosts=frozenset(), budget=ByteBudget(), newcomers=None, tls=None, **settings):
     """The HTTP side on a free port; yields its address."""
     world = memory_world()
     use_cases = replace(world.use_cases, budget=budget)
     listener = socket.create_server(("127.0.0.1", 0))
     config = uvicorn.Config(
-        create_app(use_cases, limits, hosts=hosts), log_config=None, **{**uvicorn_limits(), **settings}
+        create_app(use_cases, limits, hosts=hosts),
+        log_config=None,
+        ssl_context_factory=tls and (lambda *_: tls),
+        **{**uvicorn_limits(), **settings},
     )
-    server = uvicorn.Server(config)
-    server.capture_signals = contextlib.nullcontext
-    thread = threading.Thread(target=lambda: asyncio.run(server.serve(sockets=[listener])), daemon=True)
+    server = ListeningServer(config, listener, newcomers)
+    thread = threading.Thread(target=lambda: asyncio.run(server.serve()), daemon=True)
     thread.start()
     while not server.started:
         time.sleep(0.01)
@@ -189,7 +196,7 @@ def unread(address):
 def test_a_client_that_does_not_read_its_answers_is_cut_off():
     UnreadAnswers.lost.clear()
     with http_server(http=UnreadAnswers) as address, unread(address):
-        assert UnreadAnswers.lost.wait(5.0)
+        assert UnreadAnswers.lost.wait(60.0)
 
 
 def test_a_client_that_reads_slowly_but_steadily_gets_its_whole_answer():
@@ -241,6 +248,46 @@ def test_one_connection_too_many_takes_the_place_of_the_one_that_is_awaited_the_
             for _ in range(3):
                 assert client.get("/livez", headers={"connection": "close"}).status_code == 200
         assert [gone(connection) for connection in connections] == [False, True, False]
+
+
+def connected(held, address, sent, source="127.0.0.1"):
+    """A connection from an address of loopback that has sent something."""
+    connection = held.enter_context(socket.create_connection(address, timeout=60, source_address=(source, 0)))
+    connection.sendall(sent)
+    return connection
+
+
+def tls_context():
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    trustme.CA().issue_cert("localhost").configure_cert(context)
+    return context
+
+
+@pytest.mark.parametrize(
+    ("tls", "begin"),
+    [(None, b""), (None, b"GET /livez HTTP/1.1\r\nX-Slow: "), (tls_context(), half_hello())],
+    ids=["nothing", "half a head", "half a TLS hello"],
+)
+def test_newcomers_of_one_address_give_way_to_one_another_and_to_nobody_else(tls, begin):
+    newcomers = Newcomers(3)
+    with http_server(newcomers=newcomers, tls=tls) as address, contextlib.ExitStack() as held:
+        elsewhere = connected(held, address, begin, "127.0.0.2")
+        first, *others = [connected(held, address, begin) for _ in range(5)]
+        assert first.recv(1) == b""
+        assert others[0].recv(1) == b""
+        assert [gone(connection) for connection in (elsewhere, *others[1:])] == [False] * 4
+        assert (newcomers.of("127.0.0.2"), newcomers.of("127.0.0.1")) == (1, 3)
+
+
+def test_whoever_has_asked_for_something_is_no_newcomer():
+    newcomers = Newcomers(2)
+    with http_server(newcomers=newcomers) as address, httpx.Client(base_url=url(address), trust_env=False) as client:
+        assert client.get("/livez").status_code == 200
+        with contextlib.ExitStack() as held:
+            first, *_ = [connected(held, address, b"") for _ in range(3)]
+            assert first.recv(1) == b""
+            assert client.get("/livez").status_code == 200
+            assert newcomers.of("127.0.0.1") == 2
 
 
 @pytest.mark.parametrize(
