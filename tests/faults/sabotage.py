@@ -156,6 +156,18 @@ def _for_every_tenant(keyed_hash):
     return lambda tokens, purpose, _tenant, data: keyed_hash(tokens, purpose, "everybody", data)
 
 
+def _settled():
+    """A newcomer that nobody has counted."""
+
+
+def _without_option(name):
+    return lambda server: (
+        lambda *arguments, options, **named: server(
+            *arguments, options=[option for option in options if option[0] != name], **named
+        )
+    )
+
+
 @dataclass(frozen=True)
 class Sabotage:
     """A broken promise: what is broken, patches by module:name, the test that must fail, and whether that is quick."""
@@ -402,6 +414,21 @@ SABOTAGES = (
         {f"{SERVICE}rest.listening:HANDSHAKE_S": lambda _seconds: 60.0},
         "tests/integration/test_many_sockets.py::"
         "test_beginnings_of_handshakes_beyond_the_soft_limit_keep_nobody_out[http]",
+    ),
+    Sabotage(
+        "newcomers of one address are not bounded",
+        {f"{USE_CASES}capacity.newcomers:Newcomers.arrive": lambda _arrive: lambda *_arguments: _settled},
+        f"{LIMITS}test_newcomers_of_one_address_give_way_to_one_another_and_to_nobody_else",
+    ),
+    Sabotage(
+        "strangers may keep as many connections to gRPC as they like",
+        {f"{SERVICE}grpc.strangers:Strangers.end_those_beyond": nothing},
+        f"{PLACES}test_connections_of_one_address_over_which_nobody_was_admitted_give_way_to_newer_ones",
+    ),
+    Sabotage(
+        "there may be any number of connections to gRPC",
+        {"grpc.aio:server": _without_option("grpc.max_allowed_incoming_connections")},
+        f"{PLACES}test_connections_beyond_those_that_may_be_open_are_closed_at_once_until_one_is_free",
     ),
     Sabotage(
         "the image is open without a key",

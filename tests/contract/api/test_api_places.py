@@ -22,7 +22,7 @@ from tests.support.service_world import SESSION, memory_world, open_session
 
 WATCHES = 600
 CONNECTIONS = 3
-PATIENCE_S = 120.0
+PATIENCE_S = 60.0
 
 
 @pytest.fixture(scope="module")
@@ -188,7 +188,7 @@ async def raw(port, sent, source="127.0.0.1"):
 async def ends(reader):
     """The server has closed the connection."""
     with contextlib.suppress(ConnectionError):
-        while await reader.read(65536):
+        while await asyncio.wait_for(reader.read(65536), PATIENCE_S):
             pass
     return True
 
