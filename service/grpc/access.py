@@ -99,10 +99,15 @@ class Gate:
 
         Raises Unauthenticated, PermissionDenied, TooManyFailures.
         """
+        shown, peer = credential_of(context), str(context.peer())
+        await self.verify(method, shown)
+        self._strangers.admit(peer)
+
+    async def verify(self, method: str, shown: Credential) -> None:
+        """As `admit`, for what its caller has shown."""
         service, name = method.rsplit("/", 1)
         scopes = SCOPES[service.rpartition(".")[2]][name]
-        enter(await self._access.admit(credential_of(context), scopes, method))
-        self._strangers.admit(str(context.peer()))
+        enter(await self._access.admit(shown, scopes, method))
 
     @asynccontextmanager
     async def watching(self, method: str, context: Any) -> AsyncIterator[None]:
@@ -110,10 +115,12 @@ class Gate:
 
         The block must be left in the task that entered it. Raises what `admit` raises.
         """
+        # Read now: the watch may outlive the call, and gRPC 1.85 crashes where an ended call is asked for its peer.
+        shown = credential_of(context)
         await self.admit(method, context)
         try:
             async with asyncio.timeout(None) as stream:
-                watch = asyncio.create_task(self._watch(method, context, stream))
+                watch = asyncio.create_task(self._watch(method, shown, stream))
                 try:
                     yield
                 finally:
@@ -123,11 +130,11 @@ class Gate:
                 raise Unauthenticated("the credential has lost its right: the stream ends") from error
             raise
 
-    async def _watch(self, method: str, context: Any, stream: asyncio.Timeout) -> None:
+    async def _watch(self, method: str, shown: Credential, stream: asyncio.Timeout) -> None:
         while True:
             await asyncio.sleep(self._recheck_s)
             try:
-                await self.admit(method, context)
+                await self.verify(method, shown)
             except (Unauthenticated, PermissionDenied, TooManyFailures):
                 stream.reschedule(asyncio.get_running_loop().time())
                 return

@@ -15,8 +15,8 @@ from tests.support.processes import ServiceProcess, is_running
 from tests.support.town import eventually
 
 DRAINED_S = 15.0
-GATEWAY_EVERY = 4
-"""Every so many kills hit the gateway, which takes its workers along; the others hit a worker."""
+GATEWAY_EVERY = 10
+"""Every so many kills hit the gateway, which takes its workers along and costs most to start; the others hit a worker."""
 
 
 @pytest.fixture

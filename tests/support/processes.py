@@ -58,7 +58,7 @@ class _Logging:
             if value is not None:
                 self._environment[f"REVISIT_{name.upper()}"] = str(value)
 
-    def wait_for(self, event: str, after: int = 0, timeout_s: float = 30.0) -> dict[str, Any]:
+    def wait_for(self, event: str, after: int = 0, timeout_s: float = 180.0) -> dict[str, Any]:
         """The first log entry of this kind after the first `after` entries."""
         deadline = time.monotonic() + timeout_s
         while time.monotonic() < deadline:

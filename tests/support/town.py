@@ -18,7 +18,7 @@ from tests.support.service_world import cloud_points
 SESSION = "maps/town/sessions/monday"
 
 
-def eventually(condition: Callable[[], object], what: str = "it did not happen", timeout_s: float = 60.0) -> float:
+def eventually(condition: Callable[[], object], what: str = "it did not happen", timeout_s: float = 300.0) -> float:
     """Wait until `condition` holds; how long that took, seconds. Raises AssertionError with `what` otherwise."""
     began_s = time.monotonic()
     while not condition():
