@@ -21,6 +21,10 @@ HANDSHAKE_S = 10.0
 NO_FILES_S = 0.2
 """How long nothing is accepted where the process may open no more files."""
 
+AT_ONCE = 32
+"""Connections that are accepted in one turn of the event loop. It takes some turns until what they have sent is read;
+before that they are newcomers, of whom an address has more places than these turns fill."""
+
 _EXHAUSTED = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
 
 
@@ -50,21 +54,14 @@ class ListeningServer(uvicorn.Server):
         await self.lifespan.startup()
         self._listener.setblocking(False)
         self._listener.listen(self.config.backlog)
-        accepting = asyncio.create_task(self._accept(), name="accept")
-        self.servers, self.started = [_Accepting(accepting)], True  # type: ignore[list-item]  # close, wait_closed
+        accepting = _Accepting(self._listener, self._arrived)
+        accepting.begin()
+        self.servers, self.started = [accepting], True  # type: ignore[list-item]  # it has what uvicorn calls
 
-    async def _accept(self) -> None:
-        loop = asyncio.get_running_loop()
-        while True:
-            try:
-                connection, address = await loop.sock_accept(self._listener)
-            except OSError as error:
-                # Else it is the connection, which is gone already.
-                await asyncio.sleep(NO_FILES_S if error.errno in _EXHAUSTED else 0.0)
-                continue
-            welcome = loop.create_task(self._welcome(connection, str(address[0])))
-            self._welcomes.add(welcome)
-            welcome.add_done_callback(self._welcomes.discard)
+    def _arrived(self, connection: socket.socket, address: str) -> None:
+        welcome = asyncio.get_running_loop().create_task(self._welcome(connection, address))
+        self._welcomes.add(welcome)
+        welcome.add_done_callback(self._welcomes.discard)
 
     async def _welcome(self, connection: socket.socket, address: str) -> None:
         """Shake hands, where there is TLS, and leave the connection to its protocol."""
@@ -88,19 +85,42 @@ class ListeningServer(uvicorn.Server):
 
 
 class _Accepting:
-    """What uvicorn closes, as it would the servers of asyncio."""
+    """Accepts connections on the running loop; what uvicorn closes, as it would the servers of asyncio."""
 
-    def __init__(self, accepting: asyncio.Task[None]) -> None:
-        self._accepting = accepting
+    def __init__(self, listener: socket.socket, arrived: Callable[[socket.socket, str], None]) -> None:
+        """`arrived` takes each connection, with the address it comes from."""
+        self._listener, self._arrived = listener, arrived
+        self._closed = False
+
+    def begin(self) -> None:
+        """Accept from now on, unless it was closed meanwhile."""
+        if not self._closed:
+            asyncio.get_running_loop().add_reader(self._listener, self._accept)
 
     def close(self) -> None:
         """Accept no more."""
-        self._accepting.cancel()
+        self._closed = True
+        asyncio.get_running_loop().remove_reader(self._listener)
 
     async def wait_closed(self) -> None:
-        """Wait until nothing is accepted any more."""
-        with contextlib.suppress(asyncio.CancelledError):
-            await self._accepting
+        """Nothing is accepted any more."""
+
+    def _accept(self) -> None:
+        # As many as are there: one in each turn of the loop would let a flood keep others waiting for seconds.
+        for _ in range(AT_ONCE):
+            try:
+                connection, address = self._listener.accept()
+            except (BlockingIOError, InterruptedError):
+                return
+            except OSError as error:
+                if error.errno in _EXHAUSTED:
+                    loop = asyncio.get_running_loop()
+                    loop.remove_reader(self._listener)
+                    loop.call_later(NO_FILES_S, self.begin)
+                    return
+                continue
+            connection.setblocking(False)
+            self._arrived(connection, str(address[0]))
 
 
 def _end(connection: socket.socket) -> None:

@@ -36,8 +36,11 @@ WRITE_BYTES = 32 * 2**10
 STALLED_S = 1.0
 """An answer of which nothing was taken for so long gives its place to a new connection, where none is free."""
 
-PIPELINED = 16
-"""Requests in a row that may come before the answer to the one before them; then the connection is closed."""
+PIPELINED = 4
+"""Requests in a row that may come before the answer to the one before them; then the connection is closed. Browsers and
+the usual libraries send none so."""
+
+_WITHOUT_BODY, _END_OF_HEAD = (b"GET ", b"HEAD"), b"\r\n\r\n"
 
 KEEP_ALIVE_S = 15
 """How long a connection without a request stays open."""
@@ -78,6 +81,10 @@ class DeadlineProtocol(H11Protocol):
     def data_received(self, data: bytes) -> None:
         """Feed the parser; stop the clock once the head is there."""
         was_idle = self._idle()
+        if was_idle and data[:4] in _WITHOUT_BODY and data.count(_END_OF_HEAD) > self.most_pipelined:
+            # To answer the first few would take most of the time that such a client is after.
+            self.transport.abort()
+            return
         super().data_received(data)
         if was_idle and not self._idle():
             self._heard_s = asyncio.get_running_loop().time()

@@ -16,7 +16,7 @@ from tests.support.town import eventually
 
 DRAINED_S = 15.0
 GATEWAY_EVERY = 10
-"""Every so many kills hit the gateway, which takes its workers along and costs most to start; the others hit a worker."""
+"""Every so many kills hit the gateway, which takes its workers along; the others hit a worker."""
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Attackers for the full-size attacks: processes of their own, at the lowest priority, as if on other machines."""
+"""Attackers for the full-size attacks: processes of their own, less urgent than the service."""
 
 from __future__ import annotations
 
@@ -33,6 +33,9 @@ TOWN = SESSION.partition("/sessions/")[0]
 PLACE = "T_odom_submap=0,0,0,0,0,0,1&stamp_ns=1"
 SEARCH, SUBMAPS = f"/v1/{TOWN}/submaps:search", f"/v1/{SESSION}/submaps"
 LARGE, POINTS = "large", 1_900_000
+
+LESS_URGENT = 5
+"""So much nicer than the service are the attackers, whose work others' machines would do."""
 
 Attack = Callable[[Address, str, Any, Counter[str]], None]
 """Attacks an address with a key until an event is set; counts what comes of it."""
@@ -257,7 +260,7 @@ class Told:
 
 
 def _be_greedy(name: str, address: Address, key: str, ready: Any, stop: Any, told: Any) -> None:
-    os.nice(19)
+    os.nice(LESS_URGENT)
     counts: Counter[str] = Counter()
     threading.Timer(1.0, ready.set).start()
     ATTACKS[name][2](address, key, stop, counts)
