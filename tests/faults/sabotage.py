@@ -156,6 +156,20 @@ def _for_every_tenant(keyed_hash):
     return lambda tokens, purpose, _tenant, data: keyed_hash(tokens, purpose, "everybody", data)
 
 
+async def _at_once(work, *arguments):
+    return work(*arguments)
+
+
+def _asking_again(verify):
+    """As it was before a call was asked once, when it begins, for what its caller has shown."""
+
+    async def verified(gate, method, context):
+        context.auth_context()
+        await verify(gate, method, None)
+
+    return verified
+
+
 def _settled():
     """A newcomer that nobody has counted."""
 
@@ -414,6 +428,30 @@ SABOTAGES = (
         {f"{SERVICE}rest.listening:HANDSHAKE_S": lambda _seconds: 60.0},
         "tests/integration/test_many_sockets.py::"
         "test_beginnings_of_handshakes_beyond_the_soft_limit_keep_nobody_out[http]",
+    ),
+    Sabotage(
+        "an ended call is asked for its credential again",
+        {
+            f"{SERVICE}grpc.access:credential_of": lambda _read: lambda context: context,
+            f"{SERVICE}grpc.access:Gate.verify": _asking_again,
+        },
+        "tests/contract/api/test_api_keys.py::test_a_call_that_has_ended_is_asked_for_nothing_while_its_watch_goes_on",
+    ),
+    Sabotage(
+        "long JSON is parsed on the event loop",
+        {"asyncio:to_thread": lambda _to_thread: _at_once},
+        "tests/contract/api/test_api_turns.py::"
+        "test_long_json_is_parsed_beside_the_event_loop_and_one_of_a_tenant_at_a_time",
+    ),
+    Sabotage(
+        "a tenant has as many lists read at once as it likes",
+        {
+            f"{USE_CASES}capacity.turns:Turns.__init__": lambda init: (
+                lambda turns, _places, of_tenant=None: init(turns, 99)
+            )
+        },
+        "tests/contract/api/test_api_turns.py::"
+        "test_of_many_lists_of_a_tenant_one_is_read_at_a_time_and_others_go_between",
     ),
     Sabotage(
         "newcomers of one address are not bounded",
