@@ -156,6 +156,11 @@ def _for_every_tenant(keyed_hash):
     return lambda tokens, purpose, _tenant, data: keyed_hash(tokens, purpose, "everybody", data)
 
 
+def _unbounded(init):
+    """A tenant may have as many turns at a time as there are."""
+    return lambda turns, _places, of_tenant=None: init(turns, 99)
+
+
 async def _at_once(work, *arguments):
     return work(*arguments)
 
@@ -419,7 +424,7 @@ SABOTAGES = (
     ),
     Sabotage(
         "the limit of open files stays as it was",
-        {f"{SERVICE}open_files:allow_open_files": nothing},
+        {f"{SERVICE}open_files:allow_open_files": lambda _allow: lambda: 1024},
         "tests/integration/test_many_sockets.py::"
         "test_beginnings_of_handshakes_beyond_the_soft_limit_keep_nobody_out[http]",
     ),
