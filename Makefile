@@ -7,6 +7,8 @@ SHELL := /bin/bash
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
+# Processes that the tests start share what the first of them has compiled, wherever the caller says otherwise.
+test test-all: export PYTHONDONTWRITEBYTECODE :=
 
 BIN := .venv/bin
 PYTHON := $(BIN)/python
@@ -29,11 +31,14 @@ demo: $(STAMP) ## drive two simulated robots through a town; show and draw the l
 run: $(STAMP) ## run the service on this machine: HTTP, gRPC and workers
 	$(BIN)/revisit serve
 
+# A clean checkout has no compiled kernels: they are compiled once, beside the first tests, which need none.
 test: $(STAMP) ## run the tests, without the slow ones
-	$(PYTHON) -m pytest tests -m "not slow" -n 2 --dist loadfile
+	$(PYTHON) -c 'from revisit.service.adapters.core_recogniser import load_recogniser as load; load()' & \
+	$(PYTHON) -m pytest tests -m "not slow" -n 3 --dist loadfile --no-loadscope-reorder
 
-test-all: $(STAMP) ## run every test
-	$(PYTHON) -m pytest tests --timeout 7200
+test-all: $(STAMP) ## run every test, in full size, and hold promises of time: for a machine that does nothing else
+	REVISIT_TEST_TIMES=1 REVISIT_SCHEMATHESIS_EXAMPLES=60 REVISIT_GRPC_EXAMPLES=40 REVISIT_FUZZ_EXAMPLES=100 \
+	REVISIT_MACHINE_EXAMPLES=8 REVISIT_LOOP_EXAMPLES=12 $(PYTHON) -m pytest tests --timeout 7200
 
 lint: $(STAMP) ## check style, docstrings, import contracts and the protocol files
 	$(BIN)/ruff check .
@@ -49,7 +54,7 @@ generated: $(STAMP) ## check that the committed generated files are up to date
 check: lint types generated test ## run everything that a change must pass
 
 bench: $(STAMP) ## measure the product and compare with the committed baseline
-	$(BIN)/revisit bench
+	$(BIN)/revisit bench --check
 
 proto: $(STAMP) ## write the Python stubs of proto/
 	$(PYTHON) scripts/generated_files.py write proto

@@ -12,7 +12,8 @@ The modules in the order of the paper:
     descriptor              aggregation and fusion                                 III-D, III-E, Eq. 13-15
     index, candidates       nearest descriptors, and which may be loop closures    III-E, Eq. 15; IV-B
     place                   what is kept of a submap for verification              III-E
-    verification            correspondences, start, registration, verdict          III-E
+    correspondences         keypoints of two places that look alike                III-E
+    verification            start, registration, evidence, verdict                 III-E
     pose_graph              consistent loops, robust optimisation                  beyond the paper
     pipeline                the steps above, in order
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.bev import BevFeatures
-from revisit.core.clusters import Clusters
 from revisit.core.config import VerificationConfig
 from revisit.core.container import Container
 from revisit.core.descriptor.vlad import Codebooks, project_locally
@@ -19,7 +18,11 @@ from revisit.core.geometry import octahedral
 from revisit.core.geometry.level_frame import LevelFrame
 from revisit.core.geometry.voxel_keys import voxel_keys
 from revisit.core.stages import stage
-from revisit.core.surface import Surface
+
+if TYPE_CHECKING:  # a place is read where nothing is described, without the libraries that this needs
+    from revisit.core.bev import BevFeatures
+    from revisit.core.clusters import Clusters
+    from revisit.core.surface import Surface
 
 Array = NDArray[np.float32]
 

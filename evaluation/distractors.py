@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.adapted_index import AdaptedIndex
 from revisit.core.index import FaissIndex, IndexEntry, SearchFilter
 from revisit.evaluation.metrics import Flags, LoopProtocol, positive_pairs
 
@@ -63,7 +62,7 @@ def fleet_recall(
     vectors: Vectors, positions: NDArray[np.float64], distractors: Vectors, loops: LoopProtocol
 ) -> FleetRecall:
     """Each place of a drive (n, d), at positions (n, 3), asks its earlier ones and the distractors (m, d)."""
-    index = AdaptedIndex(vectors.shape[1], FaissIndex)
+    index = FaissIndex(vectors.shape[1])
     started = time.process_time()
     for start in range(0, len(distractors), _BATCH):
         index.add(_entries(start, len(distractors[start : start + _BATCH])), distractors[start : start + _BATCH])

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.adapted_index import AdaptedIndex
 from revisit.core.candidates import CandidatePolicy
 from revisit.core.config import LoopConfig
 from revisit.core.geometry import se3
@@ -104,17 +103,17 @@ def search_map(
     return found
 
 
-def _enter(index: AdaptedIndex | None, places: Sequence[DescribedSubmap], session: int, first: int = 0) -> None:
+def _enter(index: ExactIndex | None, places: Sequence[DescribedSubmap], session: int, first: int = 0) -> None:
     """Add the described ones of `places`, numbered from `first` on."""
     for row, place in enumerate(places, first):
         if index is not None and place.description is not None:
             index.add([IndexEntry(row, session, row, place.position)], place.description.vector[None])
 
 
-def _index_of(places: Sequence[DescribedSubmap]) -> AdaptedIndex | None:
+def _index_of(places: Sequence[DescribedSubmap]) -> ExactIndex | None:
     """An empty index for their descriptors; None where there are none."""
     sizes = [len(place.description.vector) for place in places if place.description is not None]
-    return AdaptedIndex(sizes[0], ExactIndex) if sizes else None
+    return ExactIndex(sizes[0]) if sizes else None
 
 
 def verify_all(work: VerificationWork, candidates: Sequence[tuple[Match, ...]], jobs: int) -> Iterator[QueryMatches]:

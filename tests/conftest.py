@@ -1,9 +1,36 @@
-"""What every test gets: the log of the service goes to pytest, which shows it where a test fails."""
+"""What every test gets: no limit of time that a busy machine could miss, and the log of the service where one fails."""
 
 from __future__ import annotations
 
+import inspect
+from pathlib import Path
+
+import httpx
 import pytest
 import structlog
+from hypothesis import HealthCheck, settings
+
+from tests.support.patience import PATIENCE_S
+
+settings.register_profile("steady", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("steady")
+
+_timeout = inspect.signature(httpx.Client).parameters["timeout"].default
+"""What every call of httpx that names no limit shares."""
+_timeout.connect = _timeout.read = _timeout.write = _timeout.pool = PATIENCE_S
+
+
+TESTS = Path(__file__).parent
+FIRST = ("integration", "faults", "contract", "corpus")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files that wait for processes go first, so that nothing long is left for the end.
+
+    By the time the others need compiled kernels, `make test` has compiled them beside.
+    """
+    folders = [*FIRST, *sorted({item.path.relative_to(TESTS).parts[0] for item in items}.difference(FIRST))]
+    items.sort(key=lambda item: folders.index(item.path.relative_to(TESTS).parts[0]))
 
 
 @pytest.fixture(autouse=True)

@@ -7,7 +7,7 @@ its spread over the map.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -32,49 +32,66 @@ class SiteStatistics:
         Row by row: the answer does not depend on which rows are adapted together. A descriptor that equals its mean
         stays as it is.
         """
-        adapted = np.empty(vectors.shape, dtype=np.float32)
-        for session, rows in by_session(sessions):
-            adapted[rows] = (vectors[rows] - self.session_means.get(session, self.mean)) / self.spread
+        names, which = np.unique(sessions, return_inverse=True)
+        means = np.stack([self.session_means.get(session, self.mean) for session in names.tolist()] or [self.mean])
+        adapted = np.asarray((vectors - means[which]) / self.spread, dtype=np.float32)
         lengths = np.sqrt(np.einsum("ij,ij->i", adapted, adapted))
         usable = lengths > 1e-6
         adapted[~usable] = vectors[~usable]
         adapted[usable] /= lengths[usable, None]
         return adapted
 
-    def with_session(self, session: int, vectors: Array) -> SiteStatistics:
-        """The statistics with the mean of `session` learned from its descriptors (m, d)."""
-        return SiteStatistics(self.mean, self.spread, {**self.session_means, session: session_mean(vectors, self.mean)})
+    def with_sessions(self, seen: Mapping[int, SessionSums]) -> SiteStatistics:
+        """The statistics with the mean of each session in `seen`."""
+        means = {session: sums.mean(drawn_to=self.mean) for session, sums in seen.items()}
+        return SiteStatistics(self.mean, self.spread, {**self.session_means, **means})
 
 
-def session_mean(vectors: Array, mean: Array) -> Array:
-    """The mean (d,) of a session's descriptors (m, d), drawn to the map's `mean` (d,) as far as chance explains it.
+@dataclass(frozen=True)
+class SessionSums:
+    """What statistics need of a session's descriptors: how many, their sum (d,) and the sum of their squares (d,)."""
 
-    A session that saw only some of the map's places differs from the map by those; one of another sensor differs by
-    more. The positive-part estimator of James and Stein: the difference counts by 1 - (its expected square by chance) /
-    (its square), at least 0.
-    """
-    if len(vectors) < 2:
-        return mean
-    own = vectors.mean(axis=0, dtype=np.float64)
-    by_chance = float(np.square(vectors - own).sum()) / (len(vectors) - 1) / len(vectors)
-    share = max(0.0, 1.0 - by_chance / max(float(np.square(own - mean).sum()), 1e-12))
-    return np.asarray(mean + share * (own - mean), dtype=np.float32)
+    count: int
+    total: NDArray[np.float64]
+    squares: NDArray[np.float64]
+
+    @staticmethod
+    def of(vectors: Array) -> SessionSums:
+        """Of descriptors (m, d)."""
+        exact = vectors.astype(np.float64)
+        return SessionSums(len(vectors), exact.sum(axis=0), np.einsum("ij,ij->j", exact, exact))
+
+    def mean(self, drawn_to: Array) -> Array:
+        """The mean (d,), drawn to the mean (d,) of the map as far as chance explains their difference.
+
+        A session that saw only some of the map's places differs from the map by those; one of another sensor differs by
+        more. The positive-part estimator of James and Stein: the difference counts by 1 - (its expected square by
+        chance) / (its square), at least 0.
+        """
+        if self.count < 2:
+            return drawn_to
+        own = self.total / self.count
+        by_chance = float(self.scatter(own).sum()) / (self.count - 1) / self.count
+        difference = own - drawn_to
+        share = max(0.0, 1.0 - by_chance / max(float(np.square(difference).sum()), 1e-12))
+        return np.asarray(drawn_to + share * difference, dtype=np.float32)
+
+    def scatter(self, centre: NDArray[np.floating]) -> NDArray[np.float64]:
+        """The sum (d,) of squared differences from `centre` (d,)."""
+        about = self.squares - 2.0 * centre * self.total + self.count * np.square(centre, dtype=np.float64)
+        return np.asarray(np.maximum(about, 0.0))
 
 
-def learn_site(vectors: Array, sessions: NDArray[np.int64], config: AdaptationConfig) -> SiteStatistics:
-    """Statistics of descriptors (n, d) of the given sessions (n,), without the means of single sessions.
+def learn_site(sessions: Mapping[int, SessionSums], config: AdaptationConfig) -> SiteStatistics:
+    """Statistics of the descriptors of a map by session, without the means of single sessions.
 
     The mean is drawn to zero, the spread about the sessions' means to that of a random unit vector, each as if
     `prior_places` such places had been seen, too. So a map of a few places hardly adapts.
     """
-    count, size = vectors.shape
-    total = count + config.prior_places
-    mean = np.asarray(vectors.sum(axis=0, dtype=np.float64) / total, dtype=np.float32)
-    squares = np.full(size, config.prior_places / size)
-    for _, rows in by_session(sessions):
-        own = vectors[rows]
-        residuals = own - session_mean(own, mean)
-        squares += np.einsum("ij,ij->j", residuals, residuals)
+    seen = [sessions[session] for session in sorted(sessions)]
+    size, total = len(seen[0].total), sum(sums.count for sums in seen) + config.prior_places
+    mean = np.asarray(sum(sums.total for sums in seen) / total, dtype=np.float32)
+    squares = sum((sums.scatter(sums.mean(mean)) for sums in seen), np.full(size, config.prior_places / size))
     spread = np.sqrt(squares / total)
     return SiteStatistics(mean, (spread + config.spread_floor * spread.mean()).astype(np.float32))
 

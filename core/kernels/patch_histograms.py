@@ -43,7 +43,8 @@ def patch_histograms(
                 if row < 0 or column < 0 or row >= height or column >= width or weights[row, column] == 0.0:
                     continue
                 relative = index[row, column] - turn
-                relative = relative + bins if relative < 0.0 else relative
+                # an angle of pi, rounded up, turns the first bin a little beyond the last
+                relative = max(relative + bins, 0.0) if relative < 0.0 else relative
                 lower = int(relative)
                 share = relative - lower
                 upper = lower + 1 if lower + 1 < bins else 0

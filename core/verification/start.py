@@ -10,10 +10,11 @@ from scipy import fft
 from scipy.ndimage import map_coordinates
 
 from revisit.core.config import VerificationConfig
+from revisit.core.correspondences import correspond
 from revisit.core.geometry import se3
 from revisit.core.geometry.se2 import PlanarPose, turned
 from revisit.core.place import Place
-from revisit.core.verification.correspondences import KeypointFit, correspond, fit_planar_pose
+from revisit.core.verification.keypoint_fit import KeypointFit, fit_planar_pose
 from revisit.core.verification.oriented_points import columns_of
 
 Array64 = NDArray[np.float64]

@@ -14,8 +14,8 @@ from revisit.core.errors import DescriptorModelMismatch
 from revisit.core.geometry import se3
 from revisit.core.geometry.level_frame import motion_between_levels, motion_between_submaps
 from revisit.core.place import Place
-from revisit.core.verification.correspondences import KeypointFit
 from revisit.core.verification.evidence import Evidence, gather_evidence
+from revisit.core.verification.keypoint_fit import KeypointFit
 from revisit.core.verification.oriented_points import OrientedPoints
 from revisit.core.verification.registration import Registration, observability, register
 from revisit.core.verification.rivals import Hypothesis, find_rivals

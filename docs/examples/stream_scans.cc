@@ -47,8 +47,9 @@ void fill(const Scan& scan, uint64_t seq, rv::Scan* message) {
   packed->set_data(scan.xyz.data(), scan.xyz.size() * sizeof(float));
 }
 
-int main() {
-  auto channel = grpc::CreateChannel("127.0.0.1:8090", grpc::InsecureChannelCredentials());
+int main(int argc, char** argv) {
+  const std::string address = argc > 1 ? argv[1] : "127.0.0.1:8090";
+  auto channel = grpc::CreateChannel(address, grpc::InsecureChannelCredentials());
 
   rv::CreateMapRequest new_map;  // creates are idempotent: the same again is no error
   new_map.set_map_id("plant");
@@ -72,7 +73,7 @@ int main() {
   stream->Write(request);
 
   uint64_t seq = 0, credits = 0;
-  bool more = true;
+  bool more = true, ended = false;
   rv::StreamScansResponse answer;
   while (stream->Read(&answer)) {
     if (answer.has_opened()) {
@@ -93,7 +94,7 @@ int main() {
       stream->Write(request);
       --credits;
     }
-    if (!more) stream->WritesDone();
+    if (!more && !ended) ended = stream->WritesDone();
   }
   const grpc::Status end = stream->Finish();
   std::cout << (end.ok() ? "all scans are stored" : end.error_message()) << "\n";

@@ -42,9 +42,11 @@ class DemoDrive:
     def __len__(self) -> int:
         return len(self.trajectory)
 
-    def scans(self) -> Iterator[SimulatedScan]:
-        """The scans one by one, as they are taken."""
-        return simulate(self.world, self.trajectory, OS1_64, self.seed)
+    def scans(self, window: range | None = None) -> Iterator[SimulatedScan]:
+        """The scans one by one, as they are taken; of a `window` alone with other noise than in the whole drive."""
+        part = slice(None) if window is None else slice(window.start, window.stop)
+        way = Trajectory(self.trajectory.T_world_sensor[part], self.trajectory.stamps_ns[part])
+        return simulate(self.world, way, OS1_64, self.seed)
 
     @property
     def length_m(self) -> float:
@@ -78,13 +80,13 @@ def demo_drives(seed: int = 1, *, spacing_m: float = 2.0, block_m: float = 75.0)
 def drifting(T_world_sensor: Floats, seed: int) -> Floats:
     """Odometry (n, 4, 4) of a true trajectory: it starts at the identity and errs a little on every metre.
 
-    Standard deviations per square root of a metre: 8 mm along each axis, 0.03 degrees of yaw, 0.005 of roll and pitch.
+    Standard deviations per square root of a metre: 8 mm along each axis, 0.1 degrees of yaw, 0.005 of roll and pitch.
     """
     rng = np.random.default_rng([seed, 71])
     poses = [np.eye(4)]
     for before, after in itertools.pairwise(T_world_sensor):
         step = se3.inverse(before) @ after
         scale = np.sqrt(np.linalg.norm(step[:3, 3]))
-        noise = rng.normal(size=6) * scale * np.array([0.008, 0.008, 0.004, *np.radians([0.005, 0.005, 0.03])])
+        noise = rng.normal(size=6) * scale * np.array([0.008, 0.008, 0.004, *np.radians([0.005, 0.005, 0.1])])
         poses.append(poses[-1] @ step @ se3.exp(noise))
     return np.stack(poses)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Annotated
 
 import typer
@@ -19,11 +20,14 @@ from revisit.cli import (
     inspect,
     keys,
     maps,
+    merging,
     operations,
     optimise,
     queries,
+    reembed,
     serve,
     spool,
+    watch,
 )
 
 app = typer.Typer(
@@ -46,8 +50,9 @@ def _version(wanted: bool) -> None:
 
 COMMANDS = (
     serve.serve, serve.worker, serve.migrate, inspect.inspect, ingest.ingest, spool.spool, queries.query,
-    queries.loops, explain.explain, export.export, optimise.optimise, demo.demo, evaluate.evaluate, doctor.doctor,
-    backup.backup, backup.restore, backup.scrub,
+    queries.loops, watch.watch, explain.explain, export.export, optimise.optimise, merging.merge, demo.demo,
+    evaluate.evaluate, doctor.doctor, reembed.reembed, backup.backup, backup.restore,
+    backup.scrub,
 )  # fmt: skip
 GROUPS = {
     "map": maps.group,
@@ -78,6 +83,8 @@ def run() -> None:
     from revisit.core.errors import RevisitError
     from revisit.sdk.errors import ApiError
 
+    # gRPC writes lines of its own where the service it talks to stops or falls idle, in the middle of a bar.
+    os.environ.setdefault("GRPC_VERBOSITY", "NONE")
     try:
         app()
     except (ApiError, RevisitError, OSError, TimeoutError) as error:

@@ -18,7 +18,7 @@ PIPE_WIDTH = 400
 
 def emit_json(value: Any) -> None:
     """One JSON document on stdout."""
-    typer.echo(json.dumps(value, indent=1, default=_plain, allow_nan=False))
+    typer.echo(json.dumps(value, indent=1, default=plain, allow_nan=False))
 
 
 def emit_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
@@ -80,7 +80,8 @@ def reporter(bar: Progress) -> Callable[[str, int, int], None]:
     return report
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """What JSON has for a value of NumPy. Raises TypeError for anything else."""
     import numpy as np
 
     if isinstance(value, np.ndarray):

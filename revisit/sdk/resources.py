@@ -170,6 +170,7 @@ class Operation:
     """Work that goes on after the answer; `result` once DONE, `failure_reason` once FAILED.
 
     `seq` is that of the submap, where `post_submap` returned the operation: the `min_seq` of a query that must see it.
+    `progress` is there while it optimises or merges maps; `cancel_requested` says that it is asked to end.
     """
 
     name: str
@@ -181,6 +182,8 @@ class Operation:
     failure_reason: str | None
     failure_message: str | None
     seq: int | None = field(default=None, compare=False)
+    progress: OperationProgress | None = field(default=None, compare=False)
+    cancel_requested: bool = field(default=False, compare=False)
 
     @property
     def done(self) -> bool:
@@ -199,7 +202,23 @@ class Operation:
             result=_json(message, "result"),
             failure_reason=message.failure.reason or None,
             failure_message=message.failure.message or None,
+            progress=OperationProgress.of(message.progress) if message.HasField("progress") else None,
+            cancel_requested=message.cancel_requested,
         )
+
+
+@dataclass(frozen=True)
+class OperationProgress:
+    """How far an operation has come: `done` of `total` parts of a stage."""
+
+    stage: str
+    done: int
+    total: int
+
+    @classmethod
+    def of(cls, message: operation_pb2.OperationProgress) -> Self:
+        """From its message."""
+        return cls(message.stage, message.done, message.total)
 
 
 @dataclass(frozen=True)
@@ -249,7 +268,7 @@ class Submap:
             flags=tuple(message.flags),
             model_version=message.model_version or None,
             operation=message.operation,
-            descriptor=tuple(message.descriptor),
+            descriptor=tuple(message.place_descriptor),
             seq=message.seq,
             in_map=_map_pose(message, "t_map_submap"),
         )
@@ -366,6 +385,41 @@ class LoopClosure:
 
 
 @dataclass(frozen=True)
+class KeypointPlan:
+    """The keypoints (n, 2) of a submap, metres in its upright frame; T_submap_level (4, 4) is where that lies."""
+
+    submap: str
+    T_submap_level: Matrix4 = field(compare=False)
+    keypoints: NDArray[np.float64] = field(compare=False)
+
+    @classmethod
+    def of(cls, message: loop_closure_pb2.KeypointPlan) -> Self:
+        """From its message."""
+        return cls(message.submap, _matrix(message.t_submap_level), np.stack([message.x, message.y], axis=1))
+
+
+@dataclass(frozen=True)
+class LoopKeypoints:
+    """What was compared for a loop closure, as the method saw both submaps from above.
+
+    pairs (p, 2): rows of the keypoints of query and match that look alike, the most alike first; agrees (p,): whether
+    the pose of the loop closure brings them together.
+    """
+
+    query: KeypointPlan
+    match: KeypointPlan
+    pairs: NDArray[np.int64] = field(compare=False)
+    agrees: NDArray[np.bool_] = field(compare=False)
+
+    @classmethod
+    def of(cls, message: loop_closure_pb2.GetLoopClosureKeypointsResponse) -> Self:
+        """From its message."""
+        pairs = np.array([(pair.query, pair.match) for pair in message.pairs], dtype=np.int64).reshape(-1, 2)
+        agrees = np.array([pair.agrees for pair in message.pairs], dtype=bool)
+        return cls(KeypointPlan.of(message.query), KeypointPlan.of(message.match), pairs, agrees)
+
+
+@dataclass(frozen=True)
 class LoopClosureEvent:
     """A change of a loop closure: its state from then on, who made it, and why.
 
@@ -399,6 +453,64 @@ class LoopClosureEvent:
             map_version=message.map_version or None,
             details=_json(message, "details") or {},
             at_ns=message.at_ns,
+        )
+
+
+@dataclass(frozen=True)
+class MapChange:
+    """Something that one day has and the other has not: `kind` VANISHED or APPEARED.
+
+    A box along the axes of the map's frame: centre and extent (3,) in metres, around so many neural `points`.
+    """
+
+    kind: str
+    centre_m: tuple[float, float, float]
+    extent_m: tuple[float, float, float]
+    points: int
+
+    @classmethod
+    def of(cls, message: mapping_pb2.MapChange) -> Self:
+        """From its message."""
+        centre, extent = message.centre_m, message.extent_m
+        return cls(
+            kind=_word(message, "kind"),
+            centre_m=(centre.x, centre.y, centre.z),
+            extent_m=(extent.x, extent.y, extent.z),
+            points=message.points,
+        )
+
+
+@dataclass(frozen=True)
+class MapMerge:
+    """A merge into a map: `source` was copied as `sessions`, version `version_before` became `version`.
+
+    `report` has alignment and evidence; `changes` are what vanished since the map was made, and what appeared;
+    `reverted_at_ns` is there once it was taken back.
+    """
+
+    name: str
+    source: str
+    version_before: int
+    version: int
+    sessions: tuple[str, ...]
+    report: dict[str, Any] = field(compare=False)
+    changes: tuple[MapChange, ...]
+    created_at_ns: int
+    reverted_at_ns: int | None
+
+    @classmethod
+    def of(cls, message: mapping_pb2.MapMerge) -> Self:
+        """From its message."""
+        return cls(
+            name=message.name,
+            source=message.source,
+            version_before=message.version_before,
+            version=message.version,
+            sessions=tuple(message.sessions),
+            report=_json(message, "report") or {},
+            changes=tuple(MapChange.of(one) for one in message.changes),
+            created_at_ns=message.created_at_ns,
+            reverted_at_ns=_optional(message, "reverted_at_ns"),
         )
 
 

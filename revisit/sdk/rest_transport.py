@@ -128,9 +128,9 @@ class RestTransport:
         criteria = _criteria(request)
         if request.WhichOneof("query") == "cloud":
             return self._message(kind, "POST", path, **_cloud(request.cloud, _with_prior_text(criteria)))
-        if request.WhichOneof("query") == "descriptor":
-            criteria["descriptor"] = list(request.descriptor.vector)
-            criteria["model_version"] = request.descriptor.model_version
+        if request.WhichOneof("query") == "place_descriptor":
+            criteria["descriptor"] = list(request.place_descriptor.vector)
+            criteria["model_version"] = request.place_descriptor.model_version
         return self._message(kind, "POST", path, json=criteria)
 
     def localize(self, request: loop_closure_pb2.LocalizeRequest) -> loop_closure_pb2.LocalizeResponse:
@@ -174,6 +174,10 @@ class RestTransport:
         """See Transport."""
         return self._message(loop_closure_pb2.LoopClosure, "POST", f"{_path(name)}:{decision}", json={"note": note})
 
+    def loop_keypoints(self, name: str) -> loop_closure_pb2.GetLoopClosureKeypointsResponse:
+        """See Transport."""
+        return self._message(loop_closure_pb2.GetLoopClosureKeypointsResponse, "GET", f"{_path(name)}/keypoints")
+
     def watch(self, request: event_pb2.WatchEventsRequest) -> Iterator[event_pb2.Event | None]:
         """See Transport."""
         params: Json = {"kinds": _kind_names(request.kinds)}
@@ -196,6 +200,23 @@ class RestTransport:
     def revert_map(self, name: str, version: int) -> mapping_pb2.MapVersion:
         """See Transport."""
         return self._message(mapping_pb2.MapVersion, "POST", f"{_path(name)}:revert", json={"version": version})
+
+    def merge_map(self, request: mapping_pb2.MergeMapRequest) -> operation_pb2.Operation:
+        """See Transport."""
+        body = {"source": request.source, "validate_only": request.validate_only}
+        if request.HasField("t_map_source"):
+            body["T_map_source"] = _pose_text(request.t_map_source)
+        if request.HasField("radius_m"):
+            body["radius_m"] = request.radius_m
+        return self._message(operation_pb2.Operation, "POST", f"{_path(request.name)}:merge", json=body)
+
+    def revert_merge(self, name: str) -> mapping_pb2.MapMerge:
+        """See Transport."""
+        return self._message(mapping_pb2.MapMerge, "POST", f"{_path(name)}:revert")
+
+    def cancel_operation(self, name: str) -> operation_pb2.Operation:
+        """See Transport."""
+        return self._message(operation_pb2.Operation, "POST", f"{_path(name)}:cancel")
 
     def correction(self, session: str) -> mapping_pb2.Correction:
         """See Transport."""
@@ -393,7 +414,8 @@ def _plain_value(field: Any, value: Any) -> Any:
 
 def _criteria(request: Any) -> Json:
     """The fields of a query but for its map and its cloud or descriptor; sessions by id, the prior as numbers."""
-    criteria = {name: value for name, value in plain(request).items() if name not in ("parent", "cloud", "descriptor")}
+    elsewhere = ("parent", "cloud", "place_descriptor")
+    criteria = {name: value for name, value in plain(request).items() if name not in elsewhere}
     for name in ("exclude_session", "only_session"):
         if name in criteria:
             criteria[name] = _last(criteria[name])

@@ -169,6 +169,10 @@ class Transport(Protocol):
         """`accept`, `reject` or `revert` a loop closure."""
         ...
 
+    def loop_keypoints(self, name: str) -> loop_closure_pb2.GetLoopClosureKeypointsResponse:
+        """The keypoints of a loop closure's two submaps."""
+        ...
+
     def watch(self, request: event_pb2.WatchEventsRequest) -> Iterator[event_pb2.Event | None]:
         """The events of a map over one connection, None for a sign of life; ends where the service ends it."""
         ...
@@ -179,6 +183,18 @@ class Transport(Protocol):
 
     def revert_map(self, name: str, version: int) -> mapping_pb2.MapVersion:
         """Bring an earlier version of a map back."""
+        ...
+
+    def merge_map(self, request: mapping_pb2.MergeMapRequest) -> operation_pb2.Operation:
+        """Queue a merge into a map."""
+        ...
+
+    def revert_merge(self, name: str) -> mapping_pb2.MapMerge:
+        """Take a merge back."""
+        ...
+
+    def cancel_operation(self, name: str) -> operation_pb2.Operation:
+        """End an operation that optimises or merges maps."""
         ...
 
     def correction(self, session: str) -> mapping_pb2.Correction:

@@ -78,10 +78,10 @@ class Descriptor(_message.Message):
     def __init__(self, vector: _Optional[_Iterable[float]] = ..., model_version: _Optional[str] = ...) -> None: ...
 
 class SearchSubmapsRequest(_message.Message):
-    __slots__ = ("parent", "submap", "descriptor", "cloud", "k", "min_similarity", "exclude_session", "only_session", "min_index_gap", "prior_position_m", "radius_m", "min_seq", "min_seq_timeout_s", "t_level_query")
+    __slots__ = ("parent", "submap", "place_descriptor", "cloud", "k", "min_similarity", "exclude_session", "only_session", "min_index_gap", "prior_position_m", "radius_m", "min_seq", "min_seq_timeout_s", "t_level_query")
     PARENT_FIELD_NUMBER: _ClassVar[int]
     SUBMAP_FIELD_NUMBER: _ClassVar[int]
-    DESCRIPTOR_FIELD_NUMBER: _ClassVar[int]
+    PLACE_DESCRIPTOR_FIELD_NUMBER: _ClassVar[int]
     CLOUD_FIELD_NUMBER: _ClassVar[int]
     K_FIELD_NUMBER: _ClassVar[int]
     MIN_SIMILARITY_FIELD_NUMBER: _ClassVar[int]
@@ -95,7 +95,7 @@ class SearchSubmapsRequest(_message.Message):
     T_LEVEL_QUERY_FIELD_NUMBER: _ClassVar[int]
     parent: str
     submap: str
-    descriptor: Descriptor
+    place_descriptor: Descriptor
     cloud: _cloud_pb2.Cloud
     k: int
     min_similarity: float
@@ -107,7 +107,7 @@ class SearchSubmapsRequest(_message.Message):
     min_seq: int
     min_seq_timeout_s: float
     t_level_query: _geometry_pb2.Transform
-    def __init__(self, parent: _Optional[str] = ..., submap: _Optional[str] = ..., descriptor: _Optional[_Union[Descriptor, _Mapping]] = ..., cloud: _Optional[_Union[_cloud_pb2.Cloud, _Mapping]] = ..., k: _Optional[int] = ..., min_similarity: _Optional[float] = ..., exclude_session: _Optional[str] = ..., only_session: _Optional[str] = ..., min_index_gap: _Optional[int] = ..., prior_position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., radius_m: _Optional[float] = ..., min_seq: _Optional[int] = ..., min_seq_timeout_s: _Optional[float] = ..., t_level_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ...) -> None: ...
+    def __init__(self, parent: _Optional[str] = ..., submap: _Optional[str] = ..., place_descriptor: _Optional[_Union[Descriptor, _Mapping]] = ..., cloud: _Optional[_Union[_cloud_pb2.Cloud, _Mapping]] = ..., k: _Optional[int] = ..., min_similarity: _Optional[float] = ..., exclude_session: _Optional[str] = ..., only_session: _Optional[str] = ..., min_index_gap: _Optional[int] = ..., prior_position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., radius_m: _Optional[float] = ..., min_seq: _Optional[int] = ..., min_seq_timeout_s: _Optional[float] = ..., t_level_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ...) -> None: ...
 
 class SearchHit(_message.Message):
     __slots__ = ("submap", "similarity", "position_m", "t_map_submap", "frame", "map_version")
@@ -376,3 +376,41 @@ class ListLoopClosureEventsResponse(_message.Message):
     loop_closure_events: _containers.RepeatedCompositeFieldContainer[LoopClosureEvent]
     next_page_token: str
     def __init__(self, loop_closure_events: _Optional[_Iterable[_Union[LoopClosureEvent, _Mapping]]] = ..., next_page_token: _Optional[str] = ...) -> None: ...
+
+class GetLoopClosureKeypointsRequest(_message.Message):
+    __slots__ = ("name",)
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    def __init__(self, name: _Optional[str] = ...) -> None: ...
+
+class KeypointPlan(_message.Message):
+    __slots__ = ("submap", "t_submap_level", "x", "y")
+    SUBMAP_FIELD_NUMBER: _ClassVar[int]
+    T_SUBMAP_LEVEL_FIELD_NUMBER: _ClassVar[int]
+    X_FIELD_NUMBER: _ClassVar[int]
+    Y_FIELD_NUMBER: _ClassVar[int]
+    submap: str
+    t_submap_level: _geometry_pb2.Transform
+    x: _containers.RepeatedScalarFieldContainer[float]
+    y: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, submap: _Optional[str] = ..., t_submap_level: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., x: _Optional[_Iterable[float]] = ..., y: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class KeypointPair(_message.Message):
+    __slots__ = ("query", "match", "agrees")
+    QUERY_FIELD_NUMBER: _ClassVar[int]
+    MATCH_FIELD_NUMBER: _ClassVar[int]
+    AGREES_FIELD_NUMBER: _ClassVar[int]
+    query: int
+    match: int
+    agrees: bool
+    def __init__(self, query: _Optional[int] = ..., match: _Optional[int] = ..., agrees: _Optional[bool] = ...) -> None: ...
+
+class GetLoopClosureKeypointsResponse(_message.Message):
+    __slots__ = ("query", "match", "pairs")
+    QUERY_FIELD_NUMBER: _ClassVar[int]
+    MATCH_FIELD_NUMBER: _ClassVar[int]
+    PAIRS_FIELD_NUMBER: _ClassVar[int]
+    query: KeypointPlan
+    match: KeypointPlan
+    pairs: _containers.RepeatedCompositeFieldContainer[KeypointPair]
+    def __init__(self, query: _Optional[_Union[KeypointPlan, _Mapping]] = ..., match: _Optional[_Union[KeypointPlan, _Mapping]] = ..., pairs: _Optional[_Iterable[_Union[KeypointPair, _Mapping]]] = ...) -> None: ...

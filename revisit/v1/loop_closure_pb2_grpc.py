@@ -85,6 +85,11 @@ class LoopClosureServiceStub:
                 request_serializer=revisit_dot_v1_dot_loop__closure__pb2.ListLoopClosureEventsRequest.SerializeToString,
                 response_deserializer=revisit_dot_v1_dot_loop__closure__pb2.ListLoopClosureEventsResponse.FromString,
                 _registered_method=True)
+        self.GetLoopClosureKeypoints = channel.unary_unary(
+                '/revisit.v1.LoopClosureService/GetLoopClosureKeypoints',
+                request_serializer=revisit_dot_v1_dot_loop__closure__pb2.GetLoopClosureKeypointsRequest.SerializeToString,
+                response_deserializer=revisit_dot_v1_dot_loop__closure__pb2.GetLoopClosureKeypointsResponse.FromString,
+                _registered_method=True)
 
 
 class LoopClosureServiceServicer:
@@ -161,6 +166,14 @@ class LoopClosureServiceServicer:
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def GetLoopClosureKeypoints(self, request, context):
+        """The keypoints of the two submaps seen from above, which of them look alike, and which of these the pose brings
+        together.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
 
 def add_LoopClosureServiceServicer_to_server(servicer, server):
     rpc_method_handlers = {
@@ -213,6 +226,11 @@ def add_LoopClosureServiceServicer_to_server(servicer, server):
                     servicer.ListLoopClosureEvents,
                     request_deserializer=revisit_dot_v1_dot_loop__closure__pb2.ListLoopClosureEventsRequest.FromString,
                     response_serializer=revisit_dot_v1_dot_loop__closure__pb2.ListLoopClosureEventsResponse.SerializeToString,
+            ),
+            'GetLoopClosureKeypoints': grpc.unary_unary_rpc_method_handler(
+                    servicer.GetLoopClosureKeypoints,
+                    request_deserializer=revisit_dot_v1_dot_loop__closure__pb2.GetLoopClosureKeypointsRequest.FromString,
+                    response_serializer=revisit_dot_v1_dot_loop__closure__pb2.GetLoopClosureKeypointsResponse.SerializeToString,
             ),
     }
     generic_handler = grpc.method_handlers_generic_handler(
@@ -486,6 +504,33 @@ class LoopClosureService:
             '/revisit.v1.LoopClosureService/ListLoopClosureEvents',
             revisit_dot_v1_dot_loop__closure__pb2.ListLoopClosureEventsRequest.SerializeToString,
             revisit_dot_v1_dot_loop__closure__pb2.ListLoopClosureEventsResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def GetLoopClosureKeypoints(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/revisit.v1.LoopClosureService/GetLoopClosureKeypoints',
+            revisit_dot_v1_dot_loop__closure__pb2.GetLoopClosureKeypointsRequest.SerializeToString,
+            revisit_dot_v1_dot_loop__closure__pb2.GetLoopClosureKeypointsResponse.FromString,
             options,
             channel_credentials,
             insecure,

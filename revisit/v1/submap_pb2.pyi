@@ -11,7 +11,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class Submap(_message.Message):
-    __slots__ = ("name", "state", "ordinal", "t_odom_submap", "position_m", "stamp_ns", "first_seq", "last_seq", "scan_count", "point_count", "raw_bytes", "neural_map_bytes", "flags", "model_version", "failure", "operation", "created_at_ns", "descriptor", "seq", "t_map_submap", "frame", "map_version")
+    __slots__ = ("name", "state", "ordinal", "t_odom_submap", "position_m", "stamp_ns", "first_seq", "last_seq", "scan_count", "point_count", "raw_bytes", "neural_map_bytes", "flags", "model_version", "failure", "operation", "created_at_ns", "place_descriptor", "seq", "t_map_submap", "frame", "map_version")
     class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STATE_UNSPECIFIED: _ClassVar[Submap.State]
@@ -39,7 +39,7 @@ class Submap(_message.Message):
     FAILURE_FIELD_NUMBER: _ClassVar[int]
     OPERATION_FIELD_NUMBER: _ClassVar[int]
     CREATED_AT_NS_FIELD_NUMBER: _ClassVar[int]
-    DESCRIPTOR_FIELD_NUMBER: _ClassVar[int]
+    PLACE_DESCRIPTOR_FIELD_NUMBER: _ClassVar[int]
     SEQ_FIELD_NUMBER: _ClassVar[int]
     T_MAP_SUBMAP_FIELD_NUMBER: _ClassVar[int]
     FRAME_FIELD_NUMBER: _ClassVar[int]
@@ -61,12 +61,12 @@ class Submap(_message.Message):
     failure: _operation_pb2.Failure
     operation: str
     created_at_ns: int
-    descriptor: _containers.RepeatedScalarFieldContainer[float]
+    place_descriptor: _containers.RepeatedScalarFieldContainer[float]
     seq: int
     t_map_submap: _geometry_pb2.Transform
     frame: str
     map_version: int
-    def __init__(self, name: _Optional[str] = ..., state: _Optional[_Union[Submap.State, str]] = ..., ordinal: _Optional[int] = ..., t_odom_submap: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., stamp_ns: _Optional[int] = ..., first_seq: _Optional[int] = ..., last_seq: _Optional[int] = ..., scan_count: _Optional[int] = ..., point_count: _Optional[int] = ..., raw_bytes: _Optional[int] = ..., neural_map_bytes: _Optional[int] = ..., flags: _Optional[_Iterable[str]] = ..., model_version: _Optional[str] = ..., failure: _Optional[_Union[_operation_pb2.Failure, _Mapping]] = ..., operation: _Optional[str] = ..., created_at_ns: _Optional[int] = ..., descriptor: _Optional[_Iterable[float]] = ..., seq: _Optional[int] = ..., t_map_submap: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., frame: _Optional[str] = ..., map_version: _Optional[int] = ...) -> None: ...
+    def __init__(self, name: _Optional[str] = ..., state: _Optional[_Union[Submap.State, str]] = ..., ordinal: _Optional[int] = ..., t_odom_submap: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., stamp_ns: _Optional[int] = ..., first_seq: _Optional[int] = ..., last_seq: _Optional[int] = ..., scan_count: _Optional[int] = ..., point_count: _Optional[int] = ..., raw_bytes: _Optional[int] = ..., neural_map_bytes: _Optional[int] = ..., flags: _Optional[_Iterable[str]] = ..., model_version: _Optional[str] = ..., failure: _Optional[_Union[_operation_pb2.Failure, _Mapping]] = ..., operation: _Optional[str] = ..., created_at_ns: _Optional[int] = ..., place_descriptor: _Optional[_Iterable[float]] = ..., seq: _Optional[int] = ..., t_map_submap: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., frame: _Optional[str] = ..., map_version: _Optional[int] = ...) -> None: ...
 
 class PostSubmapRequest(_message.Message):
     __slots__ = ("parent", "submap_id", "t_odom_submap", "stamp_ns", "cloud")

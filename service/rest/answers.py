@@ -34,6 +34,8 @@ WebhookPage = webhook_pb2.ListWebhooksResponse
 DeliveryPage = webhook_pb2.ListWebhookDeliveriesResponse
 Event = event_pb2.Event
 Correction = mapping_pb2.Correction
+MapMerge = mapping_pb2.MapMerge
+MapMergePage = mapping_pb2.ListMapMergesResponse
 MapVersion = mapping_pb2.MapVersion
 MapVersionPage = mapping_pb2.ListMapVersionsResponse
 SubmapPosePage = mapping_pb2.ListSubmapPosesResponse
@@ -41,6 +43,7 @@ Ack = ingest_pb2.AppendScanResponse
 LocalizeAnswer = loop_closure_pb2.LocalizeResponse
 LoopClosure = loop_closure_pb2.LoopClosure
 LoopClosurePage = loop_closure_pb2.ListLoopClosuresResponse
+LoopKeypoints = loop_closure_pb2.GetLoopClosureKeypointsResponse
 LoopClosureEventPage = loop_closure_pb2.ListLoopClosureEventsResponse
 ProposedLoop = loop_closure_pb2.CreateLoopClosureResponse
 Map = map_pb2.Map
@@ -61,8 +64,8 @@ T = TypeVar("T")
 
 _DESCRIBED = (
     Ack, Event, LocalizeAnswer, LoopClosurePage, MapPage, OperationPage, Posted, RobotPage, SearchAnswer, SessionPage,
-    Status, SubmapPage, Correction, MapVersionPage, SubmapPosePage,
-    LoopClosureEventPage, ProposedLoop, CreatedWebhook, WebhookPage, DeliveryPage,
+    Status, SubmapPage, Correction, MapVersionPage, SubmapPosePage, MapMergePage,
+    LoopClosureEventPage, LoopKeypoints, ProposedLoop, CreatedWebhook, WebhookPage, DeliveryPage,
 )  # fmt: skip
 
 

@@ -470,6 +470,7 @@ listen(
     [["k"], "previous loop closure", () => stepPair(-1), true],
     [["Enter"], "open the chosen loop closure", () => model.selected?.loop && openPair(model.selected.loop)],
     [["b"], "before or after the loop closure", () => pair.slideTo(pair.share > 0.5 ? 0 : 1), true],
+    [["v"], "keypoints of the loop closure, from above", () => pair.showSurface(pair.fromAbove ? "points" : "keypoints"), true],
     [["t"], "look from above", () => setView("top")],
     [["p"], "look tilted", () => setView("tilted")],
     [["f"], "show everything", () => setView("fit")],

@@ -6,6 +6,7 @@ import { OrbitControls } from "/vendor/three-0.187.0/OrbitControls.js";
 import { extentOf, geometryOf } from "/clouds.js";
 import { MATCH_COLOUR, QUERY_COLOUR, themed } from "/colours.js";
 import { byId, element, press, shortName } from "/dom.js";
+import { KeypointView } from "/keypoints.js";
 import { between, inverse, matrixOf, matrixOfRows, product } from "/frames.js";
 import { pointsMaterial, surfaceMaterial } from "/scene.js";
 import { apart, measures, rivalsOf, sentences, stateOf, verdictOf } from "/words.js";
@@ -17,6 +18,7 @@ export class PairView {
   constructor({ onStep, onClose, actionsOf }) {
     this.dialog = byId("pair");
     this.canvas = byId("pair-view");
+    this.keypoints = new KeypointView(byId("pair-keypoints"));
     this.actionsOf = actionsOf;
     this.surface = "points";
     this.share = 1;
@@ -35,7 +37,7 @@ export class PairView {
     byId("moment").addEventListener("click", ({ target }) => target.dataset.moment && this.slideTo(target.dataset.moment === "after" ? 1 : 0));
     byId("slide").addEventListener("input", ({ target }) => this.setShare(Number(target.value) / 1000));
     byId("pair-surface").addEventListener("click", ({ target }) => target.dataset.surface && this.showSurface(target.dataset.surface));
-    new ResizeObserver(() => this.paint()).observe(this.canvas);
+    new ResizeObserver(() => this.paint()).observe(this.dialog);
   }
 
   get isOpen() {
@@ -78,7 +80,30 @@ export class PairView {
     this.controls.addEventListener("change", () => this.draw());
   }
 
+  get fromAbove() {
+    return this.surface === "keypoints";
+  }
+
   async load() {
+    this.dialog.classList.toggle("above", this.fromAbove);
+    this.keypoints.canvas.hidden = !this.fromAbove;
+    return this.fromAbove ? this.loadKeypoints() : this.loadClouds();
+  }
+
+  async loadKeypoints() {
+    const opened = (this.opened += 1);
+    this.note("Loading the keypoints");
+    try {
+      const sentence = await this.keypoints.load(this.loop);
+      if (opened !== this.opened) return;
+      this.note(sentence);
+      this.setShare(this.share);
+    } catch (error) {
+      if (opened === this.opened) this.note(`The keypoints cannot be shown: ${error.message}`);
+    }
+  }
+
+  async loadClouds() {
     const opened = (this.opened += 1);
     const { query, match } = this.loop;
     this.query.clear();
@@ -173,6 +198,7 @@ export class PairView {
   paint() {
     cancelAnimationFrame(this.due);
     this.due = 0;
+    if (this.fromAbove) return this.keypoints.paint(this.share);
     const { clientWidth: width, clientHeight: height } = this.canvas;
     if (!this.renderer || !width || !this.loop) return;
     this.renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, 2));

@@ -6,7 +6,7 @@ constructor, REST renders it with `json_form`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
 from typing import Any, TypeAlias, TypeVar
 
@@ -28,9 +28,11 @@ from revisit.service.application.ingest.scans import ScanAck
 from revisit.service.application.ingest.submap_posting import PostedSubmap
 from revisit.service.application.mapping.corrections import CorrectionView
 from revisit.service.application.mapping.loop_decisions import LoopEventView, ProposedLoop
+from revisit.service.application.mapping.merges import MapMergeView
 from revisit.service.application.mapping.versions import MapVersionView, SubmapPoseView
 from revisit.service.application.push.events import EventView
 from revisit.service.application.push.webhooks import CreatedWebhook, WebhookView
+from revisit.service.application.query.loop_keypoints import KeypointPlan, LoopKeypoints
 from revisit.service.application.query.loops import LoopClosureView
 from revisit.service.application.query.search_answers import Localization, LocalizedCandidate, SearchHit, SearchResult
 
@@ -92,6 +94,8 @@ def of_operation(view: OperationView) -> Fields:
         "failure": _failure(view.failure),
         "created_at_ns": view.created_at_ns,
         "finished_at_ns": view.finished_at_ns,
+        "progress": None if view.progress is None else asdict(view.progress),
+        "cancel_requested": view.cancel_requested,
     }
 
 
@@ -116,7 +120,7 @@ def of_submap(view: SubmapView) -> Fields:
         "failure": _failure(view.failure),
         "operation": f"operations/{view.operation_id}",
         "created_at_ns": view.created_at_ns,
-        "descriptor": None if view.descriptor is None else view.descriptor.tolist(),
+        "place_descriptor": None if view.descriptor is None else view.descriptor.tolist(),
         **_in_map("t_map_submap", view.in_map),
     }
 
@@ -171,6 +175,21 @@ def of_proposed_loop(proposed: ProposedLoop) -> Fields:
     }
 
 
+def of_loop_keypoints(view: LoopKeypoints) -> Fields:
+    """The fields of a GetLoopClosureKeypointsResponse."""
+    pairs = zip(view.pairs.tolist(), view.agrees.tolist(), strict=True)
+    return {
+        "query": _keypoint_plan(view.query),
+        "match": _keypoint_plan(view.match),
+        "pairs": [{"query": query, "match": match, "agrees": agrees} for (query, match), agrees in pairs],
+    }
+
+
+def _keypoint_plan(plan: KeypointPlan) -> Fields:
+    x, y = plan.keypoints.T.round(3).tolist()
+    return {"submap": plan.submap.name, "t_submap_level": _transform(plan.T_submap_level), "x": x, "y": y}
+
+
 def of_loop_event(view: LoopEventView) -> Fields:
     """The fields of a LoopClosureEvent."""
     return {
@@ -215,6 +234,26 @@ def of_submap_pose(view: SubmapPoseView) -> Fields:
         "frame": view.frame,
         "covariance": _covariance(view.covariance),
     }
+
+
+def of_map_merge(view: MapMergeView) -> Fields:
+    """The fields of a MapMerge."""
+    return {
+        "name": f"maps/{view.map_id}/merges/{view.merge_id}",
+        "source": view.source,
+        "version_before": view.version_before,
+        "version": view.version,
+        "sessions": [key.name for key in view.sessions],
+        "report": {name: value for name, value in view.report.items() if name != "changes"},
+        "changes": [_change(one) for one in view.report["changes"]],
+        "created_at_ns": view.created_at_ns,
+        "reverted_at_ns": view.reverted_at_ns,
+    }
+
+
+def _change(change: Mapping[str, Any]) -> Fields:
+    """The fields of a MapChange."""
+    return {**change, "centre_m": _vector(change["centre_m"]), "extent_m": _vector(change["extent_m"])}
 
 
 def of_correction(view: CorrectionView) -> Fields:

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.patience import PATIENCE_S
+
 ROOT = Path(__file__).resolve().parents[2]
 MOST = {"service/grpc/": 1, "service/wire/": 1, "service/application/": 9, "service/adapters/": 8, "": 27}
 """Modules that a scan may cross, by folder; the last is for all (docs/decisions/0084)."""
@@ -16,7 +18,9 @@ MOST = {"service/grpc/": 1, "service/wire/": 1, "service/application/": 9, "serv
 @pytest.fixture(scope="module")
 def crossed():
     command = (sys.executable, "-m", "tests.support.way_of_a_scan")
-    return subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True, timeout=100).stdout.split()
+    return subprocess.run(
+        command, cwd=ROOT, check=True, capture_output=True, text=True, timeout=PATIENCE_S
+    ).stdout.split()
 
 
 @pytest.mark.parametrize("folder", MOST, ids=lambda folder: folder or "all")

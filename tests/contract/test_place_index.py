@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from revisit.core.adapted_index import AdaptedIndex
 from revisit.core.config import AdaptationConfig
 from revisit.core.errors import BadField
 from revisit.core.index import ExactIndex, FaissIndex, IndexEntry, PlaceIndex, SearchFilter
@@ -14,12 +13,26 @@ from revisit.core.index import ExactIndex, FaissIndex, IndexEntry, PlaceIndex, S
 DIMENSION = 16
 
 
-def adapted(dimension: int) -> AdaptedIndex:
-    """An index that adapts to more places than these tests show it."""
-    return AdaptedIndex(dimension, ExactIndex, AdaptationConfig(first_places=10_000))
+PLAIN = AdaptationConfig(first_places=10_000)
+"""No statistics are learned from as few places as these tests show."""
 
 
-@pytest.fixture(params=[ExactIndex, FaissIndex, adapted], ids=["exact", "faiss", "adapted"])
+def exact(dimension: int) -> ExactIndex:
+    """The reference."""
+    return ExactIndex(dimension, PLAIN)
+
+
+def flat(dimension: int) -> FaissIndex:
+    """The index of the service with as few places as are all compared."""
+    return FaissIndex(dimension, PLAIN, coded_from=10_000)
+
+
+def coded(dimension: int) -> FaissIndex:
+    """The index of the service, which searches by codes soon."""
+    return FaissIndex(dimension, PLAIN, coded_from=64)
+
+
+@pytest.fixture(params=[exact, flat, coded])
 def index(request: pytest.FixtureRequest) -> PlaceIndex:
     built: PlaceIndex = request.param(DIMENSION)
     return built
@@ -162,9 +175,7 @@ def test_places_that_come_and_go_take_no_more_room_and_change_no_answer(index: P
         index.add([entry(identifier, session=identifier, x=float(identifier))], vectors[identifier : identifier + 1])
         index.remove([identifier - 40])
     assert len(index) == 40
-    inside = index._places if isinstance(index, AdaptedIndex) else index
-    assert len(inside._metadata.ids) <= 256  # type: ignore[attr-defined]  # of either implementation
-    assert not isinstance(index, AdaptedIndex) or len(index._rows.vectors) <= 256
+    assert len(index._rows.vectors) <= 256  # type: ignore[attr-defined]  # of either implementation
     rows, query = np.arange(960, 1000), random_vectors(1, seed=3)[0]
     assert [match.id for match in index.search(query, 5)] == brute_force(vectors, query, rows, 5)
     assert [match.id for match in index.search(query, 5, SearchFilter(only_session=970))] == [970]

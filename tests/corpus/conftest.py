@@ -14,6 +14,7 @@ import pytest
 
 from revisit.service.application.ingest.submap_posting import PostSubmap
 from tests.support.live_service import LiveService, live_service
+from tests.support.patience import PATIENCE_S
 from tests.support.service_world import SESSION, TENANT, SubmapKey, cloud, open_session, pose, sqlite_world
 
 MAP = f"maps/{SESSION.map_id}"
@@ -62,7 +63,7 @@ def corpus_service(tmp_path_factory):
     asyncio.run(_seed(world))
     with (
         live_service(world) as live,
-        httpx.Client(base_url=live.http, trust_env=False, timeout=60) as http,
+        httpx.Client(base_url=live.http, trust_env=False, timeout=PATIENCE_S) as http,
         grpc.insecure_channel(live.grpc, options=[("grpc.max_send_message_length", -1)]) as channel,
     ):
         live.working.clear()

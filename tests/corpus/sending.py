@@ -28,6 +28,7 @@ from revisit.v1 import (
 )
 from tests.corpus.rows import CloudToSend
 from tests.corpus.write import body_of
+from tests.support.patience import PATIENCE_S
 
 _FILES = (ingest_pb2, loop_closure_pb2, map_pb2, operation_pb2, robot_pb2, session_pb2, submap_pb2, system_pb2)
 METHODS = {
@@ -166,7 +167,7 @@ class ScanTalk:
     def __init__(self, channel, session: str) -> None:
         self._requests: queue.SimpleQueue = queue.SimpleQueue()
         stub = ingest_pb2_grpc.IngestServiceStub(channel)
-        self._answers = stub.StreamScans(iter(self._requests.get, None), timeout=60)
+        self._answers = stub.StreamScans(iter(self._requests.get, None), timeout=PATIENCE_S)
         self._requests.put(ingest_pb2.StreamScansRequest(open=ingest_pb2.Open(session=session)))
         assert next(self._answers).HasField("opened")
 
@@ -193,7 +194,7 @@ class ScanTalk:
 def raw_status(address: str, sent: bytes) -> int:
     """The status of the first answer to bytes on a TCP connection, 0 where it is closed without one."""
     host, _, port = address.removeprefix("http://").rpartition(":")
-    with socket.create_connection((host, int(port)), timeout=30) as connection:
+    with socket.create_connection((host, int(port)), timeout=PATIENCE_S) as connection:
         with contextlib.suppress(BrokenPipeError, ConnectionResetError):
             connection.sendall(sent)
         try:

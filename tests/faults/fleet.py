@@ -15,8 +15,9 @@ from tests.faults.proxy import BadLink, bad_link
 from tests.faults.robots import EXPECTED, Crew, Poster, Scanner
 from tests.faults.survey import Survey, survey
 from tests.support.campaigns import Campaign
+from tests.support.patience import eventually
 from tests.support.processes import ServiceProcess
-from tests.support.town import SESSION, eventually
+from tests.support.town import SESSION
 
 PLACES = 50
 PAUSE_S = 0.05

@@ -49,7 +49,7 @@ def record(folder: Path, program: list[str], cwd: Path) -> Recording:
     trace = folder / "trace"
     strace = ["strace", "-f", "-y", "-qq", "-xx", "-s", "100000000", "--seccomp-bpf", "-o", str(trace), "-e", SYSCALLS]
     arguments = [str(folder / "home"), str(folder / "log")]
-    subprocess.run([*strace, *program, *arguments], cwd=cwd, check=True, capture_output=True, timeout=120)
+    subprocess.run([*strace, *program, *arguments], cwd=cwd, check=True, capture_output=True)
     steps = [step for line in _whole_lines(trace.read_text()) if (step := _step(line, str(folder))) is not None]
     return Recording(arguments[0], arguments[1], steps)
 

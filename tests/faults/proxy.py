@@ -12,6 +12,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
+from tests.support.patience import PATIENCE_S
+
 CHUNK_BYTES = 65_536
 DARK_POLL_S = 0.01
 RESET = struct.pack("ii", 1, 0)
@@ -95,7 +97,7 @@ class BadLink:
                 self.cuts += 1
                 _reset(to_client)
                 if connection.fault.half_open:
-                    await asyncio.wait_for(service.read(), 60.0)
+                    await asyncio.wait_for(service.read(), PATIENCE_S)
         finally:
             for end in (to_client, to_service):
                 _reset(end) if connection.cut else end.close()
@@ -183,10 +185,10 @@ def bad_link(target: str, fault: Callable[[], Fault] = lambda: WHOLE) -> Iterato
 
     thread = threading.Thread(target=lambda: loop.run_until_complete(serve()), name="bad link", daemon=True)
     thread.start()
-    assert ready.wait(10.0)
+    assert ready.wait(PATIENCE_S)
     try:
         yield link
     finally:
         loop.call_soon_threadsafe(stop.set)
-        thread.join(10.0)
+        thread.join(PATIENCE_S)
         loop.close()

@@ -22,6 +22,7 @@ from revisit.sdk.retry import RetryPolicy
 from revisit.service.status import STATUS
 from revisit.v1 import cloud_pb2, geometry_pb2, ingest_pb2, ingest_pb2_grpc
 from tests.faults.history import History, Kind, Operation, Outcome
+from tests.support.patience import PATIENCE_S
 from tests.support.service_world import cloud_points, pose
 
 T = TypeVar("T")
@@ -94,7 +95,7 @@ class Poster:
         url = f"{http}/v1/{self._session}/submaps"
         try:
             # Without certificates to check there are none to load, which takes longer than the call.
-            with httpx.Client(verify=False, trust_env=False, timeout=20) as client:
+            with httpx.Client(verify=False, trust_env=False, timeout=PATIENCE_S) as client:
                 answer = client.post(url, params=asked, content=body(place, points), headers={"Content-Type": KITTI})
         except httpx.HTTPError:
             return self._settle(operation, Outcome.UNKNOWN)
@@ -160,7 +161,9 @@ class Scanner:
         def talk() -> None:
             with grpc.insecure_channel(target, options=_FRESH_CHANNEL) as channel:
                 stub = ingest_pb2_grpc.IngestServiceStub(channel)
-                self._talk(stub.StreamScans(iter(requests.get, None), timeout=60), requests, resuming, until_seq)
+                self._talk(
+                    stub.StreamScans(iter(requests.get, None), timeout=PATIENCE_S), requests, resuming, until_seq
+                )
 
         try:
             bounded(talk)

@@ -18,8 +18,9 @@ from tests.faults.survey import survey
 from tests.support.campaigns import Campaign, sizes
 from tests.support.figures import publish
 from tests.support.live_service import LiveService, live_service
+from tests.support.patience import PATIENCE_S, eventually, in_time
 from tests.support.service_world import pose, sqlite_world
-from tests.support.town import SESSION, eventually
+from tests.support.town import SESSION
 
 CLIENTS = 6
 ATTEMPTS = 100
@@ -42,7 +43,7 @@ def random_cuts(rng: random.Random, most_bytes: int, share: float = 1.0):
     return lambda: Fault(cut_after=rng.randint(0, most_bytes)) if rng.random() < share else WHOLE
 
 
-@pytest.mark.parametrize("cuts", sizes("STREAM_CUTS", 50, 10_000))
+@pytest.mark.parametrize("cuts", sizes("STREAM_CUTS", 30, 10_000))
 @pytest.mark.timeout(3600)
 def test_a_stream_that_is_cut_again_and_again_has_no_gap_and_no_scan_twice(service, folder, cuts):
     history = History()
@@ -118,7 +119,7 @@ class Repeater:
         return Outcome.UNKNOWN
 
 
-@pytest.mark.parametrize("operations", sizes("REPEATED_REQUESTS", 500, 100_000))
+@pytest.mark.parametrize("operations", sizes("REPEATED_REQUESTS", 200, 100_000))
 @pytest.mark.timeout(7200)
 def test_requests_that_are_repeated_over_a_bad_link_store_each_submap_once(service, folder, operations):
     rng = random.Random(5)
@@ -178,7 +179,7 @@ class Driver:
 
     def close(self) -> None:
         """Once all is acknowledged."""
-        self.stream.flush(timeout_s=60)
+        self.stream.flush(timeout_s=PATIENCE_S)
         for operation in self._open:
             self._history.settle(operation, Outcome.OK)
         self._opened.__exit__(None, None, None)
@@ -207,7 +208,7 @@ def recoveries_s(links: list[BadLink], driver: Driver, posters: list[Repeating],
         link.dark = True
     time.sleep(dark_s)
     committed, posted = driver.stream.committed_seq, [poster.posted for poster in posters]
-    assert driver.stream.state.pending >= dark_s
+    eventually(lambda: driver.stream.state.pending > 3, "nothing waits in the spool")
     for link in links:
         link.heal(forgotten=forgotten)
     began_s = time.monotonic()
@@ -218,7 +219,7 @@ def recoveries_s(links: list[BadLink], driver: Driver, posters: list[Repeating],
 
 
 @pytest.mark.parametrize("forgotten", [False, True])
-@pytest.mark.parametrize("dark_s", sizes("DARK_S", 3, 30))
+@pytest.mark.parametrize("dark_s", sizes("DARK_S", 1, 30))
 @pytest.mark.timeout(300)
 def test_a_link_that_was_dark_takes_nothing_and_is_used_again_at_once(service, folder, dark_s, forgotten):
     """Dark in both directions; then what was held back arrives, or the connections of before are forgotten."""
@@ -239,7 +240,7 @@ def test_a_link_that_was_dark_takes_nothing_and_is_used_again_at_once(service, f
     assert (stored.committed_seq, stored.travelled_m) == (driver.sent, pytest.approx(STEP_M * (driver.sent - 1)))
     assert driver.stream.error is None and [poster.poster.surprises for poster in posters] == [[]] * POSTERS
     assert survey(folder / "home").against(history) == []
-    assert max(stream_s, posts_s) <= RECOVERED_WITHIN_S
+    assert in_time(max(stream_s, posts_s), RECOVERED_WITHIN_S)
     how = "connections forgotten" if forgotten else "connections kept"
     recovered = f"the stream got on {stream_s:.2f} s, posts {posts_s:.2f} s after {dark_s} s of darkness, {how}"
     publish("dark link", promise="P25", figure=f"0 of {driver.sent} scans lost or twice; {recovered}")

@@ -60,7 +60,7 @@ def flipped(data: bytes, rng: random.Random) -> bytes:
     return bytes(changed)
 
 
-@pytest.mark.parametrize("flips", sizes("BIT_FLIPS", 60, 1_000))
+@pytest.mark.parametrize("flips", sizes("BIT_FLIPS", 30, 1_000))
 @pytest.mark.timeout(3600)
 def test_a_flipped_bit_is_noticed_and_harms_its_own_submap_only(world, folder, flips):
     rng, blobs = random.Random(28), FileBlobStore(folder / "home/blobs")

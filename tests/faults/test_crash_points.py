@@ -17,10 +17,11 @@ from revisit.service.failpoints import POINTS, arm
 from tests.faults.drive import DEGENERATE, undisturbed
 from tests.faults.history import History
 from tests.faults.survey import survey
+from tests.support.patience import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
-END = Counter({"DESCRIBED": 6, "FAILED": 1})
-"""a, c, d and three windows of scans; the degenerate one."""
+END = Counter({"DESCRIBED": 8, "FAILED": 1})
+"""a, c, d, three windows of scans and two of the annex; the degenerate one."""
 
 processes = multiprocessing.get_context("forkserver")
 processes.set_forkserver_preload(["tests.faults.drive"])
@@ -37,7 +38,7 @@ def exit_status(home: Path, armed: str) -> int:
     """How a drive ends in a process of its own with `armed` points."""
     child = processes.Process(target=_drive_into, args=(home, home.parent / "log", armed))
     child.start()
-    child.join(60)
+    child.join(PATIENCE_S)
     status = child.exitcode
     child.close()
     assert status is not None

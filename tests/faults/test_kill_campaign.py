@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import random
 import signal
@@ -11,8 +12,8 @@ import pytest
 
 from tests.faults.fleet import Fleet, fleet_of
 from tests.support.campaigns import Campaign, sizes
+from tests.support.patience import eventually, in_time
 from tests.support.processes import ServiceProcess, is_running
-from tests.support.town import eventually
 
 DRAINED_S = 15.0
 GATEWAY_EVERY = 10
@@ -36,11 +37,13 @@ def kill_gateway(fleet: Fleet) -> None:
 
 
 def kill_worker(fleet: Fleet, rng: random.Random) -> None:
-    eventually(fleet.service.worker_pids, "no worker is started")
-    os.kill(rng.choice(fleet.service.worker_pids()), signal.SIGKILL)
+    pids: list[int] = []
+    eventually(lambda: pids.extend(fleet.service.worker_pids()) or pids, "no worker is started")
+    with contextlib.suppress(ProcessLookupError):  # it may have ended by itself just now
+        os.kill(rng.choice(pids), signal.SIGKILL)
 
 
-@pytest.mark.parametrize("kills", sizes("KILLS", 20, 1_000))
+@pytest.mark.parametrize("kills", sizes("KILLS", 8, 1_000))
 @pytest.mark.timeout(7200)
 def test_what_was_acknowledged_survives_kills_of_gateway_and_workers_once(fleet, folder, kills):
     rng, campaign = random.Random(17), Campaign("P1", kills)
@@ -56,7 +59,7 @@ def test_what_was_acknowledged_survives_kills_of_gateway_and_workers_once(fleet,
     campaign.publish(f"0 of {fleet.acknowledged()} acknowledged lost, 0 twice, index = database")
 
 
-@pytest.mark.parametrize("drains", sizes("DRAINS", 2, 500))
+@pytest.mark.parametrize("drains", sizes("DRAINS", 1, 500))
 @pytest.mark.timeout(7200)
 def test_a_service_that_is_told_to_end_does_so_in_time_and_keeps_what_it_acknowledged(fleet, folder, drains):
     took_s, campaign = [], Campaign("P13", drains)
@@ -66,6 +69,6 @@ def test_a_service_that_is_told_to_end_does_so_in_time_and_keeps_what_it_acknowl
         took_s.append(ended_s)
         assert (status, [pid for pid in workers if is_running(pid)]) == (0, [])
         fleet.start_again()
-    assert max(took_s) < DRAINED_S
+    assert in_time(max(took_s), DRAINED_S)
     assert set(fleet.require_kept(folder / "home").states) == {"DESCRIBED"}
     campaign.publish(f"every exit 0, the slowest after {max(took_s):.1f} s; 0 of {fleet.acknowledged()} lost")

@@ -11,6 +11,7 @@ import time
 import pytest
 
 from tests.faults.proxy import WHOLE, Fault, bad_link
+from tests.support.patience import PATIENCE_S
 
 
 class Echo(socketserver.BaseRequestHandler):
@@ -36,7 +37,7 @@ def target(echo) -> str:
 
 
 def connected(link) -> socket.socket:
-    return socket.create_connection(("127.0.0.1", link.port), timeout=5)
+    return socket.create_connection(("127.0.0.1", link.port), timeout=PATIENCE_S)
 
 
 def received(client: socket.socket) -> tuple[bytes, bool]:
@@ -67,7 +68,7 @@ def test_a_link_is_cut_at_the_byte(echo, cut_after, answered):
         # A reset may overtake the bytes before it.
         assert reset
         assert b"0123456789"[:answered].startswith(data)
-        assert echo.ended.wait(5)
+        assert echo.ended.wait(PATIENCE_S)
         assert link.cuts == 1
 
 
@@ -122,7 +123,7 @@ def test_a_dark_link_passes_nothing_until_it_has_healed(echo, forgotten):
             late.sendall(b"c")
             link.heal(forgotten=forgotten)
             assert late.recv(1) == b"c"
-        client.settimeout(5)
+        client.settimeout(PATIENCE_S)
         if forgotten:
             assert received(client) == (b"", True)
         else:

@@ -39,7 +39,7 @@ def world(folder):
     made.context.transactions.close()
 
 
-@pytest.mark.parametrize("jobs", sizes("STALE_WORKERS", 20, 500))
+@pytest.mark.parametrize("jobs", sizes("STALE_WORKERS", 8, 500))
 @pytest.mark.timeout(3600)
 def test_the_late_result_of_a_worker_that_lost_its_lease_is_refused(world, folder, jobs):
     slow = Overslept(world)

@@ -19,11 +19,11 @@ from tests.faults.robots import body
 from tests.faults.survey import survey
 from tests.support.campaigns import Campaign, sizes
 from tests.support.fake_recogniser import NOWHERE
+from tests.support.patience import eventually
 from tests.support.processes import ServiceProcess, WorkerProcess, is_free
 from tests.support.service_world import pose
-from tests.support.town import SESSION, eventually
+from tests.support.town import SESSION
 
-DESCRIBES_FOR_S = 1.0
 MISTAKEN = "tests.support.fake_recogniser:load_mistaken"
 
 
@@ -64,7 +64,10 @@ def post(client: Client, submap_id: str, place: int) -> Operation:
 
 
 def overtake(home: Path, client: Client, quick: WorkerProcess, slow: WorkerProcess, stopped_s: float) -> float:
-    """The slow worker stands still in its job for `stopped_s`, the quick one does it; how long that took, seconds."""
+    """The slow worker, which waits at the gate, stands still in its job for `stopped_s`, the quick one does it.
+
+    How long that took, seconds.
+    """
     late = post(client, "c", 1)
     eventually(lambda: client.get_operation(late.name).state == "RUNNING", "the slow worker does not begin")
     with stopped(slow, home):
@@ -73,6 +76,7 @@ def overtake(home: Path, client: Client, quick: WorkerProcess, slow: WorkerProce
         done = client.wait(late)
         done_s = time.monotonic() - stopped_at
         threading.Event().wait(stopped_s - done_s)
+        (home / "gate").touch()
     assert slow.wait_for("result_refused")["operation"] == late.name.removeprefix("operations/")
     assert (done.state, done.attempts) == ("DONE", 2)
     return done_s
@@ -86,7 +90,7 @@ def test_a_worker_that_was_stopped_beyond_its_lease_has_its_result_refused(folde
         assert client.wait(post(client, submap_id, place)).state == "DONE"
     for _ in campaign:
         with stopped(quick, home):
-            slow = start_worker(lease_s=lease_s, recogniser=MISTAKEN, fake_delay_s=DESCRIBES_FOR_S)
+            slow = start_worker(lease_s=lease_s, recogniser=MISTAKEN, fake_gate=home / "gate")
             done_s = overtake(home, client, quick, slow, stopped_s)
     loops = [(loop.query, loop.match, loop.state) for loop in client.loop_closures("maps/town")]
     assert loops == [(f"{SESSION}/submaps/c", f"{SESSION}/submaps/a", "ACCEPTED")]

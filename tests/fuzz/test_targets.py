@@ -24,7 +24,7 @@ from tests.fuzz.targets import FILES, TARGETS, refusing
 from tests.support.campaigns import Campaign
 from tests.support.cloud_files import records, valid_files
 
-EXAMPLES = int(os.environ.get("REVISIT_FUZZ_EXAMPLES", "100"))
+EXAMPLES = int(os.environ.get("REVISIT_FUZZ_EXAMPLES", "40"))
 
 
 NOTHING = zstandard.compress(b"")

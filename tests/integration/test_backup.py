@@ -24,6 +24,7 @@ from revisit.service.adapters.sqlite.backup_key import KEY_FILE, own_key
 from revisit.service.adapters.sqlite.examination import examine, scrub
 from revisit.service.application.catalogue.downloads import DownloadKind
 from revisit.service.application.contract.blobs import PLACE_BLOB
+from tests.support.patience import PATIENCE_S
 from tests.support.service_world import TENANT, open_session, sqlite_world, submap
 
 
@@ -112,7 +113,9 @@ async def test_what_is_deleted_during_a_backup_is_whole_in_it_and_is_swept_later
     real, loop = backup._copy_blobs, asyncio.get_running_loop()
 
     def delete_first(*arguments):
-        asyncio.run_coroutine_threadsafe(world.use_cases.submaps.delete(TENANT, submap("s0", 0).key), loop).result(10)
+        asyncio.run_coroutine_threadsafe(world.use_cases.submaps.delete(TENANT, submap("s0", 0).key), loop).result(
+            PATIENCE_S
+        )
         return real(*arguments)
 
     monkeypatch.setattr(backup, "_copy_blobs", delete_first)
@@ -269,7 +272,7 @@ async def test_of_two_backups_into_one_folder_at_once_one_is_refused(world, home
     def wait_in_between(*arguments):
         real(*arguments)
         copying.set()
-        assert go_on.wait(30)
+        assert go_on.wait(PATIENCE_S)
 
     monkeypatch.setattr(backup, "_copy_database", wait_in_between)
     first = asyncio.create_task(asyncio.to_thread(make_backup, home, tmp_path / "backup", "1.0"))

@@ -14,9 +14,10 @@ from revisit.service.adapters.files.disk import Disk
 from revisit.service.adapters.files.durable_files import may_grow
 from revisit.service.application import UseCases
 from revisit.service.application.contract.errors import StorageFull
+from tests.support.patience import PATIENCE_S, eventually, in_time
 from tests.support.processes import ServiceProcess
 from tests.support.service_world import open_session, sqlite_world, submap
-from tests.support.town import SESSION, Town, eventually, running_town
+from tests.support.town import SESSION, Town, running_town
 
 SIZE_MB, RESERVE_MB = 64, 8
 MOUNTED = ("unshare", "-rm", "sh", "-c", f'mount -t tmpfs -o size={SIZE_MB}m tmpfs "$REVISIT_HOME" && exec "$@"', "sh")
@@ -32,7 +33,7 @@ def may_mount() -> bool:
     """Whether this user may make a mount namespace with a tmpfs in it."""
     probe = ["unshare", "-rm", "sh", "-c", "mount -t tmpfs tmpfs /mnt"]
     try:
-        return subprocess.run(probe, capture_output=True, check=False, timeout=10).returncode == 0
+        return subprocess.run(probe, capture_output=True, check=False, timeout=PATIENCE_S).returncode == 0
     except OSError:
         return False
 
@@ -78,7 +79,7 @@ def test_a_full_disk_refuses_data_serves_the_rest_and_heals_by_itself(tmp_path):
         assert town.http.delete(f"/v1/{SESSION}/submaps/s4").status_code in (200, 204)
 
         filler.unlink()
-        assert eventually(lambda: post(town, 100) == 202) < 5.0
+        assert in_time(eventually(lambda: post(town, 100) == 202), 5.0)
         assert town.http.get("/readyz").json()["degraded"] == []
         assert {"s0", "s1", "s2", "s3", "s100"} <= town.states().keys() <= {"s0", "s1", "s2", "s3", "s99", "s100"}
         assert town.service.terminate()[0] == 0
@@ -102,7 +103,7 @@ def test_files_that_may_not_grow_are_a_full_disk_and_no_broken_one(tmp_path):
         assert any("storage full" in said for said in town.http.get("/readyz").json()["degraded"])
 
         resource.prlimit(town.service.pid, resource.RLIMIT_FSIZE, unlimited)
-        assert eventually(lambda: post(town, 1) == 202) < 5.0
+        assert in_time(eventually(lambda: post(town, 1) == 202), 5.0)
         assert town.service.terminate()[0] == 0
 
 

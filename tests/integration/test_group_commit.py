@@ -12,9 +12,10 @@ from sqlalchemy.exc import OperationalError
 
 from revisit.service.adapters.sqlite import transactions
 from revisit.service.adapters.sqlite.connections import WriterLock
-from revisit.service.adapters.sqlite.migration import migrate
 from revisit.service.adapters.sqlite.transactions import SqliteTransactions
 from revisit.service.application.contract.errors import AlreadyExists, StorageFull
+from tests.support.made_database import made_database
+from tests.support.patience import PATIENCE_S
 from tests.support.records import TENANT, a_map
 
 
@@ -22,7 +23,7 @@ from tests.support.records import TENANT, a_map
 def store(tmp_path, monkeypatch):
     """A store whose groups are closed by what waits alone, so that a slow machine does not part them."""
     monkeypatch.setattr(transactions, "MAX_GROUP_S", 60.0)
-    migrate(tmp_path / "test.db")
+    made_database(tmp_path / "test.db")
     opened = SqliteTransactions(tmp_path / "test.db", checkpoints=True)
     yield opened
     opened.close()
@@ -51,22 +52,22 @@ class Held:
     def __init__(self, store) -> None:
         self._entered, self._leave = threading.Event(), threading.Event()
         self.future = store.write(self._wait, alone=True)
-        assert self._entered.wait(5)
+        assert self._entered.wait(PATIENCE_S)
 
     def _wait(self, uow) -> None:
         self._entered.set()
-        assert self._leave.wait(5)
+        assert self._leave.wait(PATIENCE_S)
 
     def let_go(self) -> None:
         self._leave.set()
-        self.future.result(5)
+        self.future.result(PATIENCE_S)
 
 
 def test_what_waits_is_committed_together_in_the_order_in_which_it_came(store, commits):
     held = Held(store)
     waiting = [store.write(add(f"m{number:02}")) for number in range(20)]
     held.let_go()
-    numbers = [future.result(5).number for future in waiting]
+    numbers = [future.result(PATIENCE_S).number for future in waiting]
     assert numbers == sorted(numbers)
     assert len(commits) <= 1 + 4  # 20 rows take well below 20 ms of work
     assert names(store) == [f"m{number:02}" for number in range(20)]
@@ -81,11 +82,11 @@ def test_one_that_fails_undoes_its_own_changes_only(store):
 
     first, bad, twice, last = (store.write(work) for work in (add("a"), half_way, add("a"), add("b")))
     held.let_go()
-    assert first.result(5).map_id == "a" and last.result(5).map_id == "b"
+    assert first.result(PATIENCE_S).map_id == "a" and last.result(PATIENCE_S).map_id == "b"
     with pytest.raises(RuntimeError, match="half way"):
-        bad.result(5)
+        bad.result(PATIENCE_S)
     with pytest.raises(AlreadyExists):
-        twice.result(5)
+        twice.result(PATIENCE_S)
     assert names(store) == ["a", "b"]
 
 
@@ -101,9 +102,9 @@ def test_nobody_is_answered_before_the_commit_and_all_are_told_when_it_fails(sto
     held.let_go()
     for future in (before, conflicting, broken):
         with pytest.raises(StorageFull):
-            future.result(5)
+            future.result(PATIENCE_S)
     assert names(store) == []
-    assert store.write(add("a")).result(5).map_id == "a"
+    assert store.write(add("a")).result(PATIENCE_S).map_id == "a"
 
 
 def test_a_write_that_wants_to_be_alone_shares_its_transaction_with_nobody(store, commits):
@@ -111,12 +112,12 @@ def test_a_write_that_wants_to_be_alone_shares_its_transaction_with_nobody(store
     futures = [store.write(add("a")), store.write(add("b"), alone=True), store.write(add("c"))]
     held.let_go()
     for future in futures:
-        future.result(5)
+        future.result(PATIENCE_S)
     assert len(commits) == 4
 
 
 def test_a_closed_store_finishes_what_is_queued_and_takes_nothing_more(tmp_path):
-    migrate(tmp_path / "closing.db")
+    made_database(tmp_path / "closing.db")
     store = SqliteTransactions(tmp_path / "closing.db", checkpoints=True)
     queued = [store.write(add(f"m{number}")) for number in range(100)]
     store.close()
@@ -128,7 +129,7 @@ def test_a_closed_store_finishes_what_is_queued_and_takes_nothing_more(tmp_path)
 def test_sixteen_clients_share_syncs(store, commits):
     def client(number):
         for turn in range(10):
-            store.write(add(f"m{number}-{turn}")).result(10)
+            store.write(add(f"m{number}-{turn}")).result(PATIENCE_S)
 
     with ThreadPoolExecutor(16) as pool:
         list(pool.map(client, range(16)))
@@ -149,7 +150,7 @@ def test_whoever_waits_for_the_writers_lock_gets_it_next(tmp_path):
 
     with ThreadPoolExecutor(1) as pool:
         pool.submit(keep_busy)
-        assert before.wait(5)
+        assert before.wait(PATIENCE_S)
         missed = []
         for _ in range(20):
             seen = len(turns)

@@ -12,6 +12,7 @@ import pytest
 from revisit import Client
 from revisit.sdk.retry import RetryPolicy
 from tests.support.http2 import CANCEL, GOAWAY, OPENING, PING, RST_STREAM, SETTINGS, call_headers, frame, frames
+from tests.support.patience import PATIENCE_S
 from tests.support.processes import ServiceProcess
 
 ENHANCE_YOUR_CALM = 11
@@ -30,7 +31,7 @@ def service(tmp_path_factory):
 @pytest.fixture
 def connection(service):
     host, _, port = service.grpc_target.rpartition(":")
-    with socket.create_connection((host, int(port)), timeout=10) as made:
+    with socket.create_connection((host, int(port)), timeout=PATIENCE_S) as made:
         made.sendall(OPENING)
         yield made
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
+import shutil
 from dataclasses import replace
 
-import faiss
 import numpy as np
 import pytest
 
-from revisit.core.adapted_index import AdaptedIndex
-from revisit.core.index import FaissIndex
+from revisit.core.index import FaissIndex, IndexEntry
 from revisit.service.adapters.vector_index import PlaceVectorIndex
 from revisit.service.application import UseCases
 from revisit.service.application.catalogue.maps import CreateMap
@@ -18,25 +18,26 @@ from revisit.service.application.housekeeping import index_keeping
 from revisit.service.application.query import place_memory
 from revisit.service.application.query.place_memory import PlaceMemory
 from tests.support.campaigns import Campaign, sizes
-from tests.support.service_world import SESSION, TENANT, open_session, sqlite_world, submap
+from tests.support.service_world import SESSION, TENANT, described, sqlite_world
 
 SUBMAPS = 12
 
 
-def adapted(dimension: int) -> AdaptedIndex:
-    """The index that the service uses."""
-    return AdaptedIndex(dimension, FaissIndex)
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory):
+    """The data of a service with submaps."""
+    home = tmp_path_factory.mktemp("filled")
+    world = sqlite_world(home)
+    asyncio.run(described(world, **{f"s{number}": number for number in range(SUBMAPS)}))
+    world.context.transactions.close()
+    return home
 
 
 @pytest.fixture
-async def context(tmp_path):
+def context(tmp_path, filled):
     """A filled database, and an index that has not seen it yet."""
-    world = sqlite_world(tmp_path)
-    await open_session(world)
-    for number in range(SUBMAPS):
-        await world.use_cases.posting.post(TENANT, submap(f"s{number}", number))
-    world.work_off()
-    yield replace(world.context, index=PlaceVectorIndex(adapted))
+    world = sqlite_world(shutil.copytree(filled, tmp_path, dirs_exist_ok=True))
+    yield replace(world.context, index=PlaceVectorIndex(FaissIndex))
     world.context.transactions.close()
 
 
@@ -127,20 +128,22 @@ async def test_a_few_maps_at_a_time_each_gets_its_turn(context, keeper, monkeypa
 
 def inner(context) -> FaissIndex:
     """The innermost structure of the map's index."""
-    places = context.index._maps[map_of(context).number].places
-    return places._places if isinstance(places, AdaptedIndex) else places
+    return context.index._maps[map_of(context).number].places
+
+
+def flip_a_bit(vectors, rng, row) -> None:
+    """Change one bit of one vector."""
+    row = rng.integers(len(vectors)) if row is None else row
+    vectors.view(np.uint32)[row, rng.integers(vectors.shape[1])] ^= np.uint32(1) << np.uint32(rng.integers(32))
 
 
 def damage_vector(places, rng, row=None) -> None:
-    """Flip one bit of one stored vector."""
-    flat = faiss.downcast_index(places._faiss.index)
-    values = faiss.rev_swig_ptr(flat.get_xb(), flat.ntotal * flat.d).view(np.uint32).reshape(flat.ntotal, flat.d)
-    row = rng.integers(flat.ntotal) if row is None else row
-    values[row, rng.integers(flat.d)] ^= np.uint32(1) << np.uint32(rng.integers(32))
+    flip_a_bit(places._rows.vectors[: places._rows.count], rng, row)
 
 
-def lose_a_vector(places, rng) -> None:
-    places._faiss.remove_ids(faiss.IDSelectorBatch(rng.choice(places.ids(), 1)))
+def damage_what_is_compared(places, rng) -> None:
+    places.ids()  # by now all are there
+    flip_a_bit(places._flat._stored(), rng, None)
 
 
 def lose_a_place(places, rng) -> None:
@@ -148,24 +151,25 @@ def lose_a_place(places, rng) -> None:
 
 
 def hold_one_too_many(places, rng) -> None:
-    places._faiss.add_with_ids(rng.normal(size=(1, 64)).astype(np.float32), np.array([10**6 + int(rng.integers(9))]))
+    number = 10**6 + int(rng.integers(9))
+    places.add([IndexEntry(number, 0, number, np.zeros(3))], rng.normal(size=(1, 64)).astype(np.float32))
 
 
 def forget_that_it_lives(places, rng) -> None:
-    places._metadata.alive[rng.integers(places._metadata.count)] = False
+    places._rows.alive[rng.integers(places._rows.count)] = False
 
 
 def move_a_place(places, rng) -> None:
-    places._metadata.positions[rng.integers(places._metadata.count), rng.integers(3)] += 1e-9
+    places._rows.positions[rng.integers(places._rows.count), rng.integers(3)] += 1e-9
 
 
 def change_a_session(places, rng) -> None:
-    places._metadata.sessions[rng.integers(places._metadata.count)] += 1
+    places._rows.sessions[rng.integers(places._rows.count)] += 1
 
 
 DAMAGES = [
     damage_vector,
-    lose_a_vector,
+    damage_what_is_compared,
     lose_a_place,
     hold_one_too_many,
     forget_that_it_lives,

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.live_service import live_service
+from tests.support.patience import in_time
 from tests.support.requirements import ROOT, distributions
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="links the dependencies into a new environment")
@@ -133,7 +134,7 @@ def python(environment: Path, project: Path, *words: str) -> str:
 def test_the_sdk_imports_within_half_a_second_and_leaves_the_projects_own_packages_alone(environment, project):
     runs = [json.loads(python(environment, project, "-c", LOADED)) for _ in range(3)]
     # Of the processor, not of the clock: other tests run beside this one.
-    assert min(measured["took_s"] for measured in runs) <= IMPORT_CPU_S
+    assert in_time(min(measured["took_s"] for measured in runs), IMPORT_CPU_S)
     found = runs[0]
     assert Path(found["core"]).parent == project / "core" and Path(found["service"]).parent == project / "service"
     assert Path(found["revisit"]).is_relative_to(environment)

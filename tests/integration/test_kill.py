@@ -10,14 +10,21 @@ import sys
 import pytest
 
 from tests.support.fake_recogniser import KILLS_THE_WORKER
+from tests.support.patience import PATIENCE_S, eventually, in_time
 from tests.support.processes import ROOT, ServiceProcess, is_running
-from tests.support.town import SESSION, eventually, running_town
+from tests.support.town import SESSION, running_town
 
 
-@pytest.fixture
-def town(tmp_path):
-    with running_town(tmp_path / "home", fake_delay_s="0.02", min_index_gap=2) as running:
+@pytest.fixture(scope="module")
+def town(tmp_path_factory):
+    """Each test leaves the service running."""
+    with running_town(tmp_path_factory.mktemp("town") / "home", fake_delay_s="0.02", min_index_gap=2) as running:
         yield running
+
+
+def ended(town, beginning):
+    """The states of the submaps whose ids begin so, once no submap waits any more."""
+    return {name: state for name, state in town.worked_off().items() if name.startswith(beginning)}
 
 
 def test_an_unfinished_window_of_scans_survives_a_kill(town):
@@ -29,36 +36,40 @@ def test_an_unfinished_window_of_scans_survives_a_kill(town):
     assert town.append(8) == 8
     for seq in range(9, 17):
         assert town.append(seq) == seq
-    assert list(town.worked_off()) == ["scans-1-11", "scans-6-16"]
+    assert list(ended(town, "scans")) == ["scans-1-11", "scans-6-16"]
 
 
 def test_a_submap_that_kills_its_worker_fails_after_three_attempts_and_others_proceed(town):
     poison = town.posted("poison", 1, points=KILLS_THE_WORKER)
     town.posted("good", 2)
-    assert town.worked_off() == {"poison": "FAILED", "good": "DESCRIBED"}
+    assert ended(town, ("poison", "good")) == {"poison": "FAILED", "good": "DESCRIBED"}
     operation = town.operation(poison)
     assert (operation["state"], operation["attempts"]) == ("FAILED", 3)
 
 
 def test_a_submap_whose_worker_is_killed_again_and_again_is_described_all_the_same(tmp_path):
-    with running_town(tmp_path / "home", fake_delay_s="0.5") as town:
+    gate = tmp_path / "gate"
+    with running_town(tmp_path / "home", fake_gate=gate) as town:
         operation = town.posted("innocent", 1)
         for run in range(1, 5):
             eventually(lambda run=run: running_attempt(town, operation) == run, f"run {run} did not begin")
             (worker,) = town.service.worker_pids()
             os.kill(worker, signal.SIGKILL)
+        gate.touch()
         ended = town.ended(operation)
         assert (ended["state"], ended["attempts"]) == ("DONE", 5)
 
 
 @pytest.mark.slow
 def test_a_submap_that_was_under_way_when_the_service_was_killed_again_and_again_is_described(tmp_path):
-    with running_town(tmp_path / "home", fake_delay_s="0.5", lease_s=1) as town:
+    gate = tmp_path / "gate"
+    with running_town(tmp_path / "home", fake_gate=gate, lease_s=1) as town:
         operation = town.posted("innocent", 1)
         for run in range(1, 5):
             eventually(lambda run=run: running_attempt(town, operation) == run, f"run {run} did not begin")
             town.service.kill()
             town.service.start()
+        gate.touch()
         ended = town.ended(operation)
         assert (ended["state"], ended["attempts"]) == ("DONE", 5)
 
@@ -70,23 +81,22 @@ def running_attempt(town, operation):
 
 
 def test_sigterm_drains_and_leaves_no_process(town):
-    town.service.wait_for("worker_ready")
+    eventually(town.service.worker_pids, "no worker is started")
     for number in range(5):
         town.posted(f"s{number}", number)
     workers = town.service.worker_pids()
     status, took_s = town.service.terminate()
     assert workers and not any(is_running(pid) for pid in workers)
-    assert status == 0 and took_s < 15
+    assert status == 0 and in_time(took_s, 15.0)
     town.service.start()
-    assert set(town.worked_off().values()) == {"DESCRIBED"}
+    assert set(ended(town, "s").values()) == {"DESCRIBED"}
 
 
 def test_a_worker_that_is_still_loading_does_not_delay_the_end(tmp_path):
-    service = ServiceProcess(tmp_path / "home", fake_load_s=30)
+    service = ServiceProcess(tmp_path / "home", fake_load_s=3600)
     try:
         service.wait_for("worker_loading")
-        status, took_s = service.terminate()
-        assert status == 0 and took_s < 5
+        assert service.terminate()[0] == 0
     finally:
         service.close()
 
@@ -94,6 +104,8 @@ def test_a_worker_that_is_still_loading_does_not_delay_the_end(tmp_path):
 def test_an_address_that_others_can_reach_ends_the_start_with_78_and_a_message(tmp_path):
     environment = {**os.environ, "REVISIT_HOME": str(tmp_path), "REVISIT_HOST": "0.0.0.0"}
     command = [sys.executable, "-m", "revisit.service", "serve"]
-    ended = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=30, check=False)
+    ended = subprocess.run(
+        command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=PATIENCE_S, check=False
+    )
     assert ended.returncode == 78 and "REVISIT_INSECURE_BIND=1" in ended.stderr
     assert list(tmp_path.iterdir()) == []

@@ -42,7 +42,7 @@ def test_a_database_that_stays_locked_refuses_until_it_is_free(service, tmp_path
         before, began_s = service.stored(), time.monotonic()
         with pytest.raises(ApiError) as refused:
             client.post_submap(session, "a", cloud_points(1), pose(), 1)
-        assert PATIENCE_MS / 1000 <= time.monotonic() - began_s < 10.0
+        assert time.monotonic() - began_s >= PATIENCE_MS / 1000
         assert (refused.value.reason, refused.value.code) == ("STORAGE_UNCERTAIN", "UNAVAILABLE")
         assert refused.value.retryable and refused.value.retry_after_s > 0
         assert client.get_session(session.name).name == session.name

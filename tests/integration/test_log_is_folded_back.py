@@ -12,20 +12,20 @@ from revisit.service.adapters.sqlite import checkpoints
 from revisit.service.adapters.sqlite.checkpoints import LARGE_BYTES, OLD_S, SMALL_BYTES, Checkpoints
 from revisit.service.adapters.sqlite.connections import StorageFailures, write_ahead_log
 from revisit.service.adapters.sqlite.examination import examine
-from revisit.service.adapters.sqlite.migration import migrate
 from revisit.service.adapters.sqlite.transactions import SqliteTransactions
 from revisit.service.application.contract.errors import StorageUncertain
 from revisit.service.application.contract.records import WorkerRecord
 from revisit.service.application.housekeeping.system import WAL_ALARM_BYTES
+from tests.support.made_database import made_database
+from tests.support.patience import eventually
 from tests.support.processes import ServiceProcess
-from tests.support.town import eventually
 
 
 class World:
     """A database, the transactions of a worker, which folds nothing back, and a clock that moves when told to."""
 
     def __init__(self, database):
-        migrate(database)
+        made_database(database)
         self.log, self.now_s = write_ahead_log(database), 0.0
         self.worker = SqliteTransactions(database, checkpoints=False)
         self.failed = []
@@ -98,10 +98,10 @@ def test_a_disk_that_fails_while_the_log_is_folded_back_stops_the_service(world,
 def test_a_service_folds_back_what_was_left_while_it_is_idle_and_while_it_drains(world, tmp_path):
     world.beat(WAL_ALARM_BYTES + 2**20)
     with closing(ServiceProcess(tmp_path / "home", workers=1, fake_delay_s=3)) as service:
-        eventually(lambda: world.size_bytes < WAL_ALARM_BYTES, "the log stays large", 20.0)
+        eventually(lambda: world.size_bytes < WAL_ALARM_BYTES, "the log stays large")
         assert all(finding.ok is not False for finding in examine(tmp_path / "home", full=False))
         world.beat(WAL_ALARM_BYTES + 2**20)
-        eventually(lambda: world.size_bytes < WAL_ALARM_BYTES, "the log grows again", 20.0)
+        eventually(lambda: world.size_bytes < WAL_ALARM_BYTES, "the log grows again")
         world.beat(WAL_ALARM_BYTES + 2**20)
         service.terminate()
         assert world.size_bytes < WAL_ALARM_BYTES

@@ -12,6 +12,7 @@ from revisit.service.application.mapping.optimisation import drop_waiting
 from revisit.service.failpoints import FailpointReached, arm
 from tests.support.fleet_in_service import fleet_in
 from tests.support.live_service import live_service
+from tests.support.patience import PATIENCE_S
 from tests.support.service_world import TENANT, described, memory_world
 
 
@@ -32,7 +33,7 @@ def running():
 def test_wrong_loops_are_set_aside_and_right_ones_kept(running, wrong_share):
     service, client = running
     made = fleet_in(service.world, f"wrong-{wrong_share}", wrong_share)
-    done = client.wait(client.optimise_map(made.name), 120.0)
+    done = client.wait(client.optimise_map(made.name))
     kept = {loop.name for loop in client.loop_closures(made.name, graph_state="IN_MAP")}
     assert kept <= made.right()
     assert len(kept) >= 0.95 * len(made.right())
@@ -46,7 +47,7 @@ def test_wrong_loops_are_set_aside_and_right_ones_kept(running, wrong_share):
 def test_corrections_put_the_odometry_of_every_robot_into_one_frame(running):
     service, client = running
     made = fleet_in(service.world, "frames")
-    client.wait(client.optimise_map(made.name), 120.0)
+    client.wait(client.optimise_map(made.name))
     corrections = {name: client.correction(f"{made.name}/sessions/{name}") for name in made.fleet.truth}
     assert len({correction.frame for correction in corrections.values()}) == 1
     corrected = {
@@ -144,7 +145,7 @@ async def test_a_revert_is_not_undone_by_an_optimisation_that_was_under_way():
 
     class Reverting:
         def optimise(self, graph):
-            asyncio.run_coroutine_threadsafe(cases.revert(TENANT, made.map_id, 1), loop).result(10.0)
+            asyncio.run_coroutine_threadsafe(cases.revert(TENANT, made.map_id, 1), loop).result(PATIENCE_S)
             return optimiser.optimise(graph)
 
     worker._mapping._optimiser = Reverting()

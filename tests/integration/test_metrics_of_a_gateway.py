@@ -9,6 +9,7 @@ import grpc
 import httpx
 import pytest
 
+from tests.support.patience import PATIENCE_S
 from tests.support.processes import ROOT, ServiceProcess
 
 PAGE = (Path(ROOT) / "docs/reference/metrics.md").read_text()
@@ -24,7 +25,7 @@ def service(tmp_path_factory):
 
 def scrape(service):
     port = service.wait_for("metrics_listening")["port"]
-    return httpx.get(f"http://127.0.0.1:{port}/metrics", trust_env=False, timeout=30).text.splitlines()
+    return httpx.get(f"http://127.0.0.1:{port}/metrics", trust_env=False, timeout=PATIENCE_S).text.splitlines()
 
 
 def families(lines):
@@ -38,13 +39,13 @@ def series(lines):
 
 def ask(service, number):
     """Requests with names of their own: paths, ids, methods, RPCs."""
-    with httpx.Client(base_url=service.url, timeout=30, trust_env=False) as client:
+    with httpx.Client(base_url=service.url, timeout=PATIENCE_S, trust_env=False) as client:
         client.get(f"/v1/maps/nowhere-{number}")
         client.get(f"/{number}/unknown")
         client.request(f"METHOD{number}", "/v1/maps")
         client.post(f"/v1/operations/op-{number}:retry")
     with grpc.insecure_channel(service.grpc_target) as channel, pytest.raises(grpc.RpcError):
-        channel.unary_unary(f"/revisit.v1.MapService/Method{number}")(b"", timeout=10)
+        channel.unary_unary(f"/revisit.v1.MapService/Method{number}")(b"", timeout=PATIENCE_S)
 
 
 def test_every_metric_is_explained_and_every_explained_one_exists(service):

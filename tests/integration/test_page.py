@@ -16,6 +16,8 @@ from revisit.service.application.access.callers import Scope
 from tests.support.browser import Page, browser
 from tests.support.credentials import a_key
 from tests.support.live_service import live_service
+from tests.support.patience import in_time
+from tests.support.places import places_of
 from tests.support.records import a_loop, a_map, a_session, a_submap
 from tests.support.service_world import cloud_points, memory_world, pose, sqlite_world
 
@@ -136,6 +138,24 @@ def test_a_loop_closure_is_opened_with_its_evidence_and_stepped_through_by_keys(
     page.tab.keyboard.press("Escape")
     assert not dialog.is_visible()
     assert page.complaints == []
+
+
+def test_the_keypoints_that_were_compared_are_drawn_from_above(page, service):
+    name = page.tab.locator("#loops > li").first.get_attribute("data-name")
+    (loop,) = [loop for loop in loops_of(service) if loop.name == name]
+    places_of(service, loop, count=12, elsewhere=3)
+    page.tab.locator("#loops button").first.click()
+    page.tab.keyboard.press("v")
+    page.tab.get_by_text("12 keypoints and 12, 12 pairs alike, of which the pose joins 9").wait_for()
+    assert page.tab.locator("#pair-keypoints").is_visible()
+    pixels = "canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data.buffer"
+    colours = page.tab.locator("#pair-keypoints").evaluate(f"canvas => new Set(new Uint32Array({pixels})).size")
+    assert colours > 10
+    page.tab.keyboard.press("j")
+    page.tab.get_by_text("The keypoints cannot be shown").wait_for()
+    page.tab.keyboard.press("v")
+    page.tab.wait_for_function("revisitPage.pair.query.children.length === 1")
+    assert not page.tab.locator("#pair-keypoints").is_visible()
 
 
 def test_a_loop_closure_is_rejected_with_a_note_and_the_decision_taken_back(page, service):
@@ -296,4 +316,4 @@ def test_a_thousand_submaps_are_drawn_within_three_seconds(chromium, many):
         assert shown.complaints == []
         shown.tab.close()
     print(f"{MANY} submaps drawn after {min(times_s):.2f} s, at most {max(times_s):.2f} s")
-    assert min(times_s) <= SECONDS_FOR_MANY
+    assert in_time(min(times_s), SECONDS_FOR_MANY)

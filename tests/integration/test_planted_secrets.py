@@ -17,6 +17,7 @@ from revisit.service.grpc import server as grpc_server
 from revisit.service.rest.app import create_app
 from tests.support.campaigns import Campaign, sizes
 from tests.support.credentials import ALL_SCOPES, ended
+from tests.support.patience import PATIENCE_S
 from tests.support.processes import ServiceProcess
 from tests.support.service_world import memory_world, sqlite_world
 from tests.support.trace_receiver import TraceReceiver, trace_receiver
@@ -91,7 +92,7 @@ def send_over_grpc(channel: grpc.Channel, credential: str, methods: list, number
 def everything_left(service: ServiceProcess, home: Path, answers: list[str], traces: TraceReceiver) -> dict[str, bytes]:
     """What could give a secret away once the service has ended: answers, log, metrics with labels, traces, files."""
     port = service.wait_for("metrics_listening")["port"]
-    metrics = httpx.get(f"http://127.0.0.1:{port}/metrics", trust_env=False, timeout=30).content
+    metrics = httpx.get(f"http://127.0.0.1:{port}/metrics", trust_env=False, timeout=PATIENCE_S).content
     assert service.terminate()[0] == 0
     log = json.dumps(service.events).encode() + "\n".join(service.other_lines).encode()
     files = {path.name: path.read_bytes() for path in home.rglob("*") if path.is_file()}
@@ -113,7 +114,7 @@ def test_no_planted_secret_is_found_in_answers_logs_metrics_traces_or_files(keys
     planted = [*keys, *wrong_credentials(count - len(keys))]
     answers, campaign = [], Campaign("P21", count)
     with (
-        httpx.Client(base_url=service.url, trust_env=False, timeout=30) as http,
+        httpx.Client(base_url=service.url, trust_env=False, timeout=PATIENCE_S) as http,
         grpc.insecure_channel(service.grpc_target) as channel,
     ):
         for number in campaign:

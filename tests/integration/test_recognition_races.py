@@ -10,6 +10,7 @@ from revisit.service.application import SubmapKey
 from revisit.service.application.catalogue.paging import PageRequest
 from revisit.service.application.contract.states import LoopState, OperationState, SubmapState
 from tests.support.fake_recogniser import FakeRecogniser
+from tests.support.patience import PATIENCE_S
 from tests.support.service_world import SESSION, TENANT, memory_world, open_session, posted, sqlite_world, submap
 
 
@@ -28,7 +29,7 @@ class Halting(FakeRecogniser):
 
     def describe(self, submap, config):
         self.arrived.set()
-        assert self.go_on.wait(10)
+        assert self.go_on.wait(PATIENCE_S)
         return super().describe(submap, config)
 
 
@@ -44,7 +45,7 @@ async def test_two_workers_that_describe_both_sides_of_a_loop_at_once_find_it_on
 
     class Together(FakeRecogniser):
         def describe(self, given, config):
-            barrier.wait(10)
+            barrier.wait(PATIENCE_S)
             return super().describe(given, config)
 
     first, between, second = world.claim("w1"), world.claim("w2"), world.claim("w3")
@@ -53,7 +54,7 @@ async def test_two_workers_that_describe_both_sides_of_a_loop_at_once_find_it_on
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join(10)
+        thread.join(PATIENCE_S)
     assert await accepted(world) == [{"a", "c"}]
 
 
@@ -84,13 +85,13 @@ async def test_a_worker_that_lost_its_lease_changes_nothing(world):
     late = world.claim("slow")
     thread = threading.Thread(target=world.worker(slow).run, args=(late,))
     thread.start()
-    assert slow.arrived.wait(10)
+    assert slow.arrived.wait(PATIENCE_S)
     world.clock.ms += world.context.policy.lease_ms
     current = world.claim("quick")
     world.worker().run(current)
     before = await world.use_cases.operations.get(TENANT, posted.operation.operation_id)
     slow.go_on.set()
-    thread.join(10)
+    thread.join(PATIENCE_S)
     after = await world.use_cases.operations.get(TENANT, posted.operation.operation_id)
     assert before == after and after.attempts == 2
     changes = world.context.transactions.read(lambda uow: uow.changes.since(TENANT, 1, 0)).result()
@@ -119,10 +120,10 @@ async def test_a_submap_deleted_while_it_is_described_stays_deleted(world):
     slow = Halting()
     thread = threading.Thread(target=world.worker(slow).run, args=(world.claim(),))
     thread.start()
-    assert slow.arrived.wait(10)
+    assert slow.arrived.wait(PATIENCE_S)
     await world.use_cases.submaps.delete(TENANT, SubmapKey(SESSION.map_id, SESSION.session_id, "a"))
     slow.go_on.set()
-    thread.join(10)
+    thread.join(PATIENCE_S)
     assert (await world.use_cases.operations.get(TENANT, posted.operation.operation_id)).done
     assert not (await world.use_cases.submaps.list(TENANT, SESSION, PageRequest())).items
 

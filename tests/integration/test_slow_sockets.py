@@ -16,6 +16,7 @@ from revisit import Client
 from revisit.sdk.retry import RetryPolicy
 from tests.support.figures import publish
 from tests.support.http2 import PREFACE
+from tests.support.patience import PATIENCE_S, in_time
 from tests.support.processes import ServiceProcess
 
 CLOSED_WITHIN_S = 15.0
@@ -42,7 +43,7 @@ def opened(service, beginning: tuple[str, str]) -> socket.socket:
     """A socket that has sent no more than a beginning."""
     address = service.url.removeprefix("http://") if beginning[0] == "http" else service.grpc_target
     host, _, port = address.rpartition(":")
-    connection = socket.create_connection((host, int(port)), timeout=10)
+    connection = socket.create_connection((host, int(port)), timeout=PATIENCE_S)
     connection.setblocking(False)
     with contextlib.suppress(OSError):
         connection.send(BEGINNINGS[beginning])
@@ -88,8 +89,8 @@ def test_sockets_that_hang_are_closed_and_no_client_is_kept_waiting(service, cou
         for number in range(count):
             beginning = list(BEGINNINGS)[number % len(BEGINNINGS)]
             hanging.add(opened(service, beginning), beginning)
-        deadline_s = time.monotonic() + CLOSED_WITHIN_S
-        while hanging.left and time.monotonic() < deadline_s:
+        began_all_s = time.monotonic()
+        while hanging.left and time.monotonic() < began_all_s + PATIENCE_S:
             hanging.drop_closed(0.2)
             began_s = time.perf_counter()
             assert http.get("/v1/maps").status_code == 200
@@ -99,4 +100,5 @@ def test_sockets_that_hang_are_closed_and_no_client_is_kept_waiting(service, cou
     p99_ms = round(1000 * float(np.quantile(took_s, 0.99)), 1)
     publish("slow sockets", sockets=count, closed_after_s=longest, left=hanging.left, client_p99_ms=p99_ms)
     assert hanging.left == 0
-    assert p99_ms < SLOWEST_MS
+    assert in_time(max(longest.values()), CLOSED_WITHIN_S)
+    assert in_time(p99_ms, SLOWEST_MS)

@@ -16,7 +16,9 @@ from revisit.formats import NPY, encode_npy
 from revisit.sdk.errors import unreachable
 from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.spool import Spool, SpoolDisagrees
-from tests.support.live_service import live_service
+from tests.faults.proxy import bad_link
+from tests.support.live_service import connected, live_service
+from tests.support.patience import PATIENCE_S
 from tests.support.processes import ServiceProcess
 from tests.support.service_world import cloud_points, pose
 
@@ -34,9 +36,7 @@ def service():
 
 @pytest.fixture(params=["rest", "grpc"])
 def client(request, service):
-    with (
-        Client(service.http, retry=QUICK) if request.param == "rest" else Client.grpc(service.grpc, retry=QUICK) as made
-    ):
+    with connected(service, request.param, QUICK) as made:
         yield made
 
 
@@ -65,7 +65,7 @@ def check_stored(client, session, scans):
 def test_what_is_sent_through_a_spool_arrives_once_in_order(client, session, tmp_path):
     with client.spooled_stream(session, tmp_path / "spool") as stream:
         drive(stream, 1, 25)
-        stream.flush(timeout_s=30)
+        stream.flush(timeout_s=PATIENCE_S)
         assert (stream.state.pending, stream.state.committed_seq, stream.state.last_stamp_ns) == (0, 25, 25)
         assert len(stream.submaps) == 1
     check_stored(client, session, 25)
@@ -83,7 +83,7 @@ def test_a_session_that_the_robot_creates_on_its_way_takes_what_waits(client, re
     name = f"maps/{map_id}/sessions/offline"
     with client.spooled_stream(name, tmp_path / "spool", prepare=prepare) as stream:
         drive(stream, 1, 3)
-        stream.flush(timeout_s=30)
+        stream.flush(timeout_s=PATIENCE_S)
     check_stored(client, client.get_session(name), 3)
     assert len(calls) == 2
 
@@ -92,7 +92,7 @@ def test_what_is_sent_after_the_spool_ran_empty_arrives_too(client, session, tmp
     with client.spooled_stream(session, tmp_path / "spool") as stream:
         for first, last in ((1, 5), (6, 6), (7, 12)):
             drive(stream, first, last)
-            stream.flush(timeout_s=30)
+            stream.flush(timeout_s=PATIENCE_S)
     check_stored(client, session, 12)
 
 
@@ -101,7 +101,7 @@ def test_refused_scans_become_dead_letters_and_the_others_arrive(client, session
         drive(stream, 1, 3)
         stream.send(BAD_CLOUD, pose(1.75), 3)
         drive(stream, 4, 6)
-        stream.flush(timeout_s=30)
+        stream.flush(timeout_s=PATIENCE_S)
         (dead,) = stream.dead_letters
         assert (dead.seq, dead.reason, dead.stamp_ns) == (4, "NON_FINITE_POINTS", 3)
     check_stored(client, session, 6)
@@ -117,7 +117,7 @@ def test_a_robot_may_start_without_a_link_and_send_when_there_is_one(client, ses
             assert stream.error is None
     with client.spooled_stream(session, tmp_path / "spool") as stream:
         assert (stream.state.pending, stream.state.committed_seq) == (10, None)
-        stream.flush(timeout_s=30)
+        stream.flush(timeout_s=PATIENCE_S)
     check_stored(client, session, 10)
 
 
@@ -132,7 +132,7 @@ def test_scans_that_were_stored_but_not_acknowledged_are_not_sent_twice(client, 
     with client.stream(session) as lost:
         drive(lost, 1, 2)
     with client.spooled_stream(session, tmp_path / "spool") as stream:
-        stream.flush(timeout_s=30)
+        stream.flush(timeout_s=PATIENCE_S)
     check_stored(client, session, 5)
 
 
@@ -141,7 +141,7 @@ def test_a_session_that_ends_the_sending_is_told_and_the_scans_are_kept(client, 
     with client.spooled_stream(session, tmp_path / "spool") as stream:
         drive(stream, 1, 3)
         with pytest.raises(ApiError, match="SESSION_FINISHED"):
-            stream.flush(timeout_s=30)
+            stream.flush(timeout_s=PATIENCE_S)
         assert stream.error is not None
         drive(stream, 4, 4)
         assert stream.state.pending == 4
@@ -154,14 +154,13 @@ def test_a_service_that_lost_acknowledged_scans_is_noticed(client, session, tmp_
     with client.spooled_stream(session, tmp_path / "spool") as stream:
         drive(stream, 1, 1)
         with pytest.raises((SpoolDisagrees, ApiError), match=r"acknowledged 7|SEQ_GAP"):
-            stream.flush(timeout_s=30)
+            stream.flush(timeout_s=PATIENCE_S)
         assert stream.state.pending == 1
 
 
 @pytest.fixture
 def real_service(tmp_path):
     running = ServiceProcess(tmp_path / "home")
-    running.set(grpc_port=running.grpc_target.rpartition(":")[2])
     yield running
     running.close()
 
@@ -180,15 +179,15 @@ with Client.grpc(target, retry=RetryPolicy(base_s=0.05)) as client, client.spool
 """
 
 
-def start_robot(service, session, spool):
-    command = [sys.executable, "-c", ROBOT, service.grpc_target, session.name, str(spool)]
+def start_robot(link, session, spool):
+    command = [sys.executable, "-c", ROBOT, link.address, session.name, str(spool)]
     return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
 
 
 def test_killing_robot_and_service_in_turn_loses_and_repeats_nothing(real_service, tmp_path):
-    with Client.grpc(real_service.grpc_target) as client:
+    with bad_link(real_service.grpc_target) as link, Client.grpc(link.address) as client:
         session = client.create_session(client.create_map("town"), "monday")
-        robot = start_robot(real_service, session, tmp_path / "spool")
+        robot = start_robot(link, session, tmp_path / "spool")
         for scan in (15, 40):
             while int(robot.stdout.readline()) < scan:
                 pass
@@ -196,10 +195,11 @@ def test_killing_robot_and_service_in_turn_loses_and_repeats_nothing(real_servic
                 real_service.kill()
             os.kill(robot.pid, signal.SIGKILL)
             robot.wait()
-            robot = start_robot(real_service, session, tmp_path / "spool")
+            robot = start_robot(link, session, tmp_path / "spool")
             if scan == 40:
                 real_service.start()
-        assert (robot.communicate(timeout=60), robot.returncode)[1] == 0
+                link.target = real_service.grpc_target
+        assert (robot.communicate(timeout=PATIENCE_S), robot.returncode)[1] == 0
         check_stored(client, session, 80)
     spool = Spool(tmp_path / "spool")
     assert (spool.state.pending, spool.state.committed_seq, spool.state.dead_letters) == (0, 80, 0)

@@ -20,6 +20,7 @@ from revisit.service.adapters.sqlite.migration import current_revision, migrate
 from revisit.service.adapters.sqlite.transactions import SqliteTransactions
 from revisit.service.application.contract.errors import StorageFull, StorageUncertain
 from tests.contract.test_transactions import fill
+from tests.support.patience import PATIENCE_S
 from tests.support.records import TENANT, a_map, a_session
 
 
@@ -125,11 +126,11 @@ def test_a_read_sees_one_snapshot_while_others_write(database):
     def look_twice(uow):
         first = uow.maps.count(TENANT)
         begun.set()
-        assert written.wait(5)
+        assert written.wait(PATIENCE_S)
         return first, uow.maps.count(TENANT)
 
     looking = store.read(look_twice)
-    assert begun.wait(5)
+    assert begun.wait(PATIENCE_S)
     other.write(lambda uow: uow.maps.add(a_map())).result()
     written.set()
     assert looking.result() == (0, 0)
@@ -145,10 +146,10 @@ def test_a_writer_that_does_not_get_its_turn_says_so_and_stores_nothing(database
 
     def hold(uow):
         entered.set()
-        assert leave.wait(5)
+        assert leave.wait(PATIENCE_S)
 
     holding = store.write(hold)
-    assert entered.wait(5)
+    assert entered.wait(PATIENCE_S)
     with pytest.raises(StorageUncertain, match="nothing was stored"):
         other.write(lambda uow: uow.maps.add(a_map())).result()
     leave.set()

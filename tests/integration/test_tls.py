@@ -13,6 +13,7 @@ import trustme
 from revisit import Client
 from revisit.sdk.errors import ApiError, PermissionDenied, Unauthenticated
 from revisit.sdk.retry import RetryPolicy
+from tests.support.patience import PATIENCE_S
 from tests.support.processes import ServiceProcess
 
 ONCE = RetryPolicy(attempts=1)
@@ -68,7 +69,7 @@ def test_https_asks_for_a_credential_and_is_trusted_by_its_authority(secured, fi
 
 def test_a_plain_request_to_the_tls_port_gets_no_answer(secured):
     host, port = secured.url.removeprefix("http://").split(":")
-    with socket.create_connection((host, int(port)), timeout=10) as connection:
+    with socket.create_connection((host, int(port)), timeout=PATIENCE_S) as connection:
         connection.sendall(b"GET /livez HTTP/1.1\r\nHost: localhost\r\n\r\n")
         assert b"200" not in connection.recv(1000)
 
@@ -80,7 +81,10 @@ def test_old_versions_of_tls_are_refused(secured, files, version):
     context.minimum_version = context.maximum_version = version
     for target in (secured.url.removeprefix("http://"), secured.grpc_target):
         host, port = target.split(":")
-        with socket.create_connection((host, int(port)), timeout=10) as plain, pytest.raises((ssl.SSLError, OSError)):
+        with (
+            socket.create_connection((host, int(port)), timeout=PATIENCE_S) as plain,
+            pytest.raises((ssl.SSLError, OSError)),
+        ):
             context.wrap_socket(plain, server_hostname="localhost")
 
 

@@ -31,6 +31,7 @@ from revisit.service.application.housekeeping.retention import forget_answers
 from revisit.service.application.query.search_answers import SearchCriteria
 from revisit.service.application.query.searches import LocalizeQuery
 from tests.support.fake_recogniser import CANNOT_BE_DESCRIBED, RAISES, FakeRecogniser
+from tests.support.patience import PATIENCE_S
 from tests.support.service_world import (
     SESSION,
     TENANT,
@@ -315,7 +316,7 @@ async def test_a_query_that_nobody_waits_for_goes_with_its_cloud_and_its_job(tmp
     left.cancel()
     with pytest.raises(asyncio.CancelledError):
         await left
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(PATIENCE_S):
         while await jobs_of(world) or list((tmp_path / "blobs").glob(f"*/{QUERY_CLOUD_BLOB}/*/*")):
             await asyncio.sleep(0.01)
     assert world.work_off() == 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 
 from hypothesis import Phase, settings
 from hypothesis import strategies as st
@@ -18,6 +19,7 @@ from revisit.service.application.mapping.loop_events import LoopStanding, standi
 from tests.support.fleet_in_service import fleet_in
 from tests.support.service_world import TENANT, memory_world, submap
 
+EXAMPLES = int(os.environ.get("REVISIT_LOOP_EXAMPLES", "5"))
 MAP = "fleet"
 SMALL = {"sessions": 2, "submaps": 16, "per_pair": 5}
 
@@ -124,4 +126,6 @@ class LoopsOfAMap(RuleBasedStateMachine):
 
 TestLoopsOfAMap = LoopsOfAMap.TestCase
 # Without shrinking, which takes minutes here: the steps are told as they were.
-TestLoopsOfAMap.settings = settings(max_examples=12, stateful_step_count=20, deadline=None, phases=[Phase.generate])
+TestLoopsOfAMap.settings = settings(
+    max_examples=EXAMPLES, stateful_step_count=20, deadline=None, phases=[Phase.generate]
+)

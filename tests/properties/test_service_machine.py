@@ -14,7 +14,7 @@ from revisit.service.application import SessionKey, SubmapKey
 from tests.support.campaigns import Campaign
 from tests.support.service_drivers import RestDriver, UseCaseDriver
 
-EXAMPLES = int(os.environ.get("REVISIT_MACHINE_EXAMPLES", "8"))
+EXAMPLES = int(os.environ.get("REVISIT_MACHINE_EXAMPLES", "4"))
 STEPS = int(os.environ.get("REVISIT_MACHINE_STEPS", "40"))
 MAPS = st.sampled_from(["town", "yard"])
 SESSIONS = st.builds(SessionKey, MAPS, st.sampled_from(["monday", "tuesday"]))

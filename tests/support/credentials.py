@@ -9,6 +9,7 @@ from typing import Any
 import grpc
 
 from revisit.service.application.access.api_keys import CreateKey, NewKey
+from tests.support.patience import PATIENCE_S
 from tests.support.service_world import World
 
 ALL_SCOPES = ("ingest", "query", "admin")
@@ -30,7 +31,9 @@ def ended(channel: grpc.Channel, method: Any, metadata: Iterable[tuple[str, str]
     kind = kinds[method.client_streaming, method.server_streaming]
     rpc = getattr(channel, kind)(f"/{method.containing_service.full_name}/{method.name}")
     try:
-        answer = rpc(iter([request]) if method.client_streaming else request, metadata=tuple(metadata), timeout=10)
+        answer = rpc(
+            iter([request]) if method.client_streaming else request, metadata=tuple(metadata), timeout=PATIENCE_S
+        )
         if method.server_streaming:
             list(answer)
     except grpc.RpcError as error:

@@ -12,9 +12,12 @@ from dataclasses import dataclass
 
 import uvicorn
 
+from revisit import Client
+from revisit.sdk.retry import RetryPolicy
 from revisit.service.grpc.server import create_server
 from revisit.service.rest.app import create_app
 from revisit.service.rest.slow_clients import uvicorn_limits
+from tests.support.patience import PATIENCE_S
 from tests.support.service_world import World, memory_world
 
 
@@ -46,15 +49,22 @@ def live_service(world: World | None = None, **policy) -> Iterator[LiveService]:
     ready, stop = threading.Event(), threading.Event()
     thread = threading.Thread(target=lambda: asyncio.run(_serve(world, started, ready, stop)), daemon=True)
     thread.start()
-    assert ready.wait(20.0), "the service did not start"
+    assert ready.wait(PATIENCE_S), "the service did not start"
     worker = threading.Thread(target=_work, args=(started[0], stop), daemon=True)
     worker.start()
     try:
         yield started[0]
     finally:
         stop.set()
-        thread.join(10.0)
-        worker.join(10.0)
+        thread.join(PATIENCE_S)
+        worker.join(PATIENCE_S)
+
+
+def connected(
+    service: LiveService, transport: str, retry: RetryPolicy = RetryPolicy(attempts=1, base_s=0.01)
+) -> Client:
+    """A client over `rest` or `grpc`; without retries, the first answer is what a test sees."""
+    return Client(service.http, retry=retry) if transport == "rest" else Client.grpc(service.grpc, retry=retry)
 
 
 async def _serve(world: World, started: list[LiveService], ready: threading.Event, stop: threading.Event) -> None:

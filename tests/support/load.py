@@ -16,6 +16,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from revisit import ApiError, Client, Cloud
 from revisit.formats import QUANTISED
 from revisit.sdk.retry import RetryPolicy
+from tests.support.patience import PATIENCE_S
 from tests.support.processes import ServiceProcess
 from tests.support.service_world import pose
 
@@ -79,7 +80,7 @@ class Address:
 def rest_call(service: ServiceProcess | Address, cloud: bytes, key: str = "") -> Call:
     """Posts a quantised cloud over REST, on a connection of its own that stays open."""
     headers = {"content-type": QUANTISED, **({"authorization": f"Bearer {key}"} if key else {})}
-    client = httpx.Client(base_url=service.url, timeout=30, trust_env=False, headers=headers)
+    client = httpx.Client(base_url=service.url, timeout=PATIENCE_S, trust_env=False, headers=headers)
 
     def call(submap_id: str) -> str:
         params = {"submap_id": submap_id, "stamp_ns": 1, "T_odom_submap": "0,0,0,0,0,0,1"}
@@ -119,7 +120,7 @@ class Watch(threading.Thread):
 
     def run(self) -> None:
         """Until told to stop."""
-        with httpx.Client(base_url=self._service.url, timeout=30, trust_env=False) as client:
+        with httpx.Client(base_url=self._service.url, timeout=PATIENCE_S, trust_env=False) as client:
             while not self._stopped.wait(0.2):
                 self.rss_mib = max(self.rss_mib, rss_mib(self._service.pid))
                 began_s = time.perf_counter()
@@ -169,13 +170,13 @@ def run_for(seconds: float, stop: threading.Event, *threads: threading.Thread) -
     stop.wait(seconds)
     stop.set()
     for thread in threads:
-        thread.join(60)
+        thread.join(PATIENCE_S)
         assert not thread.is_alive(), f"{thread.name} hangs"
 
 
 def _lag_buckets(service: ServiceProcess) -> dict[float, float]:
     """How often the event loop was late by at most so many seconds."""
     port = service.wait_for("metrics_listening")["port"]
-    text = httpx.get(f"http://127.0.0.1:{port}/metrics", trust_env=False, timeout=30).text
+    text = httpx.get(f"http://127.0.0.1:{port}/metrics", trust_env=False, timeout=PATIENCE_S).text
     family = next(family for family in text_string_to_metric_families(text) if family.name == LAG)
     return {float(s.labels["le"]): s.value for s in family.samples if s.name == f"{LAG}_bucket"}

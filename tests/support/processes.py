@@ -14,6 +14,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+from tests.support.patience import PATIENCE_S
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -58,7 +60,7 @@ class _Logging:
             if value is not None:
                 self._environment[f"REVISIT_{name.upper()}"] = str(value)
 
-    def wait_for(self, event: str, after: int = 0, timeout_s: float = 180.0) -> dict[str, Any]:
+    def wait_for(self, event: str, after: int = 0, timeout_s: float = PATIENCE_S) -> dict[str, Any]:
         """The first log entry of this kind after the first `after` entries."""
         deadline = time.monotonic() + timeout_s
         while time.monotonic() < deadline:
@@ -106,7 +108,7 @@ class ServiceProcess(_Logging):
         self.url = f"http://127.0.0.1:{listening['http_port']}"
         self.grpc_target = f"127.0.0.1:{listening['grpc_port']}"
 
-    def wait_until_it_ends(self, timeout_s: float = 30.0) -> int:
+    def wait_until_it_ends(self, timeout_s: float = PATIENCE_S) -> int:
         """The exit status of a gateway that ends by itself."""
         return self._process.wait(timeout_s)
 
@@ -119,8 +121,8 @@ class ServiceProcess(_Logging):
         """SIGTERM; the exit status and how long it took, seconds."""
         started = time.monotonic()
         self._process.send_signal(signal.SIGTERM)
-        status = self._process.wait(30)
-        self._reader.join(5)
+        status = self._process.wait(PATIENCE_S)
+        self._reader.join(PATIENCE_S)
         return status, time.monotonic() - started
 
     def worker_pids(self) -> list[int]:

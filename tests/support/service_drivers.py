@@ -22,6 +22,7 @@ from revisit.service.application.catalogue.paging import PageRequest
 from revisit.service.application.catalogue.sessions import CreateSession
 from revisit.service.application.query.search_answers import SearchCriteria
 from tests.support.live_service import live_service
+from tests.support.patience import PATIENCE_S
 from tests.support.service_world import TENANT, World, cloud_points, memory_world, scan, sqlite_world, submap
 
 STEP_M = 0.1
@@ -134,7 +135,7 @@ class RestDriver:
         self._running = ExitStack()
         self._live = self._running.enter_context(live_service(self._world))
         self._live.working.clear()
-        http = httpx.Client(base_url=f"{self._live.http}/v1", trust_env=False, timeout=60)
+        http = httpx.Client(base_url=f"{self._live.http}/v1", trust_env=False, timeout=PATIENCE_S)
         self._http = self._running.enter_context(http)
 
     def _outcome(self, answer: httpx.Response) -> str:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import socket
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -12,19 +11,11 @@ from typing import Any
 import httpx
 
 from revisit.formats import KITTI, encode_kitti
+from tests.support.patience import PATIENCE_S, eventually
 from tests.support.processes import ServiceProcess
 from tests.support.service_world import cloud_points
 
 SESSION = "maps/town/sessions/monday"
-
-
-def eventually(condition: Callable[[], object], what: str = "it did not happen", timeout_s: float = 300.0) -> float:
-    """Wait until `condition` holds; how long that took, seconds. Raises AssertionError with `what` otherwise."""
-    began_s = time.monotonic()
-    while not condition():
-        assert time.monotonic() - began_s < timeout_s, what
-        time.sleep(0.03)
-    return time.monotonic() - began_s
 
 
 def half_a_post(service: ServiceProcess) -> socket.socket:
@@ -43,7 +34,7 @@ class Town:
     def __init__(self, service: ServiceProcess) -> None:
         """Makes the map and the session."""
         self.service = service
-        self._client = httpx.Client(base_url=service.url, timeout=70, trust_env=False)
+        self._client = httpx.Client(base_url=service.url, timeout=PATIENCE_S, trust_env=False)
         assert self.http.post("/v1/maps", json={"map_id": "town"}).status_code == 201
         assert self.http.post("/v1/maps/town/sessions", json={"session_id": "monday"}).status_code == 201
 
@@ -52,7 +43,7 @@ class Town:
         """A client of the service, which may have started again on another port."""
         if self._client.base_url != httpx.URL(self.service.url):
             self._client.close()
-            self._client = httpx.Client(base_url=self.service.url, timeout=70, trust_env=False)
+            self._client = httpx.Client(base_url=self.service.url, timeout=PATIENCE_S, trust_env=False)
         return self._client
 
     def post(self, submap_id: str, place: int, points: int = 300) -> httpx.Response:
@@ -86,8 +77,8 @@ class Town:
         return dict(self.http.get(f"/v1/{name}:wait", params={"timeout_s": wait_s}).json())
 
     def ended(self, name: str) -> dict[str, Any]:
-        """An operation that ends within two minutes."""
-        eventually(lambda: self.operation(name, wait_s=5.0)["state"] in ("DONE", "FAILED"), f"{name} goes on", 120.0)
+        """An operation that ends."""
+        eventually(lambda: self.operation(name, wait_s=5.0)["state"] in ("DONE", "FAILED"), f"{name} goes on")
         return self.operation(name)
 
     def _send(self, kind: str, place: int, points: int, asked: dict[str, Any]) -> httpx.Response:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Annotated
 
@@ -19,8 +18,6 @@ def demo(
     json: Annotated[bool, typer.Option("--json", help="Print the exit status as JSON at the end.")] = False,
 ) -> None:
     """Start a service, drive two simulated robots through a town, compare the loops with the truth."""
-    # gRPC writes a line of its own where the service it talks to stops, in the middle of the bar.
-    os.environ.setdefault("GRPC_VERBOSITY", "NONE")
     from revisit.cli.demo.run import run_demo
 
     status = run_demo(picture, seed=seed)

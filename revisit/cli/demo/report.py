@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 from rich.console import Console
 from rich.table import Table
 
-from revisit.evaluation.demo import LoopReport
+from revisit.core.geometry import se3
+from revisit.evaluation.demo import LoopReport, MapReport, RobotTrack
 
 SHOWN_LOOPS = 12
 
@@ -24,6 +27,35 @@ def show(report: LoopReport, console: Console) -> None:
         )  # fmt: skip
     console.print(table)
     console.print(_figures(report))
+
+
+def show_map(report: MapReport, console: Console) -> None:
+    """Print what one map does for each robot: its errors before and after, and its correction."""
+    table = Table(title=f"One map of both robots: {_resting(report)}")
+    table.add_column("robot", overflow="fold")
+    for heading in ("way", "odometry off", "map off", "correction: x, y, yaw"):
+        table.add_column(heading, justify="right")
+    for track in report.tracks:
+        table.add_row(*_track(track))
+    console.print(table)
+    better = "[green]reached[/]" if report.better else "[red]missed[/]"
+    console.print("Off: absolute trajectory error (after the best rigid fit), and the farthest from the truth.")
+    console.print(f"Trajectory error of both in one map: {report.ate_m:.2f} m, less than odometry alone: {better}")
+
+
+def _resting(report: MapReport) -> str:
+    return f"{report.loops_in_map} loop closures hold it, {report.loops_set_aside} are set aside"
+
+
+def _track(track: RobotTrack) -> tuple[str, ...]:
+    x, y, _ = track.T_map_odom[:3, 3]
+    return (
+        track.robot,
+        f"{track.way_m[-1]:.0f} m",
+        f"{track.odometry_ate_m:.2f} m, at most {track.odometry_off_m.max():.2f} m",
+        f"{track.map_ate_m:.2f} m, at most {track.map_off_m.max():.2f} m",
+        f"{x:.1f} m, {y:.1f} m, {math.degrees(se3.yaw(track.T_map_odom)):.1f} deg",
+    )
 
 
 def _figures(report: LoopReport) -> Table:

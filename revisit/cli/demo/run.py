@@ -1,52 +1,63 @@
-"""The run of the demo: a service on this machine, two simulated robots, and the loops against the truth."""
+"""The run of the demo: a service on this machine, two simulated robots, their map, and all of it against the truth."""
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from revisit.cli.demo.report import show
-from revisit.core.config import PipelineConfig, SubmapConfig
-from revisit.core.scan import Scan
-from revisit.core.submap import Submap, SubmapBuilder
+from revisit.cli.demo.own_service import running_service
+from revisit.cli.demo.report import show, show_map
+from revisit.cli.demo.robots import STREAMED, odometry_scans, post_drive, stream_drive
+from revisit.cli.demo.steps import Step, step
+from revisit.core.config import PipelineConfig
 from revisit.evaluation.demo import (
+    ClosingPair,
     DemoDrive,
     DemoFigure,
     FoundLoop,
     LoopReport,
+    MapReport,
+    PairClouds,
     Targets,
     TrueSubmap,
+    closing_pair,
     compare,
     demo_drives,
     draw,
+    judge_map,
     portray,
 )
+from revisit.formats import NPY, decode_cloud
 from revisit.sdk.client import Client
+from revisit.sdk.resources import LoopClosure, Submap
 
-MAP = "demo-town"
-STREAMED = SubmapConfig(tau=10.0, stride=10.0)
-START_S = 90.0
+MAP = "maps/demo-town"
 WORK_S = 900.0
 
 
 @dataclass(frozen=True)
-class Addresses:
-    """Where the demo's service listens."""
+class Drives:
+    """What the robots drove: what is true of their submaps, and which scans these hold, by name."""
 
-    http: str
-    grpc: str
+    drives: tuple[DemoDrive, ...]
+    truth: dict[str, TrueSubmap]
+    windows: dict[str, range]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the service made of the drives."""
+
+    loops: LoopReport
+    map: MapReport
+    pair: PairClouds | None
 
 
 def run_demo(picture: Path = Path("out/demo.png"), *, seed: int = 1, console: Console | None = None) -> int:
@@ -58,153 +69,104 @@ def run_demo(picture: Path = Path("out/demo.png"), *, seed: int = 1, console: Co
     console = console or Console()
     started, targets = time.monotonic(), Targets()
     console.rule("Revisit: two simulated robots in a small town")
-    patrol, visitor = demo_drives(seed)
+    with step(console, "a town and its streets are made up"):
+        robots = demo_drives(seed)
+    _introduce(*robots, console)
+    with tempfile.TemporaryDirectory(prefix="revisit-demo-") as home:
+        driven, outcome = _in_a_service(Path(home), robots, targets, console)
+    show(outcome.loops, console)
+    show_map(outcome.map, console)
+    with step(console, "the picture is drawn"):
+        draw(_figure(driven, outcome), picture)
+    console.print(f"Picture: {picture}   ({time.monotonic() - started:.0f} s in all; every scan here is simulated)")
+    return 0 if outcome.loops.reached and outcome.map.better else 1
+
+
+def _introduce(patrol: DemoDrive, visitor: DemoDrive, console: Console) -> None:
     console.print(
         f"The patrol drives {patrol.length_m:.0f} m and meets its own way again, in the same direction and in reverse, "
         f"among moving cars and people. Its odometry is {patrol.drift_m:.1f} m off at the end. An hour later, other "
-        f"cars parked, a visitor drives {visitor.length_m:.0f} m against it."
+        f"cars parked, a visitor drives {visitor.length_m:.0f} m against it and does not know where the patrol began."
     )
-    with (
-        tempfile.TemporaryDirectory(prefix="revisit-demo-") as home,
-        running_service(Path(home), console) as addresses,
-        Client.grpc(addresses.grpc) as streaming,
-        Client(addresses.http) as posting,
-    ):
-        streaming.create_map(MAP, tau_m=STREAMED.tau, stride_m=STREAMED.stride, min_index_gap=targets.gap)
-        truth = stream_drive(streaming, patrol, console)
-        truth |= post_drive(posting, visitor, len(truth), console)
+
+
+def _in_a_service(
+    home: Path, robots: tuple[DemoDrive, DemoDrive], targets: Targets, console: Console
+) -> tuple[Drives, Outcome]:
+    with ExitStack() as opened:
+        with step(console, "the service starts"):
+            addresses = opened.enter_context(running_service(home))
+        console.print(f"It listens on {addresses.http} (REST) and {addresses.grpc} (gRPC).")
+        streaming = opened.enter_context(Client.grpc(addresses.grpc))
+        posting = opened.enter_context(Client(addresses.http))
+        town = MAP.partition("/")[2]
+        streaming.create_map(town, tau_m=STREAMED.tau, stride_m=STREAMED.stride, min_index_gap=targets.gap)
+        truth, windows = stream_drive(streaming, MAP, robots[0], console)
+        visited = post_drive(posting, MAP, robots[1], len(truth), console)
+        driven = Drives(robots, truth | visited[0], windows | visited[1])
         wait_for_descriptions(posting, console)
-        found = accepted_loops(posting)
-    report = compare(truth, found, targets)
-    show(report, console)
-    draw(_figure(patrol, visitor, truth, report), picture)
-    console.print(f"Picture: {picture}   ({time.monotonic() - started:.0f} s in all; every scan here is simulated)")
-    return 0 if report.reached else 1
-
-
-@contextmanager
-def running_service(home: Path, console: Console) -> Iterator[Addresses]:
-    """`python -m revisit.service serve` on free ports with its data in `home`, stopped on leaving."""
-    environment = {
-        **os.environ, "REVISIT_HOME": str(home / "data"), "REVISIT_HTTP_PORT": "0", "REVISIT_GRPC_PORT": "0",
-        "REVISIT_HOST": "127.0.0.1", "REVISIT_WORKERS": str(os.cpu_count() or 1), "REVISIT_LOG_LEVEL": "INFO",
-    }  # fmt: skip
-    log = home / "service.log"
-    with log.open("wb") as stream:
-        command = [sys.executable, "-m", "revisit.service", "serve"]
-        process = subprocess.Popen(command, env=environment, stdout=stream, stderr=subprocess.STDOUT)
-    try:
-        addresses = _when_listening(process, log)
-        console.print(f"The service listens on {addresses.http} (REST) and {addresses.grpc} (gRPC).")
-        yield addresses
-    finally:
-        _stop(process)
-
-
-def _when_listening(process: subprocess.Popen[bytes], log: Path) -> Addresses:
-    deadline = time.monotonic() + START_S
-    while time.monotonic() < deadline and process.poll() is None:
-        for line in log.read_text(errors="replace").splitlines():
-            if '"listening"' in line:
-                event = json.loads(line)
-                return Addresses(f"http://127.0.0.1:{event['http_port']}", f"127.0.0.1:{event['grpc_port']}")
-        time.sleep(0.1)
-    raise RuntimeError("the service did not start:\n" + log.read_text(errors="replace")[-3000:])
-
-
-def _stop(process: subprocess.Popen[bytes]) -> None:
-    process.terminate()
-    try:
-        process.wait(timeout=30.0)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-
-
-def stream_drive(client: Client, drive: DemoDrive, console: Console) -> dict[str, TrueSubmap]:
-    """Stream a drive scan by scan over gRPC; what is true of the submaps the service made of it, by name."""
-    session = client.create_session(f"maps/{MAP}", drive.robot)
-    with _progress(console) as progress, client.stream(session) as stream:
-        task = progress.add_task(f"{drive.robot} streams scans (gRPC)", total=len(drive))
-        for scan, T_odom_sensor in zip(drive.scans(), drive.T_odom_sensor, strict=True):
-            stream.send(scan.points, T_odom_sensor, scan.stamp_ns)
-            progress.advance(task)
-    client.finish_session(session)
-    windows = {}
-    for submap in client.list_submaps(session):
-        if submap.first_seq is None or submap.last_seq is None:
-            raise RuntimeError(f"{submap.name} does not say which scans it holds")
-        windows[submap.name] = range(submap.first_seq - 1, submap.last_seq)
-    return _truth(drive, windows, first_order=0)
-
-
-def post_drive(client: Client, drive: DemoDrive, first_order: int, console: Console) -> dict[str, TrueSubmap]:
-    """Accumulate submaps on the robot and post them over REST; what is true of them, by name."""
-    session = client.create_session(f"maps/{MAP}", drive.robot)
-    builder = SubmapBuilder(STREAMED)
-    windows: dict[str, range] = {}
-    with _progress(console) as progress:
-        task = progress.add_task(f"{drive.robot} posts submaps (REST)", total=len(drive))
-        for index, scan in enumerate(_odometry_scans(drive)):
-            progress.advance(task)
-            if (window := builder.add(scan)) is None:
-                continue
-            submap, submap_id = Submap.from_scans(window, STREAMED), f"v-{len(windows):03d}"
-            stamp_ns = window[len(window) // 2].stamp_ns
-            client.post_submap(session, submap_id, submap.points, submap.T_odom_submap, stamp_ns)
-            windows[f"{session.name}/submaps/{submap_id}"] = range(index + 1 - len(window), index + 1)
-    return _truth(drive, windows, first_order)
-
-
-def _odometry_scans(drive: DemoDrive) -> Iterator[Scan]:
-    for scan, T_odom_sensor in zip(drive.scans(), drive.T_odom_sensor, strict=True):
-        yield Scan.validated(scan.points, T_odom_sensor, scan.stamp_ns)
-
-
-def _truth(drive: DemoDrive, windows: dict[str, range], first_order: int) -> dict[str, TrueSubmap]:
-    poses = drive.trajectory.T_world_sensor
-    return {
-        name: TrueSubmap(
-            name, drive.robot, first_order + order, poses[list(scans), :3, 3].mean(axis=0),
-            poses[scans[len(scans) // 2]],
-        )
-        for order, (name, scans) in enumerate(windows.items())
-    }  # fmt: skip
+        outcome = _outcome(posting, driven, targets, console)
+        with step(console, "the service stops"):
+            opened.close()
+        return driven, outcome
 
 
 def wait_for_descriptions(client: Client, console: Console) -> None:
     """Until no job waits or runs. Raises RuntimeError for a failed job, TimeoutError after WORK_S seconds."""
     deadline = time.monotonic() + WORK_S
-    with _progress(console) as progress:
-        status = client.status()
-        task = progress.add_task("submaps described and searched", total=None)
-        while status.queued_jobs + status.running_jobs:
+    with step(console, "submaps are described and searched") as shown:
+        while _unfinished(client, shown):
             if time.monotonic() > deadline:
-                raise TimeoutError(f"{status.queued_jobs} submaps still wait after {WORK_S:.0f} s")
-            total = status.indexed_submaps + status.queued_jobs + status.running_jobs
-            progress.update(task, completed=status.indexed_submaps, total=total)
+                raise TimeoutError(f"{shown.words} submaps after {WORK_S:.0f} s")
             time.sleep(0.5)
-            status = client.status()
-        progress.update(task, completed=status.indexed_submaps, total=status.indexed_submaps)
+    status = client.status()
     if status.failed_jobs:
         raise RuntimeError(f"{status.failed_jobs} submaps could not be described")
 
 
-def accepted_loops(client: Client) -> list[FoundLoop]:
-    """The loop closures of the demo's map that passed verification."""
-    loops = client.loop_closures(f"maps/{MAP}", state="ACCEPTED")
-    return [FoundLoop(loop.query, loop.match, loop.T_match_query) for loop in loops if loop.T_match_query is not None]
+def _unfinished(client: Client, shown: Step) -> bool:
+    status = client.status()
+    waiting = status.queued_jobs + status.running_jobs
+    shown.done, shown.total = status.indexed_submaps, status.indexed_submaps + waiting
+    return waiting > 0
 
 
-def _figure(patrol: DemoDrive, visitor: DemoDrive, truth: dict[str, TrueSubmap], report: LoopReport) -> DemoFigure:
-    ways = {drive.robot: drive.trajectory.T_world_sensor for drive in (patrol, visitor)}
-    builder = SubmapBuilder(STREAMED)
-    window = next(window for window in map(builder.add, _odometry_scans(visitor)) if window is not None)
-    return DemoFigure(ways, truth, report, portray(window, PipelineConfig()))
+def _outcome(client: Client, driven: Drives, targets: Targets, console: Console) -> Outcome:
+    with step(console, "one map is made of both drives"):
+        client.wait(client.optimise_map(MAP), WORK_S)
+        submaps = [submap for session in client.list_sessions(MAP) for submap in client.list_submaps(session)]
+        found = client.loop_closures(MAP, state="ACCEPTED")
+        loops = [FoundLoop(one.query, one.match, one.T_match_query) for one in found if one.T_match_query is not None]
+        report = compare(driven.truth, loops, targets)
+        poses = {submap.name: submap.T_odom_submap for submap in submaps}
+        pair = closing_pair(report.loops, driven.truth, poses)
+        return Outcome(report, _judged_map(client, driven, submaps, found), _clouds(client, pair))
 
 
-def _progress(console: Console) -> Progress:
-    columns: tuple[Any, ...] = (
-        TextColumn("{task.description:34}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
-    )  # fmt: skip
-    return Progress(*columns, console=console)
+def _judged_map(client: Client, driven: Drives, submaps: list[Submap], loops: list[LoopClosure]) -> MapReport:
+    robots = {drive.robot: client.correction(f"{MAP}/sessions/{drive.robot}").T_map_odom for drive in driven.drives}
+    return judge_map(
+        driven.truth,
+        {submap.name: submap.T_odom_submap for submap in submaps},
+        {submap.name: submap.in_map.T_map for submap in submaps if submap.in_map is not None},
+        robots,
+        (sum(one.graph_state == "IN_MAP" for one in loops), sum(one.graph_state == "SET_ASIDE" for one in loops)),
+    )
+
+
+def _clouds(client: Client, pair: ClosingPair | None) -> PairClouds | None:
+    if pair is None:
+        return None
+    return PairClouds(pair, _points(client, pair.loop.query), _points(client, pair.loop.match))
+
+
+def _points(client: Client, submap: str) -> NDArray[np.float32]:
+    return decode_cloud(client.download(submap, "npy"), NPY).points
+
+
+def _figure(driven: Drives, outcome: Outcome) -> DemoFigure:
+    portrayed = outcome.pair.pair.loop.match if outcome.pair else min(driven.windows)
+    drive = next(one for one in driven.drives if one.robot == driven.truth[portrayed].robot)
+    scans = list(odometry_scans(drive, driven.windows[portrayed]))
+    positions = {name: submap.position for name, submap in driven.truth.items()}
+    return DemoFigure(outcome.map, outcome.loops, positions, outcome.pair, portray(scans, PipelineConfig()))

@@ -23,6 +23,7 @@ class LoopClosureServicer(loop_closure_pb2_grpc.LoopClosureServiceServicer):
         self._loops = use_cases.loops
         self._searches = use_cases.searches
         self._decisions = use_cases.loop_decisions
+        self._keypoints = use_cases.loop_keypoints
 
     async def SearchSubmaps(self, request: pb.SearchSubmapsRequest, context: Any) -> pb.SearchSubmapsResponse:
         """The submaps most like a submap, a descriptor or a cloud."""
@@ -87,6 +88,13 @@ class LoopClosureServicer(loop_closure_pb2_grpc.LoopClosureServiceServicer):
         view = await self._decisions.revert(tenant_of(context), *names.loop_key(request.name), request.note)
         return pb.RevertLoopClosureResponse(loop_closure=answers.of_loop(view))
 
+    async def GetLoopClosureKeypoints(
+        self, request: pb.GetLoopClosureKeypointsRequest, context: Any
+    ) -> pb.GetLoopClosureKeypointsResponse:
+        """The keypoints of a loop closure's two submaps."""
+        view = await self._keypoints.of(tenant_of(context), *names.loop_key(request.name))
+        return pb.GetLoopClosureKeypointsResponse(**answers.of_loop_keypoints(view))
+
     async def ListLoopClosureEvents(
         self, request: pb.ListLoopClosureEventsRequest, context: Any
     ) -> pb.ListLoopClosureEventsResponse:
@@ -102,8 +110,8 @@ class LoopClosureServicer(loop_closure_pb2_grpc.LoopClosureServiceServicer):
             case "submap":
                 key = names.submap_key_in(request.parent, request.submap, "submap")
                 return await self._searches.by_submap(tenant, key, criteria, fresh)
-            case "descriptor":
-                vector, version = requests.vector(request.descriptor), request.descriptor.model_version
+            case "place_descriptor":
+                vector, version = requests.vector(request.place_descriptor), request.place_descriptor.model_version
                 return await self._searches.by_descriptor(tenant, map_id, vector, version, criteria, fresh)
             case "cloud":
                 cloud, level = requests.cloud(request.cloud), requests.level_pose(request)

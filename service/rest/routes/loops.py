@@ -15,6 +15,7 @@ from revisit.service.rest.answers import (
     LoopClosure,
     LoopClosureEventPage,
     LoopClosurePage,
+    LoopKeypoints,
     ProposedLoop,
     answer,
     answers,
@@ -24,7 +25,7 @@ from revisit.service.rest.bodies import describe_json, json_body
 from revisit.service.rest.parameters import Cases, Fresh, Id, Paging, Tenant, pose
 from revisit.service.rest.schemas import CreateLoopClosureRequest, DecisionRequest
 from revisit.service.wire import names
-from revisit.service.wire.answers import of_loop, of_loop_event, of_proposed_loop
+from revisit.service.wire.answers import of_loop, of_loop_event, of_loop_keypoints, of_proposed_loop
 
 router = APIRouter(prefix="/v1/maps/{map_id}/loopClosures", tags=["loop closures"])
 
@@ -97,6 +98,12 @@ async def list_loop_closure_events(map_id: Id, loop_id: Id, cases: Cases, tenant
     """What happened to a loop closure, by whom and why, oldest first."""
     page = await cases.loop_decisions.events(tenant, map_id, loop_id, paging)
     return await page_answer(LoopClosureEventPage, "loop_closure_events", page, of_loop_event)
+
+
+@router.get("/{loop_id}/keypoints", **answers(LoopKeypoints), dependencies=[allows(Scope.QUERY)])
+async def get_loop_closure_keypoints(map_id: Id, loop_id: Id, cases: Cases, tenant: Tenant) -> Response:
+    """The keypoints of both submaps seen from above, which look alike, and which of these the pose joins."""
+    return answer(LoopKeypoints, of_loop_keypoints(await cases.loop_keypoints.of(tenant, map_id, loop_id)))
 
 
 @router.get("/{loop_id}", **answers(LoopClosure), dependencies=[allows(Scope.QUERY)])

@@ -26,7 +26,7 @@ def failed(client, session):
     """The operation of a submap that cannot be described, once it has failed for good."""
     posted = client.post_submap(session, "poison", cloud_points(1, CANNOT_BE_DESCRIBED), np.eye(4), 1)
     with pytest.raises(OperationFailed):
-        client.wait(posted, timeout_s=10)
+        client.wait(posted)
     return client.get_operation(posted.name)
 
 
@@ -53,7 +53,7 @@ def test_a_failed_description_is_queued_again_with_new_attempts_and_fails_again(
     again = client.retry_operation(failed)
     assert (again.name, again.state, again.attempts, again.failure_reason) == (failed.name, "QUEUED", 1, None)
     with pytest.raises(OperationFailed):
-        client.wait(again, timeout_s=10)
+        client.wait(again)
     assert client.get_operation(failed.name).attempts == 2
 
 

@@ -7,7 +7,6 @@ import itertools
 import json
 import socket
 import threading
-import time
 
 import httpx
 import pytest
@@ -23,6 +22,7 @@ from revisit.service.rest.slow_clients import DeadlineProtocol
 from tests.faults.proxy import Fault, bad_link
 from tests.support.credentials import a_key
 from tests.support.live_service import live_service
+from tests.support.patience import PATIENCE_S, eventually
 from tests.support.service_world import cloud_points, pose
 
 SOON = RetryPolicy(attempts=1, base_s=0.01, cap_s=0.05)
@@ -74,10 +74,9 @@ def test_a_watch_begins_with_what_happens_from_now_on(client, session, town):
     arrived = []
     reader = threading.Thread(target=lambda: arrived.extend(first(watch, 1)))
     reader.start()
-    while watch.number is None:
-        time.sleep(0.01)
+    eventually(lambda: watch.number is not None, "the watch is not open")
     operation = client.wait(post(client, session, "after", 30))
-    reader.join(10)
+    reader.join(PATIENCE_S)
     assert [event.operation.name for event in arrived] == [operation.name]
 
 
@@ -205,11 +204,10 @@ def test_a_watch_needs_a_key_and_ends_when_the_key_is_revoked(guarded, monkeypat
 
         reader = threading.Thread(target=read)
         reader.start()
-        while watch.number is None:
-            time.sleep(0.01)
+        eventually(lambda: watch.number is not None, "the watch is not open")
         revoke = guarded.world.use_cases.keys.revoke(key.record.key_id)
-        asyncio.run_coroutine_threadsafe(revoke, guarded.loop).result(5)
-        reader.join(10)
+        asyncio.run_coroutine_threadsafe(revoke, guarded.loop).result(PATIENCE_S)
+        reader.join(PATIENCE_S)
         assert [error.reason for error in failed] == ["UNAUTHENTICATED"]
     answer = httpx.get(f"{guarded.http}/v1/maps/watched/events", trust_env=False)
     assert answer.status_code == 401
@@ -223,11 +221,12 @@ def test_watches_are_bounded_for_each_client(service, town):
         assert [answer.status_code for answer in held] == [200] * most + [429]
         assert "retry-after" in held[-1].headers
         held[0].close()
-        deadline = time.monotonic() + 5
-        while (answer := opened[0].send(opened[0].build_request("GET", f"/v1/{town}/events"), stream=True)).is_error:
-            assert time.monotonic() < deadline, "the place of a client that has gone was not given back"
-            time.sleep(0.05)
-        answer.close()
+
+        def let_in() -> bool:
+            with opened[0].stream("GET", f"/v1/{town}/events") as answer:
+                return answer.is_success
+
+        eventually(let_in, "the place of a client that has gone was not given back")
     finally:
         for client in opened:
             client.close()
@@ -253,19 +252,22 @@ def test_a_watch_that_is_refused_for_now_is_tried_again(service, town, monkeypat
 
 def test_a_reader_that_does_not_read_is_cut_off(monkeypatch):
     """It holds one batch and what the kernel takes; then its connection is closed and its place is free."""
+    lost, connection_lost = threading.Event(), DeadlineProtocol.connection_lost
     monkeypatch.setattr(DeadlineProtocol, "write_s", 0.3)
+    monkeypatch.setattr(DeadlineProtocol, "connection_lost", lambda *ends: lost.set() or connection_lost(*ends))
 
     async def endless(self, tenant, map_id, after=None, kinds=frozenset()):
         while True:
             yield EventView(1, EventKind.OPENED, "x" * 10_000)
+            await asyncio.sleep(0)  # where the end of the connection is noticed
 
     monkeypatch.setattr(Events, "watch", endless)
     with live_service() as running:
         host, _, port = running.http.removeprefix("http://").rpartition(":")
         with socket.create_connection((host, int(port))) as idle:
             idle.sendall(b"GET /v1/maps/town/events HTTP/1.1\r\nhost: localhost\r\n\r\n")
-            time.sleep(3.0)
-            idle.settimeout(10)
+            assert lost.wait(PATIENCE_S)
+            idle.settimeout(PATIENCE_S)
             received = 0
             while True:
                 try:

@@ -8,7 +8,6 @@ import re
 import shutil
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import httpx
@@ -19,7 +18,8 @@ from typer.testing import CliRunner
 from revisit import Client
 from revisit.cli.app import app
 from revisit.evaluation.datasets import write_kitti
-from tests.support.fleet_in_service import fleet_in
+from tests.support.fleet_in_service import fleet_in, fleet_in_two
+from tests.support.patience import PATIENCE_S
 from tests.support.service_world import cloud_points, pose
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -28,7 +28,7 @@ ROOT = Path(__file__).resolve().parents[3]
 def run_example(name, **environment):
     command = [sys.executable, ROOT / "docs" / "examples" / name]
     variables = {"PYTHONPATH": str(ROOT), **environment}
-    result = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, env=variables)
+    result = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False, env=variables)
     assert result.returncode == 0, result.stderr
     return result.stdout
 
@@ -210,7 +210,7 @@ def test_the_doctor_reports_each_part(service, tmp_path):
 
 def test_a_command_that_cannot_reach_the_service_says_so_in_one_line():
     command = [sys.executable, "-m", "revisit.cli", "loops", "--http", "http://127.0.0.1:1"]
-    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60, check=False)
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     assert result.returncode == 1
     assert result.stderr.startswith("revisit: UNREACHABLE")
     assert len(result.stderr.splitlines()) == 1
@@ -222,10 +222,8 @@ def test_help_does_not_load_the_libraries_of_the_method():
         "assert CliRunner().invoke(app, ['--help']).exit_code == 0\n"
         "print([m for m in ('torch', 'numpy', 'grpc', 'fastapi', 'faiss', 'cv2') if m in sys.modules])"
     )
-    started = time.monotonic()
     result = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"
-    assert time.monotonic() - started < 20.0
 
 
 def test_a_map_is_optimised_looked_at_and_brought_back_by_typing(service):
@@ -243,6 +241,23 @@ def test_a_map_is_optimised_looked_at_and_brought_back_by_typing(service):
     assert [one["in_force"] for one in json.loads(invoke("map", "versions", *at, "--json"))] == [False, False, True]
 
 
+def test_a_map_is_merged_into_another_looked_at_and_taken_out_again_by_typing(service, tmp_path):
+    made = fleet_in_two(service.world, ("typed-one", "typed-two"), sessions=2, submaps=20, per_pair=0)
+    at = ("--http", service.http)
+    proposed = invoke("merge", "typed-one", "typed-two", "--dry-run", *at)
+    assert "MERGEABLE" in proposed and "1 of 1 sessions join" in proposed
+    picture = tmp_path / "merged.png"
+    done = json.loads(invoke("merge", "typed-one", "typed-two", "--picture", picture, "--json", *at))
+    assert done["verdict"] == "MERGED" and picture.stat().st_size > 10_000
+    held = ("--map", made.map_id, *at)
+    assert "maps/typed-two" in invoke("map", "merges", *held)
+    assert "VANISHED" in invoke("map", "changes", *held)
+    assert json.loads(invoke("map", "unmerge", *held, "--json"))["reverted_at_ns"] > 0
+    assert "nothing was merged" in CliRunner().invoke(app, ["map", "changes", *held]).output
+    far = CliRunner().invoke(app, ["merge", "typed-one", "typed-two", "--near", "900,0,0,0", "--radius", "5", *at])
+    assert far.exit_code == 1 and "TOO_FEW_LOOPS" in far.output
+
+
 def test_a_map_without_submaps_is_refused_by_the_optimise_command(service):
     with Client(service.http) as client:
         client.create_map("nothing-in-it")
@@ -250,3 +265,19 @@ def test_a_map_without_submaps_is_refused_by_the_optimise_command(service):
         "the map holds no submaps"
         in CliRunner().invoke(app, ["map", "optimise", "--map", "nothing-in-it", "--http", service.http]).output
     )
+
+
+def test_what_happens_in_a_map_is_printed_a_line_each(service):
+    with Client(service.http) as client:
+        town = client.create_map("watched")
+        for day in ("monday", "tuesday"):
+            session = client.create_session(town, day)
+            client.wait(client.post_submap(session, day[0], cloud_points(7), pose(0.0), 1_000))
+        (loop,) = client.loop_closures(town)
+    told = ("watch", "--map", "watched", "--after", 0, "--http", service.http)
+    assert "describe submap" in invoke(*told, "--count", 1)
+    line = invoke(*told, "--kind", "loop_closure", "--count", 1).strip()
+    assert line.endswith(f"loop closure accepted: tuesday/t -> monday/m, score {loop.score:.2f}")
+    (document,) = invoke(*told, "--kind", "LOOP_CLOSURE", "--count", 1, "--json").splitlines()
+    assert json.loads(document)["loop_closure"]["name"] == loop.name
+    invoke(*told, "--kind", "weather", status=1)

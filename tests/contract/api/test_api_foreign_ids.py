@@ -17,7 +17,9 @@ from revisit.sdk.retry import RetryPolicy
 from revisit.service.grpc import server as grpc_server
 from revisit.service.rest.app import create_app
 from tests.support.credentials import a_key, bearer
+from tests.support.fake_merger import EasyMerger
 from tests.support.live_service import live_service
+from tests.support.patience import PATIENCE_S
 from tests.support.service_world import cloud_points, memory_world
 
 REQUEST_ID = {"x-request-id": "fixed"}
@@ -47,6 +49,7 @@ def rpcs():
 def answers():
     """What a stranger is told about ids, before and after another tenant has them."""
     world = memory_world()
+    world.merger = EasyMerger()
     owner, stranger = a_key(world, "owner"), a_key(world, "stranger")
     once = RetryPolicy(attempts=1)
     with (
@@ -56,11 +59,14 @@ def answers():
         Client(running.http, api_key=owner.text, retry=once) as client,
     ):
         metadata = tuple({**bearer(stranger), **REQUEST_ID}.items())
-        guessed = {**UNIVERSE, "operation": "op-guess", "loop": "loop-guess"}
+        guessed = {**UNIVERSE, "operation": "op-guess", "loop": "loop-guess", "merge": "merge-guess"}
         before = ask(http, channel, metadata, guessed)
         real = fill(client)
         after = ask(http, channel, metadata, real)
         yield before, {key: renamed(answer, real, guessed) for key, answer in after.items()}, client, real
+
+
+MAPS_OWN = ("OptimiseMap", "RevertMap", "ListMapVersions", "WatchCorrections", "MergeMap", "ListMapMerges")
 
 
 def fill(client):
@@ -69,12 +75,16 @@ def fill(client):
     session = client.create_session(client.create_map("town", min_index_gap=0), "monday")
     for number, name in enumerate("ab"):
         operation = client.post_submap(session, name, cloud_points(1), np.eye(4), number + 1)
-        client.wait(operation, 20.0)
-    client.wait(client.optimise_map("maps/town"), 20.0)
+        client.wait(operation)
+    client.wait(client.optimise_map("maps/town"))
+    annex = client.create_session(client.create_map("annex", min_index_gap=0), "tuesday")
+    for number, name in enumerate("cd"):
+        client.wait(client.post_submap(annex, name, cloud_points(1), np.eye(4), number + 1))
+    merge = client.wait(client.merge_map("maps/town", "maps/annex")).result["merge"].rpartition("/")[2]
     client.create_webhook("hook", "https://hooks.example.com/revisit", map_="maps/town")
     loops = client.loop_closures("maps/town", state=None)
     loop = loops[0].name.rpartition("/")[2] if loops else "loop-guess"
-    return {**UNIVERSE, "operation": operation.name.removeprefix("operations/"), "loop": loop}
+    return {**UNIVERSE, "operation": operation.name.removeprefix("operations/"), "loop": loop, "merge": merge}
 
 
 def ask(http, channel, metadata, ids):
@@ -85,6 +95,8 @@ def ask(http, channel, metadata, ids):
         body = {"json": {"session_id": "new"}} if path.endswith("/sessions") else {}
         if path.endswith(("}:accept", "}:reject", "loop_id}:revert")):
             body = {"json": {"note": "mine"}}
+        elif path.endswith(":merge"):
+            body = {"json": {"source": "maps/annex"}}
         elif path.endswith(":revert"):
             body = {"json": {"version": 1}}
         if path.endswith("/loopClosures"):
@@ -114,7 +126,7 @@ def status(channel, metadata, method, ids):
     )
     data = request.SerializeToString()
     try:
-        answer = rpc(iter([data]) if method.client_streaming else data, metadata=metadata, timeout=10)
+        answer = rpc(iter([data]) if method.client_streaming else data, metadata=metadata, timeout=PATIENCE_S)
         if method.server_streaming:
             list(answer)
     except grpc.RpcError as error:
@@ -128,9 +140,11 @@ def message(method, ids):
     noun = method.containing_service.name.removesuffix("Service")
     session = f"maps/{ids['map']}/sessions/{ids['session']}"
     version = f"maps/{ids['map']}/versions/{ids['version']}"
+    merge = f"maps/{ids['map']}/merges/{ids['merge']}"
     mapping = {
-        **dict.fromkeys(("OptimiseMap", "RevertMap", "ListMapVersions", "WatchCorrections"), f"maps/{ids['map']}"),
+        **dict.fromkeys(MAPS_OWN, f"maps/{ids['map']}"),
         **dict.fromkeys(("GetMapVersion", "ListSubmapPoses"), version),
+        **dict.fromkeys(("GetMapMerge", "RevertMapMerge"), merge),
         "GetCorrection": session,
     }
     names = {
@@ -160,6 +174,8 @@ def message(method, ids):
         request.parent = names["LoopClosure"]
     if method.name == "CreateLoopClosure":
         request.query, request.match = f"{session}/submaps/b", f"{session}/submaps/a"
+    if method.name == "MergeMap":
+        request.source = "maps/annex"
     if method.name == "RevertMap":
         request.version = 1
     if "open" in fields:
@@ -177,7 +193,7 @@ def message(method, ids):
 def renamed(answer, real, guessed):
     """The answer with the ids that the service gave out replaced by guessed ones."""
     code, text = answer
-    for noun in ("operation", "loop"):
+    for noun in ("operation", "loop", "merge"):
         text = text.replace(real[noun], guessed[noun])
     return code, text
 
@@ -211,6 +227,6 @@ def test_a_search_finds_nothing_of_another_tenants_map_of_the_same_name():
         for tenant, place in (("one", 1), ("two", 1), ("three", 2)):
             with Client(running.http, api_key=a_key(world, tenant).text, retry=once) as client:
                 session = client.create_session(client.create_map("town"), tenant)
-                client.wait(client.post_submap(session, "a", cloud_points(place), np.eye(4), 1), 20.0)
+                client.wait(client.post_submap(session, "a", cloud_points(place), np.eye(4), 1))
                 found[tenant] = [hit.submap for hit in client.search("maps/town", points=cloud_points(1), k=100)]
     assert found == {tenant: [f"maps/town/sessions/{tenant}/submaps/a"] for tenant in ("one", "two", "three")}

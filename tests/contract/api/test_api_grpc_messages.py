@@ -19,8 +19,9 @@ from revisit.service.status import STATUS
 from tests.corpus.rows import UNROTATED, CloudToSend
 from tests.corpus.sending import METHODS, cloud_message, grpc_reason, transform
 from tests.support.cloud_files import records, valid_files
+from tests.support.patience import PATIENCE_S
 
-EXAMPLES = int(os.environ.get("REVISIT_GRPC_EXAMPLES", "40"))
+EXAMPLES = int(os.environ.get("REVISIT_GRPC_EXAMPLES", "20"))
 LIMITS = settings(
     max_examples=EXAMPLES, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck)
 )
@@ -185,15 +186,15 @@ def test_a_number_beyond_what_a_database_compares_is_none_that_will_come(channel
 def test_a_compressed_message_that_expands_past_the_limit_is_refused(channel):
     send = channel.unary_unary("/revisit.v1.MapService/CreateMap")
     with pytest.raises(grpc.RpcError) as refused:
-        send(bytes(MAX_MESSAGE_BYTES + 1), compression=grpc.Compression.Gzip, timeout=30)
+        send(bytes(MAX_MESSAGE_BYTES + 1), compression=grpc.Compression.Gzip, timeout=PATIENCE_S)
     assert refused.value.code() is grpc.StatusCode.RESOURCE_EXHAUSTED
 
 
 def test_metadata_over_the_limit_is_refused(channel):
     send = channel.unary_unary("/revisit.v1.MapService/ListMaps")
-    send(b"", metadata=[("x-long", "a" * 8_000)], timeout=30)
+    send(b"", metadata=[("x-long", "a" * 8_000)], timeout=PATIENCE_S)
     with pytest.raises(grpc.RpcError) as refused:
-        send(b"", metadata=[("x-long", "a" * 100_000)], timeout=30)
+        send(b"", metadata=[("x-long", "a" * 100_000)], timeout=PATIENCE_S)
     assert refused.value.code() is grpc.StatusCode.RESOURCE_EXHAUSTED
 
 
@@ -219,6 +220,6 @@ def test_a_deadline_that_has_passed_leaves_nothing_behind(channel, town, service
         request.submap_id = f"hasty-{number}"
         assert code_of(send, request, timeout_s=0.002) in ("OK", "DEADLINE_EXCEEDED")
         # Whether it was stored is settled by the same request again: there is one submap and one job, never half.
-        send(request.SerializeToString(), timeout=30)
+        send(request.SerializeToString(), timeout=PATIENCE_S)
     stored = [now - then for now, then in zip(service.stored(), before, strict=True)]
     assert stored == [0, 0, 0, 20, 20]

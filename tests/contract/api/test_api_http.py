@@ -17,6 +17,7 @@ from revisit.formats import QUANTISED, encode_quantised
 from revisit.service.application.contract.records import WorkerRecord
 from revisit.service.rest.routes.page import WEB
 from revisit.service.status import STATUS
+from tests.support.patience import PATIENCE_S
 from tests.support.service_world import cloud_points
 
 MIB = 2**20
@@ -119,7 +120,7 @@ def test_json_of_another_content_type_is_refused(content_type, http):
 
 def test_a_declared_length_over_the_limit_is_refused_before_it_is_read(service):
     host, port = service.http.removeprefix("http://").split(":")
-    with socket.create_connection((host, int(port)), timeout=10) as connection:
+    with socket.create_connection((host, int(port)), timeout=PATIENCE_S) as connection:
         head = f"POST /v1/maps HTTP/1.1\r\nHost: {host}\r\nContent-Length: {300 * MIB}\r\n\r\n"
         connection.sendall(head.encode())
         assert connection.recv(4096).startswith(b"HTTP/1.1 413 ")
@@ -320,7 +321,7 @@ RAW_REQUESTS = {
 @pytest.mark.parametrize("case", RAW_REQUESTS)
 def test_what_is_not_http_is_refused_and_the_service_goes_on(case, service, http):
     host, port = service.http.removeprefix("http://").split(":")
-    with socket.create_connection((host, int(port)), timeout=10) as connection:
+    with socket.create_connection((host, int(port)), timeout=PATIENCE_S) as connection:
         with contextlib.suppress(BrokenPipeError, ConnectionResetError):
             connection.sendall(RAW_REQUESTS[case])
         try:

@@ -21,6 +21,7 @@ from revisit.service.grpc import server as grpc_server
 from revisit.v1 import loop_closure_pb2, map_pb2, map_pb2_grpc
 from tests.support.credentials import a_key, bearer, ended
 from tests.support.live_service import live_service
+from tests.support.patience import PATIENCE_S
 from tests.support.service_world import memory_world
 
 LIST_MAPS = map_pb2.DESCRIPTOR.services_by_name["MapService"].methods_by_name["ListMaps"]
@@ -215,7 +216,7 @@ async def test_a_stream_ends_soon_after_its_key_is_gone(monkeypatch, cause):
         request = loop_closure_pb2.WatchLoopClosuresRequest(parent="maps/town").SerializeToString()
         stream = method(request, metadata=tuple(bearer(made).items()))
         reading = asyncio.create_task(stream.read())
-        async with asyncio.timeout(30):
+        async with asyncio.timeout(PATIENCE_S):
             while CountingGate.admitted < 3:  # verified again, and let go on
                 await asyncio.sleep(0.05)
         assert not reading.done()
@@ -224,7 +225,7 @@ async def test_a_stream_ends_soon_after_its_key_is_gone(monkeypatch, cause):
         else:
             world.clock.ms += 3_600_001
         with pytest.raises(grpc.aio.AioRpcError) as ended:
-            await asyncio.wait_for(reading, 10)
+            await asyncio.wait_for(reading, PATIENCE_S)
         assert ended.value.code() is grpc.StatusCode.UNAUTHENTICATED
         assert "lost its right" in ended.value.details()
     await server.stop(0.1)

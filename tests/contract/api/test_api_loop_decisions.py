@@ -19,7 +19,7 @@ def loops(client, session, town):
     """The loops of three submaps in a row, by their state; a and c show one place, to which the drive comes back."""
     for name, place, x_m in (("a", 1, 0.0), ("b", 2, 20.0), ("c", 1, 1.0)):
         operation = client.post_submap(session, name, cloud_points(place), pose(x_m), 1)
-        client.wait(operation, 20.0)
+        client.wait(operation)
     return {loop.state: loop for loop in client.loop_closures(town, state="ALL")}
 
 
@@ -64,12 +64,12 @@ def test_nobody_takes_back_what_nobody_decided(client, loops):
 
 
 def test_a_loop_that_a_person_rejected_moves_nothing(client, loops, town):
-    first = client.wait(client.optimise_map(town), 30.0)
+    first = client.wait(client.optimise_map(town))
     assert first.result["loops_in_map"] == 1
     assert client.get_loop_closure(loops["ACCEPTED"].name).graph_state == "IN_MAP"
     rejected = client.reject_loop_closure(loops["ACCEPTED"])
     assert rejected.graph_state is None
-    second = client.wait(client.optimise_map(town), 30.0)
+    second = client.wait(client.optimise_map(town))
     assert (second.result["loops_in_map"], second.result["loops_set_aside"]) == (0, 0)
     kinds = [event.kind for event in client.loop_closure_events(loops["ACCEPTED"])]
     assert kinds == ["VERIFIED", "JUDGED", "REJECTED"]
@@ -79,7 +79,7 @@ def test_a_loop_that_a_person_rejected_moves_nothing(client, loops, town):
 
 
 def test_a_loop_without_an_alignment_cannot_be_accepted(client, session, loops):
-    done = client.wait(client.create_loop_closure(f"{session.name}/submaps/b", f"{session.name}/submaps/a"), 20.0)
+    done = client.wait(client.create_loop_closure(f"{session.name}/submaps/b", f"{session.name}/submaps/a"))
     with pytest.raises(InvalidArgument) as refused:
         client.accept_loop_closure(done.subject)
     assert "alignment" in refused.value.message
@@ -88,7 +88,7 @@ def test_a_loop_without_an_alignment_cannot_be_accepted(client, session, loops):
 def test_a_loop_by_hand_is_verified_around_the_pose_that_the_person_named(client, session, loops):
     a, c = (f"{session.name}/submaps/{name}" for name in "ac")
     near = se3.from_yaw(0.3, (2.0, -1.0, 0.0))
-    done = client.wait(client.create_loop_closure(c, a, T_match_query=near, note="seen by eye"), 20.0)
+    done = client.wait(client.create_loop_closure(c, a, T_match_query=near, note="seen by eye"))
     loop = client.get_loop_closure(done.subject)
     assert (done.kind, done.result["state"]) == ("VERIFY_LOOP", "ACCEPTED")
     assert (loop.state, loop.manual, loop.query, loop.match) == ("ACCEPTED", True, c, a)
@@ -102,13 +102,13 @@ def test_a_loop_by_hand_is_verified_around_the_pose_that_the_person_named(client
 
 def test_a_loop_by_hand_that_geometry_rejects_may_be_accepted_all_the_same(client, session, loops):
     a, b = (f"{session.name}/submaps/{name}" for name in "ab")
-    done = client.wait(client.create_loop_closure(b, a, T_match_query=pose(1.0)), 20.0)
+    done = client.wait(client.create_loop_closure(b, a, T_match_query=pose(1.0)))
     rejected = client.get_loop_closure(done.subject)
     assert (rejected.state, rejected.reason) == ("REJECTED", "TOO_DIFFERENT")
     accepted = client.accept_loop_closure(rejected, note="the wall was painted")
     assert (accepted.state, accepted.reason) == ("ACCEPTED", None)
     assert client.revert_loop_closure(accepted) == rejected
-    without = client.wait(client.create_loop_closure(b, a), 20.0)
+    without = client.wait(client.create_loop_closure(b, a))
     assert without.subject != done.subject
 
 
@@ -116,7 +116,7 @@ def test_the_same_loop_by_hand_again_answers_again_and_another_one_is_a_conflict
     a, c = (f"{session.name}/submaps/{name}" for name in "ac")
     first = client.create_loop_closure(c, a, T_match_query=pose(1.0), note="x")
     assert client.create_loop_closure(c, a, T_match_query=pose(1.0), note="x").name == first.name
-    client.wait(first, 20.0)
+    client.wait(first)
     assert client.create_loop_closure(c, a, T_match_query=pose(1.0), note="x").subject == first.subject
     for query, match in ((c, a), (a, c)):
         with pytest.raises(AlreadyExists):

@@ -11,6 +11,7 @@ import pytest
 from revisit.core.geometry import se3
 from revisit.sdk.errors import FailedPrecondition, InvalidArgument, NotFound
 from tests.support.fleet_in_service import fleet_in
+from tests.support.patience import PATIENCE_S
 from tests.support.service_world import cloud_points, pose
 
 SMALL = {"sessions": 2, "submaps": 30, "per_pair": 10}
@@ -25,7 +26,7 @@ def fleet(service):
 
 def optimised(client, map_name):
     """The version that an optimisation made."""
-    done = client.wait(client.optimise_map(map_name), 60.0)
+    done = client.wait(client.optimise_map(map_name))
     return client.get_map_version(done.result["version"])
 
 
@@ -97,10 +98,10 @@ def test_submaps_loops_and_hits_tell_where_the_map_has_them(client, fleet):
 
 def test_what_comes_after_a_version_lies_where_its_sessions_correction_says(client, session, town):
     for number, place in enumerate((1, 2, 1)):
-        client.wait(client.post_submap(session, f"early-{number}", cloud_points(place), pose(float(number)), 1), 20.0)
+        client.wait(client.post_submap(session, f"early-{number}", cloud_points(place), pose(float(number)), 1))
     correction_of_version = optimised(client, town)
     late = client.post_submap(session, "late", cloud_points(5), pose(9.0), 1_000)
-    client.wait(late, 20.0)
+    client.wait(late)
     correction = client.correction(session)
     expected = correction.T_map_odom @ pose(9.0)
     found = client.get_submap(f"{session.name}/submaps/late").in_map
@@ -141,7 +142,7 @@ def test_corrections_are_watched_as_versions_come(client, fleet):
         while len(told) < 2:
             assert not enough.wait(0.05)
         optimised(client, fleet.name)
-        assert enough.wait(20.0)
+        assert enough.wait(PATIENCE_S)
     sessions = [f"{fleet.name}/sessions/s{n}" for n in (0, 1)]
     assert [(one.session, one.map_version) for one in told] == [(name, v) for v in (1, 2) for name in sessions]
     with client.watch_corrections(fleet.name, session="s1", after=1) as watch:
@@ -201,11 +202,11 @@ def test_an_optimisation_that_waits_is_answered_again(client, service, fleet):
     finally:
         service.working.set()
     assert first.name == second.name
-    client.wait(first, 60.0)
+    client.wait(first)
     assert client.optimise_map(fleet.name).name != first.name
 
 
 def test_a_map_without_submaps_is_not_optimised(client, town):
-    done = client.wait(client.optimise_map(town), 20.0)
+    done = client.wait(client.optimise_map(town))
     assert done.result == {"outcome": "the map holds no submaps"}
     assert client.map_versions(town) == []

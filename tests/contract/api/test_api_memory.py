@@ -20,13 +20,14 @@ from revisit.formats import KITTI
 from revisit.sdk.retry import RetryPolicy
 from revisit.v1 import cloud_pb2, loop_closure_pb2, loop_closure_pb2_grpc
 from tests.support.figures import publish
+from tests.support.patience import PATIENCE_S
 from tests.support.processes import ServiceProcess
 
 CEILING_MIB = 512.0
-SEARCHES, LOCALIZES, DOWNLOADS = 12, 24, 16
+SEARCHES, LOCALIZES, DOWNLOADS = 8, 12, 8
 FULL = (60, 150, 100)
 POINTS = 1_900_000
-WAIT_S = 3
+WAIT_S = 1
 TOWN = "maps/town"
 
 
@@ -48,7 +49,7 @@ def service(tmp_path_factory):
 
 
 def httpx_client(service):
-    return httpx.Client(base_url=service.url, trust_env=False, timeout=60)
+    return httpx.Client(base_url=service.url, trust_env=False, timeout=PATIENCE_S)
 
 
 def large_cloud(points: int) -> bytes:
@@ -92,7 +93,7 @@ async def _localizes(service, count: int) -> set[grpc.StatusCode]:
     )
     async with grpc.aio.insecure_channel(service.grpc_target) as channel:
         stub = loop_closure_pb2_grpc.LoopClosureServiceStub(channel)
-        calls = [stub.Localize(request, timeout=60) for _ in range(count)]
+        calls = [stub.Localize(request, timeout=PATIENCE_S) for _ in range(count)]
         return {await call.code() for call in calls}
 
 

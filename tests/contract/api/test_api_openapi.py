@@ -24,10 +24,11 @@ from schemathesis.specs.openapi.checks import (
 from revisit import Client
 from revisit.formats import MEDIA_TYPES
 from tests.support.cloud_files import records, valid_files
+from tests.support.patience import PATIENCE_S
 from tests.support.service_world import cloud_points, pose
 
 # Per operation, half of them as the document says and half against it.
-EXAMPLES = int(os.environ.get("REVISIT_SCHEMATHESIS_EXAMPLES", "60"))
+EXAMPLES = int(os.environ.get("REVISIT_SCHEMATHESIS_EXAMPLES", "20"))
 
 
 def no_server_error(ctx, response, case):
@@ -76,7 +77,7 @@ def existing(service):
     """A described submap with its session and map, a robot and an operation: ids of path parameters."""
     with Client(service.http) as client:
         session = client.create_session(client.create_map("town"), "monday")
-        operation = client.wait(client.post_submap(session, "a", cloud_points(1), pose(), 1), timeout_s=20)
+        operation = client.wait(client.post_submap(session, "a", cloud_points(1), pose(), 1))
         client.create_robot("rover")
     operation_id = operation.name.rpartition("/")[2]
     return {
@@ -118,7 +119,7 @@ def test_every_request_that_fits_the_document_gets_a_documented_answer(name, ser
     def check(case, known):
         if known and case.method != "DELETE":
             lead_somewhere(case, existing)
-        case.call_and_validate(base_url=service.http, checks=AGREES, timeout=90)
+        case.call_and_validate(base_url=service.http, checks=AGREES, timeout=PATIENCE_S)
 
     with structlog.testing.capture_logs() as logs:
         check()
@@ -131,7 +132,7 @@ def test_every_request_against_the_document_is_refused_as_documented(name, servi
 
     @generated(OPERATIONS[name], GenerationMode.NEGATIVE, EXAMPLES // 2)
     def check(case, known):
-        case.call_and_validate(base_url=service.http, checks=[*AGREES, negative_data_rejection], timeout=90)
+        case.call_and_validate(base_url=service.http, checks=[*AGREES, negative_data_rejection], timeout=PATIENCE_S)
 
     check()
     assert service.stored() == before

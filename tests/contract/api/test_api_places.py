@@ -18,11 +18,11 @@ from revisit.v1 import loop_closure_pb2, loop_closure_pb2_grpc, map_pb2, map_pb2
 from tests.support.credentials import a_key
 from tests.support.http2 import OPENING, call_headers
 from tests.support.live_service import live_service
+from tests.support.patience import PATIENCE_S
 from tests.support.service_world import SESSION, memory_world, open_session
 
-WATCHES = 600
+WATCHES = 300
 CONNECTIONS = 3
-PATIENCE_S = 60.0
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,7 @@ def crowded():
     world = memory_world()
     with live_service(world) as running:
         for tenant in ("greedy", "other"):
-            asyncio.run_coroutine_threadsafe(open_session(world, SESSION, tenant), running.loop).result(10)
+            asyncio.run_coroutine_threadsafe(open_session(world, SESSION, tenant), running.loop).result(PATIENCE_S)
         yield running
 
 
@@ -42,23 +42,27 @@ def keys(crowded):
     return {tenant: (("authorization", f"Bearer {key.text}"),) for tenant, key in made.items()}
 
 
-async def watched(open_watch, targets, places):
-    """Open `WATCHES` watches on a few connections, of which `places` are let in; them all, and the refusals."""
-    calls = [open_watch(channel) for channel in targets for _ in range(WATCHES // len(targets))]
-    heads = [asyncio.create_task(call.read()) for call in calls]
-    async with asyncio.timeout(PATIENCE_S):
-        while len(refusals(heads)) < WATCHES - places:
-            await asyncio.wait([head for head in heads if not head.done()], return_when=asyncio.FIRST_COMPLETED)
-    for head in heads:
-        if not head.done():
+class Watches:
+    """`WATCHES` watches on a few connections."""
+
+    def __init__(self, open_watch, targets):
+        self._calls = [open_watch(channel) for channel in targets for _ in range(WATCHES // len(targets))]
+        self._heads = [asyncio.create_task(call.read()) for call in self._calls]
+
+    async def refusals(self, least):
+        """Those that were refused, once there are so many. Whoever is let in is told nothing, or a state."""
+        while True:
+            ended = [head.exception() for head in self._heads if head.done()]
+            refused = [error for error in ended if isinstance(error, grpc.aio.AioRpcError)]
+            if len(refused) >= least:
+                return refused
+            await asyncio.wait([head for head in self._heads if not head.done()], return_when=asyncio.FIRST_COMPLETED)
+
+    def close(self):
+        for call in self._calls:
+            call.cancel()
+        for head in self._heads:
             head.cancel()
-    return calls, refusals(heads)
-
-
-def refusals(heads):
-    """Of the watches whose first answer is there, those that are refused."""
-    ended = [head.exception() for head in heads if head.done()]
-    return [error for error in ended if isinstance(error, grpc.aio.AioRpcError)]
 
 
 @contextlib.asynccontextmanager
@@ -81,10 +85,8 @@ def told_when_to_come_back(refusal):
 async def serves(crowded, metadata):
     """The other tenant lists and watches, and health is told."""
     async with channels(crowded.grpc, 1) as (channel,):
-        health = await health_pb2_grpc.HealthStub(channel).Check(health_pb2.HealthCheckRequest(), timeout=PATIENCE_S)
-        listed = await map_pb2_grpc.MapServiceStub(channel).ListMaps(
-            map_pb2.ListMapsRequest(), metadata=metadata, timeout=PATIENCE_S
-        )
+        health = await health_pb2_grpc.HealthStub(channel).Check(health_pb2.HealthCheckRequest())
+        listed = await map_pb2_grpc.MapServiceStub(channel).ListMaps(map_pb2.ListMapsRequest(), metadata=metadata)
         watch = watch_loops(channel, metadata)
         with pytest.raises(asyncio.TimeoutError):
             await asyncio.wait_for(asyncio.shield(watch.read()), 0.3)
@@ -98,62 +100,59 @@ def watch_loops(channel, metadata):
     return stub.WatchLoopClosures(request, metadata=metadata)
 
 
-async def test_a_stranger_who_watches_health_keeps_nobody_out(crowded, keys):
+def watch_health(channel):
+    return health_pb2_grpc.HealthStub(channel).Watch(health_pb2.HealthCheckRequest())
+
+
+@pytest.mark.parametrize(("who", "let_in"), [("stranger", 8 * CONNECTIONS), ("greedy", 32)])
+async def test_whoever_watches_keeps_no_other_tenant_out(crowded, keys, who, let_in):
+    """A stranger watches health, a key watches loop closures."""
+    opens = watch_health if who == "stranger" else lambda channel: watch_loops(channel, keys[who])
     async with channels(crowded.grpc, CONNECTIONS) as opened:
-        calls, refused = await watched(
-            lambda channel: health_pb2_grpc.HealthStub(channel).Watch(health_pb2.HealthCheckRequest()),
-            opened,
-            8 * CONNECTIONS,
-        )
-        assert len(refused) == WATCHES - 8 * CONNECTIONS
-        assert all(told_when_to_come_back(refusal) for refusal in refused)
-        assert await serves(crowded, keys["other"])
-        for call in calls:
-            call.cancel()
+        with contextlib.closing(Watches(opens, opened)) as watches:
+            await watches.refusals(WATCHES - let_in)
+            assert await serves(crowded, keys["other"])
+            refused = await watches.refusals(WATCHES - let_in)
+            assert len(refused) == WATCHES - let_in
+            assert all(told_when_to_come_back(refusal) for refusal in refused)
 
 
-async def test_a_key_that_watches_loop_closures_keeps_no_other_tenant_out(crowded, keys):
-    async with channels(crowded.grpc, CONNECTIONS) as opened:
-        calls, refused = await watched(lambda channel: watch_loops(channel, keys["greedy"]), opened, 32)
-        assert len(refused) == WATCHES - 32
-        assert all(told_when_to_come_back(refusal) for refusal in refused)
-        assert await serves(crowded, keys["other"])
-        for call in calls:
-            call.cancel()
-
-
-async def test_the_places_of_watches_that_ended_are_given_back(crowded):
+async def test_the_places_of_watches_that_ended_are_given_back(crowded, keys):
     async with channels(crowded.grpc, 1) as (channel,), asyncio.timeout(PATIENCE_S):
-        for _ in range(3):
-            watches = [
-                health_pb2_grpc.HealthStub(channel).Watch(health_pb2.HealthCheckRequest(), wait_for_ready=True)
-                for _ in range(8)
-            ]
-            for number, watch in enumerate(watches):
-                while True:  # the service may still be about to notice that the last ones have ended
-                    with contextlib.suppress(grpc.aio.AioRpcError):
-                        await watch.read()
-                        break
-                    watch = health_pb2_grpc.HealthStub(channel).Watch(health_pb2.HealthCheckRequest())
-                watches[number] = watch
-            for watch in watches:
-                watch.cancel()
+        with contextlib.closing(Watches(watch_health, [channel])) as watches:
+            await watches.refusals(WATCHES - 8)
+        while not await lets_in(channel, 8):
+            await asyncio.sleep(0.05)
+
+
+async def lets_in(channel, count):
+    """Whether so many watches of health are told a state."""
+    calls = [watch_health(channel) for _ in range(count)]
+    told = await asyncio.gather(*(call.read() for call in calls), return_exceptions=True)
+    for call in calls:
+        call.cancel()
+    return not any(isinstance(answer, grpc.aio.AioRpcError) for answer in told)
 
 
 @pytest.mark.parametrize("method", ["/grpc.health.v1.Health/Check", "/revisit.v1.MapService/ListMaps"])
 async def test_calls_whose_message_never_comes_keep_nobody_out(crowded, keys, monkeypatch, method):
-    monkeypatch.setattr(errors, "PUBLIC_MESSAGE_S", 0.5)
+    monkeypatch.setattr(errors, "PUBLIC_MESSAGE_S", 0.3)
     host, _, port = crowded.grpc.rpartition(":")
     with contextlib.ExitStack() as held:
         for _ in range(3):
-            connection = held.enter_context(socket.create_connection((host, int(port)), timeout=10))
+            connection = held.enter_context(socket.create_connection((host, int(port))))
             connection.sendall(OPENING + b"".join(call_headers(method, call) for call in range(1, 400, 2)))
         async with asyncio.timeout(PATIENCE_S):
-            while True:
-                with contextlib.suppress(grpc.aio.AioRpcError):
-                    assert await serves(crowded, keys["other"])
-                    return
-                await asyncio.sleep(0.1)
+            while not await served_by_now(crowded, keys["other"]):
+                await asyncio.sleep(0.05)
+
+
+async def served_by_now(crowded, metadata):
+    """As `serves`; a refusal is no."""
+    try:
+        return await serves(crowded, metadata)
+    except grpc.aio.AioRpcError:
+        return False
 
 
 async def test_authorization_that_is_sent_twice_is_refused_on_both_transports(crowded, keys):

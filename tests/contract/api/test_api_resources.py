@@ -11,6 +11,7 @@ import pytest
 from revisit.core.geometry import se3
 from revisit.sdk.errors import AlreadyExists, InvalidArgument, NotFound
 from revisit.sdk.resources import LoopPolicy
+from tests.support.live_service import connected, live_service
 from tests.support.service_world import cloud_points, pose
 
 EXACT = {"rtol": 0, "atol": 1e-12}
@@ -58,7 +59,7 @@ def test_a_session_names_its_robot(client, town):
 
 
 def test_a_posted_submap_is_described_searchable_and_downloadable(client, session, town):
-    operation = client.wait(post(client, session), timeout_s=20)
+    operation = client.wait(post(client, session))
     assert (operation.state, operation.subject) == ("DONE", f"{session.name}/submaps/a")
     submap = client.get_submap(operation.subject)
     assert (submap.state, submap.point_count, submap.model_version) == ("DESCRIBED", 300, "fake-1")
@@ -74,7 +75,7 @@ def test_a_posted_submap_is_described_searchable_and_downloadable(client, sessio
 
 
 def test_the_full_view_of_a_submap_has_the_descriptor_to_search_with(client, session, town):
-    name = client.wait(post(client, session), timeout_s=20).subject
+    name = client.wait(post(client, session)).subject
     assert client.get_submap(name).descriptor == ()
     submap = client.get_submap(name, full=True)
     assert np.linalg.norm(submap.descriptor) == pytest.approx(1.0, abs=1e-5)
@@ -91,10 +92,10 @@ def test_a_pose_survives_the_way_there_and_back(client, session):
 
 
 def test_a_submap_finds_its_like_in_another_session(client, session, town):
-    client.wait(post(client, session, "a", place=1), timeout_s=20)
-    client.wait(post(client, session, "b", place=2), timeout_s=20)
+    client.wait(post(client, session, "a", place=1))
+    client.wait(post(client, session, "b", place=2))
     tuesday = client.create_session(town, "tuesday")
-    again = client.wait(post(client, tuesday, "again", place=1), timeout_s=20)
+    again = client.wait(post(client, tuesday, "again", place=1))
 
     best = client.search(town, submap=again.subject, k=1)[0]
     assert best.submap == f"{session.name}/submaps/a"
@@ -116,9 +117,9 @@ def test_a_submap_finds_its_like_in_another_session(client, session, town):
 
 
 def test_a_robot_that_asks_where_it_is_can_leave_out_what_it_has_just_posted(client, session, town):
-    client.wait(post(client, session, "a", place=1), timeout_s=20)
+    client.wait(post(client, session, "a", place=1))
     tuesday = client.create_session(town, "tuesday")
-    client.wait(post(client, tuesday, "own", place=1), timeout_s=20)
+    client.wait(post(client, tuesday, "own", place=1))
     compared = [one.submap for one in client.localize(town, cloud_points(1)).candidates]
     assert f"{tuesday.name}/submaps/own" in compared
     for own in (tuesday, tuesday.name, "tuesday"):
@@ -128,7 +129,7 @@ def test_a_robot_that_asks_where_it_is_can_leave_out_what_it_has_just_posted(cli
 
 
 def test_a_tilted_cloud_is_turned_upright_by_the_pose_that_comes_with_it(client, session, town):
-    posted = client.wait(post(client, session, "a", place=1), timeout_s=20).subject
+    posted = client.wait(post(client, session, "a", place=1)).subject
     T_level_query = se3.exp([5.0, -3.0, 1.0, 0.4, -1.1, 0.0])
     tilted = cloud_points(1) @ T_level_query[:3, :3]
     assert client.localize(town, tilted).best is None
@@ -141,7 +142,7 @@ def test_a_tilted_cloud_is_turned_upright_by_the_pose_that_comes_with_it(client,
 
 
 def test_a_descriptor_of_the_models_in_use_can_be_searched_for(client, session, town):
-    client.wait(post(client, session), timeout_s=20)
+    client.wait(post(client, session))
     # The fake recogniser's neural map is its descriptor behind a word.
     vector = np.frombuffer(client.download(f"{session.name}/submaps/a", "neural")[len(b"neural ") :], dtype=np.float32)
     (hit,) = client.search(town, descriptor=vector.tolist(), model_version="fake-1")
@@ -149,7 +150,7 @@ def test_a_descriptor_of_the_models_in_use_can_be_searched_for(client, session, 
 
 
 def test_a_cloud_is_localised_in_the_map_it_was_taken_in(client, session, town):
-    client.wait(post(client, session, place=1), timeout_s=20)
+    client.wait(post(client, session, place=1))
     found = client.localize(town, cloud_points(1))
     assert found.best is not None
     assert found.best.submap == f"{session.name}/submaps/a"
@@ -159,7 +160,7 @@ def test_a_cloud_is_localised_in_the_map_it_was_taken_in(client, session, town):
 
 
 def test_an_unknown_place_is_an_answer_and_no_error(client, session, town):
-    client.wait(post(client, session, place=1), timeout_s=20)
+    client.wait(post(client, session, place=1))
     lost = client.localize(town, cloud_points(2))
     assert (lost.best, lost.T_odom_query, lost.session) == (None, None, None)
     assert {candidate.reason for candidate in lost.candidates} == {"TOO_DIFFERENT"}
@@ -167,14 +168,17 @@ def test_an_unknown_place_is_an_answer_and_no_error(client, session, town):
     assert client.search(f"{town}-empty", points=cloud_points(2)) == []
 
 
-def test_submaps_and_operations_are_listed_over_pages(client, session):
-    names = [post(client, session, f"s{number:03}", place=number).subject for number in range(60)]
-    assert [submap.name for submap in client.list_submaps(session)] == names
-    assert set(names) <= {operation.subject for operation in client.list_operations()}
+@pytest.mark.parametrize("transport", ["rest", "grpc"])
+def test_submaps_and_operations_are_listed_over_pages(transport):
+    with live_service() as fresh, connected(fresh, transport) as client:
+        session = client.create_session(client.create_map("town"), "monday")
+        names = [post(client, session, f"s{number:03}", place=number).subject for number in range(60)]
+        assert [submap.name for submap in client.list_submaps(session)] == names
+        assert {operation.subject for operation in client.list_operations()} == set(names)
 
 
 def test_a_deleted_submap_and_a_deleted_map_are_gone(client, session, town):
-    client.wait(post(client, session), timeout_s=20)
+    client.wait(post(client, session))
     client.delete(f"{session.name}/submaps/a")
     with pytest.raises(NotFound):
         client.get_submap(f"{session.name}/submaps/a")

@@ -18,6 +18,7 @@ from revisit.service.application.contract.identity import SubmapKey, content_has
 from revisit.service.application.ingest.clouds import DecodedCloud
 from revisit.service.application.query.search_answers import SearchCriteria
 from tests.support.fake_recogniser import FakeRecogniser
+from tests.support.patience import PATIENCE_S
 from tests.support.service_world import SESSION, TENANT, cloud_points, memory_world, submap
 
 _numbers = itertools.count(1)
@@ -92,7 +93,7 @@ async def test_workers_and_searches_by_cloud_use_the_scale_of_the_map(world):
     world.work_off(recogniser)
     search = world.use_cases.searches.by_cloud(TENANT, SESSION.map_id, DecodedCloud(cloud_points(1)), SearchCriteria())
     answer = asyncio.create_task(search)
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(PATIENCE_S):
         while world.work_off(recogniser) == 0:
             await asyncio.sleep(0.01)
         assert len((await answer).hits) == 1

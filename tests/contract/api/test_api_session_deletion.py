@@ -13,6 +13,7 @@ from revisit.sdk.errors import NotFound
 from revisit.service.application.access.callers import Scope
 from revisit.v1 import ingest_pb2, ingest_pb2_grpc
 from tests.support.credentials import a_key, bearer
+from tests.support.patience import PATIENCE_S
 from tests.support.service_world import cloud_points, pose
 
 
@@ -34,8 +35,8 @@ def searched(service, town):
 
 def test_a_deleted_session_takes_its_submaps_and_loops_and_nothing_else(client, session, other, town, service):
     kept = post(client, other, "kept", 1)
-    client.wait(kept, 20)
-    client.wait(post(client, session, "gone", 1), 20)
+    client.wait(kept)
+    client.wait(post(client, session, "gone", 1))
     assert [loop.query.rpartition("/")[2] for loop in client.loop_closures(town)] == ["gone"]
     assert searched(service, town) == 2
     client.delete(session)
@@ -51,12 +52,12 @@ def test_a_deleted_session_takes_its_submaps_and_loops_and_nothing_else(client, 
 
 
 def test_the_id_of_a_deleted_session_is_free_again(client, session, town):
-    client.wait(post(client, session, "a", 1), 20)
+    client.wait(post(client, session, "a", 1))
     client.delete(session)
     again = client.create_session(town, "monday")
     assert (again.state, again.submap_count) == ("ACTIVE", 0)
     # Other content under the same id, which would be refused if anything were left.
-    client.wait(post(client, again, "a", 2), 20)
+    client.wait(post(client, again, "a", 2))
 
 
 def test_the_waiting_jobs_of_a_deleted_session_are_dropped_at_once(client, session, service):
@@ -81,7 +82,7 @@ class Silent:
         self._requests = queue.SimpleQueue()
         self._requests.put(ingest_pb2.StreamScansRequest(open=ingest_pb2.Open(session=session.name)))
         stub = ingest_pb2_grpc.IngestServiceStub(self._channel)
-        self.answers = stub.StreamScans(iter(self._requests.get, None), timeout=20)
+        self.answers = stub.StreamScans(iter(self._requests.get, None), timeout=PATIENCE_S)
         assert next(self.answers).opened.committed_seq == 0
 
     def close(self):

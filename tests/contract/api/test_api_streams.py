@@ -14,6 +14,7 @@ from revisit.formats import NPY, QUANTISED, encode_npy, encode_quantised
 from revisit.sdk.errors import AlreadyExists
 from revisit.sdk.retry import RetryPolicy
 from revisit.v1 import cloud_pb2, geometry_pb2, ingest_pb2, ingest_pb2_grpc
+from tests.support.patience import PATIENCE_S
 from tests.support.service_world import cloud_points, pose
 
 BAD_CLOUD = Cloud(encode_npy(np.full((300, 3), np.nan, np.float32)), NPY)
@@ -87,7 +88,7 @@ class Conversation:
 
     def __init__(self, stub):
         self._requests = queue.SimpleQueue()
-        self._answers = stub.StreamScans(iter(self._requests.get, None), timeout=20)
+        self._answers = stub.StreamScans(iter(self._requests.get, None), timeout=PATIENCE_S)
 
     def say(self, **request):
         self._requests.put(ingest_pb2.StreamScansRequest(**request))
@@ -250,10 +251,10 @@ def test_every_scan_is_answered_after_the_client_closes_its_side(raw, session):
 
 def test_a_watching_stream_is_told_of_loops(client, service, session, town, raw):
     first = client.create_session(town, "before")
-    client.wait(client.post_submap(first, "a", cloud_points(1), pose(), 1), timeout_s=20)
+    client.wait(client.post_submap(first, "a", cloud_points(1), pose(), 1))
     talk = Conversation(raw).say(open=ingest_pb2.Open(session=session.name, watch_loop_closures=True))
     assert talk.hear().HasField("opened")
-    again = client.wait(client.post_submap(session, "again", cloud_points(1), pose(), 1), timeout_s=20)
+    again = client.wait(client.post_submap(session, "again", cloud_points(1), pose(), 1))
     loop = talk.hear().loop_closed.loop_closure
     assert (loop.query, loop.match) == (again.subject, f"{first.name}/submaps/a")
 

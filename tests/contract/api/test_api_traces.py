@@ -22,6 +22,7 @@ from revisit.service.worker.heartbeat import WorkerIdentity
 from revisit.service.worker.loop import Worker, WorkerLimits
 from revisit.v1 import cloud_pb2, geometry_pb2, submap_pb2, submap_pb2_grpc
 from tests.support.fake_recogniser import CANNOT_BE_DESCRIBED
+from tests.support.patience import PATIENCE_S
 from tests.support.service_world import TENANT, cloud_points, memory_world, open_session
 
 TRACE = "4bf92f3577b34da6a3ce929d0e0e4736"
@@ -82,7 +83,7 @@ class Traced:
         worker = Worker(self.world.context, self.world.worker(), identity, threading.Event(), limits, self.tracer)
         thread = threading.Thread(target=worker.run)
         thread.start()
-        thread.join(10)
+        thread.join(PATIENCE_S)
         assert not thread.is_alive()
 
 

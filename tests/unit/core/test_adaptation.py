@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from revisit.core.adapted_index import AdaptedIndex
 from revisit.core.config import AdaptationConfig
-from revisit.core.descriptor.adaptation import learn_site, learned_from
-from revisit.core.index import ExactIndex, IndexEntry, Match, SearchFilter
+from revisit.core.descriptor.adaptation import SessionSums, learn_site, learned_from
+from revisit.core.index import ExactIndex, FaissIndex, IndexEntry, Match, PlaceIndex, SearchFilter
 
 SIZE = 64
 Array = NDArray[np.float32]
@@ -30,13 +29,13 @@ def entries(first: int, count: int, session: int = 1, spacing_m: float = 10.0) -
     return [IndexEntry(first + i, session, i, np.array([spacing_m * i, 0.0, 0.0])) for i in range(count)]
 
 
-def filled(vectors: Array, session: int = 1, spacing_m: float = 10.0) -> AdaptedIndex:
-    index = AdaptedIndex(SIZE, ExactIndex)
+def filled(vectors: Array, session: int = 1, spacing_m: float = 10.0) -> FaissIndex:
+    index = FaissIndex(SIZE)
     index.add(entries(0, len(vectors), session, spacing_m), vectors)
     return index
 
 
-def answers(index: AdaptedIndex, queries: Array, only: SearchFilter = SearchFilter()) -> list[list[Match]]:
+def answers(index: PlaceIndex, queries: Array, only: SearchFilter = SearchFilter()) -> list[list[Match]]:
     return [index.search(query, 5, only) for query in queries]
 
 
@@ -83,7 +82,7 @@ def test_the_answers_do_not_depend_on_how_the_places_came() -> None:
         [visits(drawn(1, 0)[0], drawn(60, 1), 0.1, 2), visits(drawn(1, 3)[0], drawn(47, 4), 0.1, 5)]
     )
     all_entries = entries(0, 60) + entries(60, 47, session=2)
-    at_once, one_by_one = AdaptedIndex(SIZE, ExactIndex), AdaptedIndex(SIZE, ExactIndex)
+    at_once, one_by_one = FaissIndex(SIZE), FaissIndex(SIZE)
     at_once.add(all_entries, vectors)
     for row, entry in enumerate(all_entries):
         one_by_one.add([entry], vectors[row : row + 1])
@@ -99,7 +98,7 @@ def test_a_place_that_was_removed_leaves_nothing_behind() -> None:
     answers(index, queries)
     index.remove(list(range(0, 90, 3)))
     left = [row for row in range(90) if row % 3]
-    other = AdaptedIndex(SIZE, ExactIndex)
+    other = FaissIndex(SIZE)
     other.add([entries(0, 90)[row] for row in left], vectors[left])
     assert answers(index, queries) == answers(other, queries)
     index.remove(left)
@@ -110,7 +109,8 @@ def test_a_descriptor_that_was_changed_inside_is_noticed() -> None:
     vectors = visits(drawn(1, 0)[0], drawn(30, 1), 0.1, seed=2)
     index = filled(vectors)
     index.search(vectors[0], 1)
-    index._places._vectors[-30 + 4, 0] += 1.0  # type: ignore[attr-defined]
+    assert index._flat is not None
+    index._flat._stored()[4, 0] += 1.0
     index._rows.vectors[9, 0] += 1.0
     assert index.differing(entries(0, 30), vectors) == [4, 9]
 
@@ -125,8 +125,69 @@ def test_statistics_are_learned_in_steps() -> None:
 
 def test_adapting_rows_apart_gives_the_same_bits() -> None:
     vectors, sessions = drawn(50, seed=1), np.arange(50) % 3
-    site = learn_site(vectors, sessions, AdaptationConfig()).with_session(1, vectors[:9])
+    seen = {session: SessionSums.of(vectors[sessions == session]) for session in range(3)}
+    site = learn_site(seen, AdaptationConfig()).with_sessions({1: SessionSums.of(vectors[:9])})
     together = site.adapted(vectors, sessions)
     apart = np.concatenate([site.adapted(vectors[i : i + 1], sessions[i : i + 1]) for i in range(50)])
     assert together.tobytes() == apart.tobytes()
     assert np.linalg.norm(together, axis=1) == pytest.approx(np.ones(50), abs=1e-6)
+
+
+def places_of_sessions(count: int, seed: int) -> tuple[list[IndexEntry], Array]:
+    """Places of five sessions, each with a mean of its own; every third lies where the one before it lies."""
+    rng = np.random.default_rng(seed)
+    sessions = rng.integers(5, size=count)
+    vectors = visits(drawn(1, 0)[0], drawn(5, 1)[sessions] + drawn(count, 2), 0.1, seed)
+    listed = [
+        IndexEntry(row, int(session), row, np.array([10.0 * (row - (row % 3 == 2)), 0.0, 0.0]))
+        for row, session in enumerate(sessions)
+    ]
+    return listed, vectors
+
+
+def test_what_is_learned_place_by_place_is_what_the_reference_learns_from_all() -> None:
+    listed, vectors = places_of_sessions(150, seed=3)
+    step_by_step, reference = FaissIndex(SIZE), ExactIndex(SIZE)
+    for row, entry in enumerate(listed):
+        step_by_step.add([entry], vectors[row : row + 1])
+        reference.add([entry], vectors[row : row + 1])
+        if row == 90:
+            for index in (step_by_step, reference):
+                index.remove([1, 4, 5, 30])
+        only = SearchFilter(near=(entry.session, entry.ordinal, 3))
+        assert step_by_step.search(vectors[row], 4, only) == reference.search(vectors[row], 4, only)
+
+
+def test_a_map_searched_by_codes_answers_as_the_reference_does() -> None:
+    listed, vectors = places_of_sessions(1500, seed=4)
+    coded, reference = FaissIndex(SIZE, coded_from=100), ExactIndex(SIZE)
+    for start in range(0, 1500, 50):
+        for index in (coded, reference):
+            index.add(listed[start : start + 50], vectors[start : start + 50])
+    coded.remove([7])
+    reference.remove([7])
+    assert coded._flat is None and coded._codes is not None
+    again = vectors + np.float32(0.05) * drawn(1500, seed=9)
+    alike = [
+        [match.id for match in coded.search(again[row], 5, only)]
+        == [match.id for match in reference.search(again[row], 5, only)]
+        for row in range(0, 1500, 15)
+        for only in (SearchFilter(), SearchFilter(only_session=2), SearchFilter(near=(listed[row].session, row, 20)))
+    ]
+    assert np.mean(alike) >= 0.99
+
+
+def test_codes_are_made_while_places_come_and_searches_ask() -> None:
+    listed, vectors = places_of_sessions(900, seed=5)
+    index = FaissIndex(SIZE, coded_from=800)
+    index.add(listed[:800], vectors[:800])
+    index.search(vectors[0], 1)
+    assert index._codes is None and index._next_codes is None
+    index.add(listed[800:], vectors[800:])
+    assert index._flat is not None and index._next_codes is not None  # all are compared until the codes are ready
+    before = index.search(vectors[5], 3)
+    for _ in range(4):
+        assert index.search(vectors[5], 3) == before
+    assert index._flat is None and index._codes is not None
+    index.remove(list(range(700)))
+    assert {match.id for match in index.search(vectors[5], 3)} <= set(range(700, 900))

@@ -209,6 +209,14 @@ def test_a_scan_counts_only_its_own_returns_when_it_looks_through_a_point():
     assert count_seen_through(positions, points, scans, np.zeros((3, 3), np.float32)).tolist() == [1, 1, 0]
 
 
+def test_an_angle_of_pi_that_was_rounded_up_counts_nothing_below_zero():
+    angle = np.array([np.pi], np.float32)
+    assert float(angle[0]) > np.pi
+    index, weights = np.zeros((40, 40), np.int8), np.ones((40, 40), np.float32)
+    counts = patch_histograms(index, weights, np.array([[20, 20]]), angle, 12, 1, 1, 6)
+    assert counts.min() >= 0.0 and counts.sum() == pytest.approx(144, abs=1)
+
+
 def test_patch_histograms_are_those_of_plain_loops():
     rng = np.random.default_rng(5)
     index = rng.integers(0, 6, (60, 50)).astype(np.int8)

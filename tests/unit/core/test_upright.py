@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +9,7 @@ import pytest
 
 from revisit.core.geometry import se3
 from revisit.core.upright import estimate_up, surface_normals
+from tests.support.real_drive import needs_real_drive, unpacked_drive
 
 RNG = np.random.default_rng(6)
 
@@ -88,15 +86,12 @@ def test_normals_are_those_of_the_planes() -> None:
 
 
 @pytest.mark.real_data
+@needs_real_drive
 def test_single_scans_of_a_car_are_levelled_to_a_degree_and_a_half(tmp_path: Path) -> None:
-    if "REVISIT_DATA" not in os.environ:
-        pytest.skip("REVISIT_DATA names no folder of recordings")
     from revisit.evaluation.datasets import open_recording
 
-    data = Path(os.environ["REVISIT_DATA"])
-    subprocess.run([sys.executable, data / "unpack.py", "kitti00_head", tmp_path / "drive"], check=True)
-    recording = open_recording(tmp_path / "drive")
-    for index in range(0, 400, 50):
+    recording = open_recording(unpacked_drive(tmp_path, slice(0, 400, 50)))
+    for index in range(len(recording)):
         scan = recording.scan(index)
         turn = se3.exp([0.0, 0.0, 0.0, 0.3 * np.cos(index), 0.3 * np.sin(index), 0.0])
         found = estimate_up(se3.apply(turn, scan.points))

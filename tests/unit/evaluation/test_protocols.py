@@ -81,7 +81,7 @@ def plan(tmp_path_factory: pytest.TempPathFactory) -> BenchmarkPlan:
     return BenchmarkPlan(
         folder / "out", folder / "recordings", drives=[first], sessions=[(first, second)],
         protocols=("online", "rotation", "density", "bev-only", "sessions"), baselines=(ScanContext(), Solid()),
-        submap=SubmapConfig(tau=10.0, stride=5.0), loops=LoopProtocol(10.0, 20), candidates=3,
+        submap=SubmapConfig(tau=10.0, stride=5.0), loops=LoopProtocol(10.0, 20), candidates=3, jobs=1,
     )  # fmt: skip
 
 

@@ -1,11 +1,6 @@
-"""The real recording that REVISIT_DATA names, unpacked by its own script into a temporary folder."""
+"""The real recording that REVISIT_DATA names, unpacked into a temporary folder."""
 
 from __future__ import annotations
-
-import os
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,23 +8,19 @@ import pytest
 from revisit.evaluation.datasets import KittiRecording
 from revisit.evaluation.interleaved import evaluate_interleaved
 from revisit.evaluation.recording_evaluation import EvaluationOptions
+from tests.support.real_drive import needs_real_drive, unpacked_drive
 
-pytestmark = [
-    pytest.mark.real_data,
-    pytest.mark.skipif("REVISIT_DATA" not in os.environ, reason="REVISIT_DATA names no folder of real recordings"),
-]
+pytestmark = [pytest.mark.real_data, needs_real_drive]
+SCANS = 110
 
 
 @pytest.fixture(scope="module")
 def kitti00(tmp_path_factory: pytest.TempPathFactory) -> KittiRecording:
-    folder = tmp_path_factory.mktemp("real") / "kitti00_head"
-    script = Path(os.environ["REVISIT_DATA"]) / "unpack.py"
-    subprocess.run([sys.executable, script, "kitti00_head", folder], check=True, stdout=subprocess.DEVNULL)
-    return KittiRecording(folder)
+    return KittiRecording(unpacked_drive(tmp_path_factory.mktemp("real"), slice(SCANS)))
 
 
 def test_the_real_drive_is_read_with_z_up_and_the_ground_below_the_sensor(kitti00: KittiRecording) -> None:
-    assert len(kitti00) == 456
+    assert len(kitti00) == SCANS
     positions = np.stack([kitti00.pose(index)[:3, 3] for index in range(len(kitti00))])
     steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
     assert np.median(steps) == pytest.approx(1.8, abs=0.2) and np.ptp(positions[:, 2]) < 20.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from importlib import metadata
 
@@ -11,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from revisit.cli import pose_graph_files
-from revisit.cli.app import app
+from revisit.cli.app import app, run
 from revisit.cli.pose_graph_files import Graph, as_g2o
 from revisit.core.geometry import se3
 from revisit.core.pose_graph.graph import ASSUMED_COVARIANCE
@@ -126,3 +127,12 @@ def test_without_gtsam_one_line_says_what_to_install(monkeypatch, command):
 def test_the_command_says_its_version_and_completes():
     assert CliRunner().invoke(app, ["--version"]).stdout == f"revisit {metadata.version('revisit-loops')}\n"
     assert "--install-completion" in CliRunner().invoke(app, ["--help"]).stdout
+
+
+def test_no_command_lets_grpc_write_into_its_progress(monkeypatch):
+    monkeypatch.setenv("GRPC_VERBOSITY", "")  # so that it is put back
+    monkeypatch.delenv("GRPC_VERBOSITY")
+    monkeypatch.setattr(sys, "argv", ["revisit", "--version"])
+    with pytest.raises(SystemExit):
+        run()
+    assert os.environ["GRPC_VERBOSITY"] == "NONE"

@@ -10,6 +10,7 @@ import pytest
 
 from revisit.service import failpoints
 from revisit.service.failpoints import FailpointReached, arm, failpoint
+from tests.support.patience import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -63,7 +64,9 @@ def test_the_process_ends_at_the_point(action, status):
     program = (
         f"from revisit.service.failpoints import *; arm('commit.after={action}'); failpoint('commit.after'); print(1)"
     )
-    ended = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, timeout=30, check=False)
+    ended = subprocess.run(
+        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, timeout=PATIENCE_S, check=False
+    )
     assert (ended.returncode, ended.stdout) == (status, b"")
 
 
@@ -87,7 +90,9 @@ def test_what_does_not_exist_cannot_be_armed(specification, message):
 def test_the_service_does_not_start_with_a_failpoint_that_does_not_exist(tmp_path):
     environment = {"REVISIT_FAIL": "nowhere=kill", "REVISIT_HOME": str(tmp_path / "home"), "PATH": ""}
     command = [sys.executable, "-m", "revisit.service", "serve"]
-    ended = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=60, check=False)
+    ended = subprocess.run(
+        command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=PATIENCE_S, check=False
+    )
     assert ended.returncode == 78
     assert "REVISIT_FAIL: there is no failpoint 'nowhere'" in ended.stderr
     assert not (tmp_path / "home").exists()

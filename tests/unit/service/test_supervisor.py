@@ -8,6 +8,7 @@ import pytest
 
 from revisit.service.worker import supervisor
 from revisit.service.worker.supervisor import WorkerSupervisor
+from tests.support.patience import PATIENCE_S
 from tests.support.service_world import memory_world
 
 
@@ -51,6 +52,6 @@ async def test_a_worker_that_cannot_be_started_is_tried_again_and_one_that_has_e
     monkeypatch.setattr(asyncio, "create_subprocess_exec", start)
     watch = WorkerSupervisor(world.context.storage, world.clock, world.context.policy.lease_ms, 1)
     watch.start()
-    await asyncio.wait_for(started.wait(), 5)
-    await asyncio.wait_for(watch.stop(5.0), 5)
+    await asyncio.wait_for(started.wait(), PATIENCE_S)
+    await asyncio.wait_for(watch.stop(5.0), PATIENCE_S)
     assert len(attempts) == 3

@@ -6,6 +6,7 @@ import asyncio
 
 from revisit.service.grpc.servicers import ingest
 from revisit.v1 import ingest_pb2
+from tests.support.patience import PATIENCE_S
 from tests.support.service_world import SESSION, TENANT, memory_world, open_session
 
 
@@ -25,5 +26,5 @@ async def test_a_stream_whose_answers_nobody_reads_is_given_up(monkeypatch):
             await asyncio.Event().wait()  # the write that flow control holds back for ever
 
     call = asyncio.create_task(handler())
-    await asyncio.wait([call], timeout=20)
+    await asyncio.wait([call], timeout=PATIENCE_S)
     assert call.cancelled()

@@ -13,6 +13,7 @@ from revisit.service import ONE_THREAD
 from revisit.service.worker import heartbeat
 from revisit.service.worker.heartbeat import WorkerIdentity
 from revisit.service.worker.loop import Worker, WorkerLimits
+from tests.support.patience import PATIENCE_S
 from tests.support.processes import ROOT
 from tests.support.service_world import TENANT, memory_world, open_session, submap
 
@@ -35,7 +36,7 @@ def run_worker(world, limits, parent_pid=None):
     worker = Worker(world.context, world.worker(), identity, threading.Event(), limits)
     thread = threading.Thread(target=worker.run)
     thread.start()
-    thread.join(10)
+    thread.join(PATIENCE_S)
     assert not thread.is_alive()
     return world.context.transactions.read(lambda uow: uow.jobs.count(TENANT, state="DONE")).result()
 

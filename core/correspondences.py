@@ -1,4 +1,4 @@
-"""Keypoints of two places that look alike, and the planar pose that most of them agree with (paper III-E, end)."""
+"""Keypoints of two places that look alike, and which of them agree with a planar pose (paper III-E, end)."""
 
 from __future__ import annotations
 
@@ -8,13 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.config import VerificationConfig
-from revisit.core.geometry.se2 import PlanarPose, angle_between, least_squares_pose
-from revisit.core.kernels.two_point_vote import best_two_point_pose
+from revisit.core.geometry.se2 import PlanarPose, angle_between
 from revisit.core.place import Place
 
 Array64 = NDArray[np.float64]
-
-_REFINEMENTS = 3
 
 
 @dataclass(frozen=True)
@@ -33,14 +30,11 @@ class Correspondences:
     def __len__(self) -> int:
         return len(self.pairs)
 
-
-@dataclass(frozen=True)
-class KeypointFit:
-    """The planar pose T_match_query, the keypoints that agree with it, and how many correspondences there were."""
-
-    pose: PlanarPose
-    inliers: int
-    correspondences: int
+    def agreeing(self, pose: PlanarPose, config: VerificationConfig) -> NDArray[np.bool_]:
+        """Which pairs (p,) the pose T_match_query brings together, with about the turn that they imply."""
+        gaps = np.linalg.norm(pose.apply(self.query_points) - self.match_points, axis=1)
+        turned = angle_between(self.yaws, pose.yaw) < np.radians(config.yaw_tolerance)
+        return np.asarray((gaps < config.keypoint_tolerance) & turned)
 
 
 def correspond(query: Place, match: Place, limit: int) -> Correspondences:
@@ -67,23 +61,3 @@ def _mutual_best(likeness: NDArray[np.floating]) -> NDArray[np.int64]:
     forward = np.stack([np.arange(len(likeness)), likeness.argmax(axis=1)], axis=1)
     backward = np.stack([likeness.argmax(axis=0), np.arange(likeness.shape[1])], axis=1)
     return np.unique(np.concatenate([forward, backward]), axis=0)
-
-
-def fit_planar_pose(correspondences: Correspondences, config: VerificationConfig) -> KeypointFit:
-    """The planar pose that most correspondences agree with.
-
-    Every two correspondences propose a pose and all vote, so nothing is random. Least squares on those that agree then
-    refine the winner. `inliers` counts distinct keypoints.
-    """
-    source, target, yaws = correspondences.query_points, correspondences.match_points, correspondences.yaws
-    yaw_tolerance = np.radians(config.yaw_tolerance)
-    best = best_two_point_pose(source, target, yaws, config.keypoint_tolerance, yaw_tolerance)
-    pose = PlanarPose(float(best[0]), best[1:3])
-    for _ in range(_REFINEMENTS):
-        gaps = np.linalg.norm(pose.apply(source) - target, axis=1)
-        agree = (gaps < config.keypoint_tolerance) & (angle_between(yaws, pose.yaw) < yaw_tolerance)
-        if agree.sum() < 2:
-            return KeypointFit(pose, int(agree.sum()), len(correspondences))
-        pose = least_squares_pose(source[agree], target[agree])
-    distinct = min(len(np.unique(side)) for side in correspondences.pairs[agree].T)
-    return KeypointFit(pose, distinct, len(correspondences))

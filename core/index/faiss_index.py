@@ -1,0 +1,149 @@
+"""The index of the service: FAISS proposes rows, an exact cosine ranks them (paper III-E, Eq. 15)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import faiss
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.config import AdaptationConfig
+from revisit.core.index.exact import asked, similarities
+from revisit.core.index.learning import SiteLearner
+from revisit.core.index.places import (
+    Array,
+    Flags,
+    IndexEntry,
+    Match,
+    SearchFilter,
+    checked_query,
+    checked_vectors,
+    ranked,
+)
+from revisit.core.index.rows import Rows
+from revisit.core.index.shortlist import CodedShortlist, FlatShortlist
+
+Indices = NDArray[np.intp]
+
+CODED_FROM = 4096
+"""Places from which a map is searched by codes: below, comparing with all takes about a millisecond."""
+_CODES_ARE_LEARNED_ANEW_AFTER = 4
+_SHORTLIST = 300
+_FEW = 2048
+_CODED_PER_SEARCH = 256
+
+
+class FaissIndex:
+    """A `PlaceIndex` with 4 kB a place of 1,024 entries, and a search that hardly grows with the map.
+
+    Up to `coded_from` places it is exact. Above, the best are those of a few hundred that their codes propose. The
+    codes are made along with the places that come and the searches that ask, a few at a time; until they are ready,
+    all places are compared.
+    """
+
+    def __init__(
+        self, dimension: int, config: AdaptationConfig = AdaptationConfig(), coded_from: int = CODED_FROM
+    ) -> None:
+        faiss.omp_set_num_threads(1)  # parallelism is by processes
+        self._coded_from = coded_from
+        self._rows = Rows(dimension)
+        self._learner = SiteLearner(config)
+        self._flat: FlatShortlist | None = FlatShortlist(dimension)
+        self._codes: CodedShortlist | None = None
+        self._next_codes: CodedShortlist | None = None
+
+    def __len__(self) -> int:
+        return len(self._rows.row_of)
+
+    def add(self, entries: Sequence[IndexEntry], vectors: Array) -> None:
+        """See PlaceIndex."""
+        self._rows.append(entries, checked_vectors(entries, vectors, self._dimension, self._rows.row_of))
+        if self._codes is not None:
+            self._codes.append(self._rows, self._rows.count)
+        self._prepare_codes(_CODES_ARE_LEARNED_ANEW_AFTER * len(entries))
+
+    def remove(self, ids: Sequence[int]) -> None:
+        """See PlaceIndex."""
+        if self._rows.drop(ids):
+            self._learner.forget()
+            self._flat = FlatShortlist(self._dimension) if self._flat is not None else None
+            if self._rows.compact():
+                self._flat, self._codes, self._next_codes = FlatShortlist(self._dimension), None, None
+
+    def search(self, vector: Array, k: int, only: SearchFilter = SearchFilter()) -> list[Match]:
+        """See PlaceIndex."""
+        query, k = checked_query(vector, k, self._dimension)
+        self._prepare_codes(_CODED_PER_SEARCH)
+        self._learn()
+        passing = self._rows.passing(only)
+        rows = self._shortlisted(query, k, only, passing) if passing.any() else np.zeros(0, np.intp)
+        return ranked(self._rows.ids[rows], similarities(self._rows, rows, self._learner.site, query, only), k)
+
+    def ids(self) -> NDArray[np.int64]:
+        """See PlaceIndex."""
+        self._learn()
+        live = self._rows.live()
+        return self._rows.ids[live[live < self._compared()]]
+
+    def differing(self, entries: Sequence[IndexEntry], vectors: Array) -> list[int]:
+        """See PlaceIndex."""
+        self._learn()
+        differing = set(self._rows.differing(entries, vectors))
+        if self._flat is not None:
+            rows = np.array([self._rows.row_of[entry.id] for entry in entries if entry.id not in differing], np.intp)
+            differing.update(self._rows.ids[rows[self._flat.differs(rows, self._standardised(rows))]].tolist())
+        return [entry.id for entry in entries if entry.id in differing]
+
+    @property
+    def _dimension(self) -> int:
+        return self._rows.vectors.shape[1]
+
+    def _compared(self) -> int:
+        """How many rows the searched shortlist holds."""
+        return self._flat.count if self._flat is not None else self._codes.count if self._codes is not None else 0
+
+    def _learn(self) -> None:
+        """Take in the places that have come; what is compared follows the statistics."""
+        changed = self._learner.learn(self._rows)
+        if self._flat is not None:
+            held = self._flat.count
+            changed = changed[changed < held]
+            self._flat.replace(changed, self._standardised(changed))
+            self._flat.append(self._standardised(np.arange(held, self._rows.count)))
+
+    def _standardised(self, rows: Indices) -> Array:
+        vectors, site = self._rows.vectors[rows], self._learner.site
+        return vectors if site is None else site.adapted(vectors, self._rows.sessions[rows])
+
+    def _shortlisted(self, query: Array, k: int, only: SearchFilter, passing: Flags) -> Indices:
+        """Rows that pass the filter, the k most similar among them."""
+        if self._flat is not None:
+            return self._flat.nearest(asked(self._learner.site, query, only), k, passing)
+        passed = int(passing.sum())
+        wanted = max(_SHORTLIST, 4 * k)
+        session = -1 if only.near is None else only.near[0]
+        fetched = wanted * self._rows.count // passed + min(_FEW, self._rows.count - passed)
+        while self._codes is not None and passed > _FEW and fetched < self._rows.count // 2:
+            rows = self._codes.nearest(query, session, fetched)
+            rows = rows[passing[rows]]
+            if len(rows) >= wanted:
+                return rows[:wanted]
+            fetched *= 4
+        return np.flatnonzero(passing)
+
+    def _prepare_codes(self, budget: int) -> None:
+        """Code at most `budget` rows for the next codes; they take over once they hold all."""
+        if self._next_codes is None and self._codes_are_due():
+            self._learn()
+            self._next_codes = CodedShortlist(self._rows, self._learner.site)
+        if self._next_codes is None:
+            return
+        self._next_codes.append(self._rows, min(self._next_codes.count + budget, self._rows.count))
+        if self._next_codes.count == self._rows.count:
+            self._flat, self._codes, self._next_codes = None, self._next_codes, None
+
+    def _codes_are_due(self) -> bool:
+        learned_at = 0 if self._codes is None else self._codes.learned_at
+        due = max(self._coded_from, _CODES_ARE_LEARNED_ANEW_AFTER * learned_at)
+        return self._rows.count > due and CodedShortlist.fits(self._dimension)

@@ -1,0 +1,107 @@
+"""The descriptors that an index holds, in the order in which they came, with what filters know of their places."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.index.places import Array, Flags, IndexEntry, SearchFilter, checked_vectors
+
+SMALLEST_TO_COMPACT = 64
+"""Fewer rows than this are not worth copying."""
+
+
+class Rows:
+    """Growing arrays, one row a place; the row of a removed place stays until most rows are of removed ones."""
+
+    def __init__(self, dimension: int) -> None:
+        self.row_of: dict[int, int] = {}
+        self.count = 0
+        self.ids = np.zeros(0, dtype=np.int64)
+        self.sessions = np.zeros(0, dtype=np.int64)
+        self.ordinals = np.zeros(0, dtype=np.int64)
+        self.positions = np.zeros((0, 3))
+        self.alive = np.zeros(0, dtype=bool)
+        self.vectors = np.zeros((0, dimension), dtype=np.float32)
+
+    def append(self, entries: Sequence[IndexEntry], vectors: Array) -> None:
+        """Add places whose ids are new, with vectors (n, d) that were checked."""
+        start, end = self.count, self.count + len(entries)
+        self._reserve(end)
+        self.vectors[start:end] = vectors
+        for row, entry in enumerate(entries, start):
+            self.row_of[entry.id] = row
+            self.ids[row], self.sessions[row], self.ordinals[row] = entry.id, entry.session, entry.ordinal
+            self.positions[row] = entry.position
+        self.alive[start:end] = True
+        self.count = end
+
+    def drop(self, ids: Sequence[int]) -> bool:
+        """Mark places as removed; whether one of them was there."""
+        known = [identifier for identifier in dict.fromkeys(ids) if identifier in self.row_of]
+        for identifier in known:
+            self.alive[self.row_of.pop(identifier)] = False
+        return bool(known)
+
+    def compact(self) -> bool:
+        """Give the rows of removed places back once they are most of all; whether rows have new numbers now."""
+        if self.count < SMALLEST_TO_COMPACT or 2 * len(self.row_of) > self.count:
+            return False
+        kept = self.live()
+        self.ids, self.sessions, self.ordinals = self.ids[kept], self.sessions[kept], self.ordinals[kept]
+        self.positions, self.alive, self.vectors = self.positions[kept], self.alive[kept], self.vectors[kept]
+        self.row_of = {identifier: row for row, identifier in enumerate(self.ids.tolist())}
+        self.count = len(kept)
+        return True
+
+    def live(self) -> NDArray[np.intp]:
+        """The rows of places that were not removed, in order."""
+        return np.flatnonzero(self.alive[: self.count])
+
+    def passing(self, only: SearchFilter) -> Flags:
+        """Which rows (count,) a search may find."""
+        sessions = self.sessions[: self.count]
+        passes = self.alive[: self.count].copy()
+        if only.exclude_session is not None:
+            passes &= sessions != only.exclude_session
+        if only.only_session is not None:
+            passes &= sessions == only.only_session
+        if only.near is not None:
+            session, ordinal, min_gap = only.near
+            passes &= (sessions != session) | (np.abs(self.ordinals[: self.count] - ordinal) >= min_gap)
+        if only.position is not None and only.radius_m is not None:
+            distances = np.linalg.norm(self.positions[: self.count] - only.position, axis=1)
+            passes &= distances <= only.radius_m
+        if only.allowed is not None:
+            passes &= np.isin(self.ids[: self.count], np.fromiter(only.allowed, np.int64, len(only.allowed)))
+        return passes
+
+    def differing(self, entries: Sequence[IndexEntry], vectors: Array) -> list[int]:
+        """See PlaceIndex."""
+        expected = checked_vectors(entries, vectors, self.vectors.shape[1], {})
+        return [entry.id for entry, vector in zip(entries, expected, strict=True) if not self._holds(entry, vector)]
+
+    def _holds(self, entry: IndexEntry, vector: Array) -> bool:
+        row = self.row_of.get(entry.id)
+        return row is not None and bool(
+            self.alive[row]
+            and (self.ids[row], self.sessions[row], self.ordinals[row]) == (entry.id, entry.session, entry.ordinal)
+            and np.array_equal(self.positions[row], entry.position)
+            and self.vectors[row].tobytes() == vector.tobytes()
+        )
+
+    def _reserve(self, wanted: int) -> None:
+        if wanted <= len(self.ids):
+            return
+        size = max(wanted, 2 * len(self.ids), SMALLEST_TO_COMPACT)
+        for name in ("ids", "sessions", "ordinals", "positions", "alive", "vectors"):
+            setattr(self, name, _enlarged(getattr(self, name), size))
+
+
+def _enlarged(array: NDArray[np.generic], size: int) -> NDArray[np.generic]:
+    """The array with zeros behind it, `size` rows in all; zeros take no memory before they are written to."""
+    larger = np.zeros((size, *array.shape[1:]), dtype=array.dtype)
+    larger[: len(array)] = array
+    return larger

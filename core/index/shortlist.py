@@ -1,0 +1,112 @@
+"""Which rows are worth an exact look: all of a small map, by FAISS; the most alike of a large one, by short codes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import faiss
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.descriptor.adaptation import SiteStatistics
+from revisit.core.index.places import Array, Flags
+from revisit.core.index.rows import Rows
+
+Indices = NDArray[np.intp]
+
+_BITS = 4
+_ENTRIES_PER_CODE = 4
+_TRAINED_ON = 2048
+_ITERATIONS = 8
+_TIE = 1e-6
+
+
+class FlatShortlist:
+    """The standardised descriptors of all rows in FAISS: what it answers holds every row that may be among the best."""
+
+    def __init__(self, dimension: int) -> None:
+        self._faiss: Any = faiss.IndexFlatIP(dimension)
+
+    @property
+    def count(self) -> int:
+        """How many rows it holds."""
+        return int(self._faiss.ntotal)
+
+    def append(self, standardised: Array) -> None:
+        """Add the next rows."""
+        self._faiss.add(standardised)
+
+    def replace(self, rows: Indices, standardised: Array) -> None:
+        """Rows have another standardised form."""
+        self._stored()[rows] = standardised
+
+    def differs(self, rows: Indices, standardised: Array) -> Flags:
+        """Which of the rows (n,) are not held, or not bit for bit as in `standardised` (n, d)."""
+        held = rows < self.count
+        same = np.zeros(len(rows), dtype=bool)
+        stored = self._stored()[rows[held]].view(np.uint32)
+        same[held] = (stored == standardised[held].view(np.uint32)).all(axis=1)
+        return ~same
+
+    def nearest(self, query: Array, k: int, passing: Flags) -> Indices:
+        """The rows that pass and are among the k most similar, and some more: FAISS cuts ties as it likes."""
+        allowed = int(passing.sum())
+        selector: Any = faiss.IDSelectorBitmap  # of an array, as the wrapper of FAISS takes it
+        parameters = faiss.SearchParameters()
+        parameters.sel = selector(np.packbits(passing, bitorder="little"))
+        wanted = min(k + 8, allowed)
+        while True:
+            similar, rows = self._faiss.search(query[None], wanted, params=parameters)
+            if wanted == allowed or similar[0, -1] < similar[0, k - 1] - _TIE:
+                return np.asarray(rows[0], dtype=np.intp)
+            wanted = min(2 * wanted, allowed)
+
+    def _stored(self) -> Array:
+        shape = self.count, self._faiss.d
+        return np.asarray(faiss.rev_swig_ptr(self._faiss.get_xb(), shape[0] * shape[1])).reshape(shape)
+
+
+class CodedShortlist:
+    """Product codes of the rows, 4 bits for every 4 entries, standardised as the map was when the codes were learned.
+
+    Approximate: the k most similar rows are among a few hundred of its answers (figures: docs/decisions/0112).
+    """
+
+    def __init__(self, rows: Rows, site: SiteStatistics | None) -> None:
+        """Learn the codes from a part of the `rows`; none is coded yet."""
+        dimension = rows.vectors.shape[1]
+        self._site = site
+        self._faiss: Any = faiss.IndexPQFastScan(
+            dimension, max(dimension // _ENTRIES_PER_CODE, 1), _BITS, faiss.METRIC_INNER_PRODUCT
+        )
+        self._faiss.pq.cp.niter = _ITERATIONS
+        self._faiss.pq.cp.min_points_per_centroid = 1  # it warns below
+        live = rows.live()
+        chosen = live[np.linspace(0, len(live) - 1, min(len(live), _TRAINED_ON)).astype(np.intp)]
+        self._faiss.train(self._standardised(rows, chosen))
+        self.learned_at = rows.count
+
+    @staticmethod
+    def fits(dimension: int) -> bool:
+        """Whether descriptors of this many entries can be coded."""
+        return dimension % _ENTRIES_PER_CODE == 0
+
+    @property
+    def count(self) -> int:
+        """How many rows it holds."""
+        return int(self._faiss.ntotal)
+
+    def append(self, rows: Rows, end: int) -> None:
+        """Add the next rows, as far as row `end`."""
+        self._faiss.add(self._standardised(rows, np.arange(self.count, end)))
+
+    def nearest(self, query: Array, session: int, count: int) -> Indices:
+        """`count` rows, the most similar first, for the unit query (d,) of a session, -1 for none."""
+        sessions = np.array([session])
+        wanted = query[None] if self._site is None else self._site.adapted(query[None], sessions)
+        rows = self._faiss.search(wanted, min(count, self.count))[1][0]
+        return np.asarray(rows[rows >= 0], dtype=np.intp)
+
+    def _standardised(self, rows: Rows, chosen: Indices) -> Array:
+        vectors = rows.vectors[chosen]
+        return vectors if self._site is None else self._site.adapted(vectors, rows.sessions[chosen])

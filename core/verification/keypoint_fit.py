@@ -1,0 +1,42 @@
+"""The planar pose that most corresponding keypoints of two places agree with (paper III-E, end)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from revisit.core.config import VerificationConfig
+from revisit.core.correspondences import Correspondences
+from revisit.core.geometry.se2 import PlanarPose, least_squares_pose
+from revisit.core.kernels.two_point_vote import best_two_point_pose
+
+_REFINEMENTS = 3
+
+
+@dataclass(frozen=True)
+class KeypointFit:
+    """The planar pose T_match_query, the keypoints that agree with it, and how many correspondences there were."""
+
+    pose: PlanarPose
+    inliers: int
+    correspondences: int
+
+
+def fit_planar_pose(correspondences: Correspondences, config: VerificationConfig) -> KeypointFit:
+    """The planar pose that most correspondences agree with.
+
+    Every two correspondences propose a pose and all vote, so nothing is random. Least squares on those that agree then
+    refine the winner. `inliers` counts distinct keypoints.
+    """
+    source, target, yaws = correspondences.query_points, correspondences.match_points, correspondences.yaws
+    yaw_tolerance = np.radians(config.yaw_tolerance)
+    best = best_two_point_pose(source, target, yaws, config.keypoint_tolerance, yaw_tolerance)
+    pose = PlanarPose(float(best[0]), best[1:3])
+    for _ in range(_REFINEMENTS):
+        agree = correspondences.agreeing(pose, config)
+        if agree.sum() < 2:
+            return KeypointFit(pose, int(agree.sum()), len(correspondences))
+        pose = least_squares_pose(source[agree], target[agree])
+    distinct = min(len(np.unique(side)) for side in correspondences.pairs[agree].T)
+    return KeypointFit(pose, distinct, len(correspondences))

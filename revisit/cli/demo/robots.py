@@ -1,0 +1,73 @@
+"""The demo's two robots: one streams its scans over gRPC, the other one posts submaps over REST."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from rich.console import Console
+
+from revisit.cli.demo.steps import step
+from revisit.core.config import SubmapConfig
+from revisit.core.scan import Scan
+from revisit.core.submap import Submap, SubmapBuilder
+from revisit.evaluation.demo import DemoDrive, TrueSubmap
+from revisit.sdk.client import Client
+
+STREAMED = SubmapConfig(tau=10.0, stride=10.0)
+
+
+def stream_drive(
+    client: Client, map_name: str, drive: DemoDrive, console: Console
+) -> tuple[dict[str, TrueSubmap], dict[str, range]]:
+    """Stream a drive scan by scan over gRPC; what is true of the submaps the service made of it, and their scans."""
+    session = client.create_session(map_name, drive.robot)
+    with step(console, f"{drive.robot} streams scans (gRPC)", len(drive)) as shown, client.stream(session) as stream:
+        for scan, T_odom_sensor in zip(drive.scans(), drive.T_odom_sensor, strict=True):
+            stream.send(scan.points, T_odom_sensor, scan.stamp_ns)
+            shown.advance()
+    client.finish_session(session)
+    windows = {}
+    for submap in client.list_submaps(session):
+        if submap.first_seq is None or submap.last_seq is None:
+            raise RuntimeError(f"{submap.name} does not say which scans it holds")
+        windows[submap.name] = range(submap.first_seq - 1, submap.last_seq)
+    return _truth(drive, windows, first_order=0), windows
+
+
+def post_drive(
+    client: Client, map_name: str, drive: DemoDrive, first_order: int, console: Console
+) -> tuple[dict[str, TrueSubmap], dict[str, range]]:
+    """Accumulate submaps on the robot and post them over REST; what is true of them, and their scans, by name."""
+    session = client.create_session(map_name, drive.robot)
+    builder = SubmapBuilder(STREAMED)
+    windows: dict[str, range] = {}
+    with step(console, f"{drive.robot} posts submaps (REST)", len(drive)) as shown:
+        for index, scan in enumerate(odometry_scans(drive)):
+            shown.advance()
+            if (window := builder.add(scan)) is None:
+                continue
+            submap, submap_id = Submap.from_scans(window, STREAMED), f"v-{len(windows):03d}"
+            stamp_ns = window[len(window) // 2].stamp_ns
+            client.post_submap(session, submap_id, submap.points, submap.T_odom_submap, stamp_ns)
+            windows[f"{session.name}/submaps/{submap_id}"] = range(index + 1 - len(window), index + 1)
+    client.finish_session(session)
+    return _truth(drive, windows, first_order), windows
+
+
+def odometry_scans(drive: DemoDrive, window: range | None = None) -> Iterator[Scan]:
+    """The scans of a drive, or of a part of it, with the poses that odometry gives them."""
+    indices = range(len(drive)) if window is None else window
+    for index, scan in zip(indices, drive.scans(window), strict=True):
+        yield Scan.validated(scan.points, drive.T_odom_sensor[index], scan.stamp_ns)
+
+
+def _truth(drive: DemoDrive, windows: dict[str, range], first_order: int) -> dict[str, TrueSubmap]:
+    poses = drive.trajectory.T_world_sensor
+    return {
+        name: TrueSubmap(
+            name, drive.robot, first_order + order, np.asarray(poses[list(scans), :3, 3].mean(axis=0)),
+            poses[scans[len(scans) // 2]],
+        )
+        for order, (name, scans) in enumerate(windows.items())
+    }  # fmt: skip

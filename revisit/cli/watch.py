@@ -1,0 +1,83 @@
+"""`revisit watch`: what happens in a map, a line each, as it happens."""
+
+from __future__ import annotations
+
+import json as json_format
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import asdict
+from itertools import islice
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from revisit.cli.options import HTTP, Http, MapName
+from revisit.cli.output import plain, refuse, say
+
+if TYPE_CHECKING:
+    from revisit.sdk.resources import Event, LoopClosure, MapVersion, Operation
+
+KINDS = ("LOOP_CLOSURE", "OPERATION", "MAP_VERSION")
+
+
+def watch(
+    map_id: MapName = "default",
+    after: Annotated[
+        int | None, typer.Option(min=0, help="Begin behind this event; 0: with the oldest that is kept.")
+    ] = None,
+    kind: Annotated[
+        list[str] | None, typer.Option(help="LOOP_CLOSURE, OPERATION or MAP_VERSION; may be given again.")
+    ] = None,
+    count: Annotated[int | None, typer.Option(min=1, help="End after so many events.")] = None,
+    http: Http = HTTP,
+    json: Annotated[bool, typer.Option("--json", help="One JSON document a line.")] = False,
+) -> None:
+    """Print loop closures, operations and versions of a map as they happen, until Ctrl-C."""
+    from revisit.sdk.client import Client
+
+    kinds = [word.upper() for word in kind or ()]
+    if unknown := [word for word in kinds if word not in KINDS]:
+        raise refuse(f"--kind is one of {', '.join(KINDS)}, not {unknown[0]}")
+    with Client(http) as client, suppress(KeyboardInterrupt):
+        events = client.watch(f"maps/{map_id}", after=after, kinds=kinds)
+        for event in islice(events, count):
+            for line in [_document(event)] if json else _sentences(event):
+                say(line)
+
+
+def _document(event: Event) -> str:
+    return json_format.dumps(asdict(event), default=plain, allow_nan=False)
+
+
+def _sentences(event: Event) -> Iterator[str]:
+    number = f"{event.number:>8}  "
+    if event.loop_closure is not None:
+        yield number + _of_loop(event.loop_closure)
+    elif event.operation is not None:
+        yield number + _of_operation(event.operation)
+    elif event.map_version is not None:
+        yield number + _of_version(event.map_version)
+    else:
+        yield number + "earlier events are no longer kept: list again what is of interest"
+
+
+def _of_loop(loop: LoopClosure) -> str:
+    verdict = f"loop closure {loop.state.lower()}: {short_name(loop.query)} -> {short_name(loop.match)}"
+    return f"{verdict}, {loop.reason}" if loop.reason else f"{verdict}, score {loop.score:.2f}"
+
+
+def _of_operation(operation: Operation) -> str:
+    said = f"{operation.kind.lower().replace('_', ' ')} {operation.state.lower()}: {short_name(operation.subject)}"
+    return f"{said}, {operation.failure_reason}: {operation.failure_message}" if operation.failure_reason else said
+
+
+def _of_version(version: MapVersion) -> str:
+    of = version.summary
+    back = f" with the poses of version {version.restored_from}" if version.restored_from else ""
+    return f"map version {version.version}{back}: {of.submaps} submaps, {of.loops_in_map} loop closures hold it"
+
+
+def short_name(name: str) -> str:
+    """A resource name without the names of its collections and its map: `monday/m2`; a map's id for a map."""
+    ids = name.split("/")[1::2]
+    return "/".join(ids[1:] or ids)
