@@ -9,8 +9,7 @@ import signal
 import socket
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import structlog
@@ -41,39 +40,28 @@ SWITCH_S = 0.0005
 """How long a decoding thread may hold the interpreter lock while the event loop waits for it; Python's default is 5 ms.
 An answer hands over several times. Chosen by that reasoning; its effect was not measured by itself."""
 
-HANDSHAKE_S = 10.0
-"""Time for a TLS handshake over HTTP; gRPC has the same in its options."""
-
 FAIL_STOP_S = 0.5
 """How long the process lives after the disk has failed, so that pending answers can still go out."""
 
 log = structlog.get_logger(__name__)
 
 
-class _Server(uvicorn.Server):
-    """uvicorn without signal handlers of its own: one handler stops both servers and the workers."""
-
-    @contextmanager
-    def capture_signals(self) -> Iterator[None]:
-        """Leave the signals alone."""
-        yield
-
-
 def serve(settings: Settings) -> int:
     """Run the gateway and its workers until SIGTERM or SIGINT; the exit status."""
     migrate(settings.database)
     sys.setswitchinterval(SWITCH_S)
-    allow_open_files()
+    open_files = allow_open_files()
     return_large_blocks()
     with asyncio.Runner(loop_factory=_loop_factory()) as runner:
-        return runner.run(_Gateway(settings).run())
+        return runner.run(_Gateway(settings, open_files).run())
 
 
 class _Gateway:
     """One run of the gateway."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: Settings, open_files: int) -> None:
         self._settings = settings
+        self._open_files = open_files
         self._status = 0
         self._requests = RequestMetrics()
         self._tracer = build_tracer(settings, "gateway")
@@ -183,6 +171,7 @@ class _Gateway:
 
     def _http_server(self, use_cases: UseCases) -> tuple[uvicorn.Server, int]:
         from revisit.service.rest.app import create_app
+        from revisit.service.rest.listening import ListeningServer
         from revisit.service.rest.slow_clients import uvicorn_limits
 
         tls = http_context(self._settings)
@@ -201,50 +190,29 @@ class _Gateway:
             **uvicorn_limits(),
         )
         listener = _listen(self._settings.host, self._settings.http_port)
-        return _ListeningServer(config, listener), listener.getsockname()[1]
+        return ListeningServer(config, listener), listener.getsockname()[1]
 
     def _grpc_server(self, use_cases: UseCases) -> tuple[grpc.aio.Server, int]:
-        from revisit.service.grpc.server import create_server
+        from revisit.service.grpc.server import CONNECTIONS, create_server
+        from revisit.service.grpc.strangers import Strangers
 
+        strangers = Strangers()
         server = create_server(
-            use_cases, requests=self._requests, tracer=self._tracer, described=not self._settings.exposed
+            use_cases,
+            requests=self._requests,
+            tracer=self._tracer,
+            described=not self._settings.exposed,
+            strangers=strangers,
+            connections=min(CONNECTIONS, self._open_files // 2),
         )
         host, port = self._settings.host, self._settings.grpc_port
         address, tls = f"[{host}]:{port}" if ":" in host else f"{host}:{port}", grpc_credentials(self._settings)
         try:
-            return server, server.add_insecure_port(address) if tls is None else server.add_secure_port(address, tls)
+            bound = server.add_insecure_port(address) if tls is None else server.add_secure_port(address, tls)
         except RuntimeError as error:
             raise OSError(f"port {port} for gRPC cannot be taken; REVISIT_GRPC_PORT names another") from error
-
-
-class _ListeningServer(_Server):
-    """A server on a socket that was bound before, so that a taken port ends the start and port 0 is known."""
-
-    def __init__(self, config: uvicorn.Config, listener: socket.socket) -> None:
-        super().__init__(config)
-        self._listener = listener
-
-    async def serve(self, sockets: list[socket.socket] | None = None) -> None:
-        """Serve on the bound socket."""
-        await super().serve(sockets=[self._listener])
-
-    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Listen on the bound socket, as uvicorn would; but a TLS handshake has 10 s where uvicorn allows 60."""
-        await self.lifespan.startup()
-        config = self.config
-        server = await asyncio.get_running_loop().create_server(
-            self._protocol,
-            sock=self._listener,
-            backlog=config.backlog,
-            ssl=config.ssl,
-            ssl_handshake_timeout=None if config.ssl is None else HANDSHAKE_S,
-        )
-        self.servers, self.started = [server], True
-
-    def _protocol(self) -> asyncio.Protocol:
-        make: Any = self.config.http_protocol_class
-        protocol: asyncio.Protocol = make(self.config, self.server_state, self.lifespan.state)
-        return protocol
+        self._lookout = asyncio.create_task(strangers.watch(bound), name="strangers")
+        return server, bound
 
 
 def _listen(host: str, port: int) -> socket.socket:

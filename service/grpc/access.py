@@ -14,6 +14,7 @@ from revisit.service.application import UseCases
 from revisit.service.application.access.admission import STREAM_RECHECK_S, Credential
 from revisit.service.application.access.callers import Scope, enter
 from revisit.service.application.contract.errors import PermissionDenied, TooManyFailures, Unauthenticated
+from revisit.service.grpc.strangers import Strangers
 
 _INGEST = frozenset({Scope.INGEST})
 _QUERY = frozenset({Scope.QUERY})
@@ -91,9 +92,12 @@ SCOPES: dict[str, dict[str, frozenset[Scope]]] = {
 class Gate:
     """Admits calls, and watches over those that last."""
 
-    def __init__(self, use_cases: UseCases, *, recheck_s: float = STREAM_RECHECK_S) -> None:
-        """Verifies the credential of an open stream again every `recheck_s` seconds."""
+    def __init__(
+        self, use_cases: UseCases, strangers: Strangers | None = None, *, recheck_s: float = STREAM_RECHECK_S
+    ) -> None:
+        """Verifies the credential of an open stream again every `recheck_s` seconds; tells `strangers` who is none."""
         self._access = use_cases.access
+        self._strangers = strangers or Strangers()
         self._recheck_s = recheck_s
 
     async def admit(self, method: str, context: Any) -> None:
@@ -101,9 +105,15 @@ class Gate:
 
         Raises Unauthenticated, PermissionDenied, TooManyFailures.
         """
+        shown, peer = credential_of(context), str(context.peer())
+        await self.verify(method, shown)
+        self._strangers.admit(peer)
+
+    async def verify(self, method: str, shown: Credential) -> None:
+        """As `admit`, for what its caller has shown."""
         service, name = method.rsplit("/", 1)
         scopes = SCOPES[service.rpartition(".")[2]][name]
-        enter(await self._access.admit(credential_of(context), scopes, method))
+        enter(await self._access.admit(shown, scopes, method))
 
     @asynccontextmanager
     async def watching(self, method: str, context: Any) -> AsyncIterator[None]:
@@ -111,10 +121,12 @@ class Gate:
 
         The block must be left in the task that entered it. Raises what `admit` raises.
         """
+        # Read now: the watch may outlive the call, and gRPC 1.85 crashes where an ended call is asked for its peer.
+        shown = credential_of(context)
         await self.admit(method, context)
         try:
             async with asyncio.timeout(None) as stream:
-                watch = asyncio.create_task(self._watch(method, context, stream))
+                watch = asyncio.create_task(self._watch(method, shown, stream))
                 try:
                     yield
                 finally:
@@ -124,11 +136,11 @@ class Gate:
                 raise Unauthenticated("the credential has lost its right: the stream ends") from error
             raise
 
-    async def _watch(self, method: str, context: Any, stream: asyncio.Timeout) -> None:
+    async def _watch(self, method: str, shown: Credential, stream: asyncio.Timeout) -> None:
         while True:
             await asyncio.sleep(self._recheck_s)
             try:
-                await self.admit(method, context)
+                await self.verify(method, shown)
             except (Unauthenticated, PermissionDenied, TooManyFailures):
                 stream.reschedule(asyncio.get_running_loop().time())
                 return

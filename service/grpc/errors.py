@@ -119,8 +119,9 @@ def _guarded(handler: Any, method: str, gate: Gate, places: CallPlaces, budget: 
 
         async def stream(requests: AsyncIterator[bytes], context: Any) -> AsyncIterator[Any]:
             try:
+                peer = str(context.peer())
                 async with gate.watching(method, context):
-                    with places.of_caller(method, context):
+                    with places.of_caller(method, peer):
                         async with asyncio.timeout(None) as unread:
                             async for response in _streamed(handler, parse, requests, context):
                                 unread.reschedule(asyncio.get_running_loop().time() + UNREAD_S)
@@ -133,8 +134,9 @@ def _guarded(handler: Any, method: str, gate: Gate, places: CallPlaces, budget: 
 
     async def unary(requests: AsyncIterator[bytes], context: Any) -> Any:
         try:
+            peer = str(context.peer())
             await gate.admit(method, context)
-            with places.of_caller(method, context), budget.hold(current_tenant()) as held:
+            with places.of_caller(method, peer), budget.hold(current_tenant()) as held:
                 return await handler.unary_unary(await _message(method, parse, requests, held), context)
         except Exception as error:  # noqa: BLE001  # the last resort of every call
             await _abort(context, error)
@@ -173,7 +175,7 @@ def _public(handler: Any, places: CallPlaces) -> Any:
 
         async def stream(requests: AsyncIterator[Any], context: Any) -> AsyncIterator[Any]:
             try:
-                with places.of_public(context, lasting=True):
+                with places.of_public(str(context.peer()), lasting=True):
                     given = requests if handler.request_streaming else await _only(requests, PUBLIC_MESSAGE_S)
                     answer = handler.stream_stream if handler.request_streaming else handler.unary_stream
                     async for response in answer(given, context):
@@ -185,7 +187,7 @@ def _public(handler: Any, places: CallPlaces) -> Any:
 
     async def unary(requests: AsyncIterator[Any], context: Any) -> Any:
         try:
-            with places.of_public(context, lasting=False):
+            with places.of_public(str(context.peer()), lasting=False):
                 return await handler.unary_unary(await _only(requests, PUBLIC_MESSAGE_S), context)
         except RevisitError as error:
             await _abort(context, error)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Any
 
 from revisit.service.application.access.callers import current_actor, current_tenant
 from revisit.service.application.capacity.places import Claim, Places
@@ -50,9 +49,9 @@ class CallPlaces:
         self._limits = limits
         self._places = Places()
 
-    def of_public(self, context: Any, *, lasting: bool) -> AbstractContextManager[None]:
+    def of_public(self, peer: str, *, lasting: bool) -> AbstractContextManager[None]:
         """The place of a call that needs no credential: health, reflection. Raises RateLimited."""
-        limits, peer = self._limits, str(context.peer())
+        limits = self._limits
         if lasting:
             return self._places.hold(
                 Claim(("public watches", peer), limits.connection_public_watches, "watches of this connection"),
@@ -63,7 +62,7 @@ class CallPlaces:
             Claim(("public calls",), limits.public_calls, "calls without a credential"),
         )
 
-    def of_caller(self, method: str, context: Any) -> AbstractContextManager[None]:
+    def of_caller(self, method: str, peer: str) -> AbstractContextManager[None]:
         """The place of a call whose caller was admitted. Raises RateLimited."""
         name, tenant, client, limits = method.rpartition("/")[2], current_tenant(), current_actor(), self._limits
         if name in _STREAMS:
@@ -74,7 +73,7 @@ class CallPlaces:
             )
         if name in _LASTING:
             return self._places.hold(
-                Claim(("watches of connection", str(context.peer())), limits.connection_watches, "watches here"),
+                Claim(("watches of connection", peer), limits.connection_watches, "watches here"),
                 Claim(("watches", tenant, client), limits.client_watches, "watches of this client"),
                 Claim(("watches", tenant), limits.tenant_watches, "watches of this tenant"),
                 Claim(("watches",), limits.watches, "watches"),

@@ -26,6 +26,7 @@ from revisit.service.grpc.servicers.sessions import SessionServicer
 from revisit.service.grpc.servicers.submaps import SubmapServicer
 from revisit.service.grpc.servicers.system import SystemServicer
 from revisit.service.grpc.servicers.webhooks import WebhookServicer
+from revisit.service.grpc.strangers import Strangers
 from revisit.service.grpc.timing import CallTimer
 from revisit.service.grpc.tracing import CallTracing
 from revisit.service.metrics import RequestMetrics
@@ -58,6 +59,9 @@ MAX_MESSAGE_BYTES = LARGEST_MESSAGE_BYTES
 MAX_METADATA_BYTES = 16 * 2**10
 MAX_CONCURRENT_CALLS = 256
 """Of one connection. `CallLimits` bounds what all together hold open."""
+
+CONNECTIONS = 4096
+"""Open connections; each takes about 17 KiB while it is idle (VmRSS of a gateway with 3,000 of them)."""
 
 OPTIONS = (
     ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES),
@@ -96,18 +100,21 @@ def create_server(
     tracer: Tracer = NoTracer(),
     described: bool = True,
     call_limits: CallLimits = CallLimits(),
+    strangers: Strangers | None = None,
+    connections: int = CONNECTIONS,
 ) -> grpc.aio.Server:
     """A server over `use_cases` without a port: add one, start it on the running loop, stop it with a grace.
 
-    `described`: it answers reflection. Raises RuntimeError where an RPC does not say who may call it.
+    `described`: it answers reflection. `strangers` is told who was admitted. One of more `connections` than these is
+    closed at once. Raises RuntimeError where an RPC does not say who may call it.
     """
     services = [service for module, *_ in _SERVICES for service in module.DESCRIPTOR.services_by_name.values()]
     require_declared_scopes(services)
     timers = [] if requests is None else [CallTimer(requests)]
-    guard = ErrorInterceptor(Gate(use_cases), CallPlaces(call_limits), use_cases.budget)
+    guard = ErrorInterceptor(Gate(use_cases, strangers), CallPlaces(call_limits), use_cases.budget)
     server = grpc.aio.server(
         interceptors=[CallTracing(tracer), *timers, guard],
-        options=OPTIONS,
+        options=(*OPTIONS, ("grpc.max_allowed_incoming_connections", connections)),
         maximum_concurrent_rpcs=call_limits.total,
     )
     health = health_pb2.DESCRIPTOR.services_by_name["Health"].full_name

@@ -6,6 +6,7 @@ For bodies see `BodyLimit`, for what is answered where all places are taken `Req
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from typing import Any
 
 import h11
@@ -35,8 +36,11 @@ WRITE_BYTES = 32 * 2**10
 STALLED_S = 1.0
 """An answer of which nothing was taken for so long gives its place to a new connection, where none is free."""
 
-PIPELINED = 16
-"""Requests in a row that may come before the answer to the one before them; then the connection is closed."""
+PIPELINED = 4
+"""Requests in a row that may come before the answer to the one before them; then the connection is closed. Browsers and
+the usual libraries send none so."""
+
+_WITHOUT_BODY, _END_OF_HEAD = (b"GET ", b"HEAD"), b"\r\n\r\n"
 
 KEEP_ALIVE_S = 15
 """How long a connection without a request stays open."""
@@ -53,6 +57,9 @@ class DeadlineProtocol(H11Protocol):
     write_s = WRITE_S
     most_connections = CONNECTIONS
     most_pipelined = PIPELINED
+    settle: Callable[[], None] | None = None
+    """To be called once the first request head is there, or the connection is gone: see `Newcomers`."""
+
     _deadline: asyncio.TimerHandle | None = None
     _write_check: asyncio.TimerHandle | None = None
     _heard_s = 0.0
@@ -74,9 +81,14 @@ class DeadlineProtocol(H11Protocol):
     def data_received(self, data: bytes) -> None:
         """Feed the parser; stop the clock once the head is there."""
         was_idle = self._idle()
+        if was_idle and data[:4] in _WITHOUT_BODY and data.count(_END_OF_HEAD) > self.most_pipelined:
+            # To answer the first few would take most of the time that such a client is after.
+            self.transport.abort()
+            return
         super().data_received(data)
         if was_idle and not self._idle():
             self._heard_s = asyncio.get_running_loop().time()
+            self._settle()
         self._watch()
 
     def on_response_complete(self) -> None:
@@ -103,10 +115,16 @@ class DeadlineProtocol(H11Protocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Stop the clocks."""
+        self._settle()
         self._stop()
         if self._write_check is not None:
             self._write_check.cancel()
         super().connection_lost(exc)
+
+    def _settle(self) -> None:
+        if self.settle is not None:
+            self.settle()
+            self.settle = None
 
     def _watch_writing(self) -> None:
         """Look every now and then whether what waits for the client becomes less, until nothing does."""

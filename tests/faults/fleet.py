@@ -21,7 +21,7 @@ from tests.support.town import SESSION
 
 PLACES = 50
 PAUSE_S = 0.05
-"""After an attempt that failed: a gateway that ends is not to be asked a thousand times."""
+"""After an attempt: a gateway that ends is not to be asked a thousand times, and one that starts needs the cores."""
 
 
 class Robot:
@@ -41,6 +41,7 @@ class Robot:
         for _ in range(attempts):
             if self.attempt(submap_id, place) is Outcome.OK:
                 del self.open[submap_id]
+                self._fleet.crew.stop.wait(PAUSE_S)
                 break
             if self._fleet.crew.stop.wait(PAUSE_S):
                 break

@@ -156,6 +156,37 @@ def _for_every_tenant(keyed_hash):
     return lambda tokens, purpose, _tenant, data: keyed_hash(tokens, purpose, "everybody", data)
 
 
+def _unbounded(init):
+    """A tenant may have as many turns at a time as there are."""
+    return lambda turns, _places, of_tenant=None: init(turns, 99)
+
+
+async def _at_once(work, *arguments):
+    return work(*arguments)
+
+
+def _asking_again(verify):
+    """As it was before a call was asked once, when it begins, for what its caller has shown."""
+
+    async def verified(gate, method, context):
+        context.auth_context()
+        await verify(gate, method, None)
+
+    return verified
+
+
+def _settled():
+    """A newcomer that nobody has counted."""
+
+
+def _without_option(name):
+    return lambda server: (
+        lambda *arguments, options, **named: server(
+            *arguments, options=[option for option in options if option[0] != name], **named
+        )
+    )
+
+
 @dataclass(frozen=True)
 class Sabotage:
     """A broken promise: what is broken, patches by module:name, the test that must fail, and whether that is quick."""
@@ -391,15 +422,54 @@ SABOTAGES = (
     ),
     Sabotage(
         "the limit of open files stays as it was",
-        {f"{SERVICE}open_files:allow_open_files": nothing},
+        {f"{SERVICE}open_files:allow_open_files": lambda _allow: lambda: 1024},
         "tests/integration/test_many_sockets.py::"
         "test_beginnings_of_handshakes_beyond_the_soft_limit_keep_nobody_out[http]",
     ),
     Sabotage(
         "a TLS handshake may take as long as it likes",
-        {f"{SERVICE}gateway:HANDSHAKE_S": lambda _seconds: 60.0},
+        {f"{SERVICE}rest.listening:HANDSHAKE_S": lambda _seconds: 60.0},
         "tests/integration/test_many_sockets.py::"
         "test_beginnings_of_handshakes_beyond_the_soft_limit_keep_nobody_out[http]",
+    ),
+    Sabotage(
+        "an ended call is asked for its credential again",
+        {
+            f"{SERVICE}grpc.access:credential_of": lambda _read: lambda context: context,
+            f"{SERVICE}grpc.access:Gate.verify": _asking_again,
+        },
+        "tests/contract/api/test_api_keys.py::test_a_call_that_has_ended_is_asked_for_nothing_while_its_watch_goes_on",
+    ),
+    Sabotage(
+        "long JSON is parsed on the event loop",
+        {"asyncio:to_thread": lambda _to_thread: _at_once},
+        "tests/contract/api/test_api_turns.py::"
+        "test_long_json_is_parsed_beside_the_event_loop_and_one_of_a_tenant_at_a_time",
+    ),
+    Sabotage(
+        "a tenant has as many lists read at once as it likes",
+        {
+            f"{USE_CASES}capacity.turns:Turns.__init__": lambda init: (
+                lambda turns, _places, of_tenant=None: init(turns, 99)
+            )
+        },
+        "tests/contract/api/test_api_turns.py::"
+        "test_of_many_lists_of_a_tenant_one_is_read_at_a_time_and_others_go_between",
+    ),
+    Sabotage(
+        "newcomers of one address are not bounded",
+        {f"{USE_CASES}capacity.newcomers:Newcomers.arrive": lambda _arrive: lambda *_arguments: _settled},
+        f"{LIMITS}test_newcomers_of_one_address_give_way_to_one_another_and_to_nobody_else",
+    ),
+    Sabotage(
+        "strangers may keep as many connections to gRPC as they like",
+        {f"{SERVICE}grpc.strangers:Strangers.end_those_beyond": nothing},
+        f"{PLACES}test_connections_of_one_address_over_which_nobody_was_admitted_give_way_to_newer_ones",
+    ),
+    Sabotage(
+        "there may be any number of connections to gRPC",
+        {"grpc.aio:server": _without_option("grpc.max_allowed_incoming_connections")},
+        f"{PLACES}test_connections_beyond_those_that_may_be_open_are_closed_at_once_until_one_is_free",
     ),
     Sabotage(
         "the image is open without a key",

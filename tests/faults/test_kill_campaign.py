@@ -16,7 +16,7 @@ from tests.support.patience import eventually, in_time
 from tests.support.processes import ServiceProcess, is_running
 
 DRAINED_S = 15.0
-GATEWAY_EVERY = 4
+GATEWAY_EVERY = 10
 """Every so many kills hit the gateway, which takes its workers along; the others hit a worker."""
 
 

@@ -13,6 +13,7 @@ import httpx
 import pytest
 
 from revisit.service.application.access.api_keys import CreateKey, caller_of_key, parse_key
+from revisit.service.application.access.callers import ANYONE
 from revisit.service.application.catalogue.maps import CreateMap
 from revisit.service.application.contract.errors import StorageFull, Unauthenticated
 from revisit.service.grpc import access as grpc_access
@@ -191,11 +192,11 @@ class CountingGate(grpc_access.Gate):
 
     admitted = 0
 
-    def __init__(self, use_cases):
-        super().__init__(use_cases, recheck_s=0.2)
+    def __init__(self, use_cases, *others):
+        super().__init__(use_cases, *others, recheck_s=0.2)
 
-    async def admit(self, method, context):
-        await super().admit(method, context)
+    async def verify(self, method, shown):
+        await super().verify(method, shown)
         type(self).admitted += 1
 
 
@@ -228,6 +229,42 @@ async def test_a_stream_ends_soon_after_its_key_is_gone(monkeypatch, cause):
         assert ended.value.code() is grpc.StatusCode.UNAUTHENTICATED
         assert "lost its right" in ended.value.details()
     await server.stop(0.1)
+
+
+class EndedCall:
+    """The context of a call that ends while its credential is being verified; asking it crashes gRPC's core then."""
+
+    ended = False
+
+    def _ask(self, answer):
+        assert not self.ended, "gRPC would end this process with a segmentation fault"
+        return answer
+
+    def invocation_metadata(self):
+        return self._ask(())
+
+    def auth_context(self):
+        return self._ask({})
+
+    def peer(self):
+        return self._ask("ipv4:127.0.0.1:9")
+
+
+async def test_a_call_that_has_ended_is_asked_for_nothing_while_its_watch_goes_on(monkeypatch):
+    verified, watched = asyncio.Event(), asyncio.Event()
+
+    class Access:
+        async def admit(self, *_shown):
+            (watched if verified.is_set() else verified).set()
+            return ANYONE
+
+    gate = grpc_access.Gate(SimpleNamespace(access=Access()), recheck_s=0.0)
+    call = EndedCall()
+    async with gate.watching("/revisit.v1.LoopClosureService/WatchLoopClosures", call):
+        call.ended = True
+        assert verified.is_set()
+        async with asyncio.timeout(60):
+            await watched.wait()
 
 
 def test_refusals_and_admin_calls_and_deletions_are_in_the_audit_log(guarded, guarded_http):

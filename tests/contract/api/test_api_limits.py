@@ -5,18 +5,22 @@ from __future__ import annotations
 import contextlib
 import http.client
 import socket
+import ssl
 import threading
 from dataclasses import dataclass, replace
 from urllib.parse import quote
 
 import httpx
 import pytest
+import trustme
 import uvicorn
 
 from revisit.formats import QUANTISED, encode_quantised
 from revisit.service.application.capacity.byte_budget import ByteBudget
+from revisit.service.application.capacity.newcomers import Newcomers
 from revisit.service.rest.app import create_app
 from revisit.service.rest.limits import HttpLimits
+from revisit.service.rest.listening import ListeningServer
 from revisit.service.rest.slow_clients import (
     HEAD_BYTES,
     HEAD_S,
@@ -29,6 +33,7 @@ from revisit.service.rest.slow_clients import (
     uvicorn_limits,
 )
 from tests.support.clocked_loop import ClockedLoop
+from tests.support.handshakes import half_hello
 from tests.support.patience import PATIENCE_S, eventually
 from tests.support.service_world import cloud_points, memory_world
 
@@ -65,16 +70,16 @@ class HttpServer:
 
 
 @contextlib.contextmanager
-def http_server(limits=HttpLimits(), hosts=frozenset(), budget=ByteBudget(), **settings):
+def http_server(limits=HttpLimits(), hosts=frozenset(), budget=ByteBudget(), newcomers=None, tls=None, **settings):
     """Serve until the block ends."""
     use_cases = replace(memory_world().use_cases, budget=budget)
     listener = socket.create_server(("127.0.0.1", 0))
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 65_536)
     app = create_app(use_cases, limits, hosts=hosts)
-    server = uvicorn.Server(uvicorn.Config(app, log_config=None, **{**uvicorn_limits(), **settings}))
-    server.capture_signals = contextlib.nullcontext
+    own = {"ssl_context_factory": tls and (lambda *_: tls), **uvicorn_limits(), **settings}
+    server = ListeningServer(uvicorn.Config(app, log_config=None, **own), listener, newcomers)
     with contextlib.closing(ClockedLoop()) as loop:
-        serving = server.serve(sockets=[listener])
+        serving = server.serve()
         thread = threading.Thread(target=lambda: loop.run_until_complete(serving), daemon=True)
         thread.start()
         eventually(lambda: server.started, "the server does not start")
@@ -240,11 +245,13 @@ def test_a_client_that_reads_slowly_but_steadily_gets_its_whole_answer():
     assert received > 101 * 7_000
 
 
-def test_requests_in_a_row_that_wait_for_no_answer_are_bounded():
+@pytest.mark.parametrize(("method", "most"), [(b"GET", 0), (b"HEAD", 0), (b"OPTIONS", PIPELINED + 1)])
+def test_requests_in_a_row_that_wait_for_no_answer_are_bounded(method, most):
     with http_server() as server, server.connected() as connection:
-        connection.sendall(PIPELINE)
+        connection.sendall(PIPELINE.replace(b"GET", method))
         said = rest_of(connection)
-    assert 0 < said.count(b"HTTP/1.1 200") <= PIPELINED + 1
+    assert said.count(b"HTTP/1.1 ") <= most
+    assert (said == b"") == (most == 0)
 
 
 def test_clients_that_do_not_read_keep_nobody_out():
@@ -276,6 +283,48 @@ def test_one_connection_too_many_takes_the_place_of_the_one_that_is_awaited_the_
             for _ in range(3):
                 assert client.get("/livez", headers={"connection": "close"}).status_code == 200
         assert [gone(connection) for connection in connections] == [False, True, False]
+
+
+def connected(held, server, sent, source="127.0.0.1"):
+    """A connection from an address of loopback that has sent something."""
+    connection = held.enter_context(
+        socket.create_connection(server.address, timeout=PATIENCE_S, source_address=(source, 0))
+    )
+    connection.sendall(sent)
+    return connection
+
+
+def tls_context():
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    trustme.CA().issue_cert("localhost").configure_cert(context)
+    return context
+
+
+@pytest.mark.parametrize(
+    ("tls", "begin"),
+    [(None, b""), (None, b"GET /livez HTTP/1.1\r\nX-Slow: "), (tls_context(), half_hello())],
+    ids=["nothing", "half a head", "half a TLS hello"],
+)
+def test_newcomers_of_one_address_give_way_to_one_another_and_to_nobody_else(tls, begin):
+    newcomers = Newcomers(3)
+    with http_server(newcomers=newcomers, tls=tls) as server, contextlib.ExitStack() as held:
+        elsewhere = connected(held, server, begin, "127.0.0.2")
+        first, *others = [connected(held, server, begin) for _ in range(5)]
+        assert first.recv(1) == b""
+        assert others[0].recv(1) == b""
+        assert [gone(connection) for connection in (elsewhere, *others[1:])] == [False] * 4
+        assert (newcomers.of("127.0.0.2"), newcomers.of("127.0.0.1")) == (1, 3)
+
+
+def test_whoever_has_asked_for_something_is_no_newcomer():
+    newcomers = Newcomers(2)
+    with http_server(newcomers=newcomers) as server, httpx.Client(base_url=server.url, trust_env=False) as client:
+        assert client.get("/livez").status_code == 200
+        with contextlib.ExitStack() as held:
+            first, *_ = [connected(held, server, b"") for _ in range(3)]
+            assert first.recv(1) == b""
+            assert client.get("/livez").status_code == 200
+            assert newcomers.of("127.0.0.1") == 2
 
 
 @pytest.mark.parametrize(

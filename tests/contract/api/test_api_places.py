@@ -12,7 +12,8 @@ import pytest
 from google.rpc import error_details_pb2, status_pb2
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
-from revisit.service.grpc import errors
+from revisit.service.grpc import errors, strangers
+from revisit.service.grpc.server import create_server
 from revisit.v1 import loop_closure_pb2, loop_closure_pb2_grpc, map_pb2, map_pb2_grpc
 from tests.support.credentials import a_key
 from tests.support.http2 import OPENING, call_headers
@@ -163,3 +164,63 @@ async def test_authorization_that_is_sent_twice_is_refused_on_both_transports(cr
         with pytest.raises(grpc.aio.AioRpcError) as refused:
             await map_pb2_grpc.MapServiceStub(channel).ListMaps(map_pb2.ListMapsRequest(), metadata=tuple(twice))
     assert refused.value.code() is grpc.StatusCode.UNAUTHENTICATED
+
+
+@contextlib.asynccontextmanager
+async def small_server(**limits):
+    """A server of its own, which lets in few connections; yields its port."""
+    server = create_server(memory_world().use_cases, **limits)
+    port = server.add_insecure_port("127.0.0.1:0")
+    await server.start()
+    yield port
+    await server.stop(None)
+
+
+async def raw(port, sent, source="127.0.0.1"):
+    """A connection from an address of loopback that has sent something, and been answered if that was a preface."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port, local_addr=(source, 0))
+    writer.write(sent)
+    await reader.readexactly(1)
+    return reader, writer
+
+
+async def ends(reader):
+    """The server has closed the connection."""
+    with contextlib.suppress(ConnectionError):
+        while await asyncio.wait_for(reader.read(65536), PATIENCE_S):
+            pass
+    return True
+
+
+async def list_maps(port):
+    async with channels(f"127.0.0.1:{port}", 1) as (channel,):
+        await map_pb2_grpc.MapServiceStub(channel).ListMaps(map_pb2.ListMapsRequest(), wait_for_ready=True)
+
+
+async def test_connections_beyond_those_that_may_be_open_are_closed_at_once_until_one_is_free():
+    async with small_server(connections=2) as port:
+        held = [await raw(port, OPENING) for _ in range(2)]
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        writer.write(OPENING)  # a connection that is let in may stay for minutes with it
+        assert await ends(reader)
+        held[0][1].close()
+        await list_maps(port)
+        held[1][1].close()
+
+
+async def test_connections_of_one_address_over_which_nobody_was_admitted_give_way_to_newer_ones(monkeypatch):
+    monkeypatch.setattr(strangers, "LOOK_S", 0.01)
+    known = strangers.Strangers(2)
+    async with small_server(strangers=known) as port, channels(f"127.0.0.1:{port}", 1) as (channel,):
+        stub = map_pb2_grpc.MapServiceStub(channel)
+        await stub.ListMaps(map_pb2.ListMapsRequest())
+        elsewhere, first, *others = [await raw(port, OPENING, f"127.0.0.{1 + (number == 0)}") for number in range(4)]
+        looking = asyncio.create_task(known.watch(port))
+        assert await ends(first[0])
+        admitted = channel.get_state()
+        for reader, _ in (elsewhere, *others):
+            with pytest.raises(asyncio.TimeoutError):
+                await asyncio.wait_for(ends(reader), 0.1)
+        await stub.ListMaps(map_pb2.ListMapsRequest())
+        assert (admitted, channel.get_state()) == (grpc.ChannelConnectivity.READY,) * 2
+        looking.cancel()

@@ -1,0 +1,129 @@
+"""The HTTP server on a socket that is bound already: it sees the address of a connection before its TLS handshake."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import uvicorn
+
+from revisit.service.application.capacity.newcomers import Newcomers
+from revisit.service.rest.slow_clients import DeadlineProtocol
+
+HANDSHAKE_S = 10.0
+"""Time for a TLS handshake over HTTP; gRPC has the same in its options."""
+
+NO_FILES_S = 0.2
+"""How long nothing is accepted where the process may open no more files."""
+
+AT_ONCE = 32
+"""Connections that are accepted in one turn of the event loop. It takes some turns until what they have sent is read;
+before that they are newcomers, of whom an address has more places than these turns fill."""
+
+_EXHAUSTED = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
+
+
+class ListeningServer(uvicorn.Server):
+    """uvicorn without signal handlers of its own, on a socket that was bound before.
+
+    So a taken port ends the start, port 0 is known, and one handler of signals stops all servers.
+    """
+
+    def __init__(self, config: uvicorn.Config, listener: socket.socket, newcomers: Newcomers | None = None) -> None:
+        super().__init__(config)
+        self._listener = listener
+        self._newcomers = newcomers or Newcomers()
+        self._welcomes: set[asyncio.Task[None]] = set()
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Leave the signals alone."""
+        yield
+
+    async def serve(self, sockets: list[socket.socket] | None = None) -> None:
+        """Serve on the bound socket."""
+        await super().serve(sockets=[self._listener])
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Listen on the bound socket. uvicorn would leave the accepting to asyncio, which tells no address in time."""
+        await self.lifespan.startup()
+        self._listener.setblocking(False)
+        self._listener.listen(self.config.backlog)
+        accepting = _Accepting(self._listener, self._arrived)
+        accepting.begin()
+        self.servers, self.started = [accepting], True  # type: ignore[list-item]  # it has what uvicorn calls
+
+    def _arrived(self, connection: socket.socket, address: str) -> None:
+        welcome = asyncio.get_running_loop().create_task(self._welcome(connection, address))
+        self._welcomes.add(welcome)
+        welcome.add_done_callback(self._welcomes.discard)
+
+    async def _welcome(self, connection: socket.socket, address: str) -> None:
+        """Shake hands, where there is TLS, and leave the connection to its protocol."""
+        settle = self._newcomers.arrive(address, lambda: _end(connection))
+        tls = self.config.ssl
+        handshake_s = None if tls is None else HANDSHAKE_S
+        try:
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            await asyncio.get_running_loop().connect_accepted_socket(
+                lambda: self._protocol(settle), connection, ssl=tls, ssl_handshake_timeout=handshake_s
+            )
+        except (OSError, TimeoutError):
+            settle()
+            connection.close()
+
+    def _protocol(self, settle: Callable[[], None]) -> DeadlineProtocol:
+        make: Any = self.config.http_protocol_class
+        protocol: DeadlineProtocol = make(self.config, self.server_state, self.lifespan.state)
+        protocol.settle = settle
+        return protocol
+
+
+class _Accepting:
+    """Accepts connections on the running loop; what uvicorn closes, as it would the servers of asyncio."""
+
+    def __init__(self, listener: socket.socket, arrived: Callable[[socket.socket, str], None]) -> None:
+        """`arrived` takes each connection, with the address it comes from."""
+        self._listener, self._arrived = listener, arrived
+        self._closed = False
+
+    def begin(self) -> None:
+        """Accept from now on, unless it was closed meanwhile."""
+        if not self._closed:
+            asyncio.get_running_loop().add_reader(self._listener, self._accept)
+
+    def close(self) -> None:
+        """Accept no more."""
+        self._closed = True
+        asyncio.get_running_loop().remove_reader(self._listener)
+
+    async def wait_closed(self) -> None:
+        """Nothing is accepted any more."""
+
+    def _accept(self) -> None:
+        # As many as are there: one in each turn of the loop would let a flood keep others waiting for seconds.
+        for _ in range(AT_ONCE):
+            try:
+                connection, address = self._listener.accept()
+            except (BlockingIOError, InterruptedError):
+                return
+            except OSError as error:
+                if error.errno in _EXHAUSTED:
+                    loop = asyncio.get_running_loop()
+                    loop.remove_reader(self._listener)
+                    loop.call_later(NO_FILES_S, self.begin)
+                    return
+                continue
+            connection.setblocking(False)
+            self._arrived(connection, str(address[0]))
+
+
+def _end(connection: socket.socket) -> None:
+    """Its transport, which may be shaking hands, finds it closed."""
+    with contextlib.suppress(OSError):
+        connection.shutdown(socket.SHUT_RDWR)
