@@ -121,7 +121,7 @@ class MapFile:
             self.submaps = tuple(_submap(row) for row in rows)
             flat = np.frombuffer(self._member(_DESCRIPTORS, MAX_JSON_BYTES), dtype="<f4")
             self.descriptors = flat.reshape(len(self.submaps), -1) if len(self.submaps) else flat.reshape(0, 0)
-        except (zipfile.BadZipFile, KeyError, TypeError, ValueError, NotImplementedError) as error:
+        except (zipfile.BadZipFile, KeyError, TypeError, ValueError, RuntimeError) as error:
             raise MalformedBody("the file is no map, or is cut off") from error
 
     @classmethod
