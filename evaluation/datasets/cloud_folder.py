@@ -1,4 +1,4 @@
-"""Any folder of clouds (.pcd, .ply, .bin, .npy) with a trajectory in TUM or KITTI format."""
+"""Any folder of clouds (.pcd, .ply, .bin, .npy) with a trajectory in TUM, KITTI or g2o format."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ from revisit.formats import decode_cloud, media_type_for_suffix
 SCAN_PERIOD_NS = 100_000_000
 _SUFFIXES = (".pcd", ".ply", ".bin", ".npy")
 _CLOUD_FOLDERS = ("clouds", "scans", "velodyne", ".")
-_POSE_FILES = ("poses.txt", "poses.tum", "trajectory.txt", "trajectory.tum", "traj.txt", "poses.kitti")
+_POSE_FILES = (
+    "poses.txt", "poses.tum", "trajectory.txt", "trajectory.tum", "traj.txt", "poses.kitti", "poses.g2o", "graph.g2o",
+)  # fmt: skip
 
 
 def open_cloud_folder(folder: Path) -> PosedClouds:
@@ -25,10 +27,16 @@ def open_cloud_folder(folder: Path) -> PosedClouds:
 
     Rows of 8 numbers are TUM (seconds, x, y, z, qx, qy, qz, qw), rows of 12 KITTI, without times 0.1 s apart. As many
     rows as clouds are taken one by one; else the names of the clouds must be their times (seconds with a point, or
-    nanoseconds, microseconds by their length) and TUM poses are interpolated. Raises FileNotFoundError, MalformedBody,
+    nanoseconds, microseconds by their length) and TUM poses are interpolated. Of a g2o file the vertices are taken by
+    their number, one for each cloud, 0.1 s apart; edges are not needed. Raises FileNotFoundError, MalformedBody,
     BadField, BadTransform.
     """
     name, files, poses = folder.resolve().name, _clouds(folder), _pose_file(folder)
+    if poses.suffix == ".g2o":
+        vertices = _g2o(poses)
+        if len(vertices) != len(files):
+            raise BadField(f"{poses.name} has {len(vertices)} vertices for {len(files)} clouds", field=poses.name)
+        return posed(name, files, vertices, _regular(len(vertices)), read_cloud)
     width = len(read_words(poses)[0]) if read_words(poses) else 0
     if width not in (8, 12):
         raise MalformedBody(f"{poses.name} must hold 8 (TUM) or 12 (KITTI) numbers a line, got {width}")
@@ -69,8 +77,28 @@ def _tum(file: Path, rows: NDArray[np.float64]) -> tuple[Stamps, NDArray[np.floa
 
 
 def _kitti(rows: NDArray[np.float64]) -> tuple[Stamps, NDArray[np.float64]]:
-    stamps = np.arange(len(rows), dtype=np.int64) * SCAN_PERIOD_NS
-    return stamps, np.stack([se3.validated(row.reshape(3, 4)) for row in rows])
+    return _regular(len(rows)), np.stack([se3.validated(row.reshape(3, 4)) for row in rows])
+
+
+def _regular(count: int) -> Stamps:
+    """Times of scans that come without."""
+    return np.arange(count, dtype=np.int64) * SCAN_PERIOD_NS
+
+
+def _g2o(file: Path) -> list[se3.Matrix4]:
+    """The poses of the vertices by their number: x, y, z and quaternion, or x, y and heading."""
+    found: dict[int, se3.Matrix4] = {}
+    for words in (line.split() for line in file.read_text(errors="replace").splitlines()):
+        try:
+            if words[:1] == ["VERTEX_SE3:QUAT"]:
+                x, y, z, *quaternion = (float(word) for word in words[2:9])
+                found[int(words[1])] = se3.from_quaternion(quaternion, (x, y, z))
+            elif words[:1] == ["VERTEX_SE2"]:
+                x, y, heading = (float(word) for word in words[2:5])
+                found[int(words[1])] = se3.from_yaw(heading, (x, y, 0.0))
+        except (ValueError, IndexError) as error:
+            raise MalformedBody(f"a vertex of {file.name} cannot be read: {' '.join(words)[:80]!r}") from error
+    return [found[number] for number in sorted(found)]
 
 
 def nanoseconds(seconds: str) -> int:

@@ -111,7 +111,15 @@ class AreaMap:
         self.close()
 
     def _entry(self, row: int, submap: FiledSubmap) -> IndexEntry:
-        return IndexEntry(row, self._sessions[submap.session], submap.ordinal, submap.T_map_submap[:3, 3])
+        # In its odometry, as in the service: what the index learns depends on which places lie near each other.
+        return IndexEntry(row, self._sessions[submap.session], submap.ordinal, submap.T_odom_submap[:3, 3])
+
+    def _near(self, position_m: tuple[float, float, float] | None, radius_m: float | None) -> frozenset[int] | None:
+        """The submaps within a radius of a position in the map; None for all."""
+        if position_m is None or radius_m is None:
+            return None
+        positions = np.array([one.T_map_submap[:3, 3] for one in self.file.submaps]).reshape(-1, 3)
+        return frozenset(np.flatnonzero(np.linalg.norm(positions - position_m, axis=1) <= radius_m).tolist())
 
     def _described(self, points: NDArray[np.floating], T_level_query: Matrix4 | None) -> DescribedPlace:
         cloud = np.ascontiguousarray(points, dtype=np.float32)
@@ -132,8 +140,7 @@ class AreaMap:
     ) -> list[Match]:
         where = SearchFilter(
             only_session=None if only_session is None else self._sessions.get(only_session, -1),
-            position=None if prior_position_m is None else np.asarray(prior_position_m, dtype=np.float64),
-            radius_m=radius_m,
+            allowed=self._near(prior_position_m, radius_m),
         )
         return [] if self._index is None else self._index.search(described.descriptor.vector, k, where)
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from revisit.cli.pose_graph_files import Graph
 
 TEXTS = ("g2o", "tum", "csv")
-FILES = ("kitti", "ply", "pcd", "mesh", "glb", "grid")
+FILES = ("kitti", "ply", "pcd", "laz", "mesh", "glb", "grid")
 
 Report = Callable[[str, int, int], None]
 
@@ -26,15 +26,17 @@ Report = Callable[[str, int, int], None]
 def export(
     map_id: MapName = "default",
     file_format: Annotated[
-        str, typer.Option("--format", help="g2o, tum, csv, kitti, ply or pcd (cloud), mesh (ply), glb (mesh) or grid.")
+        str,
+        typer.Option("--format", help="g2o, tum, csv, kitti, ply, pcd or laz (cloud), mesh (ply), glb (mesh) or grid."),
     ] = "g2o",
     session_id: Annotated[str, typer.Option("--session", help="Only this session; tum needs one.")] = "",
     out: Annotated[Path | None, typer.Option(help="File to write; g2o, tum and csv go to stdout by default.")] = None,
+    epsg: Annotated[int, typer.Option(min=0, help="laz: number of the reference system that the map is in.")] = 0,
     http: Http = HTTP,
     json: Json = False,
 ) -> None:
     """Write a map: pose graph (g2o), loops (csv), a session's odometry (tum), poses in the map (kitti), one cloud (ply,
-    pcd), one mesh (mesh, glb) or an occupancy grid (grid). Poses are those of the version in force, or else
+    pcd, laz), one mesh (mesh, glb) or an occupancy grid (grid). Poses are those of the version in force, or else
     optimised here.
     """
     if file_format not in TEXTS + FILES:
@@ -47,7 +49,7 @@ def export(
         if out is None or file_format in TEXTS:
             summary = _write_text(file_format, out, http, map_id, session_id)
         else:
-            summary = _write_file(file_format, out, http, map_id, session_id)
+            summary = _write_file(file_format, out, http, (map_id, session_id), epsg)
     except ModuleNotFoundError as error:
         raise refuse(what_is_missing("service", error)) from error
     if json and out is not None:
@@ -71,16 +73,17 @@ def _write_text(file_format: str, out: Path | None, http: str, map_id: str, sess
     return {"file": str(out), "submaps": sum(map(len, graph.tracks)), "loops": len(graph.loops)}
 
 
-def _write_file(file_format: str, out: Path, http: str, map_id: str, session_id: str) -> dict[str, Any]:
+def _write_file(file_format: str, out: Path, http: str, chosen: tuple[str, str], epsg: int) -> dict[str, Any]:
     """Poses, a cloud, a mesh or a grid, with a bar; what it holds."""
     from revisit.cli.map_files import placed_submaps
 
-    placed = placed_submaps(http, map_id, session_id)
+    placed = placed_submaps(http, *chosen)
     if not placed:
-        raise refuse(f"map {map_id} holds no submaps")
+        raise refuse(f"map {chosen[0]} holds no submaps")
     out.parent.mkdir(parents=True, exist_ok=True)
     with progress_bar(quiet=False) as bar:
-        counts = _WRITERS[file_format](out, http, placed, reporter(bar))
+        write = partial(_write_cloud, kind="laz", epsg=epsg) if file_format == "laz" else _WRITERS[file_format]
+        counts = write(out, http, placed, reporter(bar))
     return {"file": str(out), "submaps": len(placed), **counts}
 
 
@@ -94,12 +97,16 @@ def _write_kitti(out: Path, _http: str, placed: list[PlacedSubmap], _report: Rep
     return {}
 
 
-def _write_cloud(out: Path, http: str, placed: list[PlacedSubmap], report: Report, kind: str) -> dict[str, int]:
+def _write_cloud(
+    out: Path, http: str, placed: list[PlacedSubmap], report: Report, kind: str, epsg: int = 0
+) -> dict[str, int]:
     from revisit.cli.map_files import merged_cloud
-    from revisit.formats import pcd, ply
+    from revisit.formats import laz, pcd, ply
 
+    as_laz = partial(laz.encode, epsg=epsg or None)
+    writers: dict[str, Callable[[Any], bytes]] = {"ply": ply.encode, "pcd": pcd.encode, "laz": as_laz}
     points = merged_cloud(http, placed, report)
-    out.write_bytes((ply if kind == "ply" else pcd).encode(points))
+    out.write_bytes(writers[kind](points))
     return {"points": len(points)}
 
 

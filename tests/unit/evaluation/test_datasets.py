@@ -10,6 +10,8 @@ import pytest
 from revisit.core.errors import BadField, BadTransform, MalformedBody
 from revisit.core.geometry import se3
 from revisit.evaluation.datasets import KittiRecording, write_kitti
+from revisit.evaluation.datasets.cloud_folder import open_cloud_folder
+from revisit.formats import encode_npy
 
 
 def cloud(seed: int, count: int = 150) -> np.ndarray:
@@ -90,3 +92,21 @@ def test_damaged_text_files_are_refused_with_a_reason(
 def test_a_folder_without_scans_is_not_found(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         KittiRecording(tmp_path)
+
+
+def test_clouds_with_the_vertices_of_a_pose_graph_are_a_recording(tmp_path: Path) -> None:
+    points = np.random.default_rng(0).normal(size=(200, 3)).astype(np.float32)
+    for number in range(3):
+        (tmp_path / f"{number:03d}.npy").write_bytes(encode_npy(points + number))
+    lines = [f"VERTEX_SE3:QUAT {n} {4 * n} 1 0 0 0 0.6 0.8" for n in (2, 0, 1)]
+    (tmp_path / "graph.g2o").write_text("\n".join([*lines, "FIX 0", "EDGE_SE3:QUAT 0 1 not read"]))
+    recording = open_cloud_folder(tmp_path)
+    scans = [recording.scan(n) for n in range(len(recording))]
+    assert [scan.T_odom_sensor[0, 3] for scan in scans] == [0.0, 4.0, 8.0]
+    np.testing.assert_allclose(scans[1].T_odom_sensor, se3.from_yaw(2 * np.arcsin(0.6), (4.0, 0.0, 0.0)), atol=1e-12)
+    (tmp_path / "graph.g2o").write_text("\n".join(lines[:2]))
+    with pytest.raises(BadField, match="2 vertices for 3 clouds"):
+        open_cloud_folder(tmp_path)
+    (tmp_path / "graph.g2o").write_text("VERTEX_SE3:QUAT 0 1 2\n")
+    with pytest.raises(MalformedBody, match="cannot be read"):
+        open_cloud_folder(tmp_path)

@@ -1,0 +1,85 @@
+"""Clouds as LAZ 1.2 (compressed LAS), which surveying and GIS tools read; written only.
+
+Coordinates are kept to a millimetre. A map of one's own has no coordinate reference system; where its frame is that of
+a survey, the EPSG number says so.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.errors import BadField
+
+MEDIA_TYPE = "application/vnd.laszip"
+SCALE_M = 0.001
+
+_HEADER_BYTES, _POINT_BYTES = 227, 20
+_COMPRESSED = 0x80
+_GEO_KEYS = 34735
+_MODEL_PROJECTED, _PROJECTED_CRS = (1024, 0, 1, 1), 3072
+_EPSG = range(1024, 32767)
+_INT32 = np.iinfo(np.int32)
+
+
+def encode(points: NDArray[np.floating], epsg: int | None = None) -> bytes:
+    """A LAZ file of points (n, 3) in metres; `epsg` is the number of their projected reference system, 1024 to 32766.
+
+    Needs the package `lazrs`. Raises BadField for other shapes, for numbers that are not finite, for a cloud wider than
+    4,000 km and for another number of a system.
+    """
+    import lazrs
+
+    if points.ndim != 2 or points.shape[1] != 3 or not len(points) or not np.isfinite(points).all():
+        raise BadField("points must be (n, 3), finite, and at least one", field="points")
+    if epsg is not None and epsg not in _EPSG:
+        raise BadField("the EPSG number of a projected system is 1024 to 32766", field="epsg")
+    offset = np.floor(points.astype(np.float64).mean(axis=0))
+    rows, counts = _rows(points, offset)
+    packing = lazrs.LazVlr.new_for_compression(0, 0)
+    records = [] if epsg is None else [_record("LASF_Projection", _GEO_KEYS, _geo_keys(epsg))]
+    records.append(_record("laszip encoded", 22204, bytes(packing.record_data())))
+    header = _header(counts * SCALE_M + offset, len(points), offset, records)
+    stream = io.BytesIO()
+    stream.write(header + b"".join(records))
+    compressor = lazrs.LasZipCompressor(stream, packing)
+    compressor.compress_many(rows)
+    compressor.done()
+    return stream.getvalue()
+
+
+def _rows(points: NDArray[np.floating], offset: NDArray[np.float64]) -> tuple[bytes, NDArray[np.float64]]:
+    """The points as point records of format 0, and their coordinates (n, 3) in millimetres from `offset`."""
+    counts = np.round((points.astype(np.float64) - offset) / SCALE_M)
+    if np.abs(counts).max() > _INT32.max:
+        raise BadField("a LAZ file holds at most 4,000 km across", field="points")
+    rows = np.zeros(len(points), dtype=[("xyz", "<i4", 3), ("rest", "u1", _POINT_BYTES - 12)])
+    rows["xyz"] = counts
+    rows["rest"][:, 2] = 0b00001001  # the first return of one
+    return rows.tobytes(), counts
+
+
+def _header(stored: NDArray[np.float64], count: int, offset: NDArray[np.float64], records: list[bytes]) -> bytes:
+    """The public header block of LAS 1.2 for `count` points, of which `stored` (n, 3) are the coordinates."""
+    low, high = stored.min(axis=0), stored.max(axis=0)
+    start = _HEADER_BYTES + sum(map(len, records))
+    return struct.pack(
+        "<4sHH16sBB32s32sHHHIIBHI5I3d3d6d",
+        b"LASF", 0, 0, bytes(16), 1, 2, b"OTHER", b"revisit", 0, 0, _HEADER_BYTES, start, len(records),
+        _COMPRESSED, _POINT_BYTES, count, count, 0, 0, 0, 0, *[SCALE_M] * 3, *offset,
+        high[0], low[0], high[1], low[1], high[2], low[2],
+    )  # fmt: skip
+
+
+def _record(user: str, number: int, data: bytes) -> bytes:
+    """A variable length record."""
+    return struct.pack("<H16sHH32s", 0, user.encode(), number, len(data), b"") + data
+
+
+def _geo_keys(epsg: int) -> bytes:
+    """GeoTIFF keys: a projected system of this number, metres."""
+    keys = (_MODEL_PROJECTED, (_PROJECTED_CRS, 0, 1, epsg))
+    return struct.pack("<4H", 1, 1, 0, len(keys)) + b"".join(struct.pack("<4H", *key) for key in keys)
