@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import tempfile
 import time
 from contextlib import ExitStack
@@ -35,6 +34,7 @@ from revisit.evaluation.demo import (
     judge_map,
     portray,
 )
+from revisit.formats import DEFAULT_LIMITS, npy
 from revisit.sdk.client import Client
 from revisit.sdk.resources import LoopClosure, Submap
 
@@ -161,8 +161,7 @@ def _clouds(client: Client, pair: ClosingPair | None) -> PairClouds | None:
 
 
 def _points(client: Client, submap: str) -> NDArray[np.float32]:
-    table = np.load(io.BytesIO(client.download(submap, "npy")), allow_pickle=False)
-    return np.asarray(table[:, :3], dtype=np.float32)
+    return npy.decode(client.download(submap, "npy"), DEFAULT_LIMITS).points
 
 
 def _figure(driven: Drives, outcome: Outcome) -> DemoFigure:
