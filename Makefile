@@ -31,8 +31,10 @@ demo: $(STAMP) ## drive two simulated robots through a town; show and draw the l
 run: $(STAMP) ## run the service on this machine: HTTP, gRPC and workers
 	$(BIN)/revisit serve
 
+# A clean checkout has no compiled kernels: they are compiled once, beside the first tests, which need none.
 test: $(STAMP) ## run the tests, without the slow ones
-	$(PYTHON) -m pytest tests -m "not slow" -n 2 --dist loadfile
+	$(PYTHON) -c 'from revisit.service.adapters.core_recogniser import load_recogniser as load; load()' & \
+	$(PYTHON) -m pytest tests -m "not slow" -n 3 --dist loadfile --no-loadscope-reorder
 
 test-all: $(STAMP) ## run every test, in full size, and hold promises of time: for a machine that does nothing else
 	REVISIT_TEST_TIMES=1 REVISIT_SCHEMATHESIS_EXAMPLES=60 REVISIT_GRPC_EXAMPLES=40 REVISIT_FUZZ_EXAMPLES=100 \
@@ -52,7 +54,7 @@ generated: $(STAMP) ## check that the committed generated files are up to date
 check: lint types generated test ## run everything that a change must pass
 
 bench: $(STAMP) ## measure the product and compare with the committed baseline
-	$(BIN)/revisit bench
+	$(BIN)/revisit bench --check
 
 proto: $(STAMP) ## write the Python stubs of proto/
 	$(PYTHON) scripts/generated_files.py write proto

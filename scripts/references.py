@@ -27,7 +27,7 @@ ADVICE = {
     "METHOD_NOT_ALLOWED": "Check the method and the path.",
     "ALREADY_EXISTS": "Use another id: this one stands for other content. The same content again is no error.",
     "SESSION_FINISHED": "Begin a new session.",
-    "DESCRIPTOR_MODEL_MISMATCH": "Search with descriptors of the map's own model, or make a new map after an upgrade.",
+    "DESCRIPTOR_MODEL_MISMATCH": "Search with descriptors of the map's model. After an upgrade: `revisit reembed`.",
     "NOT_READY": "Wait for the submap's operation.",
     "SEQ_GAP": "Send the scan of `expected_seq` next; the SDK does so.",
     "STREAM_NOT_OPEN": "Send Open first, then scans only.",

@@ -18,9 +18,11 @@ import structlog
 from revisit.service import VERSION
 from revisit.service.access_rules import access_rules
 from revisit.service.adapters.clock import SystemClock
+from revisit.service.adapters.core_map_merger import CoreMapMerger
 from revisit.service.adapters.core_map_optimiser import CoreMapOptimiser
 from revisit.service.adapters.files.blobs import FileBlobStore
 from revisit.service.adapters.files.disk import Disk, FailStop
+from revisit.service.adapters.files.file_drafts import FileDrafts
 from revisit.service.adapters.files.filesystem import require_local
 from revisit.service.adapters.files.secret_files import SECRET_BYTES, kept_secret
 from revisit.service.adapters.sqlite.checkpoints import Checkpoints
@@ -38,6 +40,7 @@ from revisit.service.application.housekeeping.sweeping import sweep
 from revisit.service.application.housekeeping.system import WORKER_SEEN_WITHIN_MS
 from revisit.service.application.housekeeping.upkeep import Chore
 from revisit.service.application.push.deliveries import Deliveries
+from revisit.service.application.recognise.reembedding import Reembedding
 from revisit.service.settings import Settings
 from revisit.service.wire.webhook_body import webhook_body
 from revisit.service.worker.confinement import confine
@@ -59,6 +62,9 @@ DELIVER_WEBHOOKS_EVERY_S = 1.0
 
 PAGE_SECRET = "pages.key"
 """The file in the data folder that makes the tokens of pages good beyond a restart."""
+
+DRAFTS = "reembedding"
+"""The folder in the data folder of what `revisit reembed` has made so far."""
 
 STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
@@ -167,6 +173,17 @@ def offline_use_cases(settings: Settings) -> Iterator[UseCases]:
         installation.transactions.close()
 
 
+@contextmanager
+def offline_reembedding(settings: Settings) -> Iterator[Reembedding]:
+    """What brings maps to the installed model, on the database of a service that may or may not run."""
+    installation = build_installation(settings, gateway=False)
+    recogniser, drafts = load_recogniser(settings.recogniser), FileDrafts(settings.home / DRAFTS)
+    try:
+        yield Reembedding(installation.transactions, installation.blobs, installation.policy, recogniser, drafts)
+    finally:
+        installation.transactions.close()
+
+
 def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None) -> None:
     """Run one worker process until SIGTERM or SIGINT: at once while it loads, after its job later on."""
     for number in STOP_SIGNALS:
@@ -185,7 +202,12 @@ def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None
     limits = WorkerLimits(settings.jobs_per_worker, settings.worker_memory_mb * 2**20 * 3 // 4, settings.job_timeout_s)
     tracer = build_tracer(settings, "worker")
     worker = Worker(
-        installation, installation.recognition(recogniser, CoreMapOptimiser()), identity, stopping, limits, tracer
+        installation,
+        installation.recognition(recogniser, CoreMapOptimiser(), CoreMapMerger()),
+        identity,
+        stopping,
+        limits,
+        tracer,
     )
     try:
         worker.run()

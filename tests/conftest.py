@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from pathlib import Path
 
 import httpx
 import pytest
@@ -17,6 +18,19 @@ settings.load_profile("steady")
 _timeout = inspect.signature(httpx.Client).parameters["timeout"].default
 """What every call of httpx that names no limit shares."""
 _timeout.connect = _timeout.read = _timeout.write = _timeout.pool = PATIENCE_S
+
+
+TESTS = Path(__file__).parent
+FIRST = ("integration", "faults", "contract", "corpus")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files that wait for processes go first, so that nothing long is left for the end.
+
+    By the time the others need compiled kernels, `make test` has compiled them beside.
+    """
+    folders = [*FIRST, *sorted({item.path.relative_to(TESTS).parts[0] for item in items}.difference(FIRST))]
+    items.sort(key=lambda item: folders.index(item.path.relative_to(TESTS).parts[0]))
 
 
 @pytest.fixture(autouse=True)

@@ -1,12 +1,25 @@
 """Merging: neural maps of submaps that are placed to each other become one, and whether two of them may be at all.
 
-fused      one neural map out of several
-overlap    what the surfaces of two placed groups say of each other, and the verdict on joining them
+candidates  which submaps of two maps may show the same place
+joining     what the loops between two groups of sessions say of joining them
+overlap     what the surfaces of two placed groups say of each other, and the verdict on joining them
+changes     what vanished and what appeared between two days
+fused       one neural map out of several
 """
 
 from revisit.core.merge.fused import PlacedMap, merge_neural_maps
-from revisit.core.merge.overlap import MergeEvidence, MergeLimits, MergeRefusal, compare_surfaces, refusal
+from revisit.core.merge.overlap import (
+    MergeEvidence,
+    MergeLimits,
+    MergeRefusal,
+    compare_pairs,
+    compare_surfaces,
+    loops_refusal,
+    pairs_in_reach,
+    refusal,
+)
 
 __all__ = [
-    "MergeEvidence", "MergeLimits", "MergeRefusal", "PlacedMap", "compare_surfaces", "merge_neural_maps", "refusal",
+    "MergeEvidence", "MergeLimits", "MergeRefusal", "PlacedMap", "compare_pairs", "compare_surfaces", "loops_refusal",
+    "merge_neural_maps", "pairs_in_reach", "refusal",
 ]  # fmt: skip

@@ -7,12 +7,13 @@ looked through.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from revisit.core.geometry import se3
 from revisit.core.implicit_map.visibility import count_seen_through
@@ -43,10 +44,16 @@ class MergeLimits:
 
     loops: int = 3
     common_track_m: float = 10.0
-    rival_share: float = 0.5
+    rival_share: float = 0.25
     common_points: int = 1_000
     median_residual_m: float = 0.15
-    seen_through_share: float = 0.03
+    seen_through_share: float = 0.054
+
+    def scaled(self, scale: float) -> MergeLimits:
+        """The limits of a scene of another size: lengths times `scale`."""
+        return replace(
+            self, common_track_m=self.common_track_m * scale, median_residual_m=self.median_residual_m * scale
+        )
 
 
 @dataclass(frozen=True)
@@ -55,40 +62,85 @@ class MergeEvidence:
 
     common_points lie within a resolution of the other group's; residual_m is the median and far_share the share beyond
     half a resolution of their distance from its surface; seen_through_share is the larger of both directions' shares of
-    points, among those near the other's submaps, that it looked through.
+    points, among those near the other's submaps, that it looked through; overlap_share is that of common points among
+    the points of the submaps that were compared.
     """
 
     common_points: int
     residual_m: float
     far_share: float
     seen_through_share: float
+    overlap_share: float = 0.0
 
 
 def compare_surfaces(first: Sequence[PlacedMap], second: Sequence[PlacedMap]) -> MergeEvidence:
-    """The points of each group against the field and the free space of the other.
+    """The points of each group against the field and the free space of the other, every submap with every other."""
+    return compare_pairs((one, other) for one in first for other in second)
 
-    A submap is compared with those of the other group that reach it. Everything rests on neural points: rays are those
-    from the origin of a submap to its points.
+
+def compare_pairs(pairs: Iterable[tuple[PlacedMap, PlacedMap]]) -> MergeEvidence:
+    """The points of each submap of a pair against the field and the free space of the other one.
+
+    Everything rests on neural points: rays are those from the middle of a submap to its points.
     """
-    residuals, checked, through = [], [0, 0], [0, 0]
-    for direction, (of, against) in enumerate(((first, second), (second, first))):
-        for one in of:
-            for other in against:
-                positions = _seen_from(one, other)
-                values, nearest = other.neural_map.sdf(positions)
-                common = nearest < other.neural_map.config.resolution
-                residuals.append(np.abs(values[common]) * other.neural_map.frame.scale)
-                seen = _within_view(positions, other)
-                checked[direction] += int(seen.sum())
-                through[direction] += int(_looked_through(positions[seen], other).sum())
-    distances = np.concatenate(residuals) if residuals else np.zeros(0, np.float32)
-    half = 0.5 * first[0].neural_map.config.resolution * first[0].neural_map.frame.scale
+    residuals: list[NDArray[np.floating]] = [np.zeros(0)]
+    far, points = [0], 0
+    checked, through = [0, 0], [0, 0]
+    for pair in pairs:
+        for direction, (one, other) in enumerate((pair, pair[::-1])):
+            positions = seen_from(one, other)
+            values, nearest = other.neural_map.sdf(positions)
+            resolution, scale = other.neural_map.config.resolution, other.neural_map.frame.scale
+            common = np.abs(values[nearest < resolution])
+            residuals.append(common * scale)
+            far.append(int((common > 0.5 * resolution).sum()))
+            points += len(positions)
+            seen = _within_view(positions, other)
+            checked[direction] += int(seen.sum())
+            through[direction] += int(looked_through(positions[seen], other).sum())
+    distances = np.concatenate(residuals)
     return MergeEvidence(
         len(distances),
         float(np.median(distances)) if len(distances) else float("inf"),
-        float((distances > half).mean()) if len(distances) else 1.0,
+        sum(far) / len(distances) if len(distances) else 1.0,
         max(part / whole if whole else 0.0 for part, whole in zip(through, checked, strict=True)),
+        len(distances) / points if points else 0.0,
     )
+
+
+def pairs_in_reach(
+    first: NDArray[np.float64], second: NDArray[np.float64], reach_m: float, nearest: int = 2, most: int = 200
+) -> list[tuple[int, int]]:
+    """Which submaps at positions (n, 3) and (m, 3) to compare: of each the `nearest` of the other group within reach.
+
+    Of more than `most` pairs, so many that are spread evenly over all.
+    """
+    pairs = set[tuple[int, int]]()
+    for swapped, (ours, theirs) in enumerate(((first, second), (second, first))):
+        gaps, rows = cKDTree(theirs).query(ours, k=min(nearest, len(theirs)), distance_upper_bound=reach_m)
+        gaps, rows = gaps.reshape(len(ours), -1), rows.reshape(len(ours), -1)
+        for one, place in np.argwhere(np.isfinite(gaps)).tolist():
+            other = int(rows[one, place])
+            pairs.add((other, one) if swapped else (one, other))
+    ordered = sorted(pairs)
+    chosen = np.unique(np.linspace(0, len(ordered) - 1, most).round().astype(int)) if len(ordered) > most else None
+    return ordered if chosen is None else [ordered[row] for row in chosen]
+
+
+def loops_refusal(
+    loops: int, common_track_m: float, rival_loops: int, limits: MergeLimits = MergeLimits()
+) -> MergeRefusal | None:
+    """The first reason that the loops give against joining, None where there is none.
+
+    `loops` agree with the alignment and span `common_track_m`; `rival_loops` agree with another one.
+    """
+    reasons = (
+        (loops < limits.loops and rival_loops < limits.loops, MergeRefusal.TOO_FEW_LOOPS),
+        (rival_loops >= limits.rival_share * loops and rival_loops > 1, MergeRefusal.ALIGNMENTS_COMPETE),
+        (loops < limits.loops, MergeRefusal.TOO_FEW_LOOPS),
+        (common_track_m < limits.common_track_m, MergeRefusal.COMMON_TRACK_TOO_SHORT),
+    )
+    return next((reason for holds, reason in reasons if holds), None)
 
 
 def refusal(
@@ -98,22 +150,17 @@ def refusal(
     rival_loops: int = 0,
     limits: MergeLimits = MergeLimits(),
 ) -> MergeRefusal | None:
-    """The first reason against joining, None where there is none.
-
-    `loops` agree with the alignment and span `common_track_m`; `rival_loops` agree with another one.
-    """
+    """The first reason against joining, of the loops or of the surfaces, None where there is none."""
     reasons = (
-        (loops < limits.loops, MergeRefusal.TOO_FEW_LOOPS),
-        (common_track_m < limits.common_track_m, MergeRefusal.COMMON_TRACK_TOO_SHORT),
-        (rival_loops >= limits.rival_share * loops, MergeRefusal.ALIGNMENTS_COMPETE),
         (evidence.common_points < limits.common_points, MergeRefusal.OVERLAP_TOO_SMALL),
         (evidence.residual_m > limits.median_residual_m, MergeRefusal.SURFACES_DISAGREE),
         (evidence.seen_through_share > limits.seen_through_share, MergeRefusal.FREE_SPACE_VIOLATED),
     )
-    return next((reason for holds, reason in reasons if holds), None)
+    of_surfaces = next((reason for holds, reason in reasons if holds), None)
+    return loops_refusal(loops, common_track_m, rival_loops, limits) or of_surfaces
 
 
-def _seen_from(one: PlacedMap, other: PlacedMap) -> Array:
+def seen_from(one: PlacedMap, other: PlacedMap) -> Array:
     """The points (n, 3) of a map in the level frame of another one."""
     in_map = one.neural_map.frame.points_to_submap(one.neural_map.points.positions)
     T_other_one = se3.inverse(other.T_map_submap) @ one.T_map_submap
@@ -128,7 +175,7 @@ def _within_view(positions: Array, other: PlacedMap) -> NDArray[np.bool_]:
     return np.asarray(np.linalg.norm(positions, axis=1) < reach)
 
 
-def _looked_through(positions: Array, other: PlacedMap) -> NDArray[np.bool_]:
+def looked_through(positions: Array, other: PlacedMap) -> NDArray[np.bool_]:
     """Which positions (n, 3) lie before the points of a map in their direction, seen from its middle."""
     points, middle = other.neural_map.points.positions, np.zeros((1, 3), np.float32)
     index = np.zeros(len(points), np.int32)

@@ -2,9 +2,11 @@
 
 graph          trajectories and loops, and how much odometry drifts
 independence   how much of a loop its neighbours do not say already
+variance_factor how much too large a graph states its uncertainties
 consistency    sets of loops between two sessions that agree with each other
 support        loops within a session that its odometry allows and that others support
 placement      where sessions lie to each other before optimisation
+least_squares  Levenberg and Marquardt, graduated non-convexity
 optimisation   the most likely poses, and which loops they rest on
 warm_start     one loop more on poses that were found before
 g2o            graphs as text, for other tools

@@ -132,13 +132,17 @@ class LoopEdge:
 
 @dataclass(frozen=True)
 class PoseGraph:
-    """Sessions and loops, in an order of their own: the same content gives the same graph, bit for bit."""
+    """Sessions and loops, in an order of their own: the same content gives the same graph, bit for bit.
+
+    `anchors` names sessions, the most preferred first: that of a component gives its frame. None named, its first does.
+    """
 
     trajectories: tuple[Trajectory, ...]
     loops: tuple[LoopEdge, ...]
+    anchors: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, trajectories: list[Trajectory], loops: list[LoopEdge]) -> PoseGraph:
+    def of(cls, trajectories: list[Trajectory], loops: list[LoopEdge], anchors: tuple[str, ...] = ()) -> PoseGraph:
         """A graph in canonical order. Raises BadField where a loop names a submap that is not there, or itself."""
         ordered = tuple(sorted(trajectories, key=lambda one: one.session))
         lengths = {one.session: len(one) for one in ordered}
@@ -148,7 +152,7 @@ class PoseGraph:
                     raise BadField(f"loop {loop.name} names submap {node.ordinal} of {node.session}", field="loops")
             if loop.match == loop.query:
                 raise BadField(f"loop {loop.name} joins a submap with itself", field="loops")
-        return cls(ordered, tuple(sorted(loops, key=lambda one: (one.match, one.query, one.name))))
+        return cls(ordered, tuple(sorted(loops, key=lambda one: (one.match, one.query, one.name))), anchors)
 
     @cached_property
     def by_session(self) -> dict[str, Trajectory]:

@@ -25,7 +25,7 @@ def weighed(graph: PoseGraph, window_m: float) -> PoseGraph:
     for members in groups.values():
         for number, share in zip(members, _shares(graph, [loops[n] for n in members], window_m), strict=True):
             loops[number] = replace(loops[number], independent_share=float(share))
-    return PoseGraph(graph.trajectories, tuple(loops))
+    return replace(graph, loops=tuple(loops))
 
 
 def _shares(graph: PoseGraph, loops: list[LoopEdge], window_m: float) -> Array64:

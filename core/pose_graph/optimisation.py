@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from revisit.core.geometry import se3
 from revisit.core.pose_graph.consistency import ConsistentSet, consistent_sets
 from revisit.core.pose_graph.graph import LoopEdge, Node, PoseGraph, Trajectory
+from revisit.core.pose_graph.least_squares import graduated, minimise
 from revisit.core.pose_graph.placement import Component, place_sessions
 from revisit.core.pose_graph.support import LoopsWithin
+from revisit.core.pose_graph.variance_factor import rescaled, variance_factor
 
 Array64 = NDArray[np.float64]
 
@@ -25,6 +27,10 @@ WIDE_GATE = 100.0
 """Squared Mahalanobis distance beyond which a loop is set aside before the first exact solution."""
 
 MAX_GATINGS = 5
+
+MAX_SETTLING = 6
+SETTLED_STEP = 1e-7
+"""Length of a step of all poses together, metres and radians, after which they are where they belong."""
 
 MAX_VOUCHED = 100
 """Loops, at most, that are held against the covariances of the poses."""
@@ -82,17 +88,27 @@ class OptimisedGraph:
         return np.asarray(self.T_map_submap[trajectory.session][-1] @ se3.inverse(trajectory.T_odom_submap[-1]))
 
 
-def optimise(graph: PoseGraph, robustness: Robustness = Robustness.COMMIT) -> OptimisedGraph:
-    """Place the sessions by the loops that agree, optimise each component, set loops aside that do not fit."""
+def optimise(
+    graph: PoseGraph, robustness: Robustness = Robustness.COMMIT, told: Callable[[int, int], None] = lambda *_: None
+) -> OptimisedGraph:
+    """Place the sessions by the loops that agree, optimise each component, set loops aside that do not fit.
+
+    Uncertainties that small circles show to be far too large are reduced before (see `variance_factor`), but for PLAIN
+    and the other methods that are for comparison; covariances and distances in the answer rest on the reduced ones.
+    `told` hears how many of how many components are done, and may raise to end the work.
+    """
+    if robustness in (Robustness.ONLINE, Robustness.COMMIT):
+        graph = rescaled(graph, variance_factor(graph))
     sets, within = consistent_sets(graph), LoopsWithin.of(graph)
-    components = place_sessions(graph, sets)
+    components = [one.anchored(graph.anchors) for one in place_sessions(graph, sets)]
     trusted = Trusted.of(graph, sets, within)
     poses: dict[str, Array64] = {}
     covariances: dict[str, Array64] = {}
     chi2, degrees_of_freedom = 0.0, 0
     states = [LoopState.UNCONNECTED] * len(graph.loops)
     residuals = np.full(len(graph.loops), np.nan)
-    for component in components:
+    for done, component in enumerate(components):
+        told(done, len(components))
         problem = Problem.of(graph, component, trusted)
         solution, kept = _solve(problem, robustness)
         covariances.update(problem.covariances(solution, kept))
@@ -157,7 +173,7 @@ class Problem:
         factors = {n: _between(keys[loop.match], keys[loop.query], loop.T_match_query, noises[n])
                    for n, loop in loops.items()}  # fmt: skip
         return cls(
-            trajectories, keys, tuple(loops), trusted.among(loops), _step_factors(trajectories, keys),
+            trajectories, keys, tuple(loops), trusted.among(loops), _step_factors(trajectories, keys, component.anchor),
             factors, noises, loops, _start(trajectories, keys, component),
         )  # fmt: skip
 
@@ -185,14 +201,25 @@ class Problem:
             factors.add(_between(self.keys[loop.match], self.keys[loop.query], loop.T_match_query, noise))
         return factors
 
+    def weighted(self, loops: Sequence[int], weights: Array64) -> gtsam.NonlinearFactorGraph:
+        """The factors of the steps and of some loops, which weigh so much (l,), 0 to 1."""
+        factors = gtsam.NonlinearFactorGraph(self.steps)
+        for number, weight in zip(loops, weights, strict=True):
+            if weight == 1.0:
+                factors.add(self.loop_factors[number])
+            elif weight > 0.0:
+                factors.add(self.factor(self.edges[number], float(weight)))
+        return factors
+
     def residuals(self, values: gtsam.Values) -> Array64:
         """Squared Mahalanobis distance of every loop of the component."""
         return np.array([2.0 * self.loop_factors[number].error(values) for number in self.loops])
 
-    def factor(self, loop: LoopEdge) -> gtsam.NoiseModelFactor:
-        """The factor of a loop between submaps of the component."""
+    def factor(self, loop: LoopEdge, weight: float = 1.0) -> gtsam.NoiseModelFactor:
+        """The factor of a loop between submaps of the component, which counts `weight` times."""
         ends = self.keys[loop.match], self.keys[loop.query]
-        return _between(*ends, loop.T_match_query, _noise(loop.covariance_in_query / loop.independent_share))
+        covariance = loop.covariance_in_query / (weight * loop.independent_share)
+        return _between(*ends, loop.T_match_query, _noise(covariance))
 
     def covariances(self, values: gtsam.Values, kept: set[int]) -> dict[str, Array64]:
         """The marginal covariances (n, 6, 6) of the poses of each session, translations first."""
@@ -310,7 +337,8 @@ def _distance(problem: Problem, values: gtsam.Values, marginals: gtsam.Marginals
 def _regated(problem: Problem, values: gtsam.Values) -> tuple[gtsam.Values, set[int]]:
     """Whatever fits the poses by now is in the map, also loops that agreed with no others before."""
     kept = _within(problem, values, set(problem.loops), GATE)
-    return minimise(problem.graph(kept), values), kept
+    factors = problem.graph(kept)
+    return settled(factors, minimise(factors, values)), kept
 
 
 def _within(problem: Problem, values: gtsam.Values, usable: set[int], gate: float) -> set[int]:
@@ -319,30 +347,39 @@ def _within(problem: Problem, values: gtsam.Values, usable: set[int], gate: floa
 
 
 def _graduated(problem: Problem, usable: set[int]) -> gtsam.Values:
-    """Graduated non-convexity with truncated least squares: steps are known to be right, loops weigh 0 or 1."""
-    if not usable:
+    """Graduated non-convexity on some loops: steps are known to be right."""
+    numbers = sorted(usable)
+    if not numbers:
         return problem.start
-    params = gtsam.GncLMParams()
-    params.setLossType(gtsam.GncLossType.TLS)
-    params.setKnownInliers(list(range(problem.steps.size())))
-    optimiser = gtsam.GncLMOptimizer(problem.graph(usable), problem.start, params)
-    optimiser.setInlierCostThresholdsAtProbability(0.99)
-    return optimiser.optimize()
+    factors = [problem.loop_factors[number] for number in numbers]
+    return graduated(
+        lambda weights: problem.weighted(numbers, weights),
+        lambda values: np.array([factor.error(values) for factor in factors]),
+        problem.start,
+    )
 
 
-def minimise(factors: gtsam.NonlinearFactorGraph, start: gtsam.Values) -> gtsam.Values:
-    """The values of least cost near `start`, by Levenberg and Marquardt."""
-    params = gtsam.LevenbergMarquardtParams()
-    params.setMaxIterations(100)
-    params.setRelativeErrorTol(1e-9)
-    params.setAbsoluteErrorTol(1e-9)
-    return gtsam.LevenbergMarquardtOptimizer(factors, start, params).optimize()
+def settled(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
+    """The least cost itself, by Gauss-Newton steps from `values` near it: where it lies does not depend on the way
+    there. `values` where no step can be computed.
+    """
+    for _ in range(MAX_SETTLING):
+        try:
+            step = factors.linearize(values).optimize()
+        except RuntimeError:
+            return values
+        values = values.retract(step)
+        if step.norm() < SETTLED_STEP:
+            break
+    return values
 
 
-def _step_factors(trajectories: tuple[Trajectory, ...], keys: dict[Node, int]) -> gtsam.NonlinearFactorGraph:
-    """The first submap of the component held fast, and every step of the odometry."""
+def _step_factors(
+    trajectories: tuple[Trajectory, ...], keys: dict[Node, int], anchor_session: str
+) -> gtsam.NonlinearFactorGraph:
+    """The first submap of one session held fast, and every step of the odometry."""
     factors = gtsam.NonlinearFactorGraph()
-    first = trajectories[0]
+    first = next(one for one in trajectories if one.session == anchor_session)
     anchor = gtsam.noiseModel.Isotropic.Sigma(6, _ANCHOR_SIGMA)
     factors.add(gtsam.PriorFactorPose3(keys[Node(first.session, 0)], gtsam.Pose3(first.T_odom_submap[0]), anchor))
     for one in trajectories:

@@ -23,6 +23,20 @@ class Component:
 
     T_map_odom: dict[str, se3.Matrix4]
 
+    @property
+    def anchor(self) -> str:
+        """The session whose odometry frame is that of the component."""
+        return next(iter(self.T_map_odom))
+
+    def anchored(self, preferred: tuple[str, ...]) -> Component:
+        """The same in the frame of the first session of it that `preferred` names; as it is where none is named."""
+        anchor = next((session for session in preferred if session in self.T_map_odom), self.anchor)
+        if anchor == self.anchor:
+            return self
+        T_anchor_map = se3.inverse(self.T_map_odom[anchor])
+        others = {session: T_anchor_map @ T for session, T in self.T_map_odom.items() if session != anchor}
+        return Component({anchor: np.eye(4), **others})
+
 
 def place_sessions(graph: PoseGraph, sets: list[ConsistentSet], min_loops: int = MIN_LOOPS) -> list[Component]:
     """The connected components; a session that nothing joins is one of its own.

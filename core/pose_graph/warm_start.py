@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.pose_graph.graph import LoopEdge, PoseGraph
-from revisit.core.pose_graph.optimisation import GATE, LoopState, OptimisedGraph, Problem, minimise, poses_of
+from revisit.core.pose_graph.least_squares import minimise
+from revisit.core.pose_graph.optimisation import GATE, LoopState, OptimisedGraph, Problem, poses_of
 
 Array64 = NDArray[np.float64]
 

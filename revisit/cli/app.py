@@ -20,9 +20,11 @@ from revisit.cli import (
     inspect,
     keys,
     maps,
+    merging,
     operations,
     optimise,
     queries,
+    reembed,
     serve,
     spool,
     watch,
@@ -48,8 +50,9 @@ def _version(wanted: bool) -> None:
 
 COMMANDS = (
     serve.serve, serve.worker, serve.migrate, inspect.inspect, ingest.ingest, spool.spool, queries.query,
-    queries.loops, watch.watch, explain.explain, export.export, optimise.optimise, demo.demo, evaluate.evaluate,
-    doctor.doctor, backup.backup, backup.restore, backup.scrub,
+    queries.loops, watch.watch, explain.explain, export.export, optimise.optimise, merging.merge, demo.demo,
+    evaluate.evaluate, doctor.doctor, reembed.reembed, backup.backup, backup.restore,
+    backup.scrub,
 )  # fmt: skip
 GROUPS = {
     "map": maps.group,

@@ -9,17 +9,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from revisit.cli import map_versions
+from revisit.cli.merging import show_changes
 from revisit.cli.options import HTTP, Http, Json, MapName
-from revisit.cli.output import emit_json, emit_table, progress_bar, refuse, say, utc
+from revisit.cli.output import emit_json, emit_table, refuse, say, utc
+from revisit.cli.waiting import waited
 
 if TYPE_CHECKING:
     from revisit.sdk.client import Client
-    from revisit.sdk.resources import Correction, LoopClosure, MapVersion, Operation
-
-LOOK_S = 1.0
-"""How often a person sees how an optimisation stands."""
+    from revisit.sdk.resources import Correction, LoopClosure, MapMerge, MapVersion
 
 group = typer.Typer(help="Make one map out of many sessions: optimise it, look at it, go back.", no_args_is_help=True)
+group.command("save")(map_versions.save)
+group.command("check")(map_versions.check)
+group.command("diff")(map_versions.diff)
+group.command("localise")(map_versions.localise)
 
 
 @group.command("status")
@@ -52,7 +56,7 @@ def optimise(map_id: MapName = "default", http: Http = HTTP, json: Json = False)
     from revisit.sdk.client import Client
 
     with Client(http) as client:
-        done = _waited(client, client.optimise_map(f"maps/{map_id}"), quiet=json)
+        done = waited(client, client.optimise_map(f"maps/{map_id}"), quiet=json)
         result = done.result or {}
         if "version" not in result:
             raise refuse(f"map {map_id} has no new version: {result.get('outcome', done.state)}")
@@ -94,18 +98,64 @@ def revert(
         _show([restored])
 
 
-def _waited(client: Client, operation: Operation, *, quiet: bool) -> Operation:
-    """The operation once it is done, with its state on stderr meanwhile."""
-    with progress_bar(quiet) as bar:
-        task = bar.add_task("QUEUED", total=1)
-        while True:
-            try:
-                done = client.wait(operation, LOOK_S)
-            except TimeoutError:
-                bar.update(task, description=client.get_operation(operation.name).state)
-                continue
-            bar.update(task, description="DONE", completed=1)
-            return done
+@group.command("merges")
+def merges(map_id: MapName = "default", http: Http = HTTP, json: Json = False) -> None:
+    """List what was merged into a map."""
+    from revisit.sdk.client import Client
+
+    with Client(http) as client:
+        found = client.map_merges(f"maps/{map_id}")
+    if json:
+        emit_json([asdict(merge) for merge in found])
+    else:
+        _show_merges(found)
+
+
+@group.command("changes")
+def changes(map_id: MapName = "default", http: Http = HTTP, json: Json = False) -> None:
+    """List what vanished and what appeared between the days of a map, by its last merge that holds."""
+    from revisit.sdk.client import Client
+
+    with Client(http) as client:
+        held = [merge for merge in client.map_merges(f"maps/{map_id}") if merge.reverted_at_ns is None]
+    if not held:
+        raise refuse(f"nothing was merged into map {map_id}")
+    if json:
+        emit_json([asdict(change) for change in held[-1].changes])
+    else:
+        show_changes(list(held[-1].changes))
+
+
+@group.command("unmerge")
+def unmerge(map_id: MapName = "default", http: Http = HTTP, json: Json = False) -> None:
+    """Take the last merge into a map back: its copies are deleted, the poses from before it come back."""
+    from revisit.sdk.client import Client
+
+    with Client(http) as client:
+        held = [merge for merge in client.map_merges(f"maps/{map_id}") if merge.reverted_at_ns is None]
+        if not held:
+            raise refuse(f"nothing was merged into map {map_id}")
+        reverted = client.revert_merge(held[-1])
+    if json:
+        emit_json(asdict(reverted))
+    else:
+        _show_merges([reverted])
+
+
+def _show_merges(found: list[MapMerge]) -> None:
+    rows = [
+        (
+            one.name.rpartition("/")[2],
+            one.source,
+            utc(one.created_at_ns),
+            one.version,
+            len(one.sessions),
+            len(one.changes),
+            "" if one.reverted_at_ns is None else utc(one.reverted_at_ns),
+        )
+        for one in found
+    ]
+    emit_table("Merges", ("merge", "of", "made", "version", "sessions", "changes", "taken back"), rows)
 
 
 def _corrections(client: Client, map_name: str) -> dict[str, Correction | None]:

@@ -52,6 +52,15 @@ def retry(
         _emit([client.retry_operation(name) for name in chosen], json)
 
 
+@group.command("cancel")
+def cancel(name: Annotated[str, typer.Argument(help="Its id.")], http: Http = HTTP, json: Json = False) -> None:
+    """End an operation that optimises or merges maps: at once where it waits, else at its next step."""
+    from revisit.sdk.client import Client
+
+    with Client(http) as client:
+        _emit([client.cancel_operation(f"operations/{name.removeprefix('operations/')}")], json)
+
+
 def _emit(operations: list[Operation], as_json: bool) -> None:
     if as_json:
         emit_json([asdict(operation) for operation in operations])

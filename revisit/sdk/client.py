@@ -29,6 +29,7 @@ from revisit.sdk.resources import (
     LoopKeypoints,
     LoopPolicy,
     Map,
+    MapMerge,
     MapVersion,
     Operation,
     Robot,
@@ -448,6 +449,41 @@ class Client:
     def revert_map(self, map_: str | Map, version: int) -> MapVersion:
         """Bring back the poses of an earlier version, bit for bit, as a new version."""
         return MapVersion.of(self._transport.revert_map(_name(map_), version))
+
+    def merge_map(
+        self,
+        map_: str | Map,
+        source: str | Map | Session,
+        *,
+        validate_only: bool = False,
+        T_map_source: Any = None,
+        radius_m: float | None = None,
+    ) -> Operation:
+        """Merge `source`, another map or a session of it, into a map: the operation whose end is a new version.
+
+        Its result has `verdict` MERGED, REFUSED (with `refusal`) or, with `validate_only`, MERGEABLE, and alignment and
+        evidence. `T_map_source` (4, 4) is roughly where the frame of the source lies in that of the map.
+        """
+        fields = {"name": _name(map_), "source": _name(source), "validate_only": validate_only, "radius_m": radius_m}
+        near = {} if T_map_source is None else {"t_map_source": _pose(T_map_source, "T_map_source")}
+        return Operation.of(self._transport.merge_map(request_of(mapping_pb2.MergeMapRequest, {**fields, **near})))
+
+    def map_merges(self, map_: str | Map) -> list[MapMerge]:
+        """The merges into a map, oldest first, with what changed between the days."""
+        request = mapping_pb2.ListMapMergesRequest(parent=_name(map_))
+        return [MapMerge.of(item) for item in self._transport.list("merges", request)]
+
+    def get_map_merge(self, name: str) -> MapMerge:
+        """Get `maps/{map}/merges/{merge}`."""
+        return MapMerge.of(self._transport.get(name))
+
+    def revert_merge(self, merge: str | MapMerge) -> MapMerge:
+        """Take the last merge into a map back: its copies are deleted, the poses from before it come back."""
+        return MapMerge.of(self._transport.revert_merge(_name(merge)))
+
+    def cancel_operation(self, operation: str | Operation) -> Operation:
+        """End an operation that optimises or merges maps, at once or at its next step; it changes nothing then."""
+        return Operation.of(self._transport.cancel_operation(_name(operation)))
 
     def correction(self, session: str | Session) -> Correction:
         """Where the odometry frame of a session lies in the map.

@@ -63,6 +63,7 @@ _STUBS: dict[str, Any] = {
     "submaps": submap_pb2_grpc.SubmapServiceStub,
     "events": loop_closure_pb2_grpc.LoopClosureServiceStub,
     "versions": mapping_pb2_grpc.MappingServiceStub,
+    "merges": mapping_pb2_grpc.MappingServiceStub,
     "poses": mapping_pb2_grpc.MappingServiceStub,
     "webhooks": webhook_pb2_grpc.WebhookServiceStub,
     "operations": operation_pb2_grpc.OperationServiceStub,
@@ -75,6 +76,7 @@ _MODULES: dict[str, Any] = {
     "submaps": submap_pb2,
     "events": loop_closure_pb2,
     "versions": mapping_pb2,
+    "merges": mapping_pb2,
     "poses": mapping_pb2,
     "webhooks": webhook_pb2,
     "operations": operation_pb2,
@@ -234,6 +236,23 @@ class GrpcTransport:
         request = request_of(mapping_pb2.RevertMapRequest, {"name": name, "version": version})
         restored: mapping_pb2.MapVersion = self._answer(_STUBS["versions"], "RevertMap", request).map_version
         return restored
+
+    def merge_map(self, request: mapping_pb2.MergeMapRequest) -> operation_pb2.Operation:
+        """See Transport."""
+        operation: operation_pb2.Operation = self._answer(_STUBS["merges"], "MergeMap", request).operation
+        return operation
+
+    def revert_merge(self, name: str) -> mapping_pb2.MapMerge:
+        """See Transport."""
+        request = mapping_pb2.RevertMapMergeRequest(name=name)
+        reverted: mapping_pb2.MapMerge = self._answer(_STUBS["merges"], "RevertMapMerge", request).map_merge
+        return reverted
+
+    def cancel_operation(self, name: str) -> operation_pb2.Operation:
+        """See Transport."""
+        request = operation_pb2.CancelOperationRequest(name=name)
+        operation: operation_pb2.Operation = self._answer(_STUBS["operations"], "CancelOperation", request).operation
+        return operation
 
     def correction(self, session: str) -> mapping_pb2.Correction:
         """See Transport."""

@@ -44,6 +44,7 @@ COLLECTIONS = {
         loop_closure_pb2.LoopClosureEvent, "loop_closure_event", loop_closure_pb2.ListLoopClosureEventsResponse
     ),
     "versions": Collection(mapping_pb2.MapVersion, "map_version", mapping_pb2.ListMapVersionsResponse),
+    "merges": Collection(mapping_pb2.MapMerge, "map_merge", mapping_pb2.ListMapMergesResponse),
     "poses": Collection(mapping_pb2.SubmapPose, "submap_pose", mapping_pb2.ListSubmapPosesResponse),
     "operations": Collection(operation_pb2.Operation, "operation", operation_pb2.ListOperationsResponse),
     "webhooks": Collection(webhook_pb2.Webhook, "webhook", webhook_pb2.ListWebhooksResponse),

@@ -170,6 +170,7 @@ class Operation:
     """Work that goes on after the answer; `result` once DONE, `failure_reason` once FAILED.
 
     `seq` is that of the submap, where `post_submap` returned the operation: the `min_seq` of a query that must see it.
+    `progress` is there while it optimises or merges maps; `cancel_requested` says that it is asked to end.
     """
 
     name: str
@@ -181,6 +182,8 @@ class Operation:
     failure_reason: str | None
     failure_message: str | None
     seq: int | None = field(default=None, compare=False)
+    progress: OperationProgress | None = field(default=None, compare=False)
+    cancel_requested: bool = field(default=False, compare=False)
 
     @property
     def done(self) -> bool:
@@ -199,7 +202,23 @@ class Operation:
             result=_json(message, "result"),
             failure_reason=message.failure.reason or None,
             failure_message=message.failure.message or None,
+            progress=OperationProgress.of(message.progress) if message.HasField("progress") else None,
+            cancel_requested=message.cancel_requested,
         )
+
+
+@dataclass(frozen=True)
+class OperationProgress:
+    """How far an operation has come: `done` of `total` parts of a stage."""
+
+    stage: str
+    done: int
+    total: int
+
+    @classmethod
+    def of(cls, message: operation_pb2.OperationProgress) -> Self:
+        """From its message."""
+        return cls(message.stage, message.done, message.total)
 
 
 @dataclass(frozen=True)
@@ -434,6 +453,64 @@ class LoopClosureEvent:
             map_version=message.map_version or None,
             details=_json(message, "details") or {},
             at_ns=message.at_ns,
+        )
+
+
+@dataclass(frozen=True)
+class MapChange:
+    """Something that one day has and the other has not: `kind` VANISHED or APPEARED.
+
+    A box along the axes of the map's frame: centre and extent (3,) in metres, around so many neural `points`.
+    """
+
+    kind: str
+    centre_m: tuple[float, float, float]
+    extent_m: tuple[float, float, float]
+    points: int
+
+    @classmethod
+    def of(cls, message: mapping_pb2.MapChange) -> Self:
+        """From its message."""
+        centre, extent = message.centre_m, message.extent_m
+        return cls(
+            kind=_word(message, "kind"),
+            centre_m=(centre.x, centre.y, centre.z),
+            extent_m=(extent.x, extent.y, extent.z),
+            points=message.points,
+        )
+
+
+@dataclass(frozen=True)
+class MapMerge:
+    """A merge into a map: `source` was copied as `sessions`, version `version_before` became `version`.
+
+    `report` has alignment and evidence; `changes` are what vanished since the map was made, and what appeared;
+    `reverted_at_ns` is there once it was taken back.
+    """
+
+    name: str
+    source: str
+    version_before: int
+    version: int
+    sessions: tuple[str, ...]
+    report: dict[str, Any] = field(compare=False)
+    changes: tuple[MapChange, ...]
+    created_at_ns: int
+    reverted_at_ns: int | None
+
+    @classmethod
+    def of(cls, message: mapping_pb2.MapMerge) -> Self:
+        """From its message."""
+        return cls(
+            name=message.name,
+            source=message.source,
+            version_before=message.version_before,
+            version=message.version,
+            sessions=tuple(message.sessions),
+            report=_json(message, "report") or {},
+            changes=tuple(MapChange.of(one) for one in message.changes),
+            created_at_ns=message.created_at_ns,
+            reverted_at_ns=_optional(message, "reverted_at_ns"),
         )
 
 

@@ -201,6 +201,23 @@ class RestTransport:
         """See Transport."""
         return self._message(mapping_pb2.MapVersion, "POST", f"{_path(name)}:revert", json={"version": version})
 
+    def merge_map(self, request: mapping_pb2.MergeMapRequest) -> operation_pb2.Operation:
+        """See Transport."""
+        body = {"source": request.source, "validate_only": request.validate_only}
+        if request.HasField("t_map_source"):
+            body["T_map_source"] = _pose_text(request.t_map_source)
+        if request.HasField("radius_m"):
+            body["radius_m"] = request.radius_m
+        return self._message(operation_pb2.Operation, "POST", f"{_path(request.name)}:merge", json=body)
+
+    def revert_merge(self, name: str) -> mapping_pb2.MapMerge:
+        """See Transport."""
+        return self._message(mapping_pb2.MapMerge, "POST", f"{_path(name)}:revert")
+
+    def cancel_operation(self, name: str) -> operation_pb2.Operation:
+        """See Transport."""
+        return self._message(operation_pb2.Operation, "POST", f"{_path(name)}:cancel")
+
     def correction(self, session: str) -> mapping_pb2.Correction:
         """See Transport."""
         return self._message(mapping_pb2.Correction, "GET", f"{_path(session)}:correction")

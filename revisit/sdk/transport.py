@@ -185,6 +185,18 @@ class Transport(Protocol):
         """Bring an earlier version of a map back."""
         ...
 
+    def merge_map(self, request: mapping_pb2.MergeMapRequest) -> operation_pb2.Operation:
+        """Queue a merge into a map."""
+        ...
+
+    def revert_merge(self, name: str) -> mapping_pb2.MapMerge:
+        """Take a merge back."""
+        ...
+
+    def cancel_operation(self, name: str) -> operation_pb2.Operation:
+        """End an operation that optimises or merges maps."""
+        ...
+
     def correction(self, session: str) -> mapping_pb2.Correction:
         """Where the odometry frame of a session lies in the map."""
         ...

@@ -24,51 +24,74 @@ _sym_db = _symbol_database.Default()
 
 from revisit.v1 import geometry_pb2 as revisit_dot_v1_dot_geometry__pb2
 from revisit.v1 import operation_pb2 as revisit_dot_v1_dot_operation__pb2
+from google.protobuf import struct_pb2 as google_dot_protobuf_dot_struct__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x18revisit/v1/mapping.proto\x12\nrevisit.v1\x1a\x19revisit/v1/geometry.proto\x1a\x1arevisit/v1/operation.proto\"\xc4\x01\n\nMapVersion\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0f\n\x07version\x18\x02 \x01(\x04\x12\x10\n\x08in_force\x18\x03 \x01(\x08\x12\x15\n\rrestored_from\x18\x04 \x01(\x04\x12\x14\n\x0c\x63ontent_hash\x18\x05 \x01(\t\x12\x11\n\toperation\x18\x06 \x01(\t\x12\x15\n\rcreated_at_ns\x18\x07 \x01(\x03\x12.\n\x07summary\x18\x08 \x01(\x0b\x32\x1d.revisit.v1.MapVersionSummary\"\x94\x02\n\x11MapVersionSummary\x12\x10\n\x08sessions\x18\x01 \x01(\r\x12\x0f\n\x07submaps\x18\x02 \x01(\r\x12\x0e\n\x06\x66rames\x18\x03 \x01(\r\x12\x14\n\x0cloops_in_map\x18\x04 \x01(\r\x12\x17\n\x0floops_set_aside\x18\x05 \x01(\r\x12\x19\n\x11loops_unconnected\x18\x06 \x01(\r\x12\x0c\n\x04\x63hi2\x18\x07 \x01(\x01\x12\x1a\n\x12\x64\x65grees_of_freedom\x18\x08 \x01(\r\x12\x1a\n\rmean_change_m\x18\t \x01(\x01H\x00\x88\x01\x01\x12\x19\n\x0cmax_change_m\x18\n \x01(\x01H\x01\x88\x01\x01\x42\x10\n\x0e_mean_change_mB\x0f\n\r_max_change_m\"l\n\nSubmapPose\x12\x0e\n\x06submap\x18\x01 \x01(\t\x12+\n\x0ct_map_submap\x18\x02 \x01(\x0b\x32\x15.revisit.v1.Transform\x12\r\n\x05\x66rame\x18\x03 \x01(\t\x12\x12\n\ncovariance\x18\x04 \x03(\x02\"\x97\x01\n\nCorrection\x12\x0f\n\x07session\x18\x01 \x01(\t\x12)\n\nt_map_odom\x18\x02 \x01(\x0b\x32\x15.revisit.v1.Transform\x12\r\n\x05\x66rame\x18\x03 \x01(\t\x12\x13\n\x0bmap_version\x18\x04 \x01(\x04\x12\x12\n\ncovariance\x18\x05 \x03(\x02\x12\x15\n\rcreated_at_ns\x18\x06 \x01(\x03\"\"\n\x12OptimiseMapRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"O\n\x13OptimiseMapResponse\x12(\n\toperation\x18\x01 \x01(\x0b\x32\x15.revisit.v1.Operation\x12\x0e\n\x06replay\x18\x02 \x01(\x08\"O\n\x16ListMapVersionsRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\x05\x12\x12\n\npage_token\x18\x03 \x01(\t\"`\n\x17ListMapVersionsResponse\x12,\n\x0cmap_versions\x18\x01 \x03(\x0b\x32\x16.revisit.v1.MapVersion\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"$\n\x14GetMapVersionRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"D\n\x15GetMapVersionResponse\x12+\n\x0bmap_version\x18\x01 \x01(\x0b\x32\x16.revisit.v1.MapVersion\"O\n\x16ListSubmapPosesRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\x05\x12\x12\n\npage_token\x18\x03 \x01(\t\"`\n\x17ListSubmapPosesResponse\x12,\n\x0csubmap_poses\x18\x01 \x03(\x0b\x32\x16.revisit.v1.SubmapPose\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"1\n\x10RevertMapRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0f\n\x07version\x18\x02 \x01(\x04\"@\n\x11RevertMapResponse\x12+\n\x0bmap_version\x18\x01 \x01(\x0b\x32\x16.revisit.v1.MapVersion\"$\n\x14GetCorrectionRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"C\n\x15GetCorrectionResponse\x12*\n\ncorrection\x18\x01 \x01(\x0b\x32\x16.revisit.v1.Correction\"I\n\x17WatchCorrectionsRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\r\n\x05\x61\x66ter\x18\x02 \x01(\x04\x12\x0f\n\x07session\x18\x03 \x01(\t\"F\n\x18WatchCorrectionsResponse\x12*\n\ncorrection\x18\x01 \x01(\x0b\x32\x16.revisit.v1.Correction2\xef\x04\n\x0eMappingService\x12N\n\x0bOptimiseMap\x12\x1e.revisit.v1.OptimiseMapRequest\x1a\x1f.revisit.v1.OptimiseMapResponse\x12Z\n\x0fListMapVersions\x12\".revisit.v1.ListMapVersionsRequest\x1a#.revisit.v1.ListMapVersionsResponse\x12T\n\rGetMapVersion\x12 .revisit.v1.GetMapVersionRequest\x1a!.revisit.v1.GetMapVersionResponse\x12Z\n\x0fListSubmapPoses\x12\".revisit.v1.ListSubmapPosesRequest\x1a#.revisit.v1.ListSubmapPosesResponse\x12H\n\tRevertMap\x12\x1c.revisit.v1.RevertMapRequest\x1a\x1d.revisit.v1.RevertMapResponse\x12T\n\rGetCorrection\x12 .revisit.v1.GetCorrectionRequest\x1a!.revisit.v1.GetCorrectionResponse\x12_\n\x10WatchCorrections\x12#.revisit.v1.WatchCorrectionsRequest\x1a$.revisit.v1.WatchCorrectionsResponse0\x01\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x18revisit/v1/mapping.proto\x12\nrevisit.v1\x1a\x19revisit/v1/geometry.proto\x1a\x1arevisit/v1/operation.proto\x1a\x1cgoogle/protobuf/struct.proto\"\xc4\x01\n\nMapVersion\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0f\n\x07version\x18\x02 \x01(\x04\x12\x10\n\x08in_force\x18\x03 \x01(\x08\x12\x15\n\rrestored_from\x18\x04 \x01(\x04\x12\x14\n\x0c\x63ontent_hash\x18\x05 \x01(\t\x12\x11\n\toperation\x18\x06 \x01(\t\x12\x15\n\rcreated_at_ns\x18\x07 \x01(\x03\x12.\n\x07summary\x18\x08 \x01(\x0b\x32\x1d.revisit.v1.MapVersionSummary\"\x94\x02\n\x11MapVersionSummary\x12\x10\n\x08sessions\x18\x01 \x01(\r\x12\x0f\n\x07submaps\x18\x02 \x01(\r\x12\x0e\n\x06\x66rames\x18\x03 \x01(\r\x12\x14\n\x0cloops_in_map\x18\x04 \x01(\r\x12\x17\n\x0floops_set_aside\x18\x05 \x01(\r\x12\x19\n\x11loops_unconnected\x18\x06 \x01(\r\x12\x0c\n\x04\x63hi2\x18\x07 \x01(\x01\x12\x1a\n\x12\x64\x65grees_of_freedom\x18\x08 \x01(\r\x12\x1a\n\rmean_change_m\x18\t \x01(\x01H\x00\x88\x01\x01\x12\x19\n\x0cmax_change_m\x18\n \x01(\x01H\x01\x88\x01\x01\x42\x10\n\x0e_mean_change_mB\x0f\n\r_max_change_m\"l\n\nSubmapPose\x12\x0e\n\x06submap\x18\x01 \x01(\t\x12+\n\x0ct_map_submap\x18\x02 \x01(\x0b\x32\x15.revisit.v1.Transform\x12\r\n\x05\x66rame\x18\x03 \x01(\t\x12\x12\n\ncovariance\x18\x04 \x03(\x02\"\x97\x01\n\nCorrection\x12\x0f\n\x07session\x18\x01 \x01(\t\x12)\n\nt_map_odom\x18\x02 \x01(\x0b\x32\x15.revisit.v1.Transform\x12\r\n\x05\x66rame\x18\x03 \x01(\t\x12\x13\n\x0bmap_version\x18\x04 \x01(\x04\x12\x12\n\ncovariance\x18\x05 \x03(\x02\x12\x15\n\rcreated_at_ns\x18\x06 \x01(\x03\"\"\n\x12OptimiseMapRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"O\n\x13OptimiseMapResponse\x12(\n\toperation\x18\x01 \x01(\x0b\x32\x15.revisit.v1.Operation\x12\x0e\n\x06replay\x18\x02 \x01(\x08\"O\n\x16ListMapVersionsRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\x05\x12\x12\n\npage_token\x18\x03 \x01(\t\"`\n\x17ListMapVersionsResponse\x12,\n\x0cmap_versions\x18\x01 \x03(\x0b\x32\x16.revisit.v1.MapVersion\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"$\n\x14GetMapVersionRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"D\n\x15GetMapVersionResponse\x12+\n\x0bmap_version\x18\x01 \x01(\x0b\x32\x16.revisit.v1.MapVersion\"O\n\x16ListSubmapPosesRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\x05\x12\x12\n\npage_token\x18\x03 \x01(\t\"`\n\x17ListSubmapPosesResponse\x12,\n\x0csubmap_poses\x18\x01 \x03(\x0b\x32\x16.revisit.v1.SubmapPose\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"1\n\x10RevertMapRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0f\n\x07version\x18\x02 \x01(\x04\"@\n\x11RevertMapResponse\x12+\n\x0bmap_version\x18\x01 \x01(\x0b\x32\x16.revisit.v1.MapVersion\"$\n\x14GetCorrectionRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"C\n\x15GetCorrectionResponse\x12*\n\ncorrection\x18\x01 \x01(\x0b\x32\x16.revisit.v1.Correction\"I\n\x17WatchCorrectionsRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\r\n\x05\x61\x66ter\x18\x02 \x01(\x04\x12\x0f\n\x07session\x18\x03 \x01(\t\"F\n\x18WatchCorrectionsResponse\x12*\n\ncorrection\x18\x01 \x01(\x0b\x32\x16.revisit.v1.Correction\"\x97\x01\n\x0fMergeMapRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0e\n\x06source\x18\x02 \x01(\t\x12\x15\n\rvalidate_only\x18\x03 \x01(\x08\x12+\n\x0ct_map_source\x18\x04 \x01(\x0b\x32\x15.revisit.v1.Transform\x12\x15\n\x08radius_m\x18\x05 \x01(\x01H\x00\x88\x01\x01\x42\x0b\n\t_radius_m\"L\n\x10MergeMapResponse\x12(\n\toperation\x18\x01 \x01(\x0b\x32\x15.revisit.v1.Operation\x12\x0e\n\x06replay\x18\x02 \x01(\x08\"\xfb\x01\n\x08MapMerge\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0e\n\x06source\x18\x02 \x01(\t\x12\x16\n\x0eversion_before\x18\x03 \x01(\x04\x12\x0f\n\x07version\x18\x04 \x01(\x04\x12\x10\n\x08sessions\x18\x05 \x03(\t\x12\'\n\x06report\x18\x06 \x01(\x0b\x32\x17.google.protobuf.Struct\x12&\n\x07\x63hanges\x18\x07 \x03(\x0b\x32\x15.revisit.v1.MapChange\x12\x15\n\rcreated_at_ns\x18\x08 \x01(\x03\x12\x1b\n\x0ereverted_at_ns\x18\t \x01(\x03H\x00\x88\x01\x01\x42\x11\n\x0f_reverted_at_ns\"\xcd\x01\n\tMapChange\x12(\n\x04kind\x18\x01 \x01(\x0e\x32\x1a.revisit.v1.MapChange.Kind\x12%\n\x08\x63\x65ntre_m\x18\x02 \x01(\x0b\x32\x13.revisit.v1.Vector3\x12%\n\x08\x65xtent_m\x18\x03 \x01(\x0b\x32\x13.revisit.v1.Vector3\x12\x0e\n\x06points\x18\x04 \x01(\r\"8\n\x04Kind\x12\x14\n\x10KIND_UNSPECIFIED\x10\x00\x12\x0c\n\x08VANISHED\x10\x01\x12\x0c\n\x08\x41PPEARED\x10\x02\"M\n\x14ListMapMergesRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\x05\x12\x12\n\npage_token\x18\x03 \x01(\t\"Z\n\x15ListMapMergesResponse\x12(\n\nmap_merges\x18\x01 \x03(\x0b\x32\x14.revisit.v1.MapMerge\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"\"\n\x12GetMapMergeRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\">\n\x13GetMapMergeResponse\x12\'\n\tmap_merge\x18\x01 \x01(\x0b\x32\x14.revisit.v1.MapMerge\"%\n\x15RevertMapMergeRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"A\n\x16RevertMapMergeResponse\x12\'\n\tmap_merge\x18\x01 \x01(\x0b\x32\x14.revisit.v1.MapMerge2\xb5\x07\n\x0eMappingService\x12N\n\x0bOptimiseMap\x12\x1e.revisit.v1.OptimiseMapRequest\x1a\x1f.revisit.v1.OptimiseMapResponse\x12Z\n\x0fListMapVersions\x12\".revisit.v1.ListMapVersionsRequest\x1a#.revisit.v1.ListMapVersionsResponse\x12T\n\rGetMapVersion\x12 .revisit.v1.GetMapVersionRequest\x1a!.revisit.v1.GetMapVersionResponse\x12Z\n\x0fListSubmapPoses\x12\".revisit.v1.ListSubmapPosesRequest\x1a#.revisit.v1.ListSubmapPosesResponse\x12H\n\tRevertMap\x12\x1c.revisit.v1.RevertMapRequest\x1a\x1d.revisit.v1.RevertMapResponse\x12\x45\n\x08MergeMap\x12\x1b.revisit.v1.MergeMapRequest\x1a\x1c.revisit.v1.MergeMapResponse\x12T\n\rListMapMerges\x12 .revisit.v1.ListMapMergesRequest\x1a!.revisit.v1.ListMapMergesResponse\x12N\n\x0bGetMapMerge\x12\x1e.revisit.v1.GetMapMergeRequest\x1a\x1f.revisit.v1.GetMapMergeResponse\x12W\n\x0eRevertMapMerge\x12!.revisit.v1.RevertMapMergeRequest\x1a\".revisit.v1.RevertMapMergeResponse\x12T\n\rGetCorrection\x12 .revisit.v1.GetCorrectionRequest\x1a!.revisit.v1.GetCorrectionResponse\x12_\n\x10WatchCorrections\x12#.revisit.v1.WatchCorrectionsRequest\x1a$.revisit.v1.WatchCorrectionsResponse0\x01\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'revisit.v1.mapping_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_MAPVERSION']._serialized_start=96
-  _globals['_MAPVERSION']._serialized_end=292
-  _globals['_MAPVERSIONSUMMARY']._serialized_start=295
-  _globals['_MAPVERSIONSUMMARY']._serialized_end=571
-  _globals['_SUBMAPPOSE']._serialized_start=573
-  _globals['_SUBMAPPOSE']._serialized_end=681
-  _globals['_CORRECTION']._serialized_start=684
-  _globals['_CORRECTION']._serialized_end=835
-  _globals['_OPTIMISEMAPREQUEST']._serialized_start=837
-  _globals['_OPTIMISEMAPREQUEST']._serialized_end=871
-  _globals['_OPTIMISEMAPRESPONSE']._serialized_start=873
-  _globals['_OPTIMISEMAPRESPONSE']._serialized_end=952
-  _globals['_LISTMAPVERSIONSREQUEST']._serialized_start=954
-  _globals['_LISTMAPVERSIONSREQUEST']._serialized_end=1033
-  _globals['_LISTMAPVERSIONSRESPONSE']._serialized_start=1035
-  _globals['_LISTMAPVERSIONSRESPONSE']._serialized_end=1131
-  _globals['_GETMAPVERSIONREQUEST']._serialized_start=1133
-  _globals['_GETMAPVERSIONREQUEST']._serialized_end=1169
-  _globals['_GETMAPVERSIONRESPONSE']._serialized_start=1171
-  _globals['_GETMAPVERSIONRESPONSE']._serialized_end=1239
-  _globals['_LISTSUBMAPPOSESREQUEST']._serialized_start=1241
-  _globals['_LISTSUBMAPPOSESREQUEST']._serialized_end=1320
-  _globals['_LISTSUBMAPPOSESRESPONSE']._serialized_start=1322
-  _globals['_LISTSUBMAPPOSESRESPONSE']._serialized_end=1418
-  _globals['_REVERTMAPREQUEST']._serialized_start=1420
-  _globals['_REVERTMAPREQUEST']._serialized_end=1469
-  _globals['_REVERTMAPRESPONSE']._serialized_start=1471
-  _globals['_REVERTMAPRESPONSE']._serialized_end=1535
-  _globals['_GETCORRECTIONREQUEST']._serialized_start=1537
-  _globals['_GETCORRECTIONREQUEST']._serialized_end=1573
-  _globals['_GETCORRECTIONRESPONSE']._serialized_start=1575
-  _globals['_GETCORRECTIONRESPONSE']._serialized_end=1642
-  _globals['_WATCHCORRECTIONSREQUEST']._serialized_start=1644
-  _globals['_WATCHCORRECTIONSREQUEST']._serialized_end=1717
-  _globals['_WATCHCORRECTIONSRESPONSE']._serialized_start=1719
-  _globals['_WATCHCORRECTIONSRESPONSE']._serialized_end=1789
-  _globals['_MAPPINGSERVICE']._serialized_start=1792
-  _globals['_MAPPINGSERVICE']._serialized_end=2415
+  _globals['_MAPVERSION']._serialized_start=126
+  _globals['_MAPVERSION']._serialized_end=322
+  _globals['_MAPVERSIONSUMMARY']._serialized_start=325
+  _globals['_MAPVERSIONSUMMARY']._serialized_end=601
+  _globals['_SUBMAPPOSE']._serialized_start=603
+  _globals['_SUBMAPPOSE']._serialized_end=711
+  _globals['_CORRECTION']._serialized_start=714
+  _globals['_CORRECTION']._serialized_end=865
+  _globals['_OPTIMISEMAPREQUEST']._serialized_start=867
+  _globals['_OPTIMISEMAPREQUEST']._serialized_end=901
+  _globals['_OPTIMISEMAPRESPONSE']._serialized_start=903
+  _globals['_OPTIMISEMAPRESPONSE']._serialized_end=982
+  _globals['_LISTMAPVERSIONSREQUEST']._serialized_start=984
+  _globals['_LISTMAPVERSIONSREQUEST']._serialized_end=1063
+  _globals['_LISTMAPVERSIONSRESPONSE']._serialized_start=1065
+  _globals['_LISTMAPVERSIONSRESPONSE']._serialized_end=1161
+  _globals['_GETMAPVERSIONREQUEST']._serialized_start=1163
+  _globals['_GETMAPVERSIONREQUEST']._serialized_end=1199
+  _globals['_GETMAPVERSIONRESPONSE']._serialized_start=1201
+  _globals['_GETMAPVERSIONRESPONSE']._serialized_end=1269
+  _globals['_LISTSUBMAPPOSESREQUEST']._serialized_start=1271
+  _globals['_LISTSUBMAPPOSESREQUEST']._serialized_end=1350
+  _globals['_LISTSUBMAPPOSESRESPONSE']._serialized_start=1352
+  _globals['_LISTSUBMAPPOSESRESPONSE']._serialized_end=1448
+  _globals['_REVERTMAPREQUEST']._serialized_start=1450
+  _globals['_REVERTMAPREQUEST']._serialized_end=1499
+  _globals['_REVERTMAPRESPONSE']._serialized_start=1501
+  _globals['_REVERTMAPRESPONSE']._serialized_end=1565
+  _globals['_GETCORRECTIONREQUEST']._serialized_start=1567
+  _globals['_GETCORRECTIONREQUEST']._serialized_end=1603
+  _globals['_GETCORRECTIONRESPONSE']._serialized_start=1605
+  _globals['_GETCORRECTIONRESPONSE']._serialized_end=1672
+  _globals['_WATCHCORRECTIONSREQUEST']._serialized_start=1674
+  _globals['_WATCHCORRECTIONSREQUEST']._serialized_end=1747
+  _globals['_WATCHCORRECTIONSRESPONSE']._serialized_start=1749
+  _globals['_WATCHCORRECTIONSRESPONSE']._serialized_end=1819
+  _globals['_MERGEMAPREQUEST']._serialized_start=1822
+  _globals['_MERGEMAPREQUEST']._serialized_end=1973
+  _globals['_MERGEMAPRESPONSE']._serialized_start=1975
+  _globals['_MERGEMAPRESPONSE']._serialized_end=2051
+  _globals['_MAPMERGE']._serialized_start=2054
+  _globals['_MAPMERGE']._serialized_end=2305
+  _globals['_MAPCHANGE']._serialized_start=2308
+  _globals['_MAPCHANGE']._serialized_end=2513
+  _globals['_MAPCHANGE_KIND']._serialized_start=2457
+  _globals['_MAPCHANGE_KIND']._serialized_end=2513
+  _globals['_LISTMAPMERGESREQUEST']._serialized_start=2515
+  _globals['_LISTMAPMERGESREQUEST']._serialized_end=2592
+  _globals['_LISTMAPMERGESRESPONSE']._serialized_start=2594
+  _globals['_LISTMAPMERGESRESPONSE']._serialized_end=2684
+  _globals['_GETMAPMERGEREQUEST']._serialized_start=2686
+  _globals['_GETMAPMERGEREQUEST']._serialized_end=2720
+  _globals['_GETMAPMERGERESPONSE']._serialized_start=2722
+  _globals['_GETMAPMERGERESPONSE']._serialized_end=2784
+  _globals['_REVERTMAPMERGEREQUEST']._serialized_start=2786
+  _globals['_REVERTMAPMERGEREQUEST']._serialized_end=2823
+  _globals['_REVERTMAPMERGERESPONSE']._serialized_start=2825
+  _globals['_REVERTMAPMERGERESPONSE']._serialized_end=2890
+  _globals['_MAPPINGSERVICE']._serialized_start=2893
+  _globals['_MAPPINGSERVICE']._serialized_end=3842
 # @@protoc_insertion_point(module_scope)

@@ -1,6 +1,8 @@
 from revisit.v1 import geometry_pb2 as _geometry_pb2
 from revisit.v1 import operation_pb2 as _operation_pb2
+from google.protobuf import struct_pb2 as _struct_pb2
 from google.protobuf.internal import containers as _containers
+from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
 from google.protobuf import descriptor as _descriptor
 from google.protobuf import message as _message
 from collections.abc import Iterable as _Iterable, Mapping as _Mapping
@@ -183,3 +185,109 @@ class WatchCorrectionsResponse(_message.Message):
     CORRECTION_FIELD_NUMBER: _ClassVar[int]
     correction: Correction
     def __init__(self, correction: _Optional[_Union[Correction, _Mapping]] = ...) -> None: ...
+
+class MergeMapRequest(_message.Message):
+    __slots__ = ("name", "source", "validate_only", "t_map_source", "radius_m")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    SOURCE_FIELD_NUMBER: _ClassVar[int]
+    VALIDATE_ONLY_FIELD_NUMBER: _ClassVar[int]
+    T_MAP_SOURCE_FIELD_NUMBER: _ClassVar[int]
+    RADIUS_M_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    source: str
+    validate_only: bool
+    t_map_source: _geometry_pb2.Transform
+    radius_m: float
+    def __init__(self, name: _Optional[str] = ..., source: _Optional[str] = ..., validate_only: _Optional[bool] = ..., t_map_source: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., radius_m: _Optional[float] = ...) -> None: ...
+
+class MergeMapResponse(_message.Message):
+    __slots__ = ("operation", "replay")
+    OPERATION_FIELD_NUMBER: _ClassVar[int]
+    REPLAY_FIELD_NUMBER: _ClassVar[int]
+    operation: _operation_pb2.Operation
+    replay: bool
+    def __init__(self, operation: _Optional[_Union[_operation_pb2.Operation, _Mapping]] = ..., replay: _Optional[bool] = ...) -> None: ...
+
+class MapMerge(_message.Message):
+    __slots__ = ("name", "source", "version_before", "version", "sessions", "report", "changes", "created_at_ns", "reverted_at_ns")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    SOURCE_FIELD_NUMBER: _ClassVar[int]
+    VERSION_BEFORE_FIELD_NUMBER: _ClassVar[int]
+    VERSION_FIELD_NUMBER: _ClassVar[int]
+    SESSIONS_FIELD_NUMBER: _ClassVar[int]
+    REPORT_FIELD_NUMBER: _ClassVar[int]
+    CHANGES_FIELD_NUMBER: _ClassVar[int]
+    CREATED_AT_NS_FIELD_NUMBER: _ClassVar[int]
+    REVERTED_AT_NS_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    source: str
+    version_before: int
+    version: int
+    sessions: _containers.RepeatedScalarFieldContainer[str]
+    report: _struct_pb2.Struct
+    changes: _containers.RepeatedCompositeFieldContainer[MapChange]
+    created_at_ns: int
+    reverted_at_ns: int
+    def __init__(self, name: _Optional[str] = ..., source: _Optional[str] = ..., version_before: _Optional[int] = ..., version: _Optional[int] = ..., sessions: _Optional[_Iterable[str]] = ..., report: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ..., changes: _Optional[_Iterable[_Union[MapChange, _Mapping]]] = ..., created_at_ns: _Optional[int] = ..., reverted_at_ns: _Optional[int] = ...) -> None: ...
+
+class MapChange(_message.Message):
+    __slots__ = ("kind", "centre_m", "extent_m", "points")
+    class Kind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        KIND_UNSPECIFIED: _ClassVar[MapChange.Kind]
+        VANISHED: _ClassVar[MapChange.Kind]
+        APPEARED: _ClassVar[MapChange.Kind]
+    KIND_UNSPECIFIED: MapChange.Kind
+    VANISHED: MapChange.Kind
+    APPEARED: MapChange.Kind
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    CENTRE_M_FIELD_NUMBER: _ClassVar[int]
+    EXTENT_M_FIELD_NUMBER: _ClassVar[int]
+    POINTS_FIELD_NUMBER: _ClassVar[int]
+    kind: MapChange.Kind
+    centre_m: _geometry_pb2.Vector3
+    extent_m: _geometry_pb2.Vector3
+    points: int
+    def __init__(self, kind: _Optional[_Union[MapChange.Kind, str]] = ..., centre_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., extent_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., points: _Optional[int] = ...) -> None: ...
+
+class ListMapMergesRequest(_message.Message):
+    __slots__ = ("parent", "page_size", "page_token")
+    PARENT_FIELD_NUMBER: _ClassVar[int]
+    PAGE_SIZE_FIELD_NUMBER: _ClassVar[int]
+    PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
+    parent: str
+    page_size: int
+    page_token: str
+    def __init__(self, parent: _Optional[str] = ..., page_size: _Optional[int] = ..., page_token: _Optional[str] = ...) -> None: ...
+
+class ListMapMergesResponse(_message.Message):
+    __slots__ = ("map_merges", "next_page_token")
+    MAP_MERGES_FIELD_NUMBER: _ClassVar[int]
+    NEXT_PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
+    map_merges: _containers.RepeatedCompositeFieldContainer[MapMerge]
+    next_page_token: str
+    def __init__(self, map_merges: _Optional[_Iterable[_Union[MapMerge, _Mapping]]] = ..., next_page_token: _Optional[str] = ...) -> None: ...
+
+class GetMapMergeRequest(_message.Message):
+    __slots__ = ("name",)
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    def __init__(self, name: _Optional[str] = ...) -> None: ...
+
+class GetMapMergeResponse(_message.Message):
+    __slots__ = ("map_merge",)
+    MAP_MERGE_FIELD_NUMBER: _ClassVar[int]
+    map_merge: MapMerge
+    def __init__(self, map_merge: _Optional[_Union[MapMerge, _Mapping]] = ...) -> None: ...
+
+class RevertMapMergeRequest(_message.Message):
+    __slots__ = ("name",)
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    def __init__(self, name: _Optional[str] = ...) -> None: ...
+
+class RevertMapMergeResponse(_message.Message):
+    __slots__ = ("map_merge",)
+    MAP_MERGE_FIELD_NUMBER: _ClassVar[int]
+    map_merge: MapMerge
+    def __init__(self, map_merge: _Optional[_Union[MapMerge, _Mapping]] = ...) -> None: ...

@@ -60,6 +60,26 @@ class MappingServiceStub:
                 request_serializer=revisit_dot_v1_dot_mapping__pb2.RevertMapRequest.SerializeToString,
                 response_deserializer=revisit_dot_v1_dot_mapping__pb2.RevertMapResponse.FromString,
                 _registered_method=True)
+        self.MergeMap = channel.unary_unary(
+                '/revisit.v1.MappingService/MergeMap',
+                request_serializer=revisit_dot_v1_dot_mapping__pb2.MergeMapRequest.SerializeToString,
+                response_deserializer=revisit_dot_v1_dot_mapping__pb2.MergeMapResponse.FromString,
+                _registered_method=True)
+        self.ListMapMerges = channel.unary_unary(
+                '/revisit.v1.MappingService/ListMapMerges',
+                request_serializer=revisit_dot_v1_dot_mapping__pb2.ListMapMergesRequest.SerializeToString,
+                response_deserializer=revisit_dot_v1_dot_mapping__pb2.ListMapMergesResponse.FromString,
+                _registered_method=True)
+        self.GetMapMerge = channel.unary_unary(
+                '/revisit.v1.MappingService/GetMapMerge',
+                request_serializer=revisit_dot_v1_dot_mapping__pb2.GetMapMergeRequest.SerializeToString,
+                response_deserializer=revisit_dot_v1_dot_mapping__pb2.GetMapMergeResponse.FromString,
+                _registered_method=True)
+        self.RevertMapMerge = channel.unary_unary(
+                '/revisit.v1.MappingService/RevertMapMerge',
+                request_serializer=revisit_dot_v1_dot_mapping__pb2.RevertMapMergeRequest.SerializeToString,
+                response_deserializer=revisit_dot_v1_dot_mapping__pb2.RevertMapMergeResponse.FromString,
+                _registered_method=True)
         self.GetCorrection = channel.unary_unary(
                 '/revisit.v1.MappingService/GetCorrection',
                 request_serializer=revisit_dot_v1_dot_mapping__pb2.GetCorrectionRequest.SerializeToString,
@@ -111,6 +131,34 @@ class MappingServiceServicer:
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def MergeMap(self, request, context):
+        """Merge another map, or one session of it, into a map: an operation whose end is a new version, or the reason against.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def ListMapMerges(self, request, context):
+        """List the merges into a map, oldest first, those taken back too.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def GetMapMerge(self, request, context):
+        """Get a merge into a map.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def RevertMapMerge(self, request, context):
+        """Take the last merge back: its copies are deleted, the poses from before it come back bit for bit.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
     def GetCorrection(self, request, context):
         """Where the odometry frame of a session lies in the map. NOT_READY where no version of the map has the session.
         """
@@ -152,6 +200,26 @@ def add_MappingServiceServicer_to_server(servicer, server):
                     servicer.RevertMap,
                     request_deserializer=revisit_dot_v1_dot_mapping__pb2.RevertMapRequest.FromString,
                     response_serializer=revisit_dot_v1_dot_mapping__pb2.RevertMapResponse.SerializeToString,
+            ),
+            'MergeMap': grpc.unary_unary_rpc_method_handler(
+                    servicer.MergeMap,
+                    request_deserializer=revisit_dot_v1_dot_mapping__pb2.MergeMapRequest.FromString,
+                    response_serializer=revisit_dot_v1_dot_mapping__pb2.MergeMapResponse.SerializeToString,
+            ),
+            'ListMapMerges': grpc.unary_unary_rpc_method_handler(
+                    servicer.ListMapMerges,
+                    request_deserializer=revisit_dot_v1_dot_mapping__pb2.ListMapMergesRequest.FromString,
+                    response_serializer=revisit_dot_v1_dot_mapping__pb2.ListMapMergesResponse.SerializeToString,
+            ),
+            'GetMapMerge': grpc.unary_unary_rpc_method_handler(
+                    servicer.GetMapMerge,
+                    request_deserializer=revisit_dot_v1_dot_mapping__pb2.GetMapMergeRequest.FromString,
+                    response_serializer=revisit_dot_v1_dot_mapping__pb2.GetMapMergeResponse.SerializeToString,
+            ),
+            'RevertMapMerge': grpc.unary_unary_rpc_method_handler(
+                    servicer.RevertMapMerge,
+                    request_deserializer=revisit_dot_v1_dot_mapping__pb2.RevertMapMergeRequest.FromString,
+                    response_serializer=revisit_dot_v1_dot_mapping__pb2.RevertMapMergeResponse.SerializeToString,
             ),
             'GetCorrection': grpc.unary_unary_rpc_method_handler(
                     servicer.GetCorrection,
@@ -300,6 +368,114 @@ class MappingService:
             '/revisit.v1.MappingService/RevertMap',
             revisit_dot_v1_dot_mapping__pb2.RevertMapRequest.SerializeToString,
             revisit_dot_v1_dot_mapping__pb2.RevertMapResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def MergeMap(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/revisit.v1.MappingService/MergeMap',
+            revisit_dot_v1_dot_mapping__pb2.MergeMapRequest.SerializeToString,
+            revisit_dot_v1_dot_mapping__pb2.MergeMapResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def ListMapMerges(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/revisit.v1.MappingService/ListMapMerges',
+            revisit_dot_v1_dot_mapping__pb2.ListMapMergesRequest.SerializeToString,
+            revisit_dot_v1_dot_mapping__pb2.ListMapMergesResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def GetMapMerge(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/revisit.v1.MappingService/GetMapMerge',
+            revisit_dot_v1_dot_mapping__pb2.GetMapMergeRequest.SerializeToString,
+            revisit_dot_v1_dot_mapping__pb2.GetMapMergeResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def RevertMapMerge(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/revisit.v1.MappingService/RevertMapMerge',
+            revisit_dot_v1_dot_mapping__pb2.RevertMapMergeRequest.SerializeToString,
+            revisit_dot_v1_dot_mapping__pb2.RevertMapMergeResponse.FromString,
             options,
             channel_credentials,
             insecure,

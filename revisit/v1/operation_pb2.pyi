@@ -17,7 +17,7 @@ class Failure(_message.Message):
     def __init__(self, reason: _Optional[str] = ..., message: _Optional[str] = ...) -> None: ...
 
 class Operation(_message.Message):
-    __slots__ = ("name", "kind", "state", "subject", "attempts", "result", "failure", "created_at_ns", "finished_at_ns")
+    __slots__ = ("name", "kind", "state", "subject", "attempts", "result", "failure", "created_at_ns", "finished_at_ns", "progress", "cancel_requested")
     class Kind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         KIND_UNSPECIFIED: _ClassVar[Operation.Kind]
@@ -26,12 +26,14 @@ class Operation(_message.Message):
         LOCALIZE: _ClassVar[Operation.Kind]
         OPTIMISE_MAP: _ClassVar[Operation.Kind]
         VERIFY_LOOP: _ClassVar[Operation.Kind]
+        MERGE_MAP: _ClassVar[Operation.Kind]
     KIND_UNSPECIFIED: Operation.Kind
     DESCRIBE_SUBMAP: Operation.Kind
     SEARCH_CLOUD: Operation.Kind
     LOCALIZE: Operation.Kind
     OPTIMISE_MAP: Operation.Kind
     VERIFY_LOOP: Operation.Kind
+    MERGE_MAP: Operation.Kind
     class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STATE_UNSPECIFIED: _ClassVar[Operation.State]
@@ -53,6 +55,8 @@ class Operation(_message.Message):
     FAILURE_FIELD_NUMBER: _ClassVar[int]
     CREATED_AT_NS_FIELD_NUMBER: _ClassVar[int]
     FINISHED_AT_NS_FIELD_NUMBER: _ClassVar[int]
+    PROGRESS_FIELD_NUMBER: _ClassVar[int]
+    CANCEL_REQUESTED_FIELD_NUMBER: _ClassVar[int]
     name: str
     kind: Operation.Kind
     state: Operation.State
@@ -62,7 +66,19 @@ class Operation(_message.Message):
     failure: Failure
     created_at_ns: int
     finished_at_ns: int
-    def __init__(self, name: _Optional[str] = ..., kind: _Optional[_Union[Operation.Kind, str]] = ..., state: _Optional[_Union[Operation.State, str]] = ..., subject: _Optional[str] = ..., attempts: _Optional[int] = ..., result: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., created_at_ns: _Optional[int] = ..., finished_at_ns: _Optional[int] = ...) -> None: ...
+    progress: OperationProgress
+    cancel_requested: bool
+    def __init__(self, name: _Optional[str] = ..., kind: _Optional[_Union[Operation.Kind, str]] = ..., state: _Optional[_Union[Operation.State, str]] = ..., subject: _Optional[str] = ..., attempts: _Optional[int] = ..., result: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., created_at_ns: _Optional[int] = ..., finished_at_ns: _Optional[int] = ..., progress: _Optional[_Union[OperationProgress, _Mapping]] = ..., cancel_requested: _Optional[bool] = ...) -> None: ...
+
+class OperationProgress(_message.Message):
+    __slots__ = ("stage", "done", "total")
+    STAGE_FIELD_NUMBER: _ClassVar[int]
+    DONE_FIELD_NUMBER: _ClassVar[int]
+    TOTAL_FIELD_NUMBER: _ClassVar[int]
+    stage: str
+    done: int
+    total: int
+    def __init__(self, stage: _Optional[str] = ..., done: _Optional[int] = ..., total: _Optional[int] = ...) -> None: ...
 
 class GetOperationRequest(_message.Message):
     __slots__ = ("name",)
@@ -115,6 +131,18 @@ class RetryOperationRequest(_message.Message):
     def __init__(self, name: _Optional[str] = ...) -> None: ...
 
 class RetryOperationResponse(_message.Message):
+    __slots__ = ("operation",)
+    OPERATION_FIELD_NUMBER: _ClassVar[int]
+    operation: Operation
+    def __init__(self, operation: _Optional[_Union[Operation, _Mapping]] = ...) -> None: ...
+
+class CancelOperationRequest(_message.Message):
+    __slots__ = ("name",)
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    def __init__(self, name: _Optional[str] = ...) -> None: ...
+
+class CancelOperationResponse(_message.Message):
     __slots__ = ("operation",)
     OPERATION_FIELD_NUMBER: _ClassVar[int]
     operation: Operation

@@ -55,6 +55,11 @@ class OperationServiceStub:
                 request_serializer=revisit_dot_v1_dot_operation__pb2.RetryOperationRequest.SerializeToString,
                 response_deserializer=revisit_dot_v1_dot_operation__pb2.RetryOperationResponse.FromString,
                 _registered_method=True)
+        self.CancelOperation = channel.unary_unary(
+                '/revisit.v1.OperationService/CancelOperation',
+                request_serializer=revisit_dot_v1_dot_operation__pb2.CancelOperationRequest.SerializeToString,
+                response_deserializer=revisit_dot_v1_dot_operation__pb2.CancelOperationResponse.FromString,
+                _registered_method=True)
 
 
 class OperationServiceServicer:
@@ -89,6 +94,13 @@ class OperationServiceServicer:
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def CancelOperation(self, request, context):
+        """End an operation that optimises or merges maps: at once where it waits, else at its next step. It changes nothing.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
 
 def add_OperationServiceServicer_to_server(servicer, server):
     rpc_method_handlers = {
@@ -111,6 +123,11 @@ def add_OperationServiceServicer_to_server(servicer, server):
                     servicer.RetryOperation,
                     request_deserializer=revisit_dot_v1_dot_operation__pb2.RetryOperationRequest.FromString,
                     response_serializer=revisit_dot_v1_dot_operation__pb2.RetryOperationResponse.SerializeToString,
+            ),
+            'CancelOperation': grpc.unary_unary_rpc_method_handler(
+                    servicer.CancelOperation,
+                    request_deserializer=revisit_dot_v1_dot_operation__pb2.CancelOperationRequest.FromString,
+                    response_serializer=revisit_dot_v1_dot_operation__pb2.CancelOperationResponse.SerializeToString,
             ),
     }
     generic_handler = grpc.method_handlers_generic_handler(
@@ -222,6 +239,33 @@ class OperationService:
             '/revisit.v1.OperationService/RetryOperation',
             revisit_dot_v1_dot_operation__pb2.RetryOperationRequest.SerializeToString,
             revisit_dot_v1_dot_operation__pb2.RetryOperationResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def CancelOperation(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/revisit.v1.OperationService/CancelOperation',
+            revisit_dot_v1_dot_operation__pb2.CancelOperationRequest.SerializeToString,
+            revisit_dot_v1_dot_operation__pb2.CancelOperationResponse.FromString,
             options,
             channel_credentials,
             insecure,

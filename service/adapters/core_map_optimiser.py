@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +17,7 @@ from revisit.service.application.contract.map_optimiser import (
     OptimisedMap,
     OptimisedTrack,
     SessionTrack,
+    Told,
     TrackLoop,
 )
 from revisit.service.application.contract.states import GraphState
@@ -26,56 +31,89 @@ Array64 = NDArray[np.float64]
 class CoreMapOptimiser:
     """`MapOptimiser` by `core.pose_graph`."""
 
-    def optimise(self, graph: MapGraph) -> OptimisedMap:
-        """See `MapOptimiser`. The oldest of the sessions that are joined gives the frame."""
+    def optimise(self, graph: MapGraph, told: Told) -> OptimisedMap:
+        """See `MapOptimiser`."""
         from revisit.core.pose_graph import optimise
 
-        posed = pose_graph(graph)
-        optimised = optimise(posed)
-        tracks = tuple(_optimised_track(track, posed, optimised) for track in graph.tracks)
-        judged = {
-            int(loop.name): JudgedLoop(int(loop.name), GraphState(state.value), float(distance))
-            for loop, state, distance in zip(posed.loops, optimised.loops, optimised.residuals, strict=True)
+        named = NamedGraph.of(graph)
+        return named.answer(optimise(named.posed, told=partial(told, "OPTIMISE")))
+
+
+@dataclass(frozen=True)
+class NamedGraph:
+    """A map's graph as `core.pose_graph` takes it; `names` are those of its tracks.
+
+    Names follow from odometry and measurements, not from numbers: the same sessions give the same poses, whatever order
+    or map they came in.
+    """
+
+    graph: MapGraph
+    names: dict[int, str]
+    posed: PoseGraph
+    _nodes: dict[int, Node]
+
+    @classmethod
+    def of(cls, graph: MapGraph) -> NamedGraph:
+        """Steps are as uncertain as the model of odometry in `core.pose_graph` says."""
+        from revisit.core.pose_graph import Node, PoseGraph, Trajectory
+        from revisit.core.pose_graph.independence import weighed
+
+        names = _names(graph.tracks)
+        trajectories = [
+            Trajectory.from_odometry(names[track.session_number], track.T_odom_submap) for track in graph.tracks
+        ]
+        nodes = {
+            number: Node(names[track.session_number], place)
+            for track in graph.tracks
+            for place, number in enumerate(track.submaps)
         }
-        loops = tuple(judged[loop.number] for loop in graph.loops)
+        anchors = tuple(names[number] for number in graph.anchors or sorted(names))
+        posed = PoseGraph.of(trajectories, [_edge(loop, nodes) for loop in graph.loops], anchors)
+        return cls(graph, names, weighed(posed, graph.window_m), nodes)
+
+    def edges(self, loops: Sequence[TrackLoop]) -> list[LoopEdge]:
+        """Further loops between its submaps."""
+        return [_edge(loop, self._nodes) for loop in loops]
+
+    def answer(self, optimised: OptimisedGraph) -> OptimisedMap:
+        """What the port answers."""
+        tracks = tuple(self._track(track, optimised) for track in self.graph.tracks)
+        judged = {
+            loop_number(loop): JudgedLoop(loop_number(loop), GraphState(state.value), float(distance))
+            for loop, state, distance in zip(self.posed.loops, optimised.loops, optimised.residuals, strict=True)
+        }
+        loops = tuple(judged[loop.number] for loop in self.graph.loops)
         return OptimisedMap(tracks, loops, optimised.chi2, optimised.degrees_of_freedom)
 
-
-def pose_graph(graph: MapGraph) -> PoseGraph:
-    """The graph that `core.pose_graph` optimises; steps are as uncertain as its model of odometry says."""
-    from revisit.core.pose_graph import Node, PoseGraph, Trajectory
-    from revisit.core.pose_graph.independence import weighed
-
-    trajectories = [
-        Trajectory.from_odometry(_name(track.session_number), track.T_odom_submap) for track in graph.tracks
-    ]
-    nodes = {
-        number: Node(_name(track.session_number), place)
-        for track in graph.tracks
-        for place, number in enumerate(track.submaps)
-    }
-    return weighed(PoseGraph.of(trajectories, [_edge(loop, nodes) for loop in graph.loops]), graph.window_m)
+    def _track(self, track: SessionTrack, optimised: OptimisedGraph) -> OptimisedTrack:
+        name = self.names[track.session_number]
+        group = next(group for group in optimised.components if name in group)
+        return OptimisedTrack(
+            session_number=track.session_number,
+            anchor=next(number for number, known in self.names.items() if known == group[0]),
+            T_map_odom=optimised.T_map_odom(self.posed.by_session[name]),
+            T_map_submap=optimised.T_map_submap[name],
+            covariances=optimised.covariances[name],
+        )
 
 
-def _optimised_track(track: SessionTrack, posed: PoseGraph, optimised: OptimisedGraph) -> OptimisedTrack:
-    name = _name(track.session_number)
-    group = next(group for group in optimised.components if name in group)
-    return OptimisedTrack(
-        session_number=track.session_number,
-        anchor=int(min(group)),
-        T_map_odom=optimised.T_map_odom(posed.by_session[name]),
-        T_map_submap=optimised.T_map_submap[name],
-        covariances=optimised.covariances[name],
-    )
+def loop_number(loop: LoopEdge) -> int:
+    """The number of a loop by its name in a `NamedGraph`."""
+    return int(loop.name.rpartition(":")[2])
+
+
+def _names(tracks: tuple[SessionTrack, ...]) -> dict[int, str]:
+    """Names of tracks whose alphabetical order follows from their odometry; of equal ones from their numbers."""
+    ordered = sorted(tracks, key=lambda track: (_digest(track.T_odom_submap), track.session_number))
+    return {track.session_number: f"{rank:09d}" for rank, track in enumerate(ordered)}
+
+
+def _digest(array: Array64) -> str:
+    return hashlib.sha256(np.ascontiguousarray(array, dtype="<f8").tobytes()).hexdigest()
 
 
 def _edge(loop: TrackLoop, nodes: dict[int, Node]) -> LoopEdge:
     from revisit.core.pose_graph import LoopEdge, loop_covariance
 
-    covariance = loop_covariance(loop.covariance)
-    return LoopEdge(_name(loop.number), nodes[loop.match], nodes[loop.query], loop.T_match_query, covariance)
-
-
-def _name(number: int) -> str:
-    """A name whose alphabetical order is that of the numbers."""
-    return f"{number:019d}"
+    name, covariance = f"{_digest(loop.T_match_query)}:{loop.number}", loop_covariance(loop.covariance)
+    return LoopEdge(name, nodes[loop.match], nodes[loop.query], loop.T_match_query, covariance)

@@ -14,15 +14,16 @@ import numpy as np
 from revisit.core.config import PipelineConfig, VerificationConfig
 from revisit.core.errors import RevisitError
 from revisit.core.geometry.se3 import Matrix4
+from revisit.core.implicit_map import NeuralMap
 from revisit.core.model_bundle import ModelBundle, load_packaged_models
-from revisit.core.pipeline import DescribedPlace, describe, verify
+from revisit.core.pipeline import DescribedPlace, describe, describe_again, verify
 from revisit.core.place import Place
 from revisit.core.sanity.window import window_findings
 from revisit.core.scan import Scan
 from revisit.core.stages import stage_times
 from revisit.core.submap import Submap
 from revisit.core.verification import Hypothesis, LoopMeasurement, RejectedLoop, VerifiedLoop
-from revisit.service.application.contract.recogniser import LoopVerdict, Mesh, SubmapDescription
+from revisit.service.application.contract.recogniser import LoopVerdict, Mesh, Redescription, SubmapDescription
 
 SETTABLE = ("min_score", "min_overlap", "max_seen_through")
 """The thresholds that an operator may set (see `contract.loop_policy`): written beside each verdict."""
@@ -58,6 +59,12 @@ class CoreRecogniser:
             flags=described.flags,
             timings_s=timings_s,
         )
+
+    def describe_again(self, neural_map: bytes, config: PipelineConfig) -> Redescription:
+        """See `PlaceRecogniser`."""
+        stored = NeuralMap.from_blob(neural_map, self._models.decoder, config.implicit_map)
+        described = describe_again(stored, self._models, config)
+        return Redescription(described.descriptor.vector, described.place.to_blob())
 
     def verify(
         self, query: bytes, match: bytes, similarity: float, config: PipelineConfig, near: Matrix4 | None = None

@@ -76,6 +76,12 @@ class LeasedJobs:
         job = self._held(lease)
         self._jobs.replace(replace(job, lease_epoch=now.epoch, lease_expires_ms=now.ms + self._lease_ms))
 
+    def report(self, lease: Lease, progress: dict[str, Any]) -> bool:
+        """See `JobQueue`."""
+        job = self._held(lease)
+        self._jobs.replace(replace(job, progress=progress))
+        return not job.cancel_requested
+
     def complete(self, lease: Lease, result: dict[str, Any], now: Instant, finished_at_ns: int) -> None:
         """See `JobQueue`."""
         job = self._held(lease)

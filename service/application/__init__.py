@@ -7,7 +7,7 @@
     catalogue      maps, robots, sessions, submaps: create, get, list, delete
     query          searches, loop closures, operations
     push           watching the events of a map; webhooks
-    mapping        one map out of many sessions: versions of its poses, corrections, decisions on loops
+    mapping        one map out of many sessions: versions of its poses, merges, corrections, decisions on loops
     housekeeping   sweeping, retention, the index, dead letters, readiness
     recognise      what a worker does with a job
 
@@ -40,6 +40,7 @@ from revisit.service.application.ingest.submap_posting import SubmapPosting
 from revisit.service.application.installation import Installation
 from revisit.service.application.mapping.corrections import Corrections
 from revisit.service.application.mapping.loop_decisions import LoopDecisions
+from revisit.service.application.mapping.merges import MapMerges
 from revisit.service.application.mapping.versions import MapVersions
 from revisit.service.application.push.events import Events, Glance
 from revisit.service.application.push.webhooks import Webhooks
@@ -66,6 +67,7 @@ class UseCases:
     events: Events
     webhooks: Webhooks
     map_versions: MapVersions
+    map_merges: MapMerges
     corrections: Corrections
     loop_decisions: LoopDecisions
     dead_letters: DeadLetters
@@ -83,7 +85,7 @@ class UseCases:
         backlog, lists = of.backlog, Lists(storage, of.in_flight, PageTokens(of.secret))
         admission = Admission(of.stopping, of.disk, of.in_flight, backlog, of.quota)
         jobs, collector = JobPosting(backlog, clock, policy), BlobCollector(storage)
-        operations, audit = Operations(storage, lists, admission), AuditLog(storage, clock)
+        operations, audit = Operations(storage, lists, admission, clock), AuditLog(storage, clock)
         return cls(
             maps=Maps(storage, lists, admission, collector, of.index, streams, clock, policy),
             robots=Robots(storage, lists, admission, clock),
@@ -98,6 +100,7 @@ class UseCases:
             events=Events(storage, admission, Glance(storage)),
             webhooks=Webhooks(storage, lists, admission, clock, policy.webhook_private_networks),
             map_versions=MapVersions(storage, lists, admission, clock, policy),
+            map_merges=MapMerges(storage, lists, admission, jobs, collector, clock),
             corrections=Corrections(storage, admission),
             loop_decisions=LoopDecisions(storage, admission, lists, jobs, clock, policy),
             dead_letters=DeadLetters(storage, admission, backlog, policy),

@@ -15,6 +15,7 @@ from revisit.service.application.contract.blobs import BlobStore
 from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.disk import DiskSpace, UnlimitedDisk
 from revisit.service.application.contract.index import VectorIndex
+from revisit.service.application.contract.map_merger import MapMerger
 from revisit.service.application.contract.map_optimiser import MapOptimiser
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.recogniser import PlaceRecogniser
@@ -23,6 +24,7 @@ from revisit.service.application.contract.transactions import Transactions
 from revisit.service.application.housekeeping.index_keeping import IndexHealth, IndexKeeper
 from revisit.service.application.ingest.clouds import CloudDecoder
 from revisit.service.application.ingest.open_streams import OpenStreams
+from revisit.service.application.mapping.merging import MapMerging, MergeTools
 from revisit.service.application.mapping.optimisation import MapOptimisation
 from revisit.service.application.query.place_memory import PlaceMemory
 from revisit.service.application.recognise.recognition import Recognition
@@ -68,10 +70,13 @@ class Installation:
         most_bytes = self.policy.tenant_storage_bytes
         return None if most_bytes is None else StorageQuota(self.storage, most_bytes)
 
-    def recognition(self, recogniser: PlaceRecogniser, optimiser: MapOptimiser) -> Recognition:
-        """What a worker does with a job; `recogniser` and `optimiser` are the method; the index is its own cache."""
+    def recognition(self, recogniser: PlaceRecogniser, optimiser: MapOptimiser, merger: MapMerger) -> Recognition:
+        """What a worker does with a job; `recogniser`, `optimiser` and `merger` are the method."""
         mapping = MapOptimisation(self.transactions, self.clock, self.policy, optimiser)
-        return Recognition(self.transactions, self.blobs, self.memory, self.clock, self.policy, recogniser, mapping)
+        merging = MapMerging(self.transactions, self.blobs, self.clock, self.policy, MergeTools(recogniser, merger))
+        return Recognition(
+            self.transactions, self.blobs, self.memory, self.clock, self.policy, recogniser, mapping, merging
+        )
 
     def index_keeper(self) -> IndexKeeper:
         """What loads the index and compares it with the database. From now on the service is not ready until then."""

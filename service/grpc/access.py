@@ -69,6 +69,10 @@ SCOPES: dict[str, dict[str, frozenset[Scope]]] = {
         "GetMapVersion": _EITHER,
         "ListSubmapPoses": _EITHER,
         "RevertMap": _ADMIN,
+        "MergeMap": _ADMIN,
+        "ListMapMerges": _EITHER,
+        "GetMapMerge": _EITHER,
+        "RevertMapMerge": _ADMIN,
         "GetCorrection": _EITHER,
         "WatchCorrections": _EITHER,
     },
@@ -77,6 +81,7 @@ SCOPES: dict[str, dict[str, frozenset[Scope]]] = {
         "ListOperations": _EITHER,
         "WaitOperation": _EITHER,
         "RetryOperation": _ADMIN,
+        "CancelOperation": _INGEST | _ADMIN,
     },
     "SystemService": {"GetStatus": _EITHER},
 }

@@ -34,6 +34,8 @@ WebhookPage = webhook_pb2.ListWebhooksResponse
 DeliveryPage = webhook_pb2.ListWebhookDeliveriesResponse
 Event = event_pb2.Event
 Correction = mapping_pb2.Correction
+MapMerge = mapping_pb2.MapMerge
+MapMergePage = mapping_pb2.ListMapMergesResponse
 MapVersion = mapping_pb2.MapVersion
 MapVersionPage = mapping_pb2.ListMapVersionsResponse
 SubmapPosePage = mapping_pb2.ListSubmapPosesResponse
@@ -62,7 +64,7 @@ T = TypeVar("T")
 
 _DESCRIBED = (
     Ack, Event, LocalizeAnswer, LoopClosurePage, MapPage, OperationPage, Posted, RobotPage, SearchAnswer, SessionPage,
-    Status, SubmapPage, Correction, MapVersionPage, SubmapPosePage,
+    Status, SubmapPage, Correction, MapVersionPage, SubmapPosePage, MapMergePage,
     LoopClosureEventPage, LoopKeypoints, ProposedLoop, CreatedWebhook, WebhookPage, DeliveryPage,
 )  # fmt: skip
 

@@ -126,6 +126,19 @@ class RevertMapRequest(Request):
     version: Annotated[int, Field(**bounds(limits.MAP_VERSION))]
 
 
+class MergeMapRequest(Request):
+    """What is merged into a map: `source`, another map or a session of it, by resource name.
+
+    `validate_only` only tells what would happen. `T_map_source` as x,y,z,qx,qy,qz,qw (metres, unit quaternion) is
+    roughly where the frame of the source lies in that of the map, `radius_m` how far from there loops may lead.
+    """
+
+    source: Annotated[str, Field(max_length=limits.RESOURCE_NAME_CHARACTERS)]
+    validate_only: bool = False
+    T_map_source: Annotated[str, Field(max_length=400)] | None = None
+    radius_m: Annotated[float, Field(**bounds(limits.RADIUS_M))] | None = None
+
+
 Note = Annotated[str, Field(max_length=limits.NOTE_CHARACTERS)]
 Name = Annotated[str, Field(max_length=limits.RESOURCE_NAME_CHARACTERS)]
 

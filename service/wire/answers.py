@@ -6,7 +6,7 @@ constructor, REST renders it with `json_form`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
 from typing import Any, TypeAlias, TypeVar
 
@@ -28,6 +28,7 @@ from revisit.service.application.ingest.scans import ScanAck
 from revisit.service.application.ingest.submap_posting import PostedSubmap
 from revisit.service.application.mapping.corrections import CorrectionView
 from revisit.service.application.mapping.loop_decisions import LoopEventView, ProposedLoop
+from revisit.service.application.mapping.merges import MapMergeView
 from revisit.service.application.mapping.versions import MapVersionView, SubmapPoseView
 from revisit.service.application.push.events import EventView
 from revisit.service.application.push.webhooks import CreatedWebhook, WebhookView
@@ -93,6 +94,8 @@ def of_operation(view: OperationView) -> Fields:
         "failure": _failure(view.failure),
         "created_at_ns": view.created_at_ns,
         "finished_at_ns": view.finished_at_ns,
+        "progress": None if view.progress is None else asdict(view.progress),
+        "cancel_requested": view.cancel_requested,
     }
 
 
@@ -231,6 +234,26 @@ def of_submap_pose(view: SubmapPoseView) -> Fields:
         "frame": view.frame,
         "covariance": _covariance(view.covariance),
     }
+
+
+def of_map_merge(view: MapMergeView) -> Fields:
+    """The fields of a MapMerge."""
+    return {
+        "name": f"maps/{view.map_id}/merges/{view.merge_id}",
+        "source": view.source,
+        "version_before": view.version_before,
+        "version": view.version,
+        "sessions": [key.name for key in view.sessions],
+        "report": {name: value for name, value in view.report.items() if name != "changes"},
+        "changes": [_change(one) for one in view.report["changes"]],
+        "created_at_ns": view.created_at_ns,
+        "reverted_at_ns": view.reverted_at_ns,
+    }
+
+
+def _change(change: Mapping[str, Any]) -> Fields:
+    """The fields of a MapChange."""
+    return {**change, "centre_m": _vector(change["centre_m"]), "extent_m": _vector(change["extent_m"])}
 
 
 def of_correction(view: CorrectionView) -> Fields:

@@ -48,6 +48,20 @@ def version_key(name: str, field: str = "name") -> tuple[str, int]:
     return of_map, version_number(version, field)
 
 
+def merge_key(name: str, field: str = "name") -> tuple[str, str]:
+    """Map id and merge id of `maps/{map}/merges/{merge}`."""
+    of_map, merge_id = segments(name, "maps/*/merges/*", field)
+    return of_map, merge_id
+
+
+def merge_source(name: str, field: str = "source") -> tuple[str, str | None]:
+    """Map id, and session id or None, of `maps/{map}` or `maps/{map}/sessions/{session}`."""
+    if name.count("/") == 1:
+        return map_id(name, field), None
+    key = session_key(name, field)
+    return key.map_id, key.session_id
+
+
 def version_number(text: str, field: str = "version") -> int:
     """The number of a version. Raises BadField where it is none."""
     if not (text.isascii() and text.isdigit() and len(text) < 20):

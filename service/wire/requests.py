@@ -26,6 +26,7 @@ from revisit.service.application.ingest.clouds import EncodedCloud
 from revisit.service.application.ingest.scans import AppendScan
 from revisit.service.application.ingest.submap_posting import PostSubmap
 from revisit.service.application.mapping.loop_decisions import ProposeLoop
+from revisit.service.application.mapping.merges import MergeMap
 from revisit.service.application.push.webhooks import CreateWebhook
 from revisit.service.application.query.freshness import DEFAULT_WAIT_S, Freshness
 from revisit.service.application.query.search_answers import SearchCriteria
@@ -38,6 +39,7 @@ from revisit.v1 import (
     ingest_pb2,
     loop_closure_pb2,
     map_pb2,
+    mapping_pb2,
     operation_pb2,
     session_pb2,
     submap_pb2,
@@ -173,6 +175,20 @@ def freshness(request: Any) -> Freshness:
     """What the answer must rest on. Raises BadField."""
     given = _optional(request, "min_seq_timeout_s")
     return Freshness(request.min_seq, DEFAULT_WAIT_S if given is None else given)
+
+
+def merge_map(request: mapping_pb2.MergeMapRequest) -> MergeMap:
+    """What is merged into what. Raises BadField, BadTransform."""
+    source_map_id, session_id = names.merge_source(request.source)
+    near = _pose(request, "t_map_source") if request.HasField("t_map_source") else None
+    return MergeMap(
+        names.map_id(request.name),
+        source_map_id,
+        session_id,
+        request.validate_only,
+        near,
+        _optional(request, "radius_m"),
+    )
 
 
 def wait_s(request: operation_pb2.WaitOperationRequest) -> float:

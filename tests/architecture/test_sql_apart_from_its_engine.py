@@ -47,6 +47,8 @@ CALLS = {
     "SqlRepository.count_of_all_tenants": lambda uow: uow.jobs.count_of_all_tenants(state="QUEUED"),
     "SqlRepository.of_all_tenants": lambda uow: uow.maps.of_all_tenants(limit=5),
     "SqlRepository.replace": lambda uow: uow.maps.replace(uow.maps.get(TENANT, "town")),
+    "SqlRepository.add_all": lambda uow: uow.maps.add_all([a_map("another"), a_map("a-third")]),
+    "SqlRepository.revise": lambda uow: uow.maps.revise([uow.maps.get(TENANT, "another")], scene_scale=0.5),
     "SqlRepository.delete": lambda uow: uow.loops.delete(TENANT, map_id="town"),
     "SqlScans.first_seq_from": lambda uow: uow.scans.first_seq_from(TENANT, "town", "monday", 0.5),
     "SqlScans.points_of": lambda uow: uow.scans.points_of(TENANT),

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from revisit.service.adapters.memory import MemoryTransactions
-from revisit.service.adapters.sqlite.migration import migrate
 from revisit.service.adapters.sqlite.transactions import SqliteTransactions
+from tests.support.made_database import made_database
 from tests.support.plain_engine import PlainTransactions
 
 
@@ -20,8 +20,7 @@ def transactions(request, tmp_path):
         yield store
         store.close()
         return
-    migrate(tmp_path / "test.db")
-    store = SqliteTransactions(tmp_path / "test.db", checkpoints=True, lease_ms=10_000)
+    store = SqliteTransactions(made_database(tmp_path / "test.db"), checkpoints=True, lease_ms=10_000)
     yield store
     store.close()
 

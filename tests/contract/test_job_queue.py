@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from revisit.service.adapters.leased_jobs import MOST_FORGIVEN
@@ -337,3 +339,18 @@ def test_what_was_given_up_is_not_forgiven(queue, read):
     assert [job.failure_message for job in queue.fail_exhausted_jobs(1)] == [
         "no worker survived the job: 1 attempts, the last one ended because it crashed"
     ]
+
+
+def test_a_run_tells_how_far_it_is_and_learns_that_it_is_to_end(queue, write, read):
+    queue.enqueue("op-1")
+    lease = queue.claim()
+    told = {"stage": "VERIFY_LOOPS", "done": 3, "total": 9}
+    assert write(lambda uow: uow.queue.report(lease, told)) is True
+    job = read(lambda uow: uow.jobs.get(TENANT, "op-1"))
+    assert job.progress == told
+    write(lambda uow: uow.jobs.replace(replace(job, cancel_requested=True)))
+    assert write(lambda uow: uow.queue.report(lease, told)) is False
+    later = queue.claim(LEASE_MS + 1, owner="w2")
+    with pytest.raises(StaleLease):
+        write(lambda uow: uow.queue.report(lease, told))
+    assert write(lambda uow: uow.queue.report(later, told)) is False

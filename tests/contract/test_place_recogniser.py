@@ -72,6 +72,15 @@ def test_the_same_submap_is_described_alike_again(recogniser, described):
     assert again.place == described.place
 
 
+def test_a_stored_neural_map_is_enough_to_describe_a_submap_again(recogniser, described):
+    again = recogniser.describe_again(described.neural_map, CONFIG)
+    assert again.descriptor.shape == described.descriptor.shape
+    assert np.linalg.norm(again.descriptor) == pytest.approx(1.0, abs=1e-5)
+    assert recogniser.verify(again.place, again.place, 1.0, CONFIG).accepted
+    with pytest.raises(DataLoss):
+        recogniser.describe_again(b"damaged" + described.neural_map, CONFIG)
+
+
 def test_a_place_matches_itself_and_the_evidence_is_json(recogniser, described):
     verdict = recogniser.verify(described.place, described.place, 1.0, CONFIG)
     assert verdict.accepted and verdict.reason is None and 0.9 < verdict.score <= 1.0 + 1e-6

@@ -103,6 +103,24 @@ def test_replace_changes_one_record_and_needs_it_to_exist(write, read):
         write(lambda uow: uow.maps.replace(replace(record, number=999)))
 
 
+def test_many_records_are_stored_and_revised_at_once(write, read):
+    _, _, first, second, loop = write(fill)
+    others = [replace(a_loop(second.number, first.number), loop_id=f"loop-{n}") for n in range(3)]
+    write(lambda uow: uow.loops.add_all(others))
+    stored = read(lambda uow: uow.loops.find(TENANT, map_id="town"))
+    assert [one.loop_id for one in stored] == [loop.loop_id, "loop-0", "loop-1", "loop-2"]
+    write(lambda uow: uow.loops.revise(stored[1:], graph_state="IN_MAP"))
+    revised = read(lambda uow: uow.loops.find(TENANT, map_id="town"))
+    assert revised == [stored[0], *(replace(one, graph_state="IN_MAP") for one in stored[1:])]
+    write(lambda uow: uow.loops.add_all([]))
+    with pytest.raises(AlreadyExists):
+        write(lambda uow: uow.loops.add_all(others[:1]))
+    write(lambda uow: uow.loops.delete(TENANT, loop_id="loop-2"))
+    with pytest.raises(NotFound):
+        write(lambda uow: uow.loops.revise(stored, graph_state=None))
+    assert read(lambda uow: uow.loops.find(TENANT, map_id="town")) == revised[:3]
+
+
 def test_delete_takes_what_find_would_give_of_this_tenant(write, read):
     write(lambda uow: uow.maps.add(a_map("a")))
     write(lambda uow: uow.maps.add(a_map("a", tenant=OTHER)))

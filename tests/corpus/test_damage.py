@@ -18,6 +18,7 @@ from tests.corpus.damage import Sound, cuts, flips, sound_files
 from tests.corpus.rows import CloudToSend
 from tests.corpus.sending import Answer, grpc_cloud, rest_cloud
 from tests.support.campaigns import Campaign, sizes
+from tests.support.patience import in_time
 
 MIB = 2**20
 SLACK_BYTES = 64 * MIB
@@ -82,7 +83,7 @@ def test_a_damaged_file_is_read_or_refused_in_bounded_memory_and_time(files, rea
         taken = tracemalloc.get_traced_memory()[1] - held
         assert taken <= 3 * len(data) + SLACK_BYTES, (sound.name, len(data), taken)
         most_bytes = max(most_bytes, taken)
-    assert slowest[0] < SLOWEST_S, slowest
+    assert in_time(slowest[0], SLOWEST_S), slowest
     assert len(files) >= 150
     assert reasons["MALFORMED_BODY"] > reasons.total() // 4 and reasons["OK"] > 0
     assert reasons.total() == campaign.done

@@ -2,7 +2,7 @@
 
 Three sessions are opened, submaps posted (two of one place, one that cannot be described), scans appended, one submap
 and one session deleted, another session finished, and the jobs run. The map is optimised twice, and its first version
-brought back. Doing it again after a crash must end where an
+brought back; a second map is merged into it, and taken out again. Doing it again after a crash must end where an
 undisturbed run does: every step carries the client's own ids.
 """
 
@@ -15,9 +15,13 @@ import sys
 from collections.abc import Awaitable
 from pathlib import Path
 
+from revisit.service.adapters.sqlite.migration import migrate
 from revisit.service.application import SessionKey, SubmapKey
+from revisit.service.application.catalogue.paging import PageRequest
 from revisit.service.application.contract.errors import NotFound, SessionFinished
+from revisit.service.application.mapping.merges import MergeMap
 from tests.faults.history import History, Kind, Outcome
+from tests.support.fake_merger import EasyMerger
 from tests.support.fake_recogniser import CANNOT_BE_DESCRIBED
 from tests.support.service_world import TENANT, World, cloud_points, open_session, scan, sqlite_world, submap
 
@@ -29,6 +33,10 @@ PLACES = {"a": 1, "b": 2, "c": 1, "d": 3}
 
 SCRAPPED_PLACES = {"scrapped-described": 1, "scrapped-waiting": 5}
 """Submaps of the session that is deleted: one closes loops with a and c, one still waits for a worker."""
+
+ANNEX = SessionKey("annex", "tuesday")
+ANNEX_PLACES = {"annex-a": 1, "annex-d": 3}
+"""Submaps of another map: they close loops with a, c and d."""
 
 DEGENERATE = "degenerate"
 DELETED = "b"
@@ -43,6 +51,7 @@ def content(place: int, points: int = 300) -> str:
 
 async def drive(world: World, history: History) -> None:
     """Do all of it, and note each step before and after."""
+    world.merger = EasyMerger()
     for session in (POSTED, STREAMED, SCRAPPED):
         await open_session(world, session)
     for submap_id, place in PLACES.items():
@@ -64,10 +73,25 @@ async def drive(world: World, history: History) -> None:
         await world.use_cases.map_versions.optimise(TENANT, POSTED.map_id)
         world.work_off()
     await world.use_cases.map_versions.revert(TENANT, POSTED.map_id, 1)
+    await _merge_and_take_back(world, history)
+
+
+async def _merge_and_take_back(world: World, history: History) -> None:
+    await open_session(world, ANNEX)
+    for submap_id, place in ANNEX_PLACES.items():
+        await _post(world, history, submap_id, place, 300, ANNEX)
+    world.work_off()
+    jobs = world.context.transactions.read(lambda uow: uow.jobs.count(TENANT, kind="MERGE_MAP")).result()
+    if not jobs:
+        await world.use_cases.map_merges.merge(TENANT, MergeMap(POSTED.map_id, ANNEX.map_id))
+    world.work_off()
+    (merge,) = (await world.use_cases.map_merges.list(TENANT, POSTED.map_id, PageRequest())).items
+    await world.use_cases.map_merges.revert(TENANT, POSTED.map_id, merge.merge_id)
 
 
 def undisturbed(home: Path, log: Path, boot: str = "boot-1") -> None:
     """A drive from its beginning to its end over the store in `home`; what happened is appended to `log`."""
+    migrate(home / "revisit.db")
     world = sqlite_world(home)
     world.clock.epoch = boot
     try:

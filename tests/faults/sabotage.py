@@ -515,5 +515,6 @@ def run_test(test: str, sabotage: Sabotage | None = None) -> subprocess.Complete
     plugins = ("-p", "pytest_asyncio.plugin", "-p", "pytest_timeout", "-p", "no:cacheprovider")
     command = [sys.executable, "-m", "pytest", "-x", "-q", *plugins, test]
     environment = {**os.environ, "SABOTAGE": sabotage.name if sabotage else "", "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
+    environment["REVISIT_TEST_PATIENCE_S"] = "30"  # what is broken is waited for in vain
     environment["PYTHONPATH"] = os.pathsep.join([str(SABOTEUR), str(ROOT)])
     return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=900, check=False)

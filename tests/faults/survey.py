@@ -66,7 +66,10 @@ def _engine(database: Path) -> Engine:
 def _survey(uow: UnitOfWork, blobs: BlobStore, tenant: TenantId) -> Survey:
     found = Survey()
     submaps, scans = uow.submaps.find(tenant), uow.scans.find(tenant)
+    copied = {(merge.map_id, name) for merge in uow.map_merges.find(tenant) for name in merge.sessions}
     for record in submaps:
+        if (record.map_id, record.session_id) in copied:
+            continue
         found.states[record.state] += 1
         found.failures.extend([record.failure_message] if record.failure_message else [])
         found.problems.extend(_missing_blobs(record, blobs))

@@ -20,8 +20,8 @@ from tests.faults.survey import survey
 from tests.support.patience import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
-END = Counter({"DESCRIBED": 6, "FAILED": 1})
-"""a, c, d and three windows of scans; the degenerate one."""
+END = Counter({"DESCRIBED": 8, "FAILED": 1})
+"""a, c, d, three windows of scans and two of the annex; the degenerate one."""
 
 processes = multiprocessing.get_context("forkserver")
 processes.set_forkserver_preload(["tests.faults.drive"])

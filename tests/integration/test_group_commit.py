@@ -12,9 +12,9 @@ from sqlalchemy.exc import OperationalError
 
 from revisit.service.adapters.sqlite import transactions
 from revisit.service.adapters.sqlite.connections import WriterLock
-from revisit.service.adapters.sqlite.migration import migrate
 from revisit.service.adapters.sqlite.transactions import SqliteTransactions
 from revisit.service.application.contract.errors import AlreadyExists, StorageFull
+from tests.support.made_database import made_database
 from tests.support.patience import PATIENCE_S
 from tests.support.records import TENANT, a_map
 
@@ -23,7 +23,7 @@ from tests.support.records import TENANT, a_map
 def store(tmp_path, monkeypatch):
     """A store whose groups are closed by what waits alone, so that a slow machine does not part them."""
     monkeypatch.setattr(transactions, "MAX_GROUP_S", 60.0)
-    migrate(tmp_path / "test.db")
+    made_database(tmp_path / "test.db")
     opened = SqliteTransactions(tmp_path / "test.db", checkpoints=True)
     yield opened
     opened.close()
@@ -117,7 +117,7 @@ def test_a_write_that_wants_to_be_alone_shares_its_transaction_with_nobody(store
 
 
 def test_a_closed_store_finishes_what_is_queued_and_takes_nothing_more(tmp_path):
-    migrate(tmp_path / "closing.db")
+    made_database(tmp_path / "closing.db")
     store = SqliteTransactions(tmp_path / "closing.db", checkpoints=True)
     queued = [store.write(add(f"m{number}")) for number in range(100)]
     store.close()

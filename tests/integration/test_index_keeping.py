@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -16,19 +18,25 @@ from revisit.service.application.housekeeping import index_keeping
 from revisit.service.application.query import place_memory
 from revisit.service.application.query.place_memory import PlaceMemory
 from tests.support.campaigns import Campaign, sizes
-from tests.support.service_world import SESSION, TENANT, open_session, sqlite_world, submap
+from tests.support.service_world import SESSION, TENANT, described, sqlite_world
 
 SUBMAPS = 12
 
 
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory):
+    """The data of a service with submaps."""
+    home = tmp_path_factory.mktemp("filled")
+    world = sqlite_world(home)
+    asyncio.run(described(world, **{f"s{number}": number for number in range(SUBMAPS)}))
+    world.context.transactions.close()
+    return home
+
+
 @pytest.fixture
-async def context(tmp_path):
+def context(tmp_path, filled):
     """A filled database, and an index that has not seen it yet."""
-    world = sqlite_world(tmp_path)
-    await open_session(world)
-    for number in range(SUBMAPS):
-        await world.use_cases.posting.post(TENANT, submap(f"s{number}", number))
-    world.work_off()
+    world = sqlite_world(shutil.copytree(filled, tmp_path, dirs_exist_ok=True))
     yield replace(world.context, index=PlaceVectorIndex(FaissIndex))
     world.context.transactions.close()
 

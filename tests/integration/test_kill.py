@@ -15,10 +15,16 @@ from tests.support.processes import ROOT, ServiceProcess, is_running
 from tests.support.town import SESSION, running_town
 
 
-@pytest.fixture
-def town(tmp_path):
-    with running_town(tmp_path / "home", fake_delay_s="0.02", min_index_gap=2) as running:
+@pytest.fixture(scope="module")
+def town(tmp_path_factory):
+    """Each test leaves the service running."""
+    with running_town(tmp_path_factory.mktemp("town") / "home", fake_delay_s="0.02", min_index_gap=2) as running:
         yield running
+
+
+def ended(town, beginning):
+    """The states of the submaps whose ids begin so, once no submap waits any more."""
+    return {name: state for name, state in town.worked_off().items() if name.startswith(beginning)}
 
 
 def test_an_unfinished_window_of_scans_survives_a_kill(town):
@@ -30,13 +36,13 @@ def test_an_unfinished_window_of_scans_survives_a_kill(town):
     assert town.append(8) == 8
     for seq in range(9, 17):
         assert town.append(seq) == seq
-    assert list(town.worked_off()) == ["scans-1-11", "scans-6-16"]
+    assert list(ended(town, "scans")) == ["scans-1-11", "scans-6-16"]
 
 
 def test_a_submap_that_kills_its_worker_fails_after_three_attempts_and_others_proceed(town):
     poison = town.posted("poison", 1, points=KILLS_THE_WORKER)
     town.posted("good", 2)
-    assert town.worked_off() == {"poison": "FAILED", "good": "DESCRIBED"}
+    assert ended(town, ("poison", "good")) == {"poison": "FAILED", "good": "DESCRIBED"}
     operation = town.operation(poison)
     assert (operation["state"], operation["attempts"]) == ("FAILED", 3)
 
@@ -75,7 +81,7 @@ def running_attempt(town, operation):
 
 
 def test_sigterm_drains_and_leaves_no_process(town):
-    town.service.wait_for("worker_ready")
+    eventually(town.service.worker_pids, "no worker is started")
     for number in range(5):
         town.posted(f"s{number}", number)
     workers = town.service.worker_pids()
@@ -83,7 +89,7 @@ def test_sigterm_drains_and_leaves_no_process(town):
     assert workers and not any(is_running(pid) for pid in workers)
     assert status == 0 and in_time(took_s, 15.0)
     town.service.start()
-    assert set(town.worked_off().values()) == {"DESCRIBED"}
+    assert set(ended(town, "s").values()) == {"DESCRIBED"}
 
 
 def test_a_worker_that_is_still_loading_does_not_delay_the_end(tmp_path):

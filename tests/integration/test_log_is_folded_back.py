@@ -12,11 +12,11 @@ from revisit.service.adapters.sqlite import checkpoints
 from revisit.service.adapters.sqlite.checkpoints import LARGE_BYTES, OLD_S, SMALL_BYTES, Checkpoints
 from revisit.service.adapters.sqlite.connections import StorageFailures, write_ahead_log
 from revisit.service.adapters.sqlite.examination import examine
-from revisit.service.adapters.sqlite.migration import migrate
 from revisit.service.adapters.sqlite.transactions import SqliteTransactions
 from revisit.service.application.contract.errors import StorageUncertain
 from revisit.service.application.contract.records import WorkerRecord
 from revisit.service.application.housekeeping.system import WAL_ALARM_BYTES
+from tests.support.made_database import made_database
 from tests.support.patience import eventually
 from tests.support.processes import ServiceProcess
 
@@ -25,7 +25,7 @@ class World:
     """A database, the transactions of a worker, which folds nothing back, and a clock that moves when told to."""
 
     def __init__(self, database):
-        migrate(database)
+        made_database(database)
         self.log, self.now_s = write_ahead_log(database), 0.0
         self.worker = SqliteTransactions(database, checkpoints=False)
         self.failed = []

@@ -112,11 +112,11 @@ async def test_a_graph_that_loses_a_session_while_it_is_optimised_is_read_again(
     optimiser, readings = worker._mapping._optimiser, []
 
     class Deleting:
-        def optimise(self, graph):
+        def optimise(self, graph, progress):
             readings.append(len(graph.tracks))
             if len(readings) == 1:
                 world.context.transactions.write(lambda uow: delete_one(uow, made.map_id)).result()
-            return optimiser.optimise(graph)
+            return optimiser.optimise(graph, progress)
 
     worker._mapping._optimiser = Deleting()
     worker.run(lease)
@@ -144,9 +144,9 @@ async def test_a_revert_is_not_undone_by_an_optimisation_that_was_under_way():
     loop, optimiser = asyncio.get_running_loop(), worker._mapping._optimiser
 
     class Reverting:
-        def optimise(self, graph):
+        def optimise(self, graph, progress):
             asyncio.run_coroutine_threadsafe(cases.revert(TENANT, made.map_id, 1), loop).result(PATIENCE_S)
-            return optimiser.optimise(graph)
+            return optimiser.optimise(graph, progress)
 
     worker._mapping._optimiser = Reverting()
     await asyncio.to_thread(worker.run, lease)

@@ -17,7 +17,7 @@ from revisit.sdk.errors import unreachable
 from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.spool import Spool, SpoolDisagrees
 from tests.faults.proxy import bad_link
-from tests.support.live_service import live_service
+from tests.support.live_service import connected, live_service
 from tests.support.patience import PATIENCE_S
 from tests.support.processes import ServiceProcess
 from tests.support.service_world import cloud_points, pose
@@ -36,9 +36,7 @@ def service():
 
 @pytest.fixture(params=["rest", "grpc"])
 def client(request, service):
-    with (
-        Client(service.http, retry=QUICK) if request.param == "rest" else Client.grpc(service.grpc, retry=QUICK) as made
-    ):
+    with connected(service, request.param, QUICK) as made:
         yield made
 
 

@@ -20,10 +20,11 @@ from pathlib import Path
 import numpy as np
 
 from revisit.core.config import PipelineConfig
-from revisit.core.errors import DegenerateCloud
+from revisit.core.errors import DataLoss, DegenerateCloud
+from revisit.core.geometry import se3
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
-from revisit.service.application.contract.recogniser import LoopVerdict, Mesh, SubmapDescription
+from revisit.service.application.contract.recogniser import LoopVerdict, Mesh, Redescription, SubmapDescription
 
 KILLS_THE_WORKER = 666
 RAISES = 667
@@ -101,10 +102,19 @@ class FakeRecogniser:
         neural_map = b"neural " + descriptor.tobytes()
         return SubmapDescription(descriptor, descriptor.tobytes(), neural_map, mesh, (), {"all": 0.0})
 
+    def describe_again(self, neural_map: bytes, config: PipelineConfig) -> Redescription:
+        """The same descriptor, reversed: that of another model."""
+        if not neural_map.startswith(b"neural "):
+            raise DataLoss("not a neural map")
+        descriptor = np.frombuffer(neural_map.removeprefix(b"neural "), dtype=np.float32)[::-1].copy()
+        return Redescription(descriptor, descriptor.tobytes())
+
     def verify(
         self, query: bytes, match: bytes, similarity: float, config: PipelineConfig, near: np.ndarray | None = None
     ) -> LoopVerdict:
         """Accepted where the descriptors nearly agree; the transform is 1 m along x, or `near`."""
+        if query.startswith(PLACED):
+            return _verified_by_pose(query, match)
         agreement = float(np.frombuffer(query, dtype=np.float32) @ np.frombuffer(match, dtype=np.float32))
         T_match_query = np.eye(4)
         T_match_query[0, 3] = 1.0
@@ -112,6 +122,32 @@ class FakeRecogniser:
         if agreement < ACCEPTED_FROM:
             return LoopVerdict(False, "TOO_DIFFERENT", agreement, None, {"agreement": agreement})
         return LoopVerdict(True, None, agreement, T_match_query, {"agreement": agreement})
+
+
+PLACED = b"placed "
+"""How the blob of a place begins that a made-up fleet has seen: its true pose follows, 16 float64."""
+
+SEEN_FROM_M = 8.0
+
+
+def placed(T_world_submap: np.ndarray) -> bytes:
+    """The blob of a place at a pose of the world."""
+    return PLACED + np.asarray(T_world_submap, dtype="<f8").tobytes()
+
+
+def _verified_by_pose(query: bytes, match: bytes) -> LoopVerdict:
+    """Accepted where the two lie within 8 m, with the pose between them, 1 cm off; the same whichever is the query."""
+    first, second = sorted((query, match))
+    T_world_first, T_world_second = (np.frombuffer(one[len(PLACED) :], "<f8").reshape(4, 4) for one in (first, second))
+    T = np.linalg.inv(T_world_first) @ T_world_second
+    if np.linalg.norm(T[:3, 3]) > SEEN_FROM_M:
+        return LoopVerdict(False, "TOO_DIFFERENT", 0.0, None, {})
+    T[:2, 3] += 0.01
+    covariance = np.diag([0.05**2] * 3 + [0.003**2] * 3)
+    if match is not first:
+        T = np.linalg.inv(T)
+        covariance = se3.adjoint(T) @ covariance @ se3.adjoint(T).T
+    return LoopVerdict(True, None, 0.9, T, {"measurement": {"covariance": covariance.ravel().tolist()}})
 
 
 NOWHERE = np.full(BINS, 0.125, dtype=np.float32)

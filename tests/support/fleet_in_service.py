@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import pose_row, position_row
-from revisit.core.pose_graph import LoopEdge
+from revisit.core.pose_graph import LoopEdge, PoseGraph
+from revisit.service.application.contract.blobs import PLACE_BLOB, BlobStore
 from revisit.service.application.contract.identity import SessionKey, TenantId
 from revisit.service.application.contract.records import LoopRecord, MapRecord, SessionRecord, SubmapRecord
 from revisit.service.application.contract.states import LoopEventKind
 from revisit.service.application.mapping.loop_events import Change, add_loop
+from tests.support.fake_recogniser import placed
 from tests.support.made_up_fleet import Fleet, fleet
 from tests.support.records import TENANT, a_submap
 from tests.support.service_world import World
@@ -42,6 +44,35 @@ class FleetInService:
         return {session: np.stack(poses) for session, poses in of_session.items()}
 
 
+def fleet_in_two(
+    world: World, map_ids: tuple[str, str], seed: int = 3, tenant: TenantId = TENANT, **shape: int
+) -> FleetInService:
+    """Store a fleet without loops between its sessions: every second one in the second map. It is that of the first.
+
+    Its submaps are described as `FakeRecogniser` tells places by their true poses.
+    """
+    made = fleet(seed, 0.0, **shape)
+    parts = [tuple(one for row, one in enumerate(made.graph.trajectories) if row % 2 == half) for half in (0, 1)]
+    for map_id, part in zip(map_ids, parts, strict=True):
+        inside = [
+            loop for loop in made.graph.loops if {loop.match.session, loop.query.session} <= {o.session for o in part}
+        ]
+        own = Fleet(PoseGraph.of(list(part), inside), {one.session: made.truth[one.session] for one in part})
+        world.context.transactions.write(
+            lambda uow, own=own, map_id=map_id: _store(uow, own, map_id, tenant, world.context.blobs)
+        ).result()
+    return FleetInService(made, map_ids[0])
+
+
+def _described(blobs: BlobStore, tenant: TenantId, T_world_submap: np.ndarray) -> dict[str, object]:
+    """The fields of a described submap at its true pose: places that are near each other look alike."""
+    frequencies = np.random.default_rng(0).normal(0.0, 0.1, (32, 2))
+    phases = frequencies @ T_world_submap[:2, 3]
+    descriptor = np.concatenate([np.cos(phases), np.sin(phases)]).astype("<f4") / np.float32(np.sqrt(32.0))
+    place_sha256 = blobs.put(tenant, PLACE_BLOB, placed(T_world_submap))
+    return {"descriptor": descriptor.tobytes(), "place_sha256": place_sha256, "model_version": "fake-1"}
+
+
 def fleet_in(
     world: World, map_id: str, wrong_share: float = 0.0, seed: int = 3, tenant: TenantId = TENANT, **shape: int
 ) -> FleetInService:
@@ -51,8 +82,8 @@ def fleet_in(
     return FleetInService(made, map_id)
 
 
-def _store(uow, made: Fleet, map_id: str, tenant: TenantId) -> None:
-    uow.maps.add(MapRecord(tenant, map_id, "hash", "", 10.0, 5.0, None, "fake-1", 1))
+def _store(uow, made: Fleet, map_id: str, tenant: TenantId, blobs: BlobStore | None = None) -> None:
+    record = uow.maps.add(MapRecord(tenant, map_id, "hash", "", 10.0, 5.0, None, "fake-1", 1))
     submaps: dict[tuple[str, int], SubmapRecord] = {}
     for trajectory in made.graph.trajectories:
         record = SessionRecord(
@@ -72,7 +103,11 @@ def _store(uow, made: Fleet, map_id: str, tenant: TenantId) -> None:
                 T_odom_submap=pose_row(T_odom_submap),
                 position_m=position_row(T_odom_submap[:3, 3]),
             )
+            if blobs is not None:
+                submap = replace(submap, **_described(blobs, tenant, made.truth[trajectory.session][ordinal]))
             submaps[trajectory.session, ordinal] = uow.submaps.add(submap)
+            if blobs is not None:
+                uow.changes.record_described(tenant, record.number, submaps[trajectory.session, ordinal].number)
     for edge in made.graph.loops:
         add_loop(uow, _loop(edge, submaps), Change(LoopEventKind.VERIFIED, 1))
 

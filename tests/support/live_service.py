@@ -12,6 +12,8 @@ from dataclasses import dataclass
 
 import uvicorn
 
+from revisit import Client
+from revisit.sdk.retry import RetryPolicy
 from revisit.service.grpc.server import create_server
 from revisit.service.rest.app import create_app
 from revisit.service.rest.slow_clients import uvicorn_limits
@@ -56,6 +58,13 @@ def live_service(world: World | None = None, **policy) -> Iterator[LiveService]:
         stop.set()
         thread.join(PATIENCE_S)
         worker.join(PATIENCE_S)
+
+
+def connected(
+    service: LiveService, transport: str, retry: RetryPolicy = RetryPolicy(attempts=1, base_s=0.01)
+) -> Client:
+    """A client over `rest` or `grpc`; without retries, the first answer is what a test sees."""
+    return Client(service.http, retry=retry) if transport == "rest" else Client.grpc(service.grpc, retry=retry)
 
 
 async def _serve(world: World, started: list[LiveService], ready: threading.Event, stop: threading.Event) -> None:

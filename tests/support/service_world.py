@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,18 +14,20 @@ from revisit.formats import DecodedCloud
 from revisit.service.adapters.core_map_optimiser import CoreMapOptimiser
 from revisit.service.adapters.files.blobs import FileBlobStore
 from revisit.service.adapters.memory import MemoryBlobStore, MemoryTransactions, MemoryVectorIndex
-from revisit.service.adapters.sqlite.migration import migrate
 from revisit.service.adapters.sqlite.transactions import SqliteTransactions
 from revisit.service.application import DEFAULT_TENANT, Installation, Policy, SessionKey, SubmapKey, UseCases
 from revisit.service.application.catalogue.maps import CreateMap
 from revisit.service.application.catalogue.sessions import CreateSession
 from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.disk import DiskSpace, UnlimitedDisk
+from revisit.service.application.contract.map_merger import MapMerger
 from revisit.service.application.contract.recogniser import PlaceRecogniser
 from revisit.service.application.ingest.scans import AppendScan
 from revisit.service.application.ingest.submap_posting import PostSubmap
 from revisit.service.application.recognise.recognition import Recognition
+from tests.support.fake_merger import FakeMerger
 from tests.support.fake_recogniser import FakeRecogniser
+from tests.support.made_database import made_database
 
 TENANT = DEFAULT_TENANT
 SESSION = SessionKey("town", "monday")
@@ -54,11 +56,12 @@ class World:
     context: Installation
     use_cases: UseCases
     clock: SteppedClock
+    merger: MapMerger = field(default_factory=FakeMerger)
 
     def worker(self, recogniser: PlaceRecogniser | None = None) -> Recognition:
         """Another worker's recognition, with an index of its own."""
         own = replace(self.context, index=MemoryVectorIndex())
-        return own.recognition(recogniser or FakeRecogniser(), CoreMapOptimiser())
+        return own.recognition(recogniser or FakeRecogniser(), CoreMapOptimiser(), self.merger)
 
     def claim(self, owner: str = "w1"):
         """The next lease, or None."""
@@ -90,8 +93,8 @@ def memory_world(**overrides) -> World:
 def sqlite_world(home: Path, disk: DiskSpace = UnlimitedDisk(), **overrides) -> World:
     """The service over SQLite and files in `home`; close its transactions at the end."""
     rules = policy(**overrides)
-    migrate(home / "revisit.db")
-    transactions = SqliteTransactions(home / "revisit.db", checkpoints=True, lease_ms=rules.lease_ms)
+    database = made_database(home / "revisit.db")
+    transactions = SqliteTransactions(database, checkpoints=True, lease_ms=rules.lease_ms)
     return _world(transactions, FileBlobStore(home / "blobs"), rules, disk)
 
 

@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,14 +24,16 @@ class Addresses:
 
 
 @contextmanager
-def running_service(home: Path) -> Iterator[Addresses]:
+def running_service(home: Path, settings: Mapping[str, str] | None = None) -> Iterator[Addresses]:
     """`python -m revisit.service serve` on free ports with its data in `home`, stopped on leaving.
 
-    Raises RuntimeError with the end of its log where it does not start.
+    `settings` are further variables of its environment. Raises RuntimeError with the end of its log where it does not
+    start.
     """
     environment = {
         **os.environ, "REVISIT_HOME": str(home / "data"), "REVISIT_HTTP_PORT": "0", "REVISIT_GRPC_PORT": "0",
         "REVISIT_HOST": "127.0.0.1", "REVISIT_WORKERS": str(os.cpu_count() or 1), "REVISIT_LOG_LEVEL": "INFO",
+        **(settings or {}),
     }  # fmt: skip
     log = home / "service.log"
     with log.open("wb") as stream:

@@ -34,7 +34,7 @@ from revisit.evaluation.demo import (
     judge_map,
     portray,
 )
-from revisit.formats import DEFAULT_LIMITS, npy
+from revisit.formats import NPY, decode_cloud
 from revisit.sdk.client import Client
 from revisit.sdk.resources import LoopClosure, Submap
 
@@ -161,7 +161,7 @@ def _clouds(client: Client, pair: ClosingPair | None) -> PairClouds | None:
 
 
 def _points(client: Client, submap: str) -> NDArray[np.float32]:
-    return npy.decode(client.download(submap, "npy"), DEFAULT_LIMITS).points
+    return decode_cloud(client.download(submap, "npy"), NPY).points
 
 
 def _figure(driven: Drives, outcome: Outcome) -> DemoFigure:

@@ -61,6 +61,11 @@ class MemoryRepository(Generic[R]):
             self._on_change(None, added)
         return added
 
+    def add_all(self, records: Sequence[R]) -> None:
+        """See `Repository`."""
+        for record in records:
+            self.add(record)
+
     def get(self, tenant: TenantId, *key: str | int) -> R | None:
         """See `Repository`."""
         return next((row for row in self._rows.by_number.values() if self._key_of(row) == (tenant, *key)), None)
@@ -99,6 +104,11 @@ class MemoryRepository(Generic[R]):
         self._rows.by_number[number] = record
         if self._on_change is not None:
             self._on_change(before, record)
+
+    def revise(self, records: Sequence[R], **fields: Scalar) -> None:
+        """See `Repository`."""
+        for record in records:
+            self.replace(dataclasses.replace(record, **fields))  # type: ignore[type-var]  # as in `add`
 
     def delete(self, tenant: TenantId, **equals: Scalar) -> int:
         """See `Repository`."""

@@ -25,6 +25,7 @@ from revisit.service.application.contract.events import on_job_change, on_loop_c
 from revisit.service.application.contract.records import (
     LoopEventRecord,
     LoopRecord,
+    MapMergeRecord,
     MapRecord,
     MapVersionRecord,
     RobotRecord,
@@ -38,7 +39,7 @@ T = TypeVar("T")
 
 _TABLES = (
     *("maps", "robots", "sessions", "scans", "submaps", "loops"),
-    *("loop_events", "map_versions", "session_poses"),
+    *("loop_events", "map_versions", "session_poses", "map_merges"),
     *("jobs", "turns", "changes", "events", "webhooks", "webhook_deliveries", "workers", "keys", "audit"),
 )
 
@@ -67,6 +68,9 @@ class MemoryUnitOfWork:
         )
         self.session_poses: MemoryRepository[SessionPosesRecord] = MemoryRepository(
             tables["session_poses"], ("map_id", "version", "session_id")
+        )
+        self.map_merges: MemoryRepository[MapMergeRecord] = MemoryRepository(
+            tables["map_merges"], ("map_id", "merge_id")
         )
         self.queue = LeasedJobs(self.jobs, FairTurns(MemoryTenantTurns(tables["turns"], self.jobs)), lease_ms)
         self.changes = MemoryChangeLog(tables["changes"], tables["submaps"])

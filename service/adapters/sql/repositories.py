@@ -45,6 +45,9 @@ Asked = Mapping[str, Scalar]
 
 R = TypeVar("R")
 
+REVISED_AT_ONCE = 500
+"""Rows that one statement changes: each is a parameter of it."""
+
 
 class SqlRepository(Generic[R]):
     """`Repository` over a table whose columns are the fields of the record."""
@@ -80,6 +83,21 @@ class SqlRepository(Generic[R]):
         if self._on_change is not None:
             self._on_change(None, added)
         return added
+
+    def add_all(self, records: Sequence[R]) -> None:
+        """See `Repository`."""
+        rows = [column_values(record) for record in records]
+        for row in rows:
+            row.pop("number")
+        try:
+            if rows:
+                self._connection.execute(insert(self._table), rows)
+        except IntegrityError as error:
+            if self._engine.is_duplicate(error):
+                raise AlreadyExists from error
+            raise NotFound("the parent of one of these resources does not exist") from error
+        for record in records if self._on_change is not None else ():
+            self._on_change(None, record)  # type: ignore[misc]  # the loop is empty without it
 
     def get(self, tenant: TenantId, *key: str | int) -> R | None:
         """See `Repository`."""
@@ -125,6 +143,19 @@ class SqlRepository(Generic[R]):
             raise NotFound
         if self._on_change is not None:
             self._on_change(before, record)
+
+    def revise(self, records: Sequence[R], **fields: Scalar) -> None:
+        """See `Repository`."""
+        which = [column_values(record) for record in records]
+        for start in range(0, len(which), REVISED_AT_ONCE):
+            some = which[start : start + REVISED_AT_ONCE]
+            number, tenant = self._table.c.number, self._table.c.tenant
+            where = and_(number.in_([row["number"] for row in some]), tenant == some[0]["tenant"])
+            if self._connection.execute(update(self._table).where(where).values(fields)).rowcount != len(some):
+                raise NotFound
+        if self._on_change is not None:
+            for record in records:
+                self._on_change(record, dataclasses.replace(record, **fields))  # type: ignore[type-var]  # as in `add`
 
     def delete(self, tenant: TenantId, **equals: Scalar) -> int:
         """See `Repository`."""

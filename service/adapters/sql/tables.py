@@ -277,6 +277,21 @@ session_poses = _numbered(
     Index(None, "tenant", "map_id", "session_id"),
 )
 
+map_merges = _numbered(
+    "map_merges",
+    ("map_id", "merge_id"),
+    _text("map_id"),
+    _text("merge_id"),
+    _text("source", length=300),
+    _integer("version_before"),
+    _integer("version"),
+    _tuple("sessions"),
+    _json("report"),
+    _integer("created_at_ns"),
+    _integer("reverted_at_ns", nullable=True),
+    ForeignKeyConstraint(["tenant", "map_id"], ["maps.tenant", "maps.map_id"]),
+)
+
 jobs = _numbered(
     "jobs",
     ("operation_id",),
@@ -302,6 +317,8 @@ jobs = _numbered(
     Column("failure_message", Text, nullable=True),
     _integer("finished_at_ns", nullable=True),
     Column("forgiven", BigInteger, nullable=False, server_default="0"),
+    _json("progress", nullable=True),
+    Column("cancel_requested", Boolean, nullable=False, server_default="0"),
     Index(None, "state", "tenant", "priority"),
     Index(None, "tenant", "state"),
     Index(None, "finished_at_ns", info={"where": ANSWERED_QUERIES}),

@@ -23,6 +23,7 @@ from revisit.service.application.contract.records import (
     JobRecord,
     LoopEventRecord,
     LoopRecord,
+    MapMergeRecord,
     MapRecord,
     MapVersionRecord,
     RobotRecord,
@@ -90,6 +91,12 @@ class SqlUnitOfWork:
         """The poses of sessions in versions of maps by (map_id, version, session_id)."""
         key = ("map_id", "version", "session_id")
         return SqlRepository(self.connection, self.engine, tables.session_poses, SessionPosesRecord, key)
+
+    @cached_property
+    def map_merges(self) -> SqlRepository[MapMergeRecord]:
+        """Merges into maps by (map_id, merge_id)."""
+        key = ("map_id", "merge_id")
+        return SqlRepository(self.connection, self.engine, tables.map_merges, MapMergeRecord, key)
 
     @cached_property
     def jobs(self) -> SqlJobs:

@@ -51,7 +51,7 @@ def delete_map(uow: UnitOfWork, record: MapRecord, at_ns: int) -> set[Blob]:
     of_map = {"map_id": record.map_id}
     doomed = blobs_of_rows(uow, record.tenant, **of_map)
     _drop_jobs(uow, record.tenant, at_ns, **of_map)
-    versions = (uow.session_poses, uow.map_versions)
+    versions = (uow.map_merges, uow.session_poses, uow.map_versions)
     for rows in (*versions, uow.loop_events, uow.loops, uow.submaps, uow.scans, uow.sessions, uow.maps):
         rows.delete(record.tenant, **of_map)
     return doomed

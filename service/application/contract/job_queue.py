@@ -9,6 +9,9 @@ from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.records import JobRecord, TurnRecord, WorkerRecord
 
+CANCELLED = {"outcome": "the operation was cancelled"}
+"""The result of a job that somebody cancelled: it changed nothing."""
+
 
 @dataclass(frozen=True)
 class Lease:
@@ -76,7 +79,15 @@ class LostRuns(Protocol):
         ...
 
 
-class JobQueue(LeasedRuns, LostRuns, Protocol):
+class ReportedRuns(Protocol):
+    """How far a run has come."""
+
+    def report(self, lease: Lease, progress: dict[str, Any]) -> bool:
+        """Store `progress` (JSON). Whether to go on: False once somebody has asked to cancel. Raises StaleLease."""
+        ...
+
+
+class JobQueue(LeasedRuns, LostRuns, ReportedRuns, Protocol):
     """Jobs in the same transaction as the rows they belong to; at least one run, at most one effect."""
 
     def enqueue(self, job: JobRecord) -> JobRecord:

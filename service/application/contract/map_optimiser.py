@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -12,6 +13,9 @@ from revisit.core.geometry.se3 import Matrix4
 from revisit.service.application.contract.states import GraphState
 
 Array64 = NDArray[np.float64]
+
+Told = Callable[[str, int, int], None]
+"""Called with a stage, and how much of how much of it is done. May raise, which ends the work."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +44,15 @@ class TrackLoop:
 
 @dataclass(frozen=True)
 class MapGraph:
-    """The sessions of a map and the accepted loops between their submaps, each of which covers `window_m` metres."""
+    """The sessions of a map and the accepted loops between their submaps, each of which covers `window_m` metres.
+
+    Of sessions that loops join, the first that `anchors` numbers gives the frame; the oldest where it is empty.
+    """
 
     tracks: tuple[SessionTrack, ...]
     loops: tuple[TrackLoop, ...]
     window_m: float
+    anchors: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -84,6 +92,6 @@ class OptimisedMap:
 class MapOptimiser(Protocol):
     """Places the sessions of a map to each other."""
 
-    def optimise(self, graph: MapGraph) -> OptimisedMap:
+    def optimise(self, graph: MapGraph, told: Told) -> OptimisedMap:
         """The same graph gives the same answer, bit for bit. Tracks and loops answer in their order."""
         ...

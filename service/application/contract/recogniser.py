@@ -47,6 +47,14 @@ class LoopVerdict:
     evidence: dict[str, Any]
 
 
+@dataclass(frozen=True)
+class Redescription:
+    """What a recogniser makes of a stored neural map: `descriptor` (d,) float32 and the blob of the place."""
+
+    descriptor: NDArray[np.float32]
+    place: bytes
+
+
 class PlaceRecogniser(Protocol):
     """The method, as the workers call it."""
 
@@ -61,6 +69,10 @@ class PlaceRecogniser(Protocol):
 
     def describe(self, submap: Submap, config: PipelineConfig) -> SubmapDescription:
         """Neural map, descriptor and place of a submap. Raises RevisitError where it cannot be described."""
+        ...
+
+    def describe_again(self, neural_map: bytes, config: PipelineConfig) -> Redescription:
+        """What this version makes of a submap from its stored neural map. Raises RevisitError where it cannot."""
         ...
 
     def verify(

@@ -238,13 +238,36 @@ class SessionPosesRecord:
 
 
 @dataclass(frozen=True)
+class MapMergeRecord:
+    """A merge into a map: what was merged, into which version, and what it rested on.
+
+    `merge_id` is the id of its operation. `source` is the resource name of the map or session that was copied;
+    `sessions` are the ids of the copies. `version_before` was in force before it (0 for none) and is kept while the
+    merge is; `report` is JSON (see `mapping.merge_report`). `reverted_at_ns` is there once the merge was taken back.
+    """
+
+    tenant: TenantId
+    map_id: str
+    merge_id: str
+    source: str
+    version_before: int
+    version: int
+    sessions: tuple[str, ...]
+    report: dict[str, Any]
+    created_at_ns: int
+    reverted_at_ns: int | None = None
+    number: int = 0
+
+
+@dataclass(frozen=True)
 class JobRecord:
     """A leased job, which clients see as an operation.
 
     Jobs of `priority` 0, for which a client waits, go before those of 1. `lease_token` grows with every claim: only
     the holder of the newest may complete the job (fencing). Lease times count on the monotonic clock of one boot of
     the machine, named by `lease_epoch`; `claimed_ms` is when the last run began. `forgiven` of the `attempts` ended
-    for a reason that was none of the job's (docs/decisions/0082). `request_id` and `traceparent` (W3C) name the
+    for a reason that was none of the job's (docs/decisions/0082). `progress` is JSON (stage, done, total), and
+    `cancel_requested` says that somebody wants it to end. `request_id` and `traceparent` (W3C) name the
     request that the job came from.
     """
 
@@ -271,6 +294,8 @@ class JobRecord:
     failure_message: str | None = None
     finished_at_ns: int | None = None
     forgiven: int = 0
+    progress: dict[str, Any] | None = None
+    cancel_requested: bool = False
     number: int = 0
 
     @property

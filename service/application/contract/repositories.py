@@ -46,8 +46,19 @@ class RowWriter(Protocol[R]):
         """Store a new record and return it with its number. Raises AlreadyExists where its key is taken."""
         ...
 
+    def add_all(self, records: Sequence[R]) -> None:
+        """Store new records in few statements, without telling their numbers. Raises AlreadyExists."""
+        ...
+
     def replace(self, record: R) -> None:
         """Overwrite the record of this number. Raises NotFound where there is none."""
+        ...
+
+    def revise(self, records: Sequence[R], **fields: str | int | None) -> None:
+        """Give records of one tenant, as they are stored, the same values of some fields, in few statements.
+
+        Raises NotFound where one is gone.
+        """
         ...
 
     def delete(self, tenant: TenantId, **equals: str | int | None) -> int:

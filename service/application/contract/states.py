@@ -72,6 +72,22 @@ class OperationKind(StrEnum):
     LOCALIZE = "LOCALIZE"
     OPTIMISE_MAP = "OPTIMISE_MAP"
     VERIFY_LOOP = "VERIFY_LOOP"
+    MERGE_MAP = "MERGE_MAP"
+
+
+class MergeVerdict(StrEnum):
+    """What came of a merge: done, refused, or only asked for (`validate_only`) with nothing against it."""
+
+    MERGED = "MERGED"
+    REFUSED = "REFUSED"
+    MERGEABLE = "MERGEABLE"
+
+
+class ChangeKind(StrEnum):
+    """What happened to a thing between two days."""
+
+    VANISHED = "VANISHED"
+    APPEARED = "APPEARED"
 
 
 class OperationState(StrEnum):

@@ -13,6 +13,7 @@ from revisit.service.application.contract.job_queue import JobQueue, WorkerLog
 from revisit.service.application.contract.records import (
     LoopEventRecord,
     LoopRecord,
+    MapMergeRecord,
     MapRecord,
     MapVersionRecord,
     RobotRecord,
@@ -33,7 +34,7 @@ T = TypeVar("T")
 class UnitOfWork(Protocol):
     """One transaction: all of it is committed, or none.
 
-    Eighteen properties and no methods: one for each kind of record, so that a transaction can change any of them.
+    Nineteen properties and no methods: one for each kind of record, so that a transaction can change any of them.
     """
 
     @property
@@ -79,6 +80,11 @@ class UnitOfWork(Protocol):
     @property
     def session_poses(self) -> Repository[SessionPosesRecord]:
         """The poses of sessions in versions of maps by (map_id, version, session_id)."""
+        ...
+
+    @property
+    def map_merges(self) -> Repository[MapMergeRecord]:
+        """Merges into maps by (map_id, merge_id)."""
         ...
 
     @property

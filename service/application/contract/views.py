@@ -24,8 +24,20 @@ class OperationFailure:
 
 
 @dataclass(frozen=True)
+class OperationProgress:
+    """How far a run has come: `done` of `total` parts of a stage."""
+
+    stage: str
+    done: int
+    total: int
+
+
+@dataclass(frozen=True)
 class OperationView:
-    """An operation as clients see it. `subject` is a resource name (a submap or a map); `result` is JSON, once DONE."""
+    """An operation as clients see it. `subject` is a resource name (a submap or a map); `result` is JSON, once DONE.
+
+    `progress` is there while it runs, where its kind tells; `cancel_requested` says that it is asked to end.
+    """
 
     operation_id: str
     kind: OperationKind
@@ -36,6 +48,8 @@ class OperationView:
     failure: OperationFailure | None
     created_at_ns: int
     finished_at_ns: int | None
+    progress: OperationProgress | None = None
+    cancel_requested: bool = False
 
     @property
     def done(self) -> bool:
@@ -88,7 +102,15 @@ def operation_view(record: JobRecord) -> OperationView:
         failure=failure_of(record.failure_code, record.failure_message),
         created_at_ns=record.created_at_ns,
         finished_at_ns=record.finished_at_ns,
+        progress=_progress(record),
+        cancel_requested=record.cancel_requested,
     )
+
+
+def _progress(record: JobRecord) -> OperationProgress | None:
+    """Of a job that runs; what an ended one reported last is no news."""
+    shown = record.progress is not None and record.state == OperationState.RUNNING
+    return OperationProgress(**record.progress) if shown and record.progress is not None else None
 
 
 def failure_of(code: str | None, message: str | None) -> OperationFailure | None:

@@ -60,6 +60,7 @@ class DeadLetters:
             failure_code=None,
             failure_message=None,
             finished_at_ns=None,
+            cancel_requested=False,
         )
         uow.jobs.replace(queued)
         if submap is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -78,6 +78,15 @@ def change_loop(uow: UnitOfWork, record: LoopRecord, change: Change, **fields: A
     uow.loops.replace(changed)
     uow.loop_events.add(_event(changed, change))
     return changed
+
+
+def change_loops(uow: UnitOfWork, changes: Sequence[tuple[LoopRecord, Change]], graph_state: str | None) -> None:
+    """Store the same verdict of the pose graph on many loops, as they are stored, with the event of each.
+
+    In few statements: a version of a map judges thousands of loops while all other writers wait.
+    """
+    uow.loops.revise([loop for loop, _ in changes], graph_state=graph_state)
+    uow.loop_events.add_all([_event(replace(loop, graph_state=graph_state), change) for loop, change in changes])
 
 
 def _event(loop: LoopRecord, change: Change) -> LoopEventRecord:

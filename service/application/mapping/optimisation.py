@@ -10,7 +10,7 @@ from typing import Any
 from revisit.service.application.contract.clock import Clock, Instant
 from revisit.service.application.contract.errors import Unavailable
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.job_queue import Lease
+from revisit.service.application.contract.job_queue import CANCELLED, Lease
 from revisit.service.application.contract.map_optimiser import MapOptimiser
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.records import JobRecord
@@ -18,6 +18,7 @@ from revisit.service.application.contract.states import LoopState, OperationKind
 from revisit.service.application.contract.tracing import current_request
 from revisit.service.application.contract.transactions import Transactions, UnitOfWork
 from revisit.service.application.mapping.graph_reading import read_task
+from revisit.service.application.mapping.progress import OperationCancelled, Progress
 from revisit.service.application.mapping.version_commit import MAP_DELETED, VersionCommit
 from revisit.service.failpoints import failpoint
 
@@ -40,16 +41,24 @@ class MapOptimisation:
 
     def run(self, lease: Lease) -> None:
         """Read the graph, optimise it, commit a version. Raises Unavailable where the graph changes all the time."""
+        try:
+            self._run(lease, Progress(self._transactions, self._clock, lease))
+        except OperationCancelled:
+            self._end(lease, CANCELLED)
+
+    def _run(self, lease: Lease, progress: Progress) -> None:
         map_id = str(lease.job.payload["map_id"])
         read = partial(read_task, policy=self._policy, tenant=lease.job.tenant, map_id=map_id)
         for _ in range(_READINGS):
+            progress("READ_MAP")
             task = self._transactions.read(read).result()
             if task is None or not task.graph.tracks:
                 self._end(lease, MAP_DELETED if task is None else NO_SUBMAPS)
                 return
             failpoint("optimise.after_read")
-            optimised = self._optimiser.optimise(task.graph)
+            optimised = self._optimiser.optimise(task.graph, progress)
             failpoint("optimise.after_solution")
+            progress("COMMIT")
             now, now_ns = self._clock.instant(), self._clock.wall_ns()
             commit = VersionCommit(lease, task, optimised, self._policy.map_versions_kept, now, now_ns)
             if self._transactions.write(commit).result():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -26,7 +26,7 @@ from revisit.service.application.contract.session_poses import (
 from revisit.service.application.contract.states import GraphState, LoopEventKind
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.mapping.graph_reading import MapTask
-from revisit.service.application.mapping.loop_events import Change, change_loop
+from revisit.service.application.mapping.loop_events import Change, change_loops
 from revisit.service.failpoints import failpoint
 
 MAP_DELETED = {"outcome": "the map was deleted"}
@@ -64,51 +64,68 @@ class VersionCommit:
         return True
 
     def _store(self, uow: UnitOfWork, current: MapRecord) -> None:
-        version, summary = current.map_version + 1, summary_of(self.task, self.optimised)
-        packed = pack_loops(self.optimised.loops)
-        uow.map_versions.add(
-            MapVersionRecord(
-                tenant=current.tenant,
-                map_id=current.map_id,
-                version=version,
-                restored_from=None,
-                operation_id=self.lease.job.operation_id,
-                summary=summary,
-                loops=packed,
-                loops_hash=hash_of_loops(packed),
-                created_at_ns=self.now_ns,
-            )
-        )
-        failpoint("optimise.after_version")
-        for row in self._poses(version):
-            uow.session_poses.add(row)
-        judge_loops(uow, self.task.loops, self.optimised.loops, version, self.now_ns)
-        failpoint("optimise.after_poses")
-        uow.maps.replace(replace(current, map_version=version))
+        summary = summary_of(self.task, self.optimised.tracks, self.optimised)
+        operation_id = self.lease.job.operation_id
+        version = add_version(uow, current, self.task, self.optimised, summary, operation_id, self.now_ns)
         forget_versions(uow, current.tenant, current.map_id, version - self.kept)
         self._end(uow, {"version": f"maps/{current.map_id}/versions/{version}", **summary})
 
-    def _poses(self, version: int) -> Iterable[SessionPosesRecord]:
-        known, graph = self.task.map, self.task.graph
-        for session_id, track, solved in zip(self.task.session_ids, graph.tracks, self.optimised.tracks, strict=True):
-            numbers = np.array(track.submaps, dtype=np.int64)
-            data = PackedSubmaps(numbers, solved.T_map_submap, solved.covariances.astype(np.float32)).packed()
-            frame = frame_name(solved.anchor)
-            yield SessionPosesRecord(
-                tenant=known.tenant,
-                map_id=known.map_id,
-                version=version,
-                session_id=session_id,
-                session_number=track.session_number,
-                frame=frame,
-                T_map_odom=pose_row(solved.T_map_odom),
-                submaps=data,
-                content_hash=hash_of_session(track.session_number, frame, solved.T_map_odom, data),
-                created_at_ns=self.now_ns,
-            )
-
     def _end(self, uow: UnitOfWork, result: dict[str, Any]) -> None:
         uow.queue.complete(self.lease, result, self.now, self.now_ns)
+
+
+def add_version(
+    uow: UnitOfWork,
+    current: MapRecord,
+    task: MapTask,
+    optimised: OptimisedMap,
+    summary: dict[str, Any],
+    operation_id: str,
+    now_ns: int,
+) -> int:
+    """Store the poses of a task's tracks and the verdicts on its loops as the version in force; its number."""
+    version, packed = current.map_version + 1, pack_loops(optimised.loops)
+    uow.map_versions.add(
+        MapVersionRecord(
+            tenant=current.tenant,
+            map_id=current.map_id,
+            version=version,
+            restored_from=None,
+            operation_id=operation_id,
+            summary=summary,
+            loops=packed,
+            loops_hash=hash_of_loops(packed),
+            created_at_ns=now_ns,
+        )
+    )
+    failpoint("optimise.after_version")
+    for row in _poses(current, task, optimised.tracks, version, now_ns):
+        uow.session_poses.add(row)
+    judge_loops(uow, task.loops, optimised.loops, version, now_ns)
+    failpoint("optimise.after_poses")
+    uow.maps.replace(replace(current, map_version=version))
+    return version
+
+
+def _poses(
+    current: MapRecord, task: MapTask, tracks: Iterable[OptimisedTrack], version: int, now_ns: int
+) -> Iterable[SessionPosesRecord]:
+    for session_id, track, solved in zip(task.session_ids, task.graph.tracks, tracks, strict=True):
+        numbers = np.array(track.submaps, dtype=np.int64)
+        data = PackedSubmaps(numbers, solved.T_map_submap, solved.covariances.astype(np.float32)).packed()
+        frame = frame_name(solved.anchor)
+        yield SessionPosesRecord(
+            tenant=current.tenant,
+            map_id=current.map_id,
+            version=version,
+            session_id=session_id,
+            session_number=track.session_number,
+            frame=frame,
+            T_map_odom=pose_row(solved.T_map_odom),
+            submaps=data,
+            content_hash=hash_of_session(track.session_number, frame, solved.T_map_odom, data),
+            created_at_ns=now_ns,
+        )
 
 
 def judge_loops(
@@ -116,6 +133,7 @@ def judge_loops(
 ) -> None:
     """Store what a version says of each of some loops; a loop of which it says nothing has no verdict of the graph."""
     verdicts = {verdict.number: verdict for verdict in judged}
+    changes: dict[str | None, list[tuple[LoopRecord, Change]]] = {}
     for loop in loops:
         verdict = verdicts.get(loop.number)
         state = None if verdict is None else verdict.state.value
@@ -124,12 +142,18 @@ def judge_loops(
         distance = np.nan if verdict is None else verdict.squared_distance
         details = {"squared_distance": float(distance)} if np.isfinite(distance) else {}
         change = Change(LoopEventKind.JUDGED, now_ns, map_version=version, details=details)
-        change_loop(uow, loop, change, graph_state=state)
+        changes.setdefault(state, []).append((loop, change))
+    for state, some in changes.items():
+        change_loops(uow, some, state)
 
 
 def forget_versions(uow: UnitOfWork, tenant: TenantId, map_id: str, last: int) -> None:
-    """Delete the versions of a map up to number `last`, with the operations that made them."""
-    for version in sorted(uow.map_versions.distinct(tenant, "version", map_id=map_id)):
+    """Delete the versions of a map up to number `last`, with the operations that made them.
+
+    Those that stay which a merge leads back to.
+    """
+    pinned = uow.map_merges.distinct(tenant, "version_before", map_id=map_id, reverted_at_ns=None)
+    for version in sorted(uow.map_versions.distinct(tenant, "version", map_id=map_id) - pinned):
         if version > last:
             return
         of_version: dict[str, str | int] = {"map_id": map_id, "version": version}
@@ -139,14 +163,17 @@ def forget_versions(uow: UnitOfWork, tenant: TenantId, map_id: str, last: int) -
         uow.map_versions.delete(tenant, **of_version)
 
 
-def summary_of(task: MapTask, optimised: OptimisedMap) -> dict[str, Any]:
-    """What a version rests on, and how far it moved the submaps: the fields of a MapVersionSummary."""
+def summary_of(task: MapTask, tracks: Sequence[OptimisedTrack], optimised: OptimisedMap) -> dict[str, Any]:
+    """What a version rests on, and how far it moved the submaps: the fields of a MapVersionSummary.
+
+    `tracks` are those of the task's tracks, in their order.
+    """
     states = Counter(loop.state for loop in optimised.loops)
-    changes = _changes_m(task, optimised.tracks)
+    changes = _changes_m(task, tracks)
     return {
-        "sessions": len(optimised.tracks),
+        "sessions": len(tracks),
         "submaps": sum(len(track.submaps) for track in task.graph.tracks),
-        "frames": len({track.anchor for track in optimised.tracks}),
+        "frames": len({track.anchor for track in tracks}),
         "loops_in_map": states[GraphState.IN_MAP],
         "loops_set_aside": states[GraphState.SET_ASIDE],
         "loops_unconnected": states[GraphState.UNCONNECTED],

@@ -21,7 +21,12 @@ from revisit.service.application.contract.identity import SubmapKey, TenantId
 from revisit.service.application.contract.lookup import require_map
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.records import MapRecord, MapVersionRecord, SessionPosesRecord
-from revisit.service.application.contract.session_poses import PackedSubmaps, hash_of_version, unpack_loops
+from revisit.service.application.contract.session_poses import (
+    PackedSubmaps,
+    hash_of_loops,
+    hash_of_version,
+    unpack_loops,
+)
 from revisit.service.application.contract.states import LoopState
 from revisit.service.application.contract.storage import Storage
 from revisit.service.application.contract.transactions import UnitOfWork
@@ -129,14 +134,37 @@ class MapVersions:
             return _view(uow, current, wanted)
         audit.append(uow, now_ns, entry)
         drop_waiting(uow, tenant, map_id, MAP_REVERTED, now_ns)
-        restored = replace(current, map_version=current.map_version + 1)
-        row = _restore(uow, wanted, restored.map_version, now_ns)
-        accepted = uow.loops.find(tenant, map_id=map_id, state=LoopState.ACCEPTED.value)
-        judge_loops(uow, accepted, unpack_loops(wanted.loops), restored.map_version, now_ns)
-        uow.maps.replace(restored)
+        restored, row = restore_version(uow, current, version, now_ns)
         failpoint("revert.after_rows")
         forget_versions(uow, tenant, map_id, restored.map_version - self._policy.map_versions_kept)
         return _view(uow, restored, row)
+
+
+def restore_version(
+    uow: UnitOfWork, current: MapRecord, version: int, now_ns: int
+) -> tuple[MapRecord, MapVersionRecord]:
+    """Bring back the rows of an earlier version as the one in force; 0 brings back a map without poses.
+
+    Raises NotFound for a version that is not kept.
+    """
+    restored = replace(current, map_version=current.map_version + 1)
+    wanted = _without_poses(current, now_ns) if version == 0 else _require_version(uow, current, version)
+    row = _restore(uow, wanted, restored.map_version, now_ns)
+    accepted = uow.loops.find(current.tenant, map_id=current.map_id, state=LoopState.ACCEPTED.value)
+    judge_loops(uow, accepted, unpack_loops(wanted.loops), restored.map_version, now_ns)
+    uow.maps.replace(restored)
+    return restored, row
+
+
+def _without_poses(current: MapRecord, now_ns: int) -> MapVersionRecord:
+    """What a map rests on before its first version."""
+    nothing: dict[str, Any] = dict.fromkeys(
+        ("sessions", "submaps", "frames", "loops_in_map", "loops_set_aside", "loops_unconnected", "degrees_of_freedom"),
+        0,
+    )
+    summary = {**nothing, "chi2": 0.0, "mean_change_m": None, "max_change_m": None}
+    hashed = hash_of_loops(b"")
+    return MapVersionRecord(current.tenant, current.map_id, 0, None, None, summary, b"", hashed, now_ns)
 
 
 def _restore(uow: UnitOfWork, wanted: MapVersionRecord, version: int, now_ns: int) -> MapVersionRecord:

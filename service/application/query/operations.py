@@ -4,28 +4,37 @@ from __future__ import annotations
 
 import asyncio
 import time
+from dataclasses import replace
 from functools import partial
 
+from revisit.core.errors import BadField
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract import limits
+from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.job_queue import CANCELLED
 from revisit.service.application.contract.lookup import require_job
-from revisit.service.application.contract.states import OperationState
+from revisit.service.application.contract.states import OperationKind, OperationState
 from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.views import OperationView, operation_view
 
 _POLL_S = (0.02, 0.25)
+
+CANCELLABLE = (OperationKind.OPTIMISE_MAP, OperationKind.MERGE_MAP)
+"""The kinds of operations that look, while they run, whether they are to end."""
 
 
 class Operations:
     """Get, list and wait for operations."""
 
-    def __init__(self, storage: Storage, lists: Lists, admission: Admission) -> None:
+    def __init__(self, storage: Storage, lists: Lists, admission: Admission, clock: Clock) -> None:
         """Waiting ends when `admission` says that the service stops."""
         self._storage = storage
         self._lists = lists
         self._admission = admission
+        self._clock = clock
 
     async def get(self, tenant: TenantId, operation_id: str) -> OperationView:
         """Raises NotFound."""
@@ -43,6 +52,27 @@ class Operations:
             lambda uow, after, limit: uow.jobs.find(tenant, after=after, limit=limit, **only),
             lambda _, record: operation_view(record),
         )
+
+    async def cancel(self, tenant: TenantId, operation_id: str) -> OperationView:
+        """End an operation that optimises or merges maps: at once where it waits, else at its next step.
+
+        One that has ended is left as it is. Raises NotFound; BadField for one of another kind; Draining.
+        """
+        self._admission.require_running()
+        return await self._storage.write(partial(self._cancel, tenant=tenant, operation_id=operation_id))
+
+    def _cancel(self, uow: UnitOfWork, tenant: TenantId, operation_id: str) -> OperationView:
+        job = require_job(uow, tenant, operation_id)
+        if job.kind not in CANCELLABLE:
+            raise BadField("only what optimises or merges maps can be cancelled", field="name")
+        if job.state == OperationState.QUEUED:
+            done, now_ns = OperationState.DONE.value, self._clock.wall_ns()
+            job = replace(job, cancel_requested=True, state=done, result=CANCELLED, finished_at_ns=now_ns)
+            uow.jobs.replace(job)
+        elif job.state == OperationState.RUNNING and not job.cancel_requested:
+            job = replace(job, cancel_requested=True)
+            uow.jobs.replace(job)
+        return operation_view(job)
 
     async def wait(self, tenant: TenantId, operation_id: str, timeout_s: float) -> OperationView:
         """The operation once it has ended, or as it stands after `timeout_s` (at most 60). Raises NotFound.

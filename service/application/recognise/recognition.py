@@ -48,6 +48,7 @@ from revisit.service.application.contract.views import submap_key
 from revisit.service.application.housekeeping.dead_letters import mark_subject_failed
 from revisit.service.application.ingest.clouds import QUERY_NONCE_BYTES, unpack_cloud
 from revisit.service.application.ingest.submap_source import load_scans, submap_of, submap_source
+from revisit.service.application.mapping.merging import MapMerging
 from revisit.service.application.mapping.optimisation import MapOptimisation
 from revisit.service.application.query.place_memory import PlaceMemory, RecalledPlace, vector_filter
 from revisit.service.application.query.search_answers import (
@@ -85,8 +86,9 @@ class Recognition:
         policy: Policy,
         recogniser: PlaceRecogniser,
         mapping: MapOptimisation,
+        merging: MapMerging,
     ) -> None:
-        """`recogniser` is the method; `memory` searches this worker's own index; `mapping` optimises maps."""
+        """`recogniser` is the method; `memory` searches this worker's own index; `mapping` and `merging` make maps."""
         self._transactions = transactions
         self._blobs = blobs
         self._memory = memory
@@ -94,6 +96,7 @@ class Recognition:
         self._policy = policy
         self._recogniser = recogniser
         self._mapping = mapping
+        self._merging = merging
 
     def run(self, lease: Lease) -> None:
         """Run a job and commit its end, good or bad. Raises only what storage raises while the end is committed."""
@@ -103,6 +106,7 @@ class Recognition:
             OperationKind.LOCALIZE: self._localize,
             OperationKind.OPTIMISE_MAP: self._mapping.run,
             OperationKind.VERIFY_LOOP: self._verify_loop,
+            OperationKind.MERGE_MAP: self._merging.run,
         }
         try:
             failpoint("job.after_claim")

@@ -13,11 +13,12 @@ from revisit.v1 import mapping_pb2_grpc
 
 
 class MappingServicer(mapping_pb2_grpc.MappingServiceServicer):
-    """Optimise maps, look at their versions, bring one back; get and watch corrections."""
+    """Optimise and merge maps, look at their versions, bring one back; get and watch corrections."""
 
     def __init__(self, use_cases: UseCases) -> None:
         """Answers from `use_cases`."""
         self._versions = use_cases.map_versions
+        self._merges = use_cases.map_merges
         self._corrections = use_cases.corrections
 
     async def OptimiseMap(self, request: pb.OptimiseMapRequest, context: Any) -> pb.OptimiseMapResponse:
@@ -46,6 +47,27 @@ class MappingServicer(mapping_pb2_grpc.MappingServiceServicer):
         """Bring back an earlier version of a map."""
         view = await self._versions.revert(tenant_of(context), names.map_id(request.name), request.version)
         return pb.RevertMapResponse(map_version=answers.of_map_version(view))
+
+    async def MergeMap(self, request: pb.MergeMapRequest, context: Any) -> pb.MergeMapResponse:
+        """Merge another map, or a session of it, into a map."""
+        posted = await self._merges.merge(tenant_of(context), requests.merge_map(request))
+        return pb.MergeMapResponse(operation=answers.of_operation(posted.operation), replay=posted.replay)
+
+    async def ListMapMerges(self, request: pb.ListMapMergesRequest, context: Any) -> pb.ListMapMergesResponse:
+        """List the merges into a map."""
+        map_id, paging = names.map_id(request.parent, "parent"), requests.page(request)
+        page = await self._merges.list(tenant_of(context), map_id, paging)
+        return pb.ListMapMergesResponse(**answers.of_page("map_merges", page, answers.of_map_merge))
+
+    async def GetMapMerge(self, request: pb.GetMapMergeRequest, context: Any) -> pb.GetMapMergeResponse:
+        """Get a merge into a map."""
+        view = await self._merges.get(tenant_of(context), *names.merge_key(request.name))
+        return pb.GetMapMergeResponse(map_merge=answers.of_map_merge(view))
+
+    async def RevertMapMerge(self, request: pb.RevertMapMergeRequest, context: Any) -> pb.RevertMapMergeResponse:
+        """Take a merge back."""
+        view = await self._merges.revert(tenant_of(context), *names.merge_key(request.name))
+        return pb.RevertMapMergeResponse(map_merge=answers.of_map_merge(view))
 
     async def GetCorrection(self, request: pb.GetCorrectionRequest, context: Any) -> pb.GetCorrectionResponse:
         """Where the odometry frame of a session lies in the map."""

@@ -13,7 +13,7 @@ from revisit.v1 import operation_pb2_grpc
 
 
 class OperationServicer(operation_pb2_grpc.OperationServiceServicer):
-    """Get, list, wait for and retry operations."""
+    """Get, list, wait for, retry and cancel operations."""
 
     def __init__(self, use_cases: UseCases) -> None:
         """Answers from `use_cases`."""
@@ -41,3 +41,8 @@ class OperationServicer(operation_pb2_grpc.OperationServiceServicer):
         """Queue a failed description again."""
         view = await self._dead_letters.retry(tenant_of(context), names.operation_id(request.name))
         return pb.RetryOperationResponse(operation=answers.of_operation(view))
+
+    async def CancelOperation(self, request: pb.CancelOperationRequest, context: Any) -> pb.CancelOperationResponse:
+        """Cancel an operation that optimises or merges maps."""
+        view = await self._operations.cancel(tenant_of(context), names.operation_id(request.name))
+        return pb.CancelOperationResponse(operation=answers.of_operation(view))

@@ -1,4 +1,4 @@
-"""`/v1/maps/{map}:optimise`, `:revert`, `/versions` and `/sessions/{session}:correction`."""
+"""`/v1/maps/{map}:optimise`, `:revert`, `:merge`, `/merges`, `/versions` and `/sessions/{session}:correction`."""
 
 from __future__ import annotations
 
@@ -7,9 +7,12 @@ from typing import Annotated
 from fastapi import APIRouter, Response
 
 from revisit.service.application.access.callers import Scope
+from revisit.service.application.mapping.merges import MergeMap
 from revisit.service.rest.access import allows
 from revisit.service.rest.answers import (
     Correction,
+    MapMerge,
+    MapMergePage,
     MapVersion,
     MapVersionPage,
     Operation,
@@ -18,10 +21,17 @@ from revisit.service.rest.answers import (
     answers,
 )
 from revisit.service.rest.bodies import describe_json, json_body
-from revisit.service.rest.parameters import Cases, Id, Paging, SessionOf, Tenant
-from revisit.service.rest.schemas import RevertMapRequest
+from revisit.service.rest.parameters import Cases, Id, Paging, SessionOf, Tenant, pose
+from revisit.service.rest.schemas import MergeMapRequest, RevertMapRequest
 from revisit.service.wire import names
-from revisit.service.wire.answers import of_correction, of_map_version, of_operation, of_page, of_submap_pose
+from revisit.service.wire.answers import (
+    of_correction,
+    of_map_merge,
+    of_map_version,
+    of_operation,
+    of_page,
+    of_submap_pose,
+)
 
 router = APIRouter(prefix="/v1/maps/{map_id}", tags=["mapping"])
 
@@ -44,6 +54,43 @@ async def revert_map(
 ) -> Response:
     """Bring back the poses of an earlier version, bit for bit, as a new version."""
     return answer(MapVersion, of_map_version(await cases.map_versions.revert(tenant, map_id, body.version)))
+
+
+@router.post(
+    ":merge",
+    **answers(Operation, 202),
+    openapi_extra=describe_json(MergeMapRequest),
+    dependencies=[allows(Scope.ADMIN)],
+)
+async def merge_map(
+    map_id: Id, body: Annotated[MergeMapRequest, json_body(MergeMapRequest)], cases: Cases, tenant: Tenant
+) -> Response:
+    """Merge another map, or one session of it, into a map: an operation whose end is a new version, or the reason
+    against.
+    """
+    near = None if body.T_map_source is None else pose(body.T_map_source, "T_map_source")
+    order = MergeMap(map_id, *names.merge_source(body.source), body.validate_only, near, body.radius_m)
+    posted = await cases.map_merges.merge(tenant, order)
+    return answer(Operation, of_operation(posted.operation), 202, replay=posted.replay)
+
+
+@router.get("/merges", **answers(MapMergePage), dependencies=[allows(Scope.INGEST, Scope.QUERY)])
+async def list_map_merges(map_id: Id, cases: Cases, tenant: Tenant, paging: Paging) -> Response:
+    """List the merges into a map, oldest first, those taken back too."""
+    page = await cases.map_merges.list(tenant, map_id, paging)
+    return answer(MapMergePage, of_page("map_merges", page, of_map_merge))
+
+
+@router.get("/merges/{merge_id}", **answers(MapMerge), dependencies=[allows(Scope.INGEST, Scope.QUERY)])
+async def get_map_merge(map_id: Id, merge_id: Id, cases: Cases, tenant: Tenant) -> Response:
+    """Get a merge into a map."""
+    return answer(MapMerge, of_map_merge(await cases.map_merges.get(tenant, map_id, merge_id)))
+
+
+@router.post("/merges/{merge_id}:revert", **answers(MapMerge), dependencies=[allows(Scope.ADMIN)])
+async def revert_map_merge(map_id: Id, merge_id: Id, cases: Cases, tenant: Tenant) -> Response:
+    """Take the last merge back: its copies are deleted, the poses from before it come back bit for bit."""
+    return answer(MapMerge, of_map_merge(await cases.map_merges.revert(tenant, map_id, merge_id)))
 
 
 @router.get("/versions", **answers(MapVersionPage), dependencies=[allows(Scope.INGEST, Scope.QUERY)])

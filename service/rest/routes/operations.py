@@ -45,6 +45,12 @@ async def retry_operation(operation_id: Id, cases: Cases, tenant: Tenant) -> Res
     return answer(Operation, of_operation(await cases.dead_letters.retry(tenant, operation_id)))
 
 
+@router.post("/{operation_id}:cancel", **answers(Operation), dependencies=[allows(Scope.INGEST, Scope.ADMIN)])
+async def cancel_operation(operation_id: Id, cases: Cases, tenant: Tenant) -> Response:
+    """End an operation that optimises or merges maps: at once where it waits, else at its next step."""
+    return answer(Operation, of_operation(await cases.operations.cancel(tenant, operation_id)))
+
+
 @router.get("/{operation_id}", **answers(Operation), dependencies=[allows(Scope.INGEST, Scope.QUERY)])
 async def get_operation(operation_id: Id, cases: Cases, tenant: Tenant) -> Response:
     """Get an operation. That of a query by cloud is forgotten a day after its end, or when the settings say."""

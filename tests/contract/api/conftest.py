@@ -8,10 +8,8 @@ import grpc
 import httpx
 import pytest
 
-from revisit import Client
-from revisit.sdk.retry import RetryPolicy
 from tests.support.credentials import a_key
-from tests.support.live_service import live_service
+from tests.support.live_service import connected, live_service
 from tests.support.service_world import memory_world, sqlite_world
 
 _numbers = itertools.count(1)
@@ -35,9 +33,7 @@ def sqlite_service(tmp_path_factory):
 @pytest.fixture(params=["rest", "grpc"])
 def client(request, service):
     """The same client over each transport; no retries, so that the first answer is what a test sees."""
-    once = RetryPolicy(attempts=1, base_s=0.01)
-    made = Client(service.http, retry=once) if request.param == "rest" else Client.grpc(service.grpc, retry=once)
-    with made:
+    with connected(service, request.param) as made:
         yield made
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 import struct
 
@@ -10,60 +9,34 @@ import numpy as np
 import pytest
 
 from revisit import ApiError, Cloud
-from revisit.formats import KITTI, NPY, PCD, PLY, POINTCLOUD2, QUANTISED, encode_kitti, encode_npy, encode_quantised
+from revisit.formats import NPY, QUANTISED, encode_npy, encode_quantised
 from revisit.sdk.errors import InvalidArgument
-from revisit.sdk.messages import cloud_message
-from revisit.v1 import map_pb2, submap_pb2
+from revisit.v1 import map_pb2
 from tests.support.service_world import cloud_points, pose
 
 GOOD = cloud_points(1)
 QUANTISED_GOOD = encode_quantised(GOOD)
 
 
-def header_of_100_million_points() -> bytes:
-    return (
-        b"# .PCD v0.7\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 100000000\nHEIGHT 1\n"
-        + (b"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 100000000\nDATA binary\n" + bytes(48))
-    )
-
-
-def npy_of(array: np.ndarray) -> bytes:
-    buffer = io.BytesIO()
-    np.save(buffer, array)
-    return buffer.getvalue()
-
-
 BAD_CLOUDS = {
-    "an empty body": (Cloud(b"", KITTI), "EMPTY_CLOUD|MALFORMED_BODY"),
     "no points": (Cloud(encode_npy(GOOD[:0]), NPY), "EMPTY_CLOUD"),
-    "99 points": (Cloud(encode_npy(GOOD[:99]), NPY), "EMPTY_CLOUD"),
-    "truncated kitti": (Cloud(encode_kitti(GOOD)[:-3], KITTI), "MALFORMED_BODY"),
-    "truncated quantised": (Cloud(QUANTISED_GOOD[:-9], QUANTISED), "MALFORMED_BODY"),
-    "truncated npy": (Cloud(encode_npy(GOOD)[:-1], NPY), "MALFORMED_BODY"),
-    "nothing but NaN": (Cloud(encode_npy(np.full((300, 3), np.nan, np.float32)), NPY), "NON_FINITE_POINTS"),
-    "integers": (Cloud(npy_of(np.ones((300, 3), np.int32)), NPY), "BAD_FIELD|UNSUPPORTED_ENCODING"),
-    "pickled objects": (Cloud(npy_of(np.array([{}] * 3, dtype=object)), NPY), "UNSUPPORTED_ENCODING"),
-    "a header of 100 million points": (Cloud(header_of_100_million_points(), PCD), "MALFORMED_BODY|TOO_LARGE"),
-    "a quantised header of 4 billion points": (
+    "truncated": (Cloud(QUANTISED_GOOD[:-9], QUANTISED), "MALFORMED_BODY"),
+    "4 billion points": (
         Cloud(struct.pack("<4sIff", b"RVQ1", 2**32 - 1, 0.001, 0.0) + QUANTISED_GOOD[16:], QUANTISED),
         "TOO_LARGE",
     ),
-    "a packed cloud of nothing": (Cloud(b"\x89RVPC2\r\n", POINTCLOUD2), "MALFORMED_BODY"),
-    "a ply that crashes readers": (Cloud(b"ply\n\n", PLY), "MALFORMED_BODY"),
     "an unknown content type": (Cloud(GOOD.tobytes(), "application/x-unheard-of"), "UNSUPPORTED_ENCODING"),
-    "an image": (Cloud(b"\x89PNG\r\n\x1a\n" + bytes(99), "image/png"), "UNSUPPORTED_ENCODING"),
-    "identical points": (Cloud(encode_npy(np.ones((300, 3), np.float32)), NPY), "DEGENERATE_CLOUD"),
-    "points beyond 10 km": (Cloud(encode_npy(GOOD + np.float32(1e5)), NPY), "OUT_OF_RANGE"),
 }
+"""A few of those of tests/corpus, for what the SDK makes of a refusal."""
 
 
 @pytest.mark.parametrize("case", BAD_CLOUDS)
 def test_a_bad_cloud_is_refused_for_its_reason_and_nothing_is_stored(case, client, session, service):
-    cloud, reasons = BAD_CLOUDS[case]
+    cloud, reason = BAD_CLOUDS[case]
     before = service.stored()
     with pytest.raises(ApiError) as refused:
         client.post_submap(session, "bad", cloud, pose(), 1)
-    assert refused.value.reason in reasons.split("|")
+    assert refused.value.reason == reason
     assert refused.value.code in ("INVALID_ARGUMENT", "RESOURCE_EXHAUSTED")
     assert not refused.value.retryable
     assert refused.value.request_id
@@ -89,25 +62,6 @@ def test_the_same_submap_again_answers_again_and_another_cloud_is_a_conflict(cli
     assert service.stored() == before
 
 
-BAD_POSES = {
-    "a quaternion of norm 0": {"translation": {}, "rotation": {}},
-    "a quaternion of norm 1.01": {"translation": {}, "rotation": {"w": 1.01}},
-}
-
-
-@pytest.mark.parametrize("case", BAD_POSES)
-def test_a_bad_pose_is_refused_and_nothing_is_stored(case, client, session, service):
-    cloud = cloud_message(Cloud(QUANTISED_GOOD, QUANTISED))
-    bad = submap_pb2.PostSubmapRequest(
-        parent=session.name, submap_id="bad", t_odom_submap=BAD_POSES[case], stamp_ns=1, cloud=cloud
-    )
-    before = service.stored()
-    with pytest.raises(ApiError) as refused:
-        client._transport.post_submap(bad)
-    assert (refused.value.code, refused.value.reason) == ("INVALID_ARGUMENT", "BAD_TRANSFORM")
-    assert service.stored() == before
-
-
 def test_the_sdk_refuses_a_reflection_before_it_is_sent(client, session):
     with pytest.raises(ApiError, match="BAD_TRANSFORM"):
         client.post_submap(session, "mirror", GOOD, np.diag([1.0, 1.0, -1.0, 1.0]), 1)
@@ -124,16 +78,11 @@ def test_a_descriptor_that_cannot_be_compared_is_refused(vector, version, client
     assert refused.value.reason in ("BAD_FIELD", "DESCRIPTOR_MODEL_MISMATCH")
 
 
-BAD_IDS = ["..", ".", "-rf", "", "a" * 65, "a b", "a/b", "'; DROP TABLE submaps;--", "\u0430bc", "a\x00b", "{{7*7}}!"]
-
-
-@pytest.mark.parametrize("bad_id", BAD_IDS)
-def test_an_id_outside_the_alphabet_is_refused_and_nothing_is_stored(bad_id, client, session, town, service):
+def test_a_session_and_a_submap_with_an_id_outside_the_alphabet_are_refused(client, session, town, service):
     before = service.stored()
     for create in (
-        lambda: client.create_map(bad_id),
-        lambda: client.create_session(town, bad_id),
-        lambda: client.post_submap(session, bad_id, GOOD, pose(), 1),
+        lambda: client.create_session(town, "a b"),
+        lambda: client.post_submap(session, "a b", GOOD, pose(), 1),
     ):
         with pytest.raises(ApiError) as refused:
             create()

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from revisit import Client
 from revisit.cli.app import app
 from revisit.evaluation.datasets import write_kitti
-from tests.support.fleet_in_service import fleet_in
+from tests.support.fleet_in_service import fleet_in, fleet_in_two
 from tests.support.patience import PATIENCE_S
 from tests.support.service_world import cloud_points, pose
 
@@ -239,6 +239,23 @@ def test_a_map_is_optimised_looked_at_and_brought_back_by_typing(service):
     invoke("map", "optimise", *at)
     assert "version 1" in invoke("map", "revert", "1", *at)
     assert [one["in_force"] for one in json.loads(invoke("map", "versions", *at, "--json"))] == [False, False, True]
+
+
+def test_a_map_is_merged_into_another_looked_at_and_taken_out_again_by_typing(service, tmp_path):
+    made = fleet_in_two(service.world, ("typed-one", "typed-two"), sessions=2, submaps=20, per_pair=0)
+    at = ("--http", service.http)
+    proposed = invoke("merge", "typed-one", "typed-two", "--dry-run", *at)
+    assert "MERGEABLE" in proposed and "1 of 1 sessions join" in proposed
+    picture = tmp_path / "merged.png"
+    done = json.loads(invoke("merge", "typed-one", "typed-two", "--picture", picture, "--json", *at))
+    assert done["verdict"] == "MERGED" and picture.stat().st_size > 10_000
+    held = ("--map", made.map_id, *at)
+    assert "maps/typed-two" in invoke("map", "merges", *held)
+    assert "VANISHED" in invoke("map", "changes", *held)
+    assert json.loads(invoke("map", "unmerge", *held, "--json"))["reverted_at_ns"] > 0
+    assert "nothing was merged" in CliRunner().invoke(app, ["map", "changes", *held]).output
+    far = CliRunner().invoke(app, ["merge", "typed-one", "typed-two", "--near", "900,0,0,0", "--radius", "5", *at])
+    assert far.exit_code == 1 and "TOO_FEW_LOOPS" in far.output
 
 
 def test_a_map_without_submaps_is_refused_by_the_optimise_command(service):

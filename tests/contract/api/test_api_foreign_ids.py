@@ -17,6 +17,7 @@ from revisit.sdk.retry import RetryPolicy
 from revisit.service.grpc import server as grpc_server
 from revisit.service.rest.app import create_app
 from tests.support.credentials import a_key, bearer
+from tests.support.fake_merger import EasyMerger
 from tests.support.live_service import live_service
 from tests.support.patience import PATIENCE_S
 from tests.support.service_world import cloud_points, memory_world
@@ -48,6 +49,7 @@ def rpcs():
 def answers():
     """What a stranger is told about ids, before and after another tenant has them."""
     world = memory_world()
+    world.merger = EasyMerger()
     owner, stranger = a_key(world, "owner"), a_key(world, "stranger")
     once = RetryPolicy(attempts=1)
     with (
@@ -57,11 +59,14 @@ def answers():
         Client(running.http, api_key=owner.text, retry=once) as client,
     ):
         metadata = tuple({**bearer(stranger), **REQUEST_ID}.items())
-        guessed = {**UNIVERSE, "operation": "op-guess", "loop": "loop-guess"}
+        guessed = {**UNIVERSE, "operation": "op-guess", "loop": "loop-guess", "merge": "merge-guess"}
         before = ask(http, channel, metadata, guessed)
         real = fill(client)
         after = ask(http, channel, metadata, real)
         yield before, {key: renamed(answer, real, guessed) for key, answer in after.items()}, client, real
+
+
+MAPS_OWN = ("OptimiseMap", "RevertMap", "ListMapVersions", "WatchCorrections", "MergeMap", "ListMapMerges")
 
 
 def fill(client):
@@ -72,10 +77,14 @@ def fill(client):
         operation = client.post_submap(session, name, cloud_points(1), np.eye(4), number + 1)
         client.wait(operation)
     client.wait(client.optimise_map("maps/town"))
+    annex = client.create_session(client.create_map("annex", min_index_gap=0), "tuesday")
+    for number, name in enumerate("cd"):
+        client.wait(client.post_submap(annex, name, cloud_points(1), np.eye(4), number + 1))
+    merge = client.wait(client.merge_map("maps/town", "maps/annex")).result["merge"].rpartition("/")[2]
     client.create_webhook("hook", "https://hooks.example.com/revisit", map_="maps/town")
     loops = client.loop_closures("maps/town", state=None)
     loop = loops[0].name.rpartition("/")[2] if loops else "loop-guess"
-    return {**UNIVERSE, "operation": operation.name.removeprefix("operations/"), "loop": loop}
+    return {**UNIVERSE, "operation": operation.name.removeprefix("operations/"), "loop": loop, "merge": merge}
 
 
 def ask(http, channel, metadata, ids):
@@ -86,6 +95,8 @@ def ask(http, channel, metadata, ids):
         body = {"json": {"session_id": "new"}} if path.endswith("/sessions") else {}
         if path.endswith(("}:accept", "}:reject", "loop_id}:revert")):
             body = {"json": {"note": "mine"}}
+        elif path.endswith(":merge"):
+            body = {"json": {"source": "maps/annex"}}
         elif path.endswith(":revert"):
             body = {"json": {"version": 1}}
         if path.endswith("/loopClosures"):
@@ -129,9 +140,11 @@ def message(method, ids):
     noun = method.containing_service.name.removesuffix("Service")
     session = f"maps/{ids['map']}/sessions/{ids['session']}"
     version = f"maps/{ids['map']}/versions/{ids['version']}"
+    merge = f"maps/{ids['map']}/merges/{ids['merge']}"
     mapping = {
-        **dict.fromkeys(("OptimiseMap", "RevertMap", "ListMapVersions", "WatchCorrections"), f"maps/{ids['map']}"),
+        **dict.fromkeys(MAPS_OWN, f"maps/{ids['map']}"),
         **dict.fromkeys(("GetMapVersion", "ListSubmapPoses"), version),
+        **dict.fromkeys(("GetMapMerge", "RevertMapMerge"), merge),
         "GetCorrection": session,
     }
     names = {
@@ -161,6 +174,8 @@ def message(method, ids):
         request.parent = names["LoopClosure"]
     if method.name == "CreateLoopClosure":
         request.query, request.match = f"{session}/submaps/b", f"{session}/submaps/a"
+    if method.name == "MergeMap":
+        request.source = "maps/annex"
     if method.name == "RevertMap":
         request.version = 1
     if "open" in fields:
@@ -178,7 +193,7 @@ def message(method, ids):
 def renamed(answer, real, guessed):
     """The answer with the ids that the service gave out replaced by guessed ones."""
     code, text = answer
-    for noun in ("operation", "loop"):
+    for noun in ("operation", "loop", "merge"):
         text = text.replace(real[noun], guessed[noun])
     return code, text
 

@@ -19,7 +19,7 @@ from revisit.sdk.retry import RetryPolicy
 from revisit.service.application.capacity import backlog
 from revisit.service.application.capacity.in_flight import CALL_POINTS, CapacityLimits
 from revisit.v1 import cloud_pb2, geometry_pb2, ingest_pb2, ingest_pb2_grpc
-from tests.support.live_service import live_service
+from tests.support.live_service import connected, live_service
 from tests.support.patience import PATIENCE_S, eventually
 from tests.support.service_world import cloud_points, pose
 
@@ -54,8 +54,7 @@ def limits(service, monkeypatch):
 
 @pytest.fixture(params=["rest", "grpc"])
 def client(request, service):
-    made = Client(service.http, retry=ONCE) if request.param == "rest" else Client.grpc(service.grpc, retry=ONCE)
-    with made:
+    with connected(service, request.param) as made:
         yield made
 
 
@@ -84,7 +83,7 @@ def test_points_beyond_a_quota_are_refused_with_the_time_to_come_back(client, se
 
 
 def test_a_full_queue_refuses_one_more_job_on_either_transport(client, session, service, limits, monkeypatch):
-    monkeypatch.setattr(backlog, "RECOUNT_S", 60.0)
+    monkeypatch.setattr(backlog, "RECOUNT_S", 3600.0)
     queued = service.world.context.transactions.read(lambda uow: uow.jobs.count("default", state="QUEUED")).result()
     for number in range(5 - queued):
         post(client, session, number)

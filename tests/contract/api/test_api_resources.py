@@ -11,6 +11,7 @@ import pytest
 from revisit.core.geometry import se3
 from revisit.sdk.errors import AlreadyExists, InvalidArgument, NotFound
 from revisit.sdk.resources import LoopPolicy
+from tests.support.live_service import connected, live_service
 from tests.support.service_world import cloud_points, pose
 
 EXACT = {"rtol": 0, "atol": 1e-12}
@@ -167,10 +168,13 @@ def test_an_unknown_place_is_an_answer_and_no_error(client, session, town):
     assert client.search(f"{town}-empty", points=cloud_points(2)) == []
 
 
-def test_submaps_and_operations_are_listed_over_pages(client, session):
-    names = [post(client, session, f"s{number:03}", place=number).subject for number in range(60)]
-    assert [submap.name for submap in client.list_submaps(session)] == names
-    assert set(names) <= {operation.subject for operation in client.list_operations()}
+@pytest.mark.parametrize("transport", ["rest", "grpc"])
+def test_submaps_and_operations_are_listed_over_pages(transport):
+    with live_service() as fresh, connected(fresh, transport) as client:
+        session = client.create_session(client.create_map("town"), "monday")
+        names = [post(client, session, f"s{number:03}", place=number).subject for number in range(60)]
+        assert [submap.name for submap in client.list_submaps(session)] == names
+        assert {operation.subject for operation in client.list_operations()} == set(names)
 
 
 def test_a_deleted_submap_and_a_deleted_map_are_gone(client, session, town):

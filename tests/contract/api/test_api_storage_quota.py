@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from revisit import ApiError, Client
-from revisit.sdk.retry import RetryPolicy
+from revisit import ApiError
 from revisit.service.application.capacity import storage_quota
 from revisit.service.application.capacity.storage_quota import POINT_BYTES
 from revisit.service.application.contract.errors import QuotaReached
 from revisit.service.application.contract.identity import TenantId
-from tests.support.live_service import live_service
+from tests.support.live_service import connected, live_service
 from tests.support.service_world import TENANT, cloud_points, memory_world, open_session, pose, posted, scan, submap
 
 POINTS = 300
@@ -20,12 +19,9 @@ OTHER = TenantId("other")
 
 @pytest.fixture(params=["rest", "grpc"])
 def client(request):
-    with live_service(tenant_storage_bytes=ROOM) as service:
-        once = RetryPolicy(attempts=1)
-        made = Client(service.http, retry=once) if request.param == "rest" else Client.grpc(service.grpc, retry=once)
-        with made:
-            made.create_session(made.create_map("town"), "monday")
-            yield made
+    with live_service(tenant_storage_bytes=ROOM) as service, connected(service, request.param) as made:
+        made.create_session(made.create_map("town"), "monday")
+        yield made
 
 
 def post(client, number):

@@ -19,6 +19,7 @@ from revisit.core.merge import (
     merge_neural_maps,
     refusal,
 )
+from revisit.core.merge.changes import Change, changes_between
 from revisit.core.model_bundle import load_packaged_models
 from revisit.core.submap import Submap
 from revisit.core.surface import extract_surface
@@ -150,9 +151,28 @@ def test_groups_that_share_nothing_are_refused_for_their_overlap(pair):
         (2, 30.0, 0, MergeRefusal.TOO_FEW_LOOPS),
         (5, 3.0, 0, MergeRefusal.COMMON_TRACK_TOO_SHORT),
         (6, 30.0, 3, MergeRefusal.ALIGNMENTS_COMPETE),
-        (6, 30.0, 2, None),
+        (9, 30.0, 2, None),
     ],
 )
 def test_too_little_evidence_is_named(loops, track_m, rivals, reason):
     good = MergeEvidence(common_points=9_000, residual_m=0.03, far_share=0.01, seen_through_share=0.01)
     assert refusal(good, loops, track_m, rivals) is reason
+
+
+def test_a_box_of_one_day_alone_is_a_change(make_drive, shapes):
+    ground = shapes["ground"]()
+    wall, car = shapes["box"]((-6, 12, 0), (14, 13, 4)), shapes["box"]((2, 6, 0), (6, 8, 1.6))
+    without, with_it = (
+        PlacedMap(_fitted(make_drive(lambda _, s=s: s, step=1.5)), np.eye(4))
+        for s in ([ground, wall], [ground, wall, car])
+    )
+    (gone,) = changes_between([(with_it, without)])
+    assert gone.kind == Change.VANISHED
+    low, high = (
+        np.array(gone.centre_m) - np.array(gone.extent_m) / 2,
+        np.array(gone.centre_m) + np.array(gone.extent_m) / 2,
+    )
+    assert (low[:2] > [1.5, 5.5]).all() and (high[:2] < [6.5, 8.5]).all()
+    (new,) = changes_between([(without, with_it)])
+    assert (new.kind, new.points) == (Change.APPEARED, gone.points)
+    assert changes_between([(without, without)]) == []

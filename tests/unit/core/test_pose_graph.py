@@ -7,6 +7,7 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
+import gtsam
 import numpy as np
 import pytest
 
@@ -24,6 +25,9 @@ from revisit.core.pose_graph import (
 )
 from revisit.core.pose_graph.consistency import agreement, consistent_sets, largest_clique, oriented
 from revisit.core.pose_graph.g2o import read_g2o, write_g2o
+from revisit.core.pose_graph.least_squares import INLIER, graduated, minimise
+from revisit.core.pose_graph.variance_factor import rescaled, variance_factor
+from revisit.evaluation.pose_graph_benchmark import Case, Spoiling, measure
 from revisit.evaluation.wrong_loops import is_wrong, with_agreeing_loops
 from tests.support.made_up_fleet import LOOP_COVARIANCE, MODEL, drifted, fleet, random_motion, road
 
@@ -46,18 +50,39 @@ def test_a_commit_keeps_right_loops_and_no_wrong_one(wrong_share: float) -> None
 
 
 def test_wrong_loops_within_a_session_are_set_aside() -> None:
-    rng = np.random.default_rng(5)
-    truth = np.concatenate([road(60, 0.0, 1)] * 2)
-    trajectory = Trajectory.from_odometry("s", drifted(truth, rng))
-    right = [_loop(f"right-{n}", n, n + 60, se3.inverse(truth[n]) @ truth[n + 60]) for n in range(0, 60, 3)]
-    wrong = [_loop(f"wrong-{n}", n, n + 30, random_motion(rng)) for n in range(0, 60, 3)]
-    graph = PoseGraph.of([trajectory], right + wrong)
+    graph = _twice_around()
     for robustness in (Robustness.ONLINE, Robustness.COMMIT):
         kept = in_map(graph, optimise(graph, robustness).loops)
         assert len(kept) >= 19 and all(name.startswith("right") for name in kept), robustness
     bent = optimise(graph, Robustness.PLAIN).T_map_submap["s"][:, :3, 3]
     good = optimise(graph, Robustness.COMMIT).T_map_submap["s"][:, :3, 3]
     assert np.linalg.norm(bent - good, axis=1).max() > 10.0
+
+
+def test_uncertainties_are_reduced_that_small_circles_show_to_be_far_too_large() -> None:
+    made = _twice_around(wrong=8)
+    assert variance_factor(made) == 1.0
+    assert variance_factor(rescaled(made, 1e3)) == 1.0
+    assert 0.001 < variance_factor(rescaled(made, 1e5)) < 0.1
+
+
+def test_what_a_graph_states_is_believed_where_few_circles_speak_against_it() -> None:
+    unsure = rescaled(_twice_around(wrong=0), 1e5)
+    assert variance_factor(replace(unsure, loops=unsure.loops[:3])) == 1.0
+    rng = np.random.default_rng(1)
+    apart = [replace(loop, T_match_query=random_motion(rng)) for loop in unsure.loops]
+    assert variance_factor(replace(unsure, loops=(*unsure.loops, *apart))) > variance_factor(unsure)
+
+
+def _twice_around(wrong: int = 20) -> PoseGraph:
+    """A drive twice around a road, 20 right loops between its rounds, and wrong ones."""
+    rng = np.random.default_rng(5)
+    truth = np.concatenate([road(60, 0.0, 1)] * 2)
+    trajectory = Trajectory.from_odometry("s", drifted(truth, rng))
+    right = [_loop(f"right-{n}", n, n + 60, se3.inverse(truth[n]) @ truth[n + 60]) for n in range(0, 60, 3)]
+    ends = [(4 * n, (4 * n + int(rng.integers(30, 90))) % 120) for n in range(wrong)]
+    mistaken = [_loop(f"wrong-{n}", n, m, random_motion(rng)) for n, m in ends]
+    return PoseGraph.of([trajectory], right + mistaken)
 
 
 def _loop(name: str, match: int, query: int, T_match_query: np.ndarray) -> LoopEdge:
@@ -218,6 +243,16 @@ def test_half_wrong_loops_do_not_move_a_recorded_graph() -> None:
         assert np.sqrt(np.mean(np.sum(gap**2, axis=1))) < 0.1
 
 
+@pytest.mark.slow
+@pytest.mark.real_data
+@pytest.mark.skipif("REVISIT_DATA" not in os.environ, reason="REVISIT_DATA names no folder of recorded graphs")
+def test_wrong_loops_do_not_bend_a_recorded_graph_that_states_far_too_large_uncertainties() -> None:
+    file = Path(os.environ["REVISIT_DATA"]) / "graphs/parking-garage.g2o"
+    outcome = measure(Case(file, Spoiling(0.5), Robustness.ONLINE))
+    assert (outcome.right_kept, outcome.wrong_kept) == (outcome.right, 0)
+    assert outcome.distance_m < 0.1
+
+
 def test_covariances_of_a_straight_drive_are_the_sums_of_its_steps() -> None:
     T_odom_submap = np.tile(np.eye(4), (4, 1, 1))
     T_odom_submap[:, 0, 3] = [0.0, 5.0, 10.0, 15.0]
@@ -297,3 +332,57 @@ def test_errors_of_the_last_poses_are_as_large_as_their_covariances_say() -> Non
             error = se3.log(se3.inverse(result.T_map_submap[name][-1]) @ origin @ made.truth[name][-1])
             below.append(error @ np.linalg.solve(result.covariances[name][-1], error) < 12.59)
     assert np.mean(below) >= 0.9
+
+
+def test_short_steps_end_where_one_long_call_of_the_solver_ends() -> None:
+    factors, start = _ring()
+    params = gtsam.LevenbergMarquardtParams()
+    params.setRelativeErrorTol(1e-9)
+    params.setAbsoluteErrorTol(1e-9)
+    at_once = gtsam.LevenbergMarquardtOptimizer(factors, start, params).optimize()
+    in_steps = minimise(factors, start)
+    assert factors.error(in_steps) < 0.5 * factors.error(start)
+    for key in range(12):
+        assert np.array_equal(in_steps.atPose3(key).matrix(), at_once.atPose3(key).matrix())
+
+
+def test_graduated_non_convexity_gives_wrong_loops_no_weight() -> None:
+    factors, start = _ring()
+    noise = gtsam.noiseModel.Isotropic.Sigma(6, 0.05)
+    right = [gtsam.BetweenFactorPose3(n, n + 6, _ring_pose(n).inverse() * _ring_pose(n + 6), noise)
+             for n in range(6)]  # fmt: skip
+    wrong = [gtsam.BetweenFactorPose3(n, n + 5, gtsam.Pose3(gtsam.Rot3.Yaw(n), (9, n, 0)), noise) for n in (1, 4)]
+    rounds = []
+
+    def weighted(weights: np.ndarray) -> gtsam.NonlinearFactorGraph:
+        rounds.append(weights)
+        graph = gtsam.NonlinearFactorGraph(factors)
+        for factor, weight in zip(right + wrong, weights, strict=True):
+            if weight > 0.0:
+                scaled = gtsam.noiseModel.Isotropic.Sigma(6, 0.05 / np.sqrt(weight))
+                graph.add(gtsam.BetweenFactorPose3(*factor.keys(), factor.measured(), scaled))
+        return graph
+
+    def costs(values: gtsam.Values) -> np.ndarray:
+        return np.array([factor.error(values) for factor in right + wrong])
+
+    values = graduated(weighted, costs, start)
+    np.testing.assert_allclose(rounds[-1], [1.0] * 6 + [0.0] * 2, atol=1e-3)
+    assert (costs(values)[:6] < INLIER).all() and (costs(values)[6:] > INLIER).all()
+
+
+def _ring_pose(n: int) -> gtsam.Pose3:
+    angle = 2 * np.pi * n / 12
+    return gtsam.Pose3(gtsam.Rot3.Yaw(angle), (8 * np.cos(angle), 8 * np.sin(angle), 0.0))
+
+
+def _ring() -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+    """Twelve poses on a ring, joined by steps and closed, and a start that is off."""
+    noise, factors, values = gtsam.noiseModel.Isotropic.Sigma(6, 0.1), gtsam.NonlinearFactorGraph(), gtsam.Values()
+    factors.add(gtsam.PriorFactorPose3(0, _ring_pose(0), noise))
+    rng = np.random.default_rng(0)
+    for n in range(12):
+        values.insert(n, _ring_pose(n).retract(0.1 * rng.normal(size=6)))
+        measured = _ring_pose(n).inverse() * _ring_pose((n + 1) % 12) * gtsam.Pose3.Expmap(0.004 * rng.normal(size=6))
+        factors.add(gtsam.BetweenFactorPose3(n, (n + 1) % 12, measured, noise))
+    return factors, values

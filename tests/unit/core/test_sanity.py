@@ -46,16 +46,16 @@ class Drive:
 
 def street(random: np.random.Generator) -> np.ndarray:
     """A ground of 120 m with houses, whose walls stand on no regular grid."""
-    ground = np.column_stack([random.uniform(-60, 60, (60_000, 2)), random.normal(0, 0.01, 60_000)])
+    ground = np.column_stack([random.uniform(-60, 60, (30_000, 2)), random.normal(0, 0.01, 30_000)])
     parts = [ground]
     for _ in range(40):
         centre, size, height = random.uniform(-55, 55, 2), random.uniform(2, 8, 2), random.uniform(2, 9)
         if np.hypot(*(centre - np.clip(centre, -1e9, 1e9))) == 0.0 and abs(np.hypot(*centre) - 25) < 7:
             continue
-        side, along = random.integers(0, 4, 3000), random.uniform(-1, 1, 3000)
+        side, along = random.integers(0, 4, 1500), random.uniform(-1, 1, 1500)
         walls = np.array([[1.0, 0], [-1, 0], [0, 1], [0, -1]])[side]
         plan = centre + size * (walls + along[:, None] * np.abs(walls[:, ::-1]))
-        parts.append(np.column_stack([plan, random.uniform(0, height, 3000)]))
+        parts.append(np.column_stack([plan, random.uniform(0, height, 1500)]))
     return np.concatenate(parts)
 
 
@@ -136,7 +136,7 @@ MISTAKES = {
     "rows of five": (clouds(lambda cloud, folder: read_as(cloud, 5, folder)), "columns", "rows of 5"),
     "half missing": (clouds(half_missing), "non_finite", "organised"),
     "zeros": (clouds(lambda cloud, _: cloud * (np.arange(len(cloud)) % 2)[:, None]), "zeros", "did not come back"),
-    "thinned": (clouds(lambda cloud, _: cloud[::80]), "sparse", "thinned"),
+    "thinned": (clouds(lambda cloud, _: cloud[::40]), "sparse", "thinned"),
     "y mirrored": (clouds(lambda cloud, _: cloud * np.float32([1, -1, 1])), "mirrored", "y axis"),
     "x mirrored": (clouds(lambda cloud, _: cloud * np.float32([-1, 1, 1])), "mirrored", "axis is mirrored"),
     "w first": (poses(reordered), "quaternion_order", "w, x, y, z"),

@@ -32,9 +32,10 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
 
 
 @pytest.mark.parametrize("command", [["bench"], ["bench", "run"]])
-def test_a_regression_ends_with_status_1_and_is_named(asked: list[bool], command: list[str]) -> None:
-    result = CliRunner().invoke(app, command)
-    assert result.exit_code == 1 and asked == [False]
+def test_a_regression_is_named_and_a_check_ends_with_status_1(asked: list[bool], command: list[str]) -> None:
+    assert CliRunner().invoke(app, command).exit_code == 0
+    result = CliRunner().invoke(app, [*command, "--check"])
+    assert result.exit_code == 1 and asked == [False, False]
     assert "surface_error_median" in result.stdout and "worse: surface_error_median" in result.stdout
 
 

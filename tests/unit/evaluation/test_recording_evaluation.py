@@ -148,6 +148,7 @@ def test_scans_thinned_below_a_hundred_points_still_make_a_submap(recording: Kit
     assert result.summary["failures"] == {} and result.summary["bad_scans"] == 0
 
 
+@pytest.mark.slow
 def test_two_processes_give_the_same_rows_as_one(recording: KittiRecording) -> None:
     alone = evaluate(recording, options(), method=Compass())
     shared = evaluate(recording, options(jobs=2), method=Compass())

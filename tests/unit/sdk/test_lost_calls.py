@@ -15,6 +15,7 @@ from revisit.sdk.grpc_transport import GrpcTransport, _api_error
 from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.scan_stream import GrpcScanSink
 from revisit.v1 import ingest_pb2
+from tests.support.patience import PATIENCE_S
 
 ONCE = RetryPolicy(attempts=1)
 
@@ -32,7 +33,7 @@ class SilentCall:
         return self
 
     def result(self, timeout):
-        assert timeout < 1.0
+        assert timeout <= 0.07
         raise grpc.FutureTimeoutError
 
     def cancel(self):
@@ -71,7 +72,7 @@ def test_the_client_tells_a_lost_call_like_a_service_that_cannot_be_reached(monk
 
 
 def test_answers_of_a_call_come_in_order_and_end():
-    assert list(Answers(iter([1, 2, 3])).all(5.0)) == [1, 2, 3]
+    assert list(Answers(iter([1, 2, 3])).all(PATIENCE_S)) == [1, 2, 3]
 
 
 def test_a_failure_comes_behind_the_answers_before_it():
@@ -80,9 +81,9 @@ def test_a_failure_comes_behind_the_answers_before_it():
         raise Failure
 
     answers = Answers(failing())
-    assert answers.next(5.0) == 1
+    assert answers.next(PATIENCE_S) == 1
     with pytest.raises(Failure):
-        answers.next(5.0)
+        answers.next(PATIENCE_S)
 
 
 def test_answers_that_never_come_are_not_awaited_for_ever():
@@ -109,7 +110,10 @@ def test_a_stream_whose_opening_is_lost_is_opened_again(monkeypatch):
 
     def call(requests):
         calls.append(requests)
-        return SilentCall() if len(calls) == 1 else Acknowledging(requests)
+        if len(calls) == 1:
+            return SilentCall()
+        monkeypatch.setattr(scan_stream, "OPENED_WITHIN_S", PATIENCE_S)
+        return Acknowledging(requests)
 
     sink = GrpcScanSink(call, "maps/a/sessions/b", RetryPolicy(attempts=3), lambda error: _api_error(error, "robot:1"))
     sink.send(Cloud(b"cloud", "application/octet-stream"), {}, 1)

@@ -1,0 +1,119 @@
+"""How much too large a graph states its uncertainties, from small circles: the variance of unit weight of geodesy.
+
+Two loops whose ends lie beside each other close a circle with the few steps between them. By how much it fails to close
+can be held against what its four sides state. Classic graphs state a metre and a radian for steps that err by
+millimetres: then a wrong loop costs less than any gate, and the map crumples under it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from revisit.core.geometry import se3
+from revisit.core.pose_graph.consistency import inverted, oriented
+from revisit.core.pose_graph.graph import LoopEdge, PoseGraph, Trajectory
+
+Array64 = NDArray[np.float64]
+
+BESIDE = 10
+"""Submaps by which the ends of two loops may be apart to close a small circle."""
+
+CIRCLES = 400
+"""Circles, at most, between two sessions or within one."""
+
+LEAST_CIRCLES = 20
+"""With fewer circles nothing is said."""
+
+EXPECTED = 5.35
+"""Median of the squared errors of circles whose sides state their uncertainty rightly: chi-square, 6 degrees of
+freedom.
+"""
+
+SLACK = 1000.0
+"""Neighbours share errors, drift is not seen in small circles, and aliases close theirs: variances are reduced that are
+more than so many times too large, and so far only.
+"""
+
+LEAST = 1e-3
+"""Made-up graphs without any errors stay solvable."""
+
+
+def variance_factor(graph: PoseGraph) -> float:
+    """What to multiply all covariances of the graph with: 1 unless they are more than `SLACK` times too large."""
+    errors = np.array([error for group in _groups(graph) for error in _errors(graph, *group)])
+    if len(errors) < LEAST_CIRCLES:
+        return 1.0
+    return float(np.clip(SLACK * np.median(errors) / EXPECTED, LEAST, 1.0))
+
+
+def rescaled(graph: PoseGraph, factor: float) -> PoseGraph:
+    """The graph with the covariances of its steps and loops multiplied by `factor`."""
+    if factor == 1.0:
+        return graph
+    tracks = (replace(one, step_covariances=factor * one.step_covariances) for one in graph.trajectories)
+    loops = (replace(loop, covariance=factor * loop.covariance) for loop in graph.loops)
+    return replace(graph, trajectories=tuple(tracks), loops=tuple(loops))
+
+
+def _groups(graph: PoseGraph) -> Iterator[tuple[str, str, list[LoopEdge]]]:
+    """Sessions with the loops between them, or within one, each loop with its match in the first."""
+    groups: dict[tuple[str, str], list[LoopEdge]] = {}
+    for loop in graph.loops:
+        first, second = sorted((loop.match.session, loop.query.session))
+        groups.setdefault((first, second), []).append(_forward(loop) if first == second else oriented(loop, first))
+    return ((first, second, loops) for (first, second), loops in sorted(groups.items()))
+
+
+def _forward(loop: LoopEdge) -> LoopEdge:
+    return loop if loop.match.ordinal < loop.query.ordinal else inverted(loop)
+
+
+def _errors(graph: PoseGraph, first: str, second: str, loops: list[LoopEdge]) -> Iterator[float]:
+    """Squared errors, in variances, of small circles."""
+    ends = np.array([(loop.match.ordinal, loop.query.ordinal) for loop in loops])
+    pairs = cKDTree(ends).query_pairs(BESIDE, p=np.inf, output_type="ndarray")
+    pairs = pairs[np.lexsort(pairs.T[::-1])]
+    sides = _Side.of(graph.by_session[first]), _Side.of(graph.by_session[second])
+    for one, other in pairs[:: -(-len(pairs) // CIRCLES) or 1]:
+        yield _error(loops[one], loops[other], *sides)
+
+
+class _Side:
+    """A trajectory with the covariances (n, 6, 6) of its poses as steps add them up, in the odometry frame."""
+
+    def __init__(self, poses: Array64, summed: Array64) -> None:
+        self.poses, self._summed = poses, summed
+
+    @classmethod
+    def of(cls, trajectory: Trajectory) -> _Side:
+        poses = trajectory.T_odom_submap
+        turns = np.stack([se3.adjoint(pose) for pose in poses])
+        steps = turns[1:] @ trajectory.step_covariances @ turns[1:].transpose(0, 2, 1)
+        return cls(poses, np.concatenate([np.zeros((1, 6, 6)), np.cumsum(steps, axis=0)]))
+
+    def between(self, start: int, end: int) -> Array64:
+        """The covariance (6, 6) of the way between two submaps, in the odometry frame."""
+        return np.asarray(self._summed[max(start, end)] - self._summed[min(start, end)])
+
+
+def _error(one: LoopEdge, other: LoopEdge, first: _Side, second: _Side) -> float:
+    """Squared error of the circle: along `one`, beside in `second`, back along `other`, beside in `first`."""
+    (a, b), (c, d) = ((loop.match.ordinal, loop.query.ordinal) for loop in (one, other))
+    T_match_second = one.T_match_query @ se3.inverse(second.poses[b])
+    T_match_other = T_match_second @ second.poses[d] @ se3.inverse(other.T_match_query)
+    T_match_first = T_match_other @ se3.inverse(first.poses[c])
+    covariance = one.covariance.copy()
+    for T_match_side, of_side in (
+        (T_match_second, second.between(b, d)),
+        (T_match_other, other.covariance),
+        (T_match_first, first.between(a, c)),
+    ):
+        turn = se3.adjoint(T_match_side)
+        covariance += turn @ of_side @ turn.T
+    error = se3.log(T_match_first @ first.poses[a])
+    return float(error @ np.linalg.solve(covariance, error))

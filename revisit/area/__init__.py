@@ -1,0 +1,5 @@
+"""Search and localise in the file of a map, without a service: `from revisit.area import AreaMap`."""
+
+from revisit.area.offline_map import AreaMap
+
+__all__ = ["AreaMap"]

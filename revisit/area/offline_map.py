@@ -1,0 +1,178 @@
+"""A map file as a memory of places: what a robot without a link asks.
+
+The answers are those of the service, up to what storing a neural map rounds: its places are made again from its neural
+maps. Needs the extra `service`, which holds the method.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.config import PipelineConfig
+from revisit.core.errors import DescriptorModelMismatch
+from revisit.core.geometry import se3
+from revisit.core.geometry.se3 import Matrix4
+from revisit.core.implicit_map import NeuralMap
+from revisit.core.index import FaissIndex, IndexEntry, Match, SearchFilter
+from revisit.core.model_bundle import ModelBundle, load_packaged_models
+from revisit.core.pipeline import DescribedPlace, describe, describe_again, verify
+from revisit.core.place import Place
+from revisit.core.scan import Scan
+from revisit.core.submap import Submap
+from revisit.core.upright import estimate_up
+from revisit.core.verification import VerifiedLoop
+from revisit.formats.map_file import FiledSubmap, MapDescription, MapFile
+from revisit.sdk.resources import Candidate, Localization, MapPose, SearchHit
+
+
+class AreaMap:
+    """A version of a map, or the part of it around a place, ready to be asked.
+
+    Places are made from their neural maps when a search names them for the first time, and kept.
+    """
+
+    def __init__(self, file: MapFile, models: ModelBundle | None = None) -> None:
+        """Raises DescriptorModelMismatch where the map was described by other models than those here."""
+        self.file = file
+        self._models = models or load_packaged_models()
+        if file.description.model_version != self._models.version:
+            raise DescriptorModelMismatch(
+                f"the map was described by {file.description.model_version}, here is {self._models.version}"
+            )
+        self._config = config_of(file.description)
+        self._places: dict[int, Place] = {}
+        self._sessions = {
+            name: number for number, name in enumerate(dict.fromkeys(one.session for one in file.submaps))
+        }
+        self._index: FaissIndex | None = None
+        if file.submaps:
+            self._index = FaissIndex(file.descriptors.shape[1])
+            self._index.add([self._entry(row, one) for row, one in enumerate(file.submaps)], file.descriptors)
+
+    @classmethod
+    def open(cls, file: Path | str, models: ModelBundle | None = None) -> Self:
+        """The map in a file. Raises MalformedBody, DataLoss, DescriptorModelMismatch."""
+        return cls(MapFile.open(Path(file)), models)
+
+    def search(self, points: NDArray[np.floating], *, k: int = 20, **criteria: Any) -> list[SearchHit]:
+        """The submaps most like a cloud (n, 3) in metres, most similar first; `criteria` as in `localize`."""
+        described = self._described(points, criteria.pop("T_level_query", None))
+        return [self._hit(match) for match in self._recalled(described, k, **criteria)]
+
+    def localize(
+        self,
+        points: NDArray[np.floating],
+        *,
+        candidates: int = 10,
+        prior_position_m: tuple[float, float, float] | None = None,
+        radius_m: float | None = None,
+        only_session: str | None = None,
+        T_level_query: Matrix4 | None = None,
+    ) -> Localization:
+        """Where in the map a cloud (n, 3) was taken; `best` is None where the place is unknown.
+
+        As `Client.localize`, but that `prior_position_m` is in the map, not in the odometry frame of a session, and
+        that candidates come without evidence. `only_session` is a session's name. Raises EmptyCloud, DegenerateCloud,
+        DataLoss.
+        """
+        described = self._described(points, T_level_query)
+        found = self._recalled(
+            described, candidates, prior_position_m=prior_position_m, radius_m=radius_m, only_session=only_session
+        )
+        judged = [self._judged(described, match) for match in found]
+        accepted = [n for n, candidate in enumerate(judged) if candidate.accepted]
+        best = max(accepted, key=lambda n: (judged[n].score, -n), default=None)
+        if best is None or (T_match_query := judged[best].T_match_query) is None:
+            return Localization(None, None, None, tuple(judged))
+        submap = self.file.submaps[found[best].id]
+        return Localization(
+            best=judged[best],
+            T_odom_query=submap.T_odom_submap @ T_match_query,
+            session=submap.session,
+            candidates=tuple(judged),
+            in_map=self._map_pose(submap, submap.T_map_submap @ T_match_query),
+        )
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self.file.close()
+
+    def __enter__(self) -> Self:
+        """The map itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Let go of the file."""
+        self.close()
+
+    def _entry(self, row: int, submap: FiledSubmap) -> IndexEntry:
+        return IndexEntry(row, self._sessions[submap.session], submap.ordinal, submap.T_map_submap[:3, 3])
+
+    def _described(self, points: NDArray[np.floating], T_level_query: Matrix4 | None) -> DescribedPlace:
+        cloud = np.ascontiguousarray(points, dtype=np.float32)
+        if T_level_query is None:
+            up = estimate_up(cloud)
+            T_level_query = np.eye(4) if up is None else up.T_level_cloud()
+        scan = Scan.validated(cloud, se3.validated(T_level_query), 0)
+        return describe(Submap.from_cloud(scan, self._config.submap), self._models, self._config)
+
+    def _recalled(
+        self,
+        described: DescribedPlace,
+        k: int,
+        *,
+        prior_position_m: tuple[float, float, float] | None = None,
+        radius_m: float | None = None,
+        only_session: str | None = None,
+    ) -> list[Match]:
+        where = SearchFilter(
+            only_session=None if only_session is None else self._sessions.get(only_session, -1),
+            position=None if prior_position_m is None else np.asarray(prior_position_m, dtype=np.float64),
+            radius_m=radius_m,
+        )
+        return [] if self._index is None else self._index.search(described.descriptor.vector, k, where)
+
+    def _judged(self, described: DescribedPlace, match: Match) -> Candidate:
+        verdict = verify(described.place, self._place(match.id), match.similarity, self._config.verification)
+        measured, accepted = verdict.measurement, isinstance(verdict, VerifiedLoop)
+        return Candidate(
+            submap=self.file.submaps[match.id].name,
+            accepted=accepted,
+            reason=None if isinstance(verdict, VerifiedLoop) else verdict.reason.value,
+            similarity=match.similarity,
+            score=0.0 if measured is None else float(measured.score),
+            T_match_query=None if measured is None else measured.T_match_query,
+            evidence={},
+        )
+
+    def _place(self, row: int) -> Place:
+        if row not in self._places:
+            blob = self.file.neural_map(self.file.submaps[row])
+            neural_map = NeuralMap.from_blob(blob, self._models.decoder, self._config.implicit_map)
+            self._places[row] = describe_again(neural_map, self._models, self._config).place
+        return self._places[row]
+
+    def _hit(self, match: Match) -> SearchHit:
+        submap = self.file.submaps[match.id]
+        x, y, z = (float(value) for value in submap.T_odom_submap[:3, 3])
+        return SearchHit(submap.name, match.similarity, (x, y, z), self._map_pose(submap, submap.T_map_submap))
+
+    def _map_pose(self, submap: FiledSubmap, T_map: Matrix4) -> MapPose:
+        return MapPose(T_map, submap.frame, int(self.file.description.map_version))
+
+
+def config_of(description: MapDescription) -> PipelineConfig:
+    """The parameters of the method with what the map overrides."""
+    config, scale, rules = PipelineConfig(), description.scene_scale, description.loop_policy
+    windows = replace(
+        config.submap, min_range=config.submap.min_range * scale, tau=description.tau_m, stride=description.stride_m
+    )
+    given: dict[str, Any] = {
+        name: rules[name] for name in ("min_score", "min_overlap", "max_seen_through") if rules.get(name) is not None
+    }
+    return replace(config, scene_scale=scale, submap=windows, verification=replace(config.verification, **given))

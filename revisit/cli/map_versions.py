@@ -1,0 +1,181 @@
+"""Versions of a map as files: saved, checked, compared, asked."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from json import dumps
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+from revisit.cli.extras import needs
+from revisit.cli.options import HTTP, Http, Json, MapName
+from revisit.cli.output import emit_json, emit_table, progress_bar, refuse, reporter, say
+from revisit.formats.map_file import FiledSubmap, MapDescription, MapFile, difference, hash_of_file, write_map_file
+from revisit.sdk.client import Client
+from revisit.sdk.resources import Map, MapVersion, Submap, SubmapPose
+
+Report = Callable[[str, int, int], None]
+Filed = Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="A map file.")]
+
+
+def save(
+    out: Annotated[Path, typer.Argument(help="File to write; NAME.vda5050.json comes beside it.")],
+    map_id: MapName = "default",
+    version: Annotated[int, typer.Option(min=0, help="The version; by default the one in force.")] = 0,
+    around: Annotated[str, typer.Option(help="X,Y,RADIUS (m): only submaps that near, in the largest frame.")] = "",
+    link: Annotated[str, typer.Option(help="Where robots will download the file: VDA 5050's mapDownloadLink.")] = "",
+    http: Http = HTTP,
+    json: Json = False,
+) -> None:
+    """Save a version of a map as one file that never changes: poses, descriptors and neural maps.
+
+    The same version gives the same bytes. Robots search and localise in it without a service.
+    """
+    with Client(http) as client, progress_bar(quiet=json) as bar:
+        found = client.get_map(f"maps/{map_id}")
+        chosen = _chosen(client, found, version)
+        poses = _around(client.submap_poses(chosen), around)
+        if not poses:
+            raise refuse(f"version {chosen.version} of map {map_id} has no submaps there")
+        map_hash = _write(client, out, found, chosen, poses, reporter(bar))
+    told = vda5050(map_id, chosen, map_hash, link)
+    out.with_suffix(".vda5050.json").write_text(_json(told))
+    if json:
+        emit_json({"file": str(out), "submaps": len(poses), **told})
+    else:
+        say(f"{out}: version {chosen.version} of map {map_id}, {len(poses)} submaps, mapHash {map_hash}")
+
+
+def check(
+    file: Filed, expected: Annotated[str, typer.Option("--hash", help="The mapHash that it must have.")] = ""
+) -> None:
+    """Check every byte of a map file against its manifest, and the whole against a hash."""
+    with MapFile.open(file) as opened:
+        opened.verify()
+        one = opened.description
+    found = hash_of_file(file)
+    if expected and found != expected.lower():
+        raise refuse(f"{file} has the hash {found}")
+    say(f"{file}: version {one.map_version} of map {one.map_id}, {len(opened.submaps)} submaps, whole, mapHash {found}")
+
+
+def diff(older: Filed, newer: Filed, json: Json = False) -> None:
+    """What changed from one map file to another."""
+    with MapFile.open(older) as before, MapFile.open(newer) as after:
+        found = difference(before, after)
+    if json:
+        emit_json(asdict(found))
+        return
+    moved = np.array(list(found.moved_m.values()) or [0.0])
+    rows = [
+        ("submaps added", len(found.added)),
+        ("submaps removed", len(found.removed)),
+        ("submaps in another frame", len(found.other_frame)),
+        ("mean move of the others (m)", f"{moved.mean():.3f}"),
+        ("largest move (m)", f"{moved.max():.3f}"),
+        ("bytes that the older file has", found.bytes_known),
+        ("bytes that are new", found.bytes_new),
+    ]
+    emit_table("Changes", ("what", "value"), rows)
+
+
+@needs("service")
+def localise(
+    file: Filed,
+    cloud: Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="A cloud: pcd, ply, npy or bin.")],
+    candidates: Annotated[int, typer.Option(min=1, max=100, help="Submaps to compare with.")] = 10,
+    json: Json = False,
+) -> None:
+    """Say where in a map file a cloud was taken, without a service."""
+    from revisit.area import AreaMap
+    from revisit.formats import decode_cloud, media_type_for_suffix
+
+    points = decode_cloud(cloud.read_bytes(), media_type_for_suffix(cloud.suffix)).points
+    with AreaMap.open(file) as area:
+        found = area.localize(points, candidates=candidates)
+    if json:
+        emit_json(asdict(found))
+    elif found.best is None or found.in_map is None:
+        say(f"unknown: none of {len(found.candidates)} candidates was accepted")
+    else:
+        x, y, z = found.in_map.T_map[:3, 3]
+        yaw = np.degrees(np.arctan2(found.in_map.T_map[1, 0], found.in_map.T_map[0, 0]))
+        where = f"x {x:.2f} y {y:.2f} z {z:.2f} m, yaw {yaw:.1f} deg in {found.in_map.frame}"
+        say(f"{where} (score {found.best.score:.2f}, {found.best.submap})")
+
+
+def vda5050(map_id: str, version: MapVersion, map_hash: str, link: str) -> dict[str, Any]:
+    """The parameters of VDA 5050's downloadMap action, and the status of the version: one is ENABLED."""
+    status = "ENABLED" if version.in_force else "DISABLED"
+    linked = {"mapDownloadLink": link} if link else {}
+    return {"mapId": map_id, "mapVersion": str(version.version), "mapStatus": status, "mapHash": map_hash, **linked}
+
+
+def _chosen(client: Client, found: Map, version: int) -> MapVersion:
+    if not (version or found.map_version):
+        raise refuse(f"{found.name} has no version yet: revisit map optimise makes one")
+    return client.get_map_version(f"{found.name}/versions/{version or found.map_version}")
+
+
+def _around(poses: list[SubmapPose], around: str) -> list[SubmapPose]:
+    """The poses within a circle of the largest frame; all where none is given."""
+    if not around:
+        return poses
+    try:
+        x, y, radius = (float(word) for word in around.split(","))
+    except ValueError as error:
+        raise refuse("--around is X,Y,RADIUS, three numbers in metres") from error
+    frames = [pose.frame for pose in poses]
+    largest = max(dict.fromkeys(frames), key=frames.count, default="")
+    return [
+        pose for pose in poses if pose.frame == largest and np.hypot(*(pose.T_map_submap[:2, 3] - (x, y))) <= radius
+    ]
+
+
+def _write(client: Client, out: Path, found: Map, version: MapVersion, poses: list[SubmapPose], report: Report) -> str:
+    submaps = {one.name: one for session in client.list_sessions(found) for one in client.list_submaps(session)}
+    described = [pose for pose in poses if submaps[pose.submap].state == "DESCRIBED"]
+    if not described:
+        raise refuse(f"no submap of {found.name} is described")
+    description = MapDescription(
+        map_id=found.name.partition("/")[2],
+        map_version=str(version.version),
+        content_hash=version.content_hash,
+        created_at_ns=version.created_at_ns,
+        model_version=submaps[described[0].submap].model_version or "",
+        scene_scale=found.scene_scale,
+        tau_m=found.tau_m,
+        stride_m=found.stride_m,
+        loop_policy=asdict(found.loop_policy),
+    )
+    out.parent.mkdir(parents=True, exist_ok=True)
+    return write_map_file(out, description, _filed(client, described, submaps, report))
+
+
+def _filed(
+    client: Client, poses: list[SubmapPose], submaps: dict[str, Submap], report: Report
+) -> Iterator[tuple[FiledSubmap, NDArray[np.float32], bytes]]:
+    for number, pose in enumerate(poses, 1):
+        one, neural = submaps[pose.submap], client.download(pose.submap, "neural")
+        vector = np.array(client.get_submap(one.name, full=True).descriptor, dtype=np.float32)
+        filed = FiledSubmap(
+            name=one.name,
+            ordinal=one.ordinal,
+            stamp_ns=one.stamp_ns,
+            frame=pose.frame,
+            T_map_submap=pose.T_map_submap,
+            T_odom_submap=one.T_odom_submap,
+            neural=hashlib.sha256(neural).hexdigest(),
+        )
+        yield filed, vector, neural
+        report("submaps", number, len(poses))
+
+
+def _json(value: dict[str, Any]) -> str:
+    return dumps(value, indent=1) + "\n"

@@ -1,0 +1,33 @@
+"""Waiting for an operation, with how far it has come on stderr."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from revisit.cli.output import progress_bar
+
+if TYPE_CHECKING:
+    from revisit.sdk.client import Client
+    from revisit.sdk.resources import Operation
+
+LOOK_S = 1.0
+"""How often a person sees how an operation stands."""
+
+
+def waited(client: Client, operation: Operation, *, quiet: bool) -> Operation:
+    """The operation once it is done."""
+    with progress_bar(quiet) as bar:
+        task = bar.add_task("QUEUED", total=1)
+        while True:
+            try:
+                done = client.wait(operation, LOOK_S)
+            except TimeoutError:
+                current = client.get_operation(operation.name)
+                stands = current.progress
+                if stands is None:
+                    bar.update(task, description=current.state)
+                else:
+                    bar.update(task, description=stands.stage, completed=stands.done, total=stands.total)
+                continue
+            bar.update(task, description="DONE", completed=1, total=1)
+            return done

@@ -1,0 +1,202 @@
+"""Merging a map, or a session of it, into another map: what a worker does with the job."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from revisit.core.config import PipelineConfig
+from revisit.core.errors import DataLoss, DescriptorModelMismatch
+from revisit.core.geometry import se3
+from revisit.core.geometry.se3 import Matrix4
+from revisit.service.application.contract.blobs import NEURAL_MAP_BLOB, PLACE_BLOB, BlobStore
+from revisit.service.application.contract.clock import Clock
+from revisit.service.application.contract.errors import Unavailable
+from revisit.service.application.contract.events import AMBIGUOUS
+from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.job_queue import CANCELLED, Lease
+from revisit.service.application.contract.map_merger import AlignedMaps, MapMerger, SurfaceEvidence
+from revisit.service.application.contract.policy import Policy
+from revisit.service.application.contract.recogniser import LoopVerdict, PlaceRecogniser
+from revisit.service.application.contract.records import SubmapRecord
+from revisit.service.application.contract.transactions import Transactions
+from revisit.service.application.mapping.merge_commit import NOTHING_TO_MERGE, MergeCommit
+from revisit.service.application.mapping.merge_proposal import (
+    CrossingLoop,
+    MergeProposal,
+    chosen,
+    placed_maps,
+    track_loop,
+)
+from revisit.service.application.mapping.merge_reading import MergeOrder, MergeTask, read_merge
+from revisit.service.application.mapping.progress import OperationCancelled, Progress
+from revisit.service.failpoints import failpoint
+
+CANDIDATES = 3
+"""Of each submap in the other map: loops are needed along the common track, not of every submap."""
+
+MOST_PAIRS = 1_000
+"""Pairs of submaps that are verified, the likest first: 0.04 s of a core each, and a job has two minutes."""
+
+_READINGS = 3
+"""How often two maps are read again that have changed while they were compared."""
+
+
+@dataclass(frozen=True)
+class MergeTools:
+    """The method: what verifies two places, and what compares two maps."""
+
+    recogniser: PlaceRecogniser
+    merger: MapMerger
+
+
+class MapMerging:
+    """Runs the jobs that merge maps; all calls block."""
+
+    def __init__(
+        self, transactions: Transactions, blobs: BlobStore, clock: Clock, policy: Policy, tools: MergeTools
+    ) -> None:
+        """`tools` are the method."""
+        self._transactions = transactions
+        self._blobs = blobs
+        self._clock = clock
+        self._policy = policy
+        self._recogniser = tools.recogniser
+        self._merger = tools.merger
+
+    def run(self, lease: Lease) -> None:
+        """Read both maps, find out whether they are one, commit the merge or say why not.
+
+        Raises DescriptorModelMismatch; Unavailable where the maps change all the time.
+        """
+        order = MergeOrder.of(lease.job.payload)
+        progress = Progress(self._transactions, self._clock, lease)
+        try:
+            for _ in range(_READINGS):
+                if self._ended(lease, order, progress):
+                    return
+        except OperationCancelled:
+            self._end(lease, CANCELLED)
+            return
+        raise Unavailable("the maps were changed again and again while they were compared")
+
+    def _ended(self, lease: Lease, order: MergeOrder, progress: Progress) -> bool:
+        """One reading of both maps: whether the job has ended by it."""
+        progress("READ_MAPS")
+        tenant = lease.job.tenant
+        read = partial(read_merge, policy=self._policy, tenant=tenant, order=order)
+        task = self._transactions.read(read).result()
+        if task is None:
+            self._end(lease, NOTHING_TO_MERGE)
+            return True
+        require_alike(task)
+        proposal = self._proposal(tenant, order, task, progress)
+        failpoint("map_merge.after_evidence")
+        if order.validate_only or proposal.judgement.refusal is not None:
+            self._end(lease, proposal.report())
+            return True
+        progress("COMMIT")
+        now, now_ns = self._clock.instant(), self._clock.wall_ns()
+        commit = MergeCommit(lease, proposal, self._policy.map_versions_kept, now, now_ns)
+        return self._transactions.write(commit).result()
+
+    def _proposal(self, tenant: TenantId, order: MergeOrder, task: MergeTask, progress: Progress) -> MergeProposal:
+        config = self._policy.for_map(task.target.task.map)
+        crossing = tuple(self._crossing(order, task, config, progress))
+        best, others = chosen(crossing)
+        numbers = {-place: one for place, one in enumerate(best, 1)}
+        loops = tuple(track_loop(number, one) for number, one in numbers.items())
+        spare = [track_loop(-place, one) for place, one in enumerate(others, 1 + len(best))]
+        progress("ALIGN")
+        sessions, scale = frozenset(task.source.sessions), config.scene_scale
+        aligned = self._merger.align(task.graph(loops), sessions, spare, scale, progress)
+        surfaces = self._surfaces(tenant, task, aligned, config.scene_scale, progress)
+        judgement = self._merger.judge(aligned, surfaces, config.scene_scale)
+        return MergeProposal(order, task, crossing, numbers, aligned, surfaces, judgement)
+
+    def _surfaces(
+        self, tenant: TenantId, task: MergeTask, aligned: AlignedMaps, scale: float, progress: Progress
+    ) -> SurfaceEvidence | None:
+        """The surfaces of both maps, where the loops say nothing against joining them."""
+        if self._merger.judge(aligned, None, scale).refusal is not None:
+            return None
+        tracks, anchors = aligned.optimised.tracks, set(task.target.sessions)
+        first, second = (placed_maps(side, tracks, anchors) for side in (task.target, task.source))
+        read = partial(self._blobs.get, tenant, NEURAL_MAP_BLOB)
+        return self._merger.compare(first, second, read, scale, progress)
+
+    def _crossing(
+        self, order: MergeOrder, task: MergeTask, config: PipelineConfig, progress: Progress
+    ) -> Iterator[CrossingLoop]:
+        """Candidates between both maps with the verdicts on them, the likest first."""
+        progress("FIND_CANDIDATES")
+        found = self._merger.candidates(task.target.places, task.source.places, CANDIDATES)
+        near = [(one, other, cosine) for one, other, cosine in found if _may_meet(order, task, one, other)][:MOST_PAIRS]
+        for done, (one, other, cosine) in enumerate(near):
+            progress("VERIFY_LOOPS", done, len(near))
+            match, query = task.target.submaps[one], task.source.submaps[other]
+            expected = _expected(order, task, one, other)
+            verdict = self._verified(query, match, cosine, config, expected)
+            yield CrossingLoop(query, match, cosine, _within(order, verdict, expected))
+
+    def _verified(
+        self, query: SubmapRecord, match: SubmapRecord, cosine: float, config: PipelineConfig, expected: Matrix4 | None
+    ) -> LoopVerdict:
+        """What geometry says of two places; of several alignments that fit, the initial pose says which is meant."""
+        try:
+            places = [self._blobs.get(one.tenant, PLACE_BLOB, str(one.place_sha256)) for one in (query, match)]
+            verdict = self._recogniser.verify(places[0], places[1], cosine, config)
+            if verdict.reason == AMBIGUOUS and expected is not None:
+                verdict = self._recogniser.verify(places[0], places[1], cosine, config, expected)
+        except DataLoss as error:
+            return LoopVerdict(False, error.code.value, 0.0, None, {"message": error.message})
+        return verdict
+
+    def _end(self, lease: Lease, result: dict[str, Any]) -> None:
+        now, now_ns = self._clock.instant(), self._clock.wall_ns()
+        self._transactions.write(lambda uow: uow.queue.complete(lease, result, now, now_ns)).result()
+
+
+FAR_FROM_NEAR = "FAR_FROM_INITIAL_POSE"
+"""The reason of a loop that the initial pose of a merge contradicts."""
+
+
+def require_alike(task: MergeTask) -> None:
+    """Raises DescriptorModelMismatch where the two maps were described by different models or at different scales."""
+    first, second = task.target.task.map, task.source.task.map
+    if first.model_version != second.model_version or first.scene_scale != second.scene_scale:
+        raise DescriptorModelMismatch(
+            f"map {first.map_id} was described by {first.model_version} at scene scale {first.scene_scale:g}, map "
+            f"{second.map_id} by {second.model_version} at {second.scene_scale:g}"
+        )
+
+
+def _expected(order: MergeOrder, task: MergeTask, match: int, query: int) -> Matrix4 | None:
+    """T_match_query by the initial pose, None without one or where it says nothing of the two."""
+    if order.near is None:
+        return None
+    T_map_match, T_source_query = task.target.T_map_submap[match], task.source.T_map_submap[query]
+    T_match_query = np.linalg.inv(T_map_match) @ order.near @ T_source_query if np.isfinite(T_map_match).all() else None
+    return T_match_query if T_match_query is not None and np.isfinite(T_match_query).all() else None
+
+
+def _may_meet(order: MergeOrder, task: MergeTask, match: int, query: int) -> bool:
+    """Whether the initial pose, if there is one, puts two submaps within its radius of each other."""
+    if order.near is None or order.radius_m is None:
+        return True
+    expected = _expected(order, task, match, query)
+    return expected is not None and bool(np.linalg.norm(expected[:3, 3]) <= order.radius_m)
+
+
+def _within(order: MergeOrder, verdict: LoopVerdict, expected: Matrix4 | None) -> LoopVerdict:
+    """The verdict, rejected where it puts the submaps farther than the radius from where the initial pose has them."""
+    if expected is None or order.radius_m is None or verdict.T_match_query is None or not verdict.accepted:
+        return verdict
+    apart = se3.inverse(expected) @ verdict.T_match_query
+    if np.linalg.norm(apart[:3, 3]) <= order.radius_m:
+        return verdict
+    return LoopVerdict(False, FAR_FROM_NEAR, verdict.score, verdict.T_match_query, verdict.evidence)

@@ -1,0 +1,74 @@
+"""Localising in a map file, without a service: made-up yards, seen again from other places."""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+import pytest
+
+from revisit.area import AreaMap
+from revisit.core.config import PipelineConfig
+from revisit.core.errors import DescriptorModelMismatch
+from revisit.core.geometry import se3
+from revisit.core.model_bundle import load_packaged_models
+from revisit.core.pipeline import describe
+from revisit.core.scan import Scan
+from revisit.core.submap import Submap
+from revisit.formats.map_file import FiledSubmap, MapDescription, write_map_file
+from tests.support.yards import yard
+
+T_MAP_SUBMAP = [se3.from_yaw(0.7 * n, (300.0 * n, -40.0, 1.0)) for n in range(3)]
+
+
+def cloud(seed, T_new_old=np.eye(4)):
+    """The surfaces of a yard as points, 40 m around."""
+    points = se3.apply(T_new_old, yard(seed).vertices).astype(np.float32)
+    return points[np.linalg.norm(points, axis=1) < 40.0]
+
+
+@pytest.fixture(scope="module")
+def area_file(tmp_path_factory):
+    models, config, rows = load_packaged_models(), PipelineConfig(), []
+    for n, T_map_submap in enumerate(T_MAP_SUBMAP):
+        submap = Submap.from_cloud(Scan.validated(cloud(n), np.eye(4), 0), config.submap)
+        described = describe(submap, models, config)
+        neural = described.neural_map.to_blob()
+        name = f"maps/yard/sessions/s{n}/submaps/0"
+        filed = FiledSubmap(name, 0, n, "frame-1", T_map_submap, np.eye(4), hashlib.sha256(neural).hexdigest())
+        rows.append((filed, described.descriptor.vector, neural))
+    description = MapDescription(
+        "yard", "5", "hash", 0, models.version, 1.0, config.submap.tau, config.submap.stride, {"min_score": None}
+    )
+    file = tmp_path_factory.mktemp("area") / "yard.zip"
+    write_map_file(file, description, rows)
+    return file
+
+
+def test_a_cloud_is_found_in_the_map_where_it_was_taken(area_file):
+    T_submap_query = se3.from_yaw(1.1, (4.0, -2.0, 0.0))
+    with AreaMap.open(area_file) as area:
+        found = area.localize(cloud(1, se3.inverse(T_submap_query)))
+        hits = area.search(cloud(1, se3.inverse(T_submap_query)), k=2)
+    assert found.best is not None and found.best.submap == "maps/yard/sessions/s1/submaps/0"
+    assert hits[0].submap == found.best.submap and len(hits) == 2
+    assert found.session == "maps/yard/sessions/s1"
+    error = se3.inverse(T_MAP_SUBMAP[1] @ T_submap_query) @ found.in_map.T_map
+    assert np.linalg.norm(error[:3, 3]) < 0.1 and se3.rotation_angle(error) < np.radians(0.5)
+    assert (found.in_map.frame, found.in_map.map_version) == ("frame-1", 5)
+
+
+def test_a_place_that_is_not_in_the_map_or_far_from_the_prior_is_unknown(area_file):
+    with AreaMap.open(area_file) as area:
+        assert area.localize(cloud(9)).best is None
+        elsewhere = area.localize(cloud(1), prior_position_m=(0.0, -40.0, 0.0), radius_m=50.0)
+    assert elsewhere.best is None
+    assert [one.submap for one in elsewhere.candidates] == ["maps/yard/sessions/s0/submaps/0"]
+
+
+def test_a_map_of_another_model_is_refused(area_file, tmp_path):
+    models = load_packaged_models()
+    description = MapDescription("yard", "1", "", 0, "other", 1.0, 10.0, 5.0, {})
+    write_map_file(tmp_path / "other.zip", description, [])
+    with pytest.raises(DescriptorModelMismatch, match="other"):
+        AreaMap.open(tmp_path / "other.zip", models)

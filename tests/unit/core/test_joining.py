@@ -1,0 +1,93 @@
+"""Whether two groups of sessions are one map: candidates, loops, rivals, frames. Fleets are made up."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from revisit.core.geometry import se3
+from revisit.core.merge import MergeLimits, MergeRefusal, loops_refusal, pairs_in_reach
+from revisit.core.merge.candidates import joining_candidates
+from revisit.core.merge.joining import JoiningLoops
+from revisit.core.pose_graph import LoopEdge, PoseGraph, optimise
+from tests.support.made_up_fleet import fleet
+
+SECOND = frozenset({"s1"})
+
+
+@pytest.fixture(scope="module")
+def made():
+    return fleet(3, 0.0, sessions=2, submaps=30, per_pair=12)
+
+
+def elsewhere(loop: LoopEdge, shift_m: float) -> LoopEdge:
+    """The loop as it would be at a place that looks the same, `shift_m` aside in the second drive's own frame."""
+    return dataclasses.replace(
+        loop, name=f"alias-{loop.name}", T_match_query=loop.T_match_query @ se3.from_yaw(0.0, (0, 0, shift_m))
+    )
+
+
+def test_loops_that_agree_join_and_span_the_common_track(made):
+    found = JoiningLoops.of(made.graph, optimise(made.graph), SECOND)
+    assert (found.loops, found.rival_loops) == (12, 0)
+    travelled = np.linalg.norm(np.diff(made.graph.by_session["s1"].T_odom_submap[:, :3, 3], axis=0), axis=1).sum()
+    assert 0.3 * travelled < found.common_track_m < travelled
+    assert loops_refusal(found.loops, found.common_track_m, found.rival_loops) is None
+
+
+def test_loops_that_agree_on_another_alignment_compete(made):
+    aliases = [elsewhere(loop, 40.0) for loop in made.graph.loops[:8]]
+    graph = PoseGraph.of(list(made.graph.trajectories), [*made.graph.loops, *aliases])
+    found = JoiningLoops.of(graph, optimise(graph), SECOND)
+    assert found.loops == 12 and found.rival_loops >= 6
+    assert loops_refusal(found.loops, found.common_track_m, found.rival_loops) is MergeRefusal.ALIGNMENTS_COMPETE
+
+
+def test_loops_that_only_measured_badly_are_no_rivals(made):
+    worse = [elsewhere(loop, 1.0) for loop in made.graph.loops[:8]]
+    graph = PoseGraph.of(list(made.graph.trajectories), [*made.graph.loops, *worse])
+    assert JoiningLoops.of(graph, optimise(graph), SECOND).rival_loops == 0
+
+
+def test_without_loops_nothing_joins(made):
+    alone = dataclasses.replace(made.graph, loops=())
+    found = JoiningLoops.of(alone, optimise(alone), SECOND)
+    assert found == JoiningLoops(0, 0.0, 0)
+    assert loops_refusal(0, 0.0, 0) is MergeRefusal.TOO_FEW_LOOPS
+    assert loops_refusal(5, 3.0, 0) is MergeRefusal.COMMON_TRACK_TOO_SHORT
+    assert loops_refusal(5, 3.0, 0, MergeLimits().scaled(0.25)) is None
+
+
+def test_the_preferred_session_gives_the_frame_and_the_poses_stay_the_same_to_each_other(made):
+    first = optimise(made.graph)
+    other = optimise(dataclasses.replace(made.graph, anchors=("s1",)))
+    assert (first.components, other.components) == ((("s0", "s1"),), (("s1", "s0"),))
+    np.testing.assert_allclose(other.T_map_submap["s1"][0], made.graph.by_session["s1"].T_odom_submap[0], atol=1e-9)
+    T_other_first = other.T_map_submap["s0"][0] @ se3.inverse(first.T_map_submap["s0"][0])
+    for session in ("s0", "s1"):
+        np.testing.assert_allclose(T_other_first @ first.T_map_submap[session], other.T_map_submap[session], atol=1e-6)
+
+
+def test_a_pair_is_a_candidate_whichever_map_asks():
+    rng = np.random.default_rng(0)
+    first = rng.normal(size=(30, 16)).astype(np.float32)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    second = first[10:22] + 0.05 * rng.normal(size=(12, 16)).astype(np.float32)
+    second /= np.linalg.norm(second, axis=1, keepdims=True)
+    sessions = np.full(30, 1), np.full(12, 2)
+    found = joining_candidates(first, second, sessions, 2)
+    back = joining_candidates(second, first, sessions[::-1], 2)
+    assert {tuple(pair) for pair in found.pairs.tolist()} == {tuple(pair[::-1]) for pair in back.pairs.tolist()}
+    assert {(row + 10, row) for row in range(12)} <= {tuple(pair) for pair in found.pairs.tolist()}
+    assert (np.diff(found.similarities) <= 0).all()
+    assert len(joining_candidates(first[:0], second, (sessions[0][:0], sessions[1]), 2).pairs) == 0
+
+
+def test_submaps_are_compared_with_their_neighbours_over_the_whole_overlap():
+    line = np.column_stack([np.arange(0.0, 500.0, 5.0), np.zeros((100, 2))])
+    assert pairs_in_reach(line, line + [400.0, 0, 0], 3.0) == [(80 + n, n) for n in range(20)]
+    some = pairs_in_reach(line, line, 25.0, most=10)
+    assert len(some) == 10 and some[0][0] == 0 and some[-1][0] == 99
+    assert pairs_in_reach(line, line + [0, 900.0, 0], 25.0) == []
