@@ -91,7 +91,7 @@ def _draw_drives(before: Axes, after: Axes, figure: DemoFigure) -> None:
     before.set_ylabel("y (m)")
     before.plot([], [], color=TRUTH, linewidth=5, label="the truth")
     for axes in (before, after):
-        axes.legend(loc="upper left", borderaxespad=0.2, frameon=True, framealpha=0.9, edgecolor="none")
+        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
 
 def _draw_loops(axes: Axes, figure: DemoFigure) -> None:
