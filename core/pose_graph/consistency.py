@@ -128,12 +128,13 @@ def largest_clique(agree: Flags) -> list[int]:
     for seed in np.argsort(-degree, kind="stable")[:_SEEDS]:
         if degree[seed] + 1 <= len(best):
             break
-        members, candidates = [int(seed)], agree[seed].copy()
-        while candidates.any():
-            partners = np.where(candidates, (agree & candidates).sum(axis=1), -1)
-            chosen = int(partners.argmax())
-            members.append(chosen)
-            candidates &= agree[chosen]
+        members, candidates = [int(seed)], np.flatnonzero(agree[seed])
+        among = agree[np.ix_(candidates, candidates)]
+        while len(candidates) and len(members) + len(candidates) > len(best):
+            chosen = int(among.sum(axis=1).argmax())
+            members.append(int(candidates[chosen]))
+            left = among[chosen]
+            candidates, among = candidates[left], among[np.ix_(left, left)]
         if len(members) > len(best):
             best = members
     return sorted(best)

@@ -16,8 +16,8 @@ from revisit.sdk.client import Client
 MAP = "fleet"
 WINDOW_M = 10.0
 
-SETTINGS = {"REVISIT_OPTIMISE_AFTER_LOOPS": "0"}
-"""Of the service: the map is optimised when it is asked to."""
+SETTINGS = {"REVISIT_OPTIMISE_AFTER_LOOPS": "0", "REVISIT_JOB_TIMEOUT_S": "1800"}
+"""Of the service: the map is optimised when it is asked to, and may take long with thousands of wrong loops."""
 
 _DESCRIBED_WITHIN_S = 3600.0
 _TRUTH = "truth.json"
