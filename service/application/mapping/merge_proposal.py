@@ -159,21 +159,19 @@ def chosen(crossing: Sequence[CrossingLoop]) -> tuple[list[CrossingLoop], list[C
     nothing to what the place itself says.
     """
     accepted = [one for one in crossing if one.verdict.accepted and one.verdict.T_match_query is not None]
-    ranked = sorted(accepted, key=_quality, reverse=True)
-    best_of: dict[int, CrossingLoop] = {}
-    for one in ranked:
-        best_of.setdefault(one.query.number, one)
-        best_of.setdefault(one.match.number, one)
-    is_best = [best_of[one.query.number] is one is best_of[one.match.number] for one in accepted]
-    return list(compress(accepted, is_best)), [one for one, best in zip(accepted, is_best, strict=True) if not best]
+    best = dict[int, tuple[float, float]]()
+    for one in accepted:
+        for number in (one.query.number, one.match.number):
+            best[number] = max(best.get(number, _quality(one)), _quality(one))
+    is_best = [_quality(one) == best[one.query.number] == best[one.match.number] for one in accepted]
+    return list(compress(accepted, is_best)), [one for one, kept in zip(accepted, is_best, strict=True) if not kept]
 
 
-def _quality(found: CrossingLoop) -> tuple[float, float, str]:
-    """How much of both surfaces a loop rests on, and how near they were taken; what is left is decided by content."""
+def _quality(found: CrossingLoop) -> tuple[float, float]:
+    """How much of both surfaces a loop rests on, and how near they were taken: the same whichever is the query."""
     T_match_query = np.asarray(found.verdict.T_match_query)
     overlap = found.verdict.evidence.get("measurement", {}).get("overlap", found.verdict.score)
-    names = sorted((found.query.place_sha256 or "", found.match.place_sha256 or ""))
-    return float(overlap), -float(np.linalg.norm(T_match_query[:3, 3])), ":".join(names)
+    return round(float(overlap), 9), -round(float(np.linalg.norm(T_match_query[:3, 3])), 9)
 
 
 def track_loop(number: int, found: CrossingLoop) -> TrackLoop:
