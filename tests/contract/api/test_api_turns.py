@@ -88,6 +88,7 @@ async def test_of_many_lists_of_a_tenant_one_is_read_at_a_time_and_others_go_bet
     async with client_of(app) as client, asyncio.timeout(60):
         async with turns.of("greedy"):
             waiting = [asyncio.create_task(listed(client, keys["greedy"])) for _ in range(MANY)]
-            assert await listed(client, keys["modest"]) == 200
+            for _ in range(3):  # while these are answered the others have every opportunity
+                assert await listed(client, keys["modest"]) == 200
             assert not any(task.done() for task in waiting)
         assert set(await asyncio.gather(*waiting)) == {200}
