@@ -89,6 +89,7 @@ def repeat(
     def send() -> None:
         connection = http.client.HTTPConnection(address.url.removeprefix("http://"), timeout=90)
         while not stop.is_set():
+            counts["sent"] += 1
             try:
                 connection.request(method, path, data or None, {**headers, "authorization": f"Bearer {key}"})
                 answer = connection.getresponse()
@@ -192,6 +193,7 @@ async def _localize(count: int, address: Address, key: str, stop: Any, counts: C
 
         async def one() -> None:
             while not stop.is_set():
+                counts["sent"] += 1
                 try:
                     await stub.Localize(request, timeout=60, metadata=(("authorization", f"Bearer {key}"),))
                 except grpc.aio.AioRpcError as error:
@@ -259,10 +261,16 @@ class Told:
     counts: dict[str, int]
 
 
+def _tell_once_begun(counts: Counter[str], ready: Any) -> None:
+    while not counts:
+        time.sleep(0.05)
+    ready.set()
+
+
 def _be_greedy(name: str, address: Address, key: str, ready: Any, stop: Any, told: Any) -> None:
     os.nice(LESS_URGENT)
     counts: Counter[str] = Counter()
-    threading.Timer(1.0, ready.set).start()
+    threading.Thread(target=_tell_once_begun, args=(counts, ready), daemon=True).start()
     ATTACKS[name][2](address, key, stop, counts)
     told.put(dict(counts))
 

@@ -61,8 +61,10 @@ async def test_long_json_is_parsed_beside_the_event_loop_and_one_of_a_tenant_at_
     parsed, may_go_on, parse = [], threading.Event(), bodies.parse_json
 
     def parse_json(data, *others):
-        parsed.append((current_tenant(), threading.current_thread() is threading.main_thread()))
-        may_go_on.wait(60)
+        on_the_loop = threading.current_thread() is threading.main_thread()
+        parsed.append((current_tenant(), on_the_loop))
+        if not on_the_loop:
+            may_go_on.wait(60)
         return parse(data, *others)
 
     monkeypatch.setattr(bodies, "parse_json", parse_json)
@@ -73,8 +75,9 @@ async def test_long_json_is_parsed_beside_the_event_loop_and_one_of_a_tenant_at_
         searches.append(asyncio.create_task(search(client, keys["modest"])))
         while len(parsed) < 2:
             await asyncio.sleep(0)
-        assert parsed == [("greedy", False), ("modest", False)]
+        began = list(parsed)
         may_go_on.set()
+        assert began == [("greedy", False), ("modest", False)]
         answers = await asyncio.gather(*searches)
     assert {answer.status_code for answer in answers} == {422}
     assert len(parsed) == MANY + 1
@@ -85,6 +88,7 @@ async def test_of_many_lists_of_a_tenant_one_is_read_at_a_time_and_others_go_bet
     async with client_of(app) as client, asyncio.timeout(60):
         async with turns.of("greedy"):
             waiting = [asyncio.create_task(listed(client, keys["greedy"])) for _ in range(MANY)]
-            assert await listed(client, keys["modest"]) == 200
+            for _ in range(3):  # while these are answered the others have every opportunity
+                assert await listed(client, keys["modest"]) == 200
             assert not any(task.done() for task in waiting)
         assert set(await asyncio.gather(*waiting)) == {200}
