@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from json import dumps
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
-from numpy.typing import NDArray
 
 from revisit.cli.extras import needs
 from revisit.cli.options import HTTP, Http, Json, MapName
 from revisit.cli.output import emit_json, emit_table, progress_bar, refuse, reporter, say
-from revisit.formats.map_file import FiledSubmap, MapDescription, MapFile, difference, hash_of_file, write_map_file
-from revisit.sdk.client import Client
-from revisit.sdk.resources import Map, MapVersion, Submap, SubmapPose
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from revisit.formats.map_file import FiledSubmap
+    from revisit.sdk.client import Client
+    from revisit.sdk.resources import Map, MapVersion, Submap, SubmapPose
 
 Report = Callable[[str, int, int], None]
 Filed = Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="A map file.")]
@@ -37,6 +41,8 @@ def save(
 
     The same version gives the same bytes. Robots search and localise in it without a service.
     """
+    from revisit.sdk.client import Client
+
     with Client(http) as client, progress_bar(quiet=json) as bar:
         found = client.get_map(f"maps/{map_id}")
         chosen = _chosen(client, found, version)
@@ -56,6 +62,8 @@ def check(
     file: Filed, expected: Annotated[str, typer.Option("--hash", help="The mapHash that it must have.")] = ""
 ) -> None:
     """Check every byte of a map file against its manifest, and the whole against a hash."""
+    from revisit.formats.map_file import MapFile, hash_of_file
+
     with MapFile.open(file) as opened:
         opened.verify()
         one = opened.description
@@ -67,18 +75,20 @@ def check(
 
 def diff(older: Filed, newer: Filed, json: Json = False) -> None:
     """What changed from one map file to another."""
+    from revisit.formats.map_file import MapFile, difference
+
     with MapFile.open(older) as before, MapFile.open(newer) as after:
         found = difference(before, after)
     if json:
         emit_json(asdict(found))
         return
-    moved = np.array(list(found.moved_m.values()) or [0.0])
+    moved = list(found.moved_m.values()) or [0.0]
     rows = [
         ("submaps added", len(found.added)),
         ("submaps removed", len(found.removed)),
         ("submaps in another frame", len(found.other_frame)),
-        ("mean move of the others (m)", f"{moved.mean():.3f}"),
-        ("largest move (m)", f"{moved.max():.3f}"),
+        ("mean move of the others (m)", f"{sum(moved) / len(moved):.3f}"),
+        ("largest move (m)", f"{max(moved):.3f}"),
         ("bytes that the older file has", found.bytes_known),
         ("bytes that are new", found.bytes_new),
     ]
@@ -105,7 +115,7 @@ def localise(
         say(f"unknown: none of {len(found.candidates)} candidates was accepted")
     else:
         x, y, z = found.in_map.T_map[:3, 3]
-        yaw = np.degrees(np.arctan2(found.in_map.T_map[1, 0], found.in_map.T_map[0, 0]))
+        yaw = math.degrees(math.atan2(found.in_map.T_map[1, 0], found.in_map.T_map[0, 0]))
         where = f"x {x:.2f} y {y:.2f} z {z:.2f} m, yaw {yaw:.1f} deg in {found.in_map.frame}"
         say(f"{where} (score {found.best.score:.2f}, {found.best.submap})")
 
@@ -133,12 +143,12 @@ def _around(poses: list[SubmapPose], around: str) -> list[SubmapPose]:
         raise refuse("--around is X,Y,RADIUS, three numbers in metres") from error
     frames = [pose.frame for pose in poses]
     largest = max(dict.fromkeys(frames), key=frames.count, default="")
-    return [
-        pose for pose in poses if pose.frame == largest and np.hypot(*(pose.T_map_submap[:2, 3] - (x, y))) <= radius
-    ]
+    return [pose for pose in poses if pose.frame == largest and math.dist(pose.T_map_submap[:2, 3], (x, y)) <= radius]
 
 
 def _write(client: Client, out: Path, found: Map, version: MapVersion, poses: list[SubmapPose], report: Report) -> str:
+    from revisit.formats.map_file import MapDescription, write_map_file
+
     submaps = {one.name: one for session in client.list_sessions(found) for one in client.list_submaps(session)}
     described = [pose for pose in poses if submaps[pose.submap].state == "DESCRIBED"]
     if not described:
@@ -161,6 +171,10 @@ def _write(client: Client, out: Path, found: Map, version: MapVersion, poses: li
 def _filed(
     client: Client, poses: list[SubmapPose], submaps: dict[str, Submap], report: Report
 ) -> Iterator[tuple[FiledSubmap, NDArray[np.float32], bytes]]:
+    import numpy as np
+
+    from revisit.formats.map_file import FiledSubmap
+
     for number, pose in enumerate(poses, 1):
         one, neural = submaps[pose.submap], client.download(pose.submap, "neural")
         vector = np.array(client.get_submap(one.name, full=True).descriptor, dtype=np.float32)
