@@ -173,7 +173,8 @@ def test_a_field_that_the_message_does_not_have_is_a_defect():
 def test_openapi_requires_what_is_always_there_and_describes_it_with_the_comments_of_the_proto():
     described = openapi.schemas([kinds.Posted])
     assert described.keys() == {
-        "CloudReport", "Failure", "Operation", "PostSubmapResponse", "Quaternion", "Submap", "Transform", "Vector3",
+        "CloudReport", "Failure", "Operation", "OperationProgress", "PostSubmapResponse", "Quaternion", "Submap",
+        "Transform", "Vector3",
     }  # fmt: skip
     submap = described["Submap"]
     assert {"name", "flags", "model_version"} <= set(submap["required"])
