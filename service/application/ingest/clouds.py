@@ -93,13 +93,14 @@ def reading_points(cloud: CloudInput) -> int:
 class CloudDecoder:
     """Decodes clouds beside the event loop, as many at a time as there are threads; tenants take turns.
 
-    A cloud keeps a core busy, up to a fifth of a second. Whoever sends many waits for the own ones, and not the others.
+    A cloud keeps a core busy, up to a fifth of a second and compressed text for longer. Whoever sends many waits for the
+    own ones, and not the others: one thread is left to them.
     """
 
     def __init__(self, threads: int) -> None:
         """Clouds beyond `threads` wait for their turn."""
         self._pool = ThreadPoolExecutor(threads, "decode")
-        self._turns = Turns(threads)
+        self._turns = Turns(threads, of_tenant=max(1, threads - 1))
 
     async def run(self, tenant: TenantId, work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
         """What `work` returns for `tenant`, run in one of the threads with the context of the request."""
