@@ -93,8 +93,8 @@ def reading_points(cloud: CloudInput) -> int:
 class CloudDecoder:
     """Decodes clouds beside the event loop, as many at a time as there are threads; tenants take turns.
 
-    A cloud keeps a core busy, up to a fifth of a second and compressed text for longer. Whoever sends many waits for the
-    own ones, and not the others: one thread is left to them.
+    A cloud keeps a core busy, up to a fifth of a second and compressed text for longer. Whoever sends many waits for
+    the own ones, and not the others: one thread is left to them.
     """
 
     def __init__(self, threads: int) -> None:
