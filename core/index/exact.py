@@ -72,9 +72,14 @@ def similarities(
     found = np.empty(len(chosen), dtype=np.float32)
     for start in range(0, len(chosen), _PORTION):
         part = chosen[start : start + _PORTION]
-        known = rows.vectors[part] if site is None else site.adapted(rows.vectors[part], rows.sessions[part])
-        np.einsum("ij,j->i", known, wanted, out=found[start : start + _PORTION])
+        np.einsum("ij,j->i", standardised(rows, part, site), wanted, out=found[start : start + _PORTION])
     return found
+
+
+def standardised(rows: Rows, chosen: NDArray[np.intp], site: SiteStatistics | None) -> Array:
+    """The `chosen` rows (n,) as they are compared: unit vectors (n, d)."""
+    vectors = rows.vectors[chosen]
+    return vectors if site is None else site.adapted(vectors, rows.sessions[chosen])
 
 
 def asked(site: SiteStatistics | None, query: Array, only: SearchFilter) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.config import AdaptationConfig
-from revisit.core.index.exact import asked, similarities
+from revisit.core.index.exact import asked, similarities, standardised
 from revisit.core.index.learning import SiteLearner
 from revisit.core.index.places import (
     Array,
@@ -113,8 +113,7 @@ class FaissIndex:
             self._flat.append(self._standardised(np.arange(held, self._rows.count)))
 
     def _standardised(self, rows: Indices) -> Array:
-        vectors, site = self._rows.vectors[rows], self._learner.site
-        return vectors if site is None else site.adapted(vectors, self._rows.sessions[rows])
+        return standardised(self._rows, rows, self._learner.site)
 
     def _shortlisted(self, query: Array, k: int, only: SearchFilter, passing: Flags) -> Indices:
         """Rows that pass the filter, the k most similar among them."""
@@ -122,10 +121,9 @@ class FaissIndex:
             return self._flat.nearest(asked(self._learner.site, query, only), k, passing)
         passed = int(passing.sum())
         wanted = max(_SHORTLIST, 4 * k)
-        session = -1 if only.near is None else only.near[0]
         fetched = wanted * self._rows.count // passed + min(_FEW, self._rows.count - passed)
         while self._codes is not None and passed > _FEW and fetched < self._rows.count // 2:
-            rows = self._codes.nearest(query, session, fetched)
+            rows = self._codes.nearest(query, only, fetched)
             rows = rows[passing[rows]]
             if len(rows) >= wanted:
                 return rows[:wanted]

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.descriptor.adaptation import SiteStatistics
-from revisit.core.index.places import Array, Flags
+from revisit.core.index.exact import asked, standardised
+from revisit.core.index.places import Array, Flags, SearchFilter
 from revisit.core.index.rows import Rows
 
 Indices = NDArray[np.intp]
@@ -83,7 +84,7 @@ class CodedShortlist:
         self._faiss.pq.cp.min_points_per_centroid = 1  # it warns below
         live = rows.live()
         chosen = live[np.linspace(0, len(live) - 1, min(len(live), _TRAINED_ON)).astype(np.intp)]
-        self._faiss.train(self._standardised(rows, chosen))
+        self._faiss.train(standardised(rows, chosen, site))
         self.learned_at = rows.count
 
     @staticmethod
@@ -98,15 +99,9 @@ class CodedShortlist:
 
     def append(self, rows: Rows, end: int) -> None:
         """Add the next rows, as far as row `end`."""
-        self._faiss.add(self._standardised(rows, np.arange(self.count, end)))
+        self._faiss.add(standardised(rows, np.arange(self.count, end), self._site))
 
-    def nearest(self, query: Array, session: int, count: int) -> Indices:
-        """`count` rows, the most similar first, for the unit query (d,) of a session, -1 for none."""
-        sessions = np.array([session])
-        wanted = query[None] if self._site is None else self._site.adapted(query[None], sessions)
-        rows = self._faiss.search(wanted, min(count, self.count))[1][0]
+    def nearest(self, query: Array, only: SearchFilter, count: int) -> Indices:
+        """`count` rows, the most similar to the unit query (d,) first, whether or not they pass the filter."""
+        rows = self._faiss.search(asked(self._site, query, only)[None], min(count, self.count))[1][0]
         return np.asarray(rows[rows >= 0], dtype=np.intp)
-
-    def _standardised(self, rows: Rows, chosen: Indices) -> Array:
-        vectors = rows.vectors[chosen]
-        return vectors if self._site is None else self._site.adapted(vectors, rows.sessions[chosen])

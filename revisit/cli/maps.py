@@ -117,7 +117,7 @@ def changes(map_id: MapName = "default", http: Http = HTTP, json: Json = False) 
     from revisit.sdk.client import Client
 
     with Client(http) as client:
-        held = [merge for merge in client.map_merges(f"maps/{map_id}") if merge.reverted_at_ns is None]
+        held = _held_merges(client, map_id)
     if not held:
         raise refuse(f"nothing was merged into map {map_id}")
     if json:
@@ -132,7 +132,7 @@ def unmerge(map_id: MapName = "default", http: Http = HTTP, json: Json = False) 
     from revisit.sdk.client import Client
 
     with Client(http) as client:
-        held = [merge for merge in client.map_merges(f"maps/{map_id}") if merge.reverted_at_ns is None]
+        held = _held_merges(client, map_id)
         if not held:
             raise refuse(f"nothing was merged into map {map_id}")
         reverted = client.revert_merge(held[-1])
@@ -140,6 +140,11 @@ def unmerge(map_id: MapName = "default", http: Http = HTTP, json: Json = False) 
         emit_json(asdict(reverted))
     else:
         _show_merges([reverted])
+
+
+def _held_merges(client: Client, map_id: str) -> list[MapMerge]:
+    """The merges into a map that were not taken back, in their order."""
+    return [merge for merge in client.map_merges(f"maps/{map_id}") if merge.reverted_at_ns is None]
 
 
 def _show_merges(found: list[MapMerge]) -> None:
