@@ -71,6 +71,12 @@ def estimate_up(points: NDArray[np.floating], seed: int = 0) -> UpAxis | None:
     return UpAxis(up, float(_scores(up[None], normals)[0]))
 
 
+def levelling(points: NDArray[np.floating]) -> se3.Matrix4:
+    """T_level_cloud (4, 4) that turns a cloud (n, 3) upright by its own surfaces; no turn where these do not tell."""
+    up = estimate_up(points)
+    return np.eye(4) if up is None else up.T_level_cloud()
+
+
 def surface_normals(points: NDArray[np.floating]) -> Array:
     """Unit normals (m, 3), of either sign, of the voxels in which the points (n, 3) lie on a plane."""
     if len(points) == 0:

@@ -24,7 +24,7 @@ from revisit.core.pipeline import DescribedPlace, describe, describe_again, veri
 from revisit.core.place import Place
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
-from revisit.core.upright import estimate_up
+from revisit.core.upright import levelling
 from revisit.core.verification import VerifiedLoop
 from revisit.formats.map_file import FiledSubmap, MapDescription, MapFile
 from revisit.sdk.resources import Candidate, Localization, MapPose, SearchHit
@@ -124,8 +124,7 @@ class AreaMap:
     def _described(self, points: NDArray[np.floating], T_level_query: Matrix4 | None) -> DescribedPlace:
         cloud = np.ascontiguousarray(points, dtype=np.float32)
         if T_level_query is None:
-            up = estimate_up(cloud)
-            T_level_query = np.eye(4) if up is None else up.T_level_cloud()
+            T_level_query = levelling(cloud)
         scan = Scan.validated(cloud, se3.validated(T_level_query), 0)
         return describe(Submap.from_cloud(scan, self._config.submap), self._models, self._config)
 

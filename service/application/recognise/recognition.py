@@ -18,9 +18,9 @@ from revisit.core.candidates import candidate_policy
 from revisit.core.config import PipelineConfig
 from revisit.core.errors import DataLoss, DescriptorModelMismatch, ErrorCode, RevisitError
 from revisit.core.geometry.se3 import Matrix4, pose_matrix
-from revisit.core.scan import Points, Scan
+from revisit.core.scan import Scan
 from revisit.core.submap import Submap
-from revisit.core.upright import estimate_up
+from revisit.core.upright import levelling
 from revisit.service.application.catalogue.deletion import SUBMAP_DELETED
 from revisit.service.application.catalogue.maps import model_for_map
 from revisit.service.application.catalogue.meshes import pack_mesh
@@ -281,15 +281,9 @@ class Recognition:
         config = self._policy.for_map(map_record)
         # Submaps are described upright by their pose; a query has no other.
         level = lease.job.payload.get("T_level_query")
-        T_level_query = _levelled(cloud.points) if level is None else pose_matrix(tuple(level))
+        T_level_query = levelling(cloud.points) if level is None else pose_matrix(tuple(level))
         submap = Submap.from_cloud(Scan.validated(cloud.points, T_level_query, 0), config.submap)
         return self._recogniser.describe(submap, config)
-
-
-def _levelled(points: Points) -> Matrix4:
-    """The pose (4, 4) that turns a cloud upright by its own surfaces; none where these do not tell."""
-    up = estimate_up(points)
-    return np.eye(4) if up is None else up.T_level_cloud()
 
 
 def _queried(uow: UnitOfWork, job: JobRecord) -> tuple[MapRecord, VectorFilter]:
