@@ -96,8 +96,9 @@ export class PairView {
     try {
       const sentence = await this.keypoints.load(this.loop);
       if (opened !== this.opened) return;
-      this.note(sentence);
       this.setShare(this.share);
+      this.paint(); // the sentence stands beside what it tells of
+      this.note(sentence);
     } catch (error) {
       if (opened === this.opened) this.note(`The keypoints cannot be shown: ${error.message}`);
     }
