@@ -1,7 +1,7 @@
 """How a service becomes slower, and its files larger, as one map grows: posts, answers, starts, deletion, database.
 
-REVISIT_GROWTH_SUBMAPS (1000,10000,100000): submaps of the map, in sessions of a thousand. REVISIT_GROWTH_PICTURE names the
-PNG that the curves are drawn into. No time is asserted, for a curve has no bound: what is, is that every size answers.
+REVISIT_GROWTH_SUBMAPS (1000,10000,100000): submaps of the map, in sessions of a thousand. REVISIT_GROWTH_PICTURE names
+the PNG that the curves are drawn into. No time is asserted, for a curve has no bound: every size must answer.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ SESSION = 1000
 DIMENSION = 1024
 CALLS = 100
 OWN_RECOGNISER = "revisit.service.adapters.core_recogniser:load_recogniser"
-NAMES = {
+TIMES = {
     "search_ms": "search by a submap, median",
     "search_p99_ms": "search by a submap, p99",
     "post_ms": "post of a submap, median",
@@ -37,6 +37,7 @@ NAMES = {
     "delete_ms": "deletion of a session of 1,000",
     "ready_ms": "from start to ready",
 }
+MEMORY = {"database_mib": "database", "gateway_mib": "memory of the gateway", "worker_mib": "memory of a worker"}
 
 
 def timed_ms(call, arguments) -> list[float]:
@@ -129,15 +130,9 @@ def draw(rows: dict[int, dict[str, float]], picture: Path) -> None:
 
     figure = Figure(figsize=(10, 4.2), layout="constrained")
     times, sizes = figure.subplots(1, 2)
-    for key, name in NAMES.items():
-        times.loglog(list(rows), [row[key] for row in rows.values()], "o-", label=name)
-    for key, name in (
-        ("database_mib", "database"),
-        ("gateway_mib", "memory of the gateway"),
-        ("worker_mib", "memory of a worker"),
-    ):
-        sizes.loglog(list(rows), [row[key] for row in rows.values()], "o-", label=name)
-    for axes, unit in ((times, "milliseconds"), (sizes, "MiB")):
+    for axes, unit, shown in ((times, "milliseconds", TIMES), (sizes, "MiB", MEMORY)):
+        for key, name in shown.items():
+            axes.loglog(list(rows), [row[key] for row in rows.values()], "o-", label=name)
         axes.set(xlabel="submaps of the map", ylabel=unit)
         axes.grid(alpha=0.3, which="both")
         axes.legend(fontsize=8)
