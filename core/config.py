@@ -129,6 +129,12 @@ class SubmapConfig(Section):
     stride: float = parameter(5.0, "m", "own", "travelled distance between the starts of two submaps")
     max_range: float = parameter(80.0, "m", "PIN-SLAM", "returns beyond this range are not used")
     min_range: float = parameter(1.0, "m", "own", "returns nearer than this hit the robot itself", low=0)
+    scans_per_tau: int = parameter(
+        10, "scans", "own, decision 0150", "of a window's scans those tau over this apart are described", high=1000
+    )
+    enough_returns: int = parameter(
+        300_000, "returns", "own, decision 0150", "where those hold fewer, further scans are, evenly spread", low=0
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
