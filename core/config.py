@@ -129,6 +129,12 @@ class SubmapConfig(Section):
     stride: float = parameter(5.0, "m", "own", "travelled distance between the starts of two submaps")
     max_range: float = parameter(80.0, "m", "PIN-SLAM", "returns beyond this range are not used")
     min_range: float = parameter(1.0, "m", "own", "returns nearer than this hit the robot itself", low=0)
+    enough_points: int = parameter(
+        2_000_000, "points", "own, decision 0171", "of a window with more, scans that hold so many are used"
+    )
+    fewest_scans: int = parameter(
+        16, "scans", "own, decision 0171", "of a window with more scans, so many are used however many points they hold"
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -82,15 +82,16 @@ class Submap:
         return replace(upright, points=upright.points * factor, origins=upright.origins * factor), frame
 
     @classmethod
-    def from_scans(cls, scans: list[Scan], config: SubmapConfig) -> Submap:
-        """Accumulate `scans` (in time order, at least one) in the frame of the middle one.
+    def from_scans(cls, scans: list[Scan], config: SubmapConfig, T_odom_submap: se3.Matrix4 | None = None) -> Submap:
+        """Accumulate `scans` (in time order, at least one) in the frame `T_odom_submap`, by default the middle one's.
 
         Returns out of the sensor's range are left out, and so is what lies beyond range and tau from the middle scan:
         odometry that jumped. Raises EmptyCloud where fewer than 100 points remain.
         """
         from revisit.core.kernels.rigid_motion import placed_returns  # compiled: the gateway needs none of it
 
-        T_odom_submap = scans[len(scans) // 2].T_odom_sensor
+        if T_odom_submap is None:
+            T_odom_submap = scans[len(scans) // 2].T_odom_sensor
         T_submap_odom = se3.inverse(T_odom_submap)
         clouds, indices, origins = [], [], []
         for index, scan in enumerate(scans):
@@ -142,6 +143,25 @@ def next_window_start(start_m: float, travelled_m: float, config: SubmapConfig) 
     """
     strides = math.floor((travelled_m - start_m - config.tau) / config.stride) + 1
     return start_m + config.stride * max(strides, 1)
+
+
+def used_scans(
+    travelled_m: NDArray[np.float64], point_counts: NDArray[np.int64], config: SubmapConfig
+) -> NDArray[np.int64]:
+    """The indices of the scans of a window that are used: all, or of many dense ones some, with both ends.
+
+    `travelled_m` (s,) ascending and `point_counts` (s,) belong to the scans. Used are as many as hold `enough_points`,
+    at least `fewest_scans`. They are spread evenly over distance and number alike: a robot that stands still for most
+    of a window has seen the rest of it, too.
+    """
+    scans, points = len(point_counts), max(1, int(point_counts.sum()))
+    wanted = max(config.fewest_scans, -(-config.enough_points * scans // points))
+    if scans <= wanted:
+        return np.arange(scans)
+    length = max(float(travelled_m[-1] - travelled_m[0]), 1e-9)
+    at = (travelled_m - travelled_m[0]) / length + np.linspace(0.0, 1.0, scans)
+    nearest = np.abs(at[:, None] - np.linspace(0.0, at[-1], wanted)).argmin(axis=0)
+    return np.unique(nearest)
 
 
 class SubmapBuilder:

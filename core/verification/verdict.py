@@ -102,7 +102,7 @@ def _verify_in_order(
     """
     if query.model != match.model or abs(query.frame.scale - match.frame.scale) > 1e-6:
         raise DescriptorModelMismatch
-    if is_degenerate(query, config) or is_degenerate(match, config):
+    if query.kept(is_degenerate, config) or match.kept(is_degenerate, config):
         return RejectedLoop(RejectionReason.DEGENERATE_PLACE)
     start = find_start(query, match, config)
     if near is not None:

@@ -7,7 +7,7 @@ workers describe at the same time is found by the one that commits second.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -48,8 +48,10 @@ from revisit.service.application.contract.views import submap_key
 from revisit.service.application.housekeeping.dead_letters import mark_subject_failed
 from revisit.service.application.ingest.clouds import QUERY_NONCE_BYTES, unpack_cloud
 from revisit.service.application.ingest.submap_source import load_scans, submap_of, submap_source
+from revisit.service.application.mapping.map_filing import MapFiling
 from revisit.service.application.mapping.merging import MapMerging
 from revisit.service.application.mapping.optimisation import MapOptimisation
+from revisit.service.application.mapping.tile_making import TileMaking
 from revisit.service.application.query.place_memory import PlaceMemory, RecalledPlace, vector_filter
 from revisit.service.application.query.search_answers import (
     Localization,
@@ -76,8 +78,19 @@ INSPECTED_EVERY = 20
 """Mistakes about units, frames and times run through a session: its first submaps are inspected, then some."""
 
 
+<<<<<<< HEAD
 LOST = LoopVerdict(False, "PLACE_LOST", 0.0, None, {})
 """The verdict on a pair of which a place is damaged."""
+=======
+@dataclass(frozen=True)
+class MapWork:
+    """The jobs about whole maps: optimise, merge, make and measure tiles, publish."""
+
+    mapping: MapOptimisation
+    merging: MapMerging
+    tiles: TileMaking
+    filing: MapFiling
+>>>>>>> help-D
 
 
 class Recognition:
@@ -91,18 +104,16 @@ class Recognition:
         clock: Clock,
         policy: Policy,
         recogniser: PlaceRecogniser,
-        mapping: MapOptimisation,
-        merging: MapMerging,
+        maps: MapWork,
     ) -> None:
-        """`recogniser` is the method; `memory` searches this worker's own index; `mapping` and `merging` make maps."""
+        """`recogniser` is the method; `memory` searches this worker's own index; `maps` are jobs about whole maps."""
         self._transactions = transactions
         self._blobs = blobs
         self._memory = memory
         self._clock = clock
         self._policy = policy
         self._recogniser = recogniser
-        self._mapping = mapping
-        self._merging = merging
+        self._maps = maps
 
     def run(self, lease: Lease) -> None:
         """Run a job and commit its end, good or bad. Raises only what storage raises while the end is committed."""
@@ -110,9 +121,12 @@ class Recognition:
             OperationKind.DESCRIBE_SUBMAP: self._describe_submap,
             OperationKind.SEARCH_CLOUD: self._search_cloud,
             OperationKind.LOCALIZE: self._localize,
-            OperationKind.OPTIMISE_MAP: self._mapping.run,
+            OperationKind.OPTIMISE_MAP: self._maps.mapping.run,
             OperationKind.VERIFY_LOOP: self._verify_loop,
-            OperationKind.MERGE_MAP: self._merging.run,
+            OperationKind.MERGE_MAP: self._maps.merging.run,
+            OperationKind.MAKE_TILE: self._maps.tiles.make,
+            OperationKind.MEASURE_MAP: self._maps.tiles.measure,
+            OperationKind.PUBLISH_MAP: self._maps.filing.run,
         }
         try:
             failpoint("job.after_claim")
