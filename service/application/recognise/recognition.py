@@ -78,10 +78,10 @@ INSPECTED_EVERY = 20
 """Mistakes about units, frames and times run through a session: its first submaps are inspected, then some."""
 
 
-<<<<<<< HEAD
 LOST = LoopVerdict(False, "PLACE_LOST", 0.0, None, {})
 """The verdict on a pair of which a place is damaged."""
-=======
+
+
 @dataclass(frozen=True)
 class MapWork:
     """The jobs about whole maps: optimise, merge, make and measure tiles, publish."""
@@ -90,7 +90,6 @@ class MapWork:
     merging: MapMerging
     tiles: TileMaking
     filing: MapFiling
->>>>>>> help-D
 
 
 class Recognition:
