@@ -458,7 +458,7 @@ class VerificationConfig(Section):
         0.35, "1", "own", "of the smaller place must stand in that region", low=0, high=1
     )
     max_tilt: float = parameter(15.0, "deg", "own", "largest tilt between two gravity-aligned submaps", low=0, high=180)
-    min_overlap: float = parameter(0.3, "1", "own", "smallest share of common surface", low=0, high=1)
+    min_overlap: float = parameter(0.2, "1", "own, decision 0163", "smallest share of common surface", low=0, high=1)
     min_observability: float = parameter(0.002, "1", "own", "smallest eigenvalue share of the ICP information", low=0)
     lever: float = parameter(15.0, "m", "own", "lever arm at which rotations are compared with translations")
     min_sigma: float = parameter(0.03, "m", "own", "residuals are trusted no better than this")
