@@ -17,6 +17,7 @@ from revisit.core.errors import BadTransform, DataLoss
 from revisit.core.geometry import octahedral
 from revisit.core.geometry.level_frame import LevelFrame
 from revisit.core.geometry.voxel_keys import voxel_keys
+from revisit.core.kept import Keeping
 from revisit.core.stages import stage
 
 if TYPE_CHECKING:  # a place is read where nothing is described, without the libraries that this needs
@@ -33,7 +34,7 @@ _MAX_ROWS = 100_000
 
 
 @dataclass(frozen=True)
-class Place:
+class Place(Keeping):
     """Keypoints and surface of a submap as stored for verification, in the level frame.
 
     keypoints (n, 2) float32; orientations (n,) float32 radians in [0, pi); descriptors (n, l) float32 unit vectors;

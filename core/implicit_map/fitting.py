@@ -45,7 +45,7 @@ def accumulate(submap: Submap, config: ImplicitMapConfig) -> NeuralPoints:
     """The elastic neural points of all scans, in time order (paper III-B 3)."""
     limit = GATHERED_SHARE * config.max_points
     accumulator = ElasticAccumulator(config.resolution, len(submap.points), limit)
-    bounds = np.searchsorted(submap.scan_index, np.arange(submap.scan_count + 1))
+    bounds = np.searchsorted(submap.scan_index, np.arange(submap.scan_count + 1, dtype=np.int32))
     for scan in range(submap.scan_count):
         accumulator.insert(submap.points[bounds[scan] : bounds[scan + 1]], submap.origins[scan], scan)
     return accumulator.finish()

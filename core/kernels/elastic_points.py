@@ -10,32 +10,39 @@ from revisit.core.kernels.voxel_table import VoxelTable, add_to, find_in
 
 POOLED_RETURNS = 8.0
 
+MOMENTS, VIEW = slice(0, 10), slice(10, 13)
+FIRST_SCAN, LAST_SCAN, SCANS = 13, 14, 15
+RECORD = 16
+"""Numbers that are gathered of a neural point, in two lines of the cache."""
+
 _CHUNK = 1024
 
 
 @numba.njit(cache=True, error_model="numpy")
 def insert_returns(
     points: NDArray[np.float32],
+    start: int,
     origin: NDArray[np.float32],
     scan: int,
     table: VoxelTable,
-    moments: NDArray[np.float64],
-    views: NDArray[np.float64],
-    scans: NDArray[np.int32],
+    records: NDArray[np.float64],
     size: int,
     resolution: float,
     limit: int,
-) -> int:
-    """Insert returns (n, 3) of one scan, seen from `origin` (3,); returns the new number of neural points.
+) -> tuple[int, int]:
+    """Insert returns (n, 3) of one scan from row `start` on, seen from `origin` (3,), into the first `size` records.
 
-    A return creates the neural point of its voxel or joins it. Of each neural point: moments (10,) count, sum p and
-    the upper sum p p^T; views (3,) sum of the unit vectors towards the sensor; scans (3,) first, last and number of the
-    scans that saw it. Where there are `limit` of them, no more are created: the returns are left out.
+    Returns the new number of neural points, and the row to go on from with more records where there was no room.
+    A return creates the neural point of its voxel or joins it. A record (RECORD,) is count, sum p and the upper sum
+    p p^T; the sum of the unit vectors towards the sensor; and the first, the last and the number of the scans that saw
+    it. Where there are `limit` of them, no more are created: the returns are left out.
     """
     slots, following, voxels = table.slots, table.following, table.voxels
     cells, units = np.empty((3, _CHUNK), dtype=np.int32), np.empty((3, _CHUNK))
-    for start in range(0, len(points), _CHUNK):
+    while start < len(points):
         count = min(_CHUNK, len(points) - start)
+        if size + count > len(records) and len(records) < limit:
+            break
         _prepare(points, start, count, origin, resolution, cells, units)
         k = 0
         while k < count:
@@ -50,13 +57,14 @@ def insert_returns(
                 i = size
                 size += 1
                 add_to(slots, following, voxels, i, x, y, z)
-                moments[i], views[i] = 0.0, 0.0
-                scans[i, 0], scans[i, 1], scans[i, 2] = scan, -1, 0
-            if scans[i, 1] != scan:
-                scans[i, 1] = scan
-                scans[i, 2] += 1
-            _gather(points, start, first, k, units, moments, views, i)
-    return size
+                records[i] = 0.0
+                records[i, FIRST_SCAN], records[i, LAST_SCAN] = scan, -1.0
+            if records[i, LAST_SCAN] != scan:
+                records[i, LAST_SCAN] = scan
+                records[i, SCANS] += 1.0
+            _gather(points, start, first, k, units, records, i)
+        start += count
+    return size, start
 
 
 @numba.njit(inline="always")
@@ -81,9 +89,9 @@ def _prepare(
 @numba.njit(inline="always")
 def _gather(
     points: NDArray[np.float32], start: int, first: int, last: int, units: NDArray[np.float64],
-    moments: NDArray[np.float64], views: NDArray[np.float64], i: int,
+    records: NDArray[np.float64], i: int,
 ) -> None:  # fmt: skip
-    """Add the returns from start + first up to start + last, all in one voxel, to neural point i."""
+    """Add the returns from start + first up to start + last, all in one voxel, to record i."""
     sx, sy, sz, xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     ux, uy, uz = 0.0, 0.0, 0.0
     for k in range(first, last):
@@ -92,12 +100,9 @@ def _gather(
         xx, xy, xz = xx + x * x, xy + x * y, xz + x * z
         yy, yz, zz = yy + y * y, yz + y * z, zz + z * z
         ux, uy, uz = ux + units[0, k], uy + units[1, k], uz + units[2, k]
-    sums = float(last - first), sx, sy, sz, xx, xy, xz, yy, yz, zz
-    for a in range(10):
-        moments[i, a] += sums[a]
-    views[i, 0] += ux
-    views[i, 1] += uy
-    views[i, 2] += uz
+    sums = float(last - first), sx, sy, sz, xx, xy, xz, yy, yz, zz, ux, uy, uz
+    for a in range(13):
+        records[i, a] += sums[a]
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -171,12 +171,13 @@ class Maps:
             session_count=uow.sessions.count(record.tenant, map_id=record.map_id),
             submap_count=uow.submaps.count(record.tenant, map_id=record.map_id),
             created_at_ns=record.created_at_ns,
-            loop_policy=_policy_in_force(config),
+            loop_policy=policy_in_force(config),
             map_version=record.map_version,
         )
 
 
-def _policy_in_force(config: PipelineConfig) -> LoopPolicy:
+def policy_in_force(config: PipelineConfig) -> LoopPolicy:
+    """The rules for loops that these parameters hold."""
     rules = config.verification
     return LoopPolicy(config.loop.candidates, rules.min_score, rules.min_overlap, rules.max_seen_through)
 
