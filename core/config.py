@@ -129,11 +129,11 @@ class SubmapConfig(Section):
     stride: float = parameter(5.0, "m", "own", "travelled distance between the starts of two submaps")
     max_range: float = parameter(80.0, "m", "PIN-SLAM", "returns beyond this range are not used")
     min_range: float = parameter(1.0, "m", "own", "returns nearer than this hit the robot itself", low=0)
-    enough_points: int = parameter(
-        2_000_000, "points", "own, decision 0171", "of a window with more, scans that hold so many are used"
+    scans_per_tau: int = parameter(
+        10, "scans", "own, decision 0150", "of a window's scans those tau over this apart are described", high=1000
     )
-    fewest_scans: int = parameter(
-        16, "scans", "own, decision 0171", "of a window with more scans, so many are used however many points they hold"
+    enough_returns: int = parameter(
+        300_000, "returns", "own, decision 0150", "where those hold fewer, further scans are, evenly spread", low=0
     )
 
     def __post_init__(self) -> None:

@@ -34,7 +34,7 @@ from tests.support.replaying_robots import MachineWatch, Robot, stored_bytes
 ROBOTS = int(os.environ.get("REVISIT_ROBOTS", "2"))
 SECONDS = 60 * float(os.environ.get("REVISIT_ROBOTS_MINUTES", "0.3333"))
 WORKERS = int(os.environ.get("REVISIT_ROBOTS_WORKERS", "2"))
-SCANS = int(SECONDS * SCANS_PER_S)
+SCANS = round(SECONDS * SCANS_PER_S)
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(int(3 * SECONDS) + 1800)]
 
 BLOCK_M = 85.0
