@@ -129,11 +129,11 @@ class SubmapConfig(Section):
     stride: float = parameter(5.0, "m", "own", "travelled distance between the starts of two submaps")
     max_range: float = parameter(80.0, "m", "PIN-SLAM", "returns beyond this range are not used")
     min_range: float = parameter(1.0, "m", "own", "returns nearer than this hit the robot itself", low=0)
-    enough_points: int = parameter(
-        2_000_000, "points", "own, decision 0171", "of a window with more, scans that hold so many are used"
+    scans_per_tau: int = parameter(
+        10, "scans", "own, decision 0150", "of a window's scans those tau over this apart are described", high=1000
     )
-    fewest_scans: int = parameter(
-        16, "scans", "own, decision 0171", "of a window with more scans, so many are used however many points they hold"
+    enough_returns: int = parameter(
+        300_000, "returns", "own, decision 0150", "where those hold fewer, further scans are, evenly spread", low=0
     )
 
     def __post_init__(self) -> None:
@@ -458,7 +458,7 @@ class VerificationConfig(Section):
         0.35, "1", "own", "of the smaller place must stand in that region", low=0, high=1
     )
     max_tilt: float = parameter(15.0, "deg", "own", "largest tilt between two gravity-aligned submaps", low=0, high=180)
-    min_overlap: float = parameter(0.3, "1", "own", "smallest share of common surface", low=0, high=1)
+    min_overlap: float = parameter(0.2, "1", "own, decision 0163", "smallest share of common surface", low=0, high=1)
     min_observability: float = parameter(0.002, "1", "own", "smallest eigenvalue share of the ICP information", low=0)
     lever: float = parameter(15.0, "m", "own", "lever arm at which rotations are compared with translations")
     min_sigma: float = parameter(0.03, "m", "own", "residuals are trusted no better than this")

@@ -82,16 +82,25 @@ class Submap:
         return replace(upright, points=upright.points * factor, origins=upright.origins * factor), frame
 
     @classmethod
-    def from_scans(cls, scans: list[Scan], config: SubmapConfig, T_odom_submap: se3.Matrix4 | None = None) -> Submap:
-        """Accumulate `scans` (in time order, at least one) in the frame `T_odom_submap`, by default the middle one's.
+    def from_scans(cls, scans: list[Scan], config: SubmapConfig) -> Submap:
+        """The submap of a window's `scans` (in time order, at least one), in the frame of the middle one.
 
-        Returns out of the sensor's range are left out, and so is what lies beyond range and tau from the middle scan:
-        odometry that jumped. Raises EmptyCloud where fewer than 100 points remain.
+        Of more scans than are needed some are chosen (`chosen_scans`). Raises what `accumulated` raises.
+        """
+        positions = np.array([scan.T_odom_sensor[:3, 3] for scan in scans])
+        rows = chosen_scans(positions, np.array([len(scan.points) for scan in scans]), config)
+        submap = cls.accumulated([scans[row] for row in rows], scans[len(scans) // 2].T_odom_sensor, config)
+        return replace(submap, position=positions.mean(axis=0))
+
+    @classmethod
+    def accumulated(cls, scans: list[Scan], T_odom_submap: se3.Matrix4, config: SubmapConfig) -> Submap:
+        """All of these `scans` (in time order, at least one) in the frame with this pose.
+
+        Returns out of the sensor's range are left out, and so is what lies beyond range and tau from the frame's
+        origin: odometry that jumped. Raises EmptyCloud where fewer than 100 points remain.
         """
         from revisit.core.kernels.rigid_motion import placed_returns  # compiled: the gateway needs none of it
 
-        if T_odom_submap is None:
-            T_odom_submap = scans[len(scans) // 2].T_odom_sensor
         T_submap_odom = se3.inverse(T_odom_submap)
         clouds, indices, origins = [], [], []
         for index, scan in enumerate(scans):
@@ -136,6 +145,29 @@ def _enough(points: Points, given: int) -> Points:
     return points
 
 
+def chosen_scans(
+    positions: NDArray[np.float64], returns: NDArray[np.integer], config: SubmapConfig
+) -> NDArray[np.int64]:
+    """Which of a window's scans (s,) are described, ascending: those nearest to marks of travel, and more if needed.
+
+    `positions` (s, 3) metres and the numbers of `returns` (s,) are in time order. The marks are tau / `scans_per_tau`
+    apart, so that neither the speed of the robot nor the rate of its sensor changes what is described. Where the scans
+    at the marks have fewer than `enough_returns`, of a sensor of few beams, others join them, evenly spread, until
+    they have (docs/decisions/0150).
+    """
+    travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
+    marks = travelled * (config.scans_per_tau / config.tau)
+    nearest = np.rint(marks)
+    order = np.lexsort((np.abs(marks - nearest), nearest))
+    chosen = np.zeros(len(marks), dtype=bool)
+    chosen[order[np.flatnonzero(np.diff(nearest, prepend=-1.0))]] = True
+    others, missing = np.flatnonzero(~chosen), config.enough_returns - returns[chosen].sum()
+    if len(others) and missing > 0:
+        share = min(missing / max(returns[others].sum(), 1), 1.0)
+        chosen[others[np.diff(np.floor(np.arange(len(others) + 1) * share + 0.5)) > 0]] = True
+    return np.flatnonzero(chosen)
+
+
 def next_window_start(start_m: float, travelled_m: float, config: SubmapConfig) -> float:
     """Where the window after a finished one starts: whole strides on, so many that it is still open at `travelled_m`.
 
@@ -143,25 +175,6 @@ def next_window_start(start_m: float, travelled_m: float, config: SubmapConfig) 
     """
     strides = math.floor((travelled_m - start_m - config.tau) / config.stride) + 1
     return start_m + config.stride * max(strides, 1)
-
-
-def used_scans(
-    travelled_m: NDArray[np.float64], point_counts: NDArray[np.int64], config: SubmapConfig
-) -> NDArray[np.int64]:
-    """The indices of the scans of a window that are used: all, or of many dense ones some, with both ends.
-
-    `travelled_m` (s,) ascending and `point_counts` (s,) belong to the scans. Used are as many as hold `enough_points`,
-    at least `fewest_scans`. They are spread evenly over distance and number alike: a robot that stands still for most
-    of a window has seen the rest of it, too.
-    """
-    scans, points = len(point_counts), max(1, int(point_counts.sum()))
-    wanted = max(config.fewest_scans, -(-config.enough_points * scans // points))
-    if scans <= wanted:
-        return np.arange(scans)
-    length = max(float(travelled_m[-1] - travelled_m[0]), 1e-9)
-    at = (travelled_m - travelled_m[0]) / length + np.linspace(0.0, 1.0, scans)
-    nearest = np.abs(at[:, None] - np.linspace(0.0, at[-1], wanted)).argmin(axis=0)
-    return np.unique(nearest)
 
 
 class SubmapBuilder:

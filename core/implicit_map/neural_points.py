@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from revisit.core.kernels.elastic_points import FIRST_SCAN, RECORD, VIEW, insert_returns, pooled_covariances
 from revisit.core.kernels.oriented_normals import oriented_normals
+from revisit.core.kernels.point_columns import columns_of
 from revisit.core.kernels.voxel_table import VoxelTable, empty_slots
 
 Array = NDArray[np.float32]
@@ -84,21 +85,33 @@ class ElasticAccumulator:
             if start < len(cloud):
                 self._grow()
 
-    def finish(self) -> NeuralPoints:
-        """The points accumulated so far, with their orientations."""
+    def __len__(self) -> int:
+        return self._size
+
+    def finish(self, most: int = MAX_NEURAL_POINTS) -> NeuralPoints:
+        """The points accumulated so far, with their orientations; of more than `most` those nearest to the middle."""
         records = self._records[: self._size]
         positions = (records[:, 1:4] / records[:, :1]).astype(np.float32)
-        covariances = pooled_covariances(positions, records, self._table, self._resolution)
-        scans = records[:, FIRST_SCAN:].astype(np.int32)
+        columns, rows = columns_of(positions, self._resolution), nearest_to_middle(positions, most)
+        chosen, scans = positions[rows], records[rows, FIRST_SCAN:].astype(np.int32)
+        normals = oriented_normals(pooled_covariances(chosen, records, columns, self._resolution), records[rows, VIEW])
         return NeuralPoints(
-            positions=positions, normals=oriented_normals(covariances, records[:, VIEW]), created=scans[:, 0].copy(),
-            updated=scans[:, 1].copy(), hits=scans[:, 2].copy(), stability=scans[:, 2].astype(np.float32),
+            positions=chosen, normals=normals, created=scans[:, 0].copy(), updated=scans[:, 1].copy(),
+            hits=scans[:, 2].copy(), stability=scans[:, 2].astype(np.float32),
         )  # fmt: skip
 
     def _grow(self) -> None:
         rows = min(max(2 * len(self._records), _ROOM), self._limit)
         following, voxels = _grown(self._table.following, rows), _grown(self._table.voxels, rows)
         self._records, self._table = _grown(self._records, rows), VoxelTable(self._table.slots, following, voxels)
+
+
+def nearest_to_middle(positions: Array, most: int) -> NDArray[np.int64]:
+    """The rows, ascending, of at most so many of `positions` (n, 3): those nearest to the middle of the submap."""
+    if len(positions) <= most:
+        return np.arange(len(positions))
+    squared = np.einsum("ij,ij->i", positions, positions)
+    return np.sort(np.argpartition(squared, most)[:most])
 
 
 def _grown(array: NDArray[Any], rows: int) -> NDArray[Any]:

@@ -6,6 +6,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.kernels.point_columns import PointColumns, span
 from revisit.core.kernels.voxel_table import VoxelTable, add_to, find_in
 
 POOLED_RETURNS = 8.0
@@ -107,31 +108,31 @@ def _gather(
 
 @numba.njit(cache=True, error_model="numpy")
 def pooled_covariances(
-    positions: NDArray[np.float32], moments: NDArray[np.float64], table: VoxelTable, resolution: float
+    positions: NDArray[np.float32], records: NDArray[np.float64], columns: PointColumns, resolution: float
 ) -> NDArray[np.float64]:
-    """Covariance (n, 3, 3) of the returns around each point: its 27 voxels, Gaussian in distance.
+    """Covariance (m, 3, 3) of the returns around each of `positions` (m, 3): its 27 voxels, Gaussian in distance.
 
-    A voxel counts at most as POOLED_RETURNS returns, so that dense and sparse scans give the same surface.
+    `columns` are those of the neural points that the `records` belong to. A voxel counts at most as POOLED_RETURNS
+    returns, so that dense and sparse scans give the same surface.
     """
-    slots, following, voxels = table.slots, table.following, table.voxels
+    points, rows, keys, grid = columns.points, columns.rows, columns.keys, columns.grid
+    x_low, y_low, width, depth = columns.low[0], columns.low[1], columns.shape[0], columns.shape[1]
     out = np.empty((len(positions), 3, 3))
     sums = np.empty(10)
     for i in range(len(positions)):
         px, py, pz = positions[i, 0], positions[i, 1], positions[i, 2]
         cx, cy, cz = int(np.floor(px / resolution)), int(np.floor(py / resolution)), int(np.floor(pz / resolution))
         sums[:] = 0.0
-        for x in range(cx - 1, cx + 2):
-            for y in range(cy - 1, cy + 2):
-                for z in range(cz - 1, cz + 2):
-                    j = find_in(slots, following, voxels, x, y, z)
-                    if j < 0:
-                        continue
-                    gap = (positions[j, 0] - px) ** 2 + (positions[j, 1] - py) ** 2 + (positions[j, 2] - pz) ** 2
-                    if gap > 4.0 * resolution**2:
-                        continue
-                    m = moments[j, 0]
-                    weight = np.exp(-0.5 * gap / (0.7 * resolution) ** 2) * min(m, POOLED_RETURNS) / m
-                    _pool(sums, moments, j, weight, px, py, pz)
+        for x in range(cx - 1 - x_low, cx + 2 - x_low):
+            first, last = span(keys, grid, width, depth, x, cy - 1 - y_low, cy + 1 - y_low)
+            for k in range(first, last):
+                gap = (points[k, 0] - px) ** 2 + (points[k, 1] - py) ** 2 + (points[k, 2] - pz) ** 2
+                if gap > 4.0 * resolution**2 or abs(int(np.floor(points[k, 2] / resolution)) - cz) > 1:
+                    continue
+                j = rows[k]
+                m = records[j, 0]
+                weight = np.exp(-0.5 * gap / (0.7 * resolution) ** 2) * min(m, POOLED_RETURNS) / m
+                _pool(sums, records, j, weight, px, py, pz)
         _covariance(sums, out, i)
     return out
 

@@ -47,7 +47,7 @@ def columns_of(positions: NDArray[np.floating], resolution: float) -> PointColum
 def _sorted(
     places: NDArray[np.int64], shape: NDArray[np.int64]
 ) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]]:
-    """Rows and keys in the order of the voxels `places` (n, 3), counted from 0, without a grid: few points, far apart."""
+    """Rows and keys in the order of the voxels `places` (n, 3), counted from 0; no grid: points far apart."""
     keys = places[:, 0] * shape[1] + places[:, 1]
     if np.prod(shape, dtype=np.float64) < _LARGEST_KEY:
         order = np.argsort(keys * shape[2] + places[:, 2], kind="stable")

@@ -125,9 +125,9 @@ def find_cells(
 
 
 @numba.njit(inline="always")
-def _ones(word: int) -> int:
+def _ones(word: np.uint64) -> int:
     """How many bits of 64 are set. Source: Warren, Hacker's Delight, 5-1."""
     word = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))
     word = (word & np.uint64(0x3333333333333333)) + ((word >> np.uint64(2)) & np.uint64(0x3333333333333333))
     word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
-    return np.int64((word * np.uint64(0x0101010101010101)) >> np.uint64(56))
+    return int((word * np.uint64(0x0101010101010101)) >> np.uint64(56))

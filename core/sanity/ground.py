@@ -75,9 +75,8 @@ def place_flags(points: NDArray[np.floating], scene_scale: float = 1.0) -> tuple
 def thinned_cloud(points: NDArray[np.floating]) -> tuple[Array, float]:
     """At most 3,000 of the nearer points, one a voxel, and the scene's scale compared with a street's."""
     points = points[:: max(1, len(points) // 30_000)]
-    points = points[
-        (points[:, 0] != 0.0) | (points[:, 1] != 0.0) | (points[:, 2] != 0.0)
-    ]  # some drivers store no return so
+    # returns that did not come back are zeros in what some drivers store
+    points = points[(points[:, 0] != 0.0) | (points[:, 1] != 0.0) | (points[:, 2] != 0.0)]
     ranges = np.sqrt(np.einsum("ij,ij->i", points, points))
     if len(points) == 0:
         return np.empty((0, 3)), 1.0

@@ -54,9 +54,9 @@ def encode_scene(
         return _file({**_HEAD, "scenes": [{}]}, b"")
     if not 0 <= int(faces.min()) <= int(faces.max()) < len(vertices):
         raise BadField("a face names a vertex that does not exist", field="faces")
-    from revisit.formats.meshopt import encode_attributes, encode_triangles, in_order_of_use
+    from revisit.formats.meshopt import along_edges, encode_attributes, encode_triangles, in_order_of_use
 
-    ordered, triangles = in_order_of_use(vertices, faces)
+    ordered, triangles = in_order_of_use(vertices, along_edges(faces))
     low, step = ordered.min(axis=0), _step(ordered, triangles)
     rows = np.zeros((len(ordered), 4), dtype="<u2")
     rows[:, :3] = np.rint((ordered - low) / step)

@@ -42,6 +42,49 @@ def encode_triangles(faces: NDArray[np.integer]) -> bytes:
     return bytes([_TRIANGLES_HEAD]) + codes.tobytes() + data[:size].tobytes() + table.tobytes()
 
 
+def along_edges(faces: NDArray[np.integer]) -> NDArray[np.int64]:
+    """Triangles (f, 3) in an order in which most share an edge with one of the last."""
+    triangles = np.ascontiguousarray(faces, dtype=np.int64)
+    return triangles[_walk(_neighbours(triangles))]
+
+
+def _neighbours(faces: NDArray[np.int64]) -> NDArray[np.int64]:
+    """For each of the edges of triangles (f, 3), the other triangle at it, -1 for none."""
+    ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
+    keys = ends[:, 0] * (faces.max(initial=0) + 1) + ends[:, 1]
+    order = np.argsort(keys, kind="stable")
+    pairs = np.flatnonzero(keys[order][1:] == keys[order][:-1])
+    found = np.full(len(keys), -1, np.int64)
+    found[order[pairs]] = order[pairs + 1] // 3
+    found[order[pairs + 1]] = order[pairs] // 3
+    return found.reshape(-1, 3)
+
+
+@njit(nogil=True, cache=True)
+def _walk(neighbours: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Every triangle once: on from the last one over its edges as far as it goes, then back."""
+    count = len(neighbours)
+    order, done = np.zeros(count, np.int64), np.zeros(count, np.bool_)
+    stack = np.zeros(3 * count + 1, np.int64)
+    size = 0
+    for start in range(count):
+        stack[0], top = start, 1
+        while top > 0:
+            top -= 1
+            here = stack[top]
+            if done[here]:
+                continue
+            done[here] = True
+            order[size] = here
+            size += 1
+            for edge in range(3):
+                other = neighbours[here, edge]
+                if other >= 0 and not done[other]:
+                    stack[top] = other
+                    top += 1
+    return order
+
+
 def in_order_of_use(
     vertices: NDArray[np.floating], faces: NDArray[np.integer]
 ) -> tuple[NDArray[np.floating], NDArray[np.int64]]:

@@ -23,6 +23,7 @@ from revisit.core.scan import Scan
 from revisit.core.stages import stage_times
 from revisit.core.submap import Submap
 from revisit.core.verification import Hypothesis, LoopMeasurement, RejectedLoop, VerifiedLoop
+from revisit.formats.glb import encode_scene
 from revisit.service.application.contract.recogniser import LoopVerdict, Mesh, Redescription, SubmapDescription
 
 SETTABLE = ("min_score", "min_overlap", "max_seen_through")
@@ -95,8 +96,10 @@ def warm_up(recogniser: CoreRecogniser) -> None:
     config = PipelineConfig()
     # Whether this yard can be described does not matter; a fault that matters will show on a real submap.
     with suppress(RevisitError):
-        place = recogniser.describe(_made_up_yard(config), config).place
-        recogniser.verify(place, place, 1.0, config)
+        yard = recogniser.describe(_made_up_yard(config), config)
+        recogniser.verify(yard.place, yard.place, 1.0, config)
+        # For the gateway, which compresses meshes and loads what was compiled here.
+        encode_scene(yard.mesh.vertices, yard.mesh.faces)
 
 
 def _made_up_yard(config: PipelineConfig) -> Submap:

@@ -9,7 +9,7 @@ import numpy as np
 from revisit.core.config import SubmapConfig
 from revisit.core.geometry.se3 import pose_matrix
 from revisit.core.scan import CloudReport, Scan
-from revisit.core.submap import Submap, used_scans
+from revisit.core.submap import Submap, chosen_scans
 from revisit.service.application.contract.blobs import CLOUD_BLOB, BlobStore
 from revisit.service.application.contract.lookup import require_map
 from revisit.service.application.contract.policy import Policy
@@ -18,40 +18,52 @@ from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.ingest.clouds import unpack_cloud
 
 MAX_SCANS = 400
-"""A window of a robot that stood still can hold any number of scans: at most this many, evenly spread, are read."""
+"""A window of a robot that stood still can hold any number of scans: at most this many, evenly spread, are used."""
+
+WINDOW_POINTS = 16_000_000
+"""Of a window whose scans hold more together, every second, third ... point is used: a worker's memory is bounded."""
 
 
 @dataclass(frozen=True)
 class PosedCloud:
-    """A stored cloud and where it was taken from."""
+    """A stored cloud of so many points and where it was taken from."""
 
     cloud_sha256: str
+    point_count: int
     T_odom_sensor: Pose
     stamp_ns: int
 
 
 @dataclass(frozen=True)
 class SubmapSource:
-    """The clouds that a submap is made of, in time order; `posted`: one cloud that was accumulated elsewhere."""
+    """The clouds of a submap in time order and the pose of its frame; `posted`: one, accumulated elsewhere."""
 
     clouds: tuple[PosedCloud, ...]
     posted: bool
-    T_odom_submap: Pose
     config: SubmapConfig
+    T_odom_submap: Pose
+
+    @property
+    def every(self) -> int:
+        """1 where all points are used; else one of so many."""
+        return 1 if self.posted else -(-sum(cloud.point_count for cloud in self.clouds) // WINDOW_POINTS) or 1
 
 
 def submap_source(uow: UnitOfWork, policy: Policy, record: SubmapRecord) -> SubmapSource:
     """The source of a stored submap."""
     config = policy.for_map(require_map(uow, record.tenant, record.map_id)).submap
     if record.first_seq is None or record.last_seq is None:
-        posted = PosedCloud(str(record.cloud_sha256), record.T_odom_submap, record.stamp_ns)
-        return SubmapSource((posted,), posted=True, T_odom_submap=record.T_odom_submap, config=config)
+        posted = PosedCloud(str(record.cloud_sha256), record.point_count, record.T_odom_submap, record.stamp_ns)
+        return SubmapSource((posted,), posted=True, config=config, T_odom_submap=record.T_odom_submap)
     seqs = chosen_seqs(record.first_seq, record.last_seq)
     scans = uow.scans.with_seqs(record.tenant, record.map_id, record.session_id, seqs)
-    travelled_m, points = (np.array([getattr(s, field) for s in scans]) for field in ("travelled_m", "point_count"))
-    used = [scans[index] for index in used_scans(travelled_m, points, config)]
-    clouds = tuple(PosedCloud(scan.cloud_sha256, scan.T_odom_sensor, scan.stamp_ns) for scan in used)
-    return SubmapSource(clouds, posted=False, T_odom_submap=record.T_odom_submap, config=config)
+    positions = np.array([pose_matrix(scan.T_odom_sensor)[:3, 3] for scan in scans])
+    rows = chosen_scans(positions, np.array([scan.point_count for scan in scans]), config)
+    clouds = tuple(
+        PosedCloud(scan.cloud_sha256, scan.point_count, scan.T_odom_sensor, scan.stamp_ns)
+        for scan in (scans[row] for row in rows)
+    )
+    return SubmapSource(clouds, posted=False, config=config, T_odom_submap=record.T_odom_submap)
 
 
 def chosen_seqs(first: int, last: int) -> list[int]:
@@ -65,15 +77,18 @@ def chosen_seqs(first: int, last: int) -> list[int]:
 
 
 def load_submap(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) -> Submap:
-    """The submap with its points. Raises DataLoss, EmptyCloud."""
+    """The submap with its points, at most about WINDOW_POINTS of them. Raises DataLoss, EmptyCloud."""
     return submap_of(load_scans(blobs, record, source), source)
 
 
 def load_scans(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) -> list[Scan]:
-    """The scans that a submap is made of, or its one cloud. Raises DataLoss."""
+    """The scans of a submap, or its one cloud, with at most about WINDOW_POINTS points. Raises DataLoss."""
     return [
         Scan(
-            unpack_cloud(blobs.get(record.tenant, CLOUD_BLOB, cloud.cloud_sha256)).points,
+            # Contiguous: a view of a thinned cloud would keep all of it in memory.
+            np.ascontiguousarray(
+                unpack_cloud(blobs.get(record.tenant, CLOUD_BLOB, cloud.cloud_sha256)).points[:: source.every]
+            ),
             pose_matrix(cloud.T_odom_sensor),
             cloud.stamp_ns,
             CloudReport(0, "degenerate_plane" in record.flags),
@@ -86,4 +101,4 @@ def submap_of(scans: list[Scan], source: SubmapSource) -> Submap:
     """The scans put together. Raises EmptyCloud."""
     if source.posted:
         return Submap.from_cloud(scans[0], source.config)
-    return Submap.from_scans(scans, source.config, pose_matrix(source.T_odom_submap))
+    return Submap.accumulated(scans, pose_matrix(source.T_odom_submap), source.config)

@@ -53,6 +53,11 @@ def test_points_of_a_tile_lie_in_the_frame_of_the_map(client, tiled, file_format
     np.testing.assert_allclose(points[:, :2].mean(axis=0), [2.5 * EDGE_M, 0.5 * EDGE_M], atol=1e-3)
 
 
+def test_the_surface_of_a_submap_can_be_had_compressed(client, tiled):
+    submap = f"{tiled.partition('/versions/')[0]}/sessions/monday/submaps/a"
+    assert client.download(submap, "glb").startswith(b"glTF")
+
+
 def test_a_tile_with_nothing_in_it_is_a_file_with_nothing_in_it(client, tiled):
     tile = tile_at(client, tiled, 1)
     assert client.download_tile(tile, "glb").startswith(b"glTF")

@@ -14,7 +14,7 @@ from revisit.core.kernels.arcs import arc_tangent
 from revisit.core.kernels.choose_returns import choose_returns
 from revisit.core.kernels.cluster_joins import connected_parts
 from revisit.core.kernels.column_histograms import MIN_MEMBERS, column_histograms
-from revisit.core.kernels.elastic_points import POOLED_RETURNS, pooled_covariances
+from revisit.core.kernels.elastic_points import POOLED_RETURNS, RECORD, pooled_covariances
 from revisit.core.kernels.heading_profiles import face_profiles, plan_profiles
 from revisit.core.kernels.nearest_points import any_within
 from revisit.core.kernels.neighbour_blend import blend_neighbours, blend_normals, tangent_frames
@@ -155,7 +155,8 @@ def test_pooled_covariances_are_those_of_the_returns_around_each_point():
     moments = np.array([
         [len(cloud), *cloud.sum(axis=0), *(cloud.T @ cloud)[np.triu_indices(3)]] for cloud in clouds
     ])  # fmt: skip
-    found = pooled_covariances(positions, moments, table_of(voxels), 0.4)
+    records = np.pad(moments, ((0, 0), (0, RECORD - moments.shape[1])))
+    found = pooled_covariances(positions, records, columns_of(positions, 0.4), 0.4)
     for i, here in enumerate(positions.astype(np.float64)):
         total, samples, weights = 0.0, [], []
         for j, cloud in enumerate(clouds):

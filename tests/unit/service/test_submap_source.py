@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-import numpy as np
+import pytest
 
-from revisit.core.geometry.se3 import pose_row
+from revisit.core.config import PipelineConfig, SubmapConfig
+from revisit.core.geometry.se3 import pose_matrix
 from revisit.service.application.ingest import submap_source
-from revisit.service.application.ingest.submap_source import MAX_SCANS, chosen_seqs
+from revisit.service.application.ingest.submap_source import MAX_SCANS, WINDOW_POINTS, PosedCloud, chosen_seqs
 from tests.support.service_world import TENANT, memory_world, open_session, scan
 
 
@@ -25,8 +26,19 @@ def test_of_an_hour_at_a_red_light_a_bounded_number_is_chosen_evenly_and_with_bo
     assert steps == {90, 91}
 
 
-async def test_a_window_of_many_dense_scans_is_described_from_some_of_them_in_the_frame_of_its_row(monkeypatch):
-    monkeypatch.setattr(submap_source, "used_scans", lambda *_: np.array([0, 2, 3, 10]))
+@pytest.mark.parametrize(
+    ("scans", "points", "every"),
+    [(1, 1, 1), (MAX_SCANS, WINDOW_POINTS // MAX_SCANS, 1), (MAX_SCANS, 262_000, 7), (MAX_SCANS, 500_000, 13)],
+)
+def test_of_the_points_of_a_window_so_many_are_used_that_a_worker_has_room(scans, points, every):
+    clouds = (PosedCloud("sha", points, (), 1),) * scans
+    source = submap_source.SubmapSource(clouds, posted=False, config=None, T_odom_submap=())
+    assert source.every == every
+    assert scans * points / source.every <= WINDOW_POINTS
+
+
+async def test_a_window_of_too_many_points_is_described_from_some_of_each_scan(monkeypatch):
+    monkeypatch.setattr(submap_source, "WINDOW_POINTS", 1_000)
     world = memory_world()
     await open_session(world)
     for seq in range(1, 12):
@@ -36,7 +48,21 @@ async def test_a_window_of_many_dense_scans_is_described_from_some_of_them_in_th
         lambda uow: submap_source.submap_source(uow, world.context.policy, record)
     ).result()
     loaded = submap_source.load_submap(world.context.blobs, record, source)
-    assert (record.scan_count, loaded.scan_count) == (11, 4)
-    np.testing.assert_allclose(pose_row(loaded.T_odom_submap), record.T_odom_submap)
-    # The middle of eleven scans is that at 5 m.
-    np.testing.assert_allclose(loaded.origins[:, 0], [-5.0, -3.0, -2.0, 5.0], atol=1e-5)
+    assert (record.point_count, source.every) == (3_300, 4)
+    assert len(loaded.points) == 11 * 75
+    assert set(loaded.scan_index.tolist()) == set(range(11))
+
+
+async def test_of_a_slow_robots_dense_scans_only_those_a_metre_apart_are_read():
+    world = memory_world(pipeline=PipelineConfig(submap=SubmapConfig(enough_returns=0)))
+    await open_session(world)
+    for seq in range(1, 70):
+        await world.use_cases.scans.append(TENANT, scan(seq, 0.15 * (seq - 1)))
+    (record,) = world.context.transactions.read(lambda uow: uow.submaps.find(TENANT)).result()
+    source = world.context.transactions.read(
+        lambda uow: submap_source.submap_source(uow, world.context.policy, record)
+    ).result()
+    assert record.scan_count > 60 and len(source.clouds) == 11
+    assert submap_source.load_submap(world.context.blobs, record, source).T_odom_submap == pytest.approx(
+        pose_matrix(record.T_odom_submap)
+    )
