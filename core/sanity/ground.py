@@ -37,8 +37,6 @@ def ground_plane(points: NDArray[np.floating], seed: int = 0) -> GroundPlane | N
 
     None where no plane surrounds the sensor, as with one that looks ahead only: a wall beside it is no ground.
     """
-    from revisit.core.kernels.plane_votes import plane_scores  # compiled: the gateway needs none of it
-
     thinned, scale = thinned_cloud(points)
     if len(thinned) < 50:
         return None
@@ -49,7 +47,7 @@ def ground_plane(points: NDArray[np.floating], seed: int = 0) -> GroundPlane | N
     offsets = -np.einsum("ij,ij->i", normals, corners[:, 0])
     sign = np.where(offsets < 0.0, -1.0, 1.0)
     normals, offsets = normals * sign[:, None], offsets * sign
-    scores = plane_scores(normals, offsets, thinned, 0.1 * scale, 0.3 * scale)
+    scores = _scoring()(normals, offsets, thinned, 0.1 * scale, 0.3 * scale)
     best = int(scores.argmax())
     inliers = thinned[np.abs(thinned @ normals[best] + offsets[best]) < 0.1 * scale]
     if scores[best] < 0.15 or not _surrounds(inliers, normals[best], offsets[best]):
@@ -57,6 +55,21 @@ def ground_plane(points: NDArray[np.floating], seed: int = 0) -> GroundPlane | N
     level = scores[normals[:, 2] > MAX_TILT_COSINE]
     upright = len(level) > 0 and float(level.max()) >= 0.5 * scores[best]
     return GroundPlane(normals[best], float(offsets[best]), upright)
+
+
+def _scoring() -> Callable[[Array, Array, Array, float, float], Array]:
+    """`core.kernels.plane_votes.plane_scores`; on a robot, which has the SDK and no compiler, its plain formula."""
+    try:
+        from revisit.core.kernels.plane_votes import plane_scores
+    except ImportError:
+        return plain_plane_scores
+    return plane_scores  # type: ignore[no-any-return]  # the compiler's decorator has no types
+
+
+def plain_plane_scores(normals: Array, offsets: Array, points: Array, near: float, below: float) -> Array:
+    """As `core.kernels.plane_votes.plane_scores`."""
+    above = normals @ points.T + offsets[:, None]
+    return np.asarray((np.abs(above) < near).mean(axis=1) - 2.0 * (above < -below).mean(axis=1))
 
 
 def place_flags(points: NDArray[np.floating], scene_scale: float = 1.0) -> tuple[str, ...]:

@@ -32,7 +32,7 @@ def require_comparable(target: MapRecord, source: MapRecord) -> None:
     models = {one.model_version for one in (target, source)} - {None}
     if len(models) > 1:
         raise DescriptorModelMismatch(
-            f"map {target.map_id} was described by {target.model_version}, map {source.map_id} by {source.model_version}"
+            f"map {target.map_id} was described by {target.model_version}, {source.map_id} by {source.model_version}"
         )
 
 
