@@ -63,7 +63,7 @@ def _scoring() -> Callable[[Array, Array, Array, float, float], Array]:
         from revisit.core.kernels.plane_votes import plane_scores
     except ImportError:
         return plain_plane_scores
-    return plane_scores  # type: ignore[no-any-return]  # the compiler's decorator has no types
+    return plane_scores
 
 
 def plain_plane_scores(normals: Array, offsets: Array, points: Array, near: float, below: float) -> Array:

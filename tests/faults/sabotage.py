@@ -512,7 +512,7 @@ SABOTAGES = (
         "a window of any number of points is loaded whole",
         {f"{USE_CASES}ingest.submap_source:chosen_scans": lambda _chosen: lambda positions, *_: range(len(positions))},
         "tests/unit/service/test_submap_source.py::"
-        "test_a_window_of_many_large_scans_takes_a_worker_the_memory_of_a_dozen",
+        "test_a_window_of_many_large_scans_takes_a_worker_the_memory_of_a_dozen[slow]",
     ),
 )
 
