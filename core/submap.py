@@ -83,14 +83,24 @@ class Submap:
 
     @classmethod
     def from_scans(cls, scans: list[Scan], config: SubmapConfig) -> Submap:
-        """Accumulate `scans` (in time order, at least one) in the frame of the middle one.
+        """The submap of a window's `scans` (in time order, at least one), in the frame of the middle one.
 
-        Returns out of the sensor's range are left out, and so is what lies beyond range and tau from the middle scan:
-        odometry that jumped. Raises EmptyCloud where fewer than 100 points remain.
+        Of more scans than are needed some are chosen (`chosen_scans`). Raises what `accumulated` raises.
+        """
+        positions = np.array([scan.T_odom_sensor[:3, 3] for scan in scans])
+        rows = chosen_scans(positions, np.array([len(scan.points) for scan in scans]), config)
+        submap = cls.accumulated([scans[row] for row in rows], scans[len(scans) // 2].T_odom_sensor, config)
+        return replace(submap, position=positions.mean(axis=0))
+
+    @classmethod
+    def accumulated(cls, scans: list[Scan], T_odom_submap: se3.Matrix4, config: SubmapConfig) -> Submap:
+        """All of these `scans` (in time order, at least one) in the frame with this pose.
+
+        Returns out of the sensor's range are left out, and so is what lies beyond range and tau from the frame's
+        origin: odometry that jumped. Raises EmptyCloud where fewer than 100 points remain.
         """
         from revisit.core.kernels.rigid_motion import placed_returns  # compiled: the gateway needs none of it
 
-        T_odom_submap = scans[len(scans) // 2].T_odom_sensor
         T_submap_odom = se3.inverse(T_odom_submap)
         clouds, indices, origins = [], [], []
         for index, scan in enumerate(scans):
@@ -133,6 +143,29 @@ def _enough(points: Points, given: int) -> Points:
             f"only {len(points)} of {given} points lie within the sensor's range: are they in metres?", field="points"
         )
     return points
+
+
+def chosen_scans(
+    positions: NDArray[np.float64], returns: NDArray[np.integer], config: SubmapConfig
+) -> NDArray[np.int64]:
+    """Which of a window's scans (s,) are described, ascending: those nearest to marks of travel, and more if needed.
+
+    `positions` (s, 3) metres and the numbers of `returns` (s,) are in time order. The marks are tau / `scans_per_tau`
+    apart, so that neither the speed of the robot nor the rate of its sensor changes what is described. Where the scans
+    at the marks have fewer than `enough_returns`, of a sensor of few beams, others join them, evenly spread, until
+    they have (docs/decisions/0150).
+    """
+    travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
+    marks = travelled * (config.scans_per_tau / config.tau)
+    nearest = np.rint(marks)
+    order = np.lexsort((np.abs(marks - nearest), nearest))
+    chosen = np.zeros(len(marks), dtype=bool)
+    chosen[order[np.flatnonzero(np.diff(nearest, prepend=-1.0))]] = True
+    others, missing = np.flatnonzero(~chosen), config.enough_returns - returns[chosen].sum()
+    if len(others) and missing > 0:
+        share = min(missing / max(returns[others].sum(), 1), 1.0)
+        chosen[others[np.diff(np.floor(np.arange(len(others) + 1) * share + 0.5)) > 0]] = True
+    return np.flatnonzero(chosen)
 
 
 def next_window_start(start_m: float, travelled_m: float, config: SubmapConfig) -> float:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from revisit.core.config import BevConfig
+from revisit.core.kernels.filter_layers import add_amplitudes, multiply_spectrum, strongest_layer
 
 Array = NDArray[np.float32]
 
@@ -58,9 +59,9 @@ def maximum_index_map(image: Array, config: BevConfig) -> OrientationMap:
     )
     spectrum = fft.fft2(image, s=(size, size))
     amplitude = np.zeros((config.orientations, height, width), dtype=np.float32)
+    filtered = np.empty((config.scales, size, size), dtype=np.complex64)
     for orientation in range(config.orientations):
-        response = fft.ifft2(bank[orientation] * spectrum, overwrite_x=True)
-        amplitude[orientation] = np.abs(response[:, :height, :width]).sum(axis=0)
-    index = amplitude.argmax(axis=0)
-    strongest = np.take_along_axis(amplitude, index[None], axis=0)[0]
-    return OrientationMap(index.astype(np.int8), strongest, config.orientations)
+        multiply_spectrum(bank[orientation], spectrum, filtered)
+        rows = fft.ifft(filtered, axis=1, overwrite_x=True)[:, :height]
+        add_amplitudes(fft.ifft(rows, axis=2, overwrite_x=True), amplitude[orientation])
+    return OrientationMap(*strongest_layer(amplitude), config.orientations)

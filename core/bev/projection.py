@@ -26,10 +26,11 @@ def cluster_supported(surface: Surface, clusters: Clusters, config: BevConfig) -
     Where the dominant clusters support less than `min_support` of the voxels off the ground (a sparse sensor, a small
     yard), every voxel within delta_c of a vertex that is not ground counts; where nothing stands, every voxel.
     """
-    standing = _voxels_near(surface, ~clusters.ground, config.cluster_distance)
+    dominant, every = clusters.labels >= 0, np.ones(len(surface.occupied), dtype=bool)
+    supported = _voxels_near(surface, dominant, every, config.cluster_distance)  # Eq. 8: of any cluster
+    standing = supported | _voxels_near(surface, ~(clusters.ground | dominant), ~supported, config.cluster_distance)
     if not standing.any():
-        return np.ones(len(surface.occupied), dtype=bool)
-    supported = _voxels_near(surface, clusters.labels >= 0, config.cluster_distance)  # Eq. 8: of any cluster
+        return every
     return supported if supported.sum() >= config.min_support * standing.sum() else standing
 
 
@@ -59,9 +60,10 @@ def normalise(sums: Array, config: BevConfig) -> Array:
     return np.asarray(np.minimum(scaled / saturation, 1.0), dtype=np.float32)
 
 
-def _voxels_near(surface: Surface, vertices: Flags, distance: float) -> Flags:
-    """Which voxels (o,) have their centre within `distance` metres of one of the chosen vertices (v,)."""
-    if not vertices.any() or len(surface.occupied) == 0:
-        return np.zeros(len(surface.occupied), dtype=bool)
-    centres = (surface.occupied + np.float32(0.5)) * np.float32(surface.resolution)
-    return np.asarray(any_within(centres, columns_of(surface.vertices[vertices], distance), distance))  # Eq. 7
+def _voxels_near(surface: Surface, vertices: Flags, voxels: Flags, distance: float) -> Flags:
+    """Which voxels (o,), of those chosen, have their centre within `distance` metres of a chosen vertex (v,)."""
+    near = np.zeros(len(surface.occupied), dtype=bool)
+    if vertices.any() and voxels.any():
+        centres = (surface.occupied[voxels] + np.float32(0.5)) * np.float32(surface.resolution)
+        near[voxels] = any_within(centres, columns_of(surface.vertices[vertices], distance), distance)  # Eq. 7
+    return near

@@ -29,9 +29,9 @@ def fit_implicit_map(
     submap: Submap, decoder: DecoderWeights, config: ImplicitMapConfig, rng: np.random.Generator
 ) -> NeuralMap:
     """The neural map of a submap: accumulate, remove what moved, fit features where the field is learned."""
-    gathered = accumulate(submap, config)
+    gathered = gather(submap, config)
     crowded = len(gathered) > config.max_points
-    points = without_dynamic_points(nearest_to_middle(gathered, config.max_points), submap, config)
+    points = without_dynamic_points(gathered.finish(config.max_points), submap, config)
     points = settle(points, config.resolution)
     if config.field is Field.PLANES:
         return dataclasses.replace(NeuralMap.of_planes(points, submap.stamps_ns, config), crowded=crowded)
@@ -43,20 +43,16 @@ def fit_implicit_map(
 
 def accumulate(submap: Submap, config: ImplicitMapConfig) -> NeuralPoints:
     """The elastic neural points of all scans, in time order (paper III-B 3)."""
-    limit = GATHERED_SHARE * config.max_points
-    accumulator = ElasticAccumulator(config.resolution, len(submap.points), limit)
-    bounds = np.searchsorted(submap.scan_index, np.arange(submap.scan_count + 1))
+    return gather(submap, config).finish()
+
+
+def gather(submap: Submap, config: ImplicitMapConfig) -> ElasticAccumulator:
+    """The returns of all scans, gathered in time order: at most GATHERED_SHARE times the points of a map."""
+    accumulator = ElasticAccumulator(config.resolution, len(submap.points), GATHERED_SHARE * config.max_points)
+    bounds = np.searchsorted(submap.scan_index, np.arange(submap.scan_count + 1, dtype=np.int32))
     for scan in range(submap.scan_count):
         accumulator.insert(submap.points[bounds[scan] : bounds[scan + 1]], submap.origins[scan], scan)
-    return accumulator.finish()
-
-
-def nearest_to_middle(points: NeuralPoints, most: int) -> NeuralPoints:
-    """At most so many neural points: those nearest to the middle of the submap, in their order."""
-    if len(points) <= most:
-        return points
-    squared = np.einsum("ij,ij->i", points.positions, points.positions)
-    return points.subset(np.sort(np.argpartition(squared, most)[:most]))
+    return accumulator
 
 
 def without_dynamic_points(points: NeuralPoints, submap: Submap, config: ImplicitMapConfig) -> NeuralPoints:

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.elastic_points import insert_returns, pooled_covariances
+from revisit.core.kernels.elastic_points import FIRST_SCAN, RECORD, VIEW, insert_returns, pooled_covariances
 from revisit.core.kernels.oriented_normals import oriented_normals
+from revisit.core.kernels.point_columns import columns_of
 from revisit.core.kernels.voxel_table import VoxelTable, empty_slots
 
 Array = NDArray[np.float32]
@@ -23,6 +24,7 @@ MAX_NEURAL_POINTS = 4_000_000
 """As many as a cloud of the largest size can have."""
 
 _RETURNS_EACH = 8  # in a voxel of a usual submap, or more
+_ROOM = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -66,9 +68,7 @@ class ElasticAccumulator:
         self._table = VoxelTable(
             empty_slots(expected // _RETURNS_EACH), np.zeros(0, np.int32), np.zeros((0, 3), np.int32)
         )
-        self._moments = np.zeros((0, 10))
-        self._views = np.zeros((0, 3))
-        self._scans = np.zeros((0, 3), dtype=np.int32)
+        self._records = np.empty((0, RECORD))
         self._size = 0
 
     def insert(self, points: Array, origin: Array, scan: int) -> None:
@@ -77,43 +77,45 @@ class ElasticAccumulator:
         A return in an empty voxel creates a neural point; another moves the point of its voxel (paper III-B 3; why
         none is ever evicted: docs/decisions/0064).
         """
-        self._reserve(min(self._size + len(points), self._limit))
-        self._size = insert_returns(
-            points,
-            origin,
-            scan,
-            self._table,
-            self._moments,
-            self._views,
-            self._scans,
-            self._size,
-            self._resolution,
-            self._limit,
-        )
+        cloud, start = np.ascontiguousarray(points), 0
+        while start < len(cloud):
+            self._size, start = insert_returns(
+                cloud, start, origin, scan, self._table, self._records, self._size, self._resolution, self._limit
+            )
+            if start < len(cloud):
+                self._grow()
 
-    def finish(self) -> NeuralPoints:
-        """The points accumulated so far, with their orientations."""
-        moments, views = self._moments[: self._size], self._views[: self._size]
-        scans = self._scans[: self._size]
-        positions = (moments[:, 1:4] / moments[:, :1]).astype(np.float32)
-        normals = oriented_normals(pooled_covariances(positions, moments, self._table, self._resolution), views)
+    def __len__(self) -> int:
+        return self._size
+
+    def finish(self, most: int = MAX_NEURAL_POINTS) -> NeuralPoints:
+        """The points accumulated so far, with their orientations; of more than `most` those nearest to the middle."""
+        records = self._records[: self._size]
+        positions = (records[:, 1:4] / records[:, :1]).astype(np.float32)
+        columns, rows = columns_of(positions, self._resolution), nearest_to_middle(positions, most)
+        chosen, scans = positions[rows], records[rows, FIRST_SCAN:].astype(np.int32)
+        normals = oriented_normals(pooled_covariances(chosen, records, columns, self._resolution), records[rows, VIEW])
         return NeuralPoints(
-            positions=positions, normals=normals, created=scans[:, 0].copy(), updated=scans[:, 1].copy(),
+            positions=chosen, normals=normals, created=scans[:, 0].copy(), updated=scans[:, 1].copy(),
             hits=scans[:, 2].copy(), stability=scans[:, 2].astype(np.float32),
         )  # fmt: skip
 
-    def _reserve(self, size: int) -> None:
-        if size <= len(self._moments):
-            return
-        rows = max(size, 2 * len(self._moments))
-        self._moments, self._views = _grown(self._moments, rows), _grown(self._views, rows)
-        self._scans = _grown(self._scans, rows)
+    def _grow(self) -> None:
+        rows = min(max(2 * len(self._records), _ROOM), self._limit)
         following, voxels = _grown(self._table.following, rows), _grown(self._table.voxels, rows)
-        self._table = VoxelTable(self._table.slots, following, voxels)
+        self._records, self._table = _grown(self._records, rows), VoxelTable(self._table.slots, following, voxels)
+
+
+def nearest_to_middle(positions: Array, most: int) -> NDArray[np.int64]:
+    """The rows, ascending, of at most so many of `positions` (n, 3): those nearest to the middle of the submap."""
+    if len(positions) <= most:
+        return np.arange(len(positions))
+    squared = np.einsum("ij,ij->i", positions, positions)
+    return np.sort(np.argpartition(squared, most)[:most])
 
 
 def _grown(array: NDArray[Any], rows: int) -> NDArray[Any]:
-    """The array (n, ...) with zeros added up to `rows` rows."""
-    grown = np.zeros((rows, *array.shape[1:]), dtype=array.dtype)
+    """The array (n, ...) with room for `rows` rows."""
+    grown = np.empty((rows, *array.shape[1:]), dtype=array.dtype)
     grown[: len(array)] = array
     return grown

@@ -19,7 +19,7 @@ def count_seen_through(
     frame of the map.
     """
     counts = np.zeros(len(positions), dtype=np.int32)
-    bounds = np.searchsorted(scan_index, np.arange(len(origins) + 1))
+    bounds = np.searchsorted(scan_index, np.arange(len(origins) + 1, dtype=scan_index.dtype))
     for scan, origin in enumerate(origins):
         image = range_image(points[bounds[scan] : bounds[scan + 1]], origin)
         mark_seen_through(positions, origin, image, counts)

@@ -6,36 +6,45 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.kernels.point_columns import PointColumns, span
 from revisit.core.kernels.voxel_table import VoxelTable, add_to, find_in
 
 POOLED_RETURNS = 8.0
 
+MOMENTS, VIEW = slice(0, 10), slice(10, 13)
+FIRST_SCAN, LAST_SCAN, SCANS = 13, 14, 15
+RECORD = 16
+"""Numbers that are gathered of a neural point, in two lines of the cache."""
+
 _CHUNK = 1024
+_TINY_M = np.float32(1e-9)
 
 
 @numba.njit(cache=True, error_model="numpy")
 def insert_returns(
     points: NDArray[np.float32],
+    start: int,
     origin: NDArray[np.float32],
     scan: int,
     table: VoxelTable,
-    moments: NDArray[np.float64],
-    views: NDArray[np.float64],
-    scans: NDArray[np.int32],
+    records: NDArray[np.float64],
     size: int,
     resolution: float,
     limit: int,
-) -> int:
-    """Insert returns (n, 3) of one scan, seen from `origin` (3,); returns the new number of neural points.
+) -> tuple[int, int]:
+    """Insert returns (n, 3) of one scan from row `start` on, seen from `origin` (3,), into the first `size` records.
 
-    A return creates the neural point of its voxel or joins it. Of each neural point: moments (10,) count, sum p and
-    the upper sum p p^T; views (3,) sum of the unit vectors towards the sensor; scans (3,) first, last and number of the
-    scans that saw it. Where there are `limit` of them, no more are created: the returns are left out.
+    Returns the new number of neural points, and the row to go on from with more records where there was no room.
+    A return creates the neural point of its voxel or joins it. A record (RECORD,) is count, sum p and the upper sum
+    p p^T; the sum of the unit vectors towards the sensor; and the first, the last and the number of the scans that saw
+    it. Where there are `limit` of them, no more are created: the returns are left out.
     """
     slots, following, voxels = table.slots, table.following, table.voxels
-    cells, units = np.empty((3, _CHUNK), dtype=np.int32), np.empty((3, _CHUNK))
-    for start in range(0, len(points), _CHUNK):
+    cells, units = np.empty((3, _CHUNK), dtype=np.int32), np.empty((3, _CHUNK), dtype=np.float32)
+    while start < len(points):
         count = min(_CHUNK, len(points) - start)
+        if size + count > len(records) and len(records) < limit:
+            break
         _prepare(points, start, count, origin, resolution, cells, units)
         k = 0
         while k < count:
@@ -50,40 +59,40 @@ def insert_returns(
                 i = size
                 size += 1
                 add_to(slots, following, voxels, i, x, y, z)
-                moments[i], views[i] = 0.0, 0.0
-                scans[i, 0], scans[i, 1], scans[i, 2] = scan, -1, 0
-            if scans[i, 1] != scan:
-                scans[i, 1] = scan
-                scans[i, 2] += 1
-            _gather(points, start, first, k, units, moments, views, i)
-    return size
+                records[i] = 0.0
+                records[i, FIRST_SCAN], records[i, LAST_SCAN] = scan, -1.0
+            if records[i, LAST_SCAN] != scan:
+                records[i, LAST_SCAN] = scan
+                records[i, SCANS] += 1.0
+            _gather(points, start, first, k, units, records, i)
+        start += count
+    return size, start
 
 
 @numba.njit(inline="always")
 def _prepare(
     points: NDArray[np.float32], start: int, count: int, origin: NDArray[np.float32], resolution: float,
-    cells: NDArray[np.int32], units: NDArray[np.float64],
+    cells: NDArray[np.int32], units: NDArray[np.float32],
 ) -> None:  # fmt: skip
     """Voxels and unit vectors towards `origin` of `count` returns from row `start` on, many at once."""
     ox, oy, oz = origin[0], origin[1], origin[2]
-    for k in range(count):
-        units[0, k], units[1, k], units[2, k] = points[start + k, 0], points[start + k, 1], points[start + k, 2]
-    for k in range(count):
-        cells[0, k] = np.int32(np.floor(units[0, k] / resolution))
-        cells[1, k] = np.int32(np.floor(units[1, k] / resolution))
-        cells[2, k] = np.int32(np.floor(units[2, k] / resolution))
+    for a in range(3):
+        for k in range(count):
+            units[a, k] = points[start + k, a]
+        for k in range(count):
+            cells[a, k] = np.int32(np.floor(np.float64(units[a, k]) / resolution))
     for k in range(count):
         dx, dy, dz = ox - units[0, k], oy - units[1, k], oz - units[2, k]
-        inverse = 1.0 / (np.sqrt(dx * dx + dy * dy + dz * dz) + 1e-9)
+        inverse = np.float32(1.0) / (np.sqrt(dx * dx + dy * dy + dz * dz) + _TINY_M)
         units[0, k], units[1, k], units[2, k] = dx * inverse, dy * inverse, dz * inverse
 
 
 @numba.njit(inline="always")
 def _gather(
-    points: NDArray[np.float32], start: int, first: int, last: int, units: NDArray[np.float64],
-    moments: NDArray[np.float64], views: NDArray[np.float64], i: int,
+    points: NDArray[np.float32], start: int, first: int, last: int, units: NDArray[np.float32],
+    records: NDArray[np.float64], i: int,
 ) -> None:  # fmt: skip
-    """Add the returns from start + first up to start + last, all in one voxel, to neural point i."""
+    """Add the returns from start + first up to start + last, all in one voxel, to record i."""
     sx, sy, sz, xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     ux, uy, uz = 0.0, 0.0, 0.0
     for k in range(first, last):
@@ -92,41 +101,38 @@ def _gather(
         xx, xy, xz = xx + x * x, xy + x * y, xz + x * z
         yy, yz, zz = yy + y * y, yz + y * z, zz + z * z
         ux, uy, uz = ux + units[0, k], uy + units[1, k], uz + units[2, k]
-    sums = float(last - first), sx, sy, sz, xx, xy, xz, yy, yz, zz
-    for a in range(10):
-        moments[i, a] += sums[a]
-    views[i, 0] += ux
-    views[i, 1] += uy
-    views[i, 2] += uz
+    sums = float(last - first), sx, sy, sz, xx, xy, xz, yy, yz, zz, ux, uy, uz
+    for a in range(13):
+        records[i, a] += sums[a]
 
 
 @numba.njit(cache=True, error_model="numpy")
 def pooled_covariances(
-    positions: NDArray[np.float32], moments: NDArray[np.float64], table: VoxelTable, resolution: float
+    positions: NDArray[np.float32], records: NDArray[np.float64], columns: PointColumns, resolution: float
 ) -> NDArray[np.float64]:
-    """Covariance (n, 3, 3) of the returns around each point: its 27 voxels, Gaussian in distance.
+    """Covariance (m, 3, 3) of the returns around each of `positions` (m, 3): its 27 voxels, Gaussian in distance.
 
-    A voxel counts at most as POOLED_RETURNS returns, so that dense and sparse scans give the same surface.
+    `columns` are those of the neural points that the `records` belong to. A voxel counts at most as POOLED_RETURNS
+    returns, so that dense and sparse scans give the same surface.
     """
-    slots, following, voxels = table.slots, table.following, table.voxels
+    points, rows, keys, grid = columns.points, columns.rows, columns.keys, columns.grid
+    x_low, y_low, width, depth = columns.low[0], columns.low[1], columns.shape[0], columns.shape[1]
     out = np.empty((len(positions), 3, 3))
     sums = np.empty(10)
     for i in range(len(positions)):
         px, py, pz = positions[i, 0], positions[i, 1], positions[i, 2]
         cx, cy, cz = int(np.floor(px / resolution)), int(np.floor(py / resolution)), int(np.floor(pz / resolution))
         sums[:] = 0.0
-        for x in range(cx - 1, cx + 2):
-            for y in range(cy - 1, cy + 2):
-                for z in range(cz - 1, cz + 2):
-                    j = find_in(slots, following, voxels, x, y, z)
-                    if j < 0:
-                        continue
-                    gap = (positions[j, 0] - px) ** 2 + (positions[j, 1] - py) ** 2 + (positions[j, 2] - pz) ** 2
-                    if gap > 4.0 * resolution**2:
-                        continue
-                    m = moments[j, 0]
-                    weight = np.exp(-0.5 * gap / (0.7 * resolution) ** 2) * min(m, POOLED_RETURNS) / m
-                    _pool(sums, moments, j, weight, px, py, pz)
+        for x in range(cx - 1 - x_low, cx + 2 - x_low):
+            first, last = span(keys, grid, width, depth, x, cy - 1 - y_low, cy + 1 - y_low)
+            for k in range(first, last):
+                gap = (points[k, 0] - px) ** 2 + (points[k, 1] - py) ** 2 + (points[k, 2] - pz) ** 2
+                if gap > 4.0 * resolution**2 or abs(int(np.floor(points[k, 2] / resolution)) - cz) > 1:
+                    continue
+                j = rows[k]
+                m = records[j, 0]
+                weight = np.exp(-0.5 * gap / (0.7 * resolution) ** 2) * min(m, POOLED_RETURNS) / m
+                _pool(sums, records, j, weight, px, py, pz)
         _covariance(sums, out, i)
     return out
 

@@ -1,4 +1,8 @@
-"""The voxels around the neural points that a surface can pass, and their corners (paper III-C)."""
+"""The voxels around the neural points that a surface can pass, and their corners (paper III-C).
+
+Corners are bits: a piece of 64 corners one above the other is one number, found in a table of voxels whose z counts
+pieces. What belongs to a cell is then read for several cells at once.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +13,22 @@ from numpy.typing import NDArray
 from revisit.core.kernels.voxel_table import VoxelTable, add_to, find_in
 
 NEAR_PLANE = 0.9
+PIECE = 64
+_WINDOW = 4  # corners along each edge of the 27 voxels around a point
+
+Bits = NDArray[np.uint64]
 
 
 @numba.njit(cache=True, error_model="numpy")
-def enter_observed_corners(positions: NDArray[np.float32], resolution: float, reach: float, corners: VoxelTable) -> int:
-    """Enter the voxel corners within `reach` metres of any of `positions` (n, 3); returns how many there are.
+def enter_observed_corners(
+    positions: NDArray[np.float32], resolution: float, reach: float, pieces: VoxelTable, bits: Bits
+) -> int:
+    """Set the bits of the voxel corners within `reach` metres of any of `positions` (n, 3); returns how many pieces.
 
-    Corner (x, y, z) lies at (x, y, z) * resolution. `corners` has room for all, (2 ceil(reach / resolution))^3 n.
+    Corner (x, y, z) lies at (x, y, z) * resolution; it is bit z & 63 of the piece (x, y, z >> 6). `pieces` and `bits`
+    have room for all, 2 (2 ceil(reach / resolution))^2 n.
     """
-    slots, following, voxels = corners.slots, corners.following, corners.voxels
+    slots, following, voxels = pieces.slots, pieces.following, pieces.voxels
     count, steps = 0, int(np.ceil(reach / resolution))
     limit = np.float32(reach)
     for i in range(len(positions)):
@@ -27,49 +38,96 @@ def enter_observed_corners(positions: NDArray[np.float32], resolution: float, re
             dx = px - np.float32(x * resolution)
             for y in range(vy - steps + 1, vy + steps + 1):
                 dy = py - np.float32(y * resolution)
+                row, height = -1, 0
                 for z in range(vz - steps + 1, vz + steps + 1):
                     dz = pz - np.float32(z * resolution)
-                    if np.sqrt(dx * dx + dy * dy + dz * dz) > limit or find_in(slots, following, voxels, x, y, z) >= 0:
+                    if np.sqrt(dx * dx + dy * dy + dz * dz) > limit:
                         continue
-                    add_to(slots, following, voxels, count, x, y, z)
-                    count += 1
+                    if row < 0 or z >> 6 != height:
+                        height = z >> 6
+                        row = find_in(slots, following, voxels, x, y, height)
+                        if row < 0:
+                            row = count
+                            count += 1
+                            add_to(slots, following, voxels, row, x, y, height)
+                            bits[row] = np.uint64(0)
+                    bits[row] |= np.uint64(1) << np.uint64(z & 63)
     return count
 
 
 @numba.njit(cache=True, error_model="numpy")
+def list_corners(pieces: VoxelTable, bits: Bits, count: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """The corners (n, 3) of the first `count` pieces, and the first corner (count,) of each piece."""
+    first, total = np.empty(count, dtype=np.int32), 0
+    for row in range(count):
+        first[row] = total
+        total += _ones(bits[row])
+    corners, n = np.empty((total, 3), dtype=np.int32), 0
+    for row in range(count):
+        left, z = bits[row], pieces.voxels[row, 2] * PIECE
+        while left:
+            if left & np.uint64(1):
+                corners[n, 0], corners[n, 1], corners[n, 2] = pieces.voxels[row, 0], pieces.voxels[row, 1], z
+                n += 1
+            left >>= np.uint64(1)
+            z += 1
+    return corners, first
+
+
+@numba.njit(cache=True, error_model="numpy")
 def find_cells(
-    positions: NDArray[np.float32], normals: NDArray[np.float32], resolution: float, corners: VoxelTable, count: int
-) -> NDArray[np.int32]:
+    positions: NDArray[np.float32], normals: NDArray[np.float32], resolution: float, pieces: VoxelTable, bits: Bits,
+    first: NDArray[np.int32], most: int,
+) -> NDArray[np.int32]:  # fmt: skip
     """The voxels among the 27 around each of `positions` (n, 3) that its tangent plane comes near, in this order.
 
-    Near: the centre lies within 0.9 edges of the plane. Voxels without all eight corners among the `count` of `corners`
-    are left out. Returns the rows (m, 8) of each voxel's corners, corner c at + (c & 1, c >> 1 & 1, c >> 2 & 1).
+    Near: the centre lies within 0.9 edges of the plane. Voxels without all eight corners among the `most` corners are
+    left out. Returns the rows (m, 8) of each voxel's corners, corner c at + (c & 1, c >> 1 & 1, c >> 2 & 1).
     """
-    slots, following, voxels = corners.slots, corners.following, corners.voxels
-    rows = np.empty((count, 8), dtype=np.int32)
-    tried = np.zeros(count, dtype=np.bool_)  # a voxel is named by its lowest corner
+    slots, following, voxels = pieces.slots, pieces.following, pieces.voxels
+    rows = np.empty((most, 8), dtype=np.int32)
+    tried = np.zeros(len(first), dtype=np.uint64)  # a voxel is named by its lowest corner
     found, reach = 0, NEAR_PLANE * resolution
+    owners, window = np.empty((2, _WINDOW, _WINDOW), np.int64), np.empty((_WINDOW, _WINDOW), np.int64)
     for i in range(len(positions)):
         px, py, pz = positions[i, 0], positions[i, 1], positions[i, 2]
         vx, vy, vz = int(np.floor(px / resolution)), int(np.floor(py / resolution)), int(np.floor(pz / resolution))
-        for x in range(vx - 1, vx + 2):
-            for y in range(vy - 1, vy + 2):
-                for z in range(vz - 1, vz + 2):
-                    height = ((x + 0.5) * resolution - px) * normals[i, 0]
-                    height += ((y + 0.5) * resolution - py) * normals[i, 1]
-                    height += ((z + 0.5) * resolution - pz) * normals[i, 2]
-                    if abs(height) > reach:
+        low, shift = (vz - 1) >> 6, (vz - 1) & 63
+        for a in range(_WINDOW):
+            for b in range(_WINDOW):
+                owners[0, a, b] = row = find_in(slots, following, voxels, vx - 1 + a, vy - 1 + b, low)
+                window[a, b] = np.int64((bits[row] >> np.uint64(shift)) & np.uint64(15)) if row >= 0 else 0
+                if shift > PIECE - _WINDOW:
+                    owners[1, a, b] = row = find_in(slots, following, voxels, vx - 1 + a, vy - 1 + b, low + 1)
+                    if row >= 0:
+                        window[a, b] |= np.int64((bits[row] << np.uint64(PIECE - shift)) & np.uint64(15))
+        for a in range(_WINDOW - 1):
+            for b in range(_WINDOW - 1):
+                known = window[a, b] & window[a + 1, b] & window[a, b + 1] & window[a + 1, b + 1]
+                known &= known >> 1
+                for c in range(_WINDOW - 1):
+                    height = ((vx + a - 0.5) * resolution - px) * normals[i, 0]
+                    height += ((vy + b - 0.5) * resolution - py) * normals[i, 1]
+                    height += ((vz + c - 0.5) * resolution - pz) * normals[i, 2]
+                    if (known >> c) & 1 == 0 or abs(height) > reach:
                         continue
-                    row = find_in(slots, following, voxels, x, y, z)
-                    if row < 0 or tried[row]:
+                    named, bit = owners[(shift + c) >> 6, a, b], np.uint64(1) << np.uint64((shift + c) & 63)
+                    if tried[named] & bit:
                         continue
-                    tried[row] = True
-                    known = 0
-                    while known < 8 and row >= 0:
-                        rows[found, known] = row
-                        known += 1
-                        step = known & 1, (known >> 1) & 1, (known >> 2) & 1
-                        if known < 8:
-                            row = find_in(slots, following, voxels, x + step[0], y + step[1], z + step[2])
-                    found += known == 8
+                    tried[named] |= bit
+                    for corner in range(8):
+                        z = shift + c + (corner >> 2)
+                        owner = owners[z >> 6, a + (corner & 1), b + (corner >> 1 & 1)]
+                        below = bits[owner] & ((np.uint64(1) << np.uint64(z & 63)) - np.uint64(1))
+                        rows[found, corner] = first[owner] + _ones(below)
+                    found += 1
     return rows[:found].copy()
+
+
+@numba.njit(inline="always")
+def _ones(word: np.uint64) -> int:
+    """How many bits of 64 are set. Source: Warren, Hacker's Delight, 5-1."""
+    word = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))
+    word = (word & np.uint64(0x3333333333333333)) + ((word >> np.uint64(2)) & np.uint64(0x3333333333333333))
+    word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
+    return int((word * np.uint64(0x0101010101010101)) >> np.uint64(56))

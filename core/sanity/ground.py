@@ -37,6 +37,8 @@ def ground_plane(points: NDArray[np.floating], seed: int = 0) -> GroundPlane | N
 
     None where no plane surrounds the sensor, as with one that looks ahead only: a wall beside it is no ground.
     """
+    from revisit.core.kernels.plane_votes import plane_scores  # compiled: the gateway needs none of it
+
     thinned, scale = thinned_cloud(points)
     if len(thinned) < 50:
         return None
@@ -47,10 +49,10 @@ def ground_plane(points: NDArray[np.floating], seed: int = 0) -> GroundPlane | N
     offsets = -np.einsum("ij,ij->i", normals, corners[:, 0])
     sign = np.where(offsets < 0.0, -1.0, 1.0)
     normals, offsets = normals * sign[:, None], offsets * sign
-    above = normals @ thinned.T + offsets[:, None]
-    scores = (np.abs(above) < 0.1 * scale).mean(axis=1) - 2.0 * (above < -0.3 * scale).mean(axis=1)
+    scores = plane_scores(normals, offsets, thinned, 0.1 * scale, 0.3 * scale)
     best = int(scores.argmax())
-    if scores[best] < 0.15 or not _surrounds(thinned[np.abs(above[best]) < 0.1 * scale], normals[best], offsets[best]):
+    inliers = thinned[np.abs(thinned @ normals[best] + offsets[best]) < 0.1 * scale]
+    if scores[best] < 0.15 or not _surrounds(inliers, normals[best], offsets[best]):
         return None
     level = scores[normals[:, 2] > MAX_TILT_COSINE]
     upright = len(level) > 0 and float(level.max()) >= 0.5 * scores[best]
@@ -64,7 +66,8 @@ def place_flags(points: NDArray[np.floating], scene_scale: float = 1.0) -> tuple
     come so far: its points lie beyond the sensor's range.
     """
     plane = ground_plane(points)
-    size_m = scene_scale * float(np.percentile(np.linalg.norm(points[:: max(1, len(points) // 30_000)], axis=1), 95.0))
+    sample = points[:: max(1, len(points) // 30_000)]
+    size_m = scene_scale * float(np.sqrt(np.percentile(np.einsum("ij,ij->i", sample, sample), 95.0)))
     tilted = plane is not None and not plane.upright
     return ("ground_tilted",) * tilted + ("scene_too_small",) * (size_m < MIN_SCENE_M)
 
@@ -72,12 +75,14 @@ def place_flags(points: NDArray[np.floating], scene_scale: float = 1.0) -> tuple
 def thinned_cloud(points: NDArray[np.floating]) -> tuple[Array, float]:
     """At most 3,000 of the nearer points, one a voxel, and the scene's scale compared with a street's."""
     points = points[:: max(1, len(points) // 30_000)]
-    points = points[(points != 0.0).any(axis=1)]  # returns that did not come back, as some drivers store them
-    ranges = np.linalg.norm(points, axis=1)
+    # returns that did not come back are zeros in what some drivers store
+    points = points[(points[:, 0] != 0.0) | (points[:, 1] != 0.0) | (points[:, 2] != 0.0)]
+    ranges = np.sqrt(np.einsum("ij,ij->i", points, points))
     if len(points) == 0:
         return np.empty((0, 3)), 1.0
-    scale = float(np.clip(np.median(ranges) / 10.0, 0.02, 1_000.0))
-    near = points[ranges < 3.0 * np.median(ranges)].astype(np.float64)
+    middle = np.median(ranges)
+    scale = float(np.clip(middle / 10.0, 0.02, 1_000.0))
+    near = points[ranges < 3.0 * middle].astype(np.float64)
     _, first = np.unique(voxel_keys(np.floor(near / (0.4 * scale)).astype(np.int64)), return_index=True)
     thinned = near[first]
     return thinned[:: max(1, len(thinned) // 3_000)], scale

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.surface_cells import enter_observed_corners, find_cells
+from revisit.core.kernels.surface_cells import enter_observed_corners, find_cells, list_corners
 from revisit.core.kernels.voxel_table import VoxelTable, empty_slots
 
 Array = NDArray[np.float32]
 Voxels = NDArray[np.int32]
 
-_CORNERS_EACH = 8
-"""Corners that a neural point may add before the hash table becomes slow."""
+_PIECES_EACH = 2
+"""Pieces of corners that a neural point may add before the hash table becomes slow."""
 
 
 @dataclass(frozen=True)
@@ -32,11 +32,11 @@ def cells_near_planes(positions: Array, normals: Array, resolution: float, obser
     Only those whose corners all lie within `observed` metres of a neural point: elsewhere the field says nothing.
     Memory grows with the number of `positions` (n, 3), not with the volume between them.
     """
-    block = (2 * int(np.ceil(observed / resolution))) ** 3
-    corners = _room_for(block * len(positions), _CORNERS_EACH * len(positions))
-    count = enter_observed_corners(positions, resolution, observed, corners)
-    cell_corners = find_cells(positions, normals, resolution, corners, count)
-    voxels = corners.voxels[:count].copy()
+    room = 2 * (2 * int(np.ceil(observed / resolution))) ** 2 * len(positions)
+    pieces, bits = _room_for(room, _PIECES_EACH * len(positions)), np.empty(room, np.uint64)
+    count = enter_observed_corners(positions, resolution, observed, pieces, bits)
+    voxels, first = list_corners(pieces, bits, count)
+    cell_corners = find_cells(positions, normals, resolution, pieces, bits, first, len(voxels))
     return SurfaceCells(voxels[cell_corners[:, 0]], cell_corners, voxels)
 
 

@@ -99,7 +99,7 @@ class UseCases:
             submaps=Submaps(storage, lists, admission, collector, clock, policy),
             searches=Searches(storage, admission, decoder, jobs, of.memory, operations),
             loops=Loops(storage, lists, admission),
-            loop_keypoints=LoopKeypointReading(storage, policy),
+            loop_keypoints=LoopKeypointReading(storage, admission, policy),
             operations=operations,
             events=Events(storage, admission, Glance(storage)),
             webhooks=Webhooks(storage, lists, admission, clock, policy.webhook_private_networks),

@@ -96,8 +96,11 @@ class Maps:
         self._policy = policy
 
     async def create(self, tenant: TenantId, command: CreateMap) -> CreatedMap:
-        """Create a map. Raises BadField; AlreadyExists where the id is taken by other content; Draining."""
-        self._admission.require_running()
+        """Create a map.
+
+        Raises BadField; AlreadyExists where the id is taken by other content; Draining, RateLimited.
+        """
+        self._admission.charge_creation(tenant)
         record = self._record(tenant, command)
         return await self._storage.write(partial(self._add, record=record))
 

@@ -9,7 +9,7 @@ import numpy as np
 from revisit.core.config import SubmapConfig
 from revisit.core.geometry.se3 import pose_matrix
 from revisit.core.scan import CloudReport, Scan
-from revisit.core.submap import Submap
+from revisit.core.submap import Submap, chosen_scans
 from revisit.service.application.contract.blobs import CLOUD_BLOB, BlobStore
 from revisit.service.application.contract.lookup import require_map
 from revisit.service.application.contract.policy import Policy
@@ -36,11 +36,12 @@ class PosedCloud:
 
 @dataclass(frozen=True)
 class SubmapSource:
-    """The clouds of a submap in time order; `posted`: one cloud that was accumulated elsewhere."""
+    """The clouds of a submap in time order and the pose of its frame; `posted`: one, accumulated elsewhere."""
 
     clouds: tuple[PosedCloud, ...]
     posted: bool
     config: SubmapConfig
+    T_odom_submap: Pose
 
     @property
     def every(self) -> int:
@@ -53,11 +54,16 @@ def submap_source(uow: UnitOfWork, policy: Policy, record: SubmapRecord) -> Subm
     config = policy.for_map(require_map(uow, record.tenant, record.map_id)).submap
     if record.first_seq is None or record.last_seq is None:
         posted = PosedCloud(str(record.cloud_sha256), record.point_count, record.T_odom_submap, record.stamp_ns)
-        return SubmapSource((posted,), posted=True, config=config)
+        return SubmapSource((posted,), posted=True, config=config, T_odom_submap=record.T_odom_submap)
     seqs = chosen_seqs(record.first_seq, record.last_seq)
     scans = uow.scans.with_seqs(record.tenant, record.map_id, record.session_id, seqs)
-    clouds = (PosedCloud(scan.cloud_sha256, scan.point_count, scan.T_odom_sensor, scan.stamp_ns) for scan in scans)
-    return SubmapSource(tuple(clouds), posted=False, config=config)
+    positions = np.array([pose_matrix(scan.T_odom_sensor)[:3, 3] for scan in scans])
+    rows = chosen_scans(positions, np.array([scan.point_count for scan in scans]), config)
+    clouds = tuple(
+        PosedCloud(scan.cloud_sha256, scan.point_count, scan.T_odom_sensor, scan.stamp_ns)
+        for scan in (scans[row] for row in rows)
+    )
+    return SubmapSource(clouds, posted=False, config=config, T_odom_submap=record.T_odom_submap)
 
 
 def chosen_seqs(first: int, last: int) -> list[int]:
@@ -93,4 +99,6 @@ def load_scans(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) -> 
 
 def submap_of(scans: list[Scan], source: SubmapSource) -> Submap:
     """The scans put together. Raises EmptyCloud."""
-    return Submap.from_cloud(scans[0], source.config) if source.posted else Submap.from_scans(scans, source.config)
+    if source.posted:
+        return Submap.from_cloud(scans[0], source.config)
+    return Submap.accumulated(scans, pose_matrix(source.T_odom_submap), source.config)

@@ -7,6 +7,7 @@ workers describe at the same time is found by the one that commits second.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -66,6 +67,8 @@ from revisit.service.application.recognise.description_commit import (
     JudgedPlace,
     StoredDescription,
 )
+from revisit.service.application.recognise.distinctiveness import with_distinctiveness
+from revisit.service.application.recognise.loops_beside import Beside, loops_before, supported
 from revisit.service.application.recognise.proposed_loops import VerdictCommit, proposed_pair
 from revisit.service.failpoints import failpoint
 
@@ -74,6 +77,10 @@ log = structlog.get_logger(__name__)
 INSPECTED_FIRST = 3
 INSPECTED_EVERY = 20
 """Mistakes about units, frames and times run through a session: its first submaps are inspected, then some."""
+
+
+LOST = LoopVerdict(False, "PLACE_LOST", 0.0, None, {})
+"""The verdict on a pair of which a place is damaged."""
 
 
 @dataclass(frozen=True)
@@ -223,9 +230,10 @@ class Recognition:
                 if place.submap.number not in judged:
                     judged[place.submap.number] = self._judge(described.description.place, place, config)
             kept = [judged[place.submap.number] for place in recall.places]
+            kept, earlier = self._with_support(task.submap, described.description.place, kept, config)
             now, now_ns = self._clock.instant(), self._clock.wall_ns()
             commit = DescriptionCommit(
-                self._blobs, self._policy, lease, task, described, kept, where, recall.seq, now, now_ns
+                self._blobs, self._policy, lease, task, described, kept, earlier, where, recall.seq, now, now_ns
             )
             failpoint("job.before_commit")
             if self._transactions.write(commit).result():
@@ -240,8 +248,42 @@ class Recognition:
             verdict = self._recogniser.verify(place, blob, recalled.similarity, config, near)
         except DataLoss as error:
             log.error("place_lost", submap=submap_key(submap).name, reason=error.message)
-            verdict = LoopVerdict(False, "PLACE_LOST", 0.0, None, {"message": error.message})
+            verdict = replace(LOST, evidence={"message": error.message})
         return JudgedPlace(recalled, verdict)
+
+    def _stored_place(self, submap: SubmapRecord) -> bytes | None:
+        """The blob of a described submap's place; None where it is damaged."""
+        try:
+            return self._blobs.get(submap.tenant, PLACE_BLOB, str(submap.place_sha256))
+        except DataLoss as error:
+            log.error("place_lost", submap=submap_key(submap).name, reason=error.message)
+            return None
+
+    def _with_support(
+        self, submap: SubmapRecord, place: bytes, judged: list[JudgedPlace], config: PipelineConfig
+    ) -> tuple[list[JudgedPlace], list[Beside]]:
+        """The places of `submap`, how distinct it is, and earlier loops of its drive, where loops beside one decide it.
+
+        Of the earlier loops only those that are decided now.
+        """
+        new = [Beside(submap, one.place.submap, one.place.similarity, one.verdict) for one in judged]
+        if not any(loop.hypotheses for loop in new):
+            return judged, []
+        most = math.ceil(config.verification.support_reach / config.submap.stride)
+        before = self._transactions.read(partial(loops_before, submap=submap, most=most)).result()
+
+        def register(query: SubmapRecord, match: SubmapRecord, similarity: float, near: Matrix4) -> LoopVerdict:
+            asked = place if query is submap else self._stored_place(query)
+            return LOST if asked is None else self._judge(asked, RecalledPlace(match, similarity), config, near).verdict
+
+        decided = supported([*before, *new], config.verification, config.submap.stride, register)
+        verdicts = {loop.match.number: loop.verdict for loop in decided if loop.record is None}
+        new = [replace(loop, verdict=verdicts.get(loop.match.number, loop.verdict)) for loop in new]
+        kept = [
+            replace(one, verdict=with_distinctiveness(loop, new, config.submap.stride))
+            for one, loop in zip(judged, new, strict=True)
+        ]
+        return kept, [loop for loop in decided if loop.record is not None]
 
     def _require_same_model(self, record: MapRecord) -> None:
         own = model_for_map(record, self._recogniser.model_version)

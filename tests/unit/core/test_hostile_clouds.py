@@ -9,7 +9,8 @@ import pytest
 
 from revisit.core.config import ImplicitMapConfig, PipelineConfig
 from revisit.core.errors import DegenerateCloud
-from revisit.core.implicit_map.fitting import GATHERED_SHARE, accumulate, nearest_to_middle
+from revisit.core.implicit_map.fitting import GATHERED_SHARE, accumulate, gather
+from revisit.core.implicit_map.neural_points import nearest_to_middle
 from revisit.core.model_bundle import load_packaged_models
 from revisit.core.pipeline import DescribedPlace, describe
 from revisit.core.scan import Scan
@@ -69,9 +70,11 @@ def test_no_more_voxels_are_gathered_than_some_budgets():
 
 
 def test_the_neural_points_nearest_to_the_middle_stay_in_their_order():
-    points = accumulate(submap_of(noise_sphere(np.random.default_rng(2))[:2_000]), ImplicitMapConfig())
-    kept = nearest_to_middle(points, 500)
-    ranges = np.linalg.norm(points.positions, axis=1)
+    submap = submap_of(noise_sphere(np.random.default_rng(2))[:2_000])
+    every = accumulate(submap, ImplicitMapConfig())
+    kept = gather(submap, ImplicitMapConfig()).finish(500)
+    ranges = np.linalg.norm(every.positions, axis=1)
     inside = ranges <= np.sort(ranges)[499]
-    assert np.array_equal(kept.positions, points.positions[inside])
-    assert nearest_to_middle(points, len(points)) is points
+    assert np.array_equal(kept.positions, every.positions[inside])
+    assert np.array_equal(kept.normals, every.normals[inside])  # of all returns around them
+    assert np.array_equal(nearest_to_middle(every.positions, len(every)), np.arange(len(every)))

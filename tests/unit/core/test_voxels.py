@@ -13,7 +13,7 @@ from revisit.core.config import ClusterConfig, ImplicitMapConfig, PipelineConfig
 from revisit.core.errors import BadField
 from revisit.core.geometry.voxel_keys import voxel_keys
 from revisit.core.implicit_map.neural_points import ElasticAccumulator
-from revisit.core.kernels.elastic_points import insert_returns
+from revisit.core.kernels.elastic_points import FIRST_SCAN, MOMENTS, RECORD, VIEW, insert_returns
 from revisit.core.kernels.nearest_points import nearest_points
 from revisit.core.kernels.point_columns import MAX_GRID, columns_of
 from revisit.core.kernels.voxel_table import VoxelTable, find, slot_of, table_of, voxels_of
@@ -124,18 +124,29 @@ def test_the_insertion_kernel_sums_what_numpy_sums():
     points = rng.uniform(-1, 1, (300, 3)).astype(np.float32)
     voxels = voxels_of(points, 0.4)
     table = VoxelTable(np.full(1 << 10, -1, np.int32), np.full(300, -1, np.int32), np.zeros((300, 3), np.int32))
-    moments, views, scans = np.zeros((300, 10)), np.zeros((300, 3)), np.zeros((300, 3), np.int32)
-    size = insert_returns(points, np.zeros(3, np.float32), 7, table, moments, views, scans, 0, 0.4, 300)
-    assert size == len(np.unique(voxels, axis=0))
+    records = np.empty((300, RECORD))
+    size, end = insert_returns(points, 0, np.zeros(3, np.float32), 7, table, records, 0, 0.4, 300)
+    assert size == len(np.unique(voxels, axis=0)) and end == 300
     for row in range(size):
         inside = points[(voxels == table.voxels[row]).all(axis=1)].astype(np.float64)
         second = inside.T @ inside
         expected = [len(inside), *inside.sum(axis=0), *second[np.triu_indices(3)]]
-        np.testing.assert_allclose(moments[row], expected, rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(records[row, MOMENTS], expected, rtol=1e-6, atol=1e-6)
         np.testing.assert_allclose(
-            views[row], (-inside / np.linalg.norm(inside, axis=1)[:, None]).sum(axis=0), atol=1e-5
+            records[row, VIEW], (-inside / np.linalg.norm(inside, axis=1)[:, None]).sum(axis=0), atol=1e-5
         )
-    assert (scans[:size] == [7, 7, 1]).all()
+    assert (records[:size, FIRST_SCAN:] == [7, 7, 1]).all()
+
+
+def test_insertion_waits_for_room_and_goes_on_where_it_stopped():
+    points = np.random.default_rng(8).uniform(-60, 60, (150_000, 3)).astype(np.float32)
+    accumulator = ElasticAccumulator(0.4, limit=70_000)
+    accumulator.insert(points[:90_000], np.zeros(3, np.float32), 0)
+    accumulator.insert(points[90_000:], np.zeros(3, np.float32), 1)
+    voxels = voxels_of(points, 0.4)
+    order = np.sort(np.unique(voxels, axis=0, return_index=True)[1])
+    expected = {tuple(voxel) for voxel in voxels[order[:70_000]].tolist()}
+    assert {tuple(voxel) for voxel in voxels_of(accumulator.finish().positions, 0.4).tolist()} == expected
 
 
 def plain_cells(

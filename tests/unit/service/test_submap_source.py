@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from itertools import pairwise
 
 import pytest
 
+from revisit.core.config import SubmapConfig
+from revisit.core.geometry.se3 import pose_matrix
+from revisit.core.submap import chosen_scans
 from revisit.service.application.ingest import submap_source
 from revisit.service.application.ingest.submap_source import MAX_SCANS, WINDOW_POINTS, PosedCloud, chosen_seqs
 from tests.support.service_world import TENANT, memory_world, open_session, scan
@@ -29,7 +33,8 @@ def test_of_an_hour_at_a_red_light_a_bounded_number_is_chosen_evenly_and_with_bo
     [(1, 1, 1), (MAX_SCANS, WINDOW_POINTS // MAX_SCANS, 1), (MAX_SCANS, 262_000, 7), (MAX_SCANS, 500_000, 13)],
 )
 def test_of_the_points_of_a_window_so_many_are_used_that_a_worker_has_room(scans, points, every):
-    source = submap_source.SubmapSource((PosedCloud("sha", points, (), 1),) * scans, posted=False, config=None)
+    clouds = (PosedCloud("sha", points, (), 1),) * scans
+    source = submap_source.SubmapSource(clouds, posted=False, config=None, T_odom_submap=())
     assert source.every == every
     assert scans * points / source.every <= WINDOW_POINTS
 
@@ -48,3 +53,20 @@ async def test_a_window_of_too_many_points_is_described_from_some_of_each_scan(m
     assert (record.point_count, source.every) == (3_300, 4)
     assert len(loaded.points) == 11 * 75
     assert set(loaded.scan_index.tolist()) == set(range(11))
+
+
+async def test_of_a_slow_robots_dense_scans_only_those_a_metre_apart_are_read(monkeypatch):
+    as_of_64_beams = partial(chosen_scans, config=SubmapConfig(enough_returns=0))
+    monkeypatch.setattr(submap_source, "chosen_scans", lambda positions, returns, _: as_of_64_beams(positions, returns))
+    world = memory_world()
+    await open_session(world)
+    for seq in range(1, 70):
+        await world.use_cases.scans.append(TENANT, scan(seq, 0.15 * (seq - 1)))
+    (record,) = world.context.transactions.read(lambda uow: uow.submaps.find(TENANT)).result()
+    source = world.context.transactions.read(
+        lambda uow: submap_source.submap_source(uow, world.context.policy, record)
+    ).result()
+    assert record.scan_count > 60 and len(source.clouds) == 11
+    assert submap_source.load_submap(world.context.blobs, record, source).T_odom_submap == pytest.approx(
+        pose_matrix(record.T_odom_submap)
+    )
