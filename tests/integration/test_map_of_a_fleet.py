@@ -109,7 +109,7 @@ async def test_a_graph_that_loses_a_session_while_it_is_optimised_is_read_again(
     made = fleet_in(world, "lost", sessions=2, submaps=20, per_pair=6)
     posted = await world.use_cases.map_versions.optimise(TENANT, made.map_id)
     worker, lease = world.worker(), world.claim()
-    optimiser, readings = worker._mapping._optimiser, []
+    optimiser, readings = worker._maps.mapping._optimiser, []
 
     class Deleting:
         def optimise(self, graph, progress):
@@ -118,7 +118,7 @@ async def test_a_graph_that_loses_a_session_while_it_is_optimised_is_read_again(
                 world.context.transactions.write(lambda uow: delete_one(uow, made.map_id)).result()
             return optimiser.optimise(graph, progress)
 
-    worker._mapping._optimiser = Deleting()
+    worker._maps.mapping._optimiser = Deleting()
     worker.run(lease)
     assert readings == [2, 1]
     done = await world.use_cases.operations.get(TENANT, posted.operation.operation_id)
@@ -141,14 +141,14 @@ async def test_a_revert_is_not_undone_by_an_optimisation_that_was_under_way():
     posted = await cases.optimise(TENANT, made.map_id)
     worker, lease = world.worker(), world.claim()
     waits = await cases.optimise(TENANT, made.map_id)
-    loop, optimiser = asyncio.get_running_loop(), worker._mapping._optimiser
+    loop, optimiser = asyncio.get_running_loop(), worker._maps.mapping._optimiser
 
     class Reverting:
         def optimise(self, graph, progress):
             asyncio.run_coroutine_threadsafe(cases.revert(TENANT, made.map_id, 1), loop).result(PATIENCE_S)
             return optimiser.optimise(graph, progress)
 
-    worker._mapping._optimiser = Reverting()
+    worker._maps.mapping._optimiser = Reverting()
     await asyncio.to_thread(worker.run, lease)
     for operation in (posted, waits):
         ended = await world.use_cases.operations.get(TENANT, operation.operation.operation_id)
