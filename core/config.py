@@ -458,7 +458,7 @@ class VerificationConfig(Section):
         0.35, "1", "own", "of the smaller place must stand in that region", low=0, high=1
     )
     max_tilt: float = parameter(15.0, "deg", "own", "largest tilt between two gravity-aligned submaps", low=0, high=180)
-    min_overlap: float = parameter(0.3, "1", "own", "smallest share of common surface", low=0, high=1)
+    min_overlap: float = parameter(0.2, "1", "own, decision 0163", "smallest share of common surface", low=0, high=1)
     min_observability: float = parameter(0.002, "1", "own", "smallest eigenvalue share of the ICP information", low=0)
     lever: float = parameter(15.0, "m", "own", "lever arm at which rotations are compared with translations")
     min_sigma: float = parameter(0.03, "m", "own", "residuals are trusted no better than this")
@@ -469,6 +469,17 @@ class VerificationConfig(Section):
     systematic_vertical: float = parameter(0.02, "m", "own, decision 0081", "the same along z", low=0)
     systematic_tilt: float = parameter(0.1, "deg", "own, decision 0081", "the same about x and y", low=0)
     systematic_yaw: float = parameter(0.1, "deg", "own, decision 0081", "the same about z", low=0)
+    systematic_direction: float = parameter(
+        0.3,
+        "deg",
+        "own, decision 0160",
+        "of the direction of travel as the sensor sees it",
+        low=0,
+    )
+    unshared_shift: float = parameter(
+        0.08, "m", "own, decision 0160", "standard deviation along each axis where half of the surface is common", low=0
+    )
+    unshared_turn: float = parameter(0.17, "deg", "own, decision 0160", "the same about each axis", low=0)
     rival_distance: float = parameter(1.5, "m", "own, decision 0080", "poses farther apart than this are rivals")
     rival_common: float = parameter(
         0.5, "1", "own, decision 0080", "share of the common surface that a rival must have, too", low=0, high=1
@@ -481,6 +492,22 @@ class VerificationConfig(Section):
     rival_reach: float = parameter(1.5, "m", "own, decision 0080", "reach of these steps")
     rival_share: float = parameter(
         0.85, "1", "own, decision 0080", "share of the overlap from which on a rival makes a loop ambiguous", low=0
+    )
+    support_anchors: int = parameter(
+        2, "submaps", "own, decision 0161", "submaps beside an ambiguous loop whose accepted loops must agree with it"
+    )
+    support_length: float = parameter(
+        15.0, "m", "own, decision 0161", "way of both drives over which the loops beside an ambiguous one must agree"
+    )
+    support_reach: float = parameter(
+        60.0, "m", "own, decision 0161", "way along both drives together over which odometry carries a loop's pose"
+    )
+    support_tolerance: float = parameter(0.4, "m", "own, decision 0161", "by which a pose beside it may be off", low=0)
+    support_drift: float = parameter(
+        0.01, "1", "own, decision 0161", "and how much more for each metre that odometry carries it", low=0
+    )
+    support_turn: float = parameter(
+        4.0, "deg", "own, decision 0161", "and by which its turn may be off", low=0, high=180
     )
     min_score: float = parameter(0.5, "1", "own", "smallest score of a verified loop", low=0, high=1)
 

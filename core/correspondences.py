@@ -42,14 +42,15 @@ def correspond(query: Place, match: Place, limit: int) -> Correspondences:
 
     A patch may look alike directly or turned by 180 degrees. The better of the two decides about the yaw.
     """
-    direct = query.descriptors @ match.descriptors.T
-    turned = (query.descriptors * query.parity) @ match.descriptors.T
-    likeness = np.maximum(direct, turned)
+    kept, changed = (
+        query.descriptors[:, side] @ match.descriptors[:, side].T for side in (query.parity > 0, query.parity <= 0)
+    )
+    likeness = kept + np.abs(changed)  # the larger one of kept + changed (direct) and kept - changed (turned)
     pairs = _mutual_best(likeness)
     pairs = pairs[np.argsort(-likeness[pairs[:, 0], pairs[:, 1]], kind="stable")][:limit]
     rows, columns = pairs[:, 0], pairs[:, 1]
     yaws = match.orientations[columns].astype(np.float64) - query.orientations[rows]
-    yaws = yaws + np.pi * (turned > direct)[rows, columns]
+    yaws = yaws + np.pi * (changed[rows, columns] < 0)
     points = query.keypoints[rows].astype(np.float64), match.keypoints[columns].astype(np.float64)
     return Correspondences(pairs, *points, yaws)
 
@@ -58,6 +59,7 @@ def _mutual_best(likeness: NDArray[np.floating]) -> NDArray[np.int64]:
     """The distinct pairs (p, 2) of each row with its best column and of each column with its best row."""
     if likeness.size == 0:
         return np.zeros((0, 2), np.int64)
-    forward = np.stack([np.arange(len(likeness)), likeness.argmax(axis=1)], axis=1)
-    backward = np.stack([likeness.argmax(axis=0), np.arange(likeness.shape[1])], axis=1)
-    return np.unique(np.concatenate([forward, backward]), axis=0)
+    rows, columns = likeness.shape
+    forward = np.arange(rows) * columns + likeness.argmax(axis=1)
+    backward = likeness.argmax(axis=0) * columns + np.arange(columns)
+    return np.stack(np.divmod(np.unique(np.concatenate([forward, backward])), columns), axis=1)

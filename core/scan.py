@@ -38,11 +38,15 @@ class Scan:
 
     @classmethod
     def validated(cls, points: NDArray[np.floating], T_odom_sensor: NDArray[np.float64], stamp_ns: int) -> Scan:
-        """A scan of finite, non-degenerate points. Raises what `validate_cloud` and `se3.validated` raise."""
+        """A scan of finite, non-degenerate points. Raises what `validate_cloud` and `posed` raise."""
+        return cls.posed(*validate_cloud(points), T_odom_sensor, stamp_ns)
+
+    @classmethod
+    def posed(cls, points: Points, report: CloudReport, T_odom_sensor: NDArray[np.float64], stamp_ns: int) -> Scan:
+        """A scan of what `validate_cloud` has returned. Raises BadField, and what `se3.validated` raises."""
         if stamp_ns < 0 or stamp_ns >= 2**63:
             raise BadField("the time stamp must be in [0, 2^63) nanoseconds", field="stamp_ns")
-        cloud, report = validate_cloud(points)
-        return cls(cloud, se3.validated(T_odom_sensor), stamp_ns, report)
+        return cls(points, se3.validated(T_odom_sensor), stamp_ns, report)
 
 
 def scene_size(scan: Scan) -> float:
@@ -60,11 +64,10 @@ def validate_cloud(points: NDArray[np.floating]) -> tuple[Points, CloudReport]:
         raise BadField(f"points must be (n, 3), got {points.shape}", field="points")
     if len(points) < MIN_POINTS:
         raise EmptyCloud(f"a cloud needs at least {MIN_POINTS} points, got {len(points)}", field="points")
-    finite = np.isfinite(points).all(axis=1)
-    dropped = int(len(points) - finite.sum())
+    kept = _finite(points)
+    dropped = len(points) - len(kept)
     if dropped > MAX_DROPPED_SHARE * len(points):
         raise NonFinitePoints(f"{dropped} of {len(points)} points are NaN or infinite", field="points")
-    kept = points[finite]
     if len(kept) < MIN_POINTS:
         raise EmptyCloud(f"a cloud needs at least {MIN_POINTS} finite points, got {len(kept)}", field="points")
     if float(np.abs(kept).max()) > MAX_COORDINATE_M:
@@ -73,10 +76,18 @@ def validate_cloud(points: NDArray[np.floating]) -> tuple[Points, CloudReport]:
     return cloud, CloudReport(dropped, is_plane(cloud))
 
 
+def _finite(points: NDArray[np.floating]) -> NDArray[np.floating]:
+    """The points without NaN and infinity."""
+    finite = np.isfinite(points)
+    return points.copy() if finite.all() else points[finite.all(axis=1)]
+
+
 def is_plane(cloud: Points) -> bool:
     """Whether the cloud is coplanar; raises DegenerateCloud when it has less than two dimensions."""
     sample = cloud[:: max(1, len(cloud) // 20_000)].astype(np.float64)
-    spread = np.sqrt(np.clip(np.linalg.eigvalsh(np.cov((sample - sample.mean(axis=0)).T)), 0.0, None))
+    centred = sample - sample.mean(axis=0)
+    covariance = centred.T @ centred / (len(centred) - 1)
+    spread = np.sqrt(np.clip(np.linalg.eigvalsh(covariance), 0.0, None))
     if spread[1] < 1e-3 or spread[1] < 1e-5 * spread[2]:
         raise DegenerateCloud(field="points")
     return bool(spread[0] < 0.02 and spread[0] < 0.01 * spread[2])

@@ -43,7 +43,7 @@ class World:
 
     cell(lasting, passing) gives points and normals, each (n, 3), of one period from x = 0 on, z = 0 the ground:
     `lasting` is random and the same in every visit to this period, `passing` differs from visit to visit. Of the rows
-    along x, `rows_seen` are visible on either side.
+    along x, `rows_seen` are visible on either side. After the period `last` stands a hall across the way, and nothing.
     """
 
     name: str
@@ -51,6 +51,7 @@ class World:
     cell: Callable[[np.random.Generator, np.random.Generator], Samples]
     aisle_m: float | None = None
     rows_seen: int = 6
+    last: int | None = None
 
 
 @dataclass(frozen=True)
@@ -198,7 +199,12 @@ def _seen(world: World, T_world_sensor: se3.Matrix4, visit_seed: list[int], worl
         for row in _rows(world, T_world_sensor[1, 3]):
             lasting = np.random.default_rng([world_seed, cell + 1000, row + 1000])
             passing = np.random.default_rng([*visit_seed, cell + 1000, row + 1000])
-            points, normals = world.cell(lasting, passing)
+            if world.last is not None and cell > world.last:
+                if cell > world.last + 1:
+                    continue
+                points, normals = _hall(passing)
+            else:
+                points, normals = world.cell(lasting, passing)
             samples.append((points + [cell * world.period_m, row * (world.aisle_m or 0.0), 0.0], normals))
     points, normals = (np.concatenate(part) for part in zip(*samples, strict=True))
     T_sensor_world = se3.inverse(T_world_sensor)
@@ -264,6 +270,14 @@ def _cars(slots: list[tuple[float, float]], share: float, along_x: bool, rng: np
             size = (length, width, 1.5) if along_x else (width, length, 1.5)
             parked.append(box((x + rng.uniform(-0.2, 0.2), y + rng.uniform(-0.3, 0.3)), size, rng))
     return parked
+
+
+def _hall(passing: np.random.Generator) -> Samples:
+    """What ends a world: a hall across the way with a porch, and a tree beside it."""
+    return joined([
+        box((14.0, 3.0), (8.0, 44.0, 11.0), passing), box((8.5, -9.0), (3.0, 7.0, 4.0), passing),
+        crown((5.0, 11.0, 3.5), 2.5, passing),
+    ])  # fmt: skip
 
 
 def _garage(lasting: np.random.Generator, passing: np.random.Generator) -> Samples:

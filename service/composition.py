@@ -20,6 +20,7 @@ from revisit.service.access_rules import access_rules
 from revisit.service.adapters.clock import SystemClock
 from revisit.service.adapters.core_map_merger import CoreMapMerger
 from revisit.service.adapters.core_map_optimiser import CoreMapOptimiser
+from revisit.service.adapters.core_tile_maker import CoreTileMaker
 from revisit.service.adapters.files.blobs import FileBlobStore
 from revisit.service.adapters.files.disk import Disk, FailStop
 from revisit.service.adapters.files.file_drafts import FileDrafts
@@ -203,7 +204,7 @@ def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None
     tracer = build_tracer(settings, "worker")
     worker = Worker(
         installation,
-        installation.recognition(recogniser, CoreMapOptimiser(), CoreMapMerger()),
+        installation.recognition(recogniser, CoreMapOptimiser(), CoreMapMerger(), CoreTileMaker()),
         identity,
         stopping,
         limits,

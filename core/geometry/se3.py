@@ -5,6 +5,7 @@ Tangent vectors are (6,) as (x, y, z, rx, ry, rz), metres and radians.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -51,18 +52,18 @@ def from_quaternion(quaternion_xyzw: ArrayLike, translation: ArrayLike) -> Matri
 
 def to_quaternion(transform: Matrix4) -> NDArray[np.float64]:
     """The unit quaternion (x, y, z, w) with w >= 0 of a transform's rotation."""
-    r = transform[:3, :3]
-    # Bar-Itzhack: the eigenvector of the largest eigenvalue is the quaternion, stable for every rotation.
-    k = np.array(
-        [
-            [r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[2, 1] - r[1, 2]],
-            [r[0, 1] + r[1, 0], r[1, 1] - r[0, 0] - r[2, 2], r[1, 2] + r[2, 1], r[0, 2] - r[2, 0]],
-            [r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], r[2, 2] - r[0, 0] - r[1, 1], r[1, 0] - r[0, 1]],
-            [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], r[0, 0] + r[1, 1] + r[2, 2]],
-        ]
+    (a, b, c), (d, e, f), (g, h, i) = transform[:3, :3].tolist()
+    # 4 q q^T, row by row: the row of the largest component is divided by no small number (Shepperd 1978).
+    rows = (
+        (1 + a - e - i, b + d, c + g, h - f),
+        (b + d, 1 + e - a - i, f + h, c - g),
+        (c + g, f + h, 1 + i - a - e, d - b),
+        (h - f, c - g, d - b, 1 + a + e + i),
     )
-    quaternion = np.linalg.eigh(k)[1][:, -1]
-    return np.asarray(quaternion if quaternion[3] >= 0 else -quaternion)
+    largest = max(range(4), key=lambda row: rows[row][row])
+    x, y, z, w = rows[largest]
+    norm = math.copysign(math.sqrt(x * x + y * y + z * z + w * w), w)
+    return np.array([x / norm, y / norm, z / norm, w / norm])
 
 
 def from_yaw(yaw: float, translation: ArrayLike = (0.0, 0.0, 0.0)) -> Matrix4:

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
+
+try:
+    import torch
+    from torch import Tensor
+except ImportError as missing:
+    hint = "a learned field is fitted with torch, which is not installed: pip install 'revisit-loops[learned]'"
+    raise ImportError(hint, name="torch") from missing
 
 from revisit.core.config import ImplicitMapConfig, Loss
 from revisit.core.implicit_map.decoder import DecoderWeights

@@ -7,11 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.kernels.point_columns import PointColumns, span
+from revisit.core.kernels.seen_columns import is_seen
 
 Array64 = NDArray[np.float64]
 
 _SMALLEST_STEP_M, _SMALLEST_STEP_RAD = 2e-3, 1e-4
 _DAMPING = 1e-6
+_WIDER = 1.1  # how much farther ICP looks than it reaches, so that a point without a counterpart is not asked again
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -50,19 +52,31 @@ def aligned(
 
     Each point counts with its nearest counterpart nearer than `reach` whose normal has a cosine above `facing_alike`
     with its own, by the weight 1 / (1 + (residual / robust)^2)^2. Ends with fewer than `fewest` pairs or a tiny step.
+
+    A point that has moved by less than half the difference of the distances to its nearest and next point since it was
+    looked for still has the same nearest one: later steps are small, and most points are not looked for again.
     """
     others, keys, grid = columns.points, columns.keys, columns.grid
     x_low, y_low, width, depth = columns.low[0], columns.low[1], columns.shape[0], columns.shape[1]
     pose, hessian, gradient, row = T_start.copy(), np.empty((6, 6)), np.empty(6), np.empty(6)
+    found, known = np.full((len(points), 2), -1, dtype=np.int32), np.full((len(points), 4), np.nan)
     for _ in range(rounds):
         hessian[:], gradient[:] = 0.0, 0.0
         pairs = 0
         for n in range(len(points)):
             x, y, z = _moved(pose, points[n, 0], points[n, 1], points[n, 2], 1.0)
-            i = _nearest(others, keys, grid, x_low, y_low, width, depth, edge, reach, x, y, z)
+            moved = (x - known[n, 0]) ** 2 + (y - known[n, 1]) ** 2 + (z - known[n, 2]) ** 2
+            if not moved < known[n, 3]:
+                margin = _two_nearest(
+                    others, keys, grid, x_low, y_low, width, depth, edge, _WIDER * reach, found[n], x, y, z
+                )
+                known[n, 0], known[n, 1], known[n, 2], known[n, 3] = x, y, z, margin**2
+            i = found[n, 0]
             if i < 0:
                 continue
-            nx, ny, nz = other_normals[i, 0], other_normals[i, 1], other_normals[i, 2]
+            if (others[i, 0] - x) ** 2 + (others[i, 1] - y) ** 2 + (others[i, 2] - z) ** 2 >= reach * reach:
+                continue
+            nx, ny, nz = other_normals[i]
             mx, my, mz = _moved(pose, normals[n, 0], normals[n, 1], normals[n, 2], 0.0)
             if mx * nx + my * ny + mz * nz <= facing_alike:
                 continue
@@ -75,16 +89,19 @@ def aligned(
                 gradient[a] += weight * row[a] * residual
                 for b in range(a + 1):
                     hessian[a, b] += weight * row[a] * row[b]
-        if pairs < fewest:
-            break
-        _solve(hessian, gradient)
-        _step(pose, gradient)
-        turn = np.sqrt(gradient[3] ** 2 + gradient[4] ** 2 + gradient[5] ** 2)
-        if np.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2) < _SMALLEST_STEP_M and (
-            turn < _SMALLEST_STEP_RAD
-        ):
+        if pairs < fewest or _stepped(pose, hessian, gradient):
             break
     return pose
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _stepped(pose: Array64, hessian: Array64, gradient: Array64) -> bool:
+    """Whether the step of the normal equations, by which `pose` (4, 4) moves, was a tiny one."""
+    _solve(hessian, gradient)
+    _step(pose, gradient)
+    shift = np.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2)
+    turn = np.sqrt(gradient[3] ** 2 + gradient[4] ** 2 + gradient[5] ** 2)
+    return bool(shift < _SMALLEST_STEP_M and turn < _SMALLEST_STEP_RAD)
 
 
 @numba.njit(inline="always")
@@ -119,6 +136,49 @@ def _nearest(
             if squared < least:
                 nearest, least = i, squared
     return nearest
+
+
+@numba.njit(inline="always")
+def _two_nearest(
+    points: Array64, keys: NDArray[np.int64], grid: NDArray[np.int32], x_low: int, y_low: int, width: int, depth: int,
+    edge: float, reach: float, known: NDArray[np.int32], px: float, py: float, pz: float,
+) -> float:  # fmt: skip
+    """Half of how much farther the next point is than the nearest one to (px, py, pz), both at most `reach`.
+
+    `known` (2,) becomes the sorted rows of both, -1 for none; what it was is tried first, as it may still be near.
+    Where nothing is within reach, the answer is how far the nearest one may come before it is within reach / _WIDER.
+    """
+    first, second, least, next_least = -1, -1, reach * reach, reach * reach
+    for k in range(2):
+        i = known[k]
+        if i >= 0:
+            squared = (points[i, 0] - px) ** 2 + (points[i, 1] - py) ** 2 + (points[i, 2] - pz) ** 2
+            if squared < least:
+                first, second, least, next_least = i, first, squared, least
+            elif squared < next_least:
+                second, next_least = i, squared
+    home = int(np.floor(px / edge))
+    rings = int(np.ceil(np.sqrt(next_least) / edge))
+    for step in range(2 * rings + 1):
+        x = home + (step + 1) // 2 * (1 - 2 * (step & 1))  # from the middle outwards
+        gap = max(x * edge - px, px - (x + 1) * edge, 0.0)
+        if gap * gap >= next_least:
+            continue
+        aside = np.sqrt(next_least - gap * gap)
+        y_first, y_last = int(np.floor((py - aside) / edge)), int(np.floor((py + aside) / edge))
+        begin, end = span(keys, grid, width, depth, x - x_low, y_first - y_low, y_last - y_low)
+        for i in range(begin, end):
+            dx, dy, dz = points[i, 0] - px, points[i, 1] - py, points[i, 2] - pz
+            squared = dx * dx + dy * dy + dz * dz
+            if squared < next_least and i != first and i != second:
+                if squared < least:
+                    first, second, least, next_least = i, first, squared, least
+                else:
+                    second, next_least = i, squared
+    known[0], known[1] = first, second
+    if first < 0:
+        return reach - reach / _WIDER
+    return float(0.5 * (np.sqrt(next_least) - np.sqrt(least)))
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -172,31 +232,45 @@ def _step(pose: Array64, tangent: Array64) -> None:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def in_seen_columns(points: Array64, seen: Array64, edge: float) -> NDArray[np.bool_]:
-    """Which of `points` (n, 3) stand in a vertical column of `edge` metres in which any of `seen` (m, 3) lies."""
-    size = 64
-    while size < 4 * len(seen):
-        size *= 2
-    slots = np.full((size, 2), _NOWHERE, dtype=np.int64)
-    for n in range(len(seen)):
-        x, y = int(np.floor(seen[n, 0] / edge)), int(np.floor(seen[n, 1] / edge))
-        slot = _slot(slots, x, y)
-        slots[slot, 0], slots[slot, 1] = x, y
-    found = np.zeros(len(points), dtype=np.bool_)
+def shared_counts(
+    points: Array64, normals: Array64, shifts: Array64, columns: PointColumns, edge: float, other_normals: Array64,
+    reach: float, plane_distance: float, facing_alike: float, slots: NDArray[np.int32], column_edge: float,
+) -> NDArray[np.int64]:  # fmt: skip
+    """For each of `shifts` (s, 3) how many points then stand in a seen column, and how many of these touch: (s, 2).
+
+    A point touches as in `touching_rows`; `slots` are those of `seen_columns` of the other surface.
+    """
+    counts = np.zeros((len(shifts), 2), dtype=np.int64)
+    others, keys, grid = columns.points, columns.keys, columns.grid
+    x_low, y_low, width, depth = columns.low[0], columns.low[1], columns.shape[0], columns.shape[1]
+    for s in range(len(shifts)):
+        for n in range(len(points)):
+            x, y, z = points[n, 0] + shifts[s, 0], points[n, 1] + shifts[s, 1], points[n, 2] + shifts[s, 2]
+            if not is_seen(slots, x, y, column_edge):
+                continue
+            counts[s, 0] += 1
+            i = _nearest(others, keys, grid, x_low, y_low, width, depth, edge, reach, x, y, z)
+            if i < 0:
+                continue
+            nx, ny, nz = other_normals[i, 0], other_normals[i, 1], other_normals[i, 2]
+            distance = (x - others[i, 0]) * nx + (y - others[i, 1]) * ny + (z - others[i, 2]) * nz
+            facing = normals[n, 0] * nx + normals[n, 1] * ny + normals[n, 2] * nz
+            counts[s, 1] += abs(distance) < plane_distance and facing > facing_alike
+    return counts
+
+
+@numba.njit(cache=True, error_model="numpy")
+def plane_information(points: Array64, normals: Array64) -> Array64:
+    """The sum (6, 6) over points (n, 3) of the outer products of [normal, point x normal]."""
+    total, row = np.zeros((6, 6)), np.empty(6)
     for n in range(len(points)):
-        x, y = int(np.floor(points[n, 0] / edge)), int(np.floor(points[n, 1] / edge))
-        found[n] = slots[_slot(slots, x, y), 0] != _NOWHERE
-    return found
-
-
-_NOWHERE = -(2**62)
-
-
-@numba.njit(inline="always")
-def _slot(slots: NDArray[np.int64], x: int, y: int) -> int:
-    """Where column (x, y) is entered in the hash table `slots` (s, 2), or would be."""
-    mixed = (x * 0x9E3779B1) ^ (y * 0x85EBCA77)
-    slot = (mixed ^ (mixed >> 15)) & (len(slots) - 1)
-    while slots[slot, 0] != _NOWHERE and (slots[slot, 0] != x or slots[slot, 1] != y):
-        slot = (slot + 1) & (len(slots) - 1)
-    return slot
+        x, y, z, nx, ny, nz = points[n, 0], points[n, 1], points[n, 2], normals[n, 0], normals[n, 1], normals[n, 2]
+        row[0], row[1], row[2] = nx, ny, nz
+        row[3], row[4], row[5] = y * nz - z * ny, z * nx - x * nz, x * ny - y * nx
+        for a in range(6):
+            for b in range(a + 1):
+                total[a, b] += row[a] * row[b]
+    for a in range(6):
+        for b in range(a):
+            total[b, a] = total[a, b]
+    return total

@@ -18,16 +18,19 @@ def votes(
 ) -> int:
     """How many correspondences agree with a pose: in position, and in the yaw that each implies.
 
-    headings (n, 2) and turn (2,) are cosine and sine of these yaws and of the pose's, shift (2,) its translation in
+    source, target and headings are (2, n), coordinates one after the other, so that the loop works on several points
+    at once. headings and turn (2,) are cosine and sine of these yaws and of the pose's, shift (2,) its translation in
     metres; two yaws agree where the cosine of their difference is above `cosine`.
     """
     c, s, x, y = turn[0], turn[1], shift[0], shift[1]
     agree = 0
-    for k in range(len(source)):
-        dx = c * source[k, 0] - s * source[k, 1] + x - target[k, 0]
-        dy = s * source[k, 0] + c * source[k, 1] + y - target[k, 1]
+    source_x, source_y, target_x, target_y = source[0], source[1], target[0], target[1]
+    heading_x, heading_y = headings[0], headings[1]
+    for k in range(len(source_x)):
+        dx = c * source_x[k] - s * source_y[k] + x - target_x[k]
+        dy = s * source_x[k] + c * source_y[k] + y - target_y[k]
         near = dx * dx + dy * dy <= tolerance * tolerance
-        agree += near & (c * headings[k, 0] + s * headings[k, 1] > cosine)
+        agree += near & (c * heading_x[k] + s * heading_y[k] > cosine)
     return agree
 
 
@@ -42,8 +45,9 @@ def best_two_point_pose(
     that of the pair. Of poses with equally many votes the first counts.
     """
     best, turn, shift = np.zeros(4), np.empty(2), np.empty(2)
-    headings = np.empty((len(yaws), 2))
-    headings[:, 0], headings[:, 1] = np.cos(yaws), np.sin(yaws)
+    headings = np.empty((2, len(yaws)))
+    headings[0], headings[1] = np.cos(yaws), np.sin(yaws)
+    sources, targets = np.ascontiguousarray(source.T), np.ascontiguousarray(target.T)
     cosine = np.cos(yaw_tolerance) if yaw_tolerance < np.pi else -2.0
     for i in range(len(source)):
         for j in range(i + 1, len(source)):
@@ -53,13 +57,13 @@ def best_two_point_pose(
             if length < SHORTEST_BASE * tolerance or abs(length - other) > tolerance:
                 continue
             c, s = (sx * tx + sy * ty) / (length * other), (sx * ty - sy * tx) / (length * other)
-            if min(c * headings[i, 0] + s * headings[i, 1], c * headings[j, 0] + s * headings[j, 1]) <= cosine:
+            if min(c * headings[0, i] + s * headings[1, i], c * headings[0, j] + s * headings[1, j]) <= cosine:
                 continue
             mx, my = 0.5 * (source[i, 0] + source[j, 0]), 0.5 * (source[i, 1] + source[j, 1])
             turn[0], turn[1] = c, s
             shift[0] = 0.5 * (target[i, 0] + target[j, 0]) - (c * mx - s * my)
             shift[1] = 0.5 * (target[i, 1] + target[j, 1]) - (s * mx + c * my)
-            agree = votes(source, target, headings, turn, shift, tolerance, cosine)
+            agree = votes(sources, targets, headings, turn, shift, tolerance, cosine)
             if agree > best[3]:
                 best[0], best[1], best[2], best[3] = np.arctan2(s, c), shift[0], shift[1], agree
     return best

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
-from revisit.core.kernels.surface_alignment import in_seen_columns
-from revisit.core.verification.line_of_sight import seen_through
-from revisit.core.verification.oriented_points import COLUMN_M, OrientedPoints, contact
+from revisit.core.kernels.seen_columns import in_seen_columns
+from revisit.core.verification.line_of_sight import View, seen_through, view_of
+from revisit.core.verification.oriented_points import COLUMN_M, OrientedPoints, contact, shared_shares
 from revisit.core.verification.registration import Registration, information
 
 Array64 = NDArray[np.float64]
@@ -27,7 +27,8 @@ class Evidence:
     points in the shared region. contrast: how much of the overlap is lost when the query is moved along the horizontal
     direction that the surfaces fix least; near 0 where any place along a street or hedge would fit as well.
     seen_through 0..1: the share of what stands in either place, as far as the other has looked there, that the other
-    has looked through. Contrast and seen_through have their worst values, 0 and 1, where the registration was given up.
+    has looked through. Contrast and seen_through have their worst values, 0 and 1, where the registration was given up, or where there
+    is so little overlap that they would decide nothing.
     """
 
     overlap: float
@@ -49,14 +50,15 @@ def gather_evidence(
     touching = forward.touching[: query.standing_count], backward.touching[: match.standing_count]
     fixed = information(moved.points[forward.touching], match.normals[forward.rows])
     residuals = forward.residuals
-    refined = registration.refined
+    overlap = 0.5 * (_share(touching[0], seen_query) + _share(touching[1], seen_match))
+    promising = registration.refined and overlap >= config.min_overlap  # else it is rejected whatever they are
     return Evidence(
-        overlap=0.5 * (_share(touching[0], seen_query) + _share(touching[1], seen_match)),
+        overlap=overlap,
         rmse_m=float(np.sqrt(np.mean(residuals**2))) if len(residuals) else float(config.surface_distance),
         information=fixed,
         common=int(min(seen_query.sum(), seen_match.sum())),
-        contrast=contrast(moved, match, weakest_direction(fixed), config) if refined else 0.0,
-        seen_through=mutually_seen_through(registration.T_match_query, query, match, config) if refined else 1.0,
+        contrast=contrast(moved, match, weakest_direction(fixed), config) if promising else 0.0,
+        seen_through=mutually_seen_through(registration.T_match_query, query, match, config) if promising else 1.0,
     )
 
 
@@ -68,28 +70,27 @@ def weakest_direction(information: Array64) -> Array64:
 def contrast(moved: OrientedPoints, match: OrientedPoints, direction: Array64, config: VerificationConfig) -> float:
     """The overlap of the standing query surface, less the largest one of it moved along `direction` (3,)."""
     shifts = [sign * shift for shift in config.contrast_shifts for sign in (-1.0, 1.0)]
-    aside = [_one_sided_overlap(moved.standing.shifted(shift * direction), match, config) for shift in shifts]
-    return _one_sided_overlap(moved.standing, match, config) - max(aside)
+    here, *aside = shared_shares(moved.standing, match, np.outer([0.0, *shifts], direction), config)
+    return here - max(aside)
 
 
 def mutually_seen_through(
     T_match_query: se3.Matrix4, query: OrientedPoints, match: OrientedPoints, config: VerificationConfig
 ) -> float:
     """The share of what stands in either place, where the other tells anything of it, that the other looked through."""
-    of_query = seen_through(query.standing.moved(T_match_query).points, match.points, config)
-    of_match = seen_through(match.standing.moved(se3.inverse(T_match_query)).points, query.points, config)
+    views = query.kept(_view, config.sight_angle), match.kept(_view, config.sight_angle)
+    of_query = seen_through(se3.apply(T_match_query, query.standing.points), views[1], config)
+    of_match = seen_through(se3.apply(se3.inverse(T_match_query), match.standing.points), views[0], config)
     return (of_query[0] + of_match[0]) / max(of_query[1] + of_match[1], 1)
 
 
 def in_region(surface: OrientedPoints, other: OrientedPoints) -> NDArray[np.bool_]:
     """Which points (n,) of a surface stand in a column in which the other place has seen anything."""
-    return np.asarray(
-        in_seen_columns(np.ascontiguousarray(surface.points), np.ascontiguousarray(other.points), COLUMN_M)
-    )
+    return np.asarray(in_seen_columns(np.ascontiguousarray(surface.points), other.seen.slots, COLUMN_M))
 
 
-def _one_sided_overlap(standing: OrientedPoints, match: OrientedPoints, config: VerificationConfig) -> float:
-    return _share(contact(standing, match, config).touching, in_region(standing, match))
+def _view(surface: OrientedPoints, angle_deg: float) -> View:
+    return view_of(surface.points, angle_deg)
 
 
 def _share(hits: NDArray[np.bool_], of: NDArray[np.bool_]) -> float:

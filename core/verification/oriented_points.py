@@ -11,9 +11,11 @@ from scipy.spatial import cKDTree
 
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
+from revisit.core.kept import Keeping
 from revisit.core.kernels.point_columns import PointColumns
 from revisit.core.kernels.point_columns import columns_of as columns_by_edge
-from revisit.core.kernels.surface_alignment import touching_rows
+from revisit.core.kernels.seen_columns import SeenColumns, seen_columns
+from revisit.core.kernels.surface_alignment import shared_counts, touching_rows
 from revisit.core.place import Place
 
 Array64 = NDArray[np.float64]
@@ -28,7 +30,7 @@ _FACING_ALIKE = 0.6  # smallest cosine between the normals of two points on one 
 
 
 @dataclass(frozen=True)
-class OrientedPoints:
+class OrientedPoints(Keeping):
     """Points (n, 3) in metres with unit normals (n, 3), float64, the first `standing_count` of them off the ground."""
 
     points: Array64
@@ -37,7 +39,11 @@ class OrientedPoints:
 
     @classmethod
     def of(cls, place: Place) -> OrientedPoints:
-        """The stored surface of a place, in its level frame."""
+        """The stored surface of a place, in its level frame; kept with the place."""
+        return place.kept(cls._copied)
+
+    @classmethod
+    def _copied(cls, place: Place) -> OrientedPoints:
         return cls(place.points.astype(np.float64), place.normals.astype(np.float64), place.standing_count)
 
     @cached_property
@@ -65,7 +71,12 @@ class OrientedPoints:
         """The distinct columns in which any point lies, in order."""
         return np.unique(self.columns)
 
-    @property
+    @cached_property
+    def seen(self) -> SeenColumns:
+        """The columns of COLUMN_M in which any point lies, for the kernels."""
+        return seen_columns(np.ascontiguousarray(self.points), COLUMN_M)
+
+    @cached_property
     def standing(self) -> OrientedPoints:
         """The points off the ground."""
         return OrientedPoints(
@@ -108,6 +119,20 @@ def contact(surface: OrientedPoints, other: OrientedPoints, config: Verification
     )  # fmt: skip
     touching = rows >= 0
     return Contact(touching, distances[touching], other.sorted_points.rows[rows[touching]])
+
+
+def shared_shares(
+    surface: OrientedPoints, other: OrientedPoints, offsets_m: Array64, config: VerificationConfig
+) -> list[float]:
+    """For each of `offsets_m` (s, 3) by which `surface` is moved: the share of it that touches `other` then, of what
+    stands in the columns that `other` has seen. One frame.
+    """
+    counts = shared_counts(
+        np.ascontiguousarray(surface.points), np.ascontiguousarray(surface.normals), offsets_m, other.sorted_points,
+        SEARCH_EDGE_M, other.sorted_normals, config.neighbour_distance, config.surface_distance, _FACING_ALIKE,
+        other.seen.slots, COLUMN_M,
+    )  # fmt: skip
+    return [float(touching) / max(int(seen), 1) for seen, touching in counts]
 
 
 def columns_of(points: Array64) -> NDArray[np.int64]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
-from revisit.core.kernels.surface_alignment import aligned
+from revisit.core.kernels.surface_alignment import aligned, plane_information
 from revisit.core.verification.oriented_points import SEARCH_EDGE_M, OrientedPoints, contact
 
 Array64 = NDArray[np.float64]
@@ -63,7 +63,7 @@ def _approach(
     T_start: se3.Matrix4, query: OrientedPoints, match: OrientedPoints, config: VerificationConfig
 ) -> tuple[se3.Matrix4, float]:
     """A coarsely refined start, and the share of the points used that then lie on the other surface."""
-    few = query.thinned(config.coarse_share)
+    few = query.kept(OrientedPoints.thinned, config.coarse_share)
     T_match_query = iterate(T_start, few, match, config.coarse_distance, config.coarse_rounds)
     return T_match_query, float(contact(few.moved(T_match_query), match, config).touching.mean())
 
@@ -111,8 +111,7 @@ def point_to_plane_jacobian(points: Array64, normals: Array64) -> Array64:
 
 def information(points: Array64, normals: Array64) -> Array64:
     """The information (6, 6) of a tangent of the pose from point-to-plane residuals of unit variance."""
-    jacobian = point_to_plane_jacobian(points, normals)
-    return np.asarray(jacobian.T @ jacobian)
+    return np.asarray(plane_information(np.ascontiguousarray(points), np.ascontiguousarray(normals)))
 
 
 def observability(information: Array64, lever_m: float) -> float:

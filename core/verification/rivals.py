@@ -14,8 +14,9 @@ from scipy import fft
 
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
-from revisit.core.verification.evidence import in_region, mutually_seen_through
-from revisit.core.verification.oriented_points import OrientedPoints, contact
+from revisit.core.kernels.plan_images import layer_counts, layer_products, plan_shares
+from revisit.core.verification.evidence import mutually_seen_through
+from revisit.core.verification.oriented_points import OrientedPoints, shared_shares
 from revisit.core.verification.registration import iterate
 
 Array64 = NDArray[np.float64]
@@ -55,7 +56,8 @@ def find_rivals(
     A rival lies farther than `rival_distance` or 10 degrees away, its overlap is at least `rival_share` of that of
     `T_match_query`, and neither place has looked through more of the other than a loop may.
     """
-    few = query.thinned(config.coarse_share), match.thinned(config.coarse_share)
+    share = config.coarse_share
+    few = query.kept(OrientedPoints.thinned, share), match.kept(OrientedPoints.thinned, share)
     least = config.rival_share * mean_overlap(T_match_query, query, match, few, config)
     rivals: list[Hypothesis] = []
     for T_proposed in propose(T_match_query, query, match, config):
@@ -75,14 +77,9 @@ def propose(
 ) -> list[se3.Matrix4]:
     """Poses at local maxima of the coarse overlap over shifts and quarter turns, best first; at most `rival_starts`."""
     pixel = config.correlation_pixel
-    against = _plan(match, pixel)
-    shares, commons = [], []
-    for quarter in range(_TURNS):
-        moved = query.moved(se3.from_yaw(quarter * np.pi / 2) @ T_match_query)
-        share, common = _overlap_surface(moved, against, pixel)
-        shares.append(share)
-        commons.append(common)
-    share, common = np.stack(shares), np.stack(commons)
+    against, standing = match.kept(_plan, pixel), se3.apply(T_match_query, query.standing.points)
+    straight, quarter = (_overlap_surfaces(standing, turned, against, pixel) for turned in (False, True))
+    share, common = (np.stack([straight[k][0], quarter[k][0], straight[k][1], quarter[k][1]]) for k in (0, 1))
     share[common < config.rival_common * common[0, 0, 0]] = 0.0
     rows = _peaks(share, config.rival_plan_share * share[0, 0, 0], config.rival_distance / pixel)
     return [_shifted(T_match_query, *row, pixel) for row in rows[: config.rival_starts]]
@@ -99,36 +96,36 @@ def mean_overlap(
     sides = ((few[0], match, T_match_query), (few[1], query, se3.inverse(T_match_query)))
     shares = []
     for some, other, T_other_some in sides:
-        moved = some.standing.moved(T_other_some)
-        seen = in_region(moved, other)
-        shares.append(float((contact(moved, other, config).touching & seen).sum()) / max(int(seen.sum()), 1))
+        shares += shared_shares(some.standing.moved(T_other_some), other, np.zeros((1, 3)), config)
     return 0.5 * (shares[0] + shares[1])
 
 
-def _overlap_surface(moved: OrientedPoints, against: Plan, pixel: float) -> tuple[Images, Images]:
-    """For every shift in pixels, the share of `moved` that stands on what stands there, and how much was seen there."""
-    layers = fft.rfft2(_layers(moved.standing, pixel))
-    shape = (PLAN_SIZE, PLAN_SIZE)
-    hits = fft.irfft2((against.standing * layers.conj()).sum(axis=0), s=shape)
-    seen = fft.irfft2(against.seen * layers.sum(axis=0).conj(), s=shape)
-    return np.asarray(hits / np.maximum(seen, 1.0)), np.asarray(seen)
+def _overlap_surfaces(
+    standing: Array64, turned: bool, against: Plan, pixel: float
+) -> tuple[tuple[Images, Images], tuple[Images, Images]]:
+    """For every shift in pixels, the share of the points `standing` (n, 3) that stand on what stands there, and how
+    many were seen there: shares and numbers, each as they are (or `turned` by a quarter) and after a further half turn.
+    """
+    spectra = fft.rfft2(_layers(standing, pixel, turned))
+    products = layer_products(against.standing, against.seen, spectra)
+    hits, hits_after, seen, seen_after = fft.irfft2(products, s=(PLAN_SIZE, PLAN_SIZE))
+    (share, common), (share_after, common_after) = (
+        plan_shares(hits, seen, False), plan_shares(hits_after, seen_after, True)
+    )  # fmt: skip
+    return (share, share_after), (common, common_after)
 
 
 def _plan(surface: OrientedPoints, pixel: float) -> Plan:
     """The spectra of a place: its layers, one pixel wider so that close counts, and where it has seen."""
-    standing = _wider((_layers(surface.standing, pixel) > 0).astype(np.float32))
-    seen = (_layers(surface, pixel).sum(axis=0, keepdims=True) > 0).astype(np.float32)
+    standing = _wider((_layers(surface.standing.points, pixel) > 0).astype(np.float32))
+    seen = (_layers(surface.points, pixel).sum(axis=0, keepdims=True) > 0).astype(np.float32)
     return Plan(fft.rfft2(standing), fft.rfft2(_wider(_wider(seen)))[0])
 
 
-def _layers(surface: OrientedPoints, pixel: float) -> Images:
-    """How many points lie in each layer, row (y) and column (x) of a square around the origin."""
-    cells = np.floor(surface.points[:, :2] / pixel).astype(np.int64) + PLAN_SIZE // 2
-    inside = ((cells >= 0) & (cells < PLAN_SIZE)).all(axis=1)
-    layer = np.clip((surface.points[inside, 2] - _LOWEST_M) / _LAYER_M, 0, _LAYERS - 1).astype(np.int64)
-    flat = (layer * PLAN_SIZE + cells[inside, 1]) * PLAN_SIZE + cells[inside, 0]
-    counts = np.bincount(flat, minlength=_LAYERS * PLAN_SIZE**2)
-    return counts.astype(np.float32).reshape(_LAYERS, PLAN_SIZE, PLAN_SIZE)
+def _layers(points: Array64, pixel: float, turned: bool = False) -> Images:
+    """How many of `points` (n, 3) lie in each layer, row (y) and column (x) of a square around the origin."""
+    points = np.ascontiguousarray(points)
+    return np.asarray(layer_counts(points, turned, pixel, PLAN_SIZE, _LAYERS, _LOWEST_M, _LAYER_M))
 
 
 def _wider(images: Images) -> Images:

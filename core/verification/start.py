@@ -12,12 +12,15 @@ from scipy.ndimage import map_coordinates
 from revisit.core.config import VerificationConfig
 from revisit.core.correspondences import correspond
 from revisit.core.geometry import se3
-from revisit.core.geometry.se2 import PlanarPose, turned
+from revisit.core.geometry.se2 import PlanarPose
+from revisit.core.kernels.plan_images import plan_density
+from revisit.core.kernels.seen_columns import heights_above
 from revisit.core.place import Place
 from revisit.core.verification.keypoint_fit import KeypointFit, fit_planar_pose
-from revisit.core.verification.oriented_points import columns_of
+from revisit.core.verification.oriented_points import COLUMN_M, OrientedPoints
 
 Array64 = NDArray[np.float64]
+Spectrum = NDArray[np.complexfloating]
 
 IMAGE_SIZE = 128
 """Pixels along an edge of the images for phase correlation."""
@@ -50,20 +53,36 @@ def correlate(query: Place, match: Place, config: VerificationConfig) -> list[Pl
     The amplitude spectra do not depend on the translation and give the yaw up to 180 degrees. For both directions the
     translation then follows by correlation.
     """
-    match_image = raster(_standing_plan(match), config.correlation_pixel)
-    match_spectrum = fft.rfft2(match_image)
-    query_points = _standing_plan(query)
-    query_spectrum = fft.fft2(raster(query_points, config.correlation_pixel))
-    turns = _likely_turns(_polar_amplitude(query_spectrum), _polar_amplitude(fft.fft2(match_image)))
+    pixel, points = config.correlation_pixel, query.kept(_standing_plan)
+    of_query, of_match = query.kept(_seen_from_above, pixel), match.kept(_seen_from_above, pixel)
     fits = []
-    for turn in turns[: config.correlation_turns]:
-        for yaw in (turn, turn + np.pi):
-            image = raster(turned(query_points, yaw), config.correlation_pixel)
-            peak, shift = _best_shift(image, match_spectrum)
-            norm = float(np.linalg.norm(image) * np.linalg.norm(match_image))
-            fits.append((peak / max(norm, 1e-12), PlanarPose(float(yaw), shift * config.correlation_pixel)))
+    for turn in _likely_turns(of_query.polar, of_match.polar)[: config.correlation_turns]:
+        image = raster(points, pixel, turn)
+        norm = max(float(np.linalg.norm(image)) * of_match.norm, 1e-12)
+        spectrum = fft.rfft2(image.astype(np.float32))
+        for half_turn in (False, True):
+            peak, shift = _best_shift(spectrum, of_match.spectrum, half_turn)
+            fits.append((peak / norm, PlanarPose(turn + np.pi * half_turn, shift * pixel)))
     fits.sort(key=lambda fit: -fit[0])
     return [pose for _, pose in fits]
+
+
+@dataclass(frozen=True)
+class SeenFromAbove:
+    """What stands in a place as an image: its spectrum, the norm of the image, and the spectrum over angle (91, radii)
+    of its polar amplitude.
+    """
+
+    spectrum: NDArray[np.complex64]
+    norm: float
+    polar: NDArray[np.complex128]
+
+
+def _seen_from_above(place: Place, pixel: float) -> SeenFromAbove:
+    image = raster(place.kept(_standing_plan), pixel)
+    spectrum = fft.rfft2(image.astype(np.float32))
+    polar = fft.rfft(_polar_amplitude(fft.fft2(image)), axis=0)
+    return SeenFromAbove(spectrum, float(np.linalg.norm(image)), polar)
 
 
 def lift(pose: PlanarPose, query: Place, match: Place) -> se3.Matrix4:
@@ -71,39 +90,34 @@ def lift(pose: PlanarPose, query: Place, match: Place) -> se3.Matrix4:
 
     The ground of a column is its lowest point. Where the places share no column the height is 0.
     """
-    flat = pose.lifted()
-    match_columns, match_heights = _lowest(match.points.astype(np.float64))
-    query_columns, query_heights = _lowest(se3.apply(flat, query.points))
-    shared, rows, columns = np.intersect1d(match_columns, query_columns, return_indices=True)
-    if len(shared) == 0:
-        return flat
-    return pose.lifted(float(np.median(match_heights[rows] - query_heights[columns])))
+    flat, seen = pose.lifted(), OrientedPoints.of(match).seen
+    rises = heights_above(OrientedPoints.of(query).points, flat, seen, COLUMN_M)
+    return pose.lifted(float(np.median(rises))) if len(rises) else flat
 
 
-def raster(points: Array64, pixel: float) -> Array64:
-    """The density of `points` (n, 2) as an image around the origin, smoothed and free of its mean.
+def raster(points: Array64, pixel: float, yaw: float = 0.0) -> Array64:
+    """The density of `points` (n, 2), turned by `yaw` radians, as an image around the origin, smoothed and free of its
+    mean.
 
     Rows are y, columns x, `pixel` metres wide. Points outside the image are left out.
     """
-    cells = np.floor(points / pixel).astype(np.int64) + _HALF
-    inside = ((cells >= 0) & (cells < IMAGE_SIZE)).all(axis=1)
-    flat = cells[inside, 1] * IMAGE_SIZE + cells[inside, 0]
-    counts = np.bincount(flat, minlength=IMAGE_SIZE * IMAGE_SIZE).astype(np.float64)
-    image = np.log1p(counts).reshape(IMAGE_SIZE, IMAGE_SIZE)
-    image = image + 0.5 * (np.roll(image, 1, 0) + np.roll(image, -1, 0) + np.roll(image, 1, 1) + np.roll(image, -1, 1))
-    return np.asarray(image - image.mean())
+    return np.asarray(plan_density(points, yaw, pixel, IMAGE_SIZE))
 
 
 def _standing_plan(place: Place) -> Array64:
     """What stands in a place, seen from above (n, 2)."""
-    return place.points[: place.standing_count, :2].astype(np.float64)
+    return np.ascontiguousarray(place.points[: place.standing_count, :2].astype(np.float64))
 
 
-def _best_shift(image: Array64, match_spectrum: NDArray[np.complex128]) -> tuple[float, Array64]:
-    """The largest correlation of `image` with the match, and the shift (x, y) in pixels that gives it."""
-    surface = fft.irfft2(match_spectrum * np.conj(fft.rfft2(image)), s=image.shape)
+def _best_shift(spectrum: Spectrum, match_spectrum: Spectrum, half_turn: bool) -> tuple[float, Array64]:
+    """The largest correlation of an image with the match, and the shift (x, y) in pixels that gives it.
+
+    With `half_turn` the image is turned by 180 degrees first: its spectrum is then the conjugate, but for a pixel.
+    """
+    product = match_spectrum * (spectrum if half_turn else np.conj(spectrum))
+    surface = fft.irfft2(product, s=(IMAGE_SIZE, IMAGE_SIZE))
     row, column = np.unravel_index(int(surface.argmax()), surface.shape)
-    shift = (np.array([column, row], dtype=np.float64) + _HALF) % IMAGE_SIZE - _HALF
+    shift = (np.array([column, row], dtype=np.float64) + half_turn + _HALF) % IMAGE_SIZE - _HALF
     return float(surface[row, column]), shift
 
 
@@ -116,10 +130,12 @@ def _polar_amplitude(spectrum: NDArray[np.complex128]) -> Array64:
     return np.asarray(polar - polar.mean(axis=0))
 
 
-def _likely_turns(query: Array64, match: Array64) -> list[float]:
-    """Yaws of T_match_query in [0, pi) radians where the polar amplitudes agree, best first, well apart."""
-    product = fft.fft(match, axis=0) * np.conj(fft.fft(query, axis=0))
-    agreement = fft.ifft(product, axis=0).real.sum(axis=1)
+def _likely_turns(query: NDArray[np.complex128], match: NDArray[np.complex128]) -> list[float]:
+    """Yaws of T_match_query in [0, pi) radians where the polar amplitudes agree, best first, well apart.
+
+    Takes the spectra of the amplitudes over angle.
+    """
+    agreement = fft.irfft((match * np.conj(query)).sum(axis=1), n=_ANGLES)
     turns: list[int] = []
     for turn in np.argsort(-agreement, kind="stable"):
         if all(min(abs(turn - other), _ANGLES - abs(turn - other)) >= _TURN_APART for other in turns):
@@ -127,11 +143,3 @@ def _likely_turns(query: Array64, match: Array64) -> list[float]:
         if len(turns) == _MOST_TURNS:
             break
     return [float(np.radians(turn)) for turn in turns]
-
-
-def _lowest(points: Array64) -> tuple[NDArray[np.int64], Array64]:
-    """The columns that `points` (n, 3) occupy and the lowest height in each, metres."""
-    keys = columns_of(points)
-    order = np.lexsort((points[:, 2], keys))
-    columns, first = np.unique(keys[order], return_index=True)
-    return columns, points[order][first, 2]

@@ -102,7 +102,7 @@ def _verify_in_order(
     """
     if query.model != match.model or abs(query.frame.scale - match.frame.scale) > 1e-6:
         raise DescriptorModelMismatch
-    if is_degenerate(query, config) or is_degenerate(match, config):
+    if query.kept(is_degenerate, config) or match.kept(is_degenerate, config):
         return RejectedLoop(RejectionReason.DEGENERATE_PLACE)
     start = find_start(query, match, config)
     if near is not None:
@@ -130,15 +130,25 @@ def is_degenerate(place: Place, config: VerificationConfig) -> bool:
     return bool(spread[0] < config.min_spread)
 
 
-def systematic_covariance(scale: float, config: VerificationConfig) -> NDArray[np.float64]:
-    """The covariance (6, 6), in a level frame of a scene scale, of what both places have wrong as a whole.
+def systematic_covariance(
+    T_match_query: se3.Matrix4, overlap: float, scale: float, config: VerificationConfig
+) -> NDArray[np.float64]:
+    """The covariance (6, 6), in a level frame of a scene scale, of what more points do not make better.
 
-    Poses drift within a submap and surfaces are rounded off; more points do not help (docs/decisions/0081). It is the
-    same in metres for any scene scale.
+    Poses drift within a submap and surfaces are rounded off (docs/decisions/0081). What is seen from one of two views
+    alone pulls the pose: its share counts by what there is of it for each part of common surface. And a sensor that
+    looks a little beside the direction in which odometry moves it is the farther off the farther the places lie apart
+    (docs/decisions/0160). All of it is the same in metres for any scene scale.
     """
     horizontal, vertical = config.systematic_horizontal / scale, config.systematic_vertical / scale
     tilt, yaw = np.radians(config.systematic_tilt), np.radians(config.systematic_yaw)
-    return np.diag(np.square([horizontal, horizontal, vertical, tilt, tilt, yaw]))
+    drift = np.diag(np.square([horizontal, horizontal, vertical, tilt, tilt, yaw]))
+    shift, turn = config.unshared_shift / scale, np.radians(config.unshared_turn)
+    unshared = (1.0 - overlap) / max(overlap, _LEAST_OVERLAP) * np.array([shift, shift, shift, turn, turn, turn])
+    away = T_match_query[:3, 3]
+    aside = np.zeros((6, 6))
+    aside[:3, :3] = np.radians(config.systematic_direction) ** 2 * (away @ away * np.eye(3) - np.outer(away, away))
+    return np.asarray(drift + np.diag(np.square(unshared)) + aside)
 
 
 def loop_score(contrast: float, seen_through: float, rmse_m: float) -> float:
@@ -148,6 +158,7 @@ def loop_score(contrast: float, seen_through: float, rmse_m: float) -> float:
     return float(1.0 / (1.0 + np.exp(-np.clip(logit, -30.0, 30.0))))
 
 
+_LEAST_OVERLAP = 0.05  # less is no loop
 _SCORE_WEIGHTS = (16.7, 19.2, -29.7, -150.0)
 _SHARPEST_RMSE_M = 0.09  # cleaner surfaces, such as simulated ones, are no better evidence
 
@@ -176,7 +187,8 @@ def _unlevelled(
     measurement: LoopMeasurement, query: Place, match: Place, config: VerificationConfig
 ) -> LoopMeasurement:
     """The measurement between the submap frames instead of the levelled, scaled ones."""
-    covariance = measurement.covariance + systematic_covariance(match.frame.scale, config)
+    systematic = systematic_covariance(measurement.T_match_query, measurement.overlap, match.frame.scale, config)
+    covariance = measurement.covariance + systematic
     return dataclasses.replace(
         measurement,
         T_match_query=motion_between_submaps(measurement.T_match_query, query.frame, match.frame),

@@ -24,6 +24,7 @@ class Bag1File:
     def __init__(self, file: Path) -> None:
         """Raises MalformedBody where the file is no bag of format 2.0."""
         self.topics: dict[str, str] = {}
+        self.cut = ""
         self._file = file
         self._connections: dict[bytes, tuple[str, str]] = {}
         self._last: tuple[int, bytes] | None = None
@@ -32,14 +33,18 @@ class Bag1File:
                 raise MalformedBody(f"{file.name} is no ROS 1 bag of format 2.0")
 
     def messages(self) -> Iterator[Message]:
-        """All messages, in the order of the file. Raises MalformedBody, UnsupportedEncoding."""
+        """All messages, in the order of the file, as far as it goes. Raises MalformedBody, UnsupportedEncoding."""
         end = self._file.stat().st_size
         with self._file.open("rb") as stream:
             at = len(MAGIC)
             while at < end:
+                if end - at < _LENGTH.size:
+                    self.cut = self._file.name
+                    return
                 record, (header, start, size) = at, _record(stream, at)
                 if start + size > end:
-                    raise MalformedBody(f"{self._file.name} ends within a record")
+                    self.cut = self._file.name
+                    return
                 at = start + size
                 if _operation(header) == _CHUNK:
                     yield from self._of_chunk(record)

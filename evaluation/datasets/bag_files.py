@@ -23,6 +23,7 @@ class SplitBag:
 
     def __init__(self, bags: Sequence[Bag]) -> None:
         self.topics: dict[str, str] = {}
+        self.cut = ""
         self._bags = bags
 
     def messages(self) -> Iterator[Message]:
@@ -31,6 +32,7 @@ class SplitBag:
             for message in bag.messages():
                 yield replace(message, place=replace(message.place, file=number))
             self.topics.update(bag.topics)
+            self.cut = self.cut or bag.cut
 
     def data(self, place: Place) -> bytes:
         """The bytes of a message."""

@@ -44,6 +44,8 @@ class Bag(Protocol):
 
     topics: dict[str, str]
     """Topic -> type of all that `messages` came across, wanted or not."""
+    cut: str
+    """The file that `messages` found to end within a record, as after a loss of power; "" where none does."""
 
     def messages(self) -> Iterator[Message]:
         """All messages, each with its place."""

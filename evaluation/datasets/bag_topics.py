@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from revisit.core.errors import BadTransform
+from revisit.core.errors import BadTransform, MalformedBody
 from revisit.evaluation.datasets.bag_message import Bag, Encoding, Message, Place
 from revisit.evaluation.datasets.posed_clouds import Stamps
 from revisit.evaluation.datasets.ros_messages import (
@@ -67,13 +67,17 @@ class PoseTopic:
 
 @dataclass(frozen=True)
 class BagTopics:
-    """All that was found, with every topic's type and how many poses were no rigid motions and were left out."""
+    """All that was found, with every topic's type and how many poses were no rigid motions and were left out.
+
+    `cut` is the file that ends within a record, "" where none does.
+    """
 
     clouds: dict[str, CloudTopic]
     poses: dict[str, PoseTopic]
     tree: TransformTree
     types: dict[str, str]
     broken_poses: int
+    cut: str = ""
 
 
 @dataclass
@@ -129,5 +133,7 @@ def read_topics(bag: Bag) -> BagTopics:
     for message in bag.messages():
         gathered.take(message)
     gathered.finish()
+    if bag.cut and not gathered.clouds:
+        raise MalformedBody(f"{bag.cut} ends within a record, before the first cloud")
     tree = TransformTree(gathered.moving, gathered.fixed)
-    return BagTopics(gathered.clouds, gathered.poses, tree, dict(bag.topics), gathered.broken)
+    return BagTopics(gathered.clouds, gathered.poses, tree, dict(bag.topics), gathered.broken, bag.cut)

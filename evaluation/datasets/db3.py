@@ -24,6 +24,7 @@ class Db3File:
     def __init__(self, file: Path, types: tuple[str, ...]) -> None:
         """Only messages of the given types are read. Raises MalformedBody where the file is no SQLite database."""
         self.topics: dict[str, str] = {}
+        self.cut = ""
         self._file, self._types = file, types
         with file.open("rb") as stream:
             if stream.read(len(_MAGIC)) != _MAGIC:
@@ -38,7 +39,10 @@ class Db3File:
                 for row, topic, kind, data in connection.execute(query, self._types):
                     yield Message(topic, kind, bytes(data), Place(None, row, len(data)))
         except sqlite3.Error as error:
-            raise MalformedBody(f"{self._file.name} is no readable bag: {error}") from error
+            raise MalformedBody(
+                f"{self._file.name} is no readable bag: {error}. SQLite may save what is left of it: "
+                f"sqlite3 {self._file.name} .recover | sqlite3 saved.db3"
+            ) from error
 
     def data(self, place: Place) -> bytes:
         """The bytes of a message."""

@@ -23,6 +23,7 @@ class McapFile:
     def __init__(self, file: Path) -> None:
         """Raises MalformedBody where the file is no MCAP."""
         self.topics: dict[str, str] = {}
+        self.cut = ""
         self._file = file
         self._last: tuple[int, bytes] | None = None
         with file.open("rb") as stream:
@@ -30,7 +31,10 @@ class McapFile:
                 raise MalformedBody(f"{file.name} is no MCAP file")
 
     def messages(self) -> Iterator[Message]:
-        """All messages of CDR channels, in the order of the file. Raises MalformedBody, UnsupportedEncoding."""
+        """All messages of CDR channels, in the order of the file, as far as it goes.
+
+        Raises MalformedBody, UnsupportedEncoding.
+        """
         schemas: dict[int, str] = {}
         channels: dict[int, tuple[str, str]] = {}
         for record, content, place in self._records():
@@ -64,7 +68,8 @@ class McapFile:
                 record, size = _RECORD.unpack(stream.read(_RECORD.size))
                 start, at = at + _RECORD.size, at + _RECORD.size + size
                 if at > end:
-                    raise MalformedBody(f"{self._file.name} ends within a record")
+                    self.cut = self._file.name
+                    return
                 if record == _CHUNK:
                     yield from _split(self._chunk(start), start)
                 elif record in (_SCHEMA, _CHANNEL, _MESSAGE):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntEnum
@@ -18,6 +19,7 @@ from revisit.evaluation.datasets.transform_tree import TransformTree, stamped_po
 
 TF = "/tf"
 ODOMETRY_FRAMES = ("odom", "odom_combined", "camera_init")
+_LIDAR_ODOMETRY = re.compile(r"kiss|icp|lio|loam|lidar", re.IGNORECASE)
 _LIVOX = "CustomMsg"
 _PACKETS = ("VelodyneScan", "PacketMsg", "RobosensePacket", "RslidarScan", "HesaiScan", "PandarScan")
 
@@ -112,8 +114,9 @@ class Pairing:
 def choose(found: BagTopics, wanted: WantedTopics) -> Pairing:
     """The pair of topics whose frames fit best; among equals the one with most clouds that have a pose.
 
-    A pair that has poses for less than half as many clouds as another one is no choice. Raises BadField, with advice,
-    where there is none.
+    Among equals again poses that a LiDAR odometry publishes go before those of wheels, told by the topic's name. A pair
+    that has poses for less than half as many clouds as another one is no choice. Raises BadField, with advice, where
+    there is none.
     """
     clouds = _named(found.clouds, wanted.topic, "topic", found)
     pairs = [pair for cloud in clouds for pair in _pairings(cloud, found, wanted)]
@@ -124,11 +127,13 @@ def choose(found: BagTopics, wanted: WantedTopics) -> Pairing:
         raise BadField(f"no cloud of {pairs[0].clouds.name} was taken while there were poses of {pairs[0].poses}: "
                        "are both stamped by one clock?", field="poses")  # fmt: skip
     usable = [(pair, count) for pair, count in zip(pairs, counts, strict=True) if 2 * count >= max(counts)]
-    return min(usable, key=lambda choice: (choice[0].relation, -choice[1], -_samples(choice[0], found)))[0]
+    return min(usable, key=lambda choice: (choice[0].relation, -choice[1], *_precision(choice[0], found)))[0]
 
 
-def _samples(pair: Pairing, found: BagTopics) -> int:
-    return len(found.poses[pair.poses].poses) if pair.poses in found.poses else 0
+def _precision(pair: Pairing, found: BagTopics) -> tuple[bool, int]:
+    """The smaller, the better the poses are likely to be."""
+    samples = len(found.poses[pair.poses].poses) if pair.poses in found.poses else 0
+    return not _LIDAR_ODOMETRY.search(pair.poses), -samples
 
 
 def _named(topics: dict[str, CloudTopic], name: str | None, field: str, found: BagTopics) -> list[CloudTopic]:

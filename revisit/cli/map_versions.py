@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from revisit.formats.map_file import FiledSubmap
     from revisit.sdk.client import Client
-    from revisit.sdk.resources import Map, MapVersion, Submap, SubmapPose
+    from revisit.sdk.resources import Map, MapFile, MapVersion, Submap, SubmapPose
 
 Report = Callable[[str, int, int], None]
 Filed = Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="A map file.")]
@@ -46,16 +46,51 @@ def save(
     with Client(http) as client, progress_bar(quiet=json) as bar:
         found = client.get_map(f"maps/{map_id}")
         chosen = _chosen(client, found, version)
-        poses = _around(client.submap_poses(chosen), around)
-        if not poses:
-            raise refuse(f"version {chosen.version} of map {map_id} has no submaps there")
-        map_hash = _write(client, out, found, chosen, poses, reporter(bar))
+        if around:
+            submaps, map_hash = write_from_service(client, out, found, chosen, around, reporter(bar))
+        else:
+            submaps, map_hash = _published(client, out, chosen)
     told = vda5050(map_id, chosen, map_hash, link)
     out.with_suffix(".vda5050.json").write_text(_json(told))
     if json:
-        emit_json({"file": str(out), "submaps": len(poses), **told})
+        emit_json({"file": str(out), "submaps": submaps, **told})
     else:
-        say(f"{out}: version {chosen.version} of map {map_id}, {len(poses)} submaps, mapHash {map_hash}")
+        say(f"{out}: version {chosen.version} of map {map_id}, {submaps} submaps, mapHash {map_hash}")
+
+
+def publish(
+    map_id: MapName = "default",
+    version: Annotated[int, typer.Option(min=0, help="The version; by default the one in force.")] = 0,
+    descriptor: Annotated[str, typer.Option(help="What the map is, in one line: VDA 5050's mapDescriptor.")] = "",
+    enable: Annotated[bool, typer.Option("--enable", help="Robots are to use this version from now on.")] = False,
+    http: Http = HTTP,
+    json: Json = False,
+) -> None:
+    """Make a file of a version of a map that robots download from the service; `--enable` makes it the one to use."""
+    from revisit.sdk.client import Client
+
+    with Client(http) as client:
+        chosen = _chosen(client, client.get_map(f"maps/{map_id}"), version)
+        file = _file_of(client, chosen, descriptor)
+        if enable:
+            file = client.enable_map_file(file)
+    if json:
+        emit_json(asdict(file))
+    else:
+        say(f"{file.name}: {file.map_status}, {file.size_bytes:,} bytes, mapHash {file.map_hash}")
+
+
+def files(map_id: MapName = "default", http: Http = HTTP, json: Json = False) -> None:
+    """List the published files of a map."""
+    from revisit.sdk.client import Client
+
+    with Client(http) as client:
+        found = client.map_files(f"maps/{map_id}")
+    if json:
+        emit_json([asdict(one) for one in found])
+        return
+    rows = [(f.map_version, f.map_status, f.submaps, f.size_bytes, f.map_hash[:12], f.map_descriptor) for f in found]
+    emit_table(f"Files of map {map_id}", ("version", "status", "submaps", "bytes", "mapHash", "descriptor"), rows)
 
 
 def check(
@@ -144,6 +179,38 @@ def _around(poses: list[SubmapPose], around: str) -> list[SubmapPose]:
     frames = [pose.frame for pose in poses]
     largest = max(dict.fromkeys(frames), key=frames.count, default="")
     return [pose for pose in poses if pose.frame == largest and math.dist(pose.T_map_submap[:2, 3], (x, y)) <= radius]
+
+
+def _published(client: Client, out: Path, version: MapVersion) -> tuple[int, str]:
+    """Download the file of a version, which the service makes where it has none: submaps, and mapHash.
+
+    What an earlier attempt has left is not sent again.
+    """
+    file = client.download_map_file(_file_of(client, version, ""), out)
+    return file.submaps, file.map_hash
+
+
+def _file_of(client: Client, version: MapVersion, descriptor: str) -> MapFile:
+    made = client.wait(client.publish_map(version, descriptor)).result or {}
+    return client.get_map_file(made["map_file"])
+
+
+def write_from_service(
+    client: Client,
+    out: Path,
+    found: Map,
+    version: MapVersion,
+    around: str = "",
+    report: Report = lambda *_: None,
+) -> tuple[int, str]:
+    """Write a version, or what lies `around` a place, from what the service has: submaps, and mapHash.
+
+    Raises typer.Exit where there is nothing.
+    """
+    poses = _around(client.submap_poses(version), around)
+    if not poses:
+        raise refuse(f"version {version.version} of {found.name} has no submaps there")
+    return len(poses), _write(client, out, found, version, poses, report)
 
 
 def _write(client: Client, out: Path, found: Map, version: MapVersion, poses: list[SubmapPose], report: Report) -> str:

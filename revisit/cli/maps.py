@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 group = typer.Typer(help="Make one map out of many sessions: optimise it, look at it, go back.", no_args_is_help=True)
 group.command("save")(map_versions.save)
+group.command("publish")(map_versions.publish)
+group.command("files")(map_versions.files)
 group.command("check")(map_versions.check)
 group.command("diff")(map_versions.diff)
 group.command("localise")(map_versions.localise)

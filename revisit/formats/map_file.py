@@ -78,12 +78,23 @@ def write_map_file(
     description: MapDescription,
     submaps: Iterable[tuple[FiledSubmap, NDArray[np.float32], bytes]],
 ) -> str:
-    """Write a map: submaps with their descriptors (d,) and neural maps. The SHA-256 (hex) of the file: its mapHash.
+    """As `write_map`, to a file. The SHA-256 (hex) of the file: its mapHash."""
+    with file.open("wb") as stream:
+        write_map(stream, description, submaps)
+    return hash_of_file(file)
 
-    Neural maps are written as they come. Raises ValueError where one is not the one that its submap names.
+
+def write_map(
+    stream: IO[bytes],
+    description: MapDescription,
+    submaps: Iterable[tuple[FiledSubmap, NDArray[np.float32], bytes]],
+) -> None:
+    """Write a map to a stream that can be sought: submaps with their descriptors (d,) and neural maps, as they come.
+
+    Raises ValueError where a neural map is not the one that its submap names.
     """
     rows, vectors, members = [], [], {}
-    with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
         for submap, vector, neural in submaps:
             if hashlib.sha256(neural).hexdigest() != submap.neural:
                 raise ValueError(f"{submap.name} has another neural map")
@@ -95,7 +106,6 @@ def write_map_file(
         members[_DESCRIPTORS] = _add(archive, _DESCRIPTORS, b"".join(vector.tobytes() for vector in vectors))
         manifest = {"format": FORMAT, **_camel(asdict(description)), "submaps": len(rows), "files": members}
         _add(archive, _MANIFEST, _json_bytes(manifest))
-    return hash_of_file(file)
 
 
 def hash_of_file(file: Path) -> str:

@@ -69,11 +69,13 @@ def decode(data: bytes, limits: CloudLimits) -> DecodedCloud:
         raise MalformedBody(f"{count} quantised points need {size} bytes, the frame holds {len(content)}")
     # The header's step is float32; the grid is meant in exact steps such as 0.001.
     exact = round(step, 9)
-    x, y, z = (_column(content[4 * count * axis :], count, "<u4") * exact for axis in range(3))
+    points = np.empty((count, 3), dtype=np.float32)
+    for axis in range(3):
+        points[:, axis] = _column(content[4 * count * axis :], count, "<u4") * exact
     if not intensity_step:
-        return DecodedCloud.from_columns(x, y, z, None)
+        return DecodedCloud(points)
     levels = _column(content[12 * count :], count, "<u2") & 0xFFFF
-    return DecodedCloud.from_columns(x, y, z, levels * intensity_step)
+    return DecodedCloud(points, (levels * intensity_step).astype(np.float32))
 
 
 def _quantise_intensity(intensity: NDArray[np.float32]) -> tuple[float, NDArray[np.int64]]:
@@ -97,5 +99,10 @@ def _column(content: memoryview, count: int, dtype: str) -> NDArray[np.int64]:
     """The running sum of the zigzag-coded column at the start of `content`: int64, so that nothing overflows."""
     width = np.dtype(dtype).itemsize
     planes = np.frombuffer(content, dtype=np.uint8, count=count * width).reshape(width, count)
-    coded = np.ascontiguousarray(planes.T).view(dtype).reshape(count).astype(np.int64)
-    return np.cumsum(np.where(coded & 1, -(coded >> 1) - 1, coded >> 1))
+    coded = planes[width - 1].astype(np.uint32)
+    for plane in planes[: width - 1][::-1]:
+        coded <<= 8
+        coded |= plane
+    # Zigzag: 2 d for d >= 0, else -2 d - 1. Its lowest bit says whether all others are to be turned.
+    difference = (coded >> 1).view(np.int32) ^ -(coded & 1).view(np.int32)
+    return np.cumsum(difference, dtype=np.int64)

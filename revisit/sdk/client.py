@@ -10,6 +10,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
 from google.protobuf.json_format import ParseDict
 
 from revisit.core.errors import RevisitError
@@ -19,6 +20,7 @@ from revisit.sdk.credentials import Credentials
 from revisit.sdk.errors import ErrorDetails, InvalidArgument, OperationFailed
 from revisit.sdk.explanations import NearMiss, explain
 from revisit.sdk.input_watch import InputWatch, warn_of_session
+from revisit.sdk.map_downloads import fetch_file
 from revisit.sdk.messages import cloud_message, request_of, vector
 from revisit.sdk.resources import (
     Correction,
@@ -29,7 +31,11 @@ from revisit.sdk.resources import (
     LoopKeypoints,
     LoopPolicy,
     Map,
+    MapDistances,
+    MapFile,
     MapMerge,
+    MapPoints,
+    MapTile,
     MapVersion,
     Operation,
     Robot,
@@ -50,7 +56,9 @@ from revisit.sdk.watching import Watch
 from revisit.v1 import (
     event_pb2,
     loop_closure_pb2,
+    map_file_pb2,
     map_pb2,
+    map_tile_pb2,
     mapping_pb2,
     operation_pb2,
     robot_pb2,
@@ -91,6 +99,7 @@ class Client:
             credentials = Credentials.given(api_key, ca)
             transport = RestTransport(http or os.environ.get("REVISIT_URL", DEFAULT_HTTP), retry, credentials)
         self._transport: Transport = transport
+        self._retry = retry
 
     @classmethod
     def grpc(
@@ -108,7 +117,7 @@ class Client:
         from revisit.sdk.grpc_transport import GrpcTransport
 
         address = address or os.environ.get("REVISIT_GRPC", DEFAULT_GRPC)
-        return cls(transport=GrpcTransport(address, retry, Credentials.given(api_key, ca)))
+        return cls(transport=GrpcTransport(address, retry, Credentials.given(api_key, ca)), retry=retry)
 
     def create_map(
         self,
@@ -144,8 +153,8 @@ class Client:
         """All maps, oldest first."""
         return [Map.of(item) for item in self._transport.list("maps", map_pb2.ListMapsRequest())]
 
-    def delete(self, resource: str | Map | Session | Submap | Webhook) -> None:
-        """Delete a map, a session or a submap, with everything in it; or a webhook."""
+    def delete(self, resource: str | Map | Session | Submap | Webhook | MapFile) -> None:
+        """Delete a map, a session or a submap, with everything in it; or a webhook, or a file of a map."""
         self._transport.delete(_name(resource))
 
     def create_robot(self, robot_id: str, *, display_name: str = "") -> Robot:
@@ -445,6 +454,67 @@ class Client:
         """The poses of the submaps in a version of a map, by session and in the order of their drive."""
         request = mapping_pb2.ListSubmapPosesRequest(parent=_name(version), page_size=MAX_PAGE)
         return [SubmapPose.of(item) for item in self._transport.list("poses", request)]
+
+    def map_tiles(self, version: str | Map | MapVersion) -> list[MapTile]:
+        """The tiles that submaps of a version may reach into; of a map, those of the version in force."""
+        request = map_tile_pb2.ListMapTilesRequest(parent=self._version(version), page_size=MAX_PAGE)
+        return [MapTile.of(item) for item in self._transport.list("tiles", request)]
+
+    def download_tile(self, tile: str | MapTile, file_format: str = "glb") -> bytes:
+        """The surface of a tile in the map: `glb` or `mesh` (ply); points as pcd, ply or npy; `neural`.
+
+        A worker makes it when it is asked for first. Raises DeadlineExceeded (NO_ANSWER) where that takes long.
+        """
+        return self._transport.download_tile(_name(tile), file_format)
+
+    def map_distances(self, version: str | Map | MapVersion, points_m: Any, *, frame: str = "") -> MapDistances:
+        """Signed distances of up to 1000 points (n, 3) to the surface of a map, in one of its frames ("": the only)."""
+        request = map_tile_pb2.MeasureMapDistancesRequest(parent=self._version(version), frame=frame)
+        for x, y, z in np.asarray(points_m, dtype=np.float64).reshape(-1, 3).tolist():
+            request.points_m.add(x=x, y=y, z=z)
+        return MapDistances.of(self._transport.measure_distances(request))
+
+    def map_points(
+        self, version: str | Map | MapVersion, centre_m: Any, radius_m: float, *, frame: str = "", limit: int = 1000
+    ) -> MapPoints:
+        """The points of the surface of a map within a radius of one point, the nearest first."""
+        centre = vector(centre_m)
+        fields = {"parent": self._version(version), "centre_m": centre, "radius_m": radius_m, "frame": frame}
+        request = request_of(map_tile_pb2.FindMapPointsRequest, {**fields, "limit": limit})
+        return MapPoints.of(self._transport.find_points(request))
+
+    def publish_map(self, version: str | Map | MapVersion, description: str = "") -> Operation:
+        """Make a file of a version: the operation, whose result names `map_file` and `map_hash`."""
+        return Operation.of(self._transport.publish_map_file(self._version(version), description))
+
+    def map_files(self, map_: str | Map) -> list[MapFile]:
+        """The files of a map, oldest first."""
+        request = map_file_pb2.ListMapFilesRequest(parent=_name(map_))
+        return [MapFile.of(item) for item in self._transport.list("files", request)]
+
+    def get_map_file(self, name: str) -> MapFile:
+        """Get `maps/{map}/files/{version}`."""
+        return MapFile.of(self._transport.get(name))
+
+    def enable_map_file(self, file: str | MapFile) -> MapFile:
+        """Say that robots are to use this file, and no other of its map."""
+        return MapFile.of(self._transport.enable_map_file(_name(file)))
+
+    def download_map_file(self, file: str | MapFile, out: Path | str) -> MapFile:
+        """Download a file; what a download before has left in OUT.part is not sent again.
+
+        Raises DataLoss where the bytes do not have the hash that the service names: then OUT.part is deleted.
+        """
+        found = self.get_map_file(_name(file))
+        fetch_file(found, Path(out), self._transport.map_file_bytes, self._retry)
+        return found
+
+    def _version(self, version: str | Map | MapVersion) -> str:
+        """The name of a version; of a map, that of the one in force."""
+        name = _name(version)
+        if name.count("/") != 1:
+            return name
+        return f"{name}/versions/{self.get_map(name).map_version}"
 
     def revert_map(self, map_: str | Map, version: int) -> MapVersion:
         """Bring back the poses of an earlier version, bit for bit, as a new version."""

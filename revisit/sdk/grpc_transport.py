@@ -22,8 +22,12 @@ from revisit.v1 import (
     ingest_pb2_grpc,
     loop_closure_pb2,
     loop_closure_pb2_grpc,
+    map_file_pb2,
+    map_file_pb2_grpc,
     map_pb2,
     map_pb2_grpc,
+    map_tile_pb2,
+    map_tile_pb2_grpc,
     mapping_pb2,
     mapping_pb2_grpc,
     operation_pb2,
@@ -65,6 +69,8 @@ _STUBS: dict[str, Any] = {
     "versions": mapping_pb2_grpc.MappingServiceStub,
     "merges": mapping_pb2_grpc.MappingServiceStub,
     "poses": mapping_pb2_grpc.MappingServiceStub,
+    "tiles": map_tile_pb2_grpc.MapTileServiceStub,
+    "files": map_file_pb2_grpc.MapFileServiceStub,
     "webhooks": webhook_pb2_grpc.WebhookServiceStub,
     "operations": operation_pb2_grpc.OperationServiceStub,
     "loopClosures": loop_closure_pb2_grpc.LoopClosureServiceStub,
@@ -78,6 +84,8 @@ _MODULES: dict[str, Any] = {
     "versions": mapping_pb2,
     "merges": mapping_pb2,
     "poses": mapping_pb2,
+    "tiles": map_tile_pb2,
+    "files": map_file_pb2,
     "webhooks": webhook_pb2,
     "operations": operation_pb2,
     "loopClosures": loop_closure_pb2,
@@ -149,8 +157,16 @@ class GrpcTransport:
     def download(self, submap: str, file_format: str) -> bytes:
         """See Transport."""
         asked = {"name": submap, "format": file_format.upper()}
-        request = request_of(submap_pb2.DownloadSubmapRequest, asked)
-        call = self._method(_STUBS["submaps"], "DownloadSubmap")
+        return self._file("submaps", "DownloadSubmap", request_of(submap_pb2.DownloadSubmapRequest, asked))
+
+    def download_tile(self, tile: str, file_format: str) -> bytes:
+        """See Transport."""
+        asked = {"name": tile, "format": file_format.upper()}
+        return self._file("tiles", "DownloadMapTile", request_of(map_tile_pb2.DownloadMapTileRequest, asked))
+
+    def _file(self, collection: str, method: str, request: Any) -> bytes:
+        """A file that comes in chunks."""
+        call = self._method(_STUBS[collection], method)
         limit_s = ANSWER_TIMEOUT_S + LOST_AFTER_S
 
         def whole() -> bytes:
@@ -158,6 +174,44 @@ class GrpcTransport:
             return b"".join(chunk.data for chunk in chunks.all(limit_s))
 
         return self._run(whole)
+
+    def measure_distances(
+        self, request: map_tile_pb2.MeasureMapDistancesRequest
+    ) -> map_tile_pb2.MeasureMapDistancesResponse:
+        """See Transport."""
+        answered: map_tile_pb2.MeasureMapDistancesResponse
+        answered = self._answer(_STUBS["tiles"], "MeasureMapDistances", request)
+        return answered
+
+    def find_points(self, request: map_tile_pb2.FindMapPointsRequest) -> map_tile_pb2.FindMapPointsResponse:
+        """See Transport."""
+        answered: map_tile_pb2.FindMapPointsResponse = self._answer(_STUBS["tiles"], "FindMapPoints", request)
+        return answered
+
+    def publish_map_file(self, version: str, description: str) -> operation_pb2.Operation:
+        """See Transport."""
+        request = map_file_pb2.PublishMapFileRequest(parent=version, map_descriptor=description)
+        operation: operation_pb2.Operation = self._answer(_STUBS["files"], "PublishMapFile", request).operation
+        return operation
+
+    def enable_map_file(self, name: str) -> map_file_pb2.MapFile:
+        """See Transport."""
+        request = map_file_pb2.EnableMapFileRequest(name=name)
+        enabled: map_file_pb2.MapFile = self._answer(_STUBS["files"], "EnableMapFile", request).map_file
+        return enabled
+
+    def map_file_bytes(self, name: str, offset: int) -> Iterator[bytes]:
+        """See Transport."""
+        request = map_file_pb2.DownloadMapFileRequest(name=name, offset=offset)
+        call = self._method(_STUBS["files"], "DownloadMapFile")(request, metadata=self._metadata)
+        try:
+            for chunk in Answers(call).all(SILENT_S):
+                if chunk.data:
+                    yield chunk.data
+        except (grpc.RpcError, LostCall) as error:
+            raise _api_error(error, self._address) from error
+        finally:
+            call.cancel()
 
     def search(self, request: loop_closure_pb2.SearchSubmapsRequest) -> loop_closure_pb2.SearchSubmapsResponse:
         """See Transport."""

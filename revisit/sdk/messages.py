@@ -14,7 +14,9 @@ from revisit.sdk.errors import ErrorDetails, InvalidArgument
 from revisit.v1 import (
     cloud_pb2,
     loop_closure_pb2,
+    map_file_pb2,
     map_pb2,
+    map_tile_pb2,
     mapping_pb2,
     operation_pb2,
     robot_pb2,
@@ -45,6 +47,8 @@ COLLECTIONS = {
     ),
     "versions": Collection(mapping_pb2.MapVersion, "map_version", mapping_pb2.ListMapVersionsResponse),
     "merges": Collection(mapping_pb2.MapMerge, "map_merge", mapping_pb2.ListMapMergesResponse),
+    "tiles": Collection(map_tile_pb2.MapTile, "map_tile", map_tile_pb2.ListMapTilesResponse),
+    "files": Collection(map_file_pb2.MapFile, "map_file", map_file_pb2.ListMapFilesResponse),
     "poses": Collection(mapping_pb2.SubmapPose, "submap_pose", mapping_pb2.ListSubmapPosesResponse),
     "operations": Collection(operation_pb2.Operation, "operation", operation_pb2.ListOperationsResponse),
     "webhooks": Collection(webhook_pb2.Webhook, "webhook", webhook_pb2.ListWebhooksResponse),

@@ -14,7 +14,9 @@ from revisit.v1 import (
     event_pb2,
     geometry_pb2,
     loop_closure_pb2,
+    map_file_pb2,
     map_pb2,
+    map_tile_pb2,
     mapping_pb2,
     operation_pb2,
     robot_pb2,
@@ -543,6 +545,89 @@ class MapVersion:
 
 
 @dataclass(frozen=True)
+class MapTile:
+    """A square of a version of a map, in metres of the frame seen from above; `submaps` may reach into it.
+
+    One that was `made` can be downloaded at once; others are made by a worker then.
+    """
+
+    name: str
+    frame: str
+    min_m: tuple[float, float]
+    max_m: tuple[float, float]
+    submaps: int
+    made: bool
+
+    @classmethod
+    def of(cls, message: map_tile_pb2.MapTile) -> Self:
+        """From its message."""
+        lower, upper = (message.min_x_m, message.min_y_m), (message.max_x_m, message.max_y_m)
+        return cls(message.name, message.frame, lower, upper, message.submaps, message.made)
+
+
+@dataclass(frozen=True)
+class MapDistances:
+    """Signed distances (n,) of points to the surface of a map, metres, positive in free space, cut at a truncation.
+
+    `nearest_m` (n,) says how far the nearest neural point is. Both are NaN where nothing was seen near.
+    """
+
+    map_version: int
+    frame: str
+    distance_m: NDArray[np.float64] = field(compare=False)
+    nearest_m: NDArray[np.float64] = field(compare=False)
+
+    @classmethod
+    def of(cls, message: map_tile_pb2.MeasureMapDistancesResponse) -> Self:
+        """From its message."""
+        columns = [
+            np.array([_given(one, name) for one in message.distances], dtype=np.float64)
+            for name in ("distance_m", "nearest_m")
+        ]
+        return cls(message.map_version, message.frame, columns[0], columns[1])
+
+
+@dataclass(frozen=True)
+class MapPoints:
+    """Points (n, 3) of the surface of a map around one, with unit normals (n, 3), the nearest first; `total` in all."""
+
+    map_version: int
+    frame: str
+    positions: NDArray[np.float64] = field(compare=False)
+    normals: NDArray[np.float64] = field(compare=False)
+    total: int
+
+    @classmethod
+    def of(cls, message: map_tile_pb2.FindMapPointsResponse) -> Self:
+        """From its message."""
+        rows = [(p.x, p.y, p.z, n.x, n.y, n.z) for p, n in ((one.position_m, one.normal) for one in message.points)]
+        table = np.array(rows, dtype=np.float64).reshape(-1, 6)
+        return cls(message.map_version, message.frame, table[:, :3], table[:, 3:], message.total)
+
+
+@dataclass(frozen=True)
+class MapFile:
+    """A version of a map as one file, in the words of VDA 5050; `map_status` is ENABLED or DISABLED."""
+
+    name: str
+    map_id: str
+    map_version: str
+    map_status: str
+    map_descriptor: str
+    map_download_link: str
+    map_hash: str
+    size_bytes: int
+    submaps: int
+    created_at_ns: int
+
+    @classmethod
+    def of(cls, message: map_file_pb2.MapFile) -> Self:
+        """From its message."""
+        given = {one.name: getattr(message, one.name) for one in fields(cls) if one.name != "map_status"}
+        return cls(**given, map_status=_word(message, "map_status"))
+
+
+@dataclass(frozen=True)
 class MapVersionSummary:
     """What a version of a map rests on.
 
@@ -757,3 +842,8 @@ def _matrix(message: geometry_pb2.Transform) -> Matrix4:
 
 def _vector(message: geometry_pb2.Vector3) -> tuple[float, float, float]:
     return message.x, message.y, message.z
+
+
+def _given(message: map_tile_pb2.MapDistance, name: str) -> float:
+    """A number, NaN where it is absent."""
+    return float(getattr(message, name)) if message.HasField(name) else float("nan")

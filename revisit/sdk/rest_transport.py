@@ -26,7 +26,9 @@ from revisit.v1 import (
     geometry_pb2,
     ingest_pb2,
     loop_closure_pb2,
+    map_file_pb2,
     map_pb2,
+    map_tile_pb2,
     mapping_pb2,
     operation_pb2,
     session_pb2,
@@ -121,6 +123,48 @@ class RestTransport:
     def download(self, submap: str, file_format: str) -> bytes:
         """See Transport."""
         return self._send("GET", f"{_path(submap)}:download", params={"format": file_format}).content
+
+    def download_tile(self, tile: str, file_format: str) -> bytes:
+        """See Transport."""
+        return self._send("GET", f"{_path(tile)}:download", params={"format": file_format}).content
+
+    def measure_distances(
+        self, request: map_tile_pb2.MeasureMapDistancesRequest
+    ) -> map_tile_pb2.MeasureMapDistancesResponse:
+        """See Transport."""
+        points = [coordinate for one in request.points_m for coordinate in (one.x, one.y, one.z)]
+        body = {"points_m": points, "frame": request.frame}
+        path = f"{_path(request.parent)}:distances"
+        return self._message(map_tile_pb2.MeasureMapDistancesResponse, "POST", path, json=body)
+
+    def find_points(self, request: map_tile_pb2.FindMapPointsRequest) -> map_tile_pb2.FindMapPointsResponse:
+        """See Transport."""
+        centre = request.centre_m
+        params = {"centre_m": f"{centre.x!r},{centre.y!r},{centre.z!r}", "radius_m": request.radius_m}
+        asked = {**params, "frame": request.frame, "limit": request.limit}
+        path = f"{_path(request.parent)}/points"
+        return self._message(map_tile_pb2.FindMapPointsResponse, "GET", path, params=asked)
+
+    def publish_map_file(self, version: str, description: str) -> operation_pb2.Operation:
+        """See Transport."""
+        body = {"map_descriptor": description}
+        return self._message(operation_pb2.Operation, "POST", f"{_path(version)}:publish", json=body)
+
+    def enable_map_file(self, name: str) -> map_file_pb2.MapFile:
+        """See Transport."""
+        return self._message(map_file_pb2.MapFile, "POST", f"{_path(name)}:enable")
+
+    def map_file_bytes(self, name: str, offset: int) -> Iterator[bytes]:
+        """See Transport."""
+        headers = {"range": f"bytes={offset}-"} if offset else {}
+        try:
+            with self._http.stream("GET", f"{_path(name)}:download", headers=headers) as answered:
+                if not answered.is_success:
+                    answered.read()
+                    raise error_of(_details(answered))
+                yield from answered.iter_bytes()
+        except httpx.TransportError as error:
+            raise unreachable(self._base_url, error) from error
 
     def search(self, request: loop_closure_pb2.SearchSubmapsRequest) -> loop_closure_pb2.SearchSubmapsResponse:
         """See Transport."""

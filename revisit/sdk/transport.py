@@ -10,6 +10,8 @@ from revisit.sdk.resources import Json
 from revisit.v1 import (
     event_pb2,
     loop_closure_pb2,
+    map_file_pb2,
+    map_tile_pb2,
     mapping_pb2,
     operation_pb2,
     session_pb2,
@@ -137,6 +139,32 @@ class Transport(Protocol):
 
     def download(self, submap: str, file_format: str) -> bytes:
         """A submap as a file."""
+        ...
+
+    def download_tile(self, tile: str, file_format: str) -> bytes:
+        """A tile of a map as a file."""
+        ...
+
+    def measure_distances(
+        self, request: map_tile_pb2.MeasureMapDistancesRequest
+    ) -> map_tile_pb2.MeasureMapDistancesResponse:
+        """Signed distances of points to the surface of a map."""
+        ...
+
+    def find_points(self, request: map_tile_pb2.FindMapPointsRequest) -> map_tile_pb2.FindMapPointsResponse:
+        """The points of the surface of a map around one."""
+        ...
+
+    def publish_map_file(self, version: str, description: str) -> operation_pb2.Operation:
+        """Queue the making of a map file."""
+        ...
+
+    def enable_map_file(self, name: str) -> map_file_pb2.MapFile:
+        """Say that robots are to use a map file."""
+        ...
+
+    def map_file_bytes(self, name: str, offset: int) -> Iterator[bytes]:
+        """The bytes of a map file from `offset` on, over one connection."""
         ...
 
     def search(self, request: loop_closure_pb2.SearchSubmapsRequest) -> loop_closure_pb2.SearchSubmapsResponse:

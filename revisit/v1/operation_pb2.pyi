@@ -27,6 +27,9 @@ class Operation(_message.Message):
         OPTIMISE_MAP: _ClassVar[Operation.Kind]
         VERIFY_LOOP: _ClassVar[Operation.Kind]
         MERGE_MAP: _ClassVar[Operation.Kind]
+        MAKE_TILE: _ClassVar[Operation.Kind]
+        MEASURE_MAP: _ClassVar[Operation.Kind]
+        PUBLISH_MAP: _ClassVar[Operation.Kind]
     KIND_UNSPECIFIED: Operation.Kind
     DESCRIBE_SUBMAP: Operation.Kind
     SEARCH_CLOUD: Operation.Kind
@@ -34,6 +37,9 @@ class Operation(_message.Message):
     OPTIMISE_MAP: Operation.Kind
     VERIFY_LOOP: Operation.Kind
     MERGE_MAP: Operation.Kind
+    MAKE_TILE: Operation.Kind
+    MEASURE_MAP: Operation.Kind
+    PUBLISH_MAP: Operation.Kind
     class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STATE_UNSPECIFIED: _ClassVar[Operation.State]

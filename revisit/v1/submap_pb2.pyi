@@ -155,6 +155,7 @@ class DownloadSubmapRequest(_message.Message):
         MESH: _ClassVar[DownloadSubmapRequest.Format]
         NEURAL: _ClassVar[DownloadSubmapRequest.Format]
         DESCRIPTOR: _ClassVar[DownloadSubmapRequest.Format]
+        GLB: _ClassVar[DownloadSubmapRequest.Format]
     FORMAT_UNSPECIFIED: DownloadSubmapRequest.Format
     PCD: DownloadSubmapRequest.Format
     PLY: DownloadSubmapRequest.Format
@@ -162,6 +163,7 @@ class DownloadSubmapRequest(_message.Message):
     MESH: DownloadSubmapRequest.Format
     NEURAL: DownloadSubmapRequest.Format
     DESCRIPTOR: DownloadSubmapRequest.Format
+    GLB: DownloadSubmapRequest.Format
     NAME_FIELD_NUMBER: _ClassVar[int]
     FORMAT_FIELD_NUMBER: _ClassVar[int]
     name: str

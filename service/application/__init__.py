@@ -40,7 +40,9 @@ from revisit.service.application.ingest.submap_posting import SubmapPosting
 from revisit.service.application.installation import Installation
 from revisit.service.application.mapping.corrections import Corrections
 from revisit.service.application.mapping.loop_decisions import LoopDecisions
+from revisit.service.application.mapping.map_files import MapFiles
 from revisit.service.application.mapping.merges import MapMerges
+from revisit.service.application.mapping.tiles import MapTiles
 from revisit.service.application.mapping.versions import MapVersions
 from revisit.service.application.push.events import Events, Glance
 from revisit.service.application.push.webhooks import Webhooks
@@ -68,6 +70,8 @@ class UseCases:
     webhooks: Webhooks
     map_versions: MapVersions
     map_merges: MapMerges
+    map_tiles: MapTiles
+    map_files: MapFiles
     corrections: Corrections
     loop_decisions: LoopDecisions
     dead_letters: DeadLetters
@@ -95,12 +99,14 @@ class UseCases:
             submaps=Submaps(storage, lists, admission, collector, clock, policy),
             searches=Searches(storage, admission, decoder, jobs, of.memory, operations),
             loops=Loops(storage, lists, admission),
-            loop_keypoints=LoopKeypointReading(storage, policy),
+            loop_keypoints=LoopKeypointReading(storage, admission, policy),
             operations=operations,
             events=Events(storage, admission, Glance(storage)),
             webhooks=Webhooks(storage, lists, admission, clock, policy.webhook_private_networks),
             map_versions=MapVersions(storage, lists, admission, clock, policy),
             map_merges=MapMerges(storage, lists, admission, jobs, collector, clock),
+            map_tiles=MapTiles(storage, lists, admission, jobs, operations, policy),
+            map_files=MapFiles(storage, lists, admission, jobs, collector, clock),
             corrections=Corrections(storage, admission),
             loop_decisions=LoopDecisions(storage, admission, lists, jobs, clock, policy),
             dead_letters=DeadLetters(storage, admission, backlog, policy),

@@ -17,6 +17,7 @@ from revisit.service.application.contract.disk import DiskSpace, UnlimitedDisk
 from revisit.service.application.contract.index import VectorIndex
 from revisit.service.application.contract.map_merger import MapMerger
 from revisit.service.application.contract.map_optimiser import MapOptimiser
+from revisit.service.application.contract.map_tiles import TileMaker
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.recogniser import PlaceRecogniser
 from revisit.service.application.contract.storage import Storage
@@ -24,10 +25,12 @@ from revisit.service.application.contract.transactions import Transactions
 from revisit.service.application.housekeeping.index_keeping import IndexHealth, IndexKeeper
 from revisit.service.application.ingest.clouds import CloudDecoder
 from revisit.service.application.ingest.open_streams import OpenStreams
+from revisit.service.application.mapping.map_filing import MapFiling
 from revisit.service.application.mapping.merging import MapMerging, MergeTools
 from revisit.service.application.mapping.optimisation import MapOptimisation
+from revisit.service.application.mapping.tile_making import TileMaking
 from revisit.service.application.query.place_memory import PlaceMemory
-from revisit.service.application.recognise.recognition import Recognition
+from revisit.service.application.recognise.recognition import MapWork, Recognition
 
 
 @dataclass(frozen=True)
@@ -70,13 +73,16 @@ class Installation:
         most_bytes = self.policy.tenant_storage_bytes
         return None if most_bytes is None else StorageQuota(self.storage, most_bytes)
 
-    def recognition(self, recogniser: PlaceRecogniser, optimiser: MapOptimiser, merger: MapMerger) -> Recognition:
-        """What a worker does with a job; `recogniser`, `optimiser` and `merger` are the method."""
+    def recognition(
+        self, recogniser: PlaceRecogniser, optimiser: MapOptimiser, merger: MapMerger, tiler: TileMaker
+    ) -> Recognition:
+        """What a worker does with a job; `recogniser`, `optimiser`, `merger` and `tiler` are the method."""
         mapping = MapOptimisation(self.transactions, self.clock, self.policy, optimiser)
         merging = MapMerging(self.transactions, self.blobs, self.clock, self.policy, MergeTools(recogniser, merger))
-        return Recognition(
-            self.transactions, self.blobs, self.memory, self.clock, self.policy, recogniser, mapping, merging
-        )
+        tiles = TileMaking(self.transactions, self.blobs, self.clock, self.policy, tiler)
+        filing = MapFiling(self.transactions, self.blobs, self.clock, self.policy)
+        work = MapWork(mapping, merging, tiles, filing)
+        return Recognition(self.transactions, self.blobs, self.memory, self.clock, self.policy, recogniser, work)
 
     def index_keeper(self) -> IndexKeeper:
         """What loads the index and compares it with the database. From now on the service is not ready until then."""

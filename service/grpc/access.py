@@ -77,6 +77,20 @@ SCOPES: dict[str, dict[str, frozenset[Scope]]] = {
         "GetCorrection": _EITHER,
         "WatchCorrections": _EITHER,
     },
+    "MapTileService": {
+        "ListMapTiles": _EITHER,
+        "DownloadMapTile": _QUERY,
+        "MeasureMapDistances": _QUERY,
+        "FindMapPoints": _QUERY,
+    },
+    "MapFileService": {
+        "PublishMapFile": _ADMIN,
+        "GetMapFile": _EITHER,
+        "ListMapFiles": _EITHER,
+        "EnableMapFile": _ADMIN,
+        "DeleteMapFile": _ADMIN,
+        "DownloadMapFile": _EITHER,
+    },
     "OperationService": {
         "GetOperation": _EITHER,
         "ListOperations": _EITHER,

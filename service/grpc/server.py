@@ -18,6 +18,8 @@ from revisit.service.grpc.servicers.events import EventServicer
 from revisit.service.grpc.servicers.health import HealthServicer
 from revisit.service.grpc.servicers.ingest import IngestServicer
 from revisit.service.grpc.servicers.loops import LoopClosureServicer
+from revisit.service.grpc.servicers.map_files import MapFileServicer
+from revisit.service.grpc.servicers.map_tiles import MapTileServicer
 from revisit.service.grpc.servicers.mapping import MappingServicer
 from revisit.service.grpc.servicers.maps import MapServicer
 from revisit.service.grpc.servicers.operations import OperationServicer
@@ -37,8 +39,12 @@ from revisit.v1 import (
     ingest_pb2_grpc,
     loop_closure_pb2,
     loop_closure_pb2_grpc,
+    map_file_pb2,
+    map_file_pb2_grpc,
     map_pb2,
     map_pb2_grpc,
+    map_tile_pb2,
+    map_tile_pb2_grpc,
     mapping_pb2,
     mapping_pb2_grpc,
     operation_pb2,
@@ -87,6 +93,8 @@ _SERVICES: tuple[tuple[Any, Callable[[UseCases], object], Callable[..., None]], 
     (loop_closure_pb2, LoopClosureServicer, loop_closure_pb2_grpc.add_LoopClosureServiceServicer_to_server),
     (event_pb2, EventServicer, event_pb2_grpc.add_EventServiceServicer_to_server),
     (mapping_pb2, MappingServicer, mapping_pb2_grpc.add_MappingServiceServicer_to_server),
+    (map_tile_pb2, MapTileServicer, map_tile_pb2_grpc.add_MapTileServiceServicer_to_server),
+    (map_file_pb2, MapFileServicer, map_file_pb2_grpc.add_MapFileServiceServicer_to_server),
     (operation_pb2, OperationServicer, operation_pb2_grpc.add_OperationServiceServicer_to_server),
     (webhook_pb2, WebhookServicer, webhook_pb2_grpc.add_WebhookServiceServicer_to_server),
     (system_pb2, SystemServicer, system_pb2_grpc.add_SystemServiceServicer_to_server),

@@ -18,7 +18,9 @@ from revisit.v1 import (
     event_pb2,
     ingest_pb2,
     loop_closure_pb2,
+    map_file_pb2,
     map_pb2,
+    map_tile_pb2,
     mapping_pb2,
     operation_pb2,
     robot_pb2,
@@ -35,6 +37,11 @@ DeliveryPage = webhook_pb2.ListWebhookDeliveriesResponse
 Event = event_pb2.Event
 Correction = mapping_pb2.Correction
 MapMerge = mapping_pb2.MapMerge
+MapFile = map_file_pb2.MapFile
+MapFilePage = map_file_pb2.ListMapFilesResponse
+MapTilePage = map_tile_pb2.ListMapTilesResponse
+MapDistances = map_tile_pb2.MeasureMapDistancesResponse
+MapPoints = map_tile_pb2.FindMapPointsResponse
 MapMergePage = mapping_pb2.ListMapMergesResponse
 MapVersion = mapping_pb2.MapVersion
 MapVersionPage = mapping_pb2.ListMapVersionsResponse
@@ -64,7 +71,8 @@ T = TypeVar("T")
 
 _DESCRIBED = (
     Ack, Event, LocalizeAnswer, LoopClosurePage, MapPage, OperationPage, Posted, RobotPage, SearchAnswer, SessionPage,
-    Status, SubmapPage, Correction, MapVersionPage, SubmapPosePage, MapMergePage,
+    Status, SubmapPage, Correction, MapVersionPage, SubmapPosePage, MapMergePage, MapTilePage, MapDistances,
+    MapPoints, MapFilePage,
     LoopClosureEventPage, LoopKeypoints, ProposedLoop, CreatedWebhook, WebhookPage, DeliveryPage,
 )  # fmt: skip
 

@@ -27,6 +27,7 @@ from revisit.service.rest.middleware import (
 from revisit.service.rest.routes import (
     events,
     loops,
+    map_files,
     mapping,
     maps,
     operations,
@@ -36,6 +37,7 @@ from revisit.service.rest.routes import (
     sessions,
     submaps,
     system,
+    tiles,
     webhooks,
 )
 from revisit.service.rest.schemas import Problem
@@ -45,7 +47,8 @@ from revisit.service.status import STATUS
 API_VERSION = "1"
 
 ROUTES = (
-    mapping, maps, robots, searches, submaps, sessions, loops, events, webhooks, operations, system, page,
+    mapping, tiles, map_files, maps, robots, searches, submaps, sessions, loops, events, webhooks,
+    operations, system, page,
 )  # fmt: skip
 
 

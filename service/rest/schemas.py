@@ -45,6 +45,11 @@ _DESCRIPTOR_LENGTH: dict[str, Any] = {
     "fail_fast": True,
 }
 Coordinate = Annotated[float, Field(**bounds(limits.PRIOR_COORDINATE_M))]
+_DISTANCE_POINTS: dict[str, Any] = {
+    "min_length": 3 * int(limits.DISTANCE_POINTS.least),
+    "max_length": 3 * int(limits.DISTANCE_POINTS.most),
+    "fail_fast": True,
+}
 
 
 class Request(BaseModel):
@@ -137,6 +142,25 @@ class MergeMapRequest(Request):
     validate_only: bool = False
     T_map_source: Annotated[str, Field(max_length=400)] | None = None
     radius_m: Annotated[float, Field(**bounds(limits.RADIUS_M))] | None = None
+
+
+class MeasureMapDistancesRequest(Request):
+    """Points as x, y, z of one after the other, metres, in a frame of a version of a map.
+
+    `frame` may be left out where the version has one alone.
+    """
+
+    most_bytes: ClassVar[int] = 128 * 2**10
+    """A thousand points, written with all digits."""
+
+    points_m: Annotated[list[Coordinate], Field(**_DISTANCE_POINTS)]
+    frame: Annotated[str, Field(max_length=limits.ID_CHARACTERS)] = ""
+
+
+class PublishMapFileRequest(Request):
+    """What the map is, in an operator's words."""
+
+    map_descriptor: Annotated[str, Field(max_length=limits.NOTE_CHARACTERS)] = ""
 
 
 Note = Annotated[str, Field(max_length=limits.NOTE_CHARACTERS)]

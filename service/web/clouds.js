@@ -2,14 +2,17 @@
 "use strict";
 
 import { Box3, BufferAttribute, BufferGeometry, Vector3 } from "/vendor/three-0.187.0/three.module.js";
+import { GLTFLoader } from "/vendor/three-0.187.0/GLTFLoader.js";
 import { PLYLoader } from "/vendor/three-0.187.0/PLYLoader.js";
+import { MeshoptDecoder } from "/vendor/meshoptimizer-1.3.0/meshopt_decoder_reference.js";
 import { readFile } from "/api.js";
 
 const AT_ONCE = 3;
 const MOST_KEPT = 400;
 const MOST_POINTS = 60_000;
 
-const loader = new PLYLoader();
+const points = new PLYLoader();
+const meshes = new GLTFLoader().setMeshoptDecoder(MeshoptDecoder);
 const kept = new Map();
 const waiting = [];
 let loading = 0;
@@ -52,15 +55,35 @@ function pump() {
 }
 
 async function fetched(submap, kind) {
-  const bytes = await readFile(`/v1/${submap}:download?format=${kind === "mesh" ? "mesh" : "ply"}`);
-  const geometry = loader.parse(bytes);
-  return kind === "mesh" ? whole(geometry) : thinned(geometry);
+  const bytes = await readFile(`/v1/${submap}:download?format=${kind === "mesh" ? "glb" : "ply"}`);
+  return kind === "mesh" ? surfaceOf(await meshes.parseAsync(bytes, "")) : thinned(points.parse(bytes));
 }
 
-function whole(geometry) {
-  if (!geometry.getAttribute("normal")) geometry.computeVertexNormals();
-  geometry.computeBoundingSphere();
-  return geometry;
+/** The one mesh of a scene in metres with z up, as the submap has it; glTF has y up and whole steps. */
+function surfaceOf(gltf) {
+  gltf.scene.rotation.x = Math.PI / 2;
+  gltf.scene.updateMatrixWorld(true);
+  let made = new BufferGeometry();
+  made.setAttribute("position", new BufferAttribute(new Float32Array(0), 3));
+  gltf.scene.traverse((part) => {
+    if (part.isMesh) made = inMetres(part.geometry, part.matrixWorld);
+  });
+  made.computeVertexNormals();
+  made.computeBoundingSphere();
+  return made;
+}
+
+function inMetres(geometry, matrix) {
+  const steps = geometry.getAttribute("position");
+  const metres = new Float32Array(3 * steps.count);
+  const at = new Vector3();
+  for (let row = 0; row < steps.count; row += 1) {
+    at.fromBufferAttribute(steps, row).applyMatrix4(matrix).toArray(metres, 3 * row);
+  }
+  const made = new BufferGeometry();
+  made.setAttribute("position", new BufferAttribute(metres, 3));
+  made.setIndex(geometry.getIndex());
+  return made;
 }
 
 /** Every n-th point, so that there are at most `MOST_POINTS`. */

@@ -62,6 +62,10 @@ export function sentences(loop) {
   if (loop.graph_state === "UNCONNECTED") said.push("Too few loop closures join its two sessions: they share no frame yet.");
   const rivals = measured.rivals?.length ?? 0;
   if (rivals) said.push(rivals === 1 ? "One other pose fits about as well." : `${rivals} other poses fit about as well.`);
+  const support = loop.evidence?.support;
+  if (support) said.push(`By itself ambiguous: ${support.words}.`);
+  const spots = loop.evidence?.distinctiveness?.other_spots ?? 0;
+  if (spots) said.push(`It would pass at ${spots === 1 ? "one other spot" : `${spots} other spots`} of the same drive, too.`);
   return said;
 }
 

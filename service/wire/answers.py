@@ -107,7 +107,7 @@ def of_submap(view: SubmapView) -> Fields:
         "state": view.state.value,
         "ordinal": view.ordinal,
         "t_odom_submap": _transform(view.T_odom_submap),
-        "position_m": _vector(view.position_m),
+        "position_m": vector_fields(view.position_m),
         "stamp_ns": view.stamp_ns,
         "first_seq": view.first_seq,
         "last_seq": view.last_seq,
@@ -253,7 +253,7 @@ def of_map_merge(view: MapMergeView) -> Fields:
 
 def _change(change: Mapping[str, Any]) -> Fields:
     """The fields of a MapChange."""
-    return {**change, "centre_m": _vector(change["centre_m"]), "extent_m": _vector(change["extent_m"])}
+    return {**change, "centre_m": vector_fields(change["centre_m"]), "extent_m": vector_fields(change["extent_m"])}
 
 
 def of_correction(view: CorrectionView) -> Fields:
@@ -347,7 +347,8 @@ def of_page(collection: str, page: Page[T], of: Callable[[T], Fields]) -> Fields
     return {collection: [of(item) for item in page.items], "next_page_token": page.next_token}
 
 
-def _vector(values: Iterable[float]) -> Fields:
+def vector_fields(values: Iterable[float]) -> Fields:
+    """The fields of a Vector3."""
     x, y, z = (float(value) for value in values)
     return {"x": x, "y": y, "z": z}
 
@@ -356,7 +357,7 @@ def _transform(T_target_source: Matrix4 | None) -> Fields | None:
     if T_target_source is None:
         return None
     x, y, z, w = se3.to_quaternion(np.asarray(T_target_source)).tolist()
-    return {"translation": _vector(T_target_source[:3, 3]), "rotation": {"x": x, "y": y, "z": z, "w": w}}
+    return {"translation": vector_fields(T_target_source[:3, 3]), "rotation": {"x": x, "y": y, "z": z, "w": w}}
 
 
 def _in_map(field: str, pose: MapPose | None) -> Fields:
@@ -380,7 +381,7 @@ def _hit(hit: SearchHit) -> Fields:
     return {
         "submap": hit.submap.name,
         "similarity": hit.similarity,
-        "position_m": _vector(hit.position_m),
+        "position_m": vector_fields(hit.position_m),
         **_in_map("t_map_submap", hit.in_map),
     }
 

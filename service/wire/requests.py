@@ -53,6 +53,7 @@ _DOWNLOADS: dict[int, tuple[DownloadKind, str | None]] = {
     submap_pb2.DownloadSubmapRequest.PLY: (DownloadKind.POINTS, "ply"),
     submap_pb2.DownloadSubmapRequest.NPY: (DownloadKind.POINTS, "npy"),
     submap_pb2.DownloadSubmapRequest.MESH: (DownloadKind.MESH, None),
+    submap_pb2.DownloadSubmapRequest.GLB: (DownloadKind.MESH, "glb"),
     submap_pb2.DownloadSubmapRequest.NEURAL: (DownloadKind.NEURAL, None),
     submap_pb2.DownloadSubmapRequest.DESCRIPTOR: (DownloadKind.DESCRIPTOR, None),
 }

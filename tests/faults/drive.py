@@ -17,6 +17,7 @@ from pathlib import Path
 
 from revisit.service.adapters.sqlite.migration import migrate
 from revisit.service.application import SessionKey, SubmapKey
+from revisit.service.application.catalogue.downloads import DownloadKind
 from revisit.service.application.catalogue.paging import PageRequest
 from revisit.service.application.contract.errors import NotFound, SessionFinished
 from revisit.service.application.mapping.merges import MergeMap
@@ -72,8 +73,20 @@ async def drive(world: World, history: History) -> None:
     for _ in range(2):
         await world.use_cases.map_versions.optimise(TENANT, POSTED.map_id)
         world.work_off()
+    await _publish_and_look(world)
     await world.use_cases.map_versions.revert(TENANT, POSTED.map_id, 1)
     await _merge_and_take_back(world, history)
+
+
+async def _publish_and_look(world: World) -> None:
+    await world.use_cases.map_files.publish(TENANT, POSTED.map_id, 1)
+    world.work_off()
+    tiles = await world.use_cases.map_tiles.list(TENANT, POSTED.map_id, 1, PageRequest())
+    looking = asyncio.create_task(world.use_cases.map_tiles.download(TENANT, tiles.items[0].key, DownloadKind.MESH))
+    while not looking.done():
+        world.work_off()
+        await asyncio.sleep(0.001)
+    await looking
 
 
 async def _merge_and_take_back(world: World, history: History) -> None:

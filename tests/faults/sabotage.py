@@ -510,9 +510,8 @@ SABOTAGES = (
     ),
     Sabotage(
         "a window of any number of points is loaded whole",
-        {f"{USE_CASES}ingest.submap_source:WINDOW_POINTS": lambda _points: 10**12},
-        "tests/unit/service/test_submap_source.py::"
-        "test_of_the_points_of_a_window_so_many_are_used_that_a_worker_has_room",
+        {f"{USE_CASES}ingest.submap_source:used_scans": lambda _used: lambda travelled_m, *_: range(len(travelled_m))},
+        "tests/integration/test_dense_windows.py::test_of_a_window_of_dense_scans_only_the_used_ones_are_read",
     ),
 )
 

@@ -17,7 +17,7 @@ from revisit.service.adapters.sql.unit_of_work import SqlUnitOfWork
 from revisit.service.adapters.sqlite.connections import writer_engine
 from revisit.service.adapters.sqlite.engine import SqliteEngine
 from revisit.service.application.catalogue.blob_references import blobs_of_submap
-from revisit.service.application.contract.blobs import CLOUD_BLOB, BlobStore
+from revisit.service.application.contract.blobs import CLOUD_BLOB, MAP_LAYOUT_BLOB, TILE_BLOB, BlobStore
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.records import JobRecord, MapRecord, ScanRecord, SessionRecord, SubmapRecord
 from revisit.service.application.contract.session_poses import unpack_loops
@@ -83,6 +83,9 @@ def _survey(uow: UnitOfWork, blobs: BlobStore, tenant: TenantId) -> Survey:
     for map_record in uow.maps.find(tenant):
         found.problems.extend(_index_problems(uow, map_record, submaps))
         found.problems.extend(_version_problems(uow, map_record))
+    made = [(TILE_BLOB, row.tile_sha256) for row in uow.map_tiles.find(tenant)]
+    made += [(MAP_LAYOUT_BLOB, row.layout_sha256) for row in uow.map_files.find(tenant)]
+    found.problems.extend(f"{kind} {sha256} is gone" for kind, sha256 in made if not blobs.exists(tenant, kind, sha256))
     found.problems.extend(_job_problems(submaps, uow.jobs.find(tenant)))
     return found
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from revisit.core import place
 from revisit.core.errors import DataLoss
 from revisit.core.implicit_map import blob
-from revisit.formats import MEDIA_TYPES
+from revisit.formats import MEDIA_TYPES, QUANTISED
 from revisit.service.application.catalogue.meshes import pack_mesh
 from revisit.service.application.contract.recogniser import Mesh
 from revisit.service.application.ingest.clouds import StoredCloud, pack_cloud
@@ -54,7 +54,7 @@ def seeds() -> dict[str, list[bytes]]:
         "neural map behind its checksum": [neural_map[len(blob.CONTAINER.magic) : -32]],
         "place": [place.CONTAINER.magic + sections],
         "place behind its checksum": [sections],
-        "stored cloud": [pack_cloud(StoredCloud(values[:, :3], values[:, 3]))],
+        "stored cloud": [pack_cloud(StoredCloud(values[:, :3], values[:, 3])), *by_type[QUANTISED]],
         "stored mesh": [pack_mesh(triangle)],
     }
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 from dataclasses import replace
+from functools import partial
 
 import httpx
 import pytest
@@ -13,13 +14,16 @@ from revisit.core.errors import MalformedBody
 from revisit.formats import PLY
 from revisit.service.application import UseCases
 from revisit.service.application.capacity.in_flight import CapacityLimits, InFlight
+from revisit.service.application.catalogue.maps import CreateMap
 from revisit.service.application.catalogue.paging import Page, PageRequest
-from revisit.service.application.contract.errors import RateLimited
+from revisit.service.application.catalogue.robots import CreateRobot
+from revisit.service.application.catalogue.sessions import CreateSession
+from revisit.service.application.contract.errors import NotFound, RateLimited
 from revisit.service.application.ingest.clouds import EncodedCloud
 from tests.support.live_service import live_service
 from tests.support.service_world import SESSION, TENANT, World, memory_world, posted, submap
 
-BURST_POINTS = 100_000
+BURST_POINTS = 1_000_000
 SLOWLY = CapacityLimits(client_points_per_s=100.0, burst_s=BURST_POINTS / 100.0)
 
 
@@ -38,7 +42,7 @@ async def refused(world, cloud: EncodedCloud) -> None:
 
 async def test_a_compressed_cloud_that_is_refused_costs_what_it_may_have_been_unpacked_to(world):
     await posted(world)
-    await refused(world, EncodedCloud(b"no gzip" * 1_000, PLY, "gzip"))
+    await refused(world, EncodedCloud(b"no gzip" * 8_000, PLY, "gzip"))
     with pytest.raises(RateLimited):
         await world.use_cases.posting.post(TENANT, submap("good", 1))
 
@@ -50,9 +54,29 @@ async def test_a_small_cloud_that_is_refused_costs_little(world):
     await world.use_cases.posting.post(TENANT, submap("good", 1))
 
 
+@pytest.mark.parametrize("kind", ["maps", "sessions", "robots"])
+async def test_what_stays_costs_quota_when_it_is_created_and_again_when_it_is_repeated(world, kind):
+    cases = world.use_cases
+    await cases.maps.create(TENANT, CreateMap("town"))
+    commands = {"maps": CreateMap, "sessions": partial(CreateSession, "town"), "robots": CreateRobot}
+    create = getattr(cases, kind).create
+    for number in (1, 2, 3, 4, 4, 4, 4, 4, 4):
+        await create(TENANT, commands[kind](f"n{number}"))
+    with pytest.raises(RateLimited):
+        await create(TENANT, commands[kind]("one-too-many"))
+
+
+async def test_the_keypoints_of_loops_cost_quota_found_or_not(world):
+    for _ in range(2):
+        with pytest.raises(NotFound):
+            await world.use_cases.loop_keypoints.of(TENANT, "town", "none")
+    with pytest.raises(RateLimited):
+        await world.use_cases.loop_keypoints.of(TENANT, "town", "none")
+
+
 async def test_a_list_costs_by_the_row(world):
     await posted(world, **{f"s{number}": number for number in range(40)})
-    asked = [world.use_cases.submaps.list(TENANT, SESSION, PageRequest(size=40)) for _ in range(10)]
+    asked = [world.use_cases.submaps.list(TENANT, SESSION, PageRequest(size=40)) for _ in range(12)]
     answers = await asyncio.gather(*asked, return_exceptions=True)
     assert [type(answer) for answer in answers[:3]] == [Page] * 3
     assert [type(answer) for answer in answers[-4:]] == [RateLimited] * 4
@@ -61,7 +85,9 @@ async def test_a_list_costs_by_the_row(world):
 def test_json_costs_by_the_byte_refused_or_not(world):
     body = json.dumps({"map_id": "x", "display_name": "y" * 15_000}).encode()
     with live_service(world) as running, httpx.Client(base_url=running.http, trust_env=False) as http:
-        answers = [http.post("/v1/maps", content=body, headers={"content-type": "application/json"}) for _ in range(30)]
+        answers = [
+            http.post("/v1/maps", content=body, headers={"content-type": "application/json"}) for _ in range(110)
+        ]
     statuses = [answer.status_code for answer in answers]
     assert set(statuses) == {422, 429} and statuses == sorted(statuses)
     assert answers[-1].headers["retry-after"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import os
 import re
@@ -13,12 +14,13 @@ import numpy as np
 import pytest
 
 from revisit import Client
+from revisit.formats.glb import encode_scene
 from revisit.service.application.access.callers import Scope
 from tests.support.browser import Page, browser
 from tests.support.credentials import a_key
 from tests.support.fleet_in_service import fleet_in
 from tests.support.live_service import live_service
-from tests.support.patience import in_time
+from tests.support.patience import eventually, in_time
 from tests.support.places import places_of
 from tests.support.records import a_loop, a_map, a_session, a_submap
 from tests.support.service_world import cloud_points, memory_world, pose, sqlite_world
@@ -195,10 +197,47 @@ def test_a_loop_closure_is_rejected_with_a_note_and_the_decision_taken_back(page
 @pytest.mark.parametrize("kind", ["points", "mesh"])
 def test_what_a_submap_consists_of_is_shown_on_demand(page, kind):
     assert not [url for url in page.asked if ":download" in url]
+    # Compiled before it is asked for, as workers do it when they start.
+    encode_scene(np.eye(3), np.array([[0, 1, 2]]))
     page.tab.locator(f"#surface [data-surface={kind}]").click()
-    page.tab.wait_for_function("revisitPage.view().surfaces.children.length === 8")
-    wanted = "mesh" if kind == "mesh" else "ply"
+    eventually(lambda: page.tab.evaluate("revisitPage.view().surfaces.children.length") == 8)
+    wanted = "glb" if kind == "mesh" else "ply"
     assert len([url for url in page.asked if url.endswith(f":download?format={wanted}")]) == 8
+
+
+READ_GLB = """async (text) => {
+  const { GLTFLoader } = await import("/vendor/three-0.187.0/GLTFLoader.js");
+  const { MeshoptDecoder } = await import("/vendor/meshoptimizer-1.3.0/meshopt_decoder_reference.js");
+  const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  const { scene } = await new GLTFLoader().setMeshoptDecoder(MeshoptDecoder).parseAsync(bytes.buffer, "");
+  scene.updateMatrixWorld(true);
+  const corners = [];
+  scene.traverse((part) => {
+    if (!part.isMesh) return;
+    const [steps, named] = [part.geometry.getAttribute("position"), part.geometry.getIndex()];
+    const at = part.position.clone();
+    for (let n = 0; n < named.count; n += 1) {
+      corners.push(...at.fromBufferAttribute(steps, named.getX(n)).applyMatrix4(part.matrixWorld).toArray());
+    }
+  });
+  return corners;
+}"""
+
+
+@pytest.mark.parametrize("triangles", [0, 1, 700])
+def test_a_compressed_mesh_is_read_by_three_js_as_it_was_written(page, triangles):
+    rng, offset_m = np.random.default_rng(triangles), np.array([3000.0, -200.0, 7.0])
+    vertices, faces = rng.uniform(-20.0, 20.0, (400, 3)), rng.integers(0, 400, (triangles, 3))
+    text = base64.b64encode(encode_scene(vertices, faces, offset_m)).decode()
+    x, y, z = np.reshape(page.tab.evaluate(READ_GLB, text), (-1, 3)).T
+    read, written = np.stack([x, -z, y], axis=1).reshape(-1, 3, 3), vertices[faces] + offset_m
+    edges = np.linalg.norm(written[:, 0] - written[:, 1], axis=1)
+    rounded = edges.mean() / 25.0 if triangles else 0.0
+    turns = [np.roll(read, turn, axis=1)[:, None] - written[None] for turn in range(3)]
+    apart = np.min([np.abs(one).max(axis=(2, 3)) for one in turns], axis=0)
+    assert apart.shape == (triangles, triangles)
+    if triangles:
+        assert apart.min(axis=0).max() <= 0.55 * rounded and apart.min(axis=1).max() <= 0.55 * rounded
 
 
 @pytest.mark.slow

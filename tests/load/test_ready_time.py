@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import os
 import time
-from pathlib import Path
 
 import httpx
 import pytest
 
 from tests.support.figures import publish
 from tests.support.filled_store import fill
+from tests.support.load import processor_s
 from tests.support.processes import ServiceProcess
 
 pytestmark = pytest.mark.slow
@@ -23,12 +23,6 @@ pytestmark = pytest.mark.slow
 SUBMAPS = int(os.environ.get("REVISIT_LOAD_SUBMAPS", "100000"))
 DIMENSION = int(os.environ.get("REVISIT_LOAD_DIMENSION", "1024"))
 READY_S = float(os.environ.get("REVISIT_LOAD_READY_S", "5"))
-
-
-def processor_s(pid: int) -> float:
-    """Processor time that a process has taken, seconds."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def wait_until_ready(url: str, timeout_s: float) -> None:

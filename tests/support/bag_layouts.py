@@ -204,10 +204,11 @@ class Layout:
             self._write(writer, self.store.serialize_cdr)
         return folder
 
-    def write1(self, file: Path, compression: str | None = None) -> Path:
+    def write1(self, file: Path, compression: str | None = None, chunk_bytes: int = 1 << 20) -> Path:
         from rosbags.rosbag1 import Writer
 
         writer = Writer(file)
+        writer.chunk_threshold = chunk_bytes
         if compression is not None:
             writer.set_compression(Writer.CompressionFormat[compression])
         with writer:

@@ -12,6 +12,7 @@ from revisit.core.geometry import se3
 from revisit.formats import DecodedCloud
 from revisit.service.adapters.core_map_merger import CoreMapMerger
 from revisit.service.adapters.core_recogniser import CoreRecogniser
+from revisit.service.adapters.core_tile_maker import CoreTileMaker
 from revisit.service.application import SessionKey
 from revisit.service.application.catalogue.maps import CreateMap
 from revisit.service.application.catalogue.sessions import CreateSession
@@ -27,6 +28,7 @@ def real_world(**overrides: Any) -> World:
     """A service whose merges are those of the product."""
     world = memory_world(**overrides)
     world.merger = CoreMapMerger()
+    world.tiler = CoreTileMaker()
     return world
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -13,41 +14,63 @@ from revisit.service.adapters.sql import tables
 from revisit.service.adapters.sqlite.migration import migrate
 from revisit.service.adapters.sqlite.transactions import SqliteTransactions
 from revisit.service.application.contract.blobs import CLOUD_BLOB
-from tests.support.records import TENANT, a_map, a_session, a_submap
+from tests.support.records import TENANT, a_loop, a_map, a_session, a_submap
 
 PORTION = 2000
 
 
 def fill(home: Path, submaps: int, dimension: int) -> None:
     """A home with maps/town/sessions/monday: submaps s1, s2, ... of one cloud with random unit descriptors."""
+    fill_sessions(home, {"monday": submaps}, dimension)
+
+
+def fill_sessions(home: Path, sizes: dict[str, int], dimension: int, *, loops: bool = False) -> None:
+    """A home with these sessions of maps/town, so many submaps in each; s1, s2, ... counts through all of them.
+
+    With `loops`, each submap has an accepted loop closure with the one before it in its session.
+    """
     home.mkdir(exist_ok=True)
     migrate(home / "revisit.db")
     store = SqliteTransactions(home / "revisit.db", checkpoints=True)
     rng = np.random.default_rng(1)
-    number = store.write(lambda uow: (uow.maps.add(a_map()), uow.sessions.add(a_session()))[0].number).result()
+    numbers = store.write(lambda uow: _add_map(uow, list(sizes))).result()
     cloud_sha256 = FileBlobStore(home / "blobs").put(TENANT, CLOUD_BLOB, b"a cloud")
-
-    def add(uow, first: int) -> None:
-        vectors = rng.normal(size=(PORTION, dimension)).astype("<f4")
-        vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
-        ids = range(first, min(first + PORTION, submaps + 1))
-        rows = [
-            asdict(
-                a_submap(
-                    f"s{each}",
-                    number=each,
-                    ordinal=each,
-                    state="DESCRIBED",
-                    cloud_sha256=cloud_sha256,
-                    descriptor=vector.tobytes(),
-                )
-            )
-            for each, vector in zip(ids, vectors, strict=False)
-        ]
-        change = {"tenant": TENANT, "map_number": number, "kind": "DESCRIBED"}
-        uow.connection.execute(insert(tables.submaps), rows)
-        uow.connection.execute(insert(tables.index_changes), [{**change, "submap_number": each} for each in ids])
-
-    for first in range(1, submaps + 1, PORTION):
-        store.write(lambda uow, first=first: add(uow, first)).result()
+    first = 1
+    for session_id, count in sizes.items():
+        for start in range(0, count, PORTION):
+            ordinals = range(start, min(start + PORTION, count))
+            vectors = rng.normal(size=(len(ordinals), dimension)).astype("<f4")
+            vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
+            described = {"state": "DESCRIBED", "cloud_sha256": cloud_sha256, "session_id": session_id}
+            described["session_number"] = numbers[session_id]
+            records = [
+                a_submap(f"s{first + n}", number=first + n, ordinal=n, descriptor=vector.tobytes(), **described)
+                for n, vector in zip(ordinals, vectors, strict=True)
+            ]
+            found = _chained(records) if loops else []
+            store.write(lambda uow, records=records, found=found: _add(uow, numbers["map"], records, found)).result()
+        first += count
     store.close()
+
+
+def _add_map(uow, session_ids: list[str]) -> dict[str, int]:
+    numbers = {"map": uow.maps.add(a_map()).number}
+    return numbers | {session_id: uow.sessions.add(a_session(session_id)).number for session_id in session_ids}
+
+
+def _chained(records) -> list[dict]:
+    """The rows of loop closures between submaps that follow each other."""
+    rows = []
+    for match, query in pairwise(records):
+        ids = {"query_session_id": query.session_id, "query_submap_id": query.submap_id}
+        ids |= {"match_session_id": match.session_id, "match_submap_id": match.submap_id}
+        rows.append(asdict(replace(a_loop(query.number, match.number), **ids)))
+    return [{name: value for name, value in row.items() if name != "number"} for row in rows]
+
+
+def _add(uow, map_number: int, records, loops: list[dict]) -> None:
+    change = {"tenant": TENANT, "map_number": map_number, "kind": "DESCRIBED"}
+    uow.connection.execute(insert(tables.submaps), [asdict(record) for record in records])
+    uow.connection.execute(insert(tables.index_changes), [{**change, "submap_number": r.number} for r in records])
+    if loops:
+        uow.connection.execute(insert(tables.loops), loops)

@@ -25,8 +25,10 @@ from revisit.service.application.contract.events import on_job_change, on_loop_c
 from revisit.service.application.contract.records import (
     LoopEventRecord,
     LoopRecord,
+    MapFileRecord,
     MapMergeRecord,
     MapRecord,
+    MapTileRecord,
     MapVersionRecord,
     RobotRecord,
     SessionPosesRecord,
@@ -39,7 +41,7 @@ T = TypeVar("T")
 
 _TABLES = (
     *("maps", "robots", "sessions", "scans", "submaps", "loops"),
-    *("loop_events", "map_versions", "session_poses", "map_merges"),
+    *("loop_events", "map_versions", "session_poses", "map_merges", "map_tiles", "map_files"),
     *("jobs", "turns", "changes", "events", "webhooks", "webhook_deliveries", "workers", "keys", "audit"),
 )
 
@@ -72,6 +74,10 @@ class MemoryUnitOfWork:
         self.map_merges: MemoryRepository[MapMergeRecord] = MemoryRepository(
             tables["map_merges"], ("map_id", "merge_id")
         )
+        self.map_tiles: MemoryRepository[MapTileRecord] = MemoryRepository(
+            tables["map_tiles"], ("map_id", "version", "tile_id")
+        )
+        self.map_files: MemoryRepository[MapFileRecord] = MemoryRepository(tables["map_files"], ("map_id", "version"))
         self.queue = LeasedJobs(self.jobs, FairTurns(MemoryTenantTurns(tables["turns"], self.jobs)), lease_ms)
         self.changes = MemoryChangeLog(tables["changes"], tables["submaps"])
         self.workers = MemoryWorkerLog(tables["workers"])

@@ -6,8 +6,15 @@ from typing import Any
 
 from sqlalchemy import Column, CompoundSelect, Select, literal, select, text, union
 
-from revisit.service.adapters.sql.tables import scans, submaps
-from revisit.service.application.contract.blobs import CLOUD_BLOB, MESH_BLOB, NEURAL_MAP_BLOB, PLACE_BLOB
+from revisit.service.adapters.sql.tables import map_files, map_tiles, scans, submaps
+from revisit.service.application.contract.blobs import (
+    CLOUD_BLOB,
+    MAP_LAYOUT_BLOB,
+    MESH_BLOB,
+    NEURAL_MAP_BLOB,
+    PLACE_BLOB,
+    TILE_BLOB,
+)
 
 REFERENCES: tuple[tuple[str, Column[Any]], ...] = (
     (CLOUD_BLOB, scans.c.cloud_sha256),
@@ -15,6 +22,8 @@ REFERENCES: tuple[tuple[str, Column[Any]], ...] = (
     (PLACE_BLOB, submaps.c.place_sha256),
     (NEURAL_MAP_BLOB, submaps.c.neural_map_sha256),
     (MESH_BLOB, submaps.c.mesh_sha256),
+    (TILE_BLOB, map_tiles.c.tile_sha256),
+    (MAP_LAYOUT_BLOB, map_files.c.layout_sha256),
 )
 """(kind of blob, column with its hash)."""
 

@@ -292,6 +292,36 @@ map_merges = _numbered(
     ForeignKeyConstraint(["tenant", "map_id"], ["maps.tenant", "maps.map_id"]),
 )
 
+map_tiles = _numbered(
+    "map_tiles",
+    ("map_id", "version", "tile_id"),
+    _text("map_id"),
+    _integer("version"),
+    _text("tile_id"),
+    _text("tile_sha256"),
+    _integer("submaps"),
+    _integer("created_at_ns"),
+    ForeignKeyConstraint(["tenant", "map_id"], ["maps.tenant", "maps.map_id"]),
+    Index(None, "tenant", "tile_sha256"),
+)
+
+map_files = _numbered(
+    "map_files",
+    ("map_id", "version"),
+    _text("map_id"),
+    _integer("version"),
+    _text("sha256"),
+    _integer("size_bytes"),
+    _text("layout_sha256"),
+    _tuple("sessions"),
+    _integer("submaps"),
+    _text("state", length=16),
+    Column("description", Text, nullable=False),
+    _integer("created_at_ns"),
+    ForeignKeyConstraint(["tenant", "map_id"], ["maps.tenant", "maps.map_id"]),
+    Index(None, "tenant", "layout_sha256"),
+)
+
 jobs = _numbered(
     "jobs",
     ("operation_id",),

@@ -23,8 +23,10 @@ from revisit.service.application.contract.records import (
     JobRecord,
     LoopEventRecord,
     LoopRecord,
+    MapFileRecord,
     MapMergeRecord,
     MapRecord,
+    MapTileRecord,
     MapVersionRecord,
     RobotRecord,
     ScanRecord,
@@ -97,6 +99,17 @@ class SqlUnitOfWork:
         """Merges into maps by (map_id, merge_id)."""
         key = ("map_id", "merge_id")
         return SqlRepository(self.connection, self.engine, tables.map_merges, MapMergeRecord, key)
+
+    @cached_property
+    def map_tiles(self) -> SqlRepository[MapTileRecord]:
+        """Tiles of versions of maps by (map_id, version, tile_id)."""
+        key = ("map_id", "version", "tile_id")
+        return SqlRepository(self.connection, self.engine, tables.map_tiles, MapTileRecord, key)
+
+    @cached_property
+    def map_files(self) -> SqlRepository[MapFileRecord]:
+        """Versions of maps as files by (map_id, version)."""
+        return SqlRepository(self.connection, self.engine, tables.map_files, MapFileRecord, ("map_id", "version"))
 
     @cached_property
     def jobs(self) -> SqlJobs:

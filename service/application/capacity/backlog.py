@@ -71,7 +71,9 @@ def _waiting(uow: UnitOfWork, tenant: TenantId) -> int:
     return uow.jobs.count(tenant, state=OperationState.QUEUED.value)
 
 
-QUERIES = (OperationKind.SEARCH_CLOUD, OperationKind.LOCALIZE)
+QUERIES = (
+    OperationKind.SEARCH_CLOUD, OperationKind.LOCALIZE, OperationKind.MAKE_TILE, OperationKind.MEASURE_MAP,
+)  # fmt: skip
 """The kinds of jobs for which a client waits."""
 
 

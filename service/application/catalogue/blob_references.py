@@ -7,10 +7,12 @@ from functools import partial
 
 from revisit.service.application.contract.blobs import (
     CLOUD_BLOB,
+    MAP_LAYOUT_BLOB,
     MESH_BLOB,
     NEURAL_MAP_BLOB,
     PLACE_BLOB,
     QUERY_CLOUD_BLOB,
+    TILE_BLOB,
     BlobStore,
 )
 from revisit.service.application.contract.identity import TenantId
@@ -49,6 +51,27 @@ def blobs_of_rows(uow: UnitOfWork, tenant: TenantId, **equals: str) -> set[Blob]
     return named
 
 
+def forget_made(uow: UnitOfWork, tenant: TenantId, map_id: str, session_id: str) -> set[Blob]:
+    """Delete the tiles and files that were made of a session before a part of it goes; their blobs."""
+    versions = uow.session_poses.distinct(tenant, "version", map_id=map_id, session_id=session_id)
+    tiles = [row for row in uow.map_tiles.find(tenant, map_id=map_id) if row.version in versions]
+    files = [row for row in uow.map_files.find(tenant, map_id=map_id) if session_id in row.sessions]
+    for tile in tiles:
+        uow.map_tiles.delete(tenant, number=tile.number)
+    for file in files:
+        uow.map_files.delete(tenant, number=file.number)
+    return {(TILE_BLOB, one.tile_sha256) for one in tiles} | {(MAP_LAYOUT_BLOB, one.layout_sha256) for one in files}
+
+
+def forget_all_made(uow: UnitOfWork, tenant: TenantId, map_id: str) -> set[Blob]:
+    """Delete all tiles and files of a map; their blobs."""
+    tiles = uow.map_tiles.distinct(tenant, "tile_sha256", map_id=map_id)
+    layouts = uow.map_files.distinct(tenant, "layout_sha256", map_id=map_id)
+    for rows in (uow.map_tiles, uow.map_files):
+        rows.delete(tenant, map_id=map_id)
+    return {(TILE_BLOB, sha256) for sha256 in tiles} | {(MAP_LAYOUT_BLOB, sha256) for sha256 in layouts}
+
+
 class BlobCollector:
     """Deletes blobs that no row refers to any more."""
 
@@ -84,5 +107,9 @@ def is_referenced(uow: UnitOfWork, tenant: TenantId, kind: str, sha256: str) -> 
         return bool(uow.submaps.count(tenant, cloud_sha256=sha256) or uow.scans.count(tenant, cloud_sha256=sha256))
     if kind == QUERY_CLOUD_BLOB:
         return False
+    if kind == TILE_BLOB:
+        return uow.map_tiles.count(tenant, tile_sha256=sha256) > 0
+    if kind == MAP_LAYOUT_BLOB:
+        return uow.map_files.count(tenant, layout_sha256=sha256) > 0
     # A kind that this version does not know is another version's: it stays.
     return kind not in FIELDS or uow.submaps.count(tenant, **{FIELDS[kind]: sha256}) > 0

@@ -8,7 +8,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from revisit.service.application.catalogue.blob_references import Blob, blobs_of_rows, blobs_of_submap
+from revisit.service.application.catalogue.blob_references import (
+    Blob,
+    blobs_of_rows,
+    blobs_of_submap,
+    forget_all_made,
+    forget_made,
+)
 from revisit.service.application.contract.graph_edits import note_edit
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.records import MapRecord, SessionRecord, SubmapRecord
@@ -22,6 +28,7 @@ SUBMAP_DELETED = {"outcome": "the submap was deleted"}
 
 def delete_submap(uow: UnitOfWork, record: MapRecord, submap: SubmapRecord, at_ns: int) -> set[Blob]:
     """Delete a submap of a map with its loop closures; its blobs, which other rows may name too."""
+    made = forget_made(uow, submap.tenant, submap.map_id, submap.session_id)
     for rows in (uow.loops, uow.loop_events):
         rows.delete(submap.tenant, query_number=submap.number)
         rows.delete(submap.tenant, match_number=submap.number)
@@ -29,13 +36,14 @@ def delete_submap(uow: UnitOfWork, record: MapRecord, submap: SubmapRecord, at_n
     note_edit(uow, submap.tenant, submap.map_id)
     _remove_from_index(uow, record, at_ns, number=submap.number)
     uow.submaps.delete(submap.tenant, number=submap.number)
-    return blobs_of_submap(submap)
+    return blobs_of_submap(submap) | made
 
 
 def delete_session(uow: UnitOfWork, record: MapRecord, session: SessionRecord, at_ns: int) -> set[Blob]:
     """Delete a session of a map with its scans, its submaps and their loop closures; their blobs."""
     tenant, of_session = session.tenant, {"map_id": session.map_id, "session_id": session.session_id}
     doomed = blobs_of_rows(uow, tenant, **of_session)
+    doomed |= forget_made(uow, tenant, session.map_id, session.session_id)
     _remove_from_index(uow, record, at_ns, **of_session)
     for side in ("query_session_id", "match_session_id"):
         for rows in (uow.loops, uow.loop_events):
@@ -49,7 +57,7 @@ def delete_session(uow: UnitOfWork, record: MapRecord, session: SessionRecord, a
 def delete_map(uow: UnitOfWork, record: MapRecord, at_ns: int) -> set[Blob]:
     """Delete a map with everything in it; its blobs. Its index is for the caller to drop."""
     of_map = {"map_id": record.map_id}
-    doomed = blobs_of_rows(uow, record.tenant, **of_map)
+    doomed = blobs_of_rows(uow, record.tenant, **of_map) | forget_all_made(uow, record.tenant, record.map_id)
     _drop_jobs(uow, record.tenant, at_ns, **of_map)
     versions = (uow.map_merges, uow.session_poses, uow.map_versions)
     for rows in (*versions, uow.loop_events, uow.loops, uow.submaps, uow.scans, uow.sessions, uow.maps):

@@ -11,6 +11,8 @@ import numpy as np
 
 from revisit.core.errors import UnsupportedEncoding
 from revisit.formats import NPY, PCD, PLY, encode_npy, encode_pcd, encode_ply, encode_ply_mesh
+from revisit.formats.glb import MEDIA_TYPE as GLB
+from revisit.formats.glb import encode_scene
 from revisit.service.application.catalogue.meshes import unpack_mesh
 from revisit.service.application.contract.blobs import CLOUD_BLOB, MESH_BLOB, NEURAL_MAP_BLOB, BlobStore
 from revisit.service.application.contract.errors import NotFound, NotReady
@@ -29,7 +31,7 @@ class DownloadKind(StrEnum):
 
 
 FORMATS = {
-    DownloadKind.MESH: ("ply",),
+    DownloadKind.MESH: ("ply", "glb"),
     DownloadKind.POINTS: ("pcd", "ply", "npy"),
     DownloadKind.NEURAL: ("rvn",),
     DownloadKind.DESCRIPTOR: ("npy",),
@@ -40,6 +42,7 @@ MEDIA_TYPES = {
     "ply": PLY,
     "pcd": PCD,
     "npy": NPY,
+    "glb": GLB,
     "rvn": "application/vnd.revisit.neural-map",
 }
 
@@ -89,6 +92,8 @@ def _rendered(
         return buffer.getvalue()
     if kind is DownloadKind.MESH:
         mesh = unpack_mesh(blobs.get(record.tenant, MESH_BLOB, str(record.mesh_sha256)))
+        if extension == "glb":
+            return encode_scene(mesh.vertices, mesh.faces)
         return encode_ply_mesh(mesh.vertices, mesh.normals, mesh.faces)
     if record.neural_map_sha256 is None:
         raise NotFound("this submap was described without a neural map")

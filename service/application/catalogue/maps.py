@@ -96,8 +96,11 @@ class Maps:
         self._policy = policy
 
     async def create(self, tenant: TenantId, command: CreateMap) -> CreatedMap:
-        """Create a map. Raises BadField; AlreadyExists where the id is taken by other content; Draining."""
-        self._admission.require_running()
+        """Create a map.
+
+        Raises BadField; AlreadyExists where the id is taken by other content; Draining, RateLimited.
+        """
+        self._admission.charge_creation(tenant)
         record = self._record(tenant, command)
         return await self._storage.write(partial(self._add, record=record))
 
@@ -168,12 +171,13 @@ class Maps:
             session_count=uow.sessions.count(record.tenant, map_id=record.map_id),
             submap_count=uow.submaps.count(record.tenant, map_id=record.map_id),
             created_at_ns=record.created_at_ns,
-            loop_policy=_policy_in_force(config),
+            loop_policy=policy_in_force(config),
             map_version=record.map_version,
         )
 
 
-def _policy_in_force(config: PipelineConfig) -> LoopPolicy:
+def policy_in_force(config: PipelineConfig) -> LoopPolicy:
+    """The rules for loops that these parameters hold."""
     rules = config.verification
     return LoopPolicy(config.loop.candidates, rules.min_score, rules.min_overlap, rules.max_seen_through)
 

@@ -52,8 +52,11 @@ class Robots:
         self._clock = clock
 
     async def create(self, tenant: TenantId, command: CreateRobot) -> CreatedRobot:
-        """Create a robot. Raises BadField; AlreadyExists where the id is taken by other content; Draining."""
-        self._admission.require_running()
+        """Create a robot.
+
+        Raises BadField; AlreadyExists where the id is taken by other content; Draining, RateLimited.
+        """
+        self._admission.charge_creation(tenant)
         record = RobotRecord(
             tenant=tenant,
             robot_id=validated_id(command.robot_id, "robot_id"),

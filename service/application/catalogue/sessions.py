@@ -96,8 +96,11 @@ class Sessions:
         self._clock = clock
 
     async def create(self, tenant: TenantId, command: CreateSession) -> CreatedSession:
-        """Create a session. Raises BadField; NotFound for map or robot; AlreadyExists for other content; Draining."""
-        self._admission.require_running()
+        """Create a session.
+
+        Raises BadField; NotFound for map or robot; AlreadyExists for other content; Draining, RateLimited.
+        """
+        self._admission.charge_creation(tenant)
         record = self._record(tenant, command)
         return await self._storage.write(partial(_add, record=record))
 

@@ -14,6 +14,10 @@ PLACE_BLOB = "signature"
 """What verification keeps of a submap, under the name that stores of version 0.1 gave it (docs/decisions/0085)."""
 NEURAL_MAP_BLOB = "neural-map"
 MESH_BLOB = "mesh"
+TILE_BLOB = "map-tile"
+"""The fused surface of a tile of a map (see `mapping.tile_blob`)."""
+MAP_LAYOUT_BLOB = "map-layout"
+"""What the bytes of a map file are (see `mapping.map_layout`)."""
 
 
 @dataclass(frozen=True)

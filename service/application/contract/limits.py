@@ -87,6 +87,19 @@ RADIUS_M = Range(0.0, 1e6, "metres", above=True)
 PRIOR_COORDINATE_M = Range(-1e9, 1e9, "metres")
 DESCRIPTOR_LENGTH = Range(1, 4096)
 
+# Tiles of a map
+DISTANCE_POINTS = Range(1, 1000)
+"""Of which the distances to the surface are asked at once."""
+MAP_RADIUS_M = Range(0.0, 100.0, "metres", above=True)
+MAP_POINTS = Range(1, 2000)
+"""Points of the surface in one answer."""
+QUERY_TILES = 16
+"""Tiles that one question may reach."""
+TILE_WAIT_S = 60.0
+"""How long an answer waits for the worker that makes its tiles, seconds."""
+MAP_FILES = 50
+"""Of a map: the oldest that is not ENABLED is deleted when one more is published."""
+
 # Lists and waiting
 PAGE_SIZE = Range(1, 500)
 PAGE_TOKEN_CHARACTERS = 200

@@ -260,6 +260,41 @@ class MapMergeRecord:
 
 
 @dataclass(frozen=True)
+class MapTileRecord:
+    """A tile of a version of a map that a worker has made: its content, and that of how many submaps it was made."""
+
+    tenant: TenantId
+    map_id: str
+    version: int
+    tile_id: str
+    tile_sha256: str
+    submaps: int
+    created_at_ns: int
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class MapFileRecord:
+    """A version of a map as one file: its hash and size, the ids of its sessions, and the blob that says its bytes.
+
+    One file of a map has the `state` ENABLED at most, the others are DISABLED; `description` is in an operator's words.
+    """
+
+    tenant: TenantId
+    map_id: str
+    version: int
+    sha256: str
+    size_bytes: int
+    layout_sha256: str
+    sessions: tuple[str, ...]
+    submaps: int
+    state: str
+    description: str
+    created_at_ns: int
+    number: int = 0
+
+
+@dataclass(frozen=True)
 class JobRecord:
     """A leased job, which clients see as an operation.
 

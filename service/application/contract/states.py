@@ -73,6 +73,16 @@ class OperationKind(StrEnum):
     OPTIMISE_MAP = "OPTIMISE_MAP"
     VERIFY_LOOP = "VERIFY_LOOP"
     MERGE_MAP = "MERGE_MAP"
+    MAKE_TILE = "MAKE_TILE"
+    MEASURE_MAP = "MEASURE_MAP"
+    PUBLISH_MAP = "PUBLISH_MAP"
+
+
+class MapFileState(StrEnum):
+    """Whether robots are to use a map file, in the words of VDA 5050's mapStatus."""
+
+    ENABLED = "ENABLED"
+    DISABLED = "DISABLED"
 
 
 class MergeVerdict(StrEnum):

@@ -13,8 +13,10 @@ from revisit.service.application.contract.job_queue import JobQueue, WorkerLog
 from revisit.service.application.contract.records import (
     LoopEventRecord,
     LoopRecord,
+    MapFileRecord,
     MapMergeRecord,
     MapRecord,
+    MapTileRecord,
     MapVersionRecord,
     RobotRecord,
     SessionPosesRecord,
@@ -34,7 +36,7 @@ T = TypeVar("T")
 class UnitOfWork(Protocol):
     """One transaction: all of it is committed, or none.
 
-    Nineteen properties and no methods: one for each kind of record, so that a transaction can change any of them.
+    Twenty-one properties and no methods: one for each kind of record, so that a transaction can change any of them.
     """
 
     @property
@@ -85,6 +87,16 @@ class UnitOfWork(Protocol):
     @property
     def map_merges(self) -> Repository[MapMergeRecord]:
         """Merges into maps by (map_id, merge_id)."""
+        ...
+
+    @property
+    def map_tiles(self) -> Repository[MapTileRecord]:
+        """Tiles of versions of maps that were made, by (map_id, version, tile_id)."""
+        ...
+
+    @property
+    def map_files(self) -> Repository[MapFileRecord]:
+        """Versions of maps as files by (map_id, version)."""
         ...
 
     @property

@@ -17,9 +17,9 @@ import zstandard
 from numpy.typing import NDArray
 
 from revisit.core.container import decompressed, from_byte_planes, to_byte_planes
-from revisit.core.errors import BadField, DataLoss, TooLarge
+from revisit.core.errors import BadField, DataLoss, RevisitError, TooLarge
 from revisit.core.scan import CloudReport, Points, validate_cloud
-from revisit.formats import DecodedCloud, decode_cloud
+from revisit.formats import CloudLimits, DecodedCloud, decode_cloud, quantised
 from revisit.formats.cloud import DEFAULT_LIMITS
 from revisit.formats.compression import decode_content
 from revisit.service.application.capacity.turns import Turns
@@ -30,6 +30,9 @@ QUERY_NONCE_BYTES = 16
 
 BYTES_A_POINT = 4
 """So many bytes of text take as long to read as one point of a binary cloud, its packing included."""
+
+STORED_LIMITS = CloudLimits(max_points=limits.SUBMAP_POINTS)
+"""Of a stored cloud: it was let in, so only damage makes it larger."""
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -59,10 +62,14 @@ CloudInput: TypeAlias = EncodedCloud | DecodedCloud
 
 @dataclass(frozen=True)
 class StoredCloud:
-    """What is kept of a cloud: finite points (n, 3) float32 metres in the sensor frame, and intensity (n,) if sent."""
+    """What is kept of a cloud: finite points (n, 3) float32 metres in the sensor frame, and intensity (n,) if sent.
+
+    `quantised`: the same as the client sent it, where it came in that form.
+    """
 
     points: Points
     intensity: NDArray[np.float32] | None
+    quantised: bytes | None = None
 
 
 def accept_cloud(cloud: CloudInput, max_points: int) -> tuple[StoredCloud, CloudReport]:
@@ -70,16 +77,18 @@ def accept_cloud(cloud: CloudInput, max_points: int) -> tuple[StoredCloud, Cloud
 
     Raises what `revisit.formats.decode_cloud` and `core.scan.validate_cloud` raise, and TooLarge above `max_points`.
     """
-    decoded = _decoded(cloud)
+    decoded, sent = _decoded(cloud)
     if len(decoded.points) > max_points:
         raise TooLarge(f"a cloud may hold {max_points} points here, got {len(decoded.points)}", field="points")
     points, report = validate_cloud(decoded.points)
     if decoded.intensity is None:
-        return StoredCloud(points, None), report
+        return StoredCloud(points, None, sent), report
     if decoded.intensity.shape != (len(decoded.points),):
         raise BadField("intensity must have one value per point", field="intensity")
-    kept = decoded.intensity[np.isfinite(decoded.points).all(axis=1)]
-    return StoredCloud(points, np.ascontiguousarray(kept, dtype=np.float32)), report
+    kept = decoded.intensity
+    if report.dropped_nonfinite:
+        kept = kept[np.isfinite(decoded.points).all(axis=1)]
+    return StoredCloud(points, np.ascontiguousarray(kept, dtype=np.float32), sent), report
 
 
 def reading_points(cloud: CloudInput) -> int:
@@ -110,7 +119,13 @@ class CloudDecoder:
 
 
 def pack_cloud(cloud: StoredCloud) -> bytes:
-    """The cloud as a compact, lossless blob: a header, then the byte planes of its float32 columns under zstd."""
+    """The cloud as a compact, lossless blob: as it was sent, where it is quantised and no larger than its numbers.
+
+    Else a header, then the byte planes of its float32 columns under zstd.
+    """
+    width = 3 if cloud.intensity is None else 4
+    if cloud.quantised is not None and len(cloud.quantised) <= 4 * width * len(cloud.points):
+        return cloud.quantised
     columns = cloud.points if cloud.intensity is None else np.column_stack([cloud.points, cloud.intensity])
     table = np.ascontiguousarray(columns, dtype="<f4")
     header = _HEADER.pack(_MAGIC, len(table), table.shape[1])
@@ -119,6 +134,8 @@ def pack_cloud(cloud: StoredCloud) -> bytes:
 
 def unpack_cloud(blob: bytes) -> StoredCloud:
     """The cloud of `pack_cloud`. Raises DataLoss for anything else."""
+    if blob.startswith(quantised.MAGIC):
+        return _dequantised(blob)
     try:
         magic, count, width = _HEADER.unpack_from(blob)
         size = count * width * 4
@@ -133,10 +150,19 @@ def unpack_cloud(blob: bytes) -> StoredCloud:
     return StoredCloud(np.ascontiguousarray(table[:, :3]), table[:, 3].copy() if width == 4 else None)
 
 
-def _decoded(cloud: CloudInput) -> DecodedCloud:
+def _dequantised(blob: bytes) -> StoredCloud:
+    try:
+        cloud = quantised.decode(blob, STORED_LIMITS)
+    except RevisitError as error:
+        raise DataLoss("a stored cloud is damaged") from error
+    return StoredCloud(cloud.points, cloud.intensity)
+
+
+def _decoded(cloud: CloudInput) -> tuple[DecodedCloud, bytes | None]:
+    """The cloud, and the bytes that it was decoded from where they are quantised."""
     if not isinstance(cloud, EncodedCloud):
-        return cloud
+        return cloud, None
     data = decode_content(cloud.data, cloud.coding)
     if len(data) > limits.ASCII_CLOUD_BYTES and _ASCII_HEADER.search(data, 0, _HEADER_BYTES):
         raise TooLarge(f"an ASCII cloud may have {limits.ASCII_CLOUD_BYTES} bytes; send the binary form of the format")
-    return decode_cloud(data, cloud.content_type)
+    return decode_cloud(data, cloud.content_type), data if data.startswith(quantised.MAGIC) else None

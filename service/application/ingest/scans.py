@@ -98,7 +98,7 @@ class _Accepted:
     seq: int
     scan: Scan
     packed: bytes
-    report: CloudReport
+    sha256: str
 
 
 class Scans:
@@ -182,7 +182,7 @@ class Scans:
         """Whether this is the stored scan. Another compressor may have packed the stored cloud: then points decide."""
         if not _same_place(stored, accepted):
             return False
-        if stored.cloud_sha256 == _sha256(accepted):
+        if stored.cloud_sha256 == accepted.sha256:
             return True
         packed = await asyncio.to_thread(self._storage.blobs.get, stored.tenant, CLOUD_BLOB, stored.cloud_sha256)
         return await self._decoder.run(stored.tenant, _same_points, packed, accepted.packed)
@@ -200,16 +200,15 @@ class Scans:
         if _is_replay(session, accepted.seq):
             stored = _stored_scan(uow, session, accepted.seq)
             # It came a moment ago, by the same compressor.
-            if stored is not None and not (_same_place(stored, accepted) and stored.cloud_sha256 == _sha256(accepted)):
+            if stored is not None and not (_same_place(stored, accepted) and stored.cloud_sha256 == accepted.sha256):
                 raise _taken(session, accepted.seq)
             return ScanAck(session.committed_seq, replay=True, report=None, submap=None)
         last = uow.scans.get(session.tenant, session.map_id, session.session_id, session.committed_seq)
         step_m = _step_m(last, accepted.scan)
-        sha256 = _sha256(accepted)
-        self._storage.keep_blob(tenant, CLOUD_BLOB, accepted.packed, sha256)
-        uow.scans.add(_row(session, accepted, session.travelled_m + step_m, sha256))
+        self._storage.keep_blob(tenant, CLOUD_BLOB, accepted.packed, accepted.sha256)
+        uow.scans.add(_row(session, accepted, session.travelled_m + step_m))
         submap = self._advance(uow, session, accepted.seq, step_m)
-        return ScanAck(accepted.seq, replay=False, report=accepted.report, submap=submap)
+        return ScanAck(accepted.seq, replay=False, report=accepted.scan.report, submap=submap)
 
     def _advance(self, uow: UnitOfWork, session: SessionRecord, seq: int, step_m: float) -> PostedSubmap | None:
         """Move the session's window on; the submap that is complete now, if one is."""
@@ -234,8 +233,9 @@ class Scans:
 
 def _accept(command: AppendScan) -> _Accepted:
     cloud, report = accept_cloud(command.cloud, limits.SCAN_POINTS)
-    scan = Scan.validated(cloud.points, command.T_odom_sensor, command.stamp_ns)
-    return _Accepted(command.seq, scan, pack_cloud(cloud), report)
+    scan = Scan.posed(cloud.points, report, command.T_odom_sensor, command.stamp_ns)
+    packed = pack_cloud(cloud)
+    return _Accepted(command.seq, scan, packed, hashlib.sha256(packed).hexdigest())
 
 
 def _is_replay(session: SessionRecord, seq: int) -> bool:
@@ -250,10 +250,6 @@ def _is_replay(session: SessionRecord, seq: int) -> bool:
 
 def _stored_scan(uow: UnitOfWork, session: SessionRecord, seq: int) -> ScanRecord | None:
     return uow.scans.get(session.tenant, session.map_id, session.session_id, seq)
-
-
-def _sha256(accepted: _Accepted) -> str:
-    return hashlib.sha256(accepted.packed).hexdigest()
 
 
 def _same_place(stored: ScanRecord, accepted: _Accepted) -> bool:
@@ -286,7 +282,7 @@ def _step_m(last: ScanRecord | None, scan: Scan) -> float:
     return float(np.linalg.norm(scan.T_odom_sensor[:3, 3] - pose_matrix(last.T_odom_sensor)[:3, 3]))
 
 
-def _row(session: SessionRecord, accepted: _Accepted, travelled_m: float, sha256: str) -> ScanRecord:
+def _row(session: SessionRecord, accepted: _Accepted, travelled_m: float) -> ScanRecord:
     return ScanRecord(
         tenant=session.tenant,
         map_id=session.map_id,
@@ -296,7 +292,7 @@ def _row(session: SessionRecord, accepted: _Accepted, travelled_m: float, sha256
         T_odom_sensor=pose_row(accepted.scan.T_odom_sensor),
         travelled_m=travelled_m,
         point_count=len(accepted.scan.points),
-        cloud_sha256=sha256,
+        cloud_sha256=accepted.sha256,
     )
 
 

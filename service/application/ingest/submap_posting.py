@@ -155,7 +155,7 @@ def _replayed(uow: UnitOfWork, row: SubmapRecord) -> PostedSubmap | None:
 def _accept(tenant: TenantId, command: PostSubmap, now_ns: int) -> _Accepted:
     _validate_key(command.key)
     cloud, report = accept_cloud(command.cloud, limits.SUBMAP_POINTS)
-    scan = Scan.validated(cloud.points, command.T_odom_submap, command.stamp_ns)
+    scan = Scan.posed(cloud.points, report, command.T_odom_submap, command.stamp_ns)
     packed = pack_cloud(cloud)
     return _Accepted(_row(tenant, command.key, scan, cloud, packed, report, now_ns), packed, report)
 

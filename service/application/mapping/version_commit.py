@@ -159,6 +159,7 @@ def forget_versions(uow: UnitOfWork, tenant: TenantId, map_id: str, last: int) -
         of_version: dict[str, str | int] = {"map_id": map_id, "version": version}
         for operation_id in uow.map_versions.distinct(tenant, "operation_id", **of_version):
             uow.jobs.delete(tenant, operation_id=operation_id)
+        uow.map_tiles.delete(tenant, **of_version)
         uow.session_poses.delete(tenant, **of_version)
         uow.map_versions.delete(tenant, **of_version)
 

@@ -76,9 +76,9 @@ class Webhooks:
         """Send the events from now on to a URL.
 
         Raises BadField; NotFound for the map; AlreadyExists where the id is taken by other content; QuotaReached;
-        Draining.
+        RateLimited, Draining.
         """
-        self._admission.require_running()
+        self._admission.charge_creation(tenant)
         if not set(command.kinds) <= set(TOLD_OF):
             raise BadField(f"kinds may be {', '.join(kind.value for kind in TOLD_OF)}", field="kinds")
         kinds = tuple(sorted({kind.value for kind in command.kinds}))

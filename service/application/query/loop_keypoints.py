@@ -15,6 +15,8 @@ from revisit.core.geometry import se3
 from revisit.core.geometry.se2 import PlanarPose
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.place import Place
+from revisit.service.application.capacity.admission import Admission
+from revisit.service.application.capacity.turns import Turns
 from revisit.service.application.contract.blobs import PLACE_BLOB, BlobStore
 from revisit.service.application.contract.errors import NotReady
 from revisit.service.application.contract.identity import SubmapKey, TenantId
@@ -24,6 +26,9 @@ from revisit.service.application.contract.records import SubmapRecord
 from revisit.service.application.contract.storage import Storage
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.query.loops import LoopClosureView, loop_view, require_loop
+
+COMPARISON_POINTS = 500_000
+"""What the keypoints of a loop cost: five times the 10 ms that comparing them takes (docs/decisions/0172)."""
 
 
 @dataclass(frozen=True)
@@ -48,17 +53,21 @@ class LoopKeypoints:
 class LoopKeypointReading:
     """Reads the keypoints of loop closures; they are compared again, as when the pair was verified."""
 
-    def __init__(self, storage: Storage, policy: Policy) -> None:
+    def __init__(self, storage: Storage, admission: Admission, policy: Policy) -> None:
         """`policy` says how near two keypoints must come."""
         self._storage = storage
+        self._admission = admission
         self._config = policy.pipeline.verification
-        self._comparing = asyncio.Lock()
+        self._turns = Turns(1)
 
     async def of(self, tenant: TenantId, map_id: str, loop_id: str) -> LoopKeypoints:
-        """The keypoints of a loop closure. Raises NotFound; NotReady for a submap that is not described; DataLoss."""
+        """The keypoints of a loop closure. Raises NotFound; NotReady for a submap that is not described; DataLoss;
+        RateLimited.
+        """
+        self._admission.charge_call(tenant, COMPARISON_POINTS)
         loop, query, match = await self._storage.read(partial(_pair, tenant=tenant, map_id=map_id, loop_id=loop_id))
-        # One at a time, beside the event loop: some milliseconds of arithmetic each.
-        async with self._comparing:
+        # One at a time, beside the event loop; tenants take turns.
+        async with self._turns.of(tenant):
             return await asyncio.to_thread(_read, self._storage.blobs, loop, query, match, self._config)
 
 
@@ -83,7 +92,7 @@ def _read(
 def _place(blobs: BlobStore, submap: SubmapRecord) -> Place:
     if submap.place_sha256 is None:
         raise NotReady
-    return Place.from_blob(blobs.get(submap.tenant, PLACE_BLOB, submap.place_sha256))
+    return Place.from_blob(blobs.get(submap.tenant, PLACE_BLOB, submap.place_sha256), surface=False)
 
 
 def _compared(query: Place, match: Place, config: VerificationConfig) -> Correspondences:

@@ -11,6 +11,7 @@ from revisit.core.geometry.se3 import pose_row
 from revisit.service.application.catalogue.deletion import SUBMAP_DELETED
 from revisit.service.application.contract.blobs import BlobStore
 from revisit.service.application.contract.clock import Instant
+from revisit.service.application.contract.events import AMBIGUOUS
 from revisit.service.application.contract.index import IndexChange, VectorFilter
 from revisit.service.application.contract.job_queue import Lease
 from revisit.service.application.contract.lookup import require_map
@@ -21,9 +22,10 @@ from revisit.service.application.contract.states import LoopEventKind, LoopState
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.views import submap_key
 from revisit.service.application.ingest.submap_source import SubmapSource
-from revisit.service.application.mapping.loop_events import Change, add_loop
+from revisit.service.application.mapping.loop_events import Change, add_loop, change_loop
 from revisit.service.application.mapping.optimisation import optimise_soon
 from revisit.service.application.query.place_memory import RecalledPlace
+from revisit.service.application.recognise.loops_beside import Beside
 from revisit.service.application.recognise.proposed_loops import rules_of
 from revisit.service.failpoints import failpoint
 
@@ -56,7 +58,7 @@ class StoredDescription:
 
 @dataclass(frozen=True)
 class DescriptionCommit:
-    """The one transaction that ends a description."""
+    """The one transaction that ends a description; `decided` are earlier loops that this one's loops decide."""
 
     blobs: BlobStore
     policy: Policy
@@ -64,6 +66,7 @@ class DescriptionCommit:
     task: DescriptionTask
     described: StoredDescription
     judged: list[JudgedPlace]
+    decided: list[Beside]
     where: VectorFilter
     seq: int
     now: Instant
@@ -87,9 +90,11 @@ class DescriptionCommit:
         failpoint("merge.after_submap")
         present = [item for item in self.judged if uow.submaps.count(tenant, number=item.place.submap.number)]
         for item in present:
-            add_loop(uow, self._loop(item), Change(LoopEventKind.VERIFIED, self.now_ns, details=self._rules(item)))
+            add_loop(
+                uow, self._loop(item), Change(LoopEventKind.VERIFIED, self.now_ns, details=self._rules(item.verdict))
+            )
         accepted = sum(item.verdict.accepted for item in present)
-        if accepted:
+        if accepted + sum(self._revise(uow, loop) for loop in self.decided):
             optimise_soon(uow, tenant, map_record.map_id, self.policy, self.now, self.now_ns)
         failpoint("merge.after_loops")
         timings = {stage: round(seconds, 4) for stage, seconds in self.described.description.timings_s.items()}
@@ -114,9 +119,32 @@ class DescriptionCommit:
     def _end(self, uow: UnitOfWork, result: dict[str, Any]) -> None:
         uow.queue.complete(self.lease, result, self.now, self.now_ns)
 
-    def _rules(self, item: JudgedPlace) -> dict[str, Any]:
+    def _revise(self, uow: UnitOfWork, decided: Beside) -> bool:
+        """Accept an earlier loop that was ambiguous, if it still is."""
+        known = decided.record
+        loop = None if known is None else uow.loops.get(known.tenant, known.map_id, known.loop_id)
+        verdict = decided.verdict
+        if (
+            loop is None
+            or (loop.state, loop.reason) != (LoopState.REJECTED, AMBIGUOUS)
+            or verdict.T_match_query is None
+        ):
+            return False
+        change_loop(
+            uow,
+            loop,
+            Change(LoopEventKind.VERIFIED, self.now_ns, details=self._rules(verdict)),
+            state=LoopState.ACCEPTED.value,
+            reason=None,
+            score=verdict.score,
+            T_match_query=pose_row(verdict.T_match_query),
+            evidence={**loop.evidence, **verdict.evidence},
+        )
+        return True
+
+    def _rules(self, verdict: LoopVerdict) -> dict[str, Any]:
         """What the verdict was given by: the model and the thresholds."""
-        return {"model_version": self.described.row.model_version, **rules_of(item.verdict)}
+        return {"model_version": self.described.row.model_version, **rules_of(verdict)}
 
     def _loop(self, item: JudgedPlace) -> LoopRecord:
         query, match, verdict = self.task.submap, item.place.submap, item.verdict

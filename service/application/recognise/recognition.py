@@ -7,7 +7,8 @@ workers describe at the same time is found by the one that commits second.
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -48,8 +49,10 @@ from revisit.service.application.contract.views import submap_key
 from revisit.service.application.housekeeping.dead_letters import mark_subject_failed
 from revisit.service.application.ingest.clouds import QUERY_NONCE_BYTES, unpack_cloud
 from revisit.service.application.ingest.submap_source import load_scans, submap_of, submap_source
+from revisit.service.application.mapping.map_filing import MapFiling
 from revisit.service.application.mapping.merging import MapMerging
 from revisit.service.application.mapping.optimisation import MapOptimisation
+from revisit.service.application.mapping.tile_making import TileMaking
 from revisit.service.application.query.place_memory import PlaceMemory, RecalledPlace, vector_filter
 from revisit.service.application.query.search_answers import (
     Localization,
@@ -64,6 +67,8 @@ from revisit.service.application.recognise.description_commit import (
     JudgedPlace,
     StoredDescription,
 )
+from revisit.service.application.recognise.distinctiveness import with_distinctiveness
+from revisit.service.application.recognise.loops_beside import Beside, loops_before, supported
 from revisit.service.application.recognise.proposed_loops import VerdictCommit, proposed_pair
 from revisit.service.failpoints import failpoint
 
@@ -72,6 +77,20 @@ log = structlog.get_logger(__name__)
 INSPECTED_FIRST = 3
 INSPECTED_EVERY = 20
 """Mistakes about units, frames and times run through a session: its first submaps are inspected, then some."""
+
+
+LOST = LoopVerdict(False, "PLACE_LOST", 0.0, None, {})
+"""The verdict on a pair of which a place is damaged."""
+
+
+@dataclass(frozen=True)
+class MapWork:
+    """The jobs about whole maps: optimise, merge, make and measure tiles, publish."""
+
+    mapping: MapOptimisation
+    merging: MapMerging
+    tiles: TileMaking
+    filing: MapFiling
 
 
 class Recognition:
@@ -85,18 +104,16 @@ class Recognition:
         clock: Clock,
         policy: Policy,
         recogniser: PlaceRecogniser,
-        mapping: MapOptimisation,
-        merging: MapMerging,
+        maps: MapWork,
     ) -> None:
-        """`recogniser` is the method; `memory` searches this worker's own index; `mapping` and `merging` make maps."""
+        """`recogniser` is the method; `memory` searches this worker's own index; `maps` are jobs about whole maps."""
         self._transactions = transactions
         self._blobs = blobs
         self._memory = memory
         self._clock = clock
         self._policy = policy
         self._recogniser = recogniser
-        self._mapping = mapping
-        self._merging = merging
+        self._maps = maps
 
     def run(self, lease: Lease) -> None:
         """Run a job and commit its end, good or bad. Raises only what storage raises while the end is committed."""
@@ -104,9 +121,12 @@ class Recognition:
             OperationKind.DESCRIBE_SUBMAP: self._describe_submap,
             OperationKind.SEARCH_CLOUD: self._search_cloud,
             OperationKind.LOCALIZE: self._localize,
-            OperationKind.OPTIMISE_MAP: self._mapping.run,
+            OperationKind.OPTIMISE_MAP: self._maps.mapping.run,
             OperationKind.VERIFY_LOOP: self._verify_loop,
-            OperationKind.MERGE_MAP: self._merging.run,
+            OperationKind.MERGE_MAP: self._maps.merging.run,
+            OperationKind.MAKE_TILE: self._maps.tiles.make,
+            OperationKind.MEASURE_MAP: self._maps.tiles.measure,
+            OperationKind.PUBLISH_MAP: self._maps.filing.run,
         }
         try:
             failpoint("job.after_claim")
@@ -210,9 +230,10 @@ class Recognition:
                 if place.submap.number not in judged:
                     judged[place.submap.number] = self._judge(described.description.place, place, config)
             kept = [judged[place.submap.number] for place in recall.places]
+            kept, earlier = self._with_support(task.submap, described.description.place, kept, config)
             now, now_ns = self._clock.instant(), self._clock.wall_ns()
             commit = DescriptionCommit(
-                self._blobs, self._policy, lease, task, described, kept, where, recall.seq, now, now_ns
+                self._blobs, self._policy, lease, task, described, kept, earlier, where, recall.seq, now, now_ns
             )
             failpoint("job.before_commit")
             if self._transactions.write(commit).result():
@@ -227,8 +248,42 @@ class Recognition:
             verdict = self._recogniser.verify(place, blob, recalled.similarity, config, near)
         except DataLoss as error:
             log.error("place_lost", submap=submap_key(submap).name, reason=error.message)
-            verdict = LoopVerdict(False, "PLACE_LOST", 0.0, None, {"message": error.message})
+            verdict = replace(LOST, evidence={"message": error.message})
         return JudgedPlace(recalled, verdict)
+
+    def _stored_place(self, submap: SubmapRecord) -> bytes | None:
+        """The blob of a described submap's place; None where it is damaged."""
+        try:
+            return self._blobs.get(submap.tenant, PLACE_BLOB, str(submap.place_sha256))
+        except DataLoss as error:
+            log.error("place_lost", submap=submap_key(submap).name, reason=error.message)
+            return None
+
+    def _with_support(
+        self, submap: SubmapRecord, place: bytes, judged: list[JudgedPlace], config: PipelineConfig
+    ) -> tuple[list[JudgedPlace], list[Beside]]:
+        """The places of `submap`, how distinct it is, and earlier loops of its drive, where loops beside one decide it.
+
+        Of the earlier loops only those that are decided now.
+        """
+        new = [Beside(submap, one.place.submap, one.place.similarity, one.verdict) for one in judged]
+        if not any(loop.hypotheses for loop in new):
+            return judged, []
+        most = math.ceil(config.verification.support_reach / config.submap.stride)
+        before = self._transactions.read(partial(loops_before, submap=submap, most=most)).result()
+
+        def register(query: SubmapRecord, match: SubmapRecord, similarity: float, near: Matrix4) -> LoopVerdict:
+            asked = place if query is submap else self._stored_place(query)
+            return LOST if asked is None else self._judge(asked, RecalledPlace(match, similarity), config, near).verdict
+
+        decided = supported([*before, *new], config.verification, config.submap.stride, register)
+        verdicts = {loop.match.number: loop.verdict for loop in decided if loop.record is None}
+        new = [replace(loop, verdict=verdicts.get(loop.match.number, loop.verdict)) for loop in new]
+        kept = [
+            replace(one, verdict=with_distinctiveness(loop, new, config.submap.stride))
+            for one, loop in zip(judged, new, strict=True)
+        ]
+        return kept, [loop for loop in decided if loop.record is not None]
 
     def _require_same_model(self, record: MapRecord) -> None:
         own = model_for_map(record, self._recogniser.model_version)

@@ -23,12 +23,13 @@ router = APIRouter(prefix="/v1/maps/{map_id}/sessions/{session_id}/submaps", tag
 
 
 class DownloadFormat(StrEnum):
-    """Points as pcd, ply or npy; the surface as a ply mesh; the neural map; the descriptor."""
+    """Points as pcd, ply or npy; the surface as a ply mesh or as glb with meshopt; the neural map; the descriptor."""
 
     PCD = "pcd"
     PLY = "ply"
     NPY = "npy"
     MESH = "mesh"
+    GLB = "glb"
     NEURAL = "neural"
     DESCRIPTOR = "descriptor"
 
@@ -36,6 +37,8 @@ class DownloadFormat(StrEnum):
         """What the use case takes: the kind, and the file format where there is a choice."""
         if self in (DownloadFormat.PCD, DownloadFormat.PLY, DownloadFormat.NPY):
             return DownloadKind.POINTS, self.value
+        if self is DownloadFormat.GLB:
+            return DownloadKind.MESH, self.value
         return DownloadKind(self.value), None
 
 

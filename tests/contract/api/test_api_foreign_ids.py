@@ -25,8 +25,10 @@ from tests.support.service_world import cloud_points, memory_world
 REQUEST_ID = {"x-request-id": "fixed"}
 CLOUD = encode_quantised(cloud_points(1))
 POSE = "0,0,0,0,0,0,1"
-QUERY = {"submap_id": "new", "stamp_ns": 1, "T_odom_submap": POSE, "format": "ply", "timeout_s": 0}
-UNIVERSE = {"robot": "rover", "map": "town", "session": "monday", "submap": "a", "version": "1", "webhook": "hook"}
+AROUND = {"centre_m": "0,0,0", "radius_m": 9}
+QUERY = {"submap_id": "new", "stamp_ns": 1, "T_odom_submap": POSE, "format": "ply", "timeout_s": 0, **AROUND}
+OF_SUBMAP = {"robot": "rover", "map": "town", "session": "monday", "submap": "a"}
+UNIVERSE = {**OF_SUBMAP, "version": "1", "webhook": "hook", "tile": "frame-1.0.0"}
 
 
 def rest_calls():
@@ -81,6 +83,8 @@ def fill(client):
     for number, name in enumerate("cd"):
         client.wait(client.post_submap(annex, name, cloud_points(1), np.eye(4), number + 1))
     merge = client.wait(client.merge_map("maps/town", "maps/annex")).result["merge"].rpartition("/")[2]
+    client.wait(client.publish_map("maps/town/versions/1"))
+    client.download_tile(client.map_tiles("maps/town/versions/1")[0], "mesh")
     client.create_webhook("hook", "https://hooks.example.com/revisit", map_="maps/town")
     loops = client.loop_closures("maps/town", state=None)
     loop = loops[0].name.rpartition("/")[2] if loops else "loop-guess"
@@ -95,6 +99,10 @@ def ask(http, channel, metadata, ids):
         body = {"json": {"session_id": "new"}} if path.endswith("/sessions") else {}
         if path.endswith(("}:accept", "}:reject", "loop_id}:revert")):
             body = {"json": {"note": "mine"}}
+        elif path.endswith(":distances"):
+            body = {"json": {"points_m": [0.0, 0.0, 0.0]}}
+        elif path.endswith(":publish"):
+            body = {"json": {}}
         elif path.endswith(":merge"):
             body = {"json": {"source": "maps/annex"}}
         elif path.endswith(":revert"):
@@ -114,7 +122,7 @@ def ask(http, channel, metadata, ids):
 
 def wanted(path, key):
     only = {"submap_id": "/submaps", "T_odom_submap": "/submaps", "seq": "/scans", "T_odom_sensor": "/scans"}
-    only |= {"format": ":download", "timeout_s": ":wait"}
+    only |= {"format": ":download", "timeout_s": ":wait", **dict.fromkeys(AROUND, "/points")}
     return path.endswith(only[key]) if key in only else True
 
 
@@ -156,6 +164,8 @@ def message(method, ids):
         "Operation": f"operations/{ids['operation']}",
         "Mapping": mapping.get(method.name),
         "Webhook": f"webhooks/{ids['webhook']}",
+        "MapTile": f"{version}/tiles/{ids['tile']}",
+        "MapFile": f"maps/{ids['map']}/files/{ids['version']}",
     }
     parents = {
         "Session": names["Map"],
@@ -164,6 +174,8 @@ def message(method, ids):
         "Mapping": names["Mapping"],
         "Event": names["Map"],
         "Webhook": names["Webhook"],
+        "MapTile": version,
+        "MapFile": names["Map"] if method.name == "ListMapFiles" else version,
     }
     fields = method.input_type.fields_by_name
     values = {"name": names.get(noun), "parent": parents.get(noun), "session_id": "new", "submap_id": "new"}
@@ -180,7 +192,11 @@ def message(method, ids):
         request.version = 1
     if "open" in fields:
         request.open.session = session
-    if method.name == "DownloadSubmap":
+    if method.name == "MeasureMapDistances":
+        request.points_m.add(x=1.0)
+    if method.name == "FindMapPoints":
+        request.radius_m = 9.0
+    if method.name in ("DownloadSubmap", "DownloadMapTile"):
         request.format = 1
     if "cloud" in fields:
         request.cloud.encoded.content_type, request.cloud.encoded.data = QUANTISED, CLOUD

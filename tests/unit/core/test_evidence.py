@@ -10,7 +10,7 @@ import pytest
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
 from revisit.core.verification.evidence import contrast, gather_evidence, in_region, weakest_direction
-from revisit.core.verification.oriented_points import OrientedPoints
+from revisit.core.verification.oriented_points import OrientedPoints, contact, shared_shares
 from revisit.core.verification.registration import Registration, information
 
 CONFIG = VerificationConfig()
@@ -103,3 +103,17 @@ def test_the_shared_region_is_that_of_the_columns_of_numpy():
     expected = np.isin(surfaces[0].columns, surfaces[1].seen_columns)
     assert 20 < expected.sum() < 280
     assert np.array_equal(in_region(*surfaces), expected)
+
+
+def test_the_compiled_shares_are_those_of_contact_in_the_common_region():
+    rng = np.random.default_rng(4)
+    surface = joined(wall(STREET), wall(STREET, axis=1, offset=-3.0))
+    other = OrientedPoints(CORNER.points + rng.normal(0, 0.15, CORNER.points.shape), CORNER.normals, 900)
+    offsets = np.array([[0.0, 0.0, 0.0], [0.0, 0.2, 0.0], [2.5, 0.0, 0.0], [0.0, 60.0, 0.0]])
+    expected = []
+    for offset in offsets:
+        moved = surface.shifted(offset)
+        seen = in_region(moved, other)
+        expected.append((contact(moved, other, CONFIG).touching & seen).sum() / max(seen.sum(), 1))
+    assert 0.0 < expected[0] < 1.0 and expected[3] == 0.0
+    np.testing.assert_allclose(shared_shares(surface, other, offsets, CONFIG), expected)

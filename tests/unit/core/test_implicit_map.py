@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import subprocess
 import sys
 
@@ -258,3 +259,10 @@ def test_every_flipped_or_missing_byte_of_a_stored_map_is_noticed(make_drive, sh
     for size in (0, 4, 31, 40, len(blob) - 1):
         with pytest.raises(DataLoss):
             NeuralMap.from_blob(blob[:size], field.decoder, CONFIG)
+
+
+def test_a_learned_field_without_torch_says_which_extra_brings_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch", None)
+    monkeypatch.delitem(sys.modules, "revisit.core.implicit_map.gradient_steps")
+    with pytest.raises(ImportError, match=r"revisit-loops\[learned\]"):
+        importlib.import_module("revisit.core.implicit_map.gradient_steps")

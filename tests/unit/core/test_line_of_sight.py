@@ -5,9 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from revisit.core.config import VerificationConfig
-from revisit.core.verification.line_of_sight import seen_through
+from revisit.core.verification.line_of_sight import plain_seen_through, view_of
+from revisit.core.verification.line_of_sight import seen_through as seen_through_of
 
 CONFIG = VerificationConfig()
+
+
+def seen_through(points: np.ndarray, seen: np.ndarray, config: VerificationConfig) -> tuple[int, int]:
+    """What the view of `seen` says about `points`."""
+    return seen_through_of(points, view_of(seen, config.sight_angle), config)
 
 
 def wall(distance_m: float, azimuth_deg: tuple[float, float] = (-30.0, 30.0)) -> np.ndarray:
@@ -52,3 +58,11 @@ def test_azimuth_goes_round() -> None:
     behind = wall(10.0, (175.0, 185.0))
     through, judged = seen_through(behind, wall(20.0, (150.0, 210.0)), CONFIG)
     assert through == judged > 0
+
+
+def test_the_compiled_view_counts_what_the_plain_one_counts() -> None:
+    rng = np.random.default_rng(2)
+    points, seen = (rng.uniform((-35, -35, -4), (35, 35, 12), (1500, 3)) for _ in range(2))
+    through, judged = plain_seen_through(points, seen, CONFIG)
+    assert 0 < through < judged
+    assert seen_through(points, seen, CONFIG) == (through, judged)

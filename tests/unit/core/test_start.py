@@ -10,8 +10,9 @@ from scipy import fft
 
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
-from revisit.core.geometry.se2 import PlanarPose, angle_between
+from revisit.core.geometry.se2 import PlanarPose, angle_between, turned
 from revisit.core.place import Place
+from revisit.core.verification.oriented_points import COLUMN_M
 from revisit.core.verification.start import IMAGE_SIZE, _best_shift, correlate, find_start, lift, raster
 from tests.support.yards import moved, place_of_points, recognised, thinned, yard
 
@@ -50,9 +51,30 @@ def test_points_outside_the_image_are_left_out():
 @pytest.mark.parametrize("shift", [(0, 0), (7, -3), (-20, 11)])
 def test_phase_correlation_finds_a_known_shift_exactly(shift):
     image = raster(plan(), 0.8)
-    peak, found = _best_shift(image, fft.rfft2(np.roll(image, shift[::-1], axis=(0, 1))))
+    peak, found = _best_shift(fft.rfft2(image), fft.rfft2(np.roll(image, shift[::-1], axis=(0, 1))), half_turn=False)
     np.testing.assert_array_equal(found, shift)
     assert peak == pytest.approx((image**2).sum())
+
+
+@pytest.mark.parametrize("shift", [(0, 0), (7, -3), (-20, 11)])
+def test_the_spectrum_of_an_image_serves_the_image_turned_by_half_a_turn_too(shift):
+    image = raster(plan(), 0.8)
+    upside_down = np.roll(raster(-plan(), 0.8), shift[::-1], axis=(0, 1))
+    peak, found = _best_shift(fft.rfft2(image), fft.rfft2(upside_down), half_turn=True)
+    np.testing.assert_array_equal(found, shift)
+    assert peak == pytest.approx((image**2).sum())
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.7, -2.9])
+def test_the_compiled_image_is_the_plain_one(yaw):
+    points, pixel, half = plan(3), 0.8, IMAGE_SIZE // 2
+    cells = np.floor(turned(points, yaw) / pixel).astype(int) + half
+    cells = cells[((cells >= 0) & (cells < IMAGE_SIZE)).all(axis=1)]
+    counts = np.zeros((IMAGE_SIZE, IMAGE_SIZE))
+    np.add.at(counts, (cells[:, 1], cells[:, 0]), 1.0)
+    image = np.log1p(counts)
+    image = image + 0.5 * sum(np.roll(image, step, axis) for step in (-1, 1) for axis in (0, 1))
+    np.testing.assert_allclose(raster(points, pixel, yaw), image - image.mean(), atol=1e-12)
 
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 37.0, 90.0, 155.0, -100.0])
@@ -81,6 +103,25 @@ def test_a_lifted_pose_takes_the_height_of_the_common_ground():
     match = place_of_points(flat + [0.0, 0.0, 0.7], normals)
     lifted = lift(PlanarPose(0.3, np.array([2.0, 1.0])), query, match)
     np.testing.assert_allclose(lifted, se3.from_yaw(0.3, (2.0, 1.0, 0.7)), atol=1e-6)
+
+
+def test_a_lifted_pose_rises_by_the_median_of_the_lowest_points_of_common_columns():
+    rng = np.random.default_rng(8)
+    clouds = [np.c_[rng.uniform(-20, 20, (400, 2)), rng.uniform(-2, 1, 400)].astype(np.float32) for _ in range(2)]
+    query, match = (place_of_points(cloud, np.tile([0.0, 0.0, 1.0], (400, 1))) for cloud in clouds)
+    pose = PlanarPose(0.4, np.array([3.0, -2.0]))
+
+    def lowest(points: np.ndarray) -> dict[tuple[int, int], float]:
+        found: dict[tuple[int, int], float] = {}
+        for x, y, z in points:
+            column = (int(np.floor(x / COLUMN_M)), int(np.floor(y / COLUMN_M)))
+            found[column] = min(found.get(column, np.inf), z)
+        return found
+
+    ours, theirs = lowest(se3.apply(pose.lifted(), query.points)), lowest(match.points)
+    rises = [theirs[column] - ours[column] for column in ours.keys() & theirs.keys()]
+    assert len(rises) > 50
+    assert lift(pose, query, match)[2, 3] == pytest.approx(float(np.median(rises)), abs=1e-6)
 
 
 def test_places_without_a_common_column_stay_at_their_height():

@@ -21,6 +21,7 @@ from revisit.core.model_bundle import load_packaged_models
 from revisit.core.pipeline import describe
 from revisit.core.place import Place
 from revisit.core.verification import RejectedLoop, RejectionReason, VerifiedLoop, loop_score, verify
+from revisit.core.verification.verdict import systematic_covariance
 from revisit.evaluation.cutting import cut, load_submap
 from revisit.evaluation.datasets import KittiRecording
 from revisit.evaluation.perturbations import Perturbation, turned
@@ -167,6 +168,20 @@ def test_many_points_do_not_make_a_pose_surer_than_the_submaps_are() -> None:
         deviations = np.sqrt(np.diag(verdict.measurement.covariance))
         floor = [0.04, 0.04, 0.02, *np.radians([0.1, 0.1, 0.1])]
         np.testing.assert_allclose(deviations, floor, rtol=1e-3)
+
+
+def test_the_less_is_shared_and_the_farther_apart_the_less_sure_a_loop_is() -> None:
+    away = se3.from_yaw(0.3, (10.0, 0.0, 0.0))
+    half = np.sqrt(np.diag(systematic_covariance(np.eye(4), 0.5, 1.0, VERIFICATION)))
+    tilt = np.radians(np.hypot(0.1, 0.17))
+    np.testing.assert_allclose(half, [*[np.hypot(0.04, 0.08)] * 2, np.hypot(0.02, 0.08), tilt, tilt, tilt])
+    third = np.sqrt(np.diag(systematic_covariance(np.eye(4), 1 / 3, 1.0, VERIFICATION)))
+    assert third[0] == pytest.approx(np.hypot(0.04, 0.16))
+    aside = np.sqrt(np.diag(systematic_covariance(away, 1.0, 1.0, VERIFICATION)))
+    lever = 10.0 * np.radians(0.3)
+    np.testing.assert_allclose(aside[:3], [0.04, np.hypot(0.04, lever), np.hypot(0.02, lever)])
+    in_scene = np.sqrt(np.diag(systematic_covariance(np.eye(4), 0.5, 0.25, VERIFICATION)))
+    np.testing.assert_allclose(in_scene, half * [4, 4, 4, 1, 1, 1])
 
 
 def test_the_error_of_a_made_up_revisit_lies_within_what_the_covariance_says() -> None:

@@ -159,6 +159,14 @@ def test_damaged_bags_are_refused(tmp_path: Path, damage) -> None:
         open_bag(file)
 
 
+def test_an_mcap_file_that_was_cut_is_read_as_far_as_it_goes(tmp_path: Path) -> None:
+    file = bag(tmp_path / "drive.mcap", None)
+    file.write_bytes(file.read_bytes()[:-500])  # within the last message
+    recording = open_bag(file)
+    assert len(recording) == 1
+    assert "drive.mcap ends within a record" in recording.notes[-1]
+
+
 def test_a_sqlite_bag_is_read_like_an_mcap_file(tmp_path: Path) -> None:
     start = 1_700_000_000 * 10**9
     with sqlite3.connect(tmp_path / "drive.db3") as connection:

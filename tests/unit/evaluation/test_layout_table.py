@@ -106,6 +106,20 @@ def compressed_messages(folder: Path) -> Path:
     return fast_lio().write2(folder / "drive", "SQLITE3", zstd=True)
 
 
+def wheels_and_lidar_odometry() -> Layout:
+    layout = kiss_icp().odometry("/odom", "odom", "base_link")
+    layout.rows += [(at + 1, *rest) for at, *rest in layout.rows if rest[0] == "/odom"]  # wheels publish more often
+    return layout
+
+
+def cut_short(folder: Path) -> Path:
+    """The first part of a bag that was written out often, as a robot leaves it that loses its power."""
+    layout = Layout(ros1=True).raw("/points", "lidar").odometry("/odom", "odom", "lidar")
+    file = layout.write1(folder / "drive.bag", "LZ4", chunk_bytes=4096)
+    file.write_bytes(file.read_bytes()[: int(0.6 * file.stat().st_size)])
+    return file
+
+
 @dataclass(frozen=True)
 class Row:
     """`bag` as the page names it; `said` is found in what is said; `scans` is 0 for a refusal."""
@@ -145,6 +159,9 @@ ROWS = [
     Row("ROS 1, LZ4", ros1("LZ4"), "clouds of /velodyne_points"),
     Row("ROS 1, bzip2 or uncompressed", ros1("BZ2"), "clouds of /velodyne_points"),
     Row("Split into several files", split, "2 files read as one recording"),
+    Row("Odometry of wheels beside that of a LiDAR (`/odom`, `/kiss/odometry`)", whole(wheels_and_lidar_odometry),
+        "poses of /kiss/odometry"),
+    Row("Cut short, as by a loss of power", cut_short, "ends within a record, as after a loss of power", scans=3),
     Row("Odometry that began after the clouds", whole(late_odometry), "4 of 8 with a pose", scans=4),
     Row("No static transform from the body to the LiDAR",
         whole(lambda: Layout().raw("/points", "lidar", MOUNTED).odometry("/odom", "odom", "base")),

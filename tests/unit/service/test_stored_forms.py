@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gzip
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,7 +11,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from revisit.core.errors import BadField, DataLoss, EmptyCloud, MalformedBody, TooLarge, UnsupportedEncoding
-from revisit.formats import KITTI, DecodedCloud, encode_kitti
+from revisit.formats import KITTI, QUANTISED, DecodedCloud, encode_kitti, encode_quantised
+from revisit.formats.quantised import MAGIC as QUANTISED_MAGIC
 from revisit.service.application.catalogue.meshes import pack_mesh, unpack_mesh
 from revisit.service.application.contract.recogniser import Mesh
 from revisit.service.application.ingest.clouds import EncodedCloud, StoredCloud, accept_cloud, pack_cloud, unpack_cloud
@@ -29,6 +32,33 @@ def test_a_cloud_is_stored_without_loss(points, bright):
         np.testing.assert_array_equal(back.intensity, points[:, 0])
     else:
         assert back.intensity is None
+
+
+@pytest.mark.parametrize("bright", [False, True])
+@pytest.mark.parametrize("coding", [None, "gzip"])
+def test_a_quantised_cloud_is_stored_as_it_was_sent(bright, coding):
+    points = cloud_points(1)
+    sent = encode_quantised(points, np.abs(points[:, 0]) if bright else None)
+    body = sent if coding is None else gzip.compress(sent)
+    cloud, _ = accept_cloud(EncodedCloud(body, QUANTISED, coding), max_points=1000)
+    assert pack_cloud(cloud) == sent
+    back = unpack_cloud(sent)
+    np.testing.assert_array_equal(back.points, cloud.points)
+    assert back.points.flags["C_CONTIGUOUS"]
+    assert np.array_equal(back.intensity, cloud.intensity) if bright else back.intensity is None
+
+
+def test_a_quantised_cloud_that_is_larger_than_its_numbers_is_packed_anew():
+    points = cloud_points(1)
+    padded = QUANTISED_MAGIC + bytes(12 * len(points) - 3)
+    assert len(pack_cloud(StoredCloud(points, None, padded))) < len(padded)
+    np.testing.assert_array_equal(unpack_cloud(pack_cloud(StoredCloud(points, None, padded))).points, points)
+
+
+@pytest.mark.parametrize("damage", [lambda b: b[:8], lambda b: b[:-3], lambda b: b + b"x", lambda b: b[:20] + b[:20]])
+def test_a_damaged_quantised_cloud_is_refused(damage):
+    with pytest.raises(DataLoss):
+        unpack_cloud(damage(encode_quantised(cloud_points(1))))
 
 
 @pytest.mark.parametrize("damage", [lambda b: b"", lambda b: b[:8], lambda b: b"XXXX" + b[4:], lambda b: b[:-3]])

@@ -1,0 +1,84 @@
+"""Vertical columns in which a place has seen anything: a hash table, and the lowest point of each."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Array64 = NDArray[np.float64]
+
+_NOWHERE = -(2**31)
+
+
+class SeenColumns(NamedTuple):
+    """slots (s, 2) int32, the column (x, y) entered there or _NOWHERE; lowest (s,), the height of its lowest point."""
+
+    slots: NDArray[np.int32]
+    lowest: Array64
+
+
+@numba.njit(cache=True, error_model="numpy")
+def seen_columns(points: Array64, edge: float) -> SeenColumns:
+    """The columns of `edge` metres in which any of `points` (n, 3) lies."""
+    size = 64
+    while size < 2 * len(points):
+        size *= 2
+    slots, lowest = np.full((size, 2), _NOWHERE, dtype=np.int32), np.full(size, np.inf)
+    for n in range(len(points)):
+        x, y = int(np.floor(points[n, 0] / edge)), int(np.floor(points[n, 1] / edge))
+        slot = slot_of(slots, x, y)
+        slots[slot, 0], slots[slot, 1] = x, y
+        lowest[slot] = min(lowest[slot], points[n, 2])
+    return SeenColumns(slots, lowest)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def in_seen_columns(points: Array64, slots: NDArray[np.int32], edge: float) -> NDArray[np.bool_]:
+    """Which of `points` (n, 3) stand in a column that is entered in `slots`."""
+    found = np.zeros(len(points), dtype=np.bool_)
+    for n in range(len(points)):
+        found[n] = is_seen(slots, points[n, 0], points[n, 1], edge)
+    return found
+
+
+@numba.njit(cache=True, error_model="numpy")
+def heights_above(points: Array64, T_columns_points: Array64, columns: SeenColumns, edge: float) -> Array64:
+    """By how much the lowest point of each column lies above the lowest one of `points` (n, 3) moved into it.
+
+    Of the columns that both have, in no order. `T_columns_points` is (4, 4).
+    """
+    T, slots = T_columns_points, columns.slots
+    lowest = np.full(len(slots), np.inf)
+    for n in range(len(points)):
+        px, py, pz = points[n, 0], points[n, 1], points[n, 2]
+        x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
+        y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
+        slot = slot_of(slots, int(np.floor(x / edge)), int(np.floor(y / edge)))
+        if slots[slot, 0] != _NOWHERE:
+            lowest[slot] = min(lowest[slot], T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3])
+    gaps, count = np.empty(len(slots)), 0
+    for slot in range(len(slots)):
+        if lowest[slot] < np.inf:
+            gaps[count] = columns.lowest[slot] - lowest[slot]
+            count += 1
+    return gaps[:count]
+
+
+@numba.njit(inline="always")
+def is_seen(slots: NDArray[np.int32], x: float, y: float, edge: float) -> bool:
+    """Whether (x, y) lies in a column that is entered in `slots`."""
+    slot = slot_of(slots, int(np.floor(x / edge)), int(np.floor(y / edge)))
+    return bool(slots[slot, 0] != _NOWHERE)
+
+
+@numba.njit(inline="always")
+def slot_of(slots: NDArray[np.int32], x: int, y: int) -> int:
+    """Where column (x, y) is entered in `slots` (s, 2), or would be; s is a power of two."""
+    mixed = (x * 0x9E3779B1) ^ (y * 0x85EBCA77)
+    slot = (mixed ^ (mixed >> 15)) & (len(slots) - 1)
+    while slots[slot, 0] != _NOWHERE and (slots[slot, 0] != x or slots[slot, 1] != y):
+        slot = (slot + 1) & (len(slots) - 1)
+    return slot

@@ -1,0 +1,103 @@
+"""A large map piece by piece: the fused surface of a square of it, a tile, out of the neural maps that reach it.
+
+Tiles of one frame lie on a grid whose edges are multiples of a voxel, so that the surfaces of neighbours meet: each is
+made with a margin around it, and a triangle belongs to the tile that its centre lies in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.config import SurfaceConfig
+from revisit.core.geometry import se3
+from revisit.core.geometry.tile_grid import TILE_VOXELS
+from revisit.core.implicit_map import NeuralMap
+from revisit.core.merge.fused import PlacedMap, merge_neural_maps
+from revisit.core.surface import extract_surface
+
+Array = NDArray[np.float32]
+
+MARGIN_VOXELS = 6
+"""Around a tile, what decides on its surface: a voxel is meshed by the neural points within less than three voxels."""
+
+
+@dataclass(frozen=True)
+class TileSurface:
+    """The fused surface of a tile, in metres from the middle of its square; z is that of the map's frame.
+
+    `neural_map` reaches a margin beyond the square; its level frame leads to the frame of the map. Mesh: vertices
+    (v, 3), unit normals (v, 3), faces (f, 3) int32, which meet those of the neighbours. Points: neural points (n, 3)
+    in the square with unit normals (n, 3).
+    """
+
+    neural_map: NeuralMap
+    vertices: Array
+    normals: Array
+    faces: NDArray[np.int32]
+    points: Array
+    point_normals: Array
+
+
+def fuse_tile(
+    placed: Iterable[PlacedMap], centre_m: NDArray[np.float64], config: SurfaceConfig = SurfaceConfig()
+) -> TileSurface | None:
+    """The surface of the tile whose square has its middle at `centre_m` (3,) in the frame of the `placed` maps.
+
+    None where none of the maps has points there. Raises as `merge_neural_maps`.
+    """
+    T_tile_map = se3.from_rotation_translation(np.eye(3), -centre_m)
+    moved = (replace(one, T_map_submap=T_tile_map @ one.T_map_submap) for one in placed)
+    cropped = [one for one in map(_cropped, moved) if len(one.neural_map.points)]
+    if not cropped:
+        return None
+    fused = merge_neural_maps(cropped)
+    scale, half = fused.frame.scale, 0.5 * TILE_VOXELS * fused.config.resolution
+    surface = extract_surface(fused, config)
+    vertices, normals, faces = _within(surface.vertices, surface.normals, surface.faces, half)
+    inside = _in_square(fused.points.positions, half)
+    points, directions = fused.points.positions[inside], fused.points.normals[inside]
+    factor, frame = np.float32(scale), replace(fused.frame, translation=centre_m)
+    fused = replace(fused, frame=frame)
+    return TileSurface(fused, vertices * factor, normals, faces, points * factor, directions)
+
+
+def distances_m(neural_map: NeuralMap, points: NDArray[np.floating]) -> tuple[Array, Array]:
+    """Signed distances (n,) of `points` (n, 3) in the map to a tile's surface, all in metres, positive in free space.
+
+    They are cut at the truncation of the field. The second array (n,) is the distance to the nearest neural point, inf
+    where none is near: there the field says nothing.
+    """
+    frame = neural_map.frame
+    values, nearest = neural_map.sdf(frame.points_to_level(points).astype(np.float32))
+    return values * np.float32(frame.scale), nearest * np.float32(frame.scale)
+
+
+def _cropped(one: PlacedMap) -> PlacedMap:
+    """A map with those of its points alone that lie in the tile or its margin."""
+    neural_map = one.neural_map
+    T_tile_upright = one.T_map_submap @ neural_map.frame.T_submap_upright
+    scale, resolution = neural_map.frame.scale, neural_map.config.resolution
+    T_level = se3.from_rotation_translation(T_tile_upright[:3, :3], T_tile_upright[:3, 3] / scale)
+    here = se3.apply(T_level, neural_map.points.positions)
+    reach = (0.5 * TILE_VOXELS + MARGIN_VOXELS) * resolution
+    kept = np.flatnonzero(np.abs(here[:, :2]).max(axis=1, initial=0.0) < reach)
+    points = neural_map.points.subset(kept)
+    return replace(one, neural_map=replace(neural_map, points=points, features=neural_map.features[kept]))
+
+
+def _in_square(positions: Array, half: float) -> NDArray[np.bool_]:
+    """Which positions (n, 3) lie in the square, whose lower edges belong to it."""
+    return np.asarray(((positions[:, :2] >= -half) & (positions[:, :2] < half)).all(axis=1))
+
+
+def _within(
+    vertices: Array, normals: Array, faces: NDArray[np.int32], half: float
+) -> tuple[Array, Array, NDArray[np.int32]]:
+    """The triangles whose centre lies in the square, and their vertices."""
+    kept = faces[_in_square(vertices[faces].mean(axis=1), half)] if len(faces) else faces
+    used, renumbered = np.unique(kept, return_inverse=True)
+    return vertices[used], normals[used], renumbered.reshape(-1, 3).astype(np.int32)

@@ -1,0 +1,115 @@
+"""Independent support for a loop that geometry alone cannot tell from its rivals (docs/decisions/0161).
+
+Where a place repeats, each loop along it has the same hypotheses, one period apart, and every one of them has as much
+support along the drive as the true one. What breaks the tie is a loop beside it that is sure of itself: the end of a
+row. Odometry of both drives carries its pose over, and its error grows by far less than a period on the way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from revisit.core.config import VerificationConfig
+from revisit.core.geometry import se3
+
+
+@dataclass(frozen=True)
+class NeighbourLoop:
+    """A loop between the same two drives, beside an ambiguous one.
+
+    poses: its hypotheses, each carried over by `carried_over` to a T_match_query (4, 4) of the ambiguous pair.
+    accepted: and not for the sake of other loops. query_m and match_m: how far from the ends of the pair its own ends
+    lie, metres ahead along either drive; way_m: the way of both drives together over which odometry carries its poses.
+    """
+
+    accepted: bool
+    poses: tuple[se3.Matrix4, ...]
+    query_m: float
+    match_m: float
+    way_m: float
+
+
+@dataclass(frozen=True)
+class NeighbourSupport:
+    """Which hypothesis of an ambiguous loop the loops beside it agree with.
+
+    hypothesis: its row in those that were given; anchors: submaps of the query's drive whose accepted loops agree;
+    agreeing: all loops that do; along_m: over how many metres of both drives.
+    """
+
+    hypothesis: int
+    anchors: int
+    agreeing: int
+    along_m: float
+
+
+def carried_over(T_match_query: se3.Matrix4, T_match_other: se3.Matrix4, T_other_query: se3.Matrix4) -> se3.Matrix4:
+    """The pose of a neighbouring loop as one of the ambiguous pair.
+
+    T_match_query (4, 4) of the neighbour; T_match_other, from its match to that of the pair, and T_other_query, from
+    the query of the pair to its own, by the odometry of either drive.
+    """
+    return np.asarray(T_match_other @ T_match_query @ T_other_query)
+
+
+def find_support(
+    hypotheses: Sequence[se3.Matrix4], neighbours: Sequence[NeighbourLoop], config: VerificationConfig
+) -> NeighbourSupport | None:
+    """The one of `hypotheses` (each T_match_query) that the `neighbours` single out, or None where none is.
+
+    Accepted neighbours of at least `support_anchors` submaps must agree with it, and no accepted one may contradict it;
+    together with the pair, all that agree must reach along `support_length` metres of both drives, and half of all
+    neighbours must be among them. A neighbour counts only where odometry carries it so well that it cannot agree with
+    two hypotheses: an endless row never has such support, because none of its loops is accepted.
+    """
+    near = [one for one in neighbours if one.way_m <= config.support_reach]
+    telling = [one for one in near if _tells_apart(hypotheses, one, config)]
+    accepted = [one for one in telling if one.accepted]
+    anchors = len({one.query_m for one in accepted})
+    for row, T_match_query in enumerate(hypotheses):
+        if anchors < config.support_anchors or not all(_agrees(T_match_query, one, config) for one in accepted):
+            continue
+        agreeing = [one for one in telling if _agrees(T_match_query, one, config)]
+        along_m = min(_reach([one.query_m for one in agreeing]), _reach([one.match_m for one in agreeing]))
+        if along_m >= config.support_length and 2 * len(agreeing) >= len(telling):
+            return NeighbourSupport(row, anchors, len(agreeing), along_m)
+    return None
+
+
+def _tells_apart(hypotheses: Sequence[se3.Matrix4], neighbour: NeighbourLoop, config: VerificationConfig) -> bool:
+    """Whether no pose can agree with two of the hypotheses after odometry has carried it."""
+    tolerance_m, tolerance_rad = _tolerance(neighbour, config)
+    return all(
+        _shift(one, other) > 2.0 * tolerance_m or _turn(one, other) > 2.0 * tolerance_rad
+        for row, one in enumerate(hypotheses)
+        for other in hypotheses[:row]
+    )
+
+
+def _agrees(T_match_query: se3.Matrix4, neighbour: NeighbourLoop, config: VerificationConfig) -> bool:
+    tolerance_m, tolerance_rad = _tolerance(neighbour, config)
+    return any(
+        _shift(T_match_query, pose) < tolerance_m and _turn(T_match_query, pose) < tolerance_rad
+        for pose in neighbour.poses
+    )
+
+
+def _tolerance(neighbour: NeighbourLoop, config: VerificationConfig) -> tuple[float, float]:
+    """Metres and radians by which a carried pose may be off: its own error, and what grows with the way."""
+    return config.support_tolerance + config.support_drift * neighbour.way_m, np.radians(config.support_turn)
+
+
+def _shift(one: se3.Matrix4, other: se3.Matrix4) -> float:
+    return float(np.linalg.norm(one[:3, 3] - other[:3, 3]))
+
+
+def _turn(one: se3.Matrix4, other: se3.Matrix4) -> float:
+    return float(se3.rotation_angle(se3.inverse(one) @ other))
+
+
+def _reach(ahead_m: Sequence[float]) -> float:
+    """How long a piece of a drive the pair, at 0, and its neighbours `ahead_m` lie on."""
+    return max([0.0, *ahead_m]) - min([0.0, *ahead_m])

@@ -1,0 +1,179 @@
+"""Support for loops that are AMBIGUOUS by geometry alone, from the loops beside them (docs/decisions/0161).
+
+When a submap has been compared with the map, its loops and those of the submaps before it on the same drive are looked
+at together: an ambiguous one that they single out a hypothesis of is registered again from there, and accepted.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from revisit.core.config import VerificationConfig
+from revisit.core.geometry import se3
+from revisit.core.geometry.se3 import Matrix4, pose_matrix
+from revisit.core.neighbour_support import NeighbourLoop, NeighbourSupport, carried_over, find_support
+from revisit.service.application.contract.events import AMBIGUOUS
+from revisit.service.application.contract.recogniser import LoopVerdict
+from revisit.service.application.contract.records import LoopRecord, SubmapRecord
+from revisit.service.application.contract.states import GraphState, LoopState
+from revisit.service.application.contract.transactions import UnitOfWork
+
+SUPPORT = "support"
+"""The member of a loop's evidence that says which loops beside it have decided."""
+
+_BEFORE = 100
+"""Submaps of any drive, described before one, among which those before it on its own drive are sought."""
+
+Registered = Callable[[SubmapRecord, SubmapRecord, float, Matrix4], LoopVerdict]
+"""Verify a pair of submaps of some similarity around a T_match_query."""
+
+
+@dataclass(frozen=True)
+class Beside:
+    """A loop of a drive, judged just now or stored (`record`), with what it says of how its two drives lie."""
+
+    query: SubmapRecord
+    match: SubmapRecord
+    similarity: float
+    verdict: LoopVerdict
+    record: LoopRecord | None = None
+
+    @property
+    def ambiguous(self) -> bool:
+        """Whether several poses fit it."""
+        return not self.verdict.accepted and self.verdict.reason == AMBIGUOUS
+
+    @property
+    def accepted_by_itself(self) -> bool:
+        """Whether it was accepted, and not for the sake of other loops."""
+        return self.verdict.accepted and SUPPORT not in self.verdict.evidence
+
+    @property
+    def hypotheses(self) -> tuple[Matrix4, ...]:
+        """Its poses T_match_query, the best first; none where it says nothing."""
+        if self.verdict.T_match_query is None or not (self.verdict.accepted or self.ambiguous):
+            return ()
+        rivals = self.verdict.evidence.get("measurement", {}).get("rivals", ()) if self.ambiguous else ()
+        return (self.verdict.T_match_query, *(np.array(one["T_match_query"], dtype=np.float64) for one in rivals))
+
+
+def loops_before(uow: UnitOfWork, submap: SubmapRecord, most: int) -> list[Beside]:
+    """The stored loops of at most `most` submaps before `submap` on its drive that say anything of how drives lie."""
+    numbers = range(max(1, submap.number - _BEFORE), submap.number)
+    before = uow.submaps.numbered(submap.tenant, list(numbers))
+    own = [
+        one
+        for one in before.values()
+        if one.session_number == submap.session_number and 0 < submap.ordinal - one.ordinal <= most
+    ]
+    loops = [loop for one in own for loop in uow.loops.find(submap.tenant, query_number=one.number) if _says(loop)]
+    matches = uow.submaps.numbered(submap.tenant, sorted({loop.match_number for loop in loops})[-1000:])
+    return [
+        Beside(before[loop.query_number], matches[loop.match_number], loop.similarity, _verdict(loop), loop)
+        for loop in loops
+        if loop.match_number in matches
+    ]
+
+
+def supported(
+    loops: Sequence[Beside], config: VerificationConfig, stride_m: float, register: Registered
+) -> list[Beside]:
+    """Those of the ambiguous `loops` that the others decide, with the verdict that they have then.
+
+    `stride_m`: how far apart neighbouring submaps of a drive were begun.
+    """
+    decided = []
+    for drives in _by_drives(loops):
+        for loop in drives:
+            support = _support(loop, drives, config, stride_m) if loop.ambiguous else None
+            verdict = None if support is None else _registered(loop, support, config, register)
+            if verdict is not None:
+                decided.append(replace(loop, verdict=verdict))
+    return decided
+
+
+def _by_drives(loops: Iterable[Beside]) -> list[list[Beside]]:
+    """The loops that say anything, by the drive that was matched."""
+    groups: dict[int, list[Beside]] = defaultdict(list)
+    for loop in loops:
+        if loop.hypotheses:
+            groups[loop.match.session_number].append(loop)
+    return list(groups.values())
+
+
+def _support(
+    loop: Beside, others: Sequence[Beside], config: VerificationConfig, stride_m: float
+) -> NeighbourSupport | None:
+    neighbours = [_neighbour(loop, other, stride_m) for other in others if other is not loop]
+    if not any(one.accepted for one in neighbours):
+        return None
+    return find_support(loop.hypotheses, neighbours, config)
+
+
+def _neighbour(loop: Beside, other: Beside, stride_m: float) -> NeighbourLoop:
+    """What `other` says of `loop`, by the odometry of both drives."""
+    T_other_query = _between(other.query, loop.query)
+    T_match_other = _between(loop.match, other.match)
+    poses = tuple(carried_over(T, T_match_other, T_other_query) for T in other.hypotheses)
+    query_m, match_m = _ahead(loop.query, other.query), _ahead(loop.match, other.match)
+    way_m = _way(loop.query, other.query, query_m, stride_m) + _way(loop.match, other.match, match_m, stride_m)
+    return NeighbourLoop(other.accepted_by_itself, poses, query_m, match_m, way_m)
+
+
+def _between(first: SubmapRecord, second: SubmapRecord) -> Matrix4:
+    """T_first_second by odometry; both are of one drive."""
+    return np.asarray(se3.inverse(pose_matrix(first.T_odom_submap)) @ pose_matrix(second.T_odom_submap))
+
+
+def _ahead(submap: SubmapRecord, other: SubmapRecord) -> float:
+    """How far ahead `other` lies on the drive of `submap`, as the crow flies; behind it is negative."""
+    distance = float(np.linalg.norm(np.subtract(other.position_m, submap.position_m)))
+    return distance if other.ordinal > submap.ordinal else -distance
+
+
+def _way(submap: SubmapRecord, other: SubmapRecord, ahead_m: float, stride_m: float) -> float:
+    return max(abs(ahead_m), stride_m * abs(other.ordinal - submap.ordinal))
+
+
+def _registered(
+    loop: Beside, support: NeighbourSupport, config: VerificationConfig, register: Registered
+) -> LoopVerdict | None:
+    """The verdict around the hypothesis that has support; None where it is not accepted, or moved away from there."""
+    hypothesis = loop.hypotheses[support.hypothesis]
+    verdict = register(loop.query, loop.match, loop.similarity, hypothesis)
+    if not verdict.accepted or verdict.T_match_query is None:
+        return None
+    moved_m = float(np.linalg.norm(verdict.T_match_query[:3, 3] - hypothesis[:3, 3]))
+    if moved_m > 0.5 * config.rival_distance:
+        return None
+    others = [pose.tolist() for row, pose in enumerate(loop.hypotheses) if row != support.hypothesis]
+    return replace(verdict, evidence={**verdict.evidence, SUPPORT: _told(support, others)})
+
+
+def _told(support: NeighbourSupport, others: list[Any]) -> dict[str, Any]:
+    """Support as JSON, with a sentence for people."""
+    words = (
+        f"{len(others)} other poses fit as well; accepted loops of {support.anchors} submaps beside it, "
+        f"{support.agreeing} loops over {support.along_m:.0f} m of both drives, agree with this one alone"
+    )
+    return {
+        "anchors": support.anchors, "agreeing": support.agreeing, "along_m": round(support.along_m, 3),
+        "ruled_out": others, "words": words,
+    }  # fmt: skip
+
+
+def _says(loop: LoopRecord) -> bool:
+    """Whether a stored loop says anything of how its drives lie: accepted and not an outlier, or ambiguous."""
+    if loop.state == LoopState.ACCEPTED:
+        return loop.graph_state != GraphState.SET_ASIDE
+    return loop.state == LoopState.REJECTED and loop.reason == AMBIGUOUS
+
+
+def _verdict(loop: LoopRecord) -> LoopVerdict:
+    T_match_query = None if loop.T_match_query is None else np.array(pose_matrix(loop.T_match_query))
+    return LoopVerdict(loop.state == LoopState.ACCEPTED, loop.reason, loop.score, T_match_query, loop.evidence)

@@ -1,0 +1,117 @@
+"""Ambiguous loops are decided by the loops beside them, and by nothing less (docs/decisions/0161)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from revisit.core.geometry import se3
+from revisit.service.application import SessionKey, SubmapKey
+from revisit.service.application.catalogue.paging import PageRequest
+from revisit.service.application.catalogue.sessions import CreateSession
+from revisit.service.application.contract.recogniser import LoopVerdict
+from revisit.service.application.contract.states import LoopState
+from tests.support.fake_recogniser import FakeRecogniser
+from tests.support.service_world import SESSION, TENANT, memory_world, open_session, sqlite_world, submap
+
+PERIOD_M = 10.0
+SECOND = SessionKey("town", "tuesday")
+STATIONS = (0, 10, 20, 30, 40, 50)
+
+
+@pytest.fixture(params=["memory", "sqlite"])
+def world(request, tmp_path):
+    made = memory_world() if request.param == "memory" else sqlite_world(tmp_path)
+    yield made
+    made.context.transactions.close()
+
+
+class RowOfHouses(FakeRecogniser):
+    """Houses every 10 m up to `end_m`: beyond, and only there, geometry tells one place from the others.
+
+    The best pose of an ambiguous pair is a period off. A pose that is named is accepted within 40 m of the query.
+    """
+
+    def __init__(self, end_m: float) -> None:
+        self._end_m = end_m
+
+    def describe(self, given, config):
+        return replace(super().describe(given, config), place=np.float64(given.T_odom_submap[0, 3]).tobytes())
+
+    def verify(self, query, match, similarity, config, near=None):
+        at, other = (float(np.frombuffer(one)[0]) for one in (query, match))
+        shifts = (at - other + PERIOD_M, at - other, at - other - PERIOD_M)
+        poses = [se3.from_yaw(0.0, (shift, 0.3, 0.0)) for shift in shifts]
+        if abs(at - other) > 15.0:
+            return LoopVerdict(False, "LOW_OVERLAP", 0.1, None, {"measurement": {}})
+        if near is not None:
+            return LoopVerdict(True, None, 0.8, near, {"measurement": {"rivals": []}})
+        if min(at, other) >= self._end_m:
+            return LoopVerdict(True, None, 0.9, poses[1], {"measurement": {"rivals": []}})
+        rivals = [{"overlap": 0.6, "T_match_query": pose.tolist()} for pose in poses[1:]]
+        return LoopVerdict(False, "AMBIGUOUS", 0.9, poses[0], {"measurement": {"rivals": rivals}})
+
+
+async def driven_twice(world, recogniser, stations=STATIONS):
+    """Two drives past the same houses, each described as it comes."""
+    await open_session(world)
+    await world.use_cases.sessions.create(TENANT, CreateSession(SECOND.map_id, SECOND.session_id))
+    for session in (SESSION, SECOND):
+        for station in stations:
+            await world.use_cases.posting.post(TENANT, submap(f"{session.session_id}-{station}", station, session))
+        world.work_off(recogniser)
+    page = await world.use_cases.loops.list(TENANT, "town", PageRequest(500), session_id=SECOND.session_id)
+    return [loop for loop in page.items if loop.match.session_id == SESSION.session_id]
+
+
+def shift_of(loop) -> float:
+    """By how many metres the pose of a loop is off."""
+    true_m = int(loop.query.submap_id.split("-")[1]) - int(loop.match.submap_id.split("-")[1])
+    return float(loop.T_match_query[0, 3]) - true_m
+
+
+async def test_the_end_of_a_row_decides_the_loops_before_it(world):
+    loops = await driven_twice(world, RowOfHouses(end_m=30.0))
+    accepted = [loop for loop in loops if loop.state is LoopState.ACCEPTED]
+    assert all(abs(shift_of(loop)) < 0.1 for loop in accepted)
+    decided = {loop.query.submap_id for loop in accepted if "support" in loop.evidence}
+    assert {"tuesday-20", "tuesday-10"} <= decided
+    told = next(loop for loop in accepted if "support" in loop.evidence).evidence
+    assert told["support"]["anchors"] >= 2 and told["support"]["along_m"] >= 15.0
+    assert len(told["support"]["ruled_out"]) == 2 and "agree with this one alone" in told["support"]["words"]
+    assert told["model_version"] == "fake-1"
+    name = next(loop for loop in accepted if loop.query.submap_id == "tuesday-20").loop_id
+    events = await world.use_cases.loop_decisions.events(TENANT, "town", name, PageRequest())
+    assert [event.state for event in events.items] == [LoopState.REJECTED, LoopState.ACCEPTED]
+
+
+async def test_a_row_without_an_end_stays_ambiguous(world):
+    loops = await driven_twice(world, RowOfHouses(end_m=1e9))
+    assert loops and not [loop for loop in loops if loop.state is LoopState.ACCEPTED]
+
+
+async def test_what_lies_too_far_from_the_end_stays_ambiguous():
+    world = memory_world()
+    loops = await driven_twice(world, RowOfHouses(end_m=100.0), stations=range(0, 121, 10))
+    decided = {int(loop.query.submap_id.split("-")[1]) for loop in loops if "support" in loop.evidence}
+    assert decided and min(decided) >= 70
+    assert all(abs(shift_of(loop)) < 0.1 for loop in loops if loop.state is LoopState.ACCEPTED)
+
+
+async def test_what_a_person_rejected_is_left_alone():
+    world, recogniser = memory_world(), RowOfHouses(end_m=30.0)
+    await open_session(world)
+    await world.use_cases.sessions.create(TENANT, CreateSession(SECOND.map_id, SECOND.session_id))
+    for session, stations in ((SESSION, STATIONS), (SECOND, STATIONS[:3])):
+        for station in stations:
+            await world.use_cases.posting.post(TENANT, submap(f"{session.session_id}-{station}", station, session))
+        world.work_off(recogniser)
+    page = await world.use_cases.loops.list(TENANT, "town", PageRequest(500), session_id=SECOND.session_id)
+    mine = next(one for one in page.items if one.match == SubmapKey("town", "monday", "monday-20"))
+    await world.use_cases.loop_decisions.reject(TENANT, "town", mine.loop_id)
+    for station in STATIONS[3:]:
+        await world.use_cases.posting.post(TENANT, submap(f"tuesday-{station}", station, SECOND))
+    world.work_off(recogniser)
+    assert (await world.use_cases.loops.get(TENANT, "town", mine.loop_id)).state is LoopState.REJECTED

@@ -1,0 +1,134 @@
+"""Robots with a LiDAR of 64 beams at 1.5 m/s, ten scans a second each, on one machine with the whole service.
+
+REVISIT_ROBOTS (2) drive for REVISIT_ROBOTS_MINUTES (a third); REVISIT_ROBOTS_WORKERS (2) describe and verify with the
+real method. Full size is 8 robots for 10 minutes on two cores that do nothing else:
+
+    export REVISIT_TEST_TIMES=1 REVISIT_ROBOTS=8 REVISIT_ROBOTS_MINUTES=10
+    python -m pytest tests/load/test_robots.py -s
+
+The scans are simulated beforehand (`tests.support.recorded_drive`, 10 minutes of a core) and kept in the folder
+REVISIT_ROBOTS_DRIVE, where one is named. Odometry does not drift. Whether the robots are kept up with is asked only
+where REVISIT_TEST_TIMES is set.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from revisit import Client
+from revisit.service.application.contract.blobs import CLOUD_BLOB
+from tests.support.figures import publish
+from tests.support.load import quantile
+from tests.support.patience import PATIENCE_S, eventually, in_time
+from tests.support.processes import ServiceProcess
+from tests.support.recorded_drive import SCANS_PER_S, Lap, RecordedDrive, recorded_drive
+from tests.support.replaying_robots import MachineWatch, Robot, stored_bytes
+
+ROBOTS = int(os.environ.get("REVISIT_ROBOTS", "2"))
+SECONDS = 60 * float(os.environ.get("REVISIT_ROBOTS_MINUTES", "0.3333"))
+WORKERS = int(os.environ.get("REVISIT_ROBOTS_WORKERS", "2"))
+SCANS = round(SECONDS * SCANS_PER_S)
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(int(3 * SECONDS) + 1800)]
+
+BLOCK_M = 85.0
+SHORT_SCANS = 400
+"""A test that needs no more than so many drives them once; a longer one goes round the block."""
+
+MOST_LATE_S = 2.0
+MORE_QUEUED = 1.0
+"""A queue that has grown by less than so many submaps for each robot between the first third and the last is flat."""
+
+REAL = "revisit.service.adapters.core_recogniser:load_recogniser"
+
+
+@pytest.fixture(scope="module")
+def laps(tmp_path_factory) -> list[Lap]:
+    """A place to begin for each robot: evenly spread around the block, or a metre apart."""
+    folder = Path(os.environ.get("REVISIT_ROBOTS_DRIVE") or tmp_path_factory.mktemp("drive"))
+    needed = SCANS + 10 * ROBOTS
+    drive: RecordedDrive = recorded_drive(folder, needed if needed <= SHORT_SCANS else None, BLOCK_M)
+    apart = 10 if needed <= len(drive) else len(drive) // ROBOTS
+    return [Lap(drive, robot, robot * apart) for robot in range(ROBOTS)]
+
+
+def driven(service: ServiceProcess, laps: list[Lap]) -> tuple[list[Robot], MachineWatch]:
+    """All robots drive, each in a session of its own of one map; then the queue is worked off."""
+    with Client.grpc(service.grpc_target) as client:
+        town = client.create_map("town")
+        sessions = [client.create_session(town, f"robot{number}").name for number in range(len(laps))]
+    stop, begins_s = threading.Event(), time.monotonic() + 1.0
+    robots = [
+        Robot(service.grpc_target, session, lap, SCANS, begins_s + number / len(laps) / SCANS_PER_S)
+        for number, (session, lap) in enumerate(zip(sessions, laps, strict=True))
+    ]
+    watch = MachineWatch(service, stop)
+    watch.start()
+    for robot in robots:
+        robot.start()
+    for robot in robots:
+        robot.join()
+    stop.set()
+    watch.join()
+    return robots, watch
+
+
+def states_of(service: ServiceProcess, robots: list[Robot]) -> list[str]:
+    """The states of all submaps."""
+    with httpx.Client(base_url=service.url, timeout=PATIENCE_S, trust_env=False) as http:
+        lists = [http.get(f"/v1/{robot.name}/submaps", params={"page_size": 500}).json() for robot in robots]
+    return [submap["state"] for listed in lists for submap in listed["submaps"]]
+
+
+def figures(robots: list[Robot], watch: MachineWatch, submaps: int, home: Path) -> dict[str, Any]:
+    """What it took, a scan and a submap."""
+    took_ms = [1e3 * took for robot in robots for took in robot.acknowledgements.took_s]
+    scans, first, last = ROBOTS * SCANS, *watch.queue_of_thirds()
+    return {
+        "robots": ROBOTS,
+        "minutes": round(SECONDS / 60, 2),
+        "ack_p50_p99_ms": [quantile(0.5, took_ms), quantile(0.99, took_ms)],
+        "late_at_the_end_s": round(max(robot.late_s[-1] for robot in robots), 2),
+        "queue_first_and_last_third": [round(first, 1), round(last, 1)],
+        "queue_most": max(watch.queued),
+        "gateway_cpu_ms_a_scan": round(1e3 * watch.gateway_s / scans, 1),
+        "stored_bytes_a_scan": round(sum(blobs := stored_bytes(home, CLOUD_BLOB)) / scans),
+        "stored_clouds": len(blobs),
+        "submaps": submaps,
+        "worker_cpu_ms_a_submap": round(1e3 * watch.workers_s / max(1, submaps - watch.queued[-1])),
+        "robots_cpu_ms_a_scan": round(1e3 * watch.own_s / scans, 1),
+        "gateway_and_worker_mib": [round(watch.gateway_mib), round(watch.worker_mib)],
+        "other_work_cores": round(watch.other_cores(), 2),
+        "load": os.getloadavg()[0],
+    }
+
+
+def test_robots_are_kept_up_with(laps, tmp_path):
+    service = ServiceProcess(
+        tmp_path / "home", workers=WORKERS, recogniser=REAL, streams_per_client=ROBOTS, max_queued_jobs=10_000
+    )
+    try:
+        eventually(
+            lambda: len([e for e in service.events if e["event"] == "worker_ready"]) == WORKERS, "no worker", 900
+        )
+        robots, watch = driven(service, laps)
+        with Client(service.url) as client:
+            eventually(lambda: "QUEUED" not in states_of(service, robots), "submaps are left", timeout_s=1200)
+            states = states_of(service, robots)
+            loops = sum(1 for _ in client.loop_closures("maps/town"))
+        told = figures(robots, watch, len(states), tmp_path / "home")
+    finally:
+        service.close()
+    publish("robots", **told, loops=loops)
+    assert [robot.rejected for robot in robots] == [[]] * ROBOTS
+    assert [robot.committed_seq for robot in robots] == [SCANS] * ROBOTS
+    assert set(states) == {"DESCRIBED"}
+    assert in_time(told["late_at_the_end_s"], MOST_LATE_S)
+    first, last = told["queue_first_and_last_third"]
+    assert in_time(last - first, MORE_QUEUED * ROBOTS)

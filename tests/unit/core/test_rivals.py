@@ -1,0 +1,42 @@
+"""Rivals are sought by correlation of plans: its fast form counts what counting at every shift would."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from revisit.core.verification.oriented_points import OrientedPoints
+from revisit.core.verification.rivals import PLAN_SIZE, _layers, _overlap_surfaces, _plan, _wider
+
+PIXEL_M = 0.8
+
+
+def scene(seed: int) -> np.ndarray:
+    """Points (n, 3) within the plan, none on the border of a pixel."""
+    rng = np.random.default_rng(seed)
+    cells = rng.integers(-30, 30, (300, 2)) + rng.uniform(0.1, 0.9, (300, 2))
+    return np.c_[cells * PIXEL_M, rng.uniform(-3, 6, 300)]
+
+
+def counted(query: np.ndarray, match: np.ndarray, shift: tuple[int, int]) -> tuple[float, float]:
+    """The share of the query that stands on what stands, and how much of it was seen, moved by (x, y) pixels."""
+    standing = _wider((_layers(match, PIXEL_M) > 0).astype(np.float32))
+    seen = _wider(_wider((_layers(match, PIXEL_M).sum(axis=0, keepdims=True) > 0).astype(np.float32)))[0]
+    layers = np.roll(_layers(query, PIXEL_M), shift[::-1], axis=(1, 2))
+    common = float((layers * seen).sum())
+    return float((layers * standing).sum()) / max(common, 1.0), common
+
+
+@pytest.mark.parametrize("quarters", range(4))
+def test_shares_of_all_turns_and_shifts_are_those_of_counting(quarters: int) -> None:
+    query, match = scene(1), scene(2)
+    against = _plan(OrientedPoints(match, np.zeros_like(match), len(match)), PIXEL_M)
+    shares, commons = _overlap_surfaces(query, bool(quarters % 2), against, PIXEL_M)
+    turned = query.copy()
+    for _ in range(quarters):
+        turned[:, :2] = np.c_[-turned[:, 1], turned[:, 0]]
+    for shift in ((0, 0), (5, -3), (-17, 22), (1, 1)):
+        share, common = counted(turned, match, shift)
+        row, column = shift[1] % PLAN_SIZE, shift[0] % PLAN_SIZE
+        assert shares[quarters // 2][row, column] == pytest.approx(share, abs=1e-4)
+        assert commons[quarters // 2][row, column] == pytest.approx(common, abs=1e-2)
