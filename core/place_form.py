@@ -45,9 +45,7 @@ def write_form(contents: PlaceContents, spacing: float) -> tuple[dict[str, Any],
     standing = contents.standing_count
     streams = (
         write_surface(contents.points[:standing], contents.normals[:standing], spacing, _STEPS),
-        write_surface(
-            contents.points[standing:], contents.normals[standing:], _GROUND * spacing, _GROUND * _STEPS
-        ),
+        write_surface(contents.points[standing:], contents.normals[standing:], _GROUND * spacing, _GROUND * _STEPS),
     )
     parity = contents.parity[:DIMENSIONS]
     header = {

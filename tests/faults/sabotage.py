@@ -510,7 +510,7 @@ SABOTAGES = (
     ),
     Sabotage(
         "a window of any number of points is loaded whole",
-        {f"{USE_CASES}ingest.submap_source:used_scans": lambda _used: lambda travelled_m, *_: range(len(travelled_m))},
+        {f"{USE_CASES}ingest.submap_source:chosen_scans": lambda _chosen: lambda positions, *_: range(len(positions))},
         "tests/integration/test_dense_windows.py::test_of_a_window_of_dense_scans_only_the_used_ones_are_read",
     ),
 )

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from revisit.core.geometry import se3
 from revisit.service.application.contract.records import ScanRecord
 from revisit.service.application.ingest.submap_source import MAX_SCANS, submap_source
 from tests.support.service_world import TENANT, memory_world, open_session, scan
@@ -21,11 +22,12 @@ async def test_of_a_window_of_dense_scans_only_the_used_ones_are_read(monkeypatc
         (record,) = uow.submaps.find(TENANT)
         first: ScanRecord = uow.scans.with_seqs(TENANT, record.map_id, record.session_id, [1])[0]
         taken_at_m = np.linspace(0.0, 10.0, MAX_SCANS)
-        dense = [replace(first, point_count=262_000, travelled_m=float(at_m)) for at_m in taken_at_m]
+        poses = [tuple(se3.from_yaw(0.0, (at_m, 0.0, 0.0)).ravel().tolist()) for at_m in taken_at_m]
+        dense = [replace(first, point_count=262_000, T_odom_sensor=pose) for pose in poses]
         monkeypatch.setattr(type(uow.scans), "with_seqs", lambda *_: dense)
         used = submap_source(uow, world.context.policy, record).clouds
         return len(used), 262_000 * len(used)
 
     scans, points = world.context.transactions.read(dense).result()
-    assert scans == 16
-    assert points < 5_000_000
+    assert scans == 11
+    assert points < 3_000_000
