@@ -154,7 +154,7 @@ class ImplicitMapConfig(Section):
         2, "voxels", "own", "neighbours are sought among the voxels within this distance", high=8
     )
     max_points: int = parameter(
-        120_000, "points", "own, decision 0110", "most neural points of a submap; the farthest are left out"
+        80_000, "points", "own, decisions 0110 and 0151", "most neural points of a submap; the farthest are left out"
     )
     weight_power: float = parameter(
         2.0, "1", "own, decision 0115; paper Eq. 3: 1", "power of the inverse distance weight", low=0

@@ -35,7 +35,7 @@ _VOXEL_M = 0.3
 class Visits:
     """10 m submaps of simulated streets seen by 64 beams: a place, its revisit in reverse, and another place.
 
-    Eleven scans each, and `dense` with 67.
+    Eleven scans each; `dense` is cut from 67, of which `Submap.from_scans` chooses.
     """
 
     place: Submap
