@@ -8,7 +8,7 @@ as it is (Eq. 15) and standardised by the map; seconds of the processor and byte
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -109,14 +109,12 @@ def variants(domain: Domain, setting: Setting, profile: Profile) -> dict[str, Dr
     }
 
 
-def table(domain: Domain, setting: Setting) -> list[str]:
-    """Lines of the Markdown table of a domain."""
-    lines = []
+def table(domain: Domain, setting: Setting) -> Iterator[str]:
+    """Lines of the Markdown table of a domain, as they become known."""
     for profile in Profile:
         for name, drives in variants(domain, setting, profile).items():
             cells = [_cell(judged(drives, domain, standardised=standardised)) for standardised in (False, True)]
-            lines.append(f"| {domain.name} | {profile.value} | {name} | {cells[0]} | {cells[1]} | {_costs(drives)} |")
-    return lines
+            yield f"| {domain.name} | {profile.value} | {name} | {cells[0]} | {cells[1]} | {_costs(drives)} |"
 
 
 def _described(
@@ -163,7 +161,8 @@ def main(out: Path, names: Sequence[str]) -> None:
     print("|---|---|---|---|---|---|---|---|---|---|")
     for domain in DOMAINS:
         if domain.name in names and not domain.missing:
-            print("\n".join(table(domain, Setting(out, SHARE))), flush=True)
+            for line in table(domain, Setting(out, SHARE)):
+                print(line, flush=True)
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ from revisit.service.application.contract.transactions import UnitOfWork
 SUPPORT = "support"
 """The member of a loop's evidence that says which loops beside it have decided."""
 
-_BEFORE = 200
+_BEFORE = 100
 """Submaps of any drive, described before one, among which those before it on its own drive are sought."""
 
 Registered = Callable[[SubmapRecord, SubmapRecord, float, Matrix4], LoopVerdict]
@@ -62,11 +62,15 @@ class Beside:
         return (self.verdict.T_match_query, *(np.array(one["T_match_query"], dtype=np.float64) for one in rivals))
 
 
-def loops_before(uow: UnitOfWork, submap: SubmapRecord) -> list[Beside]:
-    """The stored loops of the submaps shortly before `submap` on its drive that say anything of how drives lie."""
+def loops_before(uow: UnitOfWork, submap: SubmapRecord, most: int) -> list[Beside]:
+    """The stored loops of at most `most` submaps before `submap` on its drive that say anything of how drives lie."""
     numbers = range(max(1, submap.number - _BEFORE), submap.number)
     before = uow.submaps.numbered(submap.tenant, list(numbers))
-    own = [one for one in before.values() if (one.map_id, one.session_id) == (submap.map_id, submap.session_id)]
+    own = [
+        one
+        for one in before.values()
+        if one.session_number == submap.session_number and 0 < submap.ordinal - one.ordinal <= most
+    ]
     loops = [loop for one in own for loop in uow.loops.find(submap.tenant, query_number=one.number) if _says(loop)]
     matches = uow.submaps.numbered(submap.tenant, sorted({loop.match_number for loop in loops})[-1000:])
     return [

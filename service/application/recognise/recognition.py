@@ -7,6 +7,7 @@ workers describe at the same time is found by the one that commits second.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -268,7 +269,8 @@ class Recognition:
         new = [Beside(submap, one.place.submap, one.place.similarity, one.verdict) for one in judged]
         if not any(loop.hypotheses for loop in new):
             return judged, []
-        before = self._transactions.read(partial(loops_before, submap=submap)).result()
+        most = math.ceil(config.verification.support_reach / config.submap.stride)
+        before = self._transactions.read(partial(loops_before, submap=submap, most=most)).result()
 
         def register(query: SubmapRecord, match: SubmapRecord, similarity: float, near: Matrix4) -> LoopVerdict:
             asked = place if query is submap else self._stored_place(query)
