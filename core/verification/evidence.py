@@ -28,7 +28,7 @@ class Evidence:
     direction that the surfaces fix least; near 0 where any place along a street or hedge would fit as well.
     seen_through 0..1: the share of what stands in either place, as far as the other has looked there, that the other
     has looked through. Contrast and seen_through have their worst values, 0 and 1, where the registration was given up,
-    and where there is so little overlap that they would decide nothing.
+    or where there is so little overlap that they would decide nothing.
     """
 
     overlap: float
