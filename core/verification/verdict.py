@@ -102,7 +102,7 @@ def _verify_in_order(
     """
     if query.model != match.model or abs(query.frame.scale - match.frame.scale) > 1e-6:
         raise DescriptorModelMismatch
-    if query.kept(is_degenerate, config) or match.kept(is_degenerate, config):
+    if is_degenerate(query, config) or is_degenerate(match, config):
         return RejectedLoop(RejectionReason.DEGENERATE_PLACE)
     start = find_start(query, match, config)
     if near is not None:
@@ -123,11 +123,13 @@ def _verify_in_order(
 
 def is_degenerate(place: Place, config: VerificationConfig) -> bool:
     """Whether a place cannot be verified: too little stands on its ground, or what stands there is one line or wall."""
+    return place.standing_count < config.min_standing or place.kept(_narrowest_spread) < config.min_spread
+
+
+def _narrowest_spread(place: Place) -> float:
+    """The smallest horizontal standard deviation of what stands."""
     standing = place.points[: place.standing_count].astype(np.float64)
-    if len(standing) < config.min_standing:
-        return True
-    spread = np.sqrt(np.clip(np.linalg.eigvalsh(np.cov(standing[:, :2].T)), 0.0, None))
-    return bool(spread[0] < config.min_spread)
+    return float(np.sqrt(np.clip(np.linalg.eigvalsh(np.cov(standing[:, :2].T)), 0.0, None))[0])
 
 
 def systematic_covariance(

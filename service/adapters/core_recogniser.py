@@ -34,7 +34,7 @@ VERSION_DIGITS = 12
 
 PLACES_KEPT = 48
 """Places that a worker keeps unpacked, the last ones it used: candidates come again with a robot's next submap. With
-what verification has made of them about 0.9 MB each.
+what verification has made of them about 0.75 MB each.
 """
 
 

@@ -11,7 +11,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from revisit.core import place
+from revisit.core import place_first_form, place_form
 from revisit.core.errors import DataLoss, RevisitError
 from revisit.core.implicit_map import blob
 from revisit.core.place import Place
@@ -99,7 +99,10 @@ TARGETS: dict[str, Target] = {
     "neural map": refusing(blob.unpack, DataLoss),
     "neural map behind its checksum": behind_checksum(blob.unpack, blob.CONTAINER.magic, 32),
     "place": refusing(Place.from_blob, DataLoss),
-    "place behind its checksum": behind_checksum(Place.from_blob, place.CONTAINER.magic, DIGEST_BYTES),
+    "place behind its checksum": behind_checksum(Place.from_blob, place_form.CONTAINER.magic, DIGEST_BYTES),
+    "first form of a place behind its checksum": behind_checksum(
+        Place.from_blob, place_first_form.CONTAINER.magic, DIGEST_BYTES
+    ),
     "stored cloud": refusing(unpack_cloud, DataLoss),
     "stored mesh": refusing(unpack_mesh, DataLoss),
 }

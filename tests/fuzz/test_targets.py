@@ -13,16 +13,17 @@ import zstandard
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from revisit.core import place
+from revisit.core import place_form
 from revisit.core.errors import DataLoss
 from revisit.core.implicit_map import blob
 from revisit.formats import MEDIA_TYPES, QUANTISED
 from revisit.service.application.catalogue.meshes import pack_mesh
 from revisit.service.application.contract.recogniser import Mesh
 from revisit.service.application.ingest.clouds import StoredCloud, pack_cloud
-from tests.fuzz.targets import FILES, TARGETS, refusing
+from tests.fuzz.targets import DIGEST_BYTES, FILES, TARGETS, refusing
 from tests.support.campaigns import Campaign
 from tests.support.cloud_files import records, valid_files
+from tests.support.places import a_place
 
 EXAMPLES = int(os.environ.get("REVISIT_FUZZ_EXAMPLES", "40"))
 
@@ -40,6 +41,7 @@ def seeds() -> dict[str, list[bytes]]:
     triangle = Mesh(values[:3, :3], np.tile(np.float32([0, 0, 1]), (3, 1)), np.array([[0, 1, 2]], dtype=np.int32))
     header = {"keypoints": 0, "size": 0, "points": 0, "standing": 0, "model": "m", "T_level_submap": LEVEL}
     head = json.dumps(header).encode()
+    stored = a_place(values[:8, :2]).to_blob()
     neural_map = blob.pack({"count": 0}, [b"abc", b""])
     sections = struct.pack("<II", len(head), len(NOTHING)) + head + NOTHING
     return {
@@ -52,8 +54,9 @@ def seeds() -> dict[str, list[bytes]]:
         "page token": [b"YWZ0ZXI6MTI="],
         "neural map": [neural_map],
         "neural map behind its checksum": [neural_map[len(blob.CONTAINER.magic) : -32]],
-        "place": [place.CONTAINER.magic + sections],
-        "place behind its checksum": [sections],
+        "place": [stored],
+        "place behind its checksum": [stored[len(place_form.CONTAINER.magic) : -DIGEST_BYTES]],
+        "first form of a place behind its checksum": [sections],
         "stored cloud": [pack_cloud(StoredCloud(values[:, :3], values[:, 3])), *by_type[QUANTISED]],
         "stored mesh": [pack_mesh(triangle)],
     }

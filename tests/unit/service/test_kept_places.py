@@ -1,0 +1,26 @@
+"""A worker unpacks a place once: candidates come again with a robot's next submap."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from revisit.core.config import PipelineConfig
+from revisit.core.model_bundle import load_packaged_models
+from revisit.core.place import Place
+from revisit.service.adapters.core_recogniser import PLACES_KEPT, CoreRecogniser
+from tests.support.places import a_place
+
+
+def test_a_place_that_is_compared_again_is_not_unpacked_again(monkeypatch) -> None:
+    unpacked: list[bytes] = []
+    read = Place.from_blob
+    monkeypatch.setattr(Place, "from_blob", lambda blob: (unpacked.append(blob), read(blob))[1])
+    recogniser, config = CoreRecogniser(load_packaged_models()), PipelineConfig()
+    blobs = [a_place(np.full((2, 2), float(n))).to_blob() for n in range(3)]
+    for match in (blobs[1], blobs[2], blobs[1]):
+        assert recogniser.verify(blobs[0], match, 0.5, config).reason == "DEGENERATE_PLACE"
+    assert unpacked == blobs
+
+
+def test_a_query_with_twice_the_candidates_of_today_fits() -> None:
+    assert 2 * PipelineConfig().loop.candidates + 1 <= PLACES_KEPT
