@@ -1,23 +1,23 @@
-"""Place: what is kept of a submap for verification, in some tens of kilobytes."""
+"""Place: what is kept of a submap for verification, in about ten kilobytes."""
 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core import place_first_form
 from revisit.core.config import VerificationConfig
-from revisit.core.container import Container
 from revisit.core.descriptor.vlad import Codebooks, project_locally
 from revisit.core.errors import BadTransform, DataLoss
-from revisit.core.geometry import octahedral
 from revisit.core.geometry.level_frame import LevelFrame
 from revisit.core.geometry.voxel_keys import voxel_keys
 from revisit.core.kept import Keeping
+from revisit.core.place_form import CONTAINER, PlaceContents, read_form, write_form
 from revisit.core.stages import stage
 
 if TYPE_CHECKING:  # a place is read where nothing is described, without the libraries that this needs
@@ -27,10 +27,9 @@ if TYPE_CHECKING:  # a place is read where nothing is described, without the lib
 
 Array = NDArray[np.float32]
 
-CONTAINER = Container(b"RVPS\x01", "stored place", level=9, max_body_bytes=4_000_000, digest_bytes=16, body_length=True)
 CENTIMETRE = 0.01
-_NORMAL_STEPS = 127
-_MAX_ROWS = 100_000
+CUBE_CORNER = 0.125
+"""By how much of an edge the cubes begin before the origin that keep a surface point each: `place_surface.CORNER`."""
 
 
 @dataclass(frozen=True)
@@ -40,9 +39,10 @@ class Place(Keeping):
     keypoints (n, 2) float32; orientations (n,) float32 radians in [0, pi); descriptors (n, l) float32 unit vectors;
     parity (l,) float32 +-1, their signs under a turn by 180 degrees; points (m, 3) float32 and normals (m, 3) float32
     unit, the first `standing_count` of them off the ground; model is the digest of the codebook of the descriptors;
-    frame relates the level frame to that of the submap. Lengths are metres divided by the scene scale. All values but
-    those of frame are the stored, quantised ones, so that parsing a blob gives the same place; frame survives within
-    rounding.
+    frame relates the level frame to that of the submap; `spacing` is the edge of the cubes of which the surface keeps a
+    standing point each, and of twice the edge a ground point. Lengths are metres divided by the scene scale. All values
+    but those of frame are the stored, quantised ones, so that parsing a blob gives the same place; frame survives
+    within rounding.
     """
 
     keypoints: Array
@@ -54,6 +54,7 @@ class Place(Keeping):
     standing_count: int
     model: str
     frame: LevelFrame = field(default_factory=LevelFrame)
+    spacing: float = VerificationConfig().spacing
 
     @cached_property
     def content_digest(self) -> bytes:
@@ -65,29 +66,35 @@ class Place(Keeping):
         return hashlib.sha256(levels).digest()
 
     def to_blob(self) -> bytes:
-        """The place as bytes: magic, header, zstd body, truncated SHA-256 over all of it."""
-        sections = [_encode_keypoints(self), _encode_descriptors(self), _encode_points(self)]
-        header = {
-            "keypoints": len(self.keypoints), "size": int(self.parity.shape[0]), "points": len(self.points),
-            "standing": self.standing_count, "model": self.model,
-            "T_level_submap": np.linalg.inv(self.frame.similarity)[:3].tolist(),
-        }  # fmt: skip
-        return CONTAINER.pack(header, b"".join(sections))
+        """The place as bytes: magic, header, zstd body, truncated SHA-256 over all of it.
+
+        Of several surface points in one cube, or of more numbers of a descriptor than are kept, the first are written.
+        """
+        header, body = write_form(self._contents(), self.spacing)
+        T_level_submap = np.linalg.inv(self.frame.similarity)[:3].tolist()
+        return CONTAINER.pack({**header, "model": self.model, "T_level_submap": T_level_submap}, body)
 
     @classmethod
-    def from_blob(cls, blob: bytes) -> Place:
-        """The inverse of `to_blob`. Raises DataLoss for anything that `to_blob` did not write."""
+    def from_blob(cls, blob: bytes, *, surface: bool = True) -> Place:
+        """The inverse of `to_blob`, or a place of the first form. Raises DataLoss for anything else.
+
+        Without `surface` its points are left out: then no compiled code is needed.
+        """
+        if blob.startswith(place_first_form.CONTAINER.magic):
+            header, body = place_first_form.CONTAINER.unpack(blob)
+            return cls._of(place_first_form.read_first_form(header, body), header)
         header, body = CONTAINER.unpack(blob)
-        count, size, rows, standing = (_bounded(header, name) for name in ("keypoints", "size", "points", "standing"))
-        lengths = [6 * count, size + count * size, 8 * rows]
-        model = header.get("model")
-        if len(body) != sum(lengths) or standing > rows or not isinstance(model, str):
-            raise DataLoss("the place's sections do not have the announced sizes")
-        ends = np.cumsum(lengths)
-        keypoints, orientations = _decode_keypoints(body[: ends[0]], count)
-        parity, descriptors = _decode_descriptors(body[ends[0] : ends[1]], count, size)
-        points, normals = _decode_points(body[ends[1] :], rows)
-        return cls(keypoints, orientations, descriptors, parity, points, normals, standing, model, _frame(header))
+        return cls._of(read_form(header, body, surface=surface), header)
+
+    @classmethod
+    def _of(cls, contents: PlaceContents, header: dict[str, Any]) -> Place:
+        model, spacing = header.get("model"), header.get("spacing", VerificationConfig().spacing)
+        if not isinstance(model, str):
+            raise DataLoss("the place names no model")
+        return cls(**vars(contents), model=model, frame=_frame(header), spacing=spacing)
+
+    def _contents(self) -> PlaceContents:
+        return PlaceContents(**{field.name: getattr(self, field.name) for field in fields(PlaceContents)})
 
 
 @stage("place")
@@ -104,7 +111,7 @@ def extract_place(
     rows = np.concatenate([standing, ground])
     place = Place(
         bev.keypoints, bev.orientations, project_locally(bev.descriptors, codebooks), codebooks.local_parity,
-        surface.vertices[rows], surface.normals[rows], len(standing), patch_model(codebooks),
+        surface.vertices[rows], surface.normals[rows], len(standing), patch_model(codebooks), spacing=config.spacing,
     )  # fmt: skip
     return Place.from_blob(place.to_blob())
 
@@ -118,7 +125,7 @@ def _spread_rows(points: Array, chosen: NDArray[np.bool_], spacing: float, limit
     """One row for each cube of edge `spacing` among the chosen points; where still too many, every k-th of them."""
     rows = np.flatnonzero(chosen)
     near = rows[np.abs(points[rows]).max(axis=1) < 300.0]
-    cubes = np.floor(points[near] / spacing).astype(np.int64)
+    cubes = np.floor(points[near].astype(np.float64) / spacing + CUBE_CORNER).astype(np.int64)
     _, first = np.unique(voxel_keys(cubes), return_index=True)
     spread = near[first]
     if len(spread) <= limit:
@@ -126,49 +133,8 @@ def _spread_rows(points: Array, chosen: NDArray[np.bool_], spacing: float, limit
     return np.asarray(spread[np.linspace(0, len(spread) - 1, limit).astype(np.int64)])
 
 
-def _encode_keypoints(place: Place) -> bytes:
-    angles = np.rint(place.orientations / np.pi * 65536.0).astype(np.int64) % 65536
-    return bytes(_centimetres(place.keypoints).T.tobytes() + angles.astype("<u2").tobytes())
-
-
-def _decode_keypoints(data: bytes, count: int) -> tuple[Array, Array]:
-    positions = np.frombuffer(data, "<i2", 2 * count).reshape(2, count).T
-    angles = np.frombuffer(data, "<u2", count, 4 * count)
-    return _metres(positions), (angles * (np.pi / 65536.0)).astype(np.float32)
-
-
-def _encode_descriptors(place: Place) -> bytes:
-    # a unit vector keeps its direction when its largest component becomes +-127
-    largest = np.maximum(np.abs(place.descriptors).max(axis=1, initial=0.0, keepdims=True), 1e-12)
-    levels = np.rint(place.descriptors / largest * 127.0).astype(np.int8)
-    return bytes(place.parity.astype(np.int8).tobytes() + levels.T.tobytes())
-
-
-def _decode_descriptors(data: bytes, count: int, size: int) -> tuple[Array, Array]:
-    parity = np.frombuffer(data, np.int8, size).astype(np.float32)
-    levels = np.frombuffer(data, np.int8, count * size, size).reshape(size, count).T.astype(np.float32)
-    return parity, levels / np.maximum(np.linalg.norm(levels, axis=1, keepdims=True), 1e-12)
-
-
-def _encode_points(place: Place) -> bytes:
-    levels = _centimetres(place.points)
-    differences = np.diff(levels, axis=0, prepend=np.zeros((1, 3), levels.dtype))  # wraps, and so does the sum
-    return bytes(differences.T.tobytes() + octahedral.encode(place.normals, _NORMAL_STEPS).T.tobytes())
-
-
-def _decode_points(data: bytes, rows: int) -> tuple[Array, Array]:
-    differences = np.frombuffer(data, "<i2", 3 * rows).reshape(3, rows).T
-    codes = np.frombuffer(data, np.uint8, 2 * rows, 6 * rows).reshape(2, rows).T
-    normals = octahedral.decode(codes, _NORMAL_STEPS).astype(np.float32)
-    return _metres(np.cumsum(differences, axis=0, dtype=np.int16)), normals
-
-
 def _centimetres(positions: Array) -> NDArray[np.int16]:
     return np.asarray(np.clip(np.rint(positions / CENTIMETRE), -32767, 32767), dtype="<i2")
-
-
-def _metres(levels: NDArray[np.int16]) -> Array:
-    return np.asarray(levels * np.float32(CENTIMETRE), dtype=np.float32)
 
 
 def _frame(header: dict[str, object]) -> LevelFrame:
@@ -177,10 +143,3 @@ def _frame(header: dict[str, object]) -> LevelFrame:
         return LevelFrame.from_similarity(np.linalg.inv(level_submap))
     except (BadTransform, TypeError, ValueError) as error:
         raise DataLoss("the level frame of the place is no similarity") from error
-
-
-def _bounded(header: dict[str, object], name: str) -> int:
-    value = header.get(name)
-    if type(value) is not int or not 0 <= value <= _MAX_ROWS:
-        raise DataLoss(f"the place's {name} is unusable")
-    return value

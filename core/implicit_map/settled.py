@@ -15,13 +15,13 @@ from revisit.core.geometry import octahedral
 from revisit.core.geometry.voxel_keys import voxel_keys
 from revisit.core.implicit_map.neural_points import NeuralPoints
 from revisit.core.kernels.plane_coder import FIXED, HIT_CLASSES
+from revisit.core.kernels.settled_planes import spots_on_planes
 
 Array = NDArray[np.float32]
 
 NORMAL_STEPS = 15
 OFFSET_UNIT = 48
 """Parts of FIXED of a voxel's edge: 1.9 cm in voxels of 0.4 m."""
-_SETTLE_ROUNDS = 8
 
 
 @dataclass(frozen=True)
@@ -77,13 +77,8 @@ def on_planes(
     voxels: NDArray[np.int32], normals: NDArray[np.float64], heights: NDArray[np.floating], resolution: float
 ) -> tuple[Array, Array]:
     """The spots of `voxels` (n, 3) nearest their centres on planes `heights` (n,) metres along `normals` (n, 3)."""
-    inside = 0.499 * resolution
-    local = normals * heights[:, None]
-    for _ in range(_SETTLE_ROUNDS):
-        local = np.clip(local, -inside, inside)
-        local += normals * (heights - np.einsum("ij,ij->i", local, normals))[:, None]
-    local = np.clip(local, -inside, inside)
-    return ((voxels + 0.5) * resolution + local).astype(np.float32), normals.astype(np.float32)
+    spots = spots_on_planes(voxels, np.ascontiguousarray(normals), heights.astype(np.float64), resolution)
+    return spots, normals.astype(np.float32)
 
 
 def hits_of(codes: PlaneCodes) -> NDArray[np.int32]:

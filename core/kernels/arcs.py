@@ -1,4 +1,4 @@
-"""Angles fast enough for every return of a submap: right within 2e-8 radians."""
+"""Angles fast enough for every return of a submap: right within 2e-8 radians, or 4e-7 in 32 bits."""
 
 from __future__ import annotations
 
@@ -20,3 +20,21 @@ def arc_tangent(y: float, x: float) -> float:
     angle = 0.5 * np.pi - angle if high > wide else angle
     angle = np.pi - angle if x < 0.0 else angle
     return -angle if y < 0.0 else angle
+
+
+_SERIES = tuple(np.float32(value) for value in (_A2, _A4, _A6, _A8, _A10, _A12, _A14, _A16))
+_TINY, _QUARTER, _HALF = np.float32(1e-30), np.float32(0.5 * np.pi), np.float32(np.pi)
+
+
+@numba.njit(inline="always")
+def arc_tangent_32(y: np.float32, x: np.float32) -> np.float32:
+    """As `arc_tangent`, of 32-bit numbers, of which a processor does twice as many at once."""
+    wide, high = abs(x), abs(y)
+    ratio = (wide if wide < high else high) / ((high if wide < high else wide) + _TINY)
+    z = ratio * ratio
+    series = _SERIES[4] + z * (_SERIES[5] + z * (_SERIES[6] + z * _SERIES[7]))
+    series = _SERIES[0] + z * (_SERIES[1] + z * (_SERIES[2] + z * (_SERIES[3] + z * series)))
+    angle = ratio + ratio * z * series
+    angle = _QUARTER - angle if high > wide else angle
+    angle = _HALF - angle if x < np.float32(0.0) else angle
+    return -angle if y < np.float32(0.0) else angle

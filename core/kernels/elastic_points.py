@@ -17,6 +17,7 @@ RECORD = 16
 """Numbers that are gathered of a neural point, in two lines of the cache."""
 
 _CHUNK = 1024
+_TINY_M = np.float32(1e-9)
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -39,7 +40,7 @@ def insert_returns(
     it. Where there are `limit` of them, no more are created: the returns are left out.
     """
     slots, following, voxels = table.slots, table.following, table.voxels
-    cells, units = np.empty((3, _CHUNK), dtype=np.int32), np.empty((3, _CHUNK))
+    cells, units = np.empty((3, _CHUNK), dtype=np.int32), np.empty((3, _CHUNK), dtype=np.float32)
     while start < len(points):
         count = min(_CHUNK, len(points) - start)
         if size + count > len(records) and len(records) < limit:
@@ -71,25 +72,24 @@ def insert_returns(
 @numba.njit(inline="always")
 def _prepare(
     points: NDArray[np.float32], start: int, count: int, origin: NDArray[np.float32], resolution: float,
-    cells: NDArray[np.int32], units: NDArray[np.float64],
+    cells: NDArray[np.int32], units: NDArray[np.float32],
 ) -> None:  # fmt: skip
     """Voxels and unit vectors towards `origin` of `count` returns from row `start` on, many at once."""
     ox, oy, oz = origin[0], origin[1], origin[2]
-    for k in range(count):
-        units[0, k], units[1, k], units[2, k] = points[start + k, 0], points[start + k, 1], points[start + k, 2]
-    for k in range(count):
-        cells[0, k] = np.int32(np.floor(units[0, k] / resolution))
-        cells[1, k] = np.int32(np.floor(units[1, k] / resolution))
-        cells[2, k] = np.int32(np.floor(units[2, k] / resolution))
+    for a in range(3):
+        for k in range(count):
+            units[a, k] = points[start + k, a]
+        for k in range(count):
+            cells[a, k] = np.int32(np.floor(np.float64(units[a, k]) / resolution))
     for k in range(count):
         dx, dy, dz = ox - units[0, k], oy - units[1, k], oz - units[2, k]
-        inverse = 1.0 / (np.sqrt(dx * dx + dy * dy + dz * dz) + 1e-9)
+        inverse = np.float32(1.0) / (np.sqrt(dx * dx + dy * dy + dz * dz) + _TINY_M)
         units[0, k], units[1, k], units[2, k] = dx * inverse, dy * inverse, dz * inverse
 
 
 @numba.njit(inline="always")
 def _gather(
-    points: NDArray[np.float32], start: int, first: int, last: int, units: NDArray[np.float64],
+    points: NDArray[np.float32], start: int, first: int, last: int, units: NDArray[np.float32],
     records: NDArray[np.float64], i: int,
 ) -> None:  # fmt: skip
     """Add the returns from start + first up to start + last, all in one voxel, to record i."""

@@ -6,15 +6,15 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.arcs import arc_tangent
+from revisit.core.kernels.arcs import arc_tangent_32
 
 Array = NDArray[np.float32]
 
 _COLUMNS = 360
 _ROWS = 180
-_PIXELS_PER_RADIAN = 180.0 / np.pi
-_MARGIN_M = 0.5
-_MARGIN_RATIO = 0.02
+_PIXELS_PER_RADIAN = np.float32(180.0 / np.pi)
+_HALF_TURN, _QUARTER_TURN = np.float32(np.pi), np.float32(0.5 * np.pi)
+_MARGIN_M, _FARTHER = np.float32(0.5), np.float32(1.02)
 _CHUNK = 1024
 
 
@@ -25,7 +25,7 @@ def range_image(points: Array, origin: Array) -> Array:
     A pixel is a degree wide and high. Infinite where nothing was measured.
     """
     image = np.full(_ROWS * _COLUMNS, np.inf, dtype=np.float32)
-    rays, pixels, ranges = np.empty((3, _CHUNK)), np.empty(_CHUNK, dtype=np.int32), np.empty(_CHUNK)
+    rays, pixels, ranges = np.empty((3, _CHUNK), np.float32), np.empty(_CHUNK, np.int32), np.empty(_CHUNK, np.float32)
     for start in range(0, len(points), _CHUNK):
         count = min(_CHUNK, len(points) - start)
         _see(points, start, count, origin, rays, pixels, ranges)
@@ -38,18 +38,17 @@ def range_image(points: Array, origin: Array) -> Array:
 def mark_seen_through(positions: Array, origin: Array, image: Array, counts: NDArray[np.int32]) -> None:
     """Count the scan where all returns in the 3 x 3 pixels around a position are beyond it, and at least two exist."""
     nearest = _nearest_around(image)
-    rays, pixels, ranges = np.empty((3, _CHUNK)), np.empty(_CHUNK, dtype=np.int32), np.empty(_CHUNK)
+    rays, pixels, ranges = np.empty((3, _CHUNK), np.float32), np.empty(_CHUNK, np.int32), np.empty(_CHUNK, np.float32)
     for start in range(0, len(positions), _CHUNK):
         count = min(_CHUNK, len(positions) - start)
         _see(positions, start, count, origin, rays, pixels, ranges)
         for k in range(count):
-            counts[start + k] += nearest[pixels[k]] > ranges[k] * (1 + _MARGIN_RATIO) + _MARGIN_M
+            counts[start + k] += nearest[pixels[k]] > ranges[k] * _FARTHER + _MARGIN_M
 
 
 @numba.njit(inline="always")
 def _see(
-    points: Array, start: int, count: int, origin: Array, rays: NDArray[np.float64],
-    pixels: NDArray[np.int32], ranges: NDArray[np.float64],
+    points: Array, start: int, count: int, origin: Array, rays: Array, pixels: NDArray[np.int32], ranges: Array
 ) -> None:  # fmt: skip
     """The pixels and ranges of `count` points from row `start` on: without a branch, so that many are done at once."""
     for a in range(3):
@@ -58,9 +57,9 @@ def _see(
     for k in range(count):
         x, y, z = rays[0, k], rays[1, k], rays[2, k]
         level = x * x + y * y
-        ranges[k] = np.sqrt(level + z * z) + 1e-9
-        column = np.int32((arc_tangent(y, x) + np.pi) * _PIXELS_PER_RADIAN)
-        row = np.int32((arc_tangent(z, np.sqrt(level)) + 0.5 * np.pi) * _PIXELS_PER_RADIAN)
+        ranges[k] = np.sqrt(level + z * z)
+        column = np.int32((arc_tangent_32(y, x) + _HALF_TURN) * _PIXELS_PER_RADIAN)
+        row = np.int32((arc_tangent_32(z, np.sqrt(level)) + _QUARTER_TURN) * _PIXELS_PER_RADIAN)
         row = row if row < _ROWS else np.int32(_ROWS - 1)
         pixels[k] = row * np.int32(_COLUMNS) + (column if column < _COLUMNS else np.int32(0))
 

@@ -27,7 +27,8 @@ class Evidence:
     points in the shared region. contrast: how much of the overlap is lost when the query is moved along the horizontal
     direction that the surfaces fix least; near 0 where any place along a street or hedge would fit as well.
     seen_through 0..1: the share of what stands in either place, as far as the other has looked there, that the other
-    has looked through. Contrast and seen_through have their worst values, 0 and 1, where the registration was given up.
+    has looked through. Contrast and seen_through have their worst values, 0 and 1, where the registration was given up, or where there
+    is so little overlap that they would decide nothing.
     """
 
     overlap: float
@@ -49,14 +50,15 @@ def gather_evidence(
     touching = forward.touching[: query.standing_count], backward.touching[: match.standing_count]
     fixed = information(moved.points[forward.touching], match.normals[forward.rows])
     residuals = forward.residuals
-    refined = registration.refined
+    overlap = 0.5 * (_share(touching[0], seen_query) + _share(touching[1], seen_match))
+    promising = registration.refined and overlap >= config.min_overlap  # else it is rejected whatever they are
     return Evidence(
-        overlap=0.5 * (_share(touching[0], seen_query) + _share(touching[1], seen_match)),
+        overlap=overlap,
         rmse_m=float(np.sqrt(np.mean(residuals**2))) if len(residuals) else float(config.surface_distance),
         information=fixed,
         common=int(min(seen_query.sum(), seen_match.sum())),
-        contrast=contrast(moved, match, weakest_direction(fixed), config) if refined else 0.0,
-        seen_through=mutually_seen_through(registration.T_match_query, query, match, config) if refined else 1.0,
+        contrast=contrast(moved, match, weakest_direction(fixed), config) if promising else 0.0,
+        seen_through=mutually_seen_through(registration.T_match_query, query, match, config) if promising else 1.0,
     )
 
 

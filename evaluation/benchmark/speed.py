@@ -14,6 +14,7 @@ from revisit.core.geometry import se3
 from revisit.core.index import FaissIndex, IndexEntry, SearchFilter
 from revisit.core.model_bundle import ModelBundle
 from revisit.core.pipeline import DescribedPlace, describe, verify
+from revisit.core.place import Place
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
 from revisit.evaluation.baselines import Ring, RingPlusPlus, ScanContext, Triangles
@@ -74,7 +75,7 @@ def describing(visits: Visits, models: ModelBundle, config: PipelineConfig) -> d
 
 
 def verifying(visits: Visits, places: tuple[DescribedPlace, ...], config: PipelineConfig) -> dict[str, Work]:
-    """One candidate: for the product one that aligns and one that does not.
+    """One candidate, read from its stored form, of a query that had others: one that aligns and one that does not.
 
     small_gicp, where it is installed, registers the clouds of the first from the pose that the product has found: it
     has nothing to recognise.
@@ -82,8 +83,8 @@ def verifying(visits: Visits, places: tuple[DescribedPlace, ...], config: Pipeli
     place, revisit, elsewhere = places
 
     def verification(match: DescribedPlace) -> Work:
-        similarity = revisit.descriptor.similarity(match.descriptor)
-        return lambda: verify(revisit.place, match.place, similarity, config.verification)
+        similarity, blob = revisit.descriptor.similarity(match.descriptor), match.place.to_blob()
+        return lambda: verify(revisit.place, Place.from_blob(blob), similarity, config.verification)
 
     works = {"verify_accepted": verification(place), "verify_rejected": verification(elsewhere)}
     found = verify(revisit.place, place.place, 1.0, config.verification)

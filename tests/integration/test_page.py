@@ -20,7 +20,7 @@ from tests.support.browser import Page, browser
 from tests.support.credentials import a_key
 from tests.support.fleet_in_service import fleet_in
 from tests.support.live_service import live_service
-from tests.support.patience import in_time
+from tests.support.patience import eventually, in_time
 from tests.support.places import places_of
 from tests.support.records import a_loop, a_map, a_session, a_submap
 from tests.support.service_world import cloud_points, memory_world, pose, sqlite_world
@@ -200,7 +200,7 @@ def test_what_a_submap_consists_of_is_shown_on_demand(page, kind):
     # Compiled before it is asked for, as workers do it when they start.
     encode_scene(np.eye(3), np.array([[0, 1, 2]]))
     page.tab.locator(f"#surface [data-surface={kind}]").click()
-    page.tab.wait_for_function("revisitPage.view().surfaces.children.length === 8")
+    eventually(lambda: page.tab.evaluate("revisitPage.view().surfaces.children.length") == 8)
     wanted = "glb" if kind == "mesh" else "ply"
     assert len([url for url in page.asked if url.endswith(f":download?format={wanted}")]) == 8
 

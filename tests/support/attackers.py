@@ -239,6 +239,23 @@ ATTACKS: dict[str, tuple[str, str, Attack]] = {
         ),
     ),
     "large localizes": ("P10", "grpc", partial(localize, 150)),
+    "repeated creates": ("P11", "rest", partial(repeat, 8, "POST", "/v1/maps", lambda: b'{"map_id": "again"}', _JSON)),
+    "gzip bombs": (
+        "P11",
+        "rest",
+        partial(repeat, 6, "POST", f"{SUBMAPS}?submap_id=bomb&{PLACE}", lambda: gzip.compress(bytes(2**26), 9), _KITTI),
+    ),
+    "endless heads": ("P22", "rest", partial(hold, "http", 200, b"GET /livez HTTP/1.1\r\n" + b"X-A: b\r\n" * 1000)),
+    "unread events": (
+        "P22",
+        "rest",
+        partial(
+            hold,
+            "http",
+            600,
+            f"GET /v1/{TOWN}/events?after=0 HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer KEY\r\n\r\n".encode(),
+        ),
+    ),
     "unread downloads": (
         "P10",
         "rest",

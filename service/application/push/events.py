@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from revisit.service.application.capacity.admission import Admission
+from revisit.service.application.capacity.turns import Turns
 from revisit.service.application.contract.errors import NotFound
 from revisit.service.application.contract.events import EventRecord
 from revisit.service.application.contract.identity import TenantId
@@ -27,6 +28,9 @@ HEARTBEAT_S = 15.0
 
 BATCH = 100
 """Events that are read from the store at a time."""
+
+BATCHES_AT_A_TIME = 1
+"""Batches that are read at the same time; tenants take turns."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +72,12 @@ class Glance:
             self._next = asyncio.create_task(self._look())
         return await asyncio.shield(self._next)
 
+    async def beyond(self, number: int, at_most_s: float) -> None:
+        """Wait until the last number is above `number`, or for so many seconds."""
+        until_s = asyncio.get_running_loop().time() + at_most_s
+        while await self.next() <= number and asyncio.get_running_loop().time() < until_s:
+            pass
+
     async def _look(self) -> int:
         await asyncio.sleep(self._every_s)
         return await self._storage.read(lambda uow: uow.events.last_number())
@@ -80,6 +90,7 @@ class Events:
     storage: Storage
     admission: Admission
     glance: Glance
+    turns: Turns = field(default_factory=lambda: Turns(BATCHES_AT_A_TIME))
     heartbeat_s: float = field(default=HEARTBEAT_S)
 
     async def watch(
@@ -100,7 +111,9 @@ class Events:
         silent_s = 0.0
         while not self.admission.stopping:
             if last > seen:
-                told = await self.storage.read(partial(_told, tenant=tenant, map_id=map_id, seen=seen, last=last))
+                # Whoever has much to catch up on does not keep every reader of the database.
+                async with self.turns.of(tenant):
+                    told = await self.storage.read(partial(_told, tenant=tenant, map_id=map_id, seen=seen, last=last))
                 seen = told.seen
                 for event in told.events:
                     if not kinds or event.kind in kinds | {EventKind.FORGOTTEN}:

@@ -92,7 +92,7 @@ def _read(
 def _place(blobs: BlobStore, submap: SubmapRecord) -> Place:
     if submap.place_sha256 is None:
         raise NotReady
-    return Place.from_blob(blobs.get(submap.tenant, PLACE_BLOB, submap.place_sha256))
+    return Place.from_blob(blobs.get(submap.tenant, PLACE_BLOB, submap.place_sha256), surface=False)
 
 
 def _compared(query: Place, match: Place, config: VerificationConfig) -> Correspondences:

@@ -11,6 +11,8 @@ import pytest
 
 from revisit.service.application.access.callers import current_tenant
 from revisit.service.application.contract.limits import DESCRIPTOR_LENGTH
+from revisit.service.application.push import events
+from revisit.service.application.query import loop_keypoints
 from revisit.service.rest import bodies
 from revisit.service.rest.app import create_app
 from tests.support.credentials import a_key, bearer
@@ -92,3 +94,52 @@ async def test_of_many_lists_of_a_tenant_one_is_read_at_a_time_and_others_go_bet
                 assert await listed(client, keys["modest"]) == 200
             assert not any(task.done() for task in waiting)
         assert set(await asyncio.gather(*waiting)) == {200}
+
+
+async def test_keypoints_are_compared_for_one_tenant_after_the_other(world, monkeypatch):
+    compared, may_go_on, reading = [], threading.Event(), world.use_cases.loop_keypoints
+    waiting = reading._turns._waiting
+
+    def compare(_blobs, tenant, *_):
+        compared.append(tenant)
+        may_go_on.wait(60)
+
+    monkeypatch.setattr(loop_keypoints, "_pair", lambda *_, tenant, **__: (tenant, None, None))
+    monkeypatch.setattr(loop_keypoints, "_read", compare)
+    callers = ["greedy"] * 5 + ["modest"]
+    async with asyncio.timeout(60):
+        asked = []
+        for number, tenant in enumerate(callers):
+            asked.append(asyncio.create_task(reading.of(tenant, SESSION.map_id, "loop")))
+            while len(compared) + sum(map(len, waiting.values())) <= number:
+                await asyncio.sleep(0)
+        may_go_on.set()
+        await asyncio.gather(*asked)
+    # The first is under way, one of the greedy tenant's may come before: never all of them.
+    assert sorted(compared) == callers and compared.index("modest") <= 2
+
+
+async def test_events_are_caught_up_on_by_one_tenant_after_the_other(world, monkeypatch):
+    read, watching, callers = [], world.use_cases.events, ["greedy"] * 5 + ["modest"]
+
+    def told(_uow, tenant, **_):
+        read.append(tenant)
+        return events.Told([], 10**9)
+
+    async def caught_up(tenant):
+        async for _ in watching.watch(tenant, SESSION.map_id, 0):
+            pass
+
+    monkeypatch.setattr(events, "_last", lambda *_, **__: 1)
+    monkeypatch.setattr(events, "_told", told)
+    async with asyncio.timeout(60):
+        async with watching.turns.of("a third"):
+            asked = [asyncio.create_task(caught_up(tenant)) for tenant in callers]
+            while sum(map(len, watching.turns._waiting.values())) < len(callers):
+                await asyncio.sleep(0)
+        while len(read) < len(callers):
+            await asyncio.sleep(0)
+    for task in asked:
+        task.cancel()
+    await asyncio.gather(*asked, return_exceptions=True)
+    assert read[:2] == ["greedy", "modest"]

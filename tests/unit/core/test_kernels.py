@@ -10,18 +10,21 @@ from revisit.core.config import MicroConfig
 from revisit.core.geometry import se3
 from revisit.core.implicit_map.decoder import encode_positions, orientations
 from revisit.core.implicit_map.visibility import count_seen_through
-from revisit.core.kernels.arcs import arc_tangent
+from revisit.core.kernels.arcs import arc_tangent, arc_tangent_32
 from revisit.core.kernels.choose_returns import choose_returns
 from revisit.core.kernels.cluster_joins import connected_parts
 from revisit.core.kernels.column_histograms import MIN_MEMBERS, column_histograms
 from revisit.core.kernels.elastic_points import POOLED_RETURNS, RECORD, pooled_covariances
+from revisit.core.kernels.filter_layers import add_amplitudes, multiply_spectrum, strongest_layer
 from revisit.core.kernels.heading_profiles import face_profiles, plan_profiles
 from revisit.core.kernels.nearest_points import any_within
 from revisit.core.kernels.neighbour_blend import blend_neighbours, blend_normals, tangent_frames
 from revisit.core.kernels.oriented_normals import NORMAL_PRIOR, oriented_normals
 from revisit.core.kernels.patch_histograms import disc_histograms, patch_histograms
+from revisit.core.kernels.plane_votes import plane_scores
 from revisit.core.kernels.point_columns import columns_of
 from revisit.core.kernels.rigid_motion import moved_points, placed_returns
+from revisit.core.kernels.settled_planes import spots_on_planes
 from revisit.core.kernels.visibility import range_image
 from revisit.core.kernels.voxel_table import table_of, voxels_of
 from revisit.core.micro.cluster_normals import (
@@ -271,6 +274,8 @@ def test_the_fast_angle_is_the_one_of_the_library():
     x, y = rng.normal(size=(2, 2000)) * np.exp(5.0 * rng.normal(size=2000))
     found = [arc_tangent.py_func(*pair) for pair in zip(y, x, strict=True)]
     np.testing.assert_allclose(found, np.arctan2(y, x), atol=3e-8)
+    short = [arc_tangent_32.py_func(*pair) for pair in zip(y.astype(np.float32), x.astype(np.float32), strict=True)]
+    np.testing.assert_allclose(short, np.arctan2(y, x), atol=5e-7)
     axes = [(0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (0.0, -1.0), (-1.0, 0.0)]
     np.testing.assert_allclose([arc_tangent.py_func(*pair) for pair in axes], [0, 0, np.pi / 2, np.pi, -np.pi / 2])
 
@@ -310,3 +315,50 @@ def test_returns_are_placed_as_by_the_plain_transform_without_those_out_of_range
     kept = (ranges >= 8.0) & (ranges <= 25.0) & (placed <= 20.0)
     assert 50 < kept.sum() < 450
     np.testing.assert_allclose(placed_returns(pose, points, 8.0, 25.0, 20.0), expected[kept], atol=1e-5)
+
+
+def test_spots_on_planes_are_those_of_the_plain_projections():
+    rng = np.random.default_rng(12)
+    voxels, normals = rng.integers(-50, 50, (200, 3)).astype(np.int32), unit_rows(rng, 200)
+    heights = rng.uniform(-0.3, 0.3, 200)
+    local = normals * heights[:, None]
+    for _ in range(8):
+        local = np.clip(local, -0.1996, 0.1996)
+        local += normals * (heights - np.einsum("ij,ij->i", local, normals))[:, None]
+    expected = (voxels + 0.5) * 0.4 + np.clip(local, -0.1996, 0.1996)
+    np.testing.assert_allclose(spots_on_planes(voxels, normals, heights, 0.4), expected, atol=1e-5)
+
+
+def test_planes_are_scored_as_by_numpy():
+    rng = np.random.default_rng(13)
+    normals, offsets, points = unit_rows(rng, 40), rng.uniform(-1, 1, 40), rng.normal(size=(300, 3))
+    above = normals @ points.T + offsets[:, None]
+    expected = (np.abs(above) < 0.3).mean(axis=1) - 2.0 * (above < -0.9).mean(axis=1)
+    np.testing.assert_allclose(plane_scores(normals, offsets, points, 0.3, 0.9), expected, atol=1e-12)
+
+
+def test_filtered_layers_are_those_of_numpy():
+    rng = np.random.default_rng(14)
+    filters = rng.uniform(size=(3, 8, 9)).astype(np.float32)
+    spectrum = (rng.normal(size=(8, 9)) + 1j * rng.normal(size=(8, 9))).astype(np.complex64)
+    products, total = np.empty((3, 8, 9), np.complex64), np.ones((6, 5), np.float32)
+    multiply_spectrum(filters, spectrum, products)
+    np.testing.assert_allclose(products, filters * spectrum, rtol=1e-6)
+    add_amplitudes(products, total)
+    np.testing.assert_allclose(total, 1.0 + np.abs(filters * spectrum).sum(axis=0)[:6, :5], rtol=1e-5)
+    layers = rng.integers(0, 4, (5, 7, 8)).astype(np.float32)
+    index, value = strongest_layer(layers)
+    assert np.array_equal(index, layers.argmax(axis=0)) and np.array_equal(value, layers.max(axis=0))
+
+
+@pytest.mark.parametrize("tall", [False, True])
+def test_columns_are_sorted_as_by_numpy_and_keep_the_order_of_a_voxel(tall):
+    rng = np.random.default_rng(15)
+    spread = [1.0, 1.0, 40.0] if tall else [20.0, 15.0, 3.0]
+    positions = (rng.uniform(-1, 1, (900, 3)) * spread).astype(np.float32)
+    columns, voxels = columns_of(positions, 0.5), voxels_of(positions, 0.5)
+    order = np.lexsort((voxels[:, 2], voxels[:, 1], voxels[:, 0]))
+    assert np.array_equal(columns.rows, order) and np.array_equal(columns.points, positions[order])
+    expected = (voxels[order, 0] - columns.low[0]) * columns.shape[1] + voxels[order, 1] - columns.low[1]
+    assert np.array_equal(columns.keys, expected)
+    assert np.array_equal(columns.grid, np.searchsorted(expected, np.arange(columns.shape.prod() + 1)))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from itertools import pairwise
 
 import pytest
 
-from revisit.core.config import PipelineConfig, SubmapConfig
+from revisit.core.config import SubmapConfig
 from revisit.core.geometry.se3 import pose_matrix
+from revisit.core.submap import chosen_scans
 from revisit.service.application.ingest import submap_source
 from revisit.service.application.ingest.submap_source import MAX_SCANS, WINDOW_POINTS, PosedCloud, chosen_seqs
 from tests.support.service_world import TENANT, memory_world, open_session, scan
@@ -53,8 +55,10 @@ async def test_a_window_of_too_many_points_is_described_from_some_of_each_scan(m
     assert set(loaded.scan_index.tolist()) == set(range(11))
 
 
-async def test_of_a_slow_robots_dense_scans_only_those_a_metre_apart_are_read():
-    world = memory_world(pipeline=PipelineConfig(submap=SubmapConfig(enough_returns=0)))
+async def test_of_a_slow_robots_dense_scans_only_those_a_metre_apart_are_read(monkeypatch):
+    as_of_64_beams = partial(chosen_scans, config=SubmapConfig(enough_returns=0))
+    monkeypatch.setattr(submap_source, "chosen_scans", lambda positions, returns, _: as_of_64_beams(positions, returns))
+    world = memory_world()
     await open_session(world)
     for seq in range(1, 70):
         await world.use_cases.scans.append(TENANT, scan(seq, 0.15 * (seq - 1)))
