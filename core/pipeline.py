@@ -19,6 +19,7 @@ from revisit.core.geometry.level_frame import LevelFrame
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.implicit_map import NeuralMap, fit_implicit_map
 from revisit.core.index import Match, PlaceIndex, SearchFilter
+from revisit.core.kernels.plane_votes import plane_scores
 from revisit.core.micro.cluster_normals import describe_clusters
 from revisit.core.micro.saliency import weigh_clusters
 from revisit.core.model_bundle import ModelBundle
@@ -67,7 +68,8 @@ def describe(submap: Submap, models: ModelBundle, config: PipelineConfig, seed: 
     neural_map = fit_implicit_map(level, models.decoder, config.implicit_map, rng)  # III-B, Eq. 1-6
     surface = extract_surface(neural_map, config.surface)  # III-C
     described = describe_surface(surface, frame, models, config, rng)  # III-C to III-E, Eq. 7-14
-    flags = ("degenerate_plane",) * is_plane(submap.points) + place_flags(level.points, config.scene_scale)
+    flags = ("degenerate_plane",) * is_plane(submap.points)
+    flags += place_flags(level.points, config.scene_scale, plane_scores)
     flags += ("crowded",) * neural_map.crowded
     return DescribedPlace(**vars(described), neural_map=dataclasses.replace(neural_map, frame=frame), flags=flags)
 

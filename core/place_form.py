@@ -45,9 +45,7 @@ def write_form(contents: PlaceContents, spacing: float) -> tuple[dict[str, Any],
     standing = contents.standing_count
     streams = (
         write_surface(contents.points[:standing], contents.normals[:standing], spacing, _STEPS),
-        write_surface(
-            contents.points[standing:], contents.normals[standing:], _GROUND * spacing, _GROUND * _STEPS
-        ),
+        write_surface(contents.points[standing:], contents.normals[standing:], _GROUND * spacing, _GROUND * _STEPS),
     )
     parity = contents.parity[:DIMENSIONS]
     header = {
@@ -99,7 +97,7 @@ def _keypoints_written(contents: PlaceContents) -> bytes:
     angles = np.rint(contents.orientations / np.pi * _ANGLES).astype(np.int64) % _ANGLES
     # all low bytes, then all high ones, of which few differ
     planes = np.ascontiguousarray(np.ascontiguousarray(cells.T).view(np.uint8).reshape(-1, 2).T)
-    return planes.tobytes() + angles.astype(np.uint8).tobytes()
+    return bytes(planes.tobytes() + angles.astype(np.uint8).tobytes())
 
 
 def _keypoints_read(data: bytes, count: int) -> tuple[Array, Array]:

@@ -15,6 +15,7 @@ from revisit.core.sanity.numbers import MIN_SCENE_M
 from revisit.core.scan import Scan
 
 Array = NDArray[np.float64]
+PlaneScores = Callable[[Array, Array, Array, float, float], Array]
 
 MAX_TILT_COSINE = 0.94
 
@@ -32,13 +33,19 @@ class GroundPlane:
     upright: bool
 
 
-def ground_plane(points: NDArray[np.floating], seed: int = 0) -> GroundPlane | None:
+def scores_of_planes(normals: Array, offsets: Array, points: Array, near: float, below: float) -> Array:
+    """See `core.kernels.plane_votes`, the compiled form of this, which the SDK does not have."""
+    above = normals @ points.T + offsets[:, None]
+    return np.asarray((np.abs(above) < near).mean(axis=1) - 2.0 * (above < -below).mean(axis=1))
+
+
+def ground_plane(
+    points: NDArray[np.floating], seed: int = 0, scores_of: PlaneScores = scores_of_planes
+) -> GroundPlane | None:
     """The plane around the sensor, from points (n, 3) whose origin is the sensor's, z as they have it.
 
     None where no plane surrounds the sensor, as with one that looks ahead only: a wall beside it is no ground.
     """
-    from revisit.core.kernels.plane_votes import plane_scores  # compiled: the gateway needs none of it
-
     thinned, scale = thinned_cloud(points)
     if len(thinned) < 50:
         return None
@@ -49,7 +56,7 @@ def ground_plane(points: NDArray[np.floating], seed: int = 0) -> GroundPlane | N
     offsets = -np.einsum("ij,ij->i", normals, corners[:, 0])
     sign = np.where(offsets < 0.0, -1.0, 1.0)
     normals, offsets = normals * sign[:, None], offsets * sign
-    scores = plane_scores(normals, offsets, thinned, 0.1 * scale, 0.3 * scale)
+    scores = scores_of(normals, offsets, thinned, 0.1 * scale, 0.3 * scale)
     best = int(scores.argmax())
     inliers = thinned[np.abs(thinned @ normals[best] + offsets[best]) < 0.1 * scale]
     if scores[best] < 0.15 or not _surrounds(inliers, normals[best], offsets[best]):
@@ -59,13 +66,15 @@ def ground_plane(points: NDArray[np.floating], seed: int = 0) -> GroundPlane | N
     return GroundPlane(normals[best], float(offsets[best]), upright)
 
 
-def place_flags(points: NDArray[np.floating], scene_scale: float = 1.0) -> tuple[str, ...]:
+def place_flags(
+    points: NDArray[np.floating], scene_scale: float = 1.0, scores_of: PlaneScores = scores_of_planes
+) -> tuple[str, ...]:
     """What is suspicious about a submap: "ground_tilted", "scene_too_small".
 
     `points` (n, 3) in its level frame, whose lengths are divided by `scene_scale`. A scene that is too large does not
     come so far: its points lie beyond the sensor's range.
     """
-    plane = ground_plane(points)
+    plane = ground_plane(points, scores_of=scores_of)
     sample = points[:: max(1, len(points) // 30_000)]
     size_m = scene_scale * float(np.sqrt(np.percentile(np.einsum("ij,ij->i", sample, sample), 95.0)))
     tilted = plane is not None and not plane.upright

@@ -27,8 +27,8 @@ class Evidence:
     points in the shared region. contrast: how much of the overlap is lost when the query is moved along the horizontal
     direction that the surfaces fix least; near 0 where any place along a street or hedge would fit as well.
     seen_through 0..1: the share of what stands in either place, as far as the other has looked there, that the other
-    has looked through. Contrast and seen_through have their worst values, 0 and 1, where the registration was given up, or where there
-    is so little overlap that they would decide nothing.
+    has looked through. Contrast and seen_through have their worst values, 0 and 1, where the registration was given up,
+    or where there is so little overlap that they would decide nothing.
     """
 
     overlap: float

@@ -40,7 +40,8 @@ class AreaMap:
         """Raises DescriptorModelMismatch where the map was described by other models than those here."""
         self.file = file
         self._models = models or load_packaged_models()
-        if file.description.model_version != self._models.version:
+        # Behind the version stands the scale of the map, which `config_of` takes from its own field.
+        if file.description.model_version.partition("@scale-")[0] != self._models.version:
             raise DescriptorModelMismatch(
                 f"the map was described by {file.description.model_version}, here is {self._models.version}"
             )

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from revisit.cli.pose_graph_files import Graph
 
 TEXTS = ("g2o", "tum", "csv")
-FILES = ("kitti", "ply", "pcd", "laz", "mesh", "glb", "grid")
+FILES = ("kitti", "ply", "pcd", "laz", "mesh", "glb", "grid", "mcap", "reference")
 
 Report = Callable[[str, int, int], None]
 
@@ -27,7 +27,10 @@ def export(
     map_id: MapName = "default",
     file_format: Annotated[
         str,
-        typer.Option("--format", help="g2o, tum, csv, kitti, ply, pcd or laz (cloud), mesh (ply), glb (mesh) or grid."),
+        typer.Option(
+            "--format",
+            help="g2o, tum, csv, kitti, ply, pcd, laz (cloud), mesh (ply), glb (mesh), grid, mcap, reference.",
+        ),
     ] = "g2o",
     session_id: Annotated[str, typer.Option("--session", help="Only this session; tum needs one.")] = "",
     out: Annotated[Path | None, typer.Option(help="File to write; g2o, tum and csv go to stdout by default.")] = None,
@@ -36,8 +39,8 @@ def export(
     json: Json = False,
 ) -> None:
     """Write a map: pose graph (g2o), loops (csv), a session's odometry (tum), poses in the map (kitti), one cloud (ply,
-    pcd, laz), one mesh (mesh, glb) or an occupancy grid (grid). Poses are those of the version in force, or else
-    optimised here.
+    pcd, laz), one mesh (mesh, glb), an occupancy grid (grid), poses and cloud for Foxglove (mcap), or pairs of points
+    for fleet adapters (reference). Poses are those of the version in force, or else optimised here.
     """
     if file_format not in TEXTS + FILES:
         raise refuse(f"--format is one of {', '.join(TEXTS + FILES)}")
@@ -130,6 +133,25 @@ def _write_grid(out: Path, http: str, placed: list[PlacedSubmap], report: Report
     return {"rows": grid.cells.shape[0], "columns": grid.cells.shape[1]}
 
 
+def _write_mcap(out: Path, http: str, placed: list[PlacedSubmap], report: Report) -> dict[str, int]:
+    from revisit.cli.map_files import by_session, merged_cloud
+    from revisit.formats.mcap_map import encode
+
+    sessions, points = by_session(placed), merged_cloud(http, placed, report)
+    out.write_bytes(encode(sessions, points))
+    return {"sessions": len(sessions), "points": len(points)}
+
+
+def _write_reference(out: Path, http: str, placed: list[PlacedSubmap], _report: Report) -> dict[str, int]:
+    from json import dumps
+
+    from revisit.cli.map_files import reference_points
+
+    found = reference_points(http, placed)
+    out.write_text(dumps(found, indent=1) + "\n")
+    return {"sessions": len(found)}
+
+
 _WRITERS: dict[str, Callable[[Path, str, list[PlacedSubmap], Report], dict[str, int]]] = {
     "kitti": _write_kitti,
     "ply": partial(_write_cloud, kind="ply"),
@@ -137,4 +159,6 @@ _WRITERS: dict[str, Callable[[Path, str, list[PlacedSubmap], Report], dict[str, 
     "mesh": partial(_write_mesh, kind="ply"),
     "glb": partial(_write_mesh, kind="glb"),
     "grid": _write_grid,
+    "mcap": _write_mcap,
+    "reference": _write_reference,
 }

@@ -17,6 +17,7 @@ from revisit.sdk.client import Client
 
 if TYPE_CHECKING:
     from revisit.core.implicit_map import NeuralMap
+    from revisit.formats.mcap_map import DrivenPoses
 
 Points = NDArray[np.float64]
 
@@ -127,3 +128,41 @@ def as_kitti(placed: Sequence[PlacedSubmap]) -> tuple[str, str]:
     ordered = sorted(placed, key=lambda one: (one.stamp_ns, one.name))
     poses = "".join(" ".join(f"{value:.9e}" for value in one.T_map_submap[:3].ravel()) + "\n" for one in ordered)
     return poses, "".join(f"{one.stamp_ns / 1e9:.9f}\n" for one in ordered)
+
+
+def by_session(placed: Sequence[PlacedSubmap]) -> dict[str, DrivenPoses]:
+    """The poses of each session, by its id, in the order of time."""
+    from revisit.formats.mcap_map import DrivenPoses
+
+    parts: dict[str, list[PlacedSubmap]] = {}
+    for one in sorted(placed, key=lambda one: (one.stamp_ns, one.name)):
+        parts.setdefault(one.name.split("/")[3], []).append(one)
+    return {
+        name: DrivenPoses(
+            np.array([one.stamp_ns for one in part]), np.stack([np.asarray(one.T_map_submap) for one in part])
+        )
+        for name, part in sorted(parts.items())
+    }
+
+
+REFERENCE_POINTS = 12
+"""Of a session: fleet adapters fit a similarity to four or more."""
+
+
+def reference_points(http: str, placed: Sequence[PlacedSubmap]) -> dict[str, dict[str, list[list[float]]]]:
+    """Pairs of points [x, y] at one spot, metres, by session: `rmf` in the map, `robot` in the session's odometry.
+
+    So Open-RMF's fleet adapters have them under `reference_coordinates`; spread evenly over the drive of each session.
+    """
+    poses = {one.name: one.T_map_submap for one in placed}
+    found: dict[str, dict[str, list[list[float]]]] = {}
+    with Client(http) as client:
+        for session in sorted({name.partition("/submaps/")[0] for name in poses}):
+            submaps = [one for one in client.list_submaps(session) if one.name in poses]
+            rows = np.unique(np.linspace(0, len(submaps) - 1, REFERENCE_POINTS).round().astype(int))
+            chosen = [submaps[row] for row in rows]
+            found[session.rpartition("/")[2]] = {
+                "rmf": [poses[one.name][:2, 3].round(4).tolist() for one in chosen],
+                "robot": [one.T_odom_submap[:2, 3].round(4).tolist() for one in chosen],
+            }
+    return found

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from revisit.cli import map_versions
+from revisit.cli import map_tiles, map_versions
 from revisit.cli.merging import show_changes
 from revisit.cli.options import HTTP, Http, Json, MapName
 from revisit.cli.output import emit_json, emit_table, refuse, say, utc
@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 group = typer.Typer(help="Make one map out of many sessions: optimise it, look at it, go back.", no_args_is_help=True)
 group.command("save")(map_versions.save)
+group.command("tiles")(map_tiles.tiles)
+group.command("tile")(map_tiles.tile)
+group.command("distance")(map_tiles.distance)
 group.command("publish")(map_versions.publish)
 group.command("files")(map_versions.files)
 group.command("check")(map_versions.check)

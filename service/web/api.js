@@ -1,6 +1,7 @@
 // What the page asks the service for. An API key is kept by the tab alone.
 "use strict";
 
+const ATTEMPTS = 5;
 const PAGE_SIZE = 500;
 const MOST_PAGES = 20;
 const KEY = "revisit-api-key";
@@ -56,8 +57,11 @@ export async function send(path, body = {}) {
 }
 
 export async function readFile(path) {
-  const answer = await fetch(path, { headers: headers("*/*") });
-  return (await checked(answer)).arrayBuffer();
+  for (let attempt = 1; ; attempt += 1) {
+    const answer = await fetch(path, { headers: headers("*/*") });
+    if (answer.status !== 503 || attempt === ATTEMPTS) return (await checked(answer)).arrayBuffer();
+    await new Promise((resolve) => setTimeout(resolve, 1000 * Number(answer.headers.get("retry-after") ?? 2)));
+  }
 }
 
 /** All items of a list, up to 10,000: more than a person can tell apart on a screen. */

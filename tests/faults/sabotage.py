@@ -510,8 +510,9 @@ SABOTAGES = (
     ),
     Sabotage(
         "a window of any number of points is loaded whole",
-        {f"{USE_CASES}ingest.submap_source:used_scans": lambda _used: lambda travelled_m, *_: range(len(travelled_m))},
-        "tests/integration/test_dense_windows.py::test_of_a_window_of_dense_scans_only_the_used_ones_are_read",
+        {f"{USE_CASES}ingest.submap_source:chosen_scans": lambda _chosen: lambda positions, *_: range(len(positions))},
+        "tests/unit/service/test_submap_source.py::"
+        "test_a_window_of_many_large_scans_takes_a_worker_the_memory_of_a_dozen[slow]",
     ),
 )
 

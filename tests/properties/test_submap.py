@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from revisit.core.config import SubmapConfig
 from revisit.core.geometry import se3
 from revisit.core.scan import Scan
-from revisit.core.submap import Submap, SubmapBuilder, next_window_start, used_scans
+from revisit.core.submap import Submap, SubmapBuilder, next_window_start
 
 CONFIG = SubmapConfig(tau=10.0, stride=5.0, max_range=80.0, min_range=1.0)
 
@@ -150,34 +150,3 @@ def test_a_cloud_accumulated_elsewhere_keeps_every_point():
     np.testing.assert_array_equal(submap.points, points)
     np.testing.assert_allclose(submap.position, [1, 2, 3])
     np.testing.assert_array_equal(submap.origins, np.zeros((1, 3)))
-
-
-DENSE = SubmapConfig(enough_points=1_000_000, fewest_scans=16)
-
-
-@pytest.mark.parametrize(
-    ("scans", "points", "used"),
-    [(1, 500_000, 1), (16, 500_000, 16), (67, 10_000, 67), (67, 20_000, 50), (67, 118_000, 16), (400, 262_000, 16)],
-)
-def test_of_many_dense_scans_so_many_are_used_as_hold_enough_points(scans, points, used):
-    chosen = used_scans(np.linspace(0.0, 10.0, scans), np.full(scans, points), DENSE)
-    assert (len(chosen), chosen[0], chosen[-1]) == (used, 0, scans - 1)
-    # Evenly: no gap is longer than twice the mean one, rounded up.
-    assert np.diff(chosen).max(initial=0) <= 2 * -(-scans // used)
-
-
-def test_a_robot_that_stands_still_for_most_of_a_window_has_seen_the_rest_of_it_too():
-    travelled_m = np.concatenate([np.linspace(0.0, 5.0, 34), np.full(300, 5.0), np.linspace(5.0, 10.0, 33)])
-    chosen = used_scans(travelled_m, np.full(len(travelled_m), 118_000), DENSE)
-    assert len(chosen) == 16
-    assert np.diff(travelled_m[chosen]).max() < 2.0
-    assert ((chosen >= 34) & (chosen < 334)).sum() >= 4
-
-
-def test_scans_are_put_together_in_the_frame_that_is_asked_for():
-    scans = straight_drive(10)
-    elsewhere = se3.from_yaw(0.5, (3.0, 1.0, 0.0))
-    given, own = Submap.from_scans(scans, CONFIG, elsewhere), Submap.from_scans(scans, CONFIG)
-    np.testing.assert_allclose(given.T_odom_submap, elsewhere)
-    in_odom = [se3.apply(one.T_odom_submap, one.origins) for one in (given, own)]
-    np.testing.assert_allclose(in_odom[0], in_odom[1], atol=1e-5)

@@ -80,9 +80,8 @@ class World:
         return done
 
 
-def policy(**overrides) -> Policy:
+def policy(pipeline: PipelineConfig = PipelineConfig(), **overrides) -> Policy:
     """Submaps of 10 m every 5 m; neighbours nearer than 2 are no loop."""
-    pipeline = PipelineConfig()
     loop = replace(pipeline.loop, min_index_gap=2)
     return Policy(pipeline=replace(pipeline, loop=loop), **overrides)
 

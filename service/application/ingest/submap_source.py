@@ -20,16 +20,12 @@ from revisit.service.application.ingest.clouds import unpack_cloud
 MAX_SCANS = 400
 """A window of a robot that stood still can hold any number of scans: at most this many, evenly spread, are used."""
 
-WINDOW_POINTS = 16_000_000
-"""Of a window whose scans hold more together, every second, third ... point is used: a worker's memory is bounded."""
-
 
 @dataclass(frozen=True)
 class PosedCloud:
-    """A stored cloud of so many points and where it was taken from."""
+    """A stored cloud and where it was taken from."""
 
     cloud_sha256: str
-    point_count: int
     T_odom_sensor: Pose
     stamp_ns: int
 
@@ -43,25 +39,19 @@ class SubmapSource:
     config: SubmapConfig
     T_odom_submap: Pose
 
-    @property
-    def every(self) -> int:
-        """1 where all points are used; else one of so many."""
-        return 1 if self.posted else -(-sum(cloud.point_count for cloud in self.clouds) // WINDOW_POINTS) or 1
-
 
 def submap_source(uow: UnitOfWork, policy: Policy, record: SubmapRecord) -> SubmapSource:
     """The source of a stored submap."""
     config = policy.for_map(require_map(uow, record.tenant, record.map_id)).submap
     if record.first_seq is None or record.last_seq is None:
-        posted = PosedCloud(str(record.cloud_sha256), record.point_count, record.T_odom_submap, record.stamp_ns)
+        posted = PosedCloud(str(record.cloud_sha256), record.T_odom_submap, record.stamp_ns)
         return SubmapSource((posted,), posted=True, config=config, T_odom_submap=record.T_odom_submap)
     seqs = chosen_seqs(record.first_seq, record.last_seq)
     scans = uow.scans.with_seqs(record.tenant, record.map_id, record.session_id, seqs)
     positions = np.array([pose_matrix(scan.T_odom_sensor)[:3, 3] for scan in scans])
     rows = chosen_scans(positions, np.array([scan.point_count for scan in scans]), config)
     clouds = tuple(
-        PosedCloud(scan.cloud_sha256, scan.point_count, scan.T_odom_sensor, scan.stamp_ns)
-        for scan in (scans[row] for row in rows)
+        PosedCloud(scan.cloud_sha256, scan.T_odom_sensor, scan.stamp_ns) for scan in (scans[row] for row in rows)
     )
     return SubmapSource(clouds, posted=False, config=config, T_odom_submap=record.T_odom_submap)
 
@@ -77,18 +67,15 @@ def chosen_seqs(first: int, last: int) -> list[int]:
 
 
 def load_submap(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) -> Submap:
-    """The submap with its points, at most about WINDOW_POINTS of them. Raises DataLoss, EmptyCloud."""
+    """The submap with its points. Raises DataLoss, EmptyCloud."""
     return submap_of(load_scans(blobs, record, source), source)
 
 
 def load_scans(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) -> list[Scan]:
-    """The scans of a submap, or its one cloud, with at most about WINDOW_POINTS points. Raises DataLoss."""
+    """The scans that a submap is made of, or its one cloud. Raises DataLoss."""
     return [
         Scan(
-            # Contiguous: a view of a thinned cloud would keep all of it in memory.
-            np.ascontiguousarray(
-                unpack_cloud(blobs.get(record.tenant, CLOUD_BLOB, cloud.cloud_sha256)).points[:: source.every]
-            ),
+            unpack_cloud(blobs.get(record.tenant, CLOUD_BLOB, cloud.cloud_sha256)).points,
             pose_matrix(cloud.T_odom_sensor),
             cloud.stamp_ns,
             CloudReport(0, "degenerate_plane" in record.flags),

@@ -8,17 +8,32 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.errors import BadField, DescriptorModelMismatch
 from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.map_frames import frame_name
 from revisit.service.application.contract.map_merger import DescribedPlaces
 from revisit.service.application.contract.map_optimiser import MapGraph, SessionTrack, TrackLoop
 from revisit.service.application.contract.policy import Policy
-from revisit.service.application.contract.records import LoopRecord, SessionRecord, SubmapRecord
+from revisit.service.application.contract.records import LoopRecord, MapRecord, SessionRecord, SubmapRecord
 from revisit.service.application.contract.session_poses import PackedSubmaps
 from revisit.service.application.contract.states import SubmapState
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.mapping.graph_reading import MapTask, read_task
+
+
+def require_comparable(target: MapRecord, source: MapRecord) -> None:
+    """Raises DescriptorModelMismatch where two maps were described by different models, BadField at different scales.
+
+    A map of which nothing is described yet has no model.
+    """
+    if target.scene_scale != source.scene_scale:
+        raise BadField("maps of different scene scales cannot be merged", field="source")
+    models = {one.model_version for one in (target, source)} - {None}
+    if len(models) > 1:
+        raise DescriptorModelMismatch(
+            f"map {target.map_id} was described by {target.model_version}, {source.map_id} by {source.model_version}"
+        )
 
 
 @dataclass(frozen=True)

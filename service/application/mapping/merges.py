@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from revisit.core.errors import BadField, DescriptorModelMismatch
+from revisit.core.errors import BadField
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4, pose_row
 from revisit.service.application.access import audit
@@ -22,11 +22,12 @@ from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.errors import NotFound, NotReady
 from revisit.service.application.contract.identity import SessionKey, TenantId
 from revisit.service.application.contract.lookup import require_map, require_session
-from revisit.service.application.contract.records import JobRecord, MapMergeRecord, MapRecord
+from revisit.service.application.contract.records import JobRecord, MapMergeRecord
 from revisit.service.application.contract.states import OperationKind, OperationState
 from revisit.service.application.contract.storage import Storage
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.views import OperationView, operation_view
+from revisit.service.application.mapping.merge_reading import require_comparable
 from revisit.service.application.mapping.optimisation import drop_waiting
 from revisit.service.application.mapping.version_commit import MAP_REVERTED
 from revisit.service.application.mapping.versions import restore_version
@@ -150,7 +151,7 @@ class MapMerges:
         target, source = (require_map(uow, tenant, one) for one in (command.map_id, command.source_map_id))
         if command.source_session_id is not None:
             require_session(uow, tenant, SessionKey(command.source_map_id, command.source_session_id))
-        _require_same_model(target, source)
+        require_comparable(target, source)
         waiting = _waiting(uow, tenant, payload)
         if waiting is not None:
             return PostedMerge(operation_view(waiting), replay=True)
@@ -185,14 +186,6 @@ class MapMerges:
             if session is not None:
                 doomed |= delete_session(uow, record, session, now_ns)
         return doomed
-
-
-def _require_same_model(target: MapRecord, source: MapRecord) -> None:
-    models = {one.model_version for one in (target, source)} - {None}
-    if len(models) > 1:
-        raise DescriptorModelMismatch(f"maps {target.map_id} and {source.map_id} were described by different models")
-    if target.scene_scale != source.scene_scale:
-        raise BadField("maps of different scene scales cannot be merged", field="source")
 
 
 def _waiting(uow: UnitOfWork, tenant: TenantId, payload: dict[str, Any]) -> JobRecord | None:

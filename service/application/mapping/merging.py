@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from revisit.core.config import PipelineConfig
-from revisit.core.errors import DataLoss, DescriptorModelMismatch
+from revisit.core.errors import DataLoss
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
 from revisit.service.application.contract.blobs import NEURAL_MAP_BLOB, PLACE_BLOB, BlobStore
@@ -32,7 +32,7 @@ from revisit.service.application.mapping.merge_proposal import (
     placed_maps,
     track_loop,
 )
-from revisit.service.application.mapping.merge_reading import MergeOrder, MergeTask, read_merge
+from revisit.service.application.mapping.merge_reading import MergeOrder, MergeTask, read_merge, require_comparable
 from revisit.service.application.mapping.progress import OperationCancelled, Progress
 from revisit.service.failpoints import failpoint
 
@@ -93,7 +93,7 @@ class MapMerging:
         if task is None:
             self._end(lease, NOTHING_TO_MERGE)
             return True
-        require_alike(task)
+        require_comparable(task.target.task.map, task.source.task.map)
         proposal = self._proposal(tenant, order, task, progress)
         failpoint("map_merge.after_evidence")
         if order.validate_only or proposal.judgement.refusal is not None:
@@ -163,16 +163,6 @@ class MapMerging:
 
 FAR_FROM_NEAR = "FAR_FROM_INITIAL_POSE"
 """The reason of a loop that the initial pose of a merge contradicts."""
-
-
-def require_alike(task: MergeTask) -> None:
-    """Raises DescriptorModelMismatch where the two maps were described by different models or at different scales."""
-    first, second = task.target.task.map, task.source.task.map
-    if first.model_version != second.model_version or first.scene_scale != second.scene_scale:
-        raise DescriptorModelMismatch(
-            f"map {first.map_id} was described by {first.model_version} at scene scale {first.scene_scale:g}, map "
-            f"{second.map_id} by {second.model_version} at {second.scene_scale:g}"
-        )
 
 
 def _expected(order: MergeOrder, task: MergeTask, match: int, query: int) -> Matrix4 | None:

@@ -109,6 +109,10 @@ class MapTiles:
         find = partial(_tiles, policy=self._policy, tenant=tenant, map_id=map_id, version=version)
         return await self._lists.page(tenant, page, find, lambda _, view: view)
 
+    async def make(self, tenant: TenantId, key: TileKey) -> None:
+        """Wait until a tile is there: a download then holds no place meanwhile. Raises as `download`."""
+        await self._made(tenant, key)
+
     async def download(
         self, tenant: TenantId, key: TileKey, kind: DownloadKind, file_format: str | None = None
     ) -> Download:

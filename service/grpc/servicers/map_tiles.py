@@ -33,6 +33,7 @@ class MapTileServicer(map_tile_pb2_grpc.MapTileServiceServicer):
     ) -> AsyncIterator[pb.DownloadMapTileResponse]:
         """A file in chunks; the first one says what it is."""
         key, what = map_parts.tile_key(request.name), map_parts.tile_download(request)
+        await self._tiles.make(tenant_of(context), key)
         with self._budget.hold(tenant_of(context)) as held:
             await held.wait_for(RENDERING_BYTES)
             file = await self._tiles.download(tenant_of(context), key, *what)

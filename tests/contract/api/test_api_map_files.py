@@ -11,7 +11,9 @@ import httpx
 import numpy as np
 import pytest
 
+from revisit.cli.map_files import by_session, placed_submaps, reference_points
 from revisit.cli.map_versions import write_from_service
+from revisit.core.geometry import se3
 from revisit.formats.map_file import MapFile
 from revisit.sdk.errors import DataLoss, InvalidArgument, NotFound, unreachable
 from revisit.sdk.map_downloads import fetch_file
@@ -173,3 +175,12 @@ def test_descriptors_and_manifest_of_a_file_are_those_of_the_map(client, driven,
         version = client.get_map_version(f"{driven}/versions/1")
         assert opened.description.content_hash == version.content_hash
         assert json.dumps(dict(opened.description.loop_policy))
+
+
+def test_reference_points_of_a_session_lie_at_one_spot_in_both_frames(service, client, driven):
+    placed = placed_submaps(service.http, driven.partition("/")[2])
+    (pairs,) = reference_points(service.http, placed).values()
+    T_map_odom = client.correction(f"{driven}/sessions/monday").T_map_odom
+    robot = np.column_stack([pairs["robot"], np.zeros(3)])
+    np.testing.assert_allclose(se3.apply(T_map_odom, robot)[:, :2], pairs["rmf"], atol=0.05)
+    assert list(by_session(placed)) == ["monday"] and len(pairs["rmf"]) == 3

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import itertools
+import json
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from revisit.cli.app import app
 from revisit.formats import decode_cloud, media_type_for_suffix
 from revisit.sdk.errors import InvalidArgument, NotFound
 from tests.support.service_world import cloud_points, pose
@@ -118,3 +121,17 @@ def test_a_tile_goes_with_a_submap_that_is_deleted(client, service, tiled):
     client.download_tile(tile, "mesh")
     with pytest.raises(NotFound):
         client.download_tile(tile.name.replace(".0.0", ".2.0"), "mesh")
+
+
+def test_the_command_line_lists_downloads_and_measures(service, client, tiled, tmp_path):
+    map_id, out = tiled.split("/")[1], tmp_path / "tile.glb"
+    of_map = ["--map", map_id, "--http", service.http]
+    tile_id = tile_at(client, tiled, 0).name.rpartition("/")[2]
+    listed = CliRunner().invoke(app, ["map", "tiles", *of_map, "--json"])
+    assert tile_id in listed.stdout and listed.exit_code == 0
+    assert CliRunner().invoke(app, ["map", "tile", tile_id, "--out", str(out), *of_map]).exit_code == 0
+    assert out.read_bytes() == client.download_tile(f"{tiled}/tiles/{tile_id}")
+    measured = CliRunner().invoke(app, ["map", "distance", "10,10,0.4", "10,10,9", *of_map, "--json"])
+    told = json.loads(measured.stdout)
+    assert [one["distance_m"] for one in told["distances"]] == [0.4, None]
+    assert CliRunner().invoke(app, ["map", "distance", "10,10", *of_map]).exit_code == 1

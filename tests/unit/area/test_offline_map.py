@@ -72,3 +72,11 @@ def test_a_map_of_another_model_is_refused(area_file, tmp_path):
     write_map_file(tmp_path / "other.zip", description, [])
     with pytest.raises(DescriptorModelMismatch, match="other"):
         AreaMap.open(tmp_path / "other.zip", models)
+
+
+def test_a_map_of_rooms_is_opened_though_its_model_is_named_with_its_scale(tmp_path):
+    version = load_packaged_models().version
+    description = MapDescription("hall", "1", "", 0, f"{version}@scale-0.25", 0.25, 10.0, 5.0, {})
+    write_map_file(tmp_path / "hall.zip", description, [])
+    with AreaMap.open(tmp_path / "hall.zip") as area:
+        assert area.search(cloud(1), k=1) == []

@@ -36,6 +36,7 @@ from revisit.core.micro.cluster_normals import (
     regional_means,
 )
 from revisit.core.micro.saliency import weigh_clusters
+from revisit.core.sanity.ground import scores_of_planes
 from revisit.core.surface import Surface
 
 
@@ -332,8 +333,7 @@ def test_spots_on_planes_are_those_of_the_plain_projections():
 def test_planes_are_scored_as_by_numpy():
     rng = np.random.default_rng(13)
     normals, offsets, points = unit_rows(rng, 40), rng.uniform(-1, 1, 40), rng.normal(size=(300, 3))
-    above = normals @ points.T + offsets[:, None]
-    expected = (np.abs(above) < 0.3).mean(axis=1) - 2.0 * (above < -0.9).mean(axis=1)
+    expected = scores_of_planes(normals, offsets, points, 0.3, 0.9)
     np.testing.assert_allclose(plane_scores(normals, offsets, points, 0.3, 0.9), expected, atol=1e-12)
 
 

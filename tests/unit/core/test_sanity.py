@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -230,3 +231,14 @@ def test_a_wall_beside_a_sensor_that_sees_no_ground_is_not_taken_for_one() -> No
     random = np.random.default_rng(4)
     wall = np.column_stack([random.uniform(1, 20, 5000), np.full(5000, 4.0), random.uniform(0, 6, 5000)])
     assert ground_plane(wall + random.normal(0, 0.01, wall.shape)) is None
+
+
+def test_the_ground_is_found_without_a_compiler_as_with_one(monkeypatch):
+    rng = np.random.default_rng(3)
+    floor = np.column_stack([rng.uniform(-20, 20, (4000, 2)), rng.normal(-1.7, 0.02, 4000)])
+    wall = np.column_stack([np.full(1500, 9.0), rng.uniform(-9, 9, 1500), rng.uniform(-1.7, 4, 1500)])
+    compiled = ground_plane(np.vstack([floor, wall]))
+    monkeypatch.setitem(sys.modules, "revisit.core.kernels.plane_votes", None)
+    plain = ground_plane(np.vstack([floor, wall]))
+    np.testing.assert_allclose(plain.normal, compiled.normal)
+    assert (plain.height_m, plain.upright) == (pytest.approx(compiled.height_m), compiled.upright)

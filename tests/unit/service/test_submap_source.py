@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from functools import partial
+from dataclasses import replace
 from itertools import pairwise
 
+import numpy as np
 import pytest
 
-from revisit.core.config import SubmapConfig
-from revisit.core.geometry.se3 import pose_matrix
-from revisit.core.submap import chosen_scans
+from revisit.core.config import PipelineConfig, SubmapConfig
+from revisit.core.geometry.se3 import pose_matrix, pose_row
+from revisit.service.application.contract.limits import SCAN_POINTS
 from revisit.service.application.ingest import submap_source
-from revisit.service.application.ingest.submap_source import MAX_SCANS, WINDOW_POINTS, PosedCloud, chosen_seqs
-from tests.support.service_world import TENANT, memory_world, open_session, scan
+from revisit.service.application.ingest.submap_source import MAX_SCANS, chosen_seqs
+from tests.support.service_world import TENANT, memory_world, open_session, pose, scan
 
 
 def test_all_scans_of_a_window_are_chosen_up_to_the_limit():
@@ -28,37 +29,8 @@ def test_of_an_hour_at_a_red_light_a_bounded_number_is_chosen_evenly_and_with_bo
     assert steps == {90, 91}
 
 
-@pytest.mark.parametrize(
-    ("scans", "points", "every"),
-    [(1, 1, 1), (MAX_SCANS, WINDOW_POINTS // MAX_SCANS, 1), (MAX_SCANS, 262_000, 7), (MAX_SCANS, 500_000, 13)],
-)
-def test_of_the_points_of_a_window_so_many_are_used_that_a_worker_has_room(scans, points, every):
-    clouds = (PosedCloud("sha", points, (), 1),) * scans
-    source = submap_source.SubmapSource(clouds, posted=False, config=None, T_odom_submap=())
-    assert source.every == every
-    assert scans * points / source.every <= WINDOW_POINTS
-
-
-async def test_a_window_of_too_many_points_is_described_from_some_of_each_scan(monkeypatch):
-    monkeypatch.setattr(submap_source, "WINDOW_POINTS", 1_000)
-    world = memory_world()
-    await open_session(world)
-    for seq in range(1, 12):
-        await world.use_cases.scans.append(TENANT, scan(seq, float(seq - 1)))
-    (record,) = world.context.transactions.read(lambda uow: uow.submaps.find(TENANT)).result()
-    source = world.context.transactions.read(
-        lambda uow: submap_source.submap_source(uow, world.context.policy, record)
-    ).result()
-    loaded = submap_source.load_submap(world.context.blobs, record, source)
-    assert (record.point_count, source.every) == (3_300, 4)
-    assert len(loaded.points) == 11 * 75
-    assert set(loaded.scan_index.tolist()) == set(range(11))
-
-
-async def test_of_a_slow_robots_dense_scans_only_those_a_metre_apart_are_read(monkeypatch):
-    as_of_64_beams = partial(chosen_scans, config=SubmapConfig(enough_returns=0))
-    monkeypatch.setattr(submap_source, "chosen_scans", lambda positions, returns, _: as_of_64_beams(positions, returns))
-    world = memory_world()
+async def test_of_a_slow_robots_dense_scans_only_those_a_metre_apart_are_read():
+    world = memory_world(pipeline=PipelineConfig(submap=SubmapConfig(enough_returns=0)))
     await open_session(world)
     for seq in range(1, 70):
         await world.use_cases.scans.append(TENANT, scan(seq, 0.15 * (seq - 1)))
@@ -70,3 +42,20 @@ async def test_of_a_slow_robots_dense_scans_only_those_a_metre_apart_are_read(mo
     assert submap_source.load_submap(world.context.blobs, record, source).T_odom_submap == pytest.approx(
         pose_matrix(record.T_odom_submap)
     )
+
+
+@pytest.mark.parametrize("travelled_m", [np.linspace(0.0, 10.0, MAX_SCANS), np.zeros(MAX_SCANS)], ids=["slow", "still"])
+async def test_a_window_of_many_large_scans_takes_a_worker_the_memory_of_a_dozen(travelled_m, monkeypatch):
+    world = memory_world()
+    await open_session(world)
+    for seq in range(1, 12):
+        await world.use_cases.scans.append(TENANT, scan(seq, float(seq - 1)))
+
+    def clouds(uow):
+        (record,) = uow.submaps.find(TENANT)
+        first = uow.scans.with_seqs(TENANT, record.map_id, record.session_id, [1])[0]
+        taken = [replace(first, point_count=SCAN_POINTS, T_odom_sensor=pose_row(pose(x))) for x in travelled_m]
+        monkeypatch.setattr(type(uow.scans), "with_seqs", lambda *_: taken)
+        return submap_source.submap_source(uow, world.context.policy, record).clouds
+
+    assert 1 <= len(world.context.transactions.read(clouds).result()) <= 12

@@ -1,0 +1,81 @@
+"""A map piece by piece: its tiles, their surfaces as files, distances of points to the surface."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from revisit.cli.options import HTTP, Http, Json, MapName
+from revisit.cli.output import emit_json, emit_table, refuse, say
+
+FORMATS = ("glb", "mesh", "pcd", "ply", "npy", "neural")
+Frame = Annotated[str, typer.Option(help="The frame of the map that is meant; needed where there are several.")]
+
+
+def tiles(map_id: MapName = "default", http: Http = HTTP, json: Json = False) -> None:
+    """List the tiles of the version of a map that is in force."""
+    from revisit.sdk.client import Client
+
+    with Client(http) as client:
+        found = client.map_tiles(f"maps/{map_id}")
+    if json:
+        emit_json([asdict(one) for one in found])
+        return
+    rows = [
+        (one.name.rpartition("/")[2], *(f"{value:.1f}" for value in (*one.min_m, *one.max_m)), one.submaps, one.made)
+        for one in found
+    ]
+    names = ("tile", "min x (m)", "min y", "max x", "max y", "submaps", "made")
+    emit_table(f"Tiles of map {map_id}", names, rows)
+
+
+def tile(
+    tile_id: Annotated[str, typer.Argument(help="As `revisit map tiles` lists it.")],
+    out: Annotated[Path, typer.Option(help="File to write.")],
+    map_id: MapName = "default",
+    file_format: Annotated[str, typer.Option("--format", help=f"{', '.join(FORMATS)}; mesh is ply.")] = "glb",
+    http: Http = HTTP,
+) -> None:
+    """Download the surface of a tile; a worker makes it when it is asked for first."""
+    from revisit.sdk.client import Client
+
+    if file_format not in FORMATS:
+        raise refuse(f"--format is one of {', '.join(FORMATS)}")
+    with Client(http) as client:
+        version = client.get_map(f"maps/{map_id}").map_version
+        data = client.download_tile(f"maps/{map_id}/versions/{version}/tiles/{tile_id}", file_format)
+    out.write_bytes(data)
+    say(f"{out}: {len(data):,} bytes of tile {tile_id}, version {version} of map {map_id}")
+
+
+def distance(
+    points: Annotated[list[str], typer.Argument(help="X,Y,Z in metres in the map, one or more.")],
+    map_id: MapName = "default",
+    frame: Frame = "",
+    http: Http = HTTP,
+    json: Json = False,
+) -> None:
+    """Signed distances of points to the surface of a map, positive in free space."""
+    from revisit.sdk.client import Client
+
+    try:
+        asked = [[float(word) for word in point.split(",")] for point in points]
+    except ValueError as error:
+        raise refuse("a point is X,Y,Z, three numbers in metres") from error
+    if any(len(point) != 3 for point in asked):
+        raise refuse("a point is X,Y,Z, three numbers in metres")
+    with Client(http) as client:
+        found = client.map_distances(f"maps/{map_id}", asked, frame=frame)
+    pairs = zip(points, found.distance_m.tolist(), found.nearest_m.tolist(), strict=True)
+    rows = [(point, *(None if value != value else round(value, 4) for value in row)) for point, *row in pairs]
+    if json:
+        keys = ("point", "distance_m", "nearest_m")
+        distances = [dict(zip(keys, row, strict=True)) for row in rows]
+        emit_json({"map_version": found.map_version, "frame": found.frame, "distances": distances})
+        return
+    shown = [tuple("unknown" if value is None else value for value in row) for row in rows]
+    title = f"Map {map_id}, version {found.map_version}, {found.frame}"
+    emit_table(title, ("point", "to the surface (m)", "to what was seen (m)"), shown)
