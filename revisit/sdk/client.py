@@ -475,11 +475,11 @@ class Client:
         return MapDistances.of(self._transport.measure_distances(request))
 
     def map_points(
-        self, version: str | Map | MapVersion, centre_m: Any, radius_m: float, *, frame: str = "", limit: int = 1000
+        self, version: str | Map | MapVersion, centre_m: Any, within_m: float, *, frame: str = "", limit: int = 1000
     ) -> MapPoints:
         """The points of the surface of a map within a radius of one point, the nearest first."""
         centre = vector(centre_m)
-        fields = {"parent": self._version(version), "centre_m": centre, "radius_m": radius_m, "frame": frame}
+        fields = {"parent": self._version(version), "centre_m": centre, "within_m": within_m, "frame": frame}
         request = request_of(map_tile_pb2.FindMapPointsRequest, {**fields, "limit": limit})
         return MapPoints.of(self._transport.find_points(request))
 

@@ -140,7 +140,7 @@ class RestTransport:
     def find_points(self, request: map_tile_pb2.FindMapPointsRequest) -> map_tile_pb2.FindMapPointsResponse:
         """See Transport."""
         centre = request.centre_m
-        params = {"centre_m": f"{centre.x!r},{centre.y!r},{centre.z!r}", "radius_m": request.radius_m}
+        params = {"centre_m": f"{centre.x!r},{centre.y!r},{centre.z!r}", "within_m": request.within_m}
         asked = {**params, "frame": request.frame, "limit": request.limit}
         path = f"{_path(request.parent)}/points"
         return self._message(map_tile_pb2.FindMapPointsResponse, "GET", path, params=asked)

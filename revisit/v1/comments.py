@@ -96,7 +96,7 @@ COMMENTS = {
     'revisit.v1.FindMapPointsRequest.frame': 'The frame that the centre is in; empty where the version has one alone.',
     'revisit.v1.FindMapPointsRequest.limit': '1 to 2000; 0 means 1000.',
     'revisit.v1.FindMapPointsRequest.parent': 'maps/{map}/versions/{version}',
-    'revisit.v1.FindMapPointsRequest.radius_m': 'Above 0 to 100 metres; it may reach at most 16 tiles.',
+    'revisit.v1.FindMapPointsRequest.within_m': 'Above 0 to 100 metres; it may reach at most 16 tiles.',
     'revisit.v1.FindMapPointsResponse.points': 'The nearest first.',
     'revisit.v1.FindMapPointsResponse.total': 'How many there are within the radius, sent or not.',
     'revisit.v1.Finding': 'Something about scans that is unlikely to be meant.',

@@ -109,18 +109,18 @@ class MeasureMapDistancesResponse(_message.Message):
     def __init__(self, map_version: _Optional[int] = ..., frame: _Optional[str] = ..., distances: _Optional[_Iterable[_Union[MapDistance, _Mapping]]] = ...) -> None: ...
 
 class FindMapPointsRequest(_message.Message):
-    __slots__ = ("parent", "frame", "centre_m", "radius_m", "limit")
+    __slots__ = ("parent", "frame", "centre_m", "within_m", "limit")
     PARENT_FIELD_NUMBER: _ClassVar[int]
     FRAME_FIELD_NUMBER: _ClassVar[int]
     CENTRE_M_FIELD_NUMBER: _ClassVar[int]
-    RADIUS_M_FIELD_NUMBER: _ClassVar[int]
+    WITHIN_M_FIELD_NUMBER: _ClassVar[int]
     LIMIT_FIELD_NUMBER: _ClassVar[int]
     parent: str
     frame: str
     centre_m: _geometry_pb2.Vector3
-    radius_m: float
+    within_m: float
     limit: int
-    def __init__(self, parent: _Optional[str] = ..., frame: _Optional[str] = ..., centre_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., radius_m: _Optional[float] = ..., limit: _Optional[int] = ...) -> None: ...
+    def __init__(self, parent: _Optional[str] = ..., frame: _Optional[str] = ..., centre_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., within_m: _Optional[float] = ..., limit: _Optional[int] = ...) -> None: ...
 
 class MapPoint(_message.Message):
     __slots__ = ("position_m", "normal")

@@ -102,7 +102,7 @@ def points_around(request: map_tile_pb2.FindMapPointsRequest) -> MapQuestion:
     """The point around which the surface is asked. Raises BadField."""
     map_id, version = names.version_key(request.parent, "parent")
     limit = request.limit or MapQuestion.limit
-    return MapQuestion(map_id, version, request.frame, _row(request.centre_m), request.radius_m, limit)
+    return MapQuestion(map_id, version, request.frame, _row(request.centre_m), request.within_m, limit)
 
 
 def _row(point: geometry_pb2.Vector3) -> NDArray[np.float64]:

@@ -58,7 +58,7 @@ class TileMaking:
         )
         tiling = self._transactions.read(read).result()
         asked = np.array(payload["points_m"], dtype=np.float64).reshape(-1, 3)
-        if payload["radius_m"] is None:
+        if payload["within_m"] is None:
             result = self._distances(tenant, tiling, payload["frame"], asked)
         else:
             result = self._around(tenant, tiling, payload, asked[0])
@@ -83,15 +83,15 @@ class TileMaking:
         self, tenant: TenantId, tiling: Tiling, payload: dict[str, Any], centre: NDArray[np.float64]
     ) -> dict[str, Any]:
         """The points within a radius, the nearest first, at most as many as were asked for."""
-        radius_m, parts = float(payload["radius_m"]), [np.zeros((0, 6))]
-        for cell in tiling.grid.reached(centre[None], radius_m):
+        within_m, parts = float(payload["within_m"]), [np.zeros((0, 6))]
+        for cell in tiling.grid.reached(centre[None], within_m):
             tile = self._known(tenant, tiling, TileKey(tiling.map_id, tiling.version, payload["frame"], cell))
             if tile is not None:
                 points = tile.points
                 parts.append(np.hstack([points.vertices + tile.centre_m, points.normals]))
         every = np.concatenate(parts)
         gaps = np.linalg.norm(every[:, :3] - centre, axis=1)
-        within = np.flatnonzero(gaps <= radius_m)
+        within = np.flatnonzero(gaps <= within_m)
         nearest = within[np.argsort(gaps[within], kind="stable")[: int(payload["limit"])]]
         return {"points": every[nearest].round(4).tolist(), "total": len(within)}
 

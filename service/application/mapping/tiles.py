@@ -72,14 +72,14 @@ class MapPoints:
 class MapQuestion:
     """What is asked of a version of a map, in one of its frames ("": the only one): points (n, 3) in metres.
 
-    With `radius_m` there is one point, and at most `limit` points of the surface around it are the answer.
+    With `within_m` there is one point, and at most `limit` points of the surface around it are the answer.
     """
 
     map_id: str
     version: int
     frame: str
     points_m: NDArray[np.float64]
-    radius_m: float | None = None
+    within_m: float | None = None
     limit: int = 1000
 
 
@@ -136,7 +136,7 @@ class MapTiles:
 
     async def points(self, tenant: TenantId, question: MapQuestion) -> MapPoints:
         """The points of the surface around one. Raises as `distances`."""
-        limits.MAP_RADIUS_M.validated(question.radius_m or 0.0, "radius_m")
+        limits.MAP_RADIUS_M.validated(question.within_m or 0.0, "within_m")
         limits.MAP_POINTS.validated(question.limit, "limit")
         result = await self._measured(tenant, question)
         rows = np.array(result["points"], dtype=np.float64).reshape(-1, 6)
@@ -172,7 +172,7 @@ class MapTiles:
         _require_few_tiles(tiling, question)
         payload = {
             "map_id": question.map_id, "version": question.version, "frame": frame, "points_m": points.tolist(),
-            "radius_m": question.radius_m, "limit": question.limit,
+            "within_m": question.within_m, "limit": question.limit,
         }  # fmt: skip
         subject = f"maps/{question.map_id}/versions/{question.version}"
         return await self._answer(tenant, OperationKind.MEASURE_MAP, subject, payload)
@@ -218,8 +218,8 @@ def _tiles(
 def _require_few_tiles(tiling: Tiling, question: MapQuestion) -> None:
     """Raises BadField where an answer would rest on too many tiles."""
     cells = set(tiling.grid.cells(question.points_m))
-    if question.radius_m is not None:
-        cells = set(tiling.grid.reached(question.points_m[:1], question.radius_m))
+    if question.within_m is not None:
+        cells = set(tiling.grid.reached(question.points_m[:1], question.within_m))
     if len(cells) > limits.QUERY_TILES:
         edge_m, most = tiling.grid.edge_m, limits.QUERY_TILES
         raise BadField(

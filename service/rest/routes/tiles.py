@@ -107,11 +107,11 @@ async def find_map_points(
     cases: Cases,
     tenant: Tenant,
     centre_m: Annotated[str, Query(description="x,y,z in metres", max_length=200)],
-    radius_m: Annotated[float, Query(**bounds(limits.MAP_RADIUS_M))],
+    within_m: Annotated[float, Query(**bounds(limits.MAP_RADIUS_M))],
     frame: Annotated[str, Query(max_length=limits.ID_CHARACTERS)] = "",
     limit: Annotated[int, Query(**bounds(limits.MAP_POINTS)), IN_DIGITS] = MapQuestion.limit,
 ) -> Response:
     """The points of the surface of a version of a map around one point."""
     centre = np.array([parse_numbers(centre_m, 3, "centre_m", "x,y,z")], dtype=np.float64)
-    question = MapQuestion(map_id, names.version_number(version_id), frame, centre, radius_m, limit)
+    question = MapQuestion(map_id, names.version_number(version_id), frame, centre, within_m, limit)
     return answer(MapPoints, of_map_points(await cases.map_tiles.points(tenant, question)))

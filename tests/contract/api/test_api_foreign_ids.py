@@ -25,7 +25,7 @@ from tests.support.service_world import cloud_points, memory_world
 REQUEST_ID = {"x-request-id": "fixed"}
 CLOUD = encode_quantised(cloud_points(1))
 POSE = "0,0,0,0,0,0,1"
-AROUND = {"centre_m": "0,0,0", "radius_m": 9}
+AROUND = {"centre_m": "0,0,0", "within_m": 9}
 QUERY = {"submap_id": "new", "stamp_ns": 1, "T_odom_submap": POSE, "format": "ply", "timeout_s": 0, **AROUND}
 OF_SUBMAP = {"robot": "rover", "map": "town", "session": "monday", "submap": "a"}
 UNIVERSE = {**OF_SUBMAP, "version": "1", "webhook": "hook", "tile": "frame-1.0.0"}
@@ -195,7 +195,7 @@ def message(method, ids):
     if method.name == "MeasureMapDistances":
         request.points_m.add(x=1.0)
     if method.name == "FindMapPoints":
-        request.radius_m = 9.0
+        request.within_m = 9.0
     if method.name in ("DownloadSubmap", "DownloadMapTile"):
         request.format = 1
     if "cloud" in fields:

@@ -91,7 +91,7 @@ def test_what_cannot_be_asked_of_a_map_is_told_with_the_field(client, tiled):
         (lambda: client.map_distances(tiled, np.zeros((1001, 3))), "points_m"),
         (lambda: client.map_distances(tiled, [[1e300, 0, 0]]), "points_m"),
         (lambda: client.map_distances(tiled, EDGE_M * np.arange(17)[:, None] * [1.0, 0, 0]), "points_m"),
-        (lambda: client.map_points(tiled, (0, 0, 0), 100.5), "radius_m"),
+        (lambda: client.map_points(tiled, (0, 0, 0), 100.5), "within_m"),
         (lambda: client.map_points(tiled, (0, 0, 0), 10.0, limit=2001), "limit"),
         (lambda: client.download_tile(f"{tiled}/tiles/somewhere", "mesh"), "tile"),
     ):
