@@ -82,7 +82,10 @@ class Settings(AccessSettings):
         "optimised by itself; 0 for only when somebody asks",
     )
     optimise_delay_s: float = Field(
-        default=5.0, ge=0, description="how long the loops before an optimisation settle: more come together"
+        default=5.0,
+        ge=0,
+        description="how long the loops before an optimisation settle: more come together; as long again for every "
+        "500 accepted loops of the map, because a larger one takes longer",
     )
     map_versions_kept: int = Field(
         default=20, ge=1, description="versions of a map's poses that are kept; older ones cannot be brought back"

@@ -8,6 +8,7 @@ import pytest
 
 from revisit import Client
 from revisit.core.pose_graph import PoseGraph, Robustness, optimise
+from revisit.service.application.mapping import optimisation
 from revisit.service.application.mapping.optimisation import drop_waiting
 from revisit.service.failpoints import FailpointReached, arm
 from tests.support.fleet_in_service import fleet_in
@@ -72,6 +73,16 @@ async def test_a_map_is_optimised_by_itself_once_its_new_loops_have_settled():
     assert world.work_off() == 1
     assert (await world.use_cases.operations.get(TENANT, job.operation_id)).result["version"] == "maps/town/versions/1"
     assert waiting(world) == []
+
+
+async def test_the_loops_of_a_large_map_settle_longer(monkeypatch):
+    monkeypatch.setattr(optimisation, "LOOPS_A_DELAY", 1)
+    world = memory_world(optimise_after_loops=1, optimise_delay_ms=5000)
+    await described(world, a=1, b=2, c=1)
+    accepted = world.context.transactions.read(lambda uow: uow.loops.count(TENANT, state="ACCEPTED")).result()
+    (job,) = waiting(world)
+    assert accepted > 0
+    assert job.not_before_ms - world.clock.ms == (1 + accepted) * 5000
 
 
 async def test_a_map_waits_for_as_many_loops_as_the_operator_says():

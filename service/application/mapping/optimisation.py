@@ -25,6 +25,10 @@ from revisit.service.failpoints import failpoint
 NO_SUBMAPS = {"outcome": "the map holds no submaps"}
 """The result of a job that had nothing to optimise."""
 
+LOOPS_A_DELAY = 500
+"""For every so many accepted loops of a map new ones settle for one more delay before it is optimised by itself: the
+larger a map, the longer it takes (docs/decisions/0176)."""
+
 _READINGS = 5
 """How often a graph is read again that has lost a part while it was optimised."""
 
@@ -82,14 +86,15 @@ def optimise_soon(
 ) -> None:
     """Let a map be optimised once its new loops have settled, where the service does that by itself.
 
-    Enough of them must wait, or a person have `decided` on one.
+    Enough of them must wait, or a person have `decided` on one, who does not wait for more.
     """
     least = policy.optimise_after_loops
     if not least or waiting_optimisation(uow, tenant, map_id) is not None:
         return
-    unasked = {"map_id": map_id, "state": LoopState.ACCEPTED.value, "graph_state": None}
-    if decided or least == 1 or uow.loops.count(tenant, **unasked) >= least:
-        due = Instant(now.epoch, now.ms + policy.optimise_delay_ms)
+    accepted = {"map_id": map_id, "state": LoopState.ACCEPTED.value}
+    if decided or least == 1 or uow.loops.count(tenant, **accepted, graph_state=None) >= least:
+        delays = 1 if decided else 1 + uow.loops.count(tenant, **accepted) // LOOPS_A_DELAY
+        due = Instant(now.epoch, now.ms + delays * policy.optimise_delay_ms)
         post_optimisation(uow, tenant, map_id, policy, now_ns, due)
 
 
