@@ -128,14 +128,14 @@ def draw(rows: dict[int, dict[str, float]], picture: Path) -> None:
     """Times on the left, sizes on the right, over the submaps of the map."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(10, 4.2), layout="constrained")
+    figure = Figure(figsize=(10, 5), layout="constrained")
     times, sizes = figure.subplots(1, 2)
     for axes, unit, shown in ((times, "milliseconds", TIMES), (sizes, "MiB", MEMORY)):
         for key, name in shown.items():
             axes.loglog(list(rows), [row[key] for row in rows.values()], "o-", label=name)
         axes.set(xlabel="submaps of the map", ylabel=unit)
         axes.grid(alpha=0.3, which="both")
-        axes.legend(fontsize=8)
+        axes.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2)
     figure.savefig(picture, dpi=110)
 
 
