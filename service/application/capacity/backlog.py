@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import secrets
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from revisit.service.application.capacity.in_flight import InFlight
@@ -75,6 +75,19 @@ QUERIES = (
     OperationKind.SEARCH_CLOUD, OperationKind.LOCALIZE, OperationKind.MAKE_TILE, OperationKind.MEASURE_MAP,
 )  # fmt: skip
 """The kinds of jobs for which a client waits."""
+
+
+def same_job(
+    uow: UnitOfWork,
+    tenant: TenantId,
+    kind: OperationKind,
+    subject: str,
+    payload: dict[str, Any],
+    states: Sequence[OperationState] = (OperationState.QUEUED,),
+) -> JobRecord | None:
+    """A job that does the same and is in one of these states, the first of them first."""
+    found = (uow.jobs.find(tenant, state=state.value, kind=kind.value, subject=subject) for state in states)
+    return next((job for jobs in found for job in jobs if job.payload == payload), None)
 
 
 class JobPosting:

@@ -90,6 +90,14 @@ class SubmapView:
     in_map: MapPose | None = None
 
 
+@dataclass(frozen=True)
+class PostedOperation:
+    """An operation that was asked for, and whether the same one waited already."""
+
+    operation: OperationView
+    replay: bool
+
+
 def operation_view(record: JobRecord) -> OperationView:
     """The client's view of a job."""
     return OperationView(

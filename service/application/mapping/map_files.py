@@ -12,7 +12,7 @@ from revisit.core.errors import BadField
 from revisit.service.application.access import audit
 from revisit.service.application.access.audit import AuditEntry
 from revisit.service.application.capacity.admission import Admission
-from revisit.service.application.capacity.backlog import JobPosting
+from revisit.service.application.capacity.backlog import JobPosting, same_job
 from revisit.service.application.catalogue.blob_references import Blob, BlobCollector
 from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract import limits
@@ -21,11 +21,11 @@ from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.errors import NotFound
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.lookup import require_map
-from revisit.service.application.contract.records import JobRecord, MapFileRecord
-from revisit.service.application.contract.states import MapFileState, OperationKind, OperationState
+from revisit.service.application.contract.records import MapFileRecord
+from revisit.service.application.contract.states import MapFileState, OperationKind
 from revisit.service.application.contract.storage import Storage
 from revisit.service.application.contract.transactions import UnitOfWork
-from revisit.service.application.contract.views import OperationView, operation_view
+from revisit.service.application.contract.views import PostedOperation, operation_view
 from revisit.service.application.mapping.map_layout import MapLayout
 from revisit.service.application.mapping.versions import version_seen
 
@@ -43,14 +43,6 @@ class MapFileView:
     submaps: int
     created_at_ns: int
     number: int
-
-
-@dataclass(frozen=True)
-class PostedFiling:
-    """The operation, and whether the same waited already."""
-
-    operation: OperationView
-    replay: bool
 
 
 @dataclass(frozen=True)
@@ -90,7 +82,7 @@ class MapFiles:
         self._collector = collector
         self._clock = clock
 
-    async def publish(self, tenant: TenantId, map_id: str, version: int, description: str = "") -> PostedFiling:
+    async def publish(self, tenant: TenantId, map_id: str, version: int, description: str = "") -> PostedOperation:
         """Queue the making of a file. Raises NotFound, BadField, WorkersBusy, Draining, StorageFull."""
         self._admission.require_running()
         self._admission.require_storage()
@@ -137,14 +129,15 @@ class MapFiles:
     def _layout(self, tenant: TenantId, sha256: str) -> MapLayout:
         return MapLayout.from_blob(self._storage.blobs.get(tenant, MAP_LAYOUT_BLOB, sha256))
 
-    def _post(self, uow: UnitOfWork, tenant: TenantId, payload: dict[str, Any], entry: AuditEntry) -> PostedFiling:
+    def _post(self, uow: UnitOfWork, tenant: TenantId, payload: dict[str, Any], entry: AuditEntry) -> PostedOperation:
         version_seen(uow, tenant, payload["map_id"], payload["version"])
-        waiting = _waiting(uow, tenant, payload)
+        subject = f"maps/{payload['map_id']}"
+        waiting = same_job(uow, tenant, OperationKind.PUBLISH_MAP, subject, payload)
         if waiting is not None:
-            return PostedFiling(operation_view(waiting), replay=True)
+            return PostedOperation(operation_view(waiting), replay=True)
         audit.append(uow, self._clock.wall_ns(), entry)
-        posted = self._jobs.post(uow, tenant, OperationKind.PUBLISH_MAP, f"maps/{payload['map_id']}", payload)
-        return PostedFiling(operation_view(posted), replay=False)
+        posted = self._jobs.post(uow, tenant, OperationKind.PUBLISH_MAP, subject, payload)
+        return PostedOperation(operation_view(posted), replay=False)
 
     def _enable(self, uow: UnitOfWork, map_id: str, version: int, entry: AuditEntry) -> MapFileRecord:
         tenant = TenantId(entry.tenant)
@@ -164,12 +157,6 @@ class MapFiles:
         audit.append(uow, self._clock.wall_ns(), entry)
         uow.map_files.delete(tenant, number=record.number)
         return {(MAP_LAYOUT_BLOB, record.layout_sha256)}
-
-
-def _waiting(uow: UnitOfWork, tenant: TenantId, payload: dict[str, Any]) -> JobRecord | None:
-    queued, kind = OperationState.QUEUED.value, OperationKind.PUBLISH_MAP.value
-    found = uow.jobs.find(tenant, state=queued, kind=kind, subject=f"maps/{payload['map_id']}")
-    return next((job for job in found if job.payload == payload), None)
 
 
 def _require_file(uow: UnitOfWork, tenant: TenantId, map_id: str, version: int) -> MapFileRecord:

@@ -13,7 +13,7 @@ from revisit.service.application.access import audit
 from revisit.service.application.access.audit import AuditEntry
 from revisit.service.application.access.callers import current_actor
 from revisit.service.application.capacity.admission import Admission
-from revisit.service.application.capacity.backlog import JobPosting
+from revisit.service.application.capacity.backlog import JobPosting, same_job
 from revisit.service.application.catalogue.blob_references import Blob, BlobCollector
 from revisit.service.application.catalogue.deletion import delete_session
 from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
@@ -22,11 +22,11 @@ from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.errors import NotFound, NotReady
 from revisit.service.application.contract.identity import SessionKey, TenantId
 from revisit.service.application.contract.lookup import require_map, require_session
-from revisit.service.application.contract.records import JobRecord, MapMergeRecord
-from revisit.service.application.contract.states import OperationKind, OperationState
+from revisit.service.application.contract.records import MapMergeRecord
+from revisit.service.application.contract.states import OperationKind
 from revisit.service.application.contract.storage import Storage
 from revisit.service.application.contract.transactions import UnitOfWork
-from revisit.service.application.contract.views import OperationView, operation_view
+from revisit.service.application.contract.views import PostedOperation, operation_view
 from revisit.service.application.mapping.merge_reading import require_comparable
 from revisit.service.application.mapping.optimisation import drop_waiting
 from revisit.service.application.mapping.version_commit import MAP_REVERTED
@@ -73,14 +73,6 @@ class MergeMap:
 
 
 @dataclass(frozen=True)
-class PostedMerge:
-    """The operation, and whether the same merge waited already."""
-
-    operation: OperationView
-    replay: bool
-
-
-@dataclass(frozen=True)
 class MapMergeView:
     """A merge as clients see it (see `MapMergeRecord`)."""
 
@@ -116,7 +108,7 @@ class MapMerges:
         self._collector = collector
         self._clock = clock
 
-    async def merge(self, tenant: TenantId, command: MergeMap) -> PostedMerge:
+    async def merge(self, tenant: TenantId, command: MergeMap) -> PostedOperation:
         """Queue a merge; the same that waits already is answered.
 
         Raises NotFound; BadField; BadTransform; DescriptorModelMismatch where the maps were described by different
@@ -147,16 +139,17 @@ class MapMerges:
         await self._collector.collect(tenant, doomed)
         return _view(reverted)
 
-    def _post(self, uow: UnitOfWork, tenant: TenantId, command: MergeMap, payload: dict[str, Any]) -> PostedMerge:
+    def _post(self, uow: UnitOfWork, tenant: TenantId, command: MergeMap, payload: dict[str, Any]) -> PostedOperation:
         target, source = (require_map(uow, tenant, one) for one in (command.map_id, command.source_map_id))
         if command.source_session_id is not None:
             require_session(uow, tenant, SessionKey(command.source_map_id, command.source_session_id))
         require_comparable(target, source)
-        waiting = _waiting(uow, tenant, payload)
+        subject = f"maps/{command.map_id}"
+        waiting = same_job(uow, tenant, OperationKind.MERGE_MAP, subject, payload)
         if waiting is not None:
-            return PostedMerge(operation_view(waiting), replay=True)
-        posted = self._jobs.post(uow, tenant, OperationKind.MERGE_MAP, f"maps/{command.map_id}", payload)
-        return PostedMerge(operation_view(posted), replay=False)
+            return PostedOperation(operation_view(waiting), replay=True)
+        posted = self._jobs.post(uow, tenant, OperationKind.MERGE_MAP, subject, payload)
+        return PostedOperation(operation_view(posted), replay=False)
 
     def _revert(
         self, uow: UnitOfWork, map_id: str, merge_id: str, entry: AuditEntry
@@ -186,12 +179,6 @@ class MapMerges:
             if session is not None:
                 doomed |= delete_session(uow, record, session, now_ns)
         return doomed
-
-
-def _waiting(uow: UnitOfWork, tenant: TenantId, payload: dict[str, Any]) -> JobRecord | None:
-    queued, kind = OperationState.QUEUED.value, OperationKind.MERGE_MAP.value
-    found = uow.jobs.find(tenant, state=queued, kind=kind, subject=f"maps/{payload['map_id']}")
-    return next((job for job in found if job.payload == payload), None)
 
 
 def _require_merge(uow: UnitOfWork, tenant: TenantId, map_id: str, merge_id: str) -> MapMergeRecord:

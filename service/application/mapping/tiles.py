@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from revisit.core.errors import BadField
 from revisit.service.application.capacity.admission import Admission
-from revisit.service.application.capacity.backlog import JobPosting
+from revisit.service.application.capacity.backlog import JobPosting, same_job
 from revisit.service.application.catalogue.downloads import Download, DownloadKind
 from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract import limits
@@ -195,12 +195,8 @@ class MapTiles:
     def _posted(
         self, uow: UnitOfWork, tenant: TenantId, kind: OperationKind, subject: str, payload: dict[str, Any]
     ) -> JobRecord:
-        for state in (OperationState.QUEUED, OperationState.RUNNING):
-            waiting = uow.jobs.find(tenant, state=state.value, kind=kind.value, subject=subject)
-            same = next((job for job in waiting if job.payload == payload), None)
-            if same is not None:
-                return same
-        return self._jobs.post(uow, tenant, kind, subject, payload)
+        under_way = same_job(uow, tenant, kind, subject, payload, (OperationState.QUEUED, OperationState.RUNNING))
+        return under_way or self._jobs.post(uow, tenant, kind, subject, payload)
 
 
 def _tiles(

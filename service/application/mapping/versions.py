@@ -30,7 +30,7 @@ from revisit.service.application.contract.session_poses import (
 from revisit.service.application.contract.states import LoopState
 from revisit.service.application.contract.storage import Storage
 from revisit.service.application.contract.transactions import UnitOfWork
-from revisit.service.application.contract.views import OperationView, operation_view
+from revisit.service.application.contract.views import PostedOperation, operation_view
 from revisit.service.application.mapping.optimisation import (
     brought_forward,
     drop_waiting,
@@ -39,14 +39,6 @@ from revisit.service.application.mapping.optimisation import (
 )
 from revisit.service.application.mapping.version_commit import MAP_REVERTED, forget_versions, judge_loops
 from revisit.service.failpoints import failpoint
-
-
-@dataclass(frozen=True)
-class PostedOptimisation:
-    """The operation, and whether it waited already."""
-
-    operation: OperationView
-    replay: bool
 
 
 @dataclass(frozen=True)
@@ -89,18 +81,18 @@ class MapVersions:
         self._clock = clock
         self._policy = policy
 
-    async def optimise(self, tenant: TenantId, map_id: str) -> PostedOptimisation:
+    async def optimise(self, tenant: TenantId, map_id: str) -> PostedOperation:
         """Queue an optimisation; one that waits already is due at once. Raises NotFound, Draining."""
         self._admission.require_running()
         return await self._storage.write(partial(self._optimise, tenant=tenant, map_id=map_id))
 
-    def _optimise(self, uow: UnitOfWork, tenant: TenantId, map_id: str) -> PostedOptimisation:
+    def _optimise(self, uow: UnitOfWork, tenant: TenantId, map_id: str) -> PostedOperation:
         require_map(uow, tenant, map_id)
         waiting = waiting_optimisation(uow, tenant, map_id)
         if waiting is not None:
-            return PostedOptimisation(operation_view(brought_forward(uow, waiting)), replay=True)
+            return PostedOperation(operation_view(brought_forward(uow, waiting)), replay=True)
         posted = post_optimisation(uow, tenant, map_id, self._policy, self._clock.wall_ns())
-        return PostedOptimisation(operation_view(posted), replay=False)
+        return PostedOperation(operation_view(posted), replay=False)
 
     async def list(self, tenant: TenantId, map_id: str, page: PageRequest) -> Page[MapVersionView]:
         """The versions that are kept, oldest first. Raises NotFound for the map."""
