@@ -232,7 +232,7 @@ SABOTAGES = (
     Sabotage("a blob is not synced", {"os:fsync": _skip_files}, POWER_CUT),
     Sabotage(
         "the directory of a blob is not synced",
-        {f"{ADAPTERS}files.durable_files:durable_write": _skip_directory},
+        {f"{ADAPTERS}files.disk:durable_write": _skip_directory},
         POWER_CUT,
     ),
     Sabotage(
