@@ -27,8 +27,8 @@ from revisit.service.adapters.files.file_drafts import FileDrafts
 from revisit.service.adapters.files.filesystem import require_local
 from revisit.service.adapters.files.secret_files import SECRET_BYTES, kept_secret
 from revisit.service.adapters.sqlite.checkpoints import Checkpoints
-from revisit.service.adapters.sqlite.connections import StorageFailures, write_ahead_log
-from revisit.service.adapters.sqlite.transactions import SqliteTransactions
+from revisit.service.adapters.sqlite.connections import write_ahead_log
+from revisit.service.adapters.sqlite.transactions import SqliteTransactions, StorageFailures
 from revisit.service.adapters.vector_index import PlaceVectorIndex
 from revisit.service.adapters.webhook_sender import HttpWebhookSender
 from revisit.service.application import Installation, UseCases

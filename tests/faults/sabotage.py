@@ -243,7 +243,7 @@ SABOTAGES = (
     Sabotage("a blob is not synced", {"os:fsync": _skip_files}, POWER_CUT),
     Sabotage(
         "the directory of a blob is not synced",
-        {f"{ADAPTERS}files.durable_files:durable_write": _skip_directory},
+        {f"{ADAPTERS}files.disk:durable_write": _skip_directory},
         POWER_CUT,
     ),
     Sabotage(
@@ -388,7 +388,7 @@ SABOTAGES = (
     ),
     Sabotage(
         "who asks first is served first, whoever it is",
-        {f"{USE_CASES}capacity.turns:Turns.__init__": _one_line},
+        {f"{USE_CASES}capacity.in_flight:Turns.__init__": _one_line},
         "tests/unit/service/test_turns.py::test_tenants_take_turns_and_each_keeps_its_own_order",
     ),
     Sabotage(
@@ -476,7 +476,7 @@ SABOTAGES = (
     Sabotage(
         "a tenant has as many lists read at once as it likes",
         {
-            f"{USE_CASES}capacity.turns:Turns.__init__": lambda init: (
+            f"{USE_CASES}capacity.in_flight:Turns.__init__": lambda init: (
                 lambda turns, _places, of_tenant=None: init(turns, 99)
             )
         },

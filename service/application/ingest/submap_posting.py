@@ -26,10 +26,9 @@ from revisit.service.application.contract.identity import (
     content_hash,
     validated_id,
 )
-from revisit.service.application.contract.lookup import require_active, require_job, require_session
 from revisit.service.application.contract.records import SessionRecord, SubmapRecord
 from revisit.service.application.contract.states import OperationKind, SubmapState
-from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.storage import Storage, require_active, require_job, require_session
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.views import OperationView, SubmapView, operation_view, submap_view
 from revisit.service.application.ingest.clouds import (
