@@ -286,6 +286,12 @@ class MemoryEventLog:
         rows = [row for at, row in sorted(self._rows.by_number.items()) if at > number and row.tenant == tenant]
         return [row for row in rows if map_id is None or row.map_id in (map_id, "")][:limit]
 
+    def newest_of_maps(self, number: int) -> list[EventRecord]:
+        """See `EventLog`."""
+        rows = sorted((at, row) for at, row in self._rows.by_number.items() if at > number)
+        newest = {(row.tenant, row.map_id): at for at, row in rows}
+        return [row for at, row in rows if newest[row.tenant, row.map_id] == at]
+
     def last_number(self) -> int:
         """See `EventLog`."""
         return self._rows.last

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -19,11 +18,11 @@ from revisit.service.application.contract.states import GraphState, LoopState
 from revisit.service.application.contract.storage import Storage, require_map, require_session
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.query.freshness import Freshness, await_freshness
+from revisit.service.application.query.glance import Glance
 
 _LAST_NUMBER = 2**63 - 1
 """No closure has a larger number; stores cannot compare with one."""
 
-_WATCH_POLL_S = 0.25
 _WATCH_BATCH = 100
 
 
@@ -63,11 +62,12 @@ class LoopClosureView:
 class Loops:
     """Get, list and watch loop closures."""
 
-    def __init__(self, storage: Storage, lists: Lists, admission: Admission) -> None:
-        """Watching ends when `admission` says that the service stops."""
+    def __init__(self, storage: Storage, lists: Lists, admission: Admission, glance: Glance) -> None:
+        """Watching ends when `admission` says that the service stops; `glance` sees that there is news."""
         self._storage = storage
         self._lists = lists
         self._admission = admission
+        self._glance = glance
 
     async def get(self, tenant: TenantId, map_id: str, loop_id: str) -> LoopClosureView:
         """Raises NotFound."""
@@ -104,12 +104,13 @@ class Loops:
         """
         seen = min(after, _LAST_NUMBER)
         while not self._admission.stopping:
+            looked_at = self._glance.last
             views = await self._accepted_after(tenant, map_id, seen, session_id)
             for view in views:
                 seen = view.number
                 yield view
             if not views:
-                await asyncio.sleep(_WATCH_POLL_S)
+                await self._glance.beyond(tenant, map_id, looked_at)
 
     async def _accepted_after(
         self, tenant: TenantId, map_id: str, after: int, session_id: str | None
