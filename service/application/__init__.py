@@ -46,6 +46,7 @@ from revisit.service.application.mapping.tiles import MapTiles
 from revisit.service.application.mapping.versions import MapVersions
 from revisit.service.application.push.events import Events
 from revisit.service.application.push.webhooks import Webhooks
+from revisit.service.application.query.freshness import ReadYourWrites
 from revisit.service.application.query.glance import Glance
 from revisit.service.application.query.loop_keypoints import LoopKeypointReading
 from revisit.service.application.query.loops import Loops
@@ -90,7 +91,7 @@ class UseCases:
         backlog, lists = of.backlog, Lists(storage, of.in_flight, PageTokens(of.secret))
         admission = Admission(of.stopping, of.disk, of.in_flight, backlog, of.quota)
         jobs, collector = JobPosting(backlog, clock, policy), BlobCollector(storage)
-        glance = Glance(storage, admission)
+        glance, writes = Glance(storage, admission), ReadYourWrites(storage, admission)
         operations, audit = Operations(storage, lists, admission, clock), AuditLog(storage, clock)
         return cls(
             maps=Maps(storage, lists, admission, collector, of.index, streams, clock, policy),
@@ -99,8 +100,8 @@ class UseCases:
             scans=Scans(storage, admission, decoder, jobs, of.in_flight, streams, clock, policy),
             posting=SubmapPosting(storage, admission, decoder, jobs, clock),
             submaps=Submaps(storage, lists, admission, collector, clock, policy),
-            searches=Searches(storage, admission, decoder, jobs, of.memory, operations),
-            loops=Loops(storage, lists, admission, glance),
+            searches=Searches(storage, admission, decoder, jobs, of.memory, operations, writes),
+            loops=Loops(storage, lists, admission, glance, writes),
             loop_keypoints=LoopKeypointReading(storage, admission, policy),
             operations=operations,
             events=Events(storage, admission, glance),

@@ -166,9 +166,10 @@ class MemorySubmaps(MemoryRepository[SubmapRecord]):
         of_map = sorted(self.find(tenant, map_id=map_id), key=lambda one: (one.session_number, one.ordinal))
         return [PlacedSubmap(one.number, one.session_number, one.ordinal, one.T_odom_submap) for one in of_map]
 
-    def waiting_up_to(self, tenant: TenantId, map_id: str, number: int) -> int:
+    def first_waiting(self, tenant: TenantId, map_id: str) -> int | None:
         """See `SubmapRepository`."""
-        return sum(row.number <= number for row in self.find(tenant, map_id=map_id, state=SubmapState.QUEUED.value))
+        queued = self.find(tenant, map_id=map_id, state=SubmapState.QUEUED.value)
+        return min((row.number for row in queued), default=None)
 
     def flag_counts(self, tenant: TenantId, map_id: str, session_id: str) -> dict[str, int]:
         """See `SubmapRepository`."""
@@ -184,6 +185,12 @@ class MemoryJobs(MemoryRepository[JobRecord]):
         """See `JobRepository`."""
         due = [job for job in self._all() if job.tenant == tenant and _due(job, now)]
         return min(due, key=lambda job: (job.priority, job.number), default=None)
+
+    def unfinished(self, tenant: TenantId, operation_ids: Collection[str]) -> frozenset[str]:
+        """See `JobRepository`."""
+        going_on = (OperationState.QUEUED, OperationState.RUNNING)
+        ids = {job.operation_id for job in self._all() if job.tenant == tenant and job.state in going_on}
+        return frozenset(ids.intersection(operation_ids))
 
     def exhausted(self, now: Instant) -> list[JobRecord]:
         """See `JobRepository`."""
