@@ -473,13 +473,22 @@ class VerificationConfig(Section):
         0.3,
         "deg",
         "own, decision 0160",
-        "of the direction of travel as the sensor sees it",
+        "of the direction of travel as the sensor sees it, where its scans do not tell",
         low=0,
     )
     unshared_shift: float = parameter(
         0.08, "m", "own, decision 0160", "standard deviation along each axis where half of the surface is common", low=0
     )
     unshared_turn: float = parameter(0.17, "deg", "own, decision 0160", "the same about each axis", low=0)
+    agreeing_surface: float = parameter(
+        0.004, "m", "own, decision 0194", "what scans disagree by on surfaces that are as flat as simulated ones", low=0
+    )
+    disagreeing_surface: float = parameter(
+        0.01, "m", "own, decision 0194", "disagreement beyond that from which on the deviations above count in full"
+    )
+    least_systematic: float = parameter(
+        0.1, "1", "own, decision 0194", "share of the deviations above where scans agree", low=0, high=1
+    )
     rival_distance: float = parameter(1.5, "m", "own, decision 0080", "poses farther apart than this are rivals")
     rival_common: float = parameter(
         0.5, "1", "own, decision 0080", "share of the common surface that a rival must have, too", low=0, high=1

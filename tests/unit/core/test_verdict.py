@@ -20,6 +20,7 @@ from revisit.core.geometry.level_frame import LevelFrame
 from revisit.core.model_bundle import load_packaged_models
 from revisit.core.pipeline import describe
 from revisit.core.place import Place
+from revisit.core.scan_disagreement import ScanDisagreement
 from revisit.core.verification import RejectedLoop, RejectionReason, VerifiedLoop, loop_score, verify
 from revisit.core.verification.verdict import systematic_covariance
 from revisit.evaluation.cutting import cut, load_submap
@@ -182,6 +183,25 @@ def test_the_less_is_shared_and_the_farther_apart_the_less_sure_a_loop_is() -> N
     np.testing.assert_allclose(aside[:3], [0.04, np.hypot(0.04, lever), np.hypot(0.02, lever)])
     in_scene = np.sqrt(np.diag(systematic_covariance(np.eye(4), 0.5, 0.25, VERIFICATION)))
     np.testing.assert_allclose(in_scene, half * [4, 4, 4, 1, 1, 1])
+
+
+def test_scans_that_agree_make_a_loop_surer_and_an_askew_sensor_less_sure() -> None:
+    away, half = se3.from_yaw(0.0, (10.0, 0.0, 0.0)), 0.5
+    unknown = np.sqrt(np.diag(systematic_covariance(away, half, 1.0, VERIFICATION)))
+    told = ScanDisagreement(surface=np.hypot(0.004, 0.005), askew=np.radians(0.1))
+    partly = np.sqrt(np.diag(systematic_covariance(away, half, 1.0, VERIFICATION, told)))
+    assert partly[0] == pytest.approx(unknown[0] / 2)
+    assert partly[1] == pytest.approx(np.hypot(unknown[0] / 2, 10.0 * np.radians(0.1)))
+    worse = ScanDisagreement(surface=0.03, askew=np.radians(1.0))
+    assert systematic_covariance(away, half, 1.0, VERIFICATION, worse)[1, 1] > unknown[1] ** 2
+    assert systematic_covariance(away, half, 1.0, VERIFICATION, worse)[0, 0] == pytest.approx(unknown[0] ** 2)
+
+
+def test_what_the_scans_of_one_place_tell_is_not_taken_for_both() -> None:
+    agreeing = replace(place(1), scan_disagreement=ScanDisagreement(0.0, 0.0))
+    alone, both = (verify(agreeing, other, 1.0, VERIFICATION) for other in (place(1), agreeing))
+    assert isinstance(alone, VerifiedLoop) and isinstance(both, VerifiedLoop)
+    assert alone.measurement.covariance[0, 0] > 0.04**2 > 4.0 * both.measurement.covariance[0, 0]
 
 
 def test_the_error_of_a_made_up_revisit_lies_within_what_the_covariance_says() -> None:
