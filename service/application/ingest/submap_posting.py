@@ -101,6 +101,8 @@ class SubmapPosting:
         replay = await self._storage.read(partial(_replayed, row=accepted.row))
         if replay is not None:
             return replay
+        # The cloud may have waited for its turn to be decoded.
+        self._admission.require_storage()
         await self._admission.require_room(tenant)
         await self._storage.put_blob(tenant, CLOUD_BLOB, accepted.packed)
         failpoint("ingest.after_blob")
