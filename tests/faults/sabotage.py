@@ -163,6 +163,11 @@ def _unbounded(init):
     return lambda turns, _places, of_tenant=None: init(turns, 99)
 
 
+def _alone(has_come):
+    """Nobody else waits beside the same key."""
+    return lambda looks, key, item, within_s: has_come(looks, (key, item), item, within_s)
+
+
 def _comes_at_once(_waited):
     """What is waited for comes at once."""
 
@@ -426,6 +431,17 @@ SABOTAGES = (
         "strangers are refused as fast as they ask",
         {f"{USE_CASES}capacity.call_pace:CallPace.refusal": _comes_at_once},
         f"{PACE}test_a_stranger_that_is_refused_too_often_waits[rest]",
+    ),
+    Sabotage(
+        "everyone who watches looks at the log",
+        {f"{USE_CASES}query.glance:Glance._look": lambda _look: lambda glance: glance._read_tail()},
+        "tests/unit/service/test_glance.py::test_many_who_watch_cause_one_look_at_a_time",
+        quick=True,
+    ),
+    Sabotage(
+        "everyone who waits looks for the own operation",
+        {f"{USE_CASES}query.shared_looks:SharedLooks.has_come": _alone},
+        "tests/unit/service/test_shared_looks.py::test_all_that_wait_beside_one_key_are_told_by_one_read",
     ),
     Sabotage(
         "a page token is good for every tenant",
