@@ -107,9 +107,7 @@ def _some_columns(submap: Submap) -> tuple[Array64, NDArray[np.int64], NDArray[n
     return points, submap.scan_index[rows].astype(np.int64), column.astype(np.int64) * 1024 + height
 
 
-def _plane_heights(
-    points: Array64, scan: NDArray[np.int64], cube: NDArray[np.int64]
-) -> _PlaneHeights | None:
+def _plane_heights(points: Array64, scan: NDArray[np.int64], cube: NDArray[np.int64]) -> _PlaneHeights | None:
     """The heights of scans over the planes of cubes that at least two of them see; None where there is no such cube."""
     if len(points) < _LEAST_OF_CUBE:
         return None
