@@ -484,7 +484,7 @@ class VerificationConfig(Section):
         2.0, "1", "own, decision 0194", "unshared surface a part of common one beyond which it counts in full", low=0
     )
     agreeing_surface: float = parameter(
-        0.004, "m", "own, decision 0194", "what scans disagree by on surfaces that are as flat as simulated ones", low=0
+        0.005, "m", "own, decision 0194", "what scans disagree by on surfaces that are as flat as simulated ones", low=0
     )
     disagreeing_surface: float = parameter(
         0.01, "m", "own, decision 0194", "disagreement beyond that from which on the deviations above count in full"
