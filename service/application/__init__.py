@@ -112,7 +112,7 @@ class UseCases:
             dead_letters=DeadLetters(storage, admission, backlog, policy),
             system=System(storage, admission, of.disk, of.index_health, clock, version),
             admission=admission,
-            access=Access(storage, audit, clock, rules),
+            access=Access(storage, audit, clock, rules, of.pace),
             keys=ApiKeys(storage, clock),
             audit=audit,
             budget=of.budget,

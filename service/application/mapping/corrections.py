@@ -15,10 +15,9 @@ from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.contract.errors import NotReady
 from revisit.service.application.contract.identity import SessionKey, TenantId
-from revisit.service.application.contract.lookup import require_map, require_session
 from revisit.service.application.contract.records import SessionPosesRecord
 from revisit.service.application.contract.session_poses import PackedSubmaps
-from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.storage import Storage, require_map, require_session
 from revisit.service.application.contract.transactions import UnitOfWork
 
 _WATCH_POLL_S = 0.25

@@ -8,13 +8,12 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from revisit.service.application.capacity.admission import Admission
-from revisit.service.application.capacity.turns import Turns
+from revisit.service.application.capacity.in_flight import Turns
 from revisit.service.application.contract.errors import NotFound
 from revisit.service.application.contract.events import EventRecord
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.lookup import require_map
 from revisit.service.application.contract.states import EventKind
-from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.storage import Storage, require_map
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.views import OperationView, operation_view
 from revisit.service.application.mapping.versions import MapVersionView, version_seen

@@ -10,8 +10,7 @@ from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.errors import SeqNotReached
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.lookup import require_map
-from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.storage import Storage, require_map
 from revisit.service.application.contract.transactions import UnitOfWork
 
 MAX_WAIT_S = limits.WAIT_S.most

@@ -13,11 +13,10 @@ from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract.errors import NotFound
 from revisit.service.application.contract.identity import SessionKey, SubmapKey, TenantId
-from revisit.service.application.contract.lookup import require_map, require_session
 from revisit.service.application.contract.map_frames import LoopInMap, MapFrames
 from revisit.service.application.contract.records import LoopRecord
 from revisit.service.application.contract.states import GraphState, LoopState
-from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.storage import Storage, require_map, require_session
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.query.freshness import Freshness, await_freshness
 

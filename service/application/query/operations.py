@@ -14,9 +14,8 @@ from revisit.service.application.contract import limits
 from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.job_queue import CANCELLED
-from revisit.service.application.contract.lookup import require_job
 from revisit.service.application.contract.states import OperationKind, OperationState
-from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.storage import Storage, require_job
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.views import OperationView, operation_view
 

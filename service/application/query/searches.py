@@ -22,10 +22,9 @@ from revisit.service.application.contract.blobs import QUERY_CLOUD_BLOB
 from revisit.service.application.contract.errors import NoAnswer, NotReady, error_of
 from revisit.service.application.contract.identity import SubmapKey, TenantId
 from revisit.service.application.contract.index import VectorFilter
-from revisit.service.application.contract.lookup import require_map, require_submap
 from revisit.service.application.contract.records import JobRecord, MapRecord, SubmapRecord
 from revisit.service.application.contract.states import OperationKind, OperationState
-from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.storage import Storage, require_map, require_submap
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.views import OperationView
 from revisit.service.application.ingest.clouds import (

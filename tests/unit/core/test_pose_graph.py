@@ -19,7 +19,6 @@ from revisit.core.pose_graph import (
     Node,
     PoseGraph,
     Robustness,
-    SolvedComponent,
     Trajectory,
     optimise,
 )
@@ -302,22 +301,6 @@ def test_a_loop_that_the_odometry_forbids_is_not_used_even_alone() -> None:
     apart = se3.inverse(truth[0]) @ truth[30]
     result = optimise(PoseGraph.of([trajectory], [_loop("alone", 0, 60, apart)]), Robustness.COMMIT)
     assert result.loops == (LoopState.SET_ASIDE,)
-
-
-def test_one_loop_more_gives_the_poses_of_a_whole_new_optimisation() -> None:
-    made = fleet(11, 0.0)
-    *loops, last = made.graph.loops
-    fewer = PoseGraph.of(list(made.graph.trajectories), loops)
-    before = optimise(fewer, Robustness.ONLINE)
-    solved = SolvedComponent(fewer, before, before.components[0])
-    assert solved.add(last) is LoopState.IN_MAP
-    whole = optimise(made.graph, Robustness.ONLINE).T_map_submap
-    for name, poses in solved.T_map_submap().items():
-        assert np.abs(poses[:, :3, 3] - whole[name][:, :3, 3]).max() < 0.03
-    wrong = replace(last, name="wrong", T_match_query=random_motion(np.random.default_rng(0)))
-    poses = solved.T_map_submap()
-    assert solved.add(wrong) is LoopState.SET_ASIDE
-    assert all(np.array_equal(poses[name], other) for name, other in solved.T_map_submap().items())
 
 
 @pytest.mark.slow
