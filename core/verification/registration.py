@@ -77,8 +77,8 @@ def iterate(
     return np.asarray(
         aligned(
             np.ascontiguousarray(T_match_query), np.ascontiguousarray(query.points),
-            np.ascontiguousarray(query.normals), match.kept(OrientedPoints.patches_by, _ICP_EDGE_M), _ICP_EDGE_M, reach, rounds, _FACING_ALIKE,
-            _ROBUST_SHARE * reach, MIN_COUNTERPARTS,
+            np.ascontiguousarray(query.normals), match.kept(OrientedPoints.patches_by, _ICP_EDGE_M), _ICP_EDGE_M,
+            reach, rounds, _FACING_ALIKE, _ROBUST_SHARE * reach, MIN_COUNTERPARTS,
         )
     )  # fmt: skip
 
