@@ -78,12 +78,13 @@ def _prepare(
 ) -> None:  # fmt: skip
     """Voxels and unit vectors towards `origin` of `count` returns from row `start` on, many at once."""
     ox, oy, oz = origin[0], origin[1], origin[2]
+    inverse_edge, begin = 1.0 / resolution, np.uint64(start)
     for a in range(3):
-        for k in range(count):
-            units[a, k] = points[start + k, a]
-        for k in range(count):
-            cells[a, k] = np.int32(np.floor(np.float64(units[a, k]) / resolution))
-    for k in range(count):
+        for k in range(np.uint64(count)):
+            units[a, k] = points[begin + k, a]
+        for k in range(np.uint64(count)):
+            cells[a, k] = np.int32(np.floor(np.float64(units[a, k]) * inverse_edge))
+    for k in range(np.uint64(count)):
         dx, dy, dz = ox - units[0, k], oy - units[1, k], oz - units[2, k]
         inverse = np.float32(1.0) / (np.sqrt(dx * dx + dy * dy + dz * dz) + _TINY_M)
         units[0, k], units[1, k], units[2, k] = dx * inverse, dy * inverse, dz * inverse

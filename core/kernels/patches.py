@@ -57,8 +57,8 @@ def nearest_patch(
         for i in range(*_between(keys, grid, column * depth + y_first, column * depth + y_end)):
             dx, dy, dz = records[i, 0] - qx, records[i, 1] - qy, records[i, 2] - qz
             squared = dx * dx + dy * dy + dz * dz
-            if squared < least:
-                nearest, least = i, squared
+            nearest = i if squared < least else nearest
+            least = min(least, squared)
     return nearest
 
 
@@ -90,10 +90,9 @@ def two_nearest(
                 for i in range(first, last):
                     dx, dy, dz = records[i, 0] - qx, records[i, 1] - qy, records[i, 2] - qz
                     squared = dx * dx + dy * dy + dz * dz
-                    if squared < least:
-                        nearest, least, next_least = i, squared, least
-                    elif squared < next_least:
-                        next_least = squared
+                    next_least = min(next_least, max(least, squared))
+                    nearest = i if squared < least else nearest
+                    least = min(least, squared)
         if next_least <= aside * aside or turn == 1:
             break
         rings = int(np.ceil(np.sqrt(next_least) / edge))

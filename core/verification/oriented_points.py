@@ -50,10 +50,14 @@ class OrientedPoints(Keeping):
         """For nearest neighbours among the points."""
         return cKDTree(self.points)
 
+    def patches_by(self, edge_m: float) -> Patches:
+        """For nearest neighbours among the points, by the kernels: in columns of `edge_m`."""
+        return patches_of(self.points, self.normals, edge_m)
+
     @cached_property
     def patches(self) -> Patches:
-        """For nearest neighbours among the points, by the kernels: in columns of SEARCH_EDGE_M."""
-        return patches_of(self.points, self.normals, SEARCH_EDGE_M)
+        """For the nearest neighbour of a point, by the kernels: in columns of SEARCH_EDGE_M."""
+        return self.patches_by(SEARCH_EDGE_M)
 
     @cached_property
     def columns(self) -> NDArray[np.int64]:

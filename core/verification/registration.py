@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
 from revisit.core.kernels.surface_alignment import aligned
-from revisit.core.verification.oriented_points import SEARCH_EDGE_M, OrientedPoints, contact_in_pose
+from revisit.core.verification.oriented_points import OrientedPoints, contact_in_pose
 
 Array64 = NDArray[np.float64]
 
@@ -21,6 +21,7 @@ MIN_COUNTERPARTS = 30
 _FACING_ALIKE = 0.5  # smallest cosine between the normals of two counterparts
 _ROBUST_SHARE = 0.2  # of the reach: the residual at which a pair weighs a quarter
 _DAMPING = 1e-6
+_ICP_EDGE_M = 1.5  # of the columns in which counterparts are sought, two for each point
 
 
 @dataclass(frozen=True)
@@ -76,8 +77,8 @@ def iterate(
     return np.asarray(
         aligned(
             np.ascontiguousarray(T_match_query), np.ascontiguousarray(query.points),
-            np.ascontiguousarray(query.normals), match.patches, SEARCH_EDGE_M, reach, rounds, _FACING_ALIKE,
-            _ROBUST_SHARE * reach, MIN_COUNTERPARTS,
+            np.ascontiguousarray(query.normals), match.kept(OrientedPoints.patches_by, _ICP_EDGE_M), _ICP_EDGE_M,
+            reach, rounds, _FACING_ALIKE, _ROBUST_SHARE * reach, MIN_COUNTERPARTS,
         )
     )  # fmt: skip
 

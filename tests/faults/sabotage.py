@@ -64,11 +64,6 @@ def _tell_once(tell):
     return lambda outcome: None if outcome.write.future.done() else tell(outcome)
 
 
-def _checking_another(validated, **changes):
-    """What is checked is not what is used."""
-    return lambda wanted: validated(replace(wanted, **changes)) and wanted
-
-
 def _skip_files(fsync):
     return lambda file: None if stat.S_ISREG(os.fstat(file).st_mode) else fsync(file)
 
@@ -156,11 +151,6 @@ def _one_line(init):
 
 def _for_every_tenant(keyed_hash):
     return lambda tokens, purpose, _tenant, data: keyed_hash(tokens, purpose, "everybody", data)
-
-
-def _unbounded(init):
-    """A tenant may have as many turns at a time as there are."""
-    return lambda turns, _places, of_tenant=None: init(turns, 99)
 
 
 def _alone(has_come):

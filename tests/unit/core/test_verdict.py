@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
@@ -24,8 +21,9 @@ from revisit.core.scan_disagreement import ScanDisagreement
 from revisit.core.verification import RejectedLoop, RejectionReason, VerifiedLoop, loop_score, verify
 from revisit.core.verification.verdict import systematic_covariance
 from revisit.evaluation.cutting import cut, load_submap
-from revisit.evaluation.datasets import KittiRecording
 from revisit.evaluation.perturbations import Perturbation, turned
+from revisit.evaluation.real_data import real_recording
+from tests.support.real_data import needs_real_data
 from tests.support.yards import CONFIG, moved, place_of_points, recognised, surface_of, thinned, yard
 
 VERIFICATION = CONFIG.verification
@@ -134,11 +132,9 @@ def test_a_place_and_its_copy_in_another_frame_are_aligned_the_same_from_either_
 
 @pytest.mark.real_data
 @pytest.mark.slow
-@pytest.mark.skipif("REVISIT_DATA" not in os.environ, reason="REVISIT_DATA names no folder of real recordings")
+@needs_real_data
 def test_verdicts_on_real_submaps_do_not_depend_on_which_is_the_query(tmp_path: Path) -> None:
-    script = Path(os.environ["REVISIT_DATA"]) / "unpack.py"
-    subprocess.run([sys.executable, script, "kitti00_head", tmp_path], check=True, stdout=subprocess.DEVNULL)
-    recording, config = KittiRecording(tmp_path), replace(CONFIG.submap, tau=10.0, stride=10.0)
+    recording, config = real_recording("kitti00_head", tmp_path), replace(CONFIG.submap, tau=10.0, stride=10.0)
     windows = cut(recording, config, range(0, len(recording), 2))[2:7]
     submaps = [load_submap(recording, window, config, Perturbation())[0] for window in windows]
     models = load_packaged_models()
@@ -188,7 +184,7 @@ def test_the_less_is_shared_and_the_farther_apart_the_less_sure_a_loop_is() -> N
 def test_scans_that_agree_make_a_loop_surer_and_an_askew_sensor_less_sure() -> None:
     away, half = se3.from_yaw(0.0, (10.0, 0.0, 0.0)), 0.5
     unknown = np.sqrt(np.diag(systematic_covariance(away, half, 1.0, VERIFICATION)))
-    told = ScanDisagreement(surface=np.hypot(0.004, 0.005), askew=np.radians(0.1))
+    told = ScanDisagreement(surface=np.hypot(0.005, 0.005), askew=np.radians(0.1))
     partly = np.sqrt(np.diag(systematic_covariance(away, half, 1.0, VERIFICATION, told)))
     assert partly[0] == pytest.approx(unknown[0] / 2)
     assert partly[1] == pytest.approx(np.hypot(unknown[0] / 2, 10.0 * np.radians(0.1)))
