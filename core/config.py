@@ -480,8 +480,11 @@ class VerificationConfig(Section):
         0.08, "m", "own, decision 0160", "standard deviation along each axis where half of the surface is common", low=0
     )
     unshared_turn: float = parameter(0.17, "deg", "own, decision 0160", "the same about each axis", low=0)
+    unshared_parts: float = parameter(
+        2.0, "1", "own, decision 0194", "unshared surface a part of common one beyond which it counts in full", low=0
+    )
     agreeing_surface: float = parameter(
-        0.004, "m", "own, decision 0194", "what scans disagree by on surfaces that are as flat as simulated ones", low=0
+        0.005, "m", "own, decision 0194", "what scans disagree by on surfaces that are as flat as simulated ones", low=0
     )
     disagreeing_surface: float = parameter(
         0.01, "m", "own, decision 0194", "disagreement beyond that from which on the deviations above count in full"

@@ -17,7 +17,7 @@ from revisit.core.config import VerificationConfig
 from revisit.core.descriptor.vlad import Codebooks, project_locally
 from revisit.core.errors import BadTransform, DataLoss
 from revisit.core.geometry.level_frame import LevelFrame
-from revisit.core.geometry.voxel_keys import voxel_keys
+from revisit.core.geometry.voxel_keys import first_rows, voxel_keys
 from revisit.core.kept import Keeping
 from revisit.core.place_form import CONTAINER, PlaceContents, read_form, write_form
 from revisit.core.scan_disagreement import ScanDisagreement
@@ -135,8 +135,7 @@ def _spread_rows(points: Array, chosen: NDArray[np.bool_], spacing: float, limit
     rows = np.flatnonzero(chosen)
     near = rows[np.abs(points[rows]).max(axis=1) < 300.0]
     cubes = np.floor(points[near].astype(np.float64) / spacing + CUBE_CORNER).astype(np.int64)
-    _, first = np.unique(voxel_keys(cubes), return_index=True)
-    spread = near[first]
+    spread = near[first_rows(voxel_keys(cubes))]
     if len(spread) <= limit:
         return np.asarray(spread)
     return np.asarray(spread[np.linspace(0, len(spread) - 1, limit).astype(np.int64)])

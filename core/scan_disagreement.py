@@ -26,13 +26,17 @@ _FLATTEST_SPREAD_M2 = 0.015  # second eigenvalue: less is a line or a corner of 
 _FLAT = 0.15  # smallest over second eigenvalue
 _OUTLIER_M = 0.05
 _RIDGE = 1e-2
+_OF_MENDED = 0.25  # a quarter of the variance of poses, decision 0194
 _SPARE = 60  # heights of scans over planes that must remain beyond the unknowns
 _TURN = np.uint32(2654435761)
 
 
 @dataclass(frozen=True)
 class ScanDisagreement:
-    """surface: standard deviation across planes, in the submap's unit; askew: radians off the direction of travel."""
+    """surface: standard deviation across planes, in the submap's unit; askew: radians off the direction of travel.
+
+    Of what motions of the scans mend, little counts as surface: errors of single poses average out over the scans.
+    """
 
     surface: float
     askew: float
@@ -70,12 +74,17 @@ def scan_disagreement(submap: Submap) -> ScanDisagreement | None:
     weighed = motions / (1.0 + (height / _OUTLIER_M) ** 2)[:, None]
     normal, right = weighed.T @ motions + _RIDGE * np.eye(motions.shape[1]), weighed.T @ height
     left = height - motions @ np.linalg.solve(normal, right)
-    # the mean of a plane, and the motions, take their share of the variance
-    left = left / np.sqrt(1.0 - 1.0 / np.repeat(of_plane, of_plane))
-    variance = (1.4826 * np.median(np.abs(left))) ** 2 / (1.0 - unknowns / free)
-    surface = np.sqrt(max(variance - float(np.median(pairs.variance)), 0.0))
+    own_share = np.sqrt(1.0 - 1.0 / np.repeat(of_plane, of_plane))  # the mean of a plane takes the rest
+    unmended = _variance(left / own_share) / (1.0 - unknowns / free)
+    mended = max(_variance(height / own_share) - unmended, 0.0) / submap.scan_count
+    surface = np.sqrt(max(unmended - float(np.median(pairs.variance)), 0.0) + _OF_MENDED * mended)
     askew = _askew(normal, right, submap.origins.astype(np.float64))
     return ScanDisagreement(round(float(surface), 5), round(askew, 5))
+
+
+def _variance(values: Array64) -> float:
+    """The variance of values around zero, by their median: some planes are none."""
+    return float((1.4826 * np.median(np.abs(values))) ** 2)
 
 
 def _askew(normal: Array64, right: Array64, origins: Array64) -> float:
@@ -107,9 +116,7 @@ def _some_columns(submap: Submap) -> tuple[Array64, NDArray[np.int64], NDArray[n
     return points, submap.scan_index[rows].astype(np.int64), column.astype(np.int64) * 1024 + height
 
 
-def _plane_heights(
-    points: Array64, scan: NDArray[np.int64], cube: NDArray[np.int64]
-) -> _PlaneHeights | None:
+def _plane_heights(points: Array64, scan: NDArray[np.int64], cube: NDArray[np.int64]) -> _PlaneHeights | None:
     """The heights of scans over the planes of cubes that at least two of them see; None where there is no such cube."""
     if len(points) < _LEAST_OF_CUBE:
         return None

@@ -33,6 +33,7 @@ from revisit.service.adapters.vector_index import PlaceVectorIndex
 from revisit.service.adapters.webhook_sender import HttpWebhookSender
 from revisit.service.application import Installation, UseCases
 from revisit.service.application.access.callers import current_actor
+from revisit.service.application.capacity.call_pace import CallPace
 from revisit.service.application.capacity.in_flight import InFlight
 from revisit.service.application.contract.recogniser import PlaceRecogniser
 from revisit.service.application.contract.tracing import NoTracer, Tracer
@@ -86,6 +87,7 @@ def build_installation(settings: Settings, *, gateway: bool, fail_stop: FailStop
         clock=SystemClock(),
         policy=policy,
         in_flight=InFlight(settings.capacity, current_actor),
+        pace=CallPace(settings.pace),
         disk=disk,
         secret=_page_secret(settings.home),
     )

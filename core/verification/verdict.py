@@ -147,19 +147,20 @@ def systematic_covariance(
     looks a little beside the direction in which odometry moves it is the farther off the farther the places lie apart
     (docs/decisions/0160). All of it is the same in metres for any scene scale. Where the `disagreement` of the scans is
     known, the first two count by it, and the direction is as it says; else all is as large as it was on real drives
-    (docs/decisions/0194).
+    (docs/decisions/0194). Where little is common, what there is decides, whatever the sensor: that counts in full.
     """
+    share = 1.0 if disagreement is None else _systematic_share(disagreement.surface, config)
     horizontal, vertical = config.systematic_horizontal / scale, config.systematic_vertical / scale
     tilt, yaw = np.radians(config.systematic_tilt), np.radians(config.systematic_yaw)
-    drift = np.square([horizontal, horizontal, vertical, tilt, tilt, yaw])
+    drift = share * np.array([horizontal, horizontal, vertical, tilt, tilt, yaw])
     shift, turn = config.unshared_shift / scale, np.radians(config.unshared_turn)
-    unshared = (1.0 - overlap) / max(overlap, _LEAST_OVERLAP) * np.array([shift, shift, shift, turn, turn, turn])
-    away = T_match_query[:3, 3]
-    aside = np.zeros((6, 6))
+    parts = (1.0 - overlap) / max(overlap, _LEAST_OVERLAP)
+    pulling = share * min(parts, config.unshared_parts) + max(parts - config.unshared_parts, 0.0)
+    unshared = pulling * np.array([shift, shift, shift, turn, turn, turn])
+    away, aside = T_match_query[:3, 3], np.zeros((6, 6))
     aside[:3, :3] = away @ away * np.eye(3) - np.outer(away, away)
     direction = np.radians(config.systematic_direction) if disagreement is None else disagreement.askew
-    share = 1.0 if disagreement is None else _systematic_share(disagreement.surface, config)
-    return np.asarray(share**2 * np.diag(drift + np.square(unshared)) + direction**2 * aside)
+    return np.asarray(np.diag(np.square(drift) + np.square(unshared)) + direction**2 * aside)
 
 
 def _systematic_share(surface: float, config: VerificationConfig) -> float:

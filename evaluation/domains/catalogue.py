@@ -16,6 +16,7 @@ from revisit.core.scan import Scan
 from revisit.evaluation.datasets import Recording
 from revisit.evaluation.domains.drives import DrivenWorld, Leg, Ride, backwards, winding_way
 from revisit.evaluation.domains.facades import facade_way, facade_world
+from revisit.evaluation.domains.overgrown_towns import as_overgrown
 from revisit.evaluation.domains.resimulation import beside_where_free, driven_way, resimulated_world
 from revisit.evaluation.domains.verge import CANYON, MIXED, ROW_HOUSES, WOODS, Style, grow
 from revisit.evaluation.metrics import LoopProtocol
@@ -82,9 +83,15 @@ def there_and_back(name: str, style: Style, sensor: LidarModel, seed: int, setti
     return Pass(DrivenWorld(name, grow(way, style, seed), legs, Ride(sensor, seed=seed)))
 
 
+_TOWN = SimulatedDrive("domain-town", 711, VLP16, TOWN_ROUTE, block_m=60.0)
+
+
 def _town(setting: Setting) -> Pass:
-    drive = SimulatedDrive("domain-town", 711, VLP16, TOWN_ROUTE, block_m=60.0)
-    return Pass(drive.recorded(setting.folder))
+    return Pass(_TOWN.recorded(setting.folder))
+
+
+def _overgrown_town(setting: Setting) -> Pass:
+    return Pass(as_overgrown(_TOWN).recorded(setting.folder))
 
 
 def _round_a_block(_: Setting) -> Pass:
@@ -171,6 +178,8 @@ _SHORT_GAP = LoopProtocol(min_index_gap=20)
 
 DOMAINS: tuple[Domain, ...] = (
     Domain("town", "simulated town, the generator of the training data; VLP-16, all kinds of passes", _town),
+    Domain("overgrown-town", "the same town and drive with more plants, and errors of poses and beams",
+           _overgrown_town),
     Domain("country-road", "other generator; OS1-64, driven back on the other lane",
            partial(there_and_back, "country-road", MIXED, _narrow(OS1_64, 800), 720)),
     Domain("row-houses", "other generator, houses of one kind; HDL-64, driven back",

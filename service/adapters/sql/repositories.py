@@ -260,11 +260,12 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
         query = select(*columns).where(matches(tables.submaps, asked)).order_by(submaps.session_number, submaps.ordinal)
         return [PlacedSubmap(*row) for row in self._connection.execute(query, asked)]
 
-    def waiting_up_to(self, tenant: TenantId, map_id: str, number: int) -> int:
+    def first_waiting(self, tenant: TenantId, map_id: str) -> int | None:
         """See `SubmapRepository`."""
         asked = of_tenant(tenant, {"state": SubmapState.QUEUED.value, "map_id": map_id})
-        query = count_where(tables.submaps, asked).where(tables.submaps.c.number <= number)
-        return int(self._connection.execute(query, asked).scalar_one())
+        query = select(func.min(tables.submaps.c.number)).where(matches(tables.submaps, asked))
+        first: int | None = self._connection.execute(query, asked).scalar_one()
+        return first
 
     def flag_counts(self, tenant: TenantId, map_id: str, session_id: str) -> dict[str, int]:
         """See `SubmapRepository`."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from functools import partial
@@ -19,8 +18,7 @@ from revisit.service.application.contract.records import SessionPosesRecord
 from revisit.service.application.contract.session_poses import PackedSubmaps
 from revisit.service.application.contract.storage import Storage, require_map, require_session
 from revisit.service.application.contract.transactions import UnitOfWork
-
-_WATCH_POLL_S = 0.25
+from revisit.service.application.query.glance import Glance
 
 
 @dataclass(frozen=True)
@@ -41,10 +39,11 @@ class CorrectionView:
 class Corrections:
     """Get and watch the corrections of sessions."""
 
-    def __init__(self, storage: Storage, admission: Admission) -> None:
-        """Watching ends when `admission` says that the service stops."""
+    def __init__(self, storage: Storage, admission: Admission, glance: Glance) -> None:
+        """Watching ends when `admission` says that the service stops; `glance` sees that there is news."""
         self._storage = storage
         self._admission = admission
+        self._glance = glance
 
     async def get(self, tenant: TenantId, key: SessionKey) -> CorrectionView:
         """By the version in force. Raises NotFound; NotReady where that does not have the session."""
@@ -59,11 +58,12 @@ class Corrections:
         the session.
         """
         while not self._admission.stopping:
+            looked_at = self._glance.last
             known = partial(_newer, tenant=tenant, map_id=map_id, after=after, session_id=session_id)
             after, corrections = await self._storage.read(known)
             for correction in corrections:
                 yield correction
-            await asyncio.sleep(_WATCH_POLL_S)
+            await self._glance.beyond(tenant, map_id, looked_at)
 
 
 def _correction(uow: UnitOfWork, tenant: TenantId, key: SessionKey) -> CorrectionView:

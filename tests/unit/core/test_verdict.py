@@ -184,7 +184,7 @@ def test_the_less_is_shared_and_the_farther_apart_the_less_sure_a_loop_is() -> N
 def test_scans_that_agree_make_a_loop_surer_and_an_askew_sensor_less_sure() -> None:
     away, half = se3.from_yaw(0.0, (10.0, 0.0, 0.0)), 0.5
     unknown = np.sqrt(np.diag(systematic_covariance(away, half, 1.0, VERIFICATION)))
-    told = ScanDisagreement(surface=np.hypot(0.004, 0.005), askew=np.radians(0.1))
+    told = ScanDisagreement(surface=np.hypot(0.005, 0.005), askew=np.radians(0.1))
     partly = np.sqrt(np.diag(systematic_covariance(away, half, 1.0, VERIFICATION, told)))
     assert partly[0] == pytest.approx(unknown[0] / 2)
     assert partly[1] == pytest.approx(np.hypot(unknown[0] / 2, 10.0 * np.radians(0.1)))
