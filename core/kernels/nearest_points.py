@@ -79,9 +79,7 @@ def any_within(queries: NDArray[np.float32], columns: PointColumns, distance: fl
 
 
 @loop
-def _find_any(
-    queries: NDArray[np.float32], columns: PointColumns, distance: float, found: NDArray[np.bool_]
-) -> None:
+def _find_any(queries: NDArray[np.float32], columns: PointColumns, distance: float, found: NDArray[np.bool_]) -> None:
     points, keys, grid = columns.points, columns.keys, columns.grid
     x_low, y_low, width, depth = columns.low[0], columns.low[1], columns.shape[0], columns.shape[1]
     for q in range(len(queries)):

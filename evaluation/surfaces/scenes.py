@@ -61,7 +61,7 @@ def scene_groups(folder: Path, count: int = 2) -> dict[str, list[Scene]]:
     groups = {"walls with 2 cm noise (analytic)": [walls()], "town (simulated, HDL-64)": list(simulated_town(count))}
     if "REVISIT_DATA" not in os.environ:
         return groups
-    street, yard = _unpacked("kitti00_head", folder), _unpacked("hku1", folder)
+    street, yard = unpacked("kitti00_head", folder), unpacked("hku1", folder)
     thin = Perturbation(keep_beams=16, keep_points=0.06)
     return groups | {
         "street (real, HDL-64)": list(held_out(street, 2 * count, Perturbation(), SubmapConfig())),
@@ -71,7 +71,8 @@ def scene_groups(folder: Path, count: int = 2) -> dict[str, list[Scene]]:
     }
 
 
-def _unpacked(name: str, folder: Path) -> KittiRecording:
+def unpacked(name: str, folder: Path) -> KittiRecording:
+    """A recording of the folder REVISIT_DATA, unpacked into `folder`."""
     script = Path(os.environ["REVISIT_DATA"]) / "unpack.py"
     if not (folder / name / "times.txt").is_file():
         subprocess.run([sys.executable, script, name, folder / name], check=True, stdout=subprocess.DEVNULL)
