@@ -14,7 +14,7 @@ from revisit.core.pipeline import describe
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap, SubmapBuilder
 from revisit.evaluation.perturbations import Perturbation
-from revisit.evaluation.real_data import real_recording
+from revisit.evaluation.real_data import has_real_data, real_recording
 from revisit.evaluation.simulator import (
     HDL64,
     LidarModel,
