@@ -20,6 +20,7 @@ from revisit.service.adapters.sql.turns import SqlTenantTurns
 from revisit.service.adapters.sql.worker_log import SqlWorkerLog
 from revisit.service.application.contract.events import on_job_change, on_loop_change, on_version_change
 from revisit.service.application.contract.records import (
+    EarlyCorrectionRecord,
     JobRecord,
     LoopEventRecord,
     LoopRecord,
@@ -93,6 +94,12 @@ class SqlUnitOfWork:
         """The poses of sessions in versions of maps by (map_id, version, session_id)."""
         key = ("map_id", "version", "session_id")
         return SqlRepository(self.connection, self.engine, tables.session_poses, SessionPosesRecord, key)
+
+    @cached_property
+    def early_corrections(self) -> SqlRepository[EarlyCorrectionRecord]:
+        """Corrections ahead of the next version by (map_id, session_id)."""
+        key = ("map_id", "session_id")
+        return SqlRepository(self.connection, self.engine, tables.early_corrections, EarlyCorrectionRecord, key)
 
     @cached_property
     def map_merges(self) -> SqlRepository[MapMergeRecord]:
