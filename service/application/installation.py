@@ -9,6 +9,7 @@ from functools import cached_property
 
 from revisit.service.application.capacity.backlog import Backlog
 from revisit.service.application.capacity.byte_budget import ByteBudget
+from revisit.service.application.capacity.call_pace import CallPace
 from revisit.service.application.capacity.in_flight import DECODERS, InFlight
 from revisit.service.application.capacity.storage_quota import StorageQuota
 from revisit.service.application.contract.blobs import BlobStore
@@ -45,6 +46,7 @@ class Installation:
     policy: Policy
     stopping: threading.Event = field(default_factory=threading.Event)
     in_flight: InFlight = field(default_factory=InFlight)
+    pace: CallPace = field(default_factory=CallPace)
     disk: DiskSpace = field(default_factory=UnlimitedDisk)
     index_health: IndexHealth = field(default_factory=IndexHealth)
     open_streams: OpenStreams = field(default_factory=OpenStreams)

@@ -51,7 +51,7 @@ class JsonTuple(TypeDecorator[tuple[Any, ...]]):
 
 
 def _numbered(name: str, key: tuple[str, ...], *columns: Any) -> Table:
-    """A table whose rows have a tenant, a number that is never used twice, and a unique key within the tenant."""
+    """A table whose rows have a tenant, a number that is never used twice, and a unique `key` within the tenant."""
     return Table(
         name,
         metadata,
@@ -59,6 +59,7 @@ def _numbered(name: str, key: tuple[str, ...], *columns: Any) -> Table:
         Column("tenant", String(64), nullable=False),
         *columns,
         UniqueConstraint("tenant", *key),
+        info={"key": key},
     )
 
 
@@ -421,6 +422,7 @@ webhook_deliveries = Table(
     _integer("took_ms"),
     _integer("at_ns"),
     Index(None, "tenant", "webhook_id"),
+    info={"key": ("number",)},
 )
 
 workers = Table(

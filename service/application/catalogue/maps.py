@@ -17,11 +17,10 @@ from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.errors import AlreadyExists
 from revisit.service.application.contract.identity import TenantId, content_hash, validated_id, validated_label
 from revisit.service.application.contract.index import VectorIndex
-from revisit.service.application.contract.lookup import require_map
 from revisit.service.application.contract.loop_policy import LoopPolicy
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.records import MapRecord
-from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.storage import Storage, require_map
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.ingest.open_streams import OpenStreams
 from revisit.service.failpoints import failpoint

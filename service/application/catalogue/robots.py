@@ -10,9 +10,8 @@ from revisit.service.application.catalogue.paging import Lists, Page, PageReques
 from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.errors import AlreadyExists
 from revisit.service.application.contract.identity import TenantId, content_hash, validated_id, validated_label
-from revisit.service.application.contract.lookup import require_robot
 from revisit.service.application.contract.records import RobotRecord
-from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.storage import Storage, require_robot
 from revisit.service.application.contract.transactions import UnitOfWork
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.lookup import require_map
+from revisit.service.application.contract.storage import require_map
 from revisit.service.application.contract.transactions import UnitOfWork
 
 

@@ -56,7 +56,7 @@ class RobotRecord:
 
 @dataclass(frozen=True)
 class SessionRecord:
-    """A session and where its current window of scans stands (see `ingest.windows`)."""
+    """A session and where its current window of scans stands (see `ingest.scans`)."""
 
     tenant: TenantId
     map_id: str

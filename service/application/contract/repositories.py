@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
@@ -125,8 +125,8 @@ class SubmapRepository(Repository[SubmapRecord], Protocol):
         """
         ...
 
-    def waiting_up_to(self, tenant: TenantId, map_id: str, number: int) -> int:
-        """How many submaps of a map with numbers up to `number` are still queued."""
+    def first_waiting(self, tenant: TenantId, map_id: str) -> int | None:
+        """The lowest number of a submap of a map that is still queued; None where none is."""
         ...
 
     def flag_counts(self, tenant: TenantId, map_id: str, session_id: str) -> dict[str, int]:
@@ -134,7 +134,15 @@ class SubmapRepository(Repository[SubmapRecord], Protocol):
         ...
 
 
-class JobRepository(Repository[JobRecord], Protocol):
+class AwaitedJobs(Repository[JobRecord], Protocol):
+    """Jobs that clients wait for."""
+
+    def unfinished(self, tenant: TenantId, operation_ids: Collection[str]) -> frozenset[str]:
+        """Those of these operations that wait or run."""
+        ...
+
+
+class JobRepository(AwaitedJobs, Protocol):
     """Jobs, also across tenants for those who run them."""
 
     def next_runnable(self, now: Instant, tenant: TenantId) -> JobRecord | None:

@@ -26,10 +26,9 @@ from revisit.service.application.contract.identity import (
     content_hash,
     validated_id,
 )
-from revisit.service.application.contract.lookup import require_active, require_job, require_session
 from revisit.service.application.contract.records import SessionRecord, SubmapRecord
 from revisit.service.application.contract.states import OperationKind, SubmapState
-from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.storage import Storage, require_active, require_job, require_session
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.views import OperationView, SubmapView, operation_view, submap_view
 from revisit.service.application.ingest.clouds import (
@@ -102,6 +101,8 @@ class SubmapPosting:
         replay = await self._storage.read(partial(_replayed, row=accepted.row))
         if replay is not None:
             return replay
+        # The cloud may have waited for its turn to be decoded.
+        self._admission.require_storage()
         await self._admission.require_room(tenant)
         await self._storage.put_blob(tenant, CLOUD_BLOB, accepted.packed)
         failpoint("ingest.after_blob")

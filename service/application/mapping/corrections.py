@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from functools import partial
@@ -15,13 +14,14 @@ from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.contract.errors import NotReady
 from revisit.service.application.contract.identity import SessionKey, TenantId
-from revisit.service.application.contract.lookup import require_map, require_session
 from revisit.service.application.contract.records import EarlyCorrectionRecord, SessionPosesRecord
 from revisit.service.application.contract.session_poses import PackedSubmaps
-from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.storage import Storage, require_map, require_session
 from revisit.service.application.contract.transactions import UnitOfWork
+from revisit.service.application.query.glance import AGAIN_S, Glance
 
-_WATCH_POLL_S = 0.25
+SOON_S = 0.3
+"""A loop is in the log of events before what it corrects is stored: a watch looks again after so long."""
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,11 @@ class CorrectionView:
 class Corrections:
     """Get and watch the corrections of sessions."""
 
-    def __init__(self, storage: Storage, admission: Admission) -> None:
-        """Watching ends when `admission` says that the service stops."""
+    def __init__(self, storage: Storage, admission: Admission, glance: Glance) -> None:
+        """Watching ends when `admission` says that the service stops; `glance` sees that there is news."""
         self._storage = storage
         self._admission = admission
+        self._glance = glance
 
     async def get(self, tenant: TenantId, key: SessionKey) -> CorrectionView:
         """By the version in force. Raises NotFound; NotReady where that does not have the session."""
@@ -62,14 +63,16 @@ class Corrections:
         Those ahead of a version come as they are made. Of those that follow fast, the newest counts. Ends when the
         service stops. Raises NotFound for the map and the session.
         """
-        early: dict[str, int] = {}
+        early, happened = dict[str, int](), False
         while not self._admission.stopping:
+            looked_at = self._glance.last
             known = partial(_newer, tenant=tenant, map_id=map_id, after=after, session_id=session_id, early=early)
             after, corrections = await self._storage.read(known)
             for correction in corrections:
                 early[correction.session.session_id] = correction.early_loops
                 yield correction
-            await asyncio.sleep(_WATCH_POLL_S)
+            at_most_s = SOON_S if happened else AGAIN_S
+            happened = await self._glance.beyond(tenant, map_id, looked_at, at_most_s)
 
 
 def _correction(uow: UnitOfWork, tenant: TenantId, key: SessionKey) -> CorrectionView:

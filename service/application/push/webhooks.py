@@ -13,9 +13,8 @@ from revisit.service.application.contract import limits
 from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.errors import AlreadyExists, NotFound, QuotaReached
 from revisit.service.application.contract.identity import TenantId, content_hash, validated_id
-from revisit.service.application.contract.lookup import require_map
 from revisit.service.application.contract.states import EventKind, WebhookState
-from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.storage import Storage, require_map
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.webhooks import DeliveryRecord, WebhookRecord
 from revisit.service.application.push.addresses import validated_url

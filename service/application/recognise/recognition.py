@@ -37,12 +37,12 @@ from revisit.service.application.contract.errors import NoAnswer, StaleLease, St
 from revisit.service.application.contract.identity import SubmapKey
 from revisit.service.application.contract.index import VectorFilter
 from revisit.service.application.contract.job_queue import Lease
-from revisit.service.application.contract.lookup import require_map
 from revisit.service.application.contract.map_frames import MapPose, submap_in_map
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.recogniser import LoopVerdict, PlaceRecogniser, SubmapDescription
 from revisit.service.application.contract.records import JobRecord, MapRecord, SubmapRecord
 from revisit.service.application.contract.states import OperationKind, SubmapState
+from revisit.service.application.contract.storage import require_map
 from revisit.service.application.contract.tracing import current_request
 from revisit.service.application.contract.transactions import Transactions, UnitOfWork
 from revisit.service.application.contract.views import submap_key

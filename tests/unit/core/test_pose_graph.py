@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import itertools
-import os
 from dataclasses import replace
-from pathlib import Path
 
 import gtsam
 import numpy as np
@@ -27,8 +25,10 @@ from revisit.core.pose_graph.g2o import read_g2o, write_g2o
 from revisit.core.pose_graph.least_squares import INLIER, graduated, minimise
 from revisit.core.pose_graph.variance_factor import rescaled, variance_factor
 from revisit.evaluation.pose_graph_benchmark import Case, Spoiling, measure
+from revisit.evaluation.real_data import real_data
 from revisit.evaluation.wrong_loops import is_wrong, with_agreeing_loops
 from tests.support.made_up_fleet import LOOP_COVARIANCE, MODEL, drifted, fleet, random_motion, road
+from tests.support.real_data import needs_real_data
 
 
 def in_map(graph: PoseGraph, states: tuple[LoopState, ...]) -> list[str]:
@@ -222,9 +222,9 @@ def test_a_loop_to_nowhere_is_refused() -> None:
 
 
 @pytest.mark.real_data
-@pytest.mark.skipif("REVISIT_DATA" not in os.environ, reason="REVISIT_DATA names no folder of recorded graphs")
+@needs_real_data
 def test_half_wrong_loops_do_not_move_a_recorded_graph() -> None:
-    graph = read_g2o((Path(os.environ["REVISIT_DATA"]) / "graphs/kitti_05.g2o").read_text())
+    graph = read_g2o((real_data() / "graphs/kitti_05.g2o").read_text())
     # with this seed graduated non-convexity alone sets every loop aside
     rng, (trajectory,) = np.random.default_rng(4), graph.trajectories
     wrong = []
@@ -244,9 +244,9 @@ def test_half_wrong_loops_do_not_move_a_recorded_graph() -> None:
 
 @pytest.mark.slow
 @pytest.mark.real_data
-@pytest.mark.skipif("REVISIT_DATA" not in os.environ, reason="REVISIT_DATA names no folder of recorded graphs")
+@needs_real_data
 def test_wrong_loops_do_not_bend_a_recorded_graph_that_states_far_too_large_uncertainties() -> None:
-    file = Path(os.environ["REVISIT_DATA"]) / "graphs/parking-garage.g2o"
+    file = real_data() / "graphs/parking-garage.g2o"
     outcome = measure(Case(file, Spoiling(0.5), Robustness.ONLINE))
     assert (outcome.right_kept, outcome.wrong_kept) == (outcome.right, 0)
     assert outcome.distance_m < 0.1
