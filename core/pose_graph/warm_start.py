@@ -30,6 +30,9 @@ MAX_STEPS = 5
 MOST_HELD = 8
 """Loops that one factorisation carries: each adds six columns of all poses to what is kept in memory."""
 
+MOST_LATER = 32
+"""Submaps that one factorisation carries: their poses are composed step by step."""
+
 
 @dataclass(frozen=True)
 class _Step:
@@ -107,7 +110,7 @@ class SolvedComponent:
         By how much the least cost grows is the squared Mahalanobis distance of the loop from the poses, with their
         covariance: that is held against the gate. A loop whose poses do not settle is set aside as well.
         """
-        if len(self._taken) >= MOST_HELD:
+        if len(self._taken) >= MOST_HELD or len(self._steps) > MOST_LATER:
             self.refresh()
         taken = [*self._taken, self._linearised(loop)]
         inner = _inner(taken)
@@ -131,6 +134,11 @@ class SolvedComponent:
     def carried(self) -> int:
         """The loops that the factorisation carries beside its own."""
         return len(self._taken)
+
+    @property
+    def is_half_full(self) -> bool:
+        """Whether the factorisation carries half of what it may: time for a new one, where there is time."""
+        return 2 * len(self._taken) >= MOST_HELD or 2 * len(self._steps) >= MOST_LATER
 
     def refresh(self) -> None:
         """Factorise anew, with the submaps and loops that came in, and settle what is left.

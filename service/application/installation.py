@@ -26,6 +26,7 @@ from revisit.service.application.contract.transactions import Transactions
 from revisit.service.application.housekeeping.index_keeping import IndexHealth, IndexKeeper
 from revisit.service.application.ingest.clouds import CloudDecoder
 from revisit.service.application.ingest.open_streams import OpenStreams
+from revisit.service.application.mapping.early_corrections import EarlyCorrections
 from revisit.service.application.mapping.map_filing import MapFiling
 from revisit.service.application.mapping.merging import MapMerging, MergeTools
 from revisit.service.application.mapping.optimisation import MapOptimisation
@@ -79,11 +80,12 @@ class Installation:
         self, recogniser: PlaceRecogniser, optimiser: MapOptimiser, merger: MapMerger, tiler: TileMaker
     ) -> Recognition:
         """What a worker does with a job; `recogniser`, `optimiser`, `merger` and `tiler` are the method."""
+        early = EarlyCorrections(self.transactions, self.clock, self.policy, optimiser)
         mapping = MapOptimisation(self.transactions, self.clock, self.policy, optimiser)
         merging = MapMerging(self.transactions, self.blobs, self.clock, self.policy, MergeTools(recogniser, merger))
         tiles = TileMaking(self.transactions, self.blobs, self.clock, self.policy, tiler)
         filing = MapFiling(self.transactions, self.blobs, self.clock, self.policy)
-        work = MapWork(mapping, merging, tiles, filing)
+        work = MapWork(mapping, merging, tiles, filing, early)
         return Recognition(self.transactions, self.blobs, self.memory, self.clock, self.policy, recogniser, work)
 
     def index_keeper(self) -> IndexKeeper:

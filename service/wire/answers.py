@@ -265,6 +265,7 @@ def of_correction(view: CorrectionView) -> Fields:
         "map_version": view.map_version,
         "covariance": _covariance(view.covariance),
         "created_at_ns": view.created_at_ns,
+        "early_loops": view.early_loops,
     }
 
 

@@ -161,9 +161,11 @@ class MemorySubmaps(MemoryRepository[SubmapRecord]):
         """See `SubmapRepository`."""
         return sum(row.point_count for row in self.find(tenant) if row.cloud_sha256 is not None)
 
-    def placed(self, tenant: TenantId, map_id: str) -> list[PlacedSubmap]:
+    def placed(self, tenant: TenantId, map_id: str, after: int = 0) -> list[PlacedSubmap]:
         """See `SubmapRepository`."""
-        of_map = sorted(self.find(tenant, map_id=map_id), key=lambda one: (one.session_number, one.ordinal))
+        of_map = sorted(
+            self.find(tenant, after=after, map_id=map_id), key=lambda one: (one.session_number, one.ordinal)
+        )
         return [PlacedSubmap(one.number, one.session_number, one.ordinal, one.T_odom_submap) for one in of_map]
 
     def first_waiting(self, tenant: TenantId, map_id: str) -> int | None:

@@ -253,11 +253,12 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
         query = select(func.coalesce(func.sum(submaps.point_count), 0)).where(posted)
         return int(self._connection.execute(query).scalar_one())
 
-    def placed(self, tenant: TenantId, map_id: str) -> list[PlacedSubmap]:
+    def placed(self, tenant: TenantId, map_id: str, after: int = 0) -> list[PlacedSubmap]:
         """See `SubmapRepository`."""
         submaps, asked = tables.submaps.c, of_tenant(tenant, {"map_id": map_id})
         columns = (submaps.number, submaps.session_number, submaps.ordinal, submaps.T_odom_submap)
-        query = select(*columns).where(matches(tables.submaps, asked)).order_by(submaps.session_number, submaps.ordinal)
+        query = select(*columns).where(matches(tables.submaps, asked), submaps.number > after)
+        query = query.order_by(submaps.session_number, submaps.ordinal)
         return [PlacedSubmap(*row) for row in self._connection.execute(query, asked)]
 
     def first_waiting(self, tenant: TenantId, map_id: str) -> int | None:

@@ -278,6 +278,20 @@ session_poses = _numbered(
     Index(None, "tenant", "map_id", "session_id"),
 )
 
+early_corrections = _numbered(
+    "early_corrections",
+    ("map_id", "session_id"),
+    _text("map_id"),
+    _text("session_id"),
+    _integer("version"),
+    _integer("loops"),
+    _tuple("T_map_odom"),
+    _integer("created_at_ns"),
+    ForeignKeyConstraint(
+        ["tenant", "map_id", "session_id"], ["sessions.tenant", "sessions.map_id", "sessions.session_id"]
+    ),
+)
+
 map_merges = _numbered(
     "map_merges",
     ("map_id", "merge_id"),

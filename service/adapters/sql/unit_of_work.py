@@ -20,6 +20,7 @@ from revisit.service.adapters.sql.turns import SqlTenantTurns
 from revisit.service.adapters.sql.worker_log import SqlWorkerLog
 from revisit.service.application.contract.events import on_job_change, on_loop_change, on_version_change
 from revisit.service.application.contract.records import (
+    EarlyCorrectionRecord,
     JobRecord,
     LoopEventRecord,
     LoopRecord,
@@ -63,6 +64,8 @@ class SqlUnitOfWork:
     """Versions of maps by (map_id, version)."""
     session_poses = stored(tables.session_poses, SessionPosesRecord)
     """The poses of sessions in versions of maps by (map_id, version, session_id)."""
+    early_corrections = stored(tables.early_corrections, EarlyCorrectionRecord)
+    """Corrections ahead of the next version by (map_id, session_id)."""
     map_merges = stored(tables.map_merges, MapMergeRecord)
     """Merges into maps by (map_id, merge_id)."""
     map_tiles = stored(tables.map_tiles, MapTileRecord)

@@ -238,6 +238,22 @@ class SessionPosesRecord:
 
 
 @dataclass(frozen=True)
+class EarlyCorrectionRecord:
+    """T_map_odom of a session by version `version` of its map and by single `loops` that were asked since, ahead of the
+    next version. It says nothing of another version than this one.
+    """
+
+    tenant: TenantId
+    map_id: str
+    session_id: str
+    version: int
+    loops: int
+    T_map_odom: Pose
+    created_at_ns: int
+    number: int = 0
+
+
+@dataclass(frozen=True)
 class MapMergeRecord:
     """A merge into a map: what was merged, into which version, and what it rested on.
 

@@ -119,8 +119,10 @@ class SubmapRepository(Repository[SubmapRecord], Protocol):
         """How many points the clouds have together that a tenant has posted as submaps."""
         ...
 
-    def placed(self, tenant: TenantId, map_id: str) -> list[PlacedSubmap]:
-        """Every submap of a map with its place in its session, by session and then in the order of the drive."""
+    def placed(self, tenant: TenantId, map_id: str, after: int = 0) -> list[PlacedSubmap]:
+        """Every submap of a map whose number is above `after`, with its place in its session: by session and then in
+        the order of the drive.
+        """
         ...
 
     def first_waiting(self, tenant: TenantId, map_id: str) -> int | None:

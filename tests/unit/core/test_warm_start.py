@@ -10,6 +10,7 @@ import pytest
 from revisit.core.geometry import se3, se3_rows
 from revisit.core.pose_graph import LoopState, Node, PoseGraph, Robustness, SolvedComponent, Trajectory, optimise
 from revisit.core.pose_graph.warm_start import MOST_HELD
+from revisit.evaluation.one_loop_benchmark import run
 from tests.support.made_up_fleet import Fleet, fleet, random_motion
 
 LATER = 12
@@ -86,3 +87,9 @@ def test_many_transforms_at_once_are_each_as_one_by_one() -> None:
     np.testing.assert_allclose(se3_rows.log(transforms), np.stack([se3.log(one) for one in transforms]), atol=1e-9)
     np.testing.assert_allclose(se3_rows.inverse(transforms), np.linalg.inv(transforms), atol=1e-12)
     np.testing.assert_allclose(se3_rows.adjoint(transforms), np.stack([se3.adjoint(one) for one in transforms]))
+
+
+def test_the_benchmark_of_single_loops_takes_right_ones_to_where_a_whole_optimisation_does() -> None:
+    found = run(poses=400, loops=12)
+    assert found.taken == len(found.cpu_ms) == 12
+    assert found.distance_m < 0.05
