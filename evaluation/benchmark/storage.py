@@ -98,9 +98,10 @@ def stored_bytes(sensor: str, scans: Sequence[Scan], config: SubmapConfig) -> St
         described = describe(Submap.from_scans(window, config), models, PipelineConfig())
         vector = described.descriptor.vector.astype("<f4")
         sizes.append((len(described.neural_map.to_blob()), len(described.place.to_blob()), vector.nbytes))
-    means = (float(mean) for mean in np.mean(sizes, axis=0))
+    neural_map, place, descriptor = (float(mean) for mean in np.mean(sizes, axis=0))
     sent = float(np.mean([len(quantised.encode(scan.points)) for scan in scans]))
-    return StoredBytes(sensor, float(np.mean([len(scan.points) for scan in scans])), sent, *means, config.stride)
+    returns = float(np.mean([len(scan.points) for scan in scans]))
+    return StoredBytes(sensor, returns, sent, neural_map, place, descriptor, config.stride)
 
 
 def storage_table(rows: Iterable[StoredBytes]) -> str:
