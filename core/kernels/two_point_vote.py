@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 
 Array64 = NDArray[np.float64]
 
+_STEPS = 180
+_STEP = 2.0 * np.pi / _STEPS
+
 SHORTEST_BASE = 4.0
 """Two correspondences define a yaw only where their points lie at least so many tolerances apart."""
 
@@ -35,6 +38,21 @@ def votes(
 
 
 @numba.njit(cache=True, error_model="numpy")
+def _most_votes(yaws: Array64, yaw_tolerance: float) -> NDArray[np.int64]:
+    """For poses by their yaw, in steps from -pi on: how many of `yaws` (n,) can agree with one in that step at most."""
+    most, reach = np.zeros(_STEPS + 1, dtype=np.int64), int(np.ceil(yaw_tolerance / _STEP)) + 1
+    for yaw in yaws:
+        home = int(np.floor((yaw + np.pi) / _STEP))
+        if 2 * reach >= _STEPS:
+            most += 1
+            continue
+        for step in range(home - reach, home + reach + 1):
+            most[step % _STEPS] += 1
+    most[_STEPS] = max(most[0], most[_STEPS - 1])  # a yaw of pi itself
+    return most
+
+
+@numba.njit(cache=True, error_model="numpy")
 def best_two_point_pose(
     source: Array64, target: Array64, yaws: Array64, tolerance: float, yaw_tolerance: float
 ) -> Array64:
@@ -49,6 +67,7 @@ def best_two_point_pose(
     headings[0], headings[1] = np.cos(yaws), np.sin(yaws)
     sources, targets = np.ascontiguousarray(source.T), np.ascontiguousarray(target.T)
     cosine = np.cos(yaw_tolerance) if yaw_tolerance < np.pi else -2.0
+    most = _most_votes(yaws, yaw_tolerance)
     for i in range(len(source)):
         for j in range(i + 1, len(source)):
             sx, sy = source[j, 0] - source[i, 0], source[j, 1] - source[i, 1]
@@ -58,6 +77,8 @@ def best_two_point_pose(
                 continue
             c, s = (sx * tx + sy * ty) / (length * other), (sx * ty - sy * tx) / (length * other)
             if min(c * headings[0, i] + s * headings[1, i], c * headings[0, j] + s * headings[1, j]) <= cosine:
+                continue
+            if most[int((np.arctan2(s, c) + np.pi) / _STEP)] <= best[3]:
                 continue
             mx, my = 0.5 * (source[i, 0] + source[j, 0]), 0.5 * (source[i, 1] + source[j, 1])
             turn[0], turn[1] = c, s

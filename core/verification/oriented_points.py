@@ -12,10 +12,9 @@ from scipy.spatial import cKDTree
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
 from revisit.core.kept import Keeping
-from revisit.core.kernels.point_columns import PointColumns
-from revisit.core.kernels.point_columns import columns_of as columns_by_edge
+from revisit.core.kernels.patches import Patches, patches_of
 from revisit.core.kernels.seen_columns import SeenColumns, seen_columns
-from revisit.core.kernels.surface_alignment import shared_counts, touching_rows
+from revisit.core.kernels.surface_contact import contact_sums, shared_counts, touching_rows
 from revisit.core.place import Place
 
 Array64 = NDArray[np.float64]
@@ -51,15 +50,14 @@ class OrientedPoints(Keeping):
         """For nearest neighbours among the points."""
         return cKDTree(self.points)
 
-    @cached_property
-    def sorted_points(self) -> PointColumns:
-        """For nearest neighbours among the points, by the kernels: columns of SEARCH_EDGE_M."""
-        return columns_by_edge(self.points, SEARCH_EDGE_M)
+    def patches_by(self, edge_m: float) -> Patches:
+        """For nearest neighbours among the points, by the kernels: in columns of `edge_m`."""
+        return patches_of(self.points, self.normals, edge_m)
 
     @cached_property
-    def sorted_normals(self) -> Array64:
-        """The normals (n, 3) in the order of `sorted_points`."""
-        return np.ascontiguousarray(self.normals[self.sorted_points.rows])
+    def patches(self) -> Patches:
+        """For the nearest neighbour of a point, by the kernels: in columns of SEARCH_EDGE_M."""
+        return self.patches_by(SEARCH_EDGE_M)
 
     @cached_property
     def columns(self) -> NDArray[np.int64]:
@@ -114,11 +112,42 @@ class Contact:
 def contact(surface: OrientedPoints, other: OrientedPoints, config: VerificationConfig) -> Contact:
     """Where `surface` lies on `other`: near one of its points, near its tangent plane, facing alike. One frame."""
     rows, distances = touching_rows(
-        np.ascontiguousarray(surface.points), np.ascontiguousarray(surface.normals), other.sorted_points,
-        SEARCH_EDGE_M, other.sorted_normals, config.neighbour_distance, config.surface_distance, _FACING_ALIKE,
-    )  # fmt: skip
+        np.ascontiguousarray(surface.points), np.ascontiguousarray(surface.normals), *_contact_rules(other, config)
+    )
     touching = rows >= 0
-    return Contact(touching, distances[touching], other.sorted_points.rows[rows[touching]])
+    return Contact(touching, distances[touching], other.patches.rows[rows[touching]])
+
+
+@dataclass(frozen=True)
+class ContactSums:
+    """How much of a surface lies on another one, in a pose.
+
+    standing: how many points off the ground stand in the columns that the other has seen; standing_touching: how many
+    of these touch it, as in `contact`; touching: how many of all points do. squares: the sum of the squared distances
+    (m^2) of the latter to the planes of their counterparts; information (6, 6): of the pose, from unit variances.
+    """
+
+    standing: int
+    standing_touching: int
+    touching: int
+    squares: float
+    information: Array64
+
+    @property
+    def share(self) -> float:
+        """Of what stands in the common region, the share that touches."""
+        return self.standing_touching / max(self.standing, 1)
+
+
+def contact_in_pose(
+    T_other_surface: se3.Matrix4, surface: OrientedPoints, other: OrientedPoints, config: VerificationConfig
+) -> ContactSums:
+    """What `surface` has in common with `other` where T_other_surface puts it."""
+    (standing, standing_touching, touching), squares, information = contact_sums(
+        np.ascontiguousarray(surface.points), np.ascontiguousarray(surface.normals), surface.standing_count,
+        np.ascontiguousarray(T_other_surface), *_contact_rules(other, config), other.seen.slots, COLUMN_M,
+    )  # fmt: skip
+    return ContactSums(int(standing), int(standing_touching), int(touching), float(squares), information)
 
 
 def shared_shares(
@@ -128,11 +157,14 @@ def shared_shares(
     stands in the columns that `other` has seen. One frame.
     """
     counts = shared_counts(
-        np.ascontiguousarray(surface.points), np.ascontiguousarray(surface.normals), offsets_m, other.sorted_points,
-        SEARCH_EDGE_M, other.sorted_normals, config.neighbour_distance, config.surface_distance, _FACING_ALIKE,
-        other.seen.slots, COLUMN_M,
+        np.ascontiguousarray(surface.points), np.ascontiguousarray(surface.normals), offsets_m,
+        *_contact_rules(other, config), other.seen.slots, COLUMN_M,
     )  # fmt: skip
     return [float(touching) / max(int(seen), 1) for seen, touching in counts]
+
+
+def _contact_rules(other: OrientedPoints, config: VerificationConfig) -> tuple[Patches, float, float, float, float]:
+    return other.patches, SEARCH_EDGE_M, config.neighbour_distance, config.surface_distance, _FACING_ALIKE
 
 
 def columns_of(points: Array64) -> NDArray[np.int64]:

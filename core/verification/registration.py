@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
-from revisit.core.kernels.surface_alignment import aligned, plane_information
-from revisit.core.verification.oriented_points import SEARCH_EDGE_M, OrientedPoints, contact
+from revisit.core.kernels.surface_alignment import aligned
+from revisit.core.verification.oriented_points import OrientedPoints, contact_in_pose
 
 Array64 = NDArray[np.float64]
 
@@ -21,6 +21,7 @@ MIN_COUNTERPARTS = 30
 _FACING_ALIKE = 0.5  # smallest cosine between the normals of two counterparts
 _ROBUST_SHARE = 0.2  # of the reach: the residual at which a pair weighs a quarter
 _DAMPING = 1e-6
+_ICP_EDGE_M = 1.5  # of the columns in which counterparts are sought, two for each point
 
 
 @dataclass(frozen=True)
@@ -65,17 +66,18 @@ def _approach(
     """A coarsely refined start, and the share of the points used that then lie on the other surface."""
     few = query.kept(OrientedPoints.thinned, config.coarse_share)
     T_match_query = iterate(T_start, few, match, config.coarse_distance, config.coarse_rounds)
-    return T_match_query, float(contact(few.moved(T_match_query), match, config).touching.mean())
+    touching = contact_in_pose(T_match_query, few, match, config).touching
+    return T_match_query, touching / max(len(few.points), 1)
 
 
 def iterate(
     T_match_query: se3.Matrix4, query: OrientedPoints, match: OrientedPoints, reach: float, rounds: int
 ) -> se3.Matrix4:
     """Up to `rounds` Gauss-Newton steps from `T_match_query`, with counterparts within `reach` metres."""
+    T_start, patches = np.ascontiguousarray(T_match_query), match.kept(OrientedPoints.patches_by, _ICP_EDGE_M)
     return np.asarray(
         aligned(
-            np.ascontiguousarray(T_match_query), np.ascontiguousarray(query.points),
-            np.ascontiguousarray(query.normals), match.sorted_points, SEARCH_EDGE_M, match.sorted_normals,
+            T_start, np.ascontiguousarray(query.points), np.ascontiguousarray(query.normals), patches, _ICP_EDGE_M,
             reach, rounds, _FACING_ALIKE, _ROBUST_SHARE * reach, MIN_COUNTERPARTS,
         )
     )  # fmt: skip
@@ -110,8 +112,12 @@ def point_to_plane_jacobian(points: Array64, normals: Array64) -> Array64:
 
 
 def information(points: Array64, normals: Array64) -> Array64:
-    """The information (6, 6) of a tangent of the pose from point-to-plane residuals of unit variance."""
-    return np.asarray(plane_information(np.ascontiguousarray(points), np.ascontiguousarray(normals)))
+    """The information (6, 6) of a tangent of the pose from point-to-plane residuals of unit variance.
+
+    The plain form of that of `contact_in_pose`.
+    """
+    jacobian = point_to_plane_jacobian(points, normals)
+    return np.asarray(jacobian.T @ jacobian)
 
 
 def observability(information: Array64, lever_m: float) -> float:

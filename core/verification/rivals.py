@@ -14,7 +14,7 @@ from scipy import fft
 
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
-from revisit.core.kernels.plan_images import layer_counts, layer_products, plan_shares
+from revisit.core.kernels.plan_images import layer_counts, layer_products, plan_peaks, plan_shares
 from revisit.core.verification.evidence import mutually_seen_through
 from revisit.core.verification.oriented_points import OrientedPoints, shared_shares
 from revisit.core.verification.registration import iterate
@@ -28,8 +28,6 @@ PLAN_SIZE = 128
 _LAYERS = 4
 _LAYER_M = 1.5
 _LOWEST_M = -2.0
-_FEW_PEAKS = 0.1  # of the pixels: then they are looked at one by one
-_TURNS = 4  # quarters: plazas and crossings repeat by them, streets by half a turn
 
 
 @dataclass(frozen=True)
@@ -58,9 +56,10 @@ def find_rivals(
     """
     share = config.coarse_share
     few = query.kept(OrientedPoints.thinned, share), match.kept(OrientedPoints.thinned, share)
-    least = config.rival_share * mean_overlap(T_match_query, query, match, few, config)
     rivals: list[Hypothesis] = []
-    for T_proposed in propose(T_match_query, query, match, config):
+    proposed = propose(T_match_query, query, match, config)
+    least = config.rival_share * mean_overlap(T_match_query, query, match, few, config) if proposed else 0.0
+    for T_proposed in proposed:
         T_rival = iterate(T_proposed, few[0], match, config.rival_reach, config.rival_rounds)
         if not all(
             _apart(T_rival, known, query, config) for known in (T_match_query, *(r.T_match_query for r in rivals))
@@ -77,9 +76,8 @@ def propose(
 ) -> list[se3.Matrix4]:
     """Poses at local maxima of the coarse overlap over shifts and quarter turns, best first; at most `rival_starts`."""
     pixel = config.correlation_pixel
-    against, standing = match.kept(_plan, pixel), se3.apply(T_match_query, query.standing.points)
-    straight, quarter = (_overlap_surfaces(standing, turned, against, pixel) for turned in (False, True))
-    share, common = (np.stack([straight[k][0], quarter[k][0], straight[k][1], quarter[k][1]]) for k in (0, 1))
+    standing = se3.apply(T_match_query, query.standing.points)
+    share, common = _overlap_surfaces(standing, match.kept(_plan, pixel), pixel)
     share[common < config.rival_common * common[0, 0, 0]] = 0.0
     rows = _peaks(share, config.rival_plan_share * share[0, 0, 0], config.rival_distance / pixel)
     return [_shifted(T_match_query, *row, pixel) for row in rows[: config.rival_starts]]
@@ -100,19 +98,14 @@ def mean_overlap(
     return 0.5 * (shares[0] + shares[1])
 
 
-def _overlap_surfaces(
-    standing: Array64, turned: bool, against: Plan, pixel: float
-) -> tuple[tuple[Images, Images], tuple[Images, Images]]:
-    """For every shift in pixels, the share of the points `standing` (n, 3) that stand on what stands there, and how
-    many were seen there: shares and numbers, each as they are (or `turned` by a quarter) and after a further half turn.
+def _overlap_surfaces(standing: Array64, against: Plan, pixel: float) -> tuple[Images, Images]:
+    """For every turn by quarters and shift in pixels (4, y, x), the share of the points `standing` (n, 3) that stand on
+    what stands there, and how many were seen there. Plazas and crossings repeat by quarters, streets by half a turn.
     """
-    spectra = fft.rfft2(_layers(standing, pixel, turned))
+    spectra = fft.rfft2(_layers(standing, pixel))
     products = layer_products(against.standing, against.seen, spectra)
-    hits, hits_after, seen, seen_after = fft.irfft2(products, s=(PLAN_SIZE, PLAN_SIZE))
-    (share, common), (share_after, common_after) = (
-        plan_shares(hits, seen, False), plan_shares(hits_after, seen_after, True)
-    )  # fmt: skip
-    return (share, share_after), (common, common_after)
+    share, common = plan_shares(fft.irfft2(products, s=(PLAN_SIZE, PLAN_SIZE)))
+    return np.asarray(share), np.asarray(common)
 
 
 def _plan(surface: OrientedPoints, pixel: float) -> Plan:
@@ -122,10 +115,10 @@ def _plan(surface: OrientedPoints, pixel: float) -> Plan:
     return Plan(fft.rfft2(standing), fft.rfft2(_wider(_wider(seen)))[0])
 
 
-def _layers(points: Array64, pixel: float, turned: bool = False) -> Images:
+def _layers(points: Array64, pixel: float) -> Images:
     """How many of `points` (n, 3) lie in each layer, row (y) and column (x) of a square around the origin."""
     points = np.ascontiguousarray(points)
-    return np.asarray(layer_counts(points, turned, pixel, PLAN_SIZE, _LAYERS, _LOWEST_M, _LAYER_M))
+    return np.asarray(layer_counts(points, pixel, PLAN_SIZE, _LAYERS, _LOWEST_M, _LAYER_M))
 
 
 def _wider(images: Images) -> Images:
@@ -136,26 +129,9 @@ def _wider(images: Images) -> Images:
 
 def _peaks(share: Images, least: float, apart: float) -> list[tuple[int, int, int]]:
     """Quarter, row and column of the local maxima of at least `least`, best first; none within `apart` of no shift."""
-    peak = share >= least
-    if peak.sum() < _FEW_PEAKS * peak.size:
-        peak[peak] = _highest_around(share, np.argwhere(peak))
-    else:
-        peak &= share >= _wider(share)
-    steps = np.minimum(np.arange(PLAN_SIZE), PLAN_SIZE - np.arange(PLAN_SIZE))
-    peak[0] &= np.hypot(steps[:, None], steps[None, :]) >= apart
-    rows = np.argwhere(peak)
+    rows = plan_peaks(share, least, apart)
     order = np.argsort(-share[tuple(rows.T)], kind="stable")
     return [(int(q), int(y), int(x)) for q, y, x in rows[order]]
-
-
-def _highest_around(share: Images, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which of the pixels `rows` (n, 3) are at least as high as their eight neighbours; the edges go round."""
-    quarter, y, x = rows.T
-    here = share[quarter, y, x]
-    highest = np.ones(len(rows), dtype=bool)
-    for dy, dx in ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)):
-        highest &= here >= share[quarter, (y + dy) % PLAN_SIZE, (x + dx) % PLAN_SIZE]
-    return np.asarray(highest)
 
 
 def _shifted(T_match_query: se3.Matrix4, quarter: int, row: int, column: int, pixel: float) -> se3.Matrix4:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from revisit.core.pipeline import describe
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap, SubmapBuilder
 from revisit.evaluation.perturbations import Perturbation
+from revisit.evaluation.real_data import has_real_data, real_recording
 from revisit.evaluation.simulator import (
     HDL64,
     LidarModel,
@@ -26,7 +26,7 @@ from revisit.evaluation.simulator import (
     simulate,
 )  # fmt: skip
 from revisit.evaluation.simulator.sensors import HDL32, VLP16
-from revisit.evaluation.surfaces.scenes import TOWN_SEED, unpacked
+from revisit.evaluation.surfaces.scenes import TOWN_SEED
 from revisit.formats import quantised
 
 SCANS = 26
@@ -62,9 +62,9 @@ def drives(folder: Path) -> Iterator[tuple[str, list[Scan], SubmapConfig]]:
     for sensor, beams in simulated:
         yield f"{beams} beams (simulated)", simulated_scans(sensor), SubmapConfig()
     yield "16 beams, thin (simulated)", thinned(simulated_scans(VLP16), _THIN), _LONG
-    if "REVISIT_DATA" not in os.environ:
+    if not has_real_data():
         return
-    street = unpacked("kitti00_head", folder)
+    street = real_recording("kitti00_head", folder)
     real = [street.scan(index) for index in range(SCANS)]
     yield "64 beams (real, HDL-64)", real, SubmapConfig()
     yield "16 of its beams", thinned(real, Perturbation(keep_beams=16)), SubmapConfig()

@@ -72,9 +72,9 @@ def test_what_stands_decides_and_the_ground_does_not():
 def test_a_street_loses_no_overlap_along_itself_unless_walls_cross_it():
     along = weakest_direction(information(wall(STREET).points, wall(STREET).normals))
     np.testing.assert_allclose(np.abs(along), [1.0, 0.0, 0.0], atol=1e-9)
-    assert contrast(wall(STREET), wall(STREET), along, CONFIG) == pytest.approx(0.0, abs=1e-9)
+    assert contrast(wall(STREET), wall(STREET), along, 1.0, CONFIG) == pytest.approx(0.0, abs=1e-9)
     crossing = joined(wall(STREET), *(wall(STREET, axis=1, offset=x) for x in np.arange(-20.0, 20.0, 1.7)))
-    assert contrast(crossing, crossing, np.array([1.0, 0.0, 0.0]), CONFIG) > 0.1
+    assert contrast(crossing, crossing, np.array([1.0, 0.0, 0.0]), 1.0, CONFIG) > 0.1
 
 
 def test_a_wall_that_the_other_place_has_looked_through_counts_against_the_alignment():

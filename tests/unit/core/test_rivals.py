@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from revisit.core.kernels.plan_images import plan_peaks
 from revisit.core.verification.oriented_points import OrientedPoints
 from revisit.core.verification.rivals import PLAN_SIZE, _layers, _overlap_surfaces, _plan, _wider
 
@@ -31,12 +32,22 @@ def counted(query: np.ndarray, match: np.ndarray, shift: tuple[int, int]) -> tup
 def test_shares_of_all_turns_and_shifts_are_those_of_counting(quarters: int) -> None:
     query, match = scene(1), scene(2)
     against = _plan(OrientedPoints(match, np.zeros_like(match), len(match)), PIXEL_M)
-    shares, commons = _overlap_surfaces(query, bool(quarters % 2), against, PIXEL_M)
+    shares, commons = _overlap_surfaces(query, against, PIXEL_M)
     turned = query.copy()
     for _ in range(quarters):
         turned[:, :2] = np.c_[-turned[:, 1], turned[:, 0]]
     for shift in ((0, 0), (5, -3), (-17, 22), (1, 1)):
         share, common = counted(turned, match, shift)
         row, column = shift[1] % PLAN_SIZE, shift[0] % PLAN_SIZE
-        assert shares[quarters // 2][row, column] == pytest.approx(share, abs=1e-4)
-        assert commons[quarters // 2][row, column] == pytest.approx(common, abs=1e-2)
+        assert shares[quarters, row, column] == pytest.approx(share, abs=1e-4)
+        assert commons[quarters, row, column] == pytest.approx(common, abs=1e-2)
+
+
+def test_peaks_are_the_local_maxima_away_from_no_shift():
+    share = np.random.default_rng(7).uniform(size=(4, PLAN_SIZE, PLAN_SIZE)).astype(np.float32)
+    steps = np.minimum(np.arange(PLAN_SIZE), PLAN_SIZE - np.arange(PLAN_SIZE))
+    highest = (share >= 0.9) & (share >= _wider(share))
+    highest[0] &= np.hypot(steps[:, None], steps[None, :]) >= 30.0
+    found = plan_peaks(share, 0.9, 30.0)
+    assert len(found) > 100
+    assert np.array_equal(found, np.argwhere(highest))
