@@ -3,6 +3,7 @@
 The modules in the order of the paper:
 
     scan, submap            posed scans over the travelled distance tau_n          III-A
+    scan_disagreement       what the scans of a submap disagree on                 decision 0194
     implicit_map            elastic neural points and their decoder                III-B, Eq. 1-6
     surface                 mesh, normals and occupancy out of the field           III-C
     clusters                ground removal and fast Euclidean clustering           III-C

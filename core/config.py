@@ -473,13 +473,25 @@ class VerificationConfig(Section):
         0.3,
         "deg",
         "own, decision 0160",
-        "of the direction of travel as the sensor sees it",
+        "of the direction of travel as the sensor sees it, where its scans do not tell",
         low=0,
     )
     unshared_shift: float = parameter(
         0.08, "m", "own, decision 0160", "standard deviation along each axis where half of the surface is common", low=0
     )
     unshared_turn: float = parameter(0.17, "deg", "own, decision 0160", "the same about each axis", low=0)
+    unshared_parts: float = parameter(
+        2.0, "1", "own, decision 0194", "unshared surface a part of common one beyond which it counts in full", low=0
+    )
+    agreeing_surface: float = parameter(
+        0.005, "m", "own, decision 0194", "what scans disagree by on surfaces that are as flat as simulated ones", low=0
+    )
+    disagreeing_surface: float = parameter(
+        0.01, "m", "own, decision 0194", "disagreement beyond that from which on the deviations above count in full"
+    )
+    least_systematic: float = parameter(
+        0.1, "1", "own, decision 0194", "share of the deviations above where scans agree", low=0, high=1
+    )
     rival_distance: float = parameter(1.5, "m", "own, decision 0080", "poses farther apart than this are rivals")
     rival_common: float = parameter(
         0.5, "1", "own, decision 0080", "share of the common surface that a rival must have, too", low=0, high=1
@@ -517,6 +529,10 @@ class VerificationConfig(Section):
             self.refuse("sight_near", f"must be less than sight_far, {self.sight_far:g}")
 
 
+Overrides = Mapping[str, float | None]
+"""Parameters of a section by name; None stands for the value that is in force anyway."""
+
+
 @dataclass(frozen=True)
 class PipelineConfig:
     """All parameters of the method.
@@ -546,3 +562,18 @@ class PipelineConfig:
             raise BadField("scene_scale is too small for the range and the resolution", field="scene_scale")
         if not 2 <= 2 * round(self.bev.half_range / resolution) <= MAX_IMAGE_PX:
             self.bev.refuse("half_range", f"must give an image of 2 to {MAX_IMAGE_PX} pixels of {resolution:g} m")
+
+    def of_map(self, scene_scale: float, submap: Overrides, loop: Overrides, verification: Overrides) -> PipelineConfig:
+        """These parameters with what a map overrides, by name; None: as they are. Raises BadField, TypeError."""
+        windows = {"min_range": self.submap.min_range * scene_scale, **_given(submap)}
+        return dataclasses.replace(
+            self,
+            scene_scale=scene_scale,
+            submap=dataclasses.replace(self.submap, **windows),
+            loop=dataclasses.replace(self.loop, **_given(loop)),
+            verification=dataclasses.replace(self.verification, **_given(verification)),
+        )
+
+
+def _given(overrides: Overrides) -> dict[str, Any]:
+    return {name: value for name, value in overrides.items() if value is not None}

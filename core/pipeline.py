@@ -26,6 +26,7 @@ from revisit.core.model_bundle import ModelBundle
 from revisit.core.place import Place, extract_place
 from revisit.core.sanity.ground import place_flags
 from revisit.core.scan import is_plane
+from revisit.core.scan_disagreement import scan_disagreement
 from revisit.core.spectra import describe_spectra
 from revisit.core.submap import Submap
 from revisit.core.surface import Surface, extract_surface
@@ -71,7 +72,9 @@ def describe(submap: Submap, models: ModelBundle, config: PipelineConfig, seed: 
     flags = ("degenerate_plane",) * is_plane(submap.points)
     flags += place_flags(level.points, config.scene_scale, plane_scores)
     flags += ("crowded",) * neural_map.crowded
-    return DescribedPlace(**vars(described), neural_map=dataclasses.replace(neural_map, frame=frame), flags=flags)
+    place = dataclasses.replace(described.place, scan_disagreement=scan_disagreement(level))
+    parts = {**vars(described), "place": place}
+    return DescribedPlace(**parts, neural_map=dataclasses.replace(neural_map, frame=frame), flags=flags)
 
 
 def describe_again(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
+import math
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -15,9 +17,10 @@ from revisit.core.config import VerificationConfig
 from revisit.core.descriptor.vlad import Codebooks, project_locally
 from revisit.core.errors import BadTransform, DataLoss
 from revisit.core.geometry.level_frame import LevelFrame
-from revisit.core.geometry.voxel_keys import voxel_keys
+from revisit.core.geometry.voxel_keys import first_rows, voxel_keys
 from revisit.core.kept import Keeping
 from revisit.core.place_form import CONTAINER, PlaceContents, read_form, write_form
+from revisit.core.scan_disagreement import ScanDisagreement
 from revisit.core.stages import stage
 
 if TYPE_CHECKING:  # a place is read where nothing is described, without the libraries that this needs
@@ -40,9 +43,10 @@ class Place(Keeping):
     parity (l,) float32 +-1, their signs under a turn by 180 degrees; points (m, 3) float32 and normals (m, 3) float32
     unit, the first `standing_count` of them off the ground; model is the digest of the codebook of the descriptors;
     frame relates the level frame to that of the submap; `spacing` is the edge of the cubes of which the surface keeps a
-    standing point each, and of twice the edge a ground point. Lengths are metres divided by the scene scale. All values
-    but those of frame are the stored, quantised ones, so that parsing a blob gives the same place; frame survives
-    within rounding.
+    standing point each, and of twice the edge a ground point. `scan_disagreement` says how far the scans disagree on
+    the surface (`core.scan_disagreement`), None where that is not known. Lengths are metres divided by the scene scale.
+    All values but those of frame are the stored, quantised ones, so that parsing a blob gives the same place; frame
+    survives within rounding.
     """
 
     keypoints: Array
@@ -55,6 +59,7 @@ class Place(Keeping):
     model: str
     frame: LevelFrame = field(default_factory=LevelFrame)
     spacing: float = VerificationConfig().spacing
+    scan_disagreement: ScanDisagreement | None = None
 
     @cached_property
     def content_digest(self) -> bytes:
@@ -72,7 +77,10 @@ class Place(Keeping):
         """
         header, body = write_form(self._contents(), self.spacing)
         T_level_submap = np.linalg.inv(self.frame.similarity)[:3].tolist()
-        return CONTAINER.pack({**header, "model": self.model, "T_level_submap": T_level_submap}, body)
+        header = {**header, "model": self.model, "T_level_submap": T_level_submap}
+        if self.scan_disagreement is not None:
+            header["disagreement"] = list(dataclasses.astuple(self.scan_disagreement))
+        return CONTAINER.pack(header, body)
 
     @classmethod
     def from_blob(cls, blob: bytes, *, surface: bool = True) -> Place:
@@ -91,7 +99,8 @@ class Place(Keeping):
         model, spacing = header.get("model"), header.get("spacing", VerificationConfig().spacing)
         if not isinstance(model, str):
             raise DataLoss("the place names no model")
-        return cls(**vars(contents), model=model, frame=_frame(header), spacing=spacing)
+        disagreement = _disagreement(header)
+        return cls(**vars(contents), model=model, frame=_frame(header), spacing=spacing, scan_disagreement=disagreement)
 
     def _contents(self) -> PlaceContents:
         return PlaceContents(**{field.name: getattr(self, field.name) for field in fields(PlaceContents)})
@@ -123,11 +132,10 @@ def patch_model(codebooks: Codebooks) -> str:
 
 def _spread_rows(points: Array, chosen: NDArray[np.bool_], spacing: float, limit: int) -> NDArray[np.int64]:
     """One row for each cube of edge `spacing` among the chosen points; where still too many, every k-th of them."""
-    rows = np.flatnonzero(chosen)
-    near = rows[np.abs(points[rows]).max(axis=1) < 300.0]
-    cubes = np.floor(points[near].astype(np.float64) / spacing + CUBE_CORNER).astype(np.int64)
-    _, first = np.unique(voxel_keys(cubes), return_index=True)
-    spread = near[first]
+    x, y, z = np.abs(points).T
+    near = np.flatnonzero(chosen & (x < 300.0) & (y < 300.0) & (z < 300.0))
+    cubes = np.floor(points[near].T.astype(np.float64) / spacing + CUBE_CORNER).astype(np.int64).T
+    spread = near[first_rows(voxel_keys(cubes))]
     if len(spread) <= limit:
         return np.asarray(spread)
     return np.asarray(spread[np.linspace(0, len(spread) - 1, limit).astype(np.int64)])
@@ -135,6 +143,17 @@ def _spread_rows(points: Array, chosen: NDArray[np.bool_], spacing: float, limit
 
 def _centimetres(positions: Array) -> NDArray[np.int16]:
     return np.asarray(np.clip(np.rint(positions / CENTIMETRE), -32767, 32767), dtype="<i2")
+
+
+def _disagreement(header: dict[str, object]) -> ScanDisagreement | None:
+    stored = header.get("disagreement")
+    if stored is None:
+        return None
+    if not isinstance(stored, list) or len(stored) != 2:
+        raise DataLoss("the disagreement of the place's scans is not two numbers")
+    if not all(isinstance(value, float) and 0.0 <= value < math.inf for value in stored):
+        raise DataLoss("the disagreement of the place's scans is no length and angle")
+    return ScanDisagreement(*stored)
 
 
 def _frame(header: dict[str, object]) -> LevelFrame:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from revisit.core.container import decompressed
 from revisit.core.errors import DataLoss
 from revisit.core.geometry import octahedral
-from revisit.core.geometry.voxel_keys import voxel_keys
+from revisit.core.geometry.voxel_keys import first_rows, voxel_keys
 
 Array = NDArray[np.float32]
 Whole = NDArray[np.int64]
@@ -98,7 +98,7 @@ def _rounded(points: Array, normals: Array, edge: float, steps: int) -> tuple[Wh
     keys, count = voxel_keys(np.concatenate([home, np.where(fine, np.floor(levels / steps), home)])), len(home)
     taken = np.isin(keys[count:], keys[:count])  # by itself or another point
     levels = np.where(taken[:, None], np.clip(levels, steps * home, steps * home + steps - 1), levels)
-    rows = np.sort(np.unique(np.where(taken, keys[:count], keys[count:]), return_index=True)[1])
+    rows = np.sort(first_rows(np.where(taken, keys[:count], keys[count:])))
     voxels, places = np.divmod(np.where(fine, levels, cells)[rows], np.where(fine, steps, ACROSS)[rows])
     return voxels.astype(np.int64), places.astype(np.int64), codes[rows].astype(np.int64)
 
@@ -107,8 +107,9 @@ def _masks(morton: Whole, depth: int) -> bytes:
     """Which of the eight children of each node of the octree are there, level by level; `morton` (n,) ascends."""
     found = []
     for level in range(depth):
-        children = np.unique(morton >> (3 * (depth - 1 - level)))
-        _, first = np.unique(children >> 3, return_index=True)
+        children = morton >> (3 * (depth - 1 - level))
+        children = children[np.diff(children, prepend=-1) != 0]
+        first = np.flatnonzero(np.diff(children >> 3, prepend=-1))
         found.append(np.add.reduceat(1 << (children & 7), first).astype(np.uint8).tobytes())
     return b"".join(found)
 

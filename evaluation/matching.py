@@ -9,11 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.candidates import CandidatePolicy
-from revisit.core.config import LoopConfig
 from revisit.core.geometry import se3
 from revisit.core.index import ExactIndex, IndexEntry, Match, SearchFilter
-from revisit.core.pipeline import recall
 from revisit.evaluation.described_submaps import DescribedSubmap, in_processes
 from revisit.evaluation.loop_closure_method import LoopClosureMethod, Verdict
 
@@ -58,21 +55,6 @@ def pose_error(query: DescribedSubmap, match: DescribedSubmap, T_match_query: se
     return float(np.linalg.norm(error[:3, 3])), float(np.degrees(se3.rotation_angle(error)))
 
 
-def search_online(places: Sequence[DescribedSubmap], loop: LoopConfig) -> list[tuple[Match, ...]]:
-    """The candidates of every place among the earlier ones that differ by more than the index gap, best first."""
-    index = _index_of(places)
-    found: list[tuple[Match, ...]] = []
-    for place in places:
-        if place.description is None or index is None:
-            found.append(())
-            continue
-        # The paper wants indices that differ by more than the gap; the policy lets through what differs by its number.
-        policy = CandidatePolicy(0, place.id, loop.min_index_gap + 1, loop.candidates)
-        found.append(tuple(recall(place.description.vector, index, policy)))
-        _enter(index, [place], session=0, first=place.id)
-    return found
-
-
 def search_map(
     queries: Sequence[DescribedSubmap],
     mapped: Sequence[DescribedSubmap],
@@ -80,12 +62,13 @@ def search_map(
     allowed: NDArray[np.bool_] | None = None,
     *,
     own_map: bool = False,
+    min_gap: int = 0,
 ) -> list[tuple[Match, ...]]:
     """The `count` places of the map most like each query, best first, by their row in `mapped`.
 
     The queries are one session: each is known after it has asked. With `own_map` they are the submaps of the map
-    itself, perhaps seen otherwise, and submap n enters the map after query n has asked. allowed (queries, mapped)
-    leaves out more.
+    itself, perhaps seen otherwise, and submap n enters the map after query n has asked; where they are the same, those
+    that came less than `min_gap` before are left out. allowed (queries, mapped) leaves out more.
     """
     index, found = _index_of([*mapped, *queries]), list[tuple[Match, ...]]()
     if not own_map:
@@ -93,7 +76,7 @@ def search_map(
     for number, query in enumerate(queries):
         same = own_map and query is mapped[number]
         ids = None if allowed is None else frozenset(np.flatnonzero(allowed[number]).tolist())
-        only = SearchFilter(only_session=0, near=(0 if same else 1, number, 0), allowed=ids)
+        only = SearchFilter(only_session=0, near=(0, number, min_gap) if same else (1, number, 0), allowed=ids)
         vector = None if query.description is None else query.description.vector
         found.append(() if index is None or vector is None else tuple(index.search(vector, count, only)))
         if own_map:

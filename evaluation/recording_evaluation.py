@@ -19,7 +19,7 @@ from revisit.evaluation.cutting import cut
 from revisit.evaluation.datasets import Recording
 from revisit.evaluation.described_submaps import DescribedSubmap, DescriptionWork, describe_submaps
 from revisit.evaluation.loop_closure_method import LoopClosureMethod, RevisitMethod
-from revisit.evaluation.matching import QueryMatches, RankedCandidate, VerificationWork, search_online, verify_all
+from revisit.evaluation.matching import QueryMatches, RankedCandidate, VerificationWork, search_map, verify_all
 from revisit.evaluation.metrics import LoopProtocol
 from revisit.evaluation.perturbations import Perturbation
 from revisit.evaluation.scene import estimate_scene_scale
@@ -97,7 +97,9 @@ def evaluate(
     for place in describe_submaps(work, windows, options.jobs):
         places.append(place)
         report("describe", len(places), len(windows))
-    candidates = search_online(places, config.loop)
+    # The paper wants indices that differ by more than the gap; a search lets through what differs by its number.
+    gap = config.loop.min_index_gap + 1
+    candidates = search_map(places, places, config.loop.candidates, own_map=True, min_gap=gap)
     matches: list[QueryMatches] = []
     for match in verify_all(VerificationWork(places, method, options.positive_radius), candidates, options.jobs):
         matches.append(match)

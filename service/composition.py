@@ -27,12 +27,13 @@ from revisit.service.adapters.files.file_drafts import FileDrafts
 from revisit.service.adapters.files.filesystem import require_local
 from revisit.service.adapters.files.secret_files import SECRET_BYTES, kept_secret
 from revisit.service.adapters.sqlite.checkpoints import Checkpoints
-from revisit.service.adapters.sqlite.connections import StorageFailures, write_ahead_log
-from revisit.service.adapters.sqlite.transactions import SqliteTransactions
+from revisit.service.adapters.sqlite.connections import write_ahead_log
+from revisit.service.adapters.sqlite.transactions import SqliteTransactions, StorageFailures
 from revisit.service.adapters.vector_index import PlaceVectorIndex
 from revisit.service.adapters.webhook_sender import HttpWebhookSender
 from revisit.service.application import Installation, UseCases
 from revisit.service.application.access.callers import current_actor
+from revisit.service.application.capacity.call_pace import CallPace
 from revisit.service.application.capacity.in_flight import InFlight
 from revisit.service.application.contract.recogniser import PlaceRecogniser
 from revisit.service.application.contract.tracing import NoTracer, Tracer
@@ -86,6 +87,7 @@ def build_installation(settings: Settings, *, gateway: bool, fail_stop: FailStop
         clock=SystemClock(),
         policy=policy,
         in_flight=InFlight(settings.capacity, current_actor),
+        pace=CallPace(settings.pace),
         disk=disk,
         secret=_page_secret(settings.home),
     )

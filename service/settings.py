@@ -10,6 +10,7 @@ from pydantic import Field
 
 from revisit.core.config import PipelineConfig
 from revisit.service.access_settings import AccessSettings
+from revisit.service.application.capacity.call_pace import PaceLimits
 from revisit.service.application.capacity.in_flight import CapacityLimits
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.policy import Policy
@@ -52,6 +53,15 @@ class Settings(AccessSettings):
     )
     tenant_points_per_s: float = Field(default=20e6, gt=0, description="rate limit of one tenant, points a second")
     client_points_per_s: float = Field(default=10e6, gt=0, description="rate limit of one API key, points a second")
+    client_calls_per_s: float = Field(
+        default_factory=lambda: PaceLimits().client_calls_per_s,
+        gt=0,
+        description="calls of one API key that may begin a second, whatever they ask for; further ones wait, and are "
+        "refused where that takes more than 3 s",
+    )
+    tenant_calls_per_s: float = Field(
+        default_factory=lambda: PaceLimits().tenant_calls_per_s, gt=0, description="as above, of one tenant"
+    )
     clouds_at_once: int = Field(
         default_factory=lambda: CapacityLimits().clouds,
         ge=1,
@@ -207,6 +217,11 @@ class Settings(AccessSettings):
             streams=self.max_streams,
             client_streams=self.streams_per_client,
         )
+
+    @property
+    def pace(self) -> PaceLimits:
+        """How many calls may begin each second."""
+        return PaceLimits(client_calls_per_s=self.client_calls_per_s, tenant_calls_per_s=self.tenant_calls_per_s)
 
     @property
     def host_names(self) -> frozenset[str]:

@@ -2,21 +2,42 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
+
+_LISTED_STEPS = 31
+"""Up to so many steps the vectors of all codes are listed: at most 4,000."""
 
 
 def encode(vectors: NDArray[np.floating], steps: int) -> NDArray[np.uint8]:
     """Codes (n, 2) in 0..2 * steps of unit vectors (n, 3); `steps` up to 127. The zero vector becomes +z."""
-    folded = vectors / np.maximum(np.abs(vectors).sum(axis=1, keepdims=True), 1e-12)
-    flat = folded[:, :2]
-    lower = (1.0 - np.abs(flat[:, ::-1])) * np.where(flat >= 0.0, 1.0, -1.0)
-    square = np.where(folded[:, 2:] < 0.0, lower, flat)
-    return np.asarray(np.rint((square + 1.0) * steps), dtype=np.uint8)
+    x, y, z = np.ascontiguousarray(vectors.T)
+    wide, deep = np.abs(x), np.abs(y)
+    length = np.maximum(wide + deep + np.abs(z), 1e-12)
+    below = z < 0.0
+    lower = (1.0 - deep / length) * np.where(x >= 0.0, 1.0, -1.0), (1.0 - wide / length) * np.where(y >= 0.0, 1.0, -1.0)
+    square = np.where(below, lower[0], x / length), np.where(below, lower[1], y / length)
+    return np.stack([np.rint((side + 1.0) * steps) for side in square], axis=1).astype(np.uint8)
 
 
 def decode(codes: NDArray[np.integer], steps: int) -> NDArray[np.float64]:
     """The unit vectors (n, 3) of codes (n, 2): within about 2 / steps radians of what was encoded."""
+    if steps > _LISTED_STEPS:
+        return _decoded(codes, steps)
+    return np.asarray(_listed(steps)[codes[:, 0], codes[:, 1]])
+
+
+@lru_cache(maxsize=4)
+def _listed(steps: int) -> NDArray[np.float64]:
+    """The unit vector of each code, (2 * steps + 1, 2 * steps + 1, 3)."""
+    side = np.arange(2 * steps + 1)
+    codes = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1)
+    return _decoded(codes.reshape(-1, 2), steps).reshape(*codes.shape[:2], 3)
+
+
+def _decoded(codes: NDArray[np.integer], steps: int) -> NDArray[np.float64]:
     flat = codes.astype(np.float64) / steps - 1.0
     height = 1.0 - np.abs(flat).sum(axis=1)
     fold = np.maximum(-height, 0.0)[:, None]

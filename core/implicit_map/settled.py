@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import octahedral
-from revisit.core.geometry.voxel_keys import voxel_keys
+from revisit.core.geometry.voxel_keys import first_rows, voxel_keys
 from revisit.core.implicit_map.neural_points import NeuralPoints
 from revisit.core.kernels.plane_coder import FIXED, HIT_CLASSES
 from revisit.core.kernels.settled_planes import spots_on_planes
@@ -50,8 +50,7 @@ def settle(points: NeuralPoints, resolution: float) -> NeuralPoints:
 
 def distinct_rows(voxels: NDArray[np.int32]) -> NDArray[np.int64]:
     """The first row of each of `voxels` (n, 3), ascending."""
-    _, rows = np.unique(voxel_keys(voxels.astype(np.int64)), return_index=True)
-    return np.sort(rows)
+    return np.sort(first_rows(voxel_keys(voxels)))
 
 
 def plane_codes(points: NeuralPoints, resolution: float) -> PlaneCodes:

@@ -6,20 +6,30 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.kernels.loops import loop
 from revisit.core.kernels.point_columns import PointColumns, span
 
+Rows = NDArray[np.int64]
 
-@numba.njit(cache=True, error_model="numpy")
+
 def join_cells(columns: PointColumns, edge: float, radius: float) -> NDArray[np.int64]:
     """For each of the sorted points (n,) the first cell of its part: cells with points nearer than `radius` are joined.
 
     `columns` have the edge `edge` = radius / sqrt(3), so that the points of a cell are near each other and those more
     than two cells away are not. Cells are numbered in the order of the sorted points.
     """
+    cell_of, starts, heights = _cells(columns.points, columns.keys, edge)
+    _join(columns, edge, radius, cell_of, starts, heights, np.arange(len(heights)))
+    return np.asarray(cell_of)
+
+
+@loop
+def _join(
+    columns: PointColumns, edge: float, radius: float, cell_of: Rows, starts: Rows, heights: Rows, parent: Rows
+) -> None:
+    """Change `cell_of` (n,) from the cell of each point to the first of its part; `parent` (c,) is 0 to c - 1."""
     points, keys, grid = columns.points, columns.keys, columns.grid
     x_low, y_low, width, depth = columns.low[0], columns.low[1], columns.shape[0], columns.shape[1]
-    cell_of, starts, heights = _cells(points, keys, edge)
-    parent = np.arange(len(heights))
     limit = radius * radius
     for cell in range(len(heights)):
         x = int(np.floor(points[starts[cell], 0] / edge)) - x_low
@@ -40,7 +50,6 @@ def join_cells(columns: PointColumns, edge: float, radius: float) -> NDArray[np.
                 other += 1
     for i in range(len(points)):
         cell_of[i] = _root(parent, cell_of[i])
-    return cell_of
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -70,7 +79,7 @@ def _root(parent: NDArray[np.int64], cell: int) -> int:
     return cell
 
 
-@numba.njit(cache=True, error_model="numpy")
+@loop
 def _touch(points: NDArray[np.float32], starts: NDArray[np.int64], a: int, b: int, limit: float) -> bool:
     for i in range(starts[a], starts[a + 1]):
         for j in range(starts[b], starts[b + 1]):
@@ -82,14 +91,18 @@ def _touch(points: NDArray[np.float32], starts: NDArray[np.int64], a: int, b: in
     return False
 
 
-@numba.njit(cache=True, error_model="numpy")
 def connected_parts(count: int, faces: NDArray[np.int32]) -> NDArray[np.int64]:
     """For each of `count` vertices the first vertex of its part: the vertices of a face (f, 3) belong together."""
     parent = np.arange(count)
+    _join_faces(parent, faces)
+    return parent
+
+
+@loop
+def _join_faces(parent: Rows, faces: NDArray[np.int32]) -> None:
     for f in range(len(faces)):
         for corner in range(2):
             a, b = _root(parent, faces[f, corner]), _root(parent, faces[f, corner + 1])
             parent[max(a, b)] = min(a, b)
-    for vertex in range(count):
+    for vertex in range(len(parent)):
         parent[vertex] = _root(parent, vertex)
-    return parent

@@ -6,6 +6,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.kernels.loops import loop
 from revisit.core.kernels.point_columns import PointColumns, span
 from revisit.core.kernels.voxel_table import VoxelTable, add_to, find_in
 
@@ -18,9 +19,9 @@ RECORD = 16
 
 _CHUNK = 1024
 _TINY_M = np.float32(1e-9)
+_SPREAD = 6  # numbers of an upper d d^T
 
 
-@numba.njit(cache=True, error_model="numpy")
 def insert_returns(
     points: NDArray[np.float32],
     start: int,
@@ -39,8 +40,21 @@ def insert_returns(
     p p^T; the sum of the unit vectors towards the sensor; and the first, the last and the number of the scans that saw
     it. Where there are `limit` of them, no more are created: the returns are left out.
     """
-    slots, following, voxels = table.slots, table.following, table.voxels
     cells, units = np.empty((3, _CHUNK), dtype=np.int32), np.empty((3, _CHUNK), dtype=np.float32)
+    filled: tuple[int, int] = _insert(
+        points, start, origin, scan, table, records, size, resolution, limit, cells, units
+    )
+    return filled
+
+
+@loop
+def _insert(
+    points: NDArray[np.float32], start: int, origin: NDArray[np.float32], scan: int, table: VoxelTable,
+    records: NDArray[np.float64], size: int, resolution: float, limit: int, cells: NDArray[np.int32],
+    units: NDArray[np.float32],
+) -> tuple[int, int]:  # fmt: skip
+    """As `insert_returns`; `cells` and `units` (3, _CHUNK) are for its use."""
+    slots, following, voxels = table.slots, table.following, table.voxels
     while start < len(points):
         count = min(_CHUNK, len(points) - start)
         if size + count > len(records) and len(records) < limit:
@@ -76,12 +90,13 @@ def _prepare(
 ) -> None:  # fmt: skip
     """Voxels and unit vectors towards `origin` of `count` returns from row `start` on, many at once."""
     ox, oy, oz = origin[0], origin[1], origin[2]
+    inverse_edge, begin = 1.0 / resolution, np.uint64(start)
     for a in range(3):
-        for k in range(count):
-            units[a, k] = points[start + k, a]
-        for k in range(count):
-            cells[a, k] = np.int32(np.floor(np.float64(units[a, k]) / resolution))
-    for k in range(count):
+        for k in range(np.uint64(count)):
+            units[a, k] = points[begin + k, a]
+        for k in range(np.uint64(count)):
+            cells[a, k] = np.int32(np.floor(np.float64(units[a, k]) * inverse_edge))
+    for k in range(np.uint64(count)):
         dx, dy, dz = ox - units[0, k], oy - units[1, k], oz - units[2, k]
         inverse = np.float32(1.0) / (np.sqrt(dx * dx + dy * dy + dz * dz) + _TINY_M)
         units[0, k], units[1, k], units[2, k] = dx * inverse, dy * inverse, dz * inverse
@@ -95,18 +110,18 @@ def _gather(
     """Add the returns from start + first up to start + last, all in one voxel, to record i."""
     sx, sy, sz, xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     ux, uy, uz = 0.0, 0.0, 0.0
-    for k in range(first, last):
-        x, y, z = points[start + k, 0], points[start + k, 1], points[start + k, 2]
+    begin = np.uint64(start)  # rows of unsigned numbers are never counted from the end
+    for k in range(np.uint64(first), np.uint64(last)):
+        x, y, z = points[begin + k, 0], points[begin + k, 1], points[begin + k, 2]
         sx, sy, sz = sx + x, sy + y, sz + z
         xx, xy, xz = xx + x * x, xy + x * y, xz + x * z
         yy, yz, zz = yy + y * y, yz + y * z, zz + z * z
         ux, uy, uz = ux + units[0, k], uy + units[1, k], uz + units[2, k]
-    sums = float(last - first), sx, sy, sz, xx, xy, xz, yy, yz, zz, ux, uy, uz
-    for a in range(13):
-        records[i, a] += sums[a]
+    sums, row = (float(last - first), sx, sy, sz, xx, xy, xz, yy, yz, zz, ux, uy, uz), np.uint64(i)
+    for a in range(np.uint64(13)):
+        records[row, a] += sums[a]
 
 
-@numba.njit(cache=True, error_model="numpy")
 def pooled_covariances(
     positions: NDArray[np.float32], records: NDArray[np.float64], columns: PointColumns, resolution: float
 ) -> NDArray[np.float64]:
@@ -115,53 +130,66 @@ def pooled_covariances(
     `columns` are those of the neural points that the `records` belong to. A voxel counts at most as POOLED_RETURNS
     returns, so that dense and sparse scans give the same surface.
     """
-    points, rows, keys, grid = columns.points, columns.rows, columns.keys, columns.grid
-    x_low, y_low, width, depth = columns.low[0], columns.low[1], columns.shape[0], columns.shape[1]
+    spreads = np.empty((len(columns.points), 1 + _SPREAD), dtype=np.float32)
+    _own_spreads(columns.points, columns.rows, records, spreads)
     out = np.empty((len(positions), 3, 3))
-    sums = np.empty(10)
-    for i in range(len(positions)):
-        px, py, pz = positions[i, 0], positions[i, 1], positions[i, 2]
-        cx, cy, cz = int(np.floor(px / resolution)), int(np.floor(py / resolution)), int(np.floor(pz / resolution))
-        sums[:] = 0.0
-        for x in range(cx - 1 - x_low, cx + 2 - x_low):
-            first, last = span(keys, grid, width, depth, x, cy - 1 - y_low, cy + 1 - y_low)
-            for k in range(first, last):
-                gap = (points[k, 0] - px) ** 2 + (points[k, 1] - py) ** 2 + (points[k, 2] - pz) ** 2
-                if gap > 4.0 * resolution**2 or abs(int(np.floor(points[k, 2] / resolution)) - cz) > 1:
-                    continue
-                j = rows[k]
-                m = records[j, 0]
-                weight = np.exp(-0.5 * gap / (0.7 * resolution) ** 2) * min(m, POOLED_RETURNS) / m
-                _pool(sums, records, j, weight, px, py, pz)
-        _covariance(sums, out, i)
+    _pool(positions, columns, spreads, resolution, out)
     return out
 
 
-@numba.njit(inline="always")
-def _pool(
-    sums: NDArray[np.float64], moments: NDArray[np.float64], j: int, weight: float, px: float, py: float, pz: float
+@loop
+def _own_spreads(
+    points: NDArray[np.float32], rows: NDArray[np.int32], records: NDArray[np.float64], spreads: NDArray[np.float32]
 ) -> None:
-    """Add the moments of point `j` about (px, py, pz), times `weight`, to `sums` (10,): count, p, upper p p^T."""
-    n, x, y, z = moments[j, 0], moments[j, 1], moments[j, 2], moments[j, 3]
-    sums[0] += weight * n
-    sums[1] += weight * (x - n * px)
-    sums[2] += weight * (y - n * py)
-    sums[3] += weight * (z - n * pz)
-    sums[4] += weight * (moments[j, 4] - px * x - px * x + n * px * px)
-    sums[5] += weight * (moments[j, 5] - px * y - py * x + n * px * py)
-    sums[6] += weight * (moments[j, 6] - px * z - pz * x + n * px * pz)
-    sums[7] += weight * (moments[j, 7] - py * y - py * y + n * py * py)
-    sums[8] += weight * (moments[j, 8] - py * z - pz * y + n * py * pz)
-    sums[9] += weight * (moments[j, 9] - pz * z - pz * z + n * pz * pz)
+    """Fill `spreads` (n, 7) of neural points in the order of their columns: their weight, and the mean of the upper
+    d d^T of their returns from the `points` (n, 3), which are their means.
+    """
+    for k in range(len(rows)):
+        j = rows[k]
+        n = records[j, 0]
+        x, y, z = np.float64(points[k, 0]), np.float64(points[k, 1]), np.float64(points[k, 2])
+        spreads[k, 0] = min(n, POOLED_RETURNS)
+        spreads[k, 1] = (records[j, 4] - x * records[j, 1] - x * records[j, 1]) / n + x * x
+        spreads[k, 2] = (records[j, 5] - x * records[j, 2] - y * records[j, 1]) / n + x * y
+        spreads[k, 3] = (records[j, 6] - x * records[j, 3] - z * records[j, 1]) / n + x * z
+        spreads[k, 4] = (records[j, 7] - y * records[j, 2] - y * records[j, 2]) / n + y * y
+        spreads[k, 5] = (records[j, 8] - y * records[j, 3] - z * records[j, 2]) / n + y * z
+        spreads[k, 6] = (records[j, 9] - z * records[j, 3] - z * records[j, 3]) / n + z * z
 
 
-@numba.njit(inline="always")
-def _covariance(sums: NDArray[np.float64], out: NDArray[np.float64], i: int) -> None:
-    """The covariance of pooled `sums` into out[i]."""
-    x, y, z = sums[1] / sums[0], sums[2] / sums[0], sums[3] / sums[0]
-    out[i, 0, 0] = sums[4] / sums[0] - x * x
-    out[i, 0, 1] = out[i, 1, 0] = sums[5] / sums[0] - x * y
-    out[i, 0, 2] = out[i, 2, 0] = sums[6] / sums[0] - x * z
-    out[i, 1, 1] = sums[7] / sums[0] - y * y
-    out[i, 1, 2] = out[i, 2, 1] = sums[8] / sums[0] - y * z
-    out[i, 2, 2] = sums[9] / sums[0] - z * z
+@loop
+def _pool(
+    positions: NDArray[np.float32], columns: PointColumns, spreads: NDArray[np.float32], resolution: float,
+    out: NDArray[np.float64],
+) -> None:  # fmt: skip
+    """Fill `out` (m, 3, 3): the returns of a neighbour spread around its mean, and with it around the query."""
+    points, keys, grid = columns.points, columns.keys, columns.grid
+    x_low, y_low, width, depth = columns.low[0], columns.low[1], columns.shape[0], columns.shape[1]
+    farthest, scale = np.float32(4.0 * resolution**2), np.float32(-0.5 / (0.7 * resolution) ** 2)
+    for i in range(len(positions)):
+        px, py, pz = positions[i, 0], positions[i, 1], positions[i, 2]
+        cx, cy, cz = int(np.floor(px / resolution)), int(np.floor(py / resolution)), int(np.floor(pz / resolution))
+        total, sx, sy, sz = 0.0, 0.0, 0.0, 0.0
+        xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for x in range(cx - 1 - x_low, cx + 2 - x_low):
+            first, last = span(keys, grid, width, depth, x, cy - 1 - y_low, cy + 1 - y_low)
+            for k in range(first, last):
+                dx, dy, dz = points[k, 0] - px, points[k, 1] - py, points[k, 2] - pz
+                gap = dx * dx + dy * dy + dz * dz
+                if gap > farthest or abs(int(np.floor(points[k, 2] / resolution)) - cz) > 1:
+                    continue
+                weight = np.exp(scale * gap) * spreads[k, 0]
+                total, sx, sy, sz = total + weight, sx + weight * dx, sy + weight * dy, sz + weight * dz
+                xx += weight * (spreads[k, 1] + dx * dx)
+                xy += weight * (spreads[k, 2] + dx * dy)
+                xz += weight * (spreads[k, 3] + dx * dz)
+                yy += weight * (spreads[k, 4] + dy * dy)
+                yz += weight * (spreads[k, 5] + dy * dz)
+                zz += weight * (spreads[k, 6] + dz * dz)
+        sx, sy, sz = sx / total, sy / total, sz / total
+        out[i, 0, 0] = xx / total - sx * sx
+        out[i, 0, 1] = out[i, 1, 0] = xy / total - sx * sy
+        out[i, 0, 2] = out[i, 2, 0] = xz / total - sx * sz
+        out[i, 1, 1] = yy / total - sy * sy
+        out[i, 1, 2] = out[i, 2, 1] = yz / total - sy * sz
+        out[i, 2, 2] = zz / total - sz * sz

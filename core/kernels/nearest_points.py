@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.kernels.loops import loop
 from revisit.core.kernels.point_columns import PointColumns, span
 
+Keys = NDArray[np.int64]
 
-@numba.njit(cache=True, error_model="numpy")
+_NOTHING = np.int64(0x7F800000 << 32)  # infinitely far
+_ROW = np.int64(0xFFFFFFFF)
+
+
 def nearest_points(
     queries: NDArray[np.float32], columns: PointColumns, resolution: float, count: int, rings: int
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
@@ -18,46 +22,66 @@ def nearest_points(
     Returns rows (m, count) int32 of the points before they were sorted, -1 where fewer are nearer than `rings` voxel
     edges, and squared distances (m, count) float32, inf there. Of points equally far the one of the lower voxel counts.
     """
+    found = np.full((len(queries), count), -1, dtype=np.int32)
+    squared = np.full((len(queries), count), np.inf, dtype=np.float32)
+    near, best = np.empty(len(columns.points) + 1, dtype=np.int64), np.empty(count, dtype=np.int64)
+    _find_nearest(queries, columns, resolution, rings, near, best, best.view(np.float32), found, squared)
+    return found, squared
+
+
+@loop
+def _find_nearest(
+    queries: NDArray[np.float32], columns: PointColumns, resolution: float, rings: int, near: Keys, best: Keys,
+    halves: NDArray[np.float32], found: NDArray[np.int32], squared: NDArray[np.float32],
+) -> None:  # fmt: skip
+    """Fill `found` and `squared` (m, K). `near` and `best` (K,) are for its use; `halves` are the bytes of `best`.
+
+    A candidate is a number: the bits of its squared distance, which are in the order of the distances, above its row.
+    So the nearest are kept in order by least and greatest of two numbers alone, without a branch to be guessed wrong.
+    """
     points, rows, keys, grid = columns.points, columns.rows, columns.keys, columns.grid
     x_low, y_low, width, depth = columns.low[0], columns.low[1], columns.shape[0], columns.shape[1]
-    reach = np.float32((rings * resolution) ** 2)
-    found = np.full((len(queries), count), -1, dtype=np.int32)
-    squared = np.full((len(queries), count), reach, dtype=np.float32)
+    reach, count = np.float32((rings * resolution) ** 2), len(best)
     for q in range(len(queries)):
         px, py, pz = queries[q, 0], queries[q, 1], queries[q, 2]
         cx, cy = int(np.floor(px / resolution)), int(np.floor(py / resolution)) - y_low
         farthest = reach
+        best[:] = _NOTHING
         for step in range(2 * rings + 1):
             x = cx + (step + 1) // 2 * (1 - 2 * (step & 1))  # from the middle outwards
             gap = max(x * resolution - px, px - (x + 1) * resolution, 0.0)
             if gap * gap > farthest:
                 continue
             first, last = span(keys, grid, width, depth, x - x_low, cy - rings, cy + rings)
+            size = 0
             for i in range(first, last):
                 dx, dy, dz = points[i, 0] - px, points[i, 1] - py, points[i, 2] - pz
-                d = dx * dx + dy * dy + dz * dz
-                if d > farthest or (d == farthest and i > found[q, count - 1]):
-                    continue
-                k = count - 1
-                while k > 0 and (squared[q, k - 1] > d or (squared[q, k - 1] == d and found[q, k - 1] > i)):
-                    squared[q, k], found[q, k] = squared[q, k - 1], found[q, k - 1]
-                    k -= 1
-                squared[q, k], found[q, k] = d, i
-                farthest = squared[q, count - 1]
+                d = np.float32(dx * dx + dy * dy + dz * dz)
+                near[size] = (np.int64(d.view(np.int32)) << 32) | i
+                size += int(d <= farthest)
+            for n in range(size):
+                candidate = near[n]
+                for k in range(count):
+                    kept = best[k]
+                    best[k], candidate = min(kept, candidate), max(kept, candidate)
+            farthest = min(reach, halves[2 * count - 1])
         for k in range(count):
-            if found[q, k] < 0:
-                squared[q, k] = np.inf
-            else:
-                found[q, k] = rows[found[q, k]]
-    return found, squared
+            if halves[2 * k + 1] >= reach:
+                break
+            squared[q, k], found[q, k] = halves[2 * k + 1], rows[best[k] & _ROW]
 
 
-@numba.njit(cache=True, error_model="numpy")
 def any_within(queries: NDArray[np.float32], columns: PointColumns, distance: float) -> NDArray[np.bool_]:
     """Whether any point lies within `distance` metres of each query (m, 3); `columns` have that edge."""
+    found = np.zeros(len(queries), dtype=np.bool_)
+    _find_any(queries, columns, distance, found)
+    return found
+
+
+@loop
+def _find_any(queries: NDArray[np.float32], columns: PointColumns, distance: float, found: NDArray[np.bool_]) -> None:
     points, keys, grid = columns.points, columns.keys, columns.grid
     x_low, y_low, width, depth = columns.low[0], columns.low[1], columns.shape[0], columns.shape[1]
-    found = np.zeros(len(queries), dtype=np.bool_)
     for q in range(len(queries)):
         px, py, pz = np.float64(queries[q, 0]), np.float64(queries[q, 1]), np.float64(queries[q, 2])
         cx, cy = int(np.floor(px / distance)) - x_low, int(np.floor(py / distance)) - y_low
@@ -72,4 +96,3 @@ def any_within(queries: NDArray[np.float32], columns: PointColumns, distance: fl
                     break
             if found[q]:
                 break
-    return found

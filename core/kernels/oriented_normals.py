@@ -6,14 +6,15 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.kernels.loops import loop
+
 Array64 = NDArray[np.float64]
 
 NORMAL_PRIOR = 0.05
 _SWEEPS = 12
-_NEGLIGIBLE = 1e-30
+_NEGLIGIBLE = 1e-18  # of what is squared: axes are right within a billionth
 
 
-@numba.njit(cache=True, error_model="numpy")
 def oriented_normals(covariances: Array64, views: Array64) -> NDArray[np.float32]:
     """Unit normals (n, 3) towards the sensor: least variance, with a prior for the viewing direction.
 
@@ -21,7 +22,15 @@ def oriented_normals(covariances: Array64, views: Array64) -> NDArray[np.float32
     form a line (one beam on a wall) or a single spot.
     """
     normals = np.empty((len(covariances), 3), dtype=np.float32)
-    matrix, axes, view = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    _orient(covariances, views, np.empty((3, 3)), np.empty((3, 3)), np.empty(3), normals)
+    return normals
+
+
+@loop
+def _orient(
+    covariances: Array64, views: Array64, matrix: Array64, axes: Array64, view: Array64, normals: NDArray[np.float32]
+) -> None:
+    """Fill `normals` (n, 3); `matrix`, `axes` (3, 3) and `view` (3,) are for its use."""
     for i in range(len(covariances)):
         spread = covariances[i, 0, 0] + covariances[i, 1, 1] + covariances[i, 2, 2] + 1e-9
         length = np.sqrt(views[i, 0] ** 2 + views[i, 1] ** 2 + views[i, 2] ** 2) + 1e-12
@@ -40,7 +49,6 @@ def oriented_normals(covariances: Array64, views: Array64) -> NDArray[np.float32
         sign = -1.0 if facing < 0.0 else 1.0
         for a in range(3):
             normals[i, a] = sign * axes[a, least]
-    return normals
 
 
 @numba.njit(inline="always")

@@ -6,22 +6,31 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.kernels.loops import loop
+
 Array = NDArray[np.float32]
 
 
 @numba.njit(cache=True, error_model="numpy")
 def moved_points(T_new_old: NDArray[np.float64], points: Array) -> Array:
     """The `points` (n, 3) in another frame: as `se3.apply`, rounded to float32."""
-    moved = np.empty((len(points), 3), dtype=np.float32)
+    moved = np.empty(3 * len(points), dtype=np.float32)
+    _move(T_new_old, np.ascontiguousarray(points).reshape(-1), moved)
+    return moved.reshape(-1, 3)
+
+
+@loop
+def _move(T_new_old: NDArray[np.float64], given: Array, moved: Array) -> None:
+    """Fill `moved` (3 n,). Rows of unsigned numbers are never counted from the end, so that many are done at once."""
     xx, xy, xz, tx = T_new_old[0, 0], T_new_old[0, 1], T_new_old[0, 2], T_new_old[0, 3]
     yx, yy, yz, ty = T_new_old[1, 0], T_new_old[1, 1], T_new_old[1, 2], T_new_old[1, 3]
     zx, zy, zz, tz = T_new_old[2, 0], T_new_old[2, 1], T_new_old[2, 2], T_new_old[2, 3]
-    for n in range(len(points)):
-        x, y, z = np.float64(points[n, 0]), np.float64(points[n, 1]), np.float64(points[n, 2])
-        moved[n, 0] = xx * x + xy * y + xz * z + tx
-        moved[n, 1] = yx * x + yy * y + yz * z + ty
-        moved[n, 2] = zx * x + zy * y + zz * z + tz
-    return moved
+    for n in range(len(given) // 3):
+        i, j, k = np.uint64(3 * n), np.uint64(3 * n + 1), np.uint64(3 * n + 2)
+        x, y, z = np.float64(given[i]), np.float64(given[j]), np.float64(given[k])
+        moved[i] = xx * x + xy * y + xz * z + tx
+        moved[j] = yx * x + yy * y + yz * z + ty
+        moved[k] = zx * x + zy * y + zz * z + tz
 
 
 @numba.njit(cache=True, error_model="numpy")

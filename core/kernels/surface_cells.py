@@ -10,6 +10,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.kernels.loops import loop
 from revisit.core.kernels.voxel_table import VoxelTable, add_to, find_in
 
 NEAR_PLANE = 0.9
@@ -19,7 +20,7 @@ _WINDOW = 4  # corners along each edge of the 27 voxels around a point
 Bits = NDArray[np.uint64]
 
 
-@numba.njit(cache=True, error_model="numpy")
+@loop
 def enter_observed_corners(
     positions: NDArray[np.float32], resolution: float, reach: float, pieces: VoxelTable, bits: Bits
 ) -> int:
@@ -30,7 +31,7 @@ def enter_observed_corners(
     """
     slots, following, voxels = pieces.slots, pieces.following, pieces.voxels
     count, steps = 0, int(np.ceil(reach / resolution))
-    limit = np.float32(reach)
+    limit = np.float32(reach) * np.float32(reach)
     for i in range(len(positions)):
         px, py, pz = positions[i, 0], positions[i, 1], positions[i, 2]
         vx, vy, vz = int(np.floor(px / resolution)), int(np.floor(py / resolution)), int(np.floor(pz / resolution))
@@ -41,7 +42,7 @@ def enter_observed_corners(
                 row, height = -1, 0
                 for z in range(vz - steps + 1, vz + steps + 1):
                     dz = pz - np.float32(z * resolution)
-                    if np.sqrt(dx * dx + dy * dy + dz * dz) > limit:
+                    if dx * dx + dy * dy + dz * dz > limit:
                         continue
                     if row < 0 or z >> 6 != height:
                         height = z >> 6
@@ -84,7 +85,6 @@ def find_cells(
     Near: the centre lies within 0.9 edges of the plane. Voxels without all eight corners among the `most` corners are
     left out. Returns the rows (m, 8) of each voxel's corners, corner c at + (c & 1, c >> 1 & 1, c >> 2 & 1).
     """
-    slots, following, voxels = pieces.slots, pieces.following, pieces.voxels
     rows = np.empty((most, 8), dtype=np.int32)
     tried = np.zeros(len(first), dtype=np.uint64)  # a voxel is named by its lowest corner
     found, reach = 0, NEAR_PLANE * resolution
@@ -92,15 +92,8 @@ def find_cells(
     for i in range(len(positions)):
         px, py, pz = positions[i, 0], positions[i, 1], positions[i, 2]
         vx, vy, vz = int(np.floor(px / resolution)), int(np.floor(py / resolution)), int(np.floor(pz / resolution))
-        low, shift = (vz - 1) >> 6, (vz - 1) & 63
-        for a in range(_WINDOW):
-            for b in range(_WINDOW):
-                owners[0, a, b] = row = find_in(slots, following, voxels, vx - 1 + a, vy - 1 + b, low)
-                window[a, b] = np.int64((bits[row] >> np.uint64(shift)) & np.uint64(15)) if row >= 0 else 0
-                if shift > PIECE - _WINDOW:
-                    owners[1, a, b] = row = find_in(slots, following, voxels, vx - 1 + a, vy - 1 + b, low + 1)
-                    if row >= 0:
-                        window[a, b] |= np.int64((bits[row] << np.uint64(PIECE - shift)) & np.uint64(15))
+        shift = (vz - 1) & 63
+        _read_window(pieces, bits, vx - 1, vy - 1, vz - 1, owners, window)
         for a in range(_WINDOW - 1):
             for b in range(_WINDOW - 1):
                 known = window[a, b] & window[a + 1, b] & window[a, b + 1] & window[a + 1, b + 1]
@@ -122,6 +115,22 @@ def find_cells(
                         rows[found, corner] = first[owner] + _ones(below)
                     found += 1
     return rows[:found].copy()
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _read_window(
+    pieces: VoxelTable, bits: Bits, x0: int, y0: int, z0: int, owners: NDArray[np.int64], window: NDArray[np.int64]
+) -> None:
+    """Note which corners from (x0, y0, z0) on there are, as bits by z, and the rows of the pieces that hold them."""
+    low, shift = z0 >> 6, z0 & 63
+    for a in range(_WINDOW):
+        for b in range(_WINDOW):
+            owners[0, a, b] = row = find_in(pieces.slots, pieces.following, pieces.voxels, x0 + a, y0 + b, low)
+            window[a, b] = np.int64((bits[row] >> np.uint64(shift)) & np.uint64(15)) if row >= 0 else 0
+            if shift > PIECE - _WINDOW:
+                owners[1, a, b] = row = find_in(pieces.slots, pieces.following, pieces.voxels, x0 + a, y0 + b, low + 1)
+                if row >= 0:
+                    window[a, b] |= np.int64((bits[row] << np.uint64(PIECE - shift)) & np.uint64(15))
 
 
 @numba.njit(inline="always")

@@ -51,10 +51,11 @@ def _see(
     points: Array, start: int, count: int, origin: Array, rays: Array, pixels: NDArray[np.int32], ranges: Array
 ) -> None:  # fmt: skip
     """The pixels and ranges of `count` points from row `start` on: without a branch, so that many are done at once."""
+    begin, size = np.uint64(start), np.uint64(count)
     for a in range(3):
-        for k in range(count):
-            rays[a, k] = points[start + k, a] - origin[a]
-    for k in range(count):
+        for k in range(size):
+            rays[a, k] = points[begin + k, a] - origin[a]
+    for k in range(size):
         x, y, z = rays[0, k], rays[1, k], rays[2, k]
         level = x * x + y * y
         ranges[k] = np.sqrt(level + z * z)
@@ -68,16 +69,18 @@ def _see(
 def _nearest_around(image: Array) -> Array:
     """The smallest range (rows * columns,) of each pixel and its neighbours; 0 where fewer than two have one."""
     nearest = np.empty(_ROWS * _COLUMNS, dtype=np.float32)
+    least, measured = np.empty(_COLUMNS + 2, np.float32), np.empty(_COLUMNS + 2, np.int32)  # of three rows, and around
     for row in range(_ROWS):
-        first, last = max(0, row - 1), min(_ROWS, row + 2)
-        for column in range(_COLUMNS):
-            least, measured = np.float32(np.inf), 0
-            for r in range(first, last):
-                for step in (-1, 0, 1):
-                    c = column + step
-                    c = c + _COLUMNS if c < 0 else (c - _COLUMNS if c >= _COLUMNS else c)
-                    value = image[r, c]
-                    least = min(least, value)
-                    measured += value < np.inf
-            nearest[row * _COLUMNS + column] = least if measured >= 2 else np.float32(0.0)
+        above, here, below = image[max(row - 1, 0)], image[row], image[min(row + 1, _ROWS - 1)]
+        inner, outer = 1 if row > 0 else 0, 1 if row < _ROWS - 1 else 0
+        for c in range(np.uint64(_COLUMNS)):
+            least[c + np.uint64(1)] = min(above[c], here[c], below[c])
+            found = inner * np.int32(above[c] < np.inf) + np.int32(here[c] < np.inf)
+            measured[c + np.uint64(1)] = found + outer * np.int32(below[c] < np.inf)
+        least[0], least[-1], measured[0], measured[-1] = least[-2], least[1], measured[-2], measured[1]
+        line = nearest[row * _COLUMNS : (row + 1) * _COLUMNS]
+        for c in range(np.uint64(_COLUMNS)):
+            count = measured[c] + measured[c + np.uint64(1)] + measured[c + np.uint64(2)]
+            value = min(least[c], least[c + np.uint64(1)], least[c + np.uint64(2)])
+            line[c] = value if count >= 2 else np.float32(0.0)
     return nearest

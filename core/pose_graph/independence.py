@@ -28,6 +28,15 @@ def weighed(graph: PoseGraph, window_m: float) -> PoseGraph:
     return replace(graph, loops=tuple(loops))
 
 
+def share_beside(ends_m: Array64, others_m: Array64, window_m: float) -> float:
+    """The `independent_share` of one more loop whose ends (2, 3) are here, beside others (l, 2, 3) of its sessions.
+
+    Positions of match and query in the odometry of their sessions, metres.
+    """
+    near = np.maximum(0.0, 1.0 - np.linalg.norm(others_m - ends_m, axis=2) / window_m)
+    return float(1.0 / (1.0 + near.prod(axis=1).sum()))
+
+
 def _shares(graph: PoseGraph, loops: list[LoopEdge], window_m: float) -> Array64:
     """The share (l,) of each of some loops between the same two sessions."""
     matches = np.stack([_position(graph, loop.match) for loop in loops])

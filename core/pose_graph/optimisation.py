@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 
 import gtsam
@@ -176,16 +176,6 @@ class Problem:
             trajectories, keys, tuple(loops), trusted.among(loops), _step_factors(trajectories, keys, component.anchor),
             factors, noises, loops, _start(trajectories, keys, component),
         )  # fmt: skip
-
-    @classmethod
-    def solved(cls, graph: PoseGraph, sessions: tuple[str, ...], T_map_submap: dict[str, Array64]) -> Problem:
-        """The part of the graph with `sessions`, starting at poses (n, 4, 4) of each that were found before."""
-        component = Component({session: np.eye(4) for session in sorted(sessions)})
-        problem = cls.of(graph, component, Trusted(frozenset(), frozenset(), frozenset()))
-        start = gtsam.Values()
-        for node, key in problem.keys.items():
-            start.insert(key, gtsam.Pose3(T_map_submap[node.session][node.ordinal]))
-        return replace(problem, start=start)
 
     def graph(
         self, loops: Iterable[int], kernel: gtsam.noiseModel.mEstimator.Base | None = None

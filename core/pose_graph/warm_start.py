@@ -1,14 +1,24 @@
-"""One loop more: the poses of a solved graph, moved by Gauss-Newton steps from where they are."""
+"""One loop more: the poses of a solved component, moved by what the loop changes, by one factorisation for many loops.
+
+The normal equations at the poses found before are factorised once. A loop adds six rows J to them, and by the identity
+of Woodbury (H + J^T J)^-1 follows from H^-1 J^T: six solutions instead of a new factorisation. Submaps that came later
+hang on the last one of their session by steps with covariances Q; in the coordinates of what these steps err by, the
+equations have Q^-1 on their diagonal and nothing else. Steps after the first one ask the true errors again (the chord
+method), so that the end is that of Gauss and Newton.
+"""
 
 from __future__ import annotations
 
-import gtsam
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.pose_graph.graph import LoopEdge, PoseGraph
-from revisit.core.pose_graph.least_squares import minimise
-from revisit.core.pose_graph.optimisation import GATE, LoopState, OptimisedGraph, Problem, poses_of
+from revisit.core.geometry import se3, se3_rows
+from revisit.core.pose_graph.graph import LoopEdge, Node, PoseGraph
+from revisit.core.pose_graph.normal_equations import Edges, Factorisation
+from revisit.core.pose_graph.optimisation import GATE, WIDE_GATE, LoopState
 
 Array64 = NDArray[np.float64]
 
@@ -17,50 +27,286 @@ SETTLED_M = 0.1
 
 MAX_STEPS = 5
 
+MOST_HELD = 8
+"""Loops that one factorisation carries: each adds six columns of all poses to what is kept in memory."""
 
-class SolvedComponent:
-    """Sessions that share a frame, as `optimise` left them, ready for further loops between them.
+MOST_LATER = 32
+"""Submaps that one factorisation carries: their poses are composed step by step."""
 
-    `commit` finds loops again that were set aside, and wrong ones that slipped in; this does neither.
+
+@dataclass(frozen=True)
+class _Step:
+    """A step of odometry that came after the factorisation; covariance (6, 6) in the frame of its end."""
+
+    before: Node
+    T_before_end: se3.Matrix4
+    covariance: Array64
+
+
+@dataclass(frozen=True)
+class _Taken:
+    """A loop, whitened, as the factorisation knows it.
+
+    rows: by the number of an unknown what moves the loop by it (6, 6); moves (6 u, 6), what each row of the loop moves.
     """
 
-    def __init__(self, graph: PoseGraph, optimised: OptimisedGraph, sessions: tuple[str, ...]) -> None:
-        """The component of `optimised` that holds `sessions`, with the loops in the map."""
-        self._problem = Problem.solved(graph, sessions, optimised.T_map_submap)
-        kept = [n for n in self._problem.loops if optimised.loops[n] is LoopState.IN_MAP]
-        self._factors, self._values = self._problem.graph(kept), self._problem.start
-        self._ordering = gtsam.Ordering.ColamdNonlinearFactorGraph(self._factors)
+    loop: LoopEdge
+    whitening: Array64
+    rows: dict[int, Array64]
+    moves: Array64
+
+
+@dataclass(frozen=True)
+class _State:
+    """Poses (n, 4, 4) of the submaps in the factorisation, and what each later step errs by (t, 6)."""
+
+    poses: Array64
+    slips: Array64
+
+
+class SolvedComponent:
+    """Sessions that share a frame, as `optimise` left them, ready for further submaps and loops between them.
+
+    `optimise` finds loops again that were set aside, and wrong ones that slipped in; this does neither.
+    """
+
+    def __init__(
+        self,
+        graph: PoseGraph,
+        T_map_submap: Mapping[str, Array64],
+        loops: Iterable[int],
+        anchor: str,
+    ) -> None:
+        """The sessions of `T_map_submap` at these poses (n, 4, 4), and the `loops` of the graph that they rest on.
+
+        The first submap of session `anchor` is held fast. A session may have fewer poses than its trajectory.
+        """
+        nodes = [Node(session, ordinal) for session, poses in T_map_submap.items() for ordinal in range(len(poses))]
+        self._rows = {node: row for row, node in enumerate(nodes)}
+        self._ends = {session: len(poses) - 1 for session, poses in T_map_submap.items()}
+        self._anchor = self._rows[Node(anchor, 0)]
+        self._edges = _edges(graph, self._ends, self._rows, loops)
+        poses = np.concatenate(list(T_map_submap.values()))
+        # Tangents of the map are levers from its origin: the nearer that is, the fewer digits are lost.
+        self._T_map_middle = se3.from_rotation_translation(np.eye(3), poses[:, :3, 3].mean(axis=0))
+        self._state = _State(se3.inverse(self._T_map_middle) @ poses, np.zeros((0, 6)))
+        self._taken: list[_Taken] = []
+        self._cost = 0.0
+        self._start(self._state.poses)
+
+    def append(self, session: str, T_last_next: se3.Matrix4, covariance: Array64) -> Node:
+        """A further submap of a session, a step with a covariance (6, 6) in its frame after the last one."""
+        last = Node(session, self._ends[session])
+        node = Node(session, last.ordinal + 1)
+        self._tail[node] = len(self._steps)
+        self._steps.append(_Step(last, T_last_next, covariance))
+        self._state = _State(self._state.poses, np.concatenate([self._state.slips, np.zeros((1, 6))]))
+        self._ends[session] = node.ordinal
+        return node
 
     def add(self, loop: LoopEdge) -> LoopState:
         """Take the loop into the map, or set it aside where the poses, as sure as they are, contradict it.
 
         By how much the least cost grows is the squared Mahalanobis distance of the loop from the poses, with their
-        covariance: that is held against the gate.
+        covariance: that is held against the gate. A loop whose poses do not settle is set aside as well.
         """
-        factors = gtsam.NonlinearFactorGraph(self._factors)
-        factors.add(self._problem.factor(loop))
-        values = self._settled(factors)
-        if 2.0 * (factors.error(values) - self._factors.error(self._values)) > GATE:
+        if len(self._taken) >= MOST_HELD or len(self._steps) > MOST_LATER:
+            self.refresh()
+        taken = [*self._taken, self._linearised(loop)]
+        inner = _inner(taken)
+        if self._expected_growth(taken, inner) > WIDE_GATE:
             return LoopState.SET_ASIDE
-        self._factors, self._values = factors, values
+        found = self._settled(taken, np.asarray(np.linalg.inv(inner)))
+        if found is None or found[1] - self._cost > GATE:
+            return LoopState.SET_ASIDE
+        self._taken, (self._state, self._cost) = taken, found
         return LoopState.IN_MAP
 
-    def T_map_submap(self) -> dict[str, Array64]:
-        """The poses (n, 4, 4) of each session."""
-        return poses_of(self._problem.trajectories, self._values)
+    def T_map_submap(self, node: Node) -> se3.Matrix4:
+        """The pose (4, 4) of a submap."""
+        return np.asarray(self._T_map_middle @ self._pose(node, self._state))
 
-    def _settled(self, factors: gtsam.NonlinearFactorGraph) -> gtsam.Values:
-        values = self._values
+    def last(self, session: str) -> Node:
+        """The last submap of a session."""
+        return Node(session, self._ends[session])
+
+    @property
+    def carried(self) -> int:
+        """The loops that the factorisation carries beside its own."""
+        return len(self._taken)
+
+    @property
+    def is_half_full(self) -> bool:
+        """Whether the factorisation carries half of what it may: time for a new one, where there is time."""
+        return 2 * len(self._taken) >= MOST_HELD or 2 * len(self._steps) >= MOST_LATER
+
+    def refresh(self) -> None:
+        """Factorise anew, with the submaps and loops that came in, and settle what is left.
+
+        For when there is time; `add` does it where it must.
+        """
+        tail = list(self._tail)
+        later = np.array([self._pose(node, self._state) for node in tail]).reshape(-1, 4, 4)
+        for node in tail:
+            self._rows[node] = len(self._rows)
+        steps = [(step.before, node, step.T_before_end, step.covariance)
+                 for node, step in zip(tail, self._steps, strict=True)]  # fmt: skip
+        loops = [_measured(one.loop) for one in self._taken]
+        self._edges = self._edges.joined(_edges_of([*steps, *loops], self._rows))
+        self._start(np.concatenate([self._state.poses, later]))
+        gradient = self._edges.cost_and_gradient(self._state.poses)[1]
+        self._state, _ = self._moved(self._state, -self._factors.solve(gradient.ravel()))
+        self._cost = self._edges.cost_and_gradient(self._state.poses)[0]
+
+    def _start(self, poses: Array64) -> None:
+        self._state = _State(poses, np.zeros((0, 6)))
+        self._tail: dict[Node, int] = {}
+        self._steps: list[_Step] = []
+        self._taken = []
+        self._factors = Factorisation(self._edges, poses, self._anchor)
+        self._cost = self._edges.cost_and_gradient(poses)[0]
+
+    def _linearised(self, loop: LoopEdge) -> _Taken:
+        information = np.linalg.inv(loop.covariance_in_query / loop.independent_share)
+        whitening = np.linalg.cholesky(information).T
+        rows = self._loop_rows(loop, whitening, self._state)
+        right = np.zeros((6 * self._unknowns, 6))
+        for number, block in rows.items():
+            right[6 * number : 6 * number + 6] = block.T
+        return _Taken(loop, whitening, rows, self._solved(right))
+
+    @property
+    def _unknowns(self) -> int:
+        return len(self._state.poses) + len(self._steps)
+
+    def _solved(self, right: Array64) -> Array64:
+        """What `right` (6 u, k) moves without the taken loops."""
+        known = 6 * len(self._state.poses)
+        of_steps = [step.covariance @ right[known + 6 * n : known + 6 * n + 6] for n, step in enumerate(self._steps)]
+        return np.concatenate([self._factors.solve(right[:known]), *of_steps])
+
+    def _expected_growth(self, taken: list[_Taken], inner: Array64) -> float:
+        """The squared distance of the last loop from poses with their covariance, to first order."""
+        error = self._error(taken[-1], self._state)
+        before = inner[:-6, :-6]
+        own = inner[-6:, -6:] - inner[-6:, :-6] @ np.linalg.solve(before, inner[:-6, -6:])
+        return float(error @ np.linalg.solve(own, error))
+
+    def _settled(self, taken: list[_Taken], inverted: Array64) -> tuple[_State, float] | None:
+        """The poses with all `taken` loops, and their cost; None where they do not come to rest."""
+        state = self._state
+        free = taken[-1].moves @ self._error(taken[-1], state)
         for _ in range(MAX_STEPS):
-            before = values
-            try:
-                values = values.retract(factors.linearize(values).optimize(self._ordering))
-            except RuntimeError:  # too long a chain for Gauss-Newton: damping helps
-                return minimise(factors, values)
-            if np.abs(_positions(values) - _positions(before)).max() < SETTLED_M:
-                break
-        return values
+            step = _held_back(free, taken, inverted)
+            state, moved_m = self._moved(state, -step)
+            cost, gradient = self._cost_and_gradient(taken, state)
+            if moved_m < SETTLED_M:
+                return state, cost
+            free = self._solved(gradient[:, None])[:, 0]
+        return None
+
+    def _moved(self, state: _State, step: Array64) -> tuple[_State, float]:
+        """The state after a step (6 u,), and how far the farthest submap moves, metres."""
+        moves = step.reshape(-1, 6)
+        known = len(state.poses)
+        poses = se3_rows.exp(moves[:known]) @ state.poses
+        moved = np.abs(poses[:, :3, 3] - state.poses[:, :3, 3]).max()
+        return _State(poses, state.slips + moves[known:]), float(moved)
+
+    def _cost_and_gradient(self, taken: list[_Taken], state: _State) -> tuple[float, Array64]:
+        """Squared errors of everything, and half their gradient (6 u,)."""
+        cost, of_poses = self._edges.cost_and_gradient(state.poses)
+        weighed = [np.linalg.solve(step.covariance, slip) for step, slip in zip(self._steps, state.slips, strict=True)]
+        cost += sum(float(slip @ weight) for slip, weight in zip(state.slips, weighed, strict=True))
+        gradient = np.concatenate([of_poses.ravel(), *weighed])
+        for one in taken:
+            error = self._error(one, state)
+            cost += float(error @ error)
+            for number, block in self._loop_rows(one.loop, one.whitening, state).items():
+                gradient[6 * number : 6 * number + 6] += block.T @ error
+        return cost, gradient
+
+    def _error(self, one: _Taken, state: _State) -> Array64:
+        """The whitened error (6,) of a loop."""
+        match, query = self._pose(one.loop.match, state), self._pose(one.loop.query, state)
+        return np.asarray(one.whitening @ se3.log(se3.inverse(match @ one.loop.T_match_query) @ query))
+
+    def _loop_rows(self, loop: LoopEdge, whitening: Array64, state: _State) -> dict[int, Array64]:
+        """What moves a loop (6, 6), by the number of the unknown: of poses first, then of steps."""
+        T_query_map = se3.inverse(self._pose(loop.query, state))
+        rows: dict[int, Array64] = {}
+        for node, sign in ((loop.match, -1.0), (loop.query, 1.0)):
+            for number, T_map_moved in self._movers(node, state):
+                block = sign * whitening @ se3.adjoint(T_query_map @ T_map_moved)
+                rows[number] = rows[number] + block if number in rows else block
+        return rows
+
+    def _pose(self, node: Node, state: _State) -> se3.Matrix4:
+        """Of a submap, in the middle of the map."""
+        behind = np.eye(4)
+        while node in self._tail:
+            number = self._tail[node]
+            step = self._steps[number]
+            behind = step.T_before_end @ se3.exp(state.slips[number]) @ behind
+            node = step.before
+        return np.asarray(state.poses[self._rows[node]] @ behind)
+
+    def _movers(self, node: Node, state: _State) -> list[tuple[int, se3.Matrix4]]:
+        """The unknowns that a pose hangs on, and the pose of the frame that each of them is in."""
+        movers = []
+        while node in self._tail:
+            number = self._tail[node]
+            movers.append((len(state.poses) + number, self._pose(node, state)))
+            node = self._steps[number].before
+        return [*movers, (self._rows[node], np.eye(4))]
 
 
-def _positions(values: gtsam.Values) -> Array64:
-    return np.asarray(gtsam.utilities.extractPose3(values)[:, 9:])
+def _inner(taken: list[_Taken]) -> Array64:
+    """I + J H^-1 J^T (6 l, 6 l) of some loops."""
+    products = np.block([[_product(one, other) for other in taken] for one in taken])
+    return np.asarray(np.eye(6 * len(taken)) + products, dtype=np.float64)
+
+
+def _product(one: _Taken, other: _Taken) -> Array64:
+    """What the moves of a loop do to another one (6, 6); later unknowns than a loop's own it does not move."""
+    parts = [block @ other.moves[6 * n : 6 * n + 6] for n, block in one.rows.items() if 6 * n < len(other.moves)]
+    return np.asarray(sum(parts, np.zeros((6, 6))))
+
+
+def _held_back(free: Array64, taken: list[_Taken], inverted: Array64) -> Array64:
+    """The step (6 u,) with all loops, of one without any (Woodbury)."""
+    pulls = [sum((block @ free[6 * n : 6 * n + 6] for n, block in one.rows.items()), np.zeros(6)) for one in taken]
+    back = (inverted @ np.concatenate(pulls)).reshape(-1, 6)
+    step = free.copy()
+    for one, amount in zip(taken, back, strict=True):
+        step[: len(one.moves)] -= one.moves @ amount
+    return step
+
+
+_Measurement = tuple[Node, Node, se3.Matrix4, Array64]
+"""From a submap to another one: the motion, and its covariance (6, 6) in the frame of the second."""
+
+
+def _edges(graph: PoseGraph, ends: dict[str, int], rows: dict[Node, int], loops: Iterable[int]) -> Edges:
+    """The steps of the sessions up to their last ordinals, and some loops of the graph between them."""
+    measured: list[_Measurement] = []
+    for session, last in ends.items():
+        trajectory = graph.by_session[session]
+        poses = trajectory.T_odom_submap
+        for ordinal in range(last):
+            T_step = se3.inverse(poses[ordinal]) @ poses[ordinal + 1]
+            ends_of_step = Node(session, ordinal), Node(session, ordinal + 1)
+            measured.append((*ends_of_step, T_step, trajectory.step_covariances[ordinal]))
+    measured += [_measured(graph.loops[number]) for number in loops]
+    return _edges_of(measured, rows)
+
+
+def _measured(loop: LoopEdge) -> _Measurement:
+    return loop.match, loop.query, loop.T_match_query, loop.covariance_in_query / loop.independent_share
+
+
+def _edges_of(measured: list[_Measurement], rows: dict[Node, int]) -> Edges:
+    ends = np.array([(rows[first], rows[second]) for first, second, *_ in measured], dtype=np.int64).reshape(-1, 2)
+    motions = np.array([motion for _, _, motion, _ in measured]).reshape(-1, 4, 4)
+    covariances = np.array([covariance for *_, covariance in measured]).reshape(-1, 6, 6)
+    return Edges(ends[:, 0], ends[:, 1], se3_rows.inverse(motions), np.linalg.inv(covariances))

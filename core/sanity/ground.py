@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
-from revisit.core.geometry.voxel_keys import voxel_keys
+from revisit.core.geometry.voxel_keys import first_rows, voxel_keys
 from revisit.core.sanity.finding import Finding
 from revisit.core.sanity.numbers import MIN_SCENE_M
 from revisit.core.scan import Scan
@@ -92,8 +92,7 @@ def thinned_cloud(points: NDArray[np.floating]) -> tuple[Array, float]:
     middle = np.median(ranges)
     scale = float(np.clip(middle / 10.0, 0.02, 1_000.0))
     near = points[ranges < 3.0 * middle].astype(np.float64)
-    _, first = np.unique(voxel_keys(np.floor(near / (0.4 * scale)).astype(np.int64)), return_index=True)
-    thinned = near[first]
+    thinned = near[first_rows(voxel_keys(np.floor(near / (0.4 * scale)).astype(np.int64)))]
     return thinned[:: max(1, len(thinned) // 3_000)], scale
 
 

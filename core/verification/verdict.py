@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -14,6 +14,7 @@ from revisit.core.errors import DescriptorModelMismatch
 from revisit.core.geometry import se3
 from revisit.core.geometry.level_frame import motion_between_levels, motion_between_submaps
 from revisit.core.place import Place
+from revisit.core.scan_disagreement import ScanDisagreement
 from revisit.core.verification.evidence import Evidence, gather_evidence
 from revisit.core.verification.keypoint_fit import KeypointFit
 from revisit.core.verification.oriented_points import OrientedPoints
@@ -133,24 +134,48 @@ def _narrowest_spread(place: Place) -> float:
 
 
 def systematic_covariance(
-    T_match_query: se3.Matrix4, overlap: float, scale: float, config: VerificationConfig
+    T_match_query: se3.Matrix4,
+    overlap: float,
+    scale: float,
+    config: VerificationConfig,
+    disagreement: ScanDisagreement | None = None,
 ) -> NDArray[np.float64]:
     """The covariance (6, 6), in a level frame of a scene scale, of what more points do not make better.
 
     Poses drift within a submap and surfaces are rounded off (docs/decisions/0081). What is seen from one of two views
     alone pulls the pose: its share counts by what there is of it for each part of common surface. And a sensor that
     looks a little beside the direction in which odometry moves it is the farther off the farther the places lie apart
-    (docs/decisions/0160). All of it is the same in metres for any scene scale.
+    (docs/decisions/0160). All of it is the same in metres for any scene scale. Where the `disagreement` of the scans is
+    known, the first two count by it, and the direction is as it says; else all is as large as it was on real drives
+    (docs/decisions/0194). Where little is common, what there is decides, whatever the sensor: that counts in full.
     """
+    share = 1.0 if disagreement is None else _systematic_share(disagreement.surface, config)
     horizontal, vertical = config.systematic_horizontal / scale, config.systematic_vertical / scale
     tilt, yaw = np.radians(config.systematic_tilt), np.radians(config.systematic_yaw)
-    drift = np.diag(np.square([horizontal, horizontal, vertical, tilt, tilt, yaw]))
+    drift = share * np.array([horizontal, horizontal, vertical, tilt, tilt, yaw])
     shift, turn = config.unshared_shift / scale, np.radians(config.unshared_turn)
-    unshared = (1.0 - overlap) / max(overlap, _LEAST_OVERLAP) * np.array([shift, shift, shift, turn, turn, turn])
-    away = T_match_query[:3, 3]
-    aside = np.zeros((6, 6))
-    aside[:3, :3] = np.radians(config.systematic_direction) ** 2 * (away @ away * np.eye(3) - np.outer(away, away))
-    return np.asarray(drift + np.diag(np.square(unshared)) + aside)
+    parts = (1.0 - overlap) / max(overlap, _LEAST_OVERLAP)
+    pulling = share * min(parts, config.unshared_parts) + max(parts - config.unshared_parts, 0.0)
+    unshared = pulling * np.array([shift, shift, shift, turn, turn, turn])
+    away, aside = T_match_query[:3, 3], np.zeros((6, 6))
+    aside[:3, :3] = away @ away * np.eye(3) - np.outer(away, away)
+    direction = np.radians(config.systematic_direction) if disagreement is None else disagreement.askew
+    return np.asarray(np.diag(np.square(drift) + np.square(unshared)) + direction**2 * aside)
+
+
+def _systematic_share(surface: float, config: VerificationConfig) -> float:
+    """Which share of the systematic deviations the disagreement of the scans on their surfaces makes likely."""
+    beyond = np.sqrt(max(surface**2 - config.agreeing_surface**2, 0.0))
+    return float(np.clip(beyond / config.disagreeing_surface, config.least_systematic, 1.0))
+
+
+def common_disagreement(query: Place, match: Place) -> ScanDisagreement | None:
+    """The root mean square of what the scans of two places disagree by; None where that of either is not known."""
+    first, second = query.scan_disagreement, match.scan_disagreement
+    if first is None or second is None:
+        return None
+    surface, askew = np.sqrt(0.5 * np.square(astuple(first)) + 0.5 * np.square(astuple(second)))
+    return ScanDisagreement(float(surface), float(askew))
 
 
 def loop_score(contrast: float, seen_through: float, rmse_m: float) -> float:
@@ -189,8 +214,9 @@ def _unlevelled(
     measurement: LoopMeasurement, query: Place, match: Place, config: VerificationConfig
 ) -> LoopMeasurement:
     """The measurement between the submap frames instead of the levelled, scaled ones."""
-    systematic = systematic_covariance(measurement.T_match_query, measurement.overlap, match.frame.scale, config)
-    covariance = measurement.covariance + systematic
+    covariance = measurement.covariance + systematic_covariance(
+        measurement.T_match_query, measurement.overlap, match.frame.scale, config, common_disagreement(query, match)
+    )
     return dataclasses.replace(
         measurement,
         T_match_query=motion_between_submaps(measurement.T_match_query, query.frame, match.frame),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 from revisit.core.errors import MalformedBody, UnsupportedEncoding
-from revisit.formats.compression import decompress_zstd
+from revisit.formats.cloud import decompress_zstd
 
 MAX_CHUNK_BYTES = 1 << 30
 

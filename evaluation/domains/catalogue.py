@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,18 +13,18 @@ from numpy.typing import NDArray
 from revisit.core.config import SubmapConfig
 from revisit.core.geometry import se3
 from revisit.core.scan import Scan
-from revisit.evaluation.datasets import KittiRecording, Recording
+from revisit.evaluation.datasets import Recording
 from revisit.evaluation.domains.drives import DrivenWorld, Leg, Ride, backwards, winding_way
 from revisit.evaluation.domains.facades import facade_way, facade_world
+from revisit.evaluation.domains.overgrown_towns import as_overgrown
 from revisit.evaluation.domains.resimulation import beside_where_free, driven_way, resimulated_world
 from revisit.evaluation.domains.verge import CANYON, MIXED, ROW_HOUSES, WOODS, Style, grow
 from revisit.evaluation.metrics import LoopProtocol
 from revisit.evaluation.perturbations import Perturbation
 from revisit.evaluation.protocols.towns import MIXED as TOWN_ROUTE
 from revisit.evaluation.protocols.towns import SimulatedDrive
+from revisit.evaluation.real_data import MISSING, has_real_data, real_data, real_recording
 from revisit.evaluation.simulator import HDL32, HDL64, OS1_64, VLP16, LidarModel, Path, kitti_path
-
-DATA_VARIABLE = "REVISIT_DATA"
 
 _WAY_M, _BACK_M = 1_000.0, 600.0
 _SPARSE = SubmapConfig(stride=10.0)
@@ -72,9 +69,7 @@ class Domain:
     @property
     def missing(self) -> str | None:
         """Why it cannot be run here, None where it can."""
-        if self.needs_data and not os.environ.get(DATA_VARIABLE):
-            return f"{DATA_VARIABLE} names no folder of real data"
-        return None
+        return MISSING if self.needs_data and not has_real_data() else None
 
 
 def _narrow(sensor: LidarModel, columns: int) -> LidarModel:
@@ -88,9 +83,15 @@ def there_and_back(name: str, style: Style, sensor: LidarModel, seed: int, setti
     return Pass(DrivenWorld(name, grow(way, style, seed), legs, Ride(sensor, seed=seed)))
 
 
+_TOWN = SimulatedDrive("domain-town", 711, VLP16, TOWN_ROUTE, block_m=60.0)
+
+
 def _town(setting: Setting) -> Pass:
-    drive = SimulatedDrive("domain-town", 711, VLP16, TOWN_ROUTE, block_m=60.0)
-    return Pass(drive.recorded(setting.folder))
+    return Pass(_TOWN.recorded(setting.folder))
+
+
+def _overgrown_town(setting: Setting) -> Pass:
+    return Pass(as_overgrown(_TOWN).recorded(setting.folder))
 
 
 def _round_a_block(_: Setting) -> Pass:
@@ -102,7 +103,7 @@ def _round_a_block(_: Setting) -> Pass:
 
 
 def _kitti_way(_: Setting) -> Pass:
-    way = kitti_path(np.loadtxt(_data() / "trajectories/05.txt"))
+    way = kitti_path(np.loadtxt(real_data() / "trajectories/05.txt"))
     half = way.length / 2
     legs = (Leg(_part(way, 0.0, half), 1.2), Leg(_part(way, half, way.length), -1.5))
     return Pass(DrivenWorld("kitti05-way", grow(way, MIXED, 770), legs, Ride(_narrow(HDL64, 800), seed=770)))
@@ -111,19 +112,19 @@ def _kitti_way(_: Setting) -> Pass:
 def _facades(_: Setting) -> Pass:
     way = facade_way()
     legs = (Leg(way, 1.0), Leg(backwards(way), 1.0))
-    world = facade_world(_data() / "ingolstadt")
+    world = facade_world(real_data() / "ingolstadt")
     return Pass(DrivenWorld("facades", world, legs, Ride(_narrow(HDL32, 900), seed=780)))
 
 
 def _resimulated(setting: Setting) -> Pass:
-    recording = _kitti_head(setting.folder)
+    recording = real_recording("kitti00_head", setting.folder)
     world, way = resimulated_world(recording), driven_way(recording)
     back = beside_where_free(world, backwards(way), -2.2, 1.9)
     return Pass(DrivenWorld("resimulated", world, (Leg(way), Leg(back)), Ride(_narrow(OS1_64, 800), seed=790)))
 
 
 def _halves(setting: Setting) -> Pass:
-    recording = _kitti_head(setting.folder)
+    recording = real_recording("kitti00_head", setting.folder)
     return Pass(SomeScans("odd-scans", recording, 1), SomeScans("even-scans", recording, 0))
 
 
@@ -173,23 +174,12 @@ def _part(way: Path, start_m: float, end_m: float) -> Path:
     return Path.through(way.at(np.arange(start_m, end_m, 1.0)))
 
 
-def _data() -> Folder:
-    return Folder(os.environ[DATA_VARIABLE])
-
-
-def _kitti_head(folder: Folder) -> KittiRecording:
-    """The real drive, unpacked once by the data's own script."""
-    target = folder / "kitti00_head"
-    if not (target / "poses.txt").exists():
-        command = [sys.executable, str(_data() / "unpack.py"), "kitti00_head", str(target)]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-    return KittiRecording(target)
-
-
 _SHORT_GAP = LoopProtocol(min_index_gap=20)
 
 DOMAINS: tuple[Domain, ...] = (
     Domain("town", "simulated town, the generator of the training data; VLP-16, all kinds of passes", _town),
+    Domain("overgrown-town", "the same town and drive with more plants, and errors of poses and beams",
+           _overgrown_town),
     Domain("country-road", "other generator; OS1-64, driven back on the other lane",
            partial(there_and_back, "country-road", MIXED, _narrow(OS1_64, 800), 720)),
     Domain("row-houses", "other generator, houses of one kind; HDL-64, driven back",

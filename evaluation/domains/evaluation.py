@@ -13,7 +13,7 @@ import torch
 from revisit.core.config import PipelineConfig
 from revisit.core.model_bundle import load_packaged_models
 from revisit.core.submap import Submap
-from revisit.evaluation.baselines import PlaceRecogniser, Ring, RingPlusPlus, ScanContext
+from revisit.evaluation.baselines import AugmentedScanContext, PlaceRecogniser, Ring, RingPlusPlus, ScanContext
 from revisit.evaluation.domains.catalogue import Domain, Pass, Setting
 from revisit.evaluation.domains.drives import DrivenWorld
 from revisit.evaluation.domains.report import draw_world, write_domains
@@ -29,7 +29,7 @@ from revisit.evaluation.protocols.comparison import (
 )
 from revisit.evaluation.protocols.experiment import Experiment
 
-PEERS: tuple[PlaceRecogniser, ...] = (Ring(), RingPlusPlus(), ScanContext())
+PEERS: tuple[PlaceRecogniser, ...] = (Ring(), RingPlusPlus(), ScanContext(), AugmentedScanContext())
 PROTOCOL = "domain"
 
 

@@ -13,6 +13,8 @@ from pathlib import Path as Folder
 
 import numpy as np
 
+from revisit.core.geometry import se3
+from revisit.core.scan import Points
 from revisit.evaluation.datasets import KittiRecording, write_kitti
 from revisit.evaluation.simulator import (
     HDL32,
@@ -29,6 +31,7 @@ from revisit.evaluation.simulator import (
     drive,
     simulate,
 )
+from revisit.evaluation.simulator.lidar import SimulatedScan
 
 TEST_SEEDS = range(8_000, 8_100)
 LANE_WAVE_M = 540.0
@@ -100,6 +103,10 @@ class SimulatedDrive:
         world = build_city(self._grid().streets(), self.seed, self.plan, self.path() if wide else None)
         return world if self.later is None else changed(world, self.later)
 
+    def _recorded(self, index: int, scan: SimulatedScan) -> tuple[Points, se3.Matrix4, int]:
+        """Points, pose and time of a scan as they are written: exact."""
+        return scan.points, scan.T_world_sensor, scan.stamp_ns
+
     def _simulate(self, target: Folder, progress: Progress | None) -> None:
         world, start_s = self._world(), 0.0 if self.later is None else 86_400.0
         trajectory = drive(
@@ -112,7 +119,7 @@ class SimulatedDrive:
         write_kitti(
             target,
             (
-                (scan.points, scan.T_world_sensor, scan.stamp_ns)
+                self._recorded(index, scan)
                 for index, scan in scans
                 if report(f"simulate {self.name}", index + 1, len(trajectory)) is None
             ),

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +18,7 @@ from revisit.core.submap import Submap
 from revisit.evaluation.cutting import cut
 from revisit.evaluation.datasets import KittiRecording
 from revisit.evaluation.perturbations import Perturbation
+from revisit.evaluation.real_data import has_real_data, real_recording
 from revisit.evaluation.scene import estimate_scene_scale
 from revisit.evaluation.simulator import (
     HDL64,
@@ -59,9 +57,9 @@ class Scene:
 def scene_groups(folder: Path, count: int = 2) -> dict[str, list[Scene]]:
     """All scenes by group, `count` of most; real ones only where REVISIT_DATA is set, unpacked into `folder`."""
     groups = {"walls with 2 cm noise (analytic)": [walls()], "town (simulated, HDL-64)": list(simulated_town(count))}
-    if "REVISIT_DATA" not in os.environ:
+    if not has_real_data():
         return groups
-    street, yard = _unpacked("kitti00_head", folder), _unpacked("hku1", folder)
+    street, yard = real_recording("kitti00_head", folder), real_recording("hku1", folder)
     thin = Perturbation(keep_beams=16, keep_points=0.06)
     return groups | {
         "street (real, HDL-64)": list(held_out(street, 2 * count, Perturbation(), SubmapConfig())),
@@ -69,13 +67,6 @@ def scene_groups(folder: Path, count: int = 2) -> dict[str, list[Scene]]:
         "street (real, 16 beams, 1,700 points a scan)": list(held_out(street, count, thin, SubmapConfig(tau=20.0))),
         "courtyard (real, Livox Avia)": list(held_out(yard, count, Perturbation(), SubmapConfig(tau=5.0, stride=2.0))),
     }
-
-
-def _unpacked(name: str, folder: Path) -> KittiRecording:
-    script = Path(os.environ["REVISIT_DATA"]) / "unpack.py"
-    if not (folder / name / "times.txt").is_file():
-        subprocess.run([sys.executable, script, name, folder / name], check=True, stdout=subprocess.DEVNULL)
-    return KittiRecording(folder / name)
 
 
 def walls(seed: int = 0) -> Scene:

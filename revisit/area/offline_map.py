@@ -6,7 +6,6 @@ maps. Needs the extra `service`, which holds the method.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -175,11 +174,10 @@ class AreaMap:
 
 def config_of(description: MapDescription) -> PipelineConfig:
     """The parameters of the method with what the map overrides."""
-    config, scale, rules = PipelineConfig(), description.scene_scale, description.loop_policy
-    windows = replace(
-        config.submap, min_range=config.submap.min_range * scale, tau=description.tau_m, stride=description.stride_m
+    rules = ("min_score", "min_overlap", "max_seen_through")
+    return PipelineConfig().of_map(
+        description.scene_scale,
+        submap={"tau": description.tau_m, "stride": description.stride_m},
+        loop={},
+        verification={name: description.loop_policy.get(name) for name in rules},
     )
-    given: dict[str, Any] = {
-        name: rules[name] for name in ("min_score", "min_overlap", "max_seen_through") if rules.get(name) is not None
-    }
-    return replace(config, scene_scale=scale, submap=windows, verification=replace(config.verification, **given))

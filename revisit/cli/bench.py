@@ -116,6 +116,23 @@ def surface(
     say(f"{out / 'kinds.md'}, {out / 'spacings.md'} and {out / 'rate-distortion.png'}")
 
 
+@group.command("bytes")
+@needs("evaluation")
+def stored(
+    out: Annotated[Path, typer.Option(help="Folder for the table and unpacked recordings.")] = Path("out/bytes"),
+) -> None:
+    """What a kilometre takes in the store, by sensor: scans, neural maps, places and descriptors."""
+    from revisit.evaluation.benchmark import storage
+
+    out.mkdir(parents=True, exist_ok=True)
+    rows = []
+    for name, scans, config in storage.drives(out):
+        say(name)
+        rows.append(storage.stored_bytes(name, scans, config))
+    (out / "bytes.md").write_text(storage.storage_table(rows))
+    say(f"{out / 'bytes.md'}")
+
+
 @group.command("graphs")
 @needs("evaluation")
 def graphs(
@@ -140,6 +157,24 @@ def graphs(
             report("methods on graphs", len(outcomes), total)
     benchmark.draw(folder, out, chosen)
     say(f"{len(outcomes)} runs in {out / 'pose-graphs.md'}")
+
+
+@group.command("loops")
+@needs("evaluation")
+def loops(
+    poses: Annotated[int, typer.Option(min=200, help="Submaps of the made-up drive.")] = 10_000,
+    count: Annotated[int, typer.Option(min=1, help="Loops that are taken in one by one.")] = 100,
+    seed: Annotated[int, typer.Option(help="Seed of the drive.")] = 0,
+) -> None:
+    """Take loops into a large solved map one by one: CPU time of a correction."""
+    from revisit.evaluation import one_loop_benchmark as benchmark
+
+    found = benchmark.run(poses, count, seed)
+    say(f"{found.poses} submaps, {found.loops} loops; factorised in {found.first_s:.2f} s")
+    say(
+        f"one loop more: median {found.median_ms:.0f} ms, p95 {found.p95_ms:.0f} ms CPU; {found.taken} of {count} taken"
+    )
+    say(f"{found.distance_m:.3f} m from a whole new optimisation (root mean square)")
 
 
 @group.command("fleet")

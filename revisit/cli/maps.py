@@ -57,7 +57,10 @@ def status(map_id: MapName = "default", http: Http = HTTP, json: Json = False) -
 
 @group.command("optimise")
 def optimise(map_id: MapName = "default", http: Http = HTTP, json: Json = False) -> None:
-    """Optimise the pose graph of a map in a worker and wait for the new version."""
+    """Have a worker optimise the pose graph of a map, which becomes its new version.
+
+    `revisit optimise` does it on this machine and changes nothing.
+    """
     from revisit.sdk.client import Client
 
     with Client(http) as client:

@@ -27,7 +27,11 @@ def optimise(
     http: Http = HTTP,
     json: Json = False,
 ) -> None:
-    """Optimise the pose graph of a map: corrections of its sessions, and which loops they rest on or set aside."""
+    """Optimise a map's pose graph on this machine, to look at or to keep as files; the map itself stays as it is.
+
+    Shows the corrections of its sessions, and which loops they rest on or set aside. `revisit map optimise` changes the
+    map.
+    """
     from revisit.cli.pose_graph_files import pose_graph, read_graph
     from revisit.core.pose_graph import optimise as optimised_graph
 

@@ -8,7 +8,7 @@
     application/vnd.revisit.pointcloud2                                    pointcloud2: packed PointCloud2
     application/vnd.revisit.quantised                                      quantised: 1 mm, differences, zstd
 
-Parameters of a media type are ignored. `Content-Encoding` gzip or zstd may be put around any of them (`compression`).
+Parameters of a media type are ignored. `Content-Encoding` gzip or zstd may be put around any of them (`cloud`).
 npz is not accepted: it is a zip of arrays, and npy says the same in fewer bytes.
 
 One rule refuses most bad files: the declared size must equal the bytes present, checked in Python integers before
@@ -28,8 +28,7 @@ from collections.abc import Callable
 
 from revisit.core.errors import MalformedBody, TooLarge, UnsupportedEncoding
 from revisit.formats import kitti, npy, pcd, ply, pointcloud2, quantised
-from revisit.formats.cloud import DEFAULT_LIMITS, CloudLimits, DecodedCloud
-from revisit.formats.compression import decode_content
+from revisit.formats.cloud import DEFAULT_LIMITS, CloudLimits, DecodedCloud, decode_content
 from revisit.formats.pointcloud2 import Encoding, FieldType, PackedCloud, PointField, decode_packed, pack
 
 __all__ = [

@@ -23,8 +23,7 @@ import zstandard
 from numpy.typing import NDArray
 
 from revisit.core.errors import BadField, MalformedBody, OutOfRange
-from revisit.formats.cloud import CloudLimits, DecodedCloud, checked_for_writing, require_point_count
-from revisit.formats.compression import decompress_zstd
+from revisit.formats.cloud import CloudLimits, DecodedCloud, checked_for_writing, decompress_zstd, require_point_count
 
 MAGIC = b"RVQ1"
 STEP_M = 0.001

@@ -677,7 +677,8 @@ class Correction:
     """Where the odometry frame of a session lies in the map: T_map_odom @ T_odom_sensor is a sensor's pose in the map.
 
     Poses of the same `frame` are in one map. `covariance` (6, 6) of (x, y, z, rx, ry, rz) in the frame of the last
-    submap that the version `map_version` has.
+    submap that the version `map_version` has. `early_loops` is not 0 where loops that came after that version have
+    moved the session already: then it is provisional, until the next version.
     """
 
     session: str
@@ -686,6 +687,7 @@ class Correction:
     map_version: int
     covariance: Matrix4 = field(compare=False)
     created_at_ns: int
+    early_loops: int = 0
 
     @classmethod
     def of(cls, message: mapping_pb2.Correction) -> Self:
@@ -697,6 +699,7 @@ class Correction:
             map_version=message.map_version,
             covariance=_covariance(message),
             created_at_ns=message.created_at_ns,
+            early_loops=message.early_loops,
         )
 
 

@@ -67,20 +67,22 @@ class SubmapPose(_message.Message):
     def __init__(self, submap: _Optional[str] = ..., t_map_submap: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., frame: _Optional[str] = ..., covariance: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Correction(_message.Message):
-    __slots__ = ("session", "t_map_odom", "frame", "map_version", "covariance", "created_at_ns")
+    __slots__ = ("session", "t_map_odom", "frame", "map_version", "covariance", "created_at_ns", "early_loops")
     SESSION_FIELD_NUMBER: _ClassVar[int]
     T_MAP_ODOM_FIELD_NUMBER: _ClassVar[int]
     FRAME_FIELD_NUMBER: _ClassVar[int]
     MAP_VERSION_FIELD_NUMBER: _ClassVar[int]
     COVARIANCE_FIELD_NUMBER: _ClassVar[int]
     CREATED_AT_NS_FIELD_NUMBER: _ClassVar[int]
+    EARLY_LOOPS_FIELD_NUMBER: _ClassVar[int]
     session: str
     t_map_odom: _geometry_pb2.Transform
     frame: str
     map_version: int
     covariance: _containers.RepeatedScalarFieldContainer[float]
     created_at_ns: int
-    def __init__(self, session: _Optional[str] = ..., t_map_odom: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., frame: _Optional[str] = ..., map_version: _Optional[int] = ..., covariance: _Optional[_Iterable[float]] = ..., created_at_ns: _Optional[int] = ...) -> None: ...
+    early_loops: int
+    def __init__(self, session: _Optional[str] = ..., t_map_odom: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., frame: _Optional[str] = ..., map_version: _Optional[int] = ..., covariance: _Optional[_Iterable[float]] = ..., created_at_ns: _Optional[int] = ..., early_loops: _Optional[int] = ...) -> None: ...
 
 class OptimiseMapRequest(_message.Message):
     __slots__ = ("name",)

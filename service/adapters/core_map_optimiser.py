@@ -17,6 +17,8 @@ from revisit.service.application.contract.map_optimiser import (
     OptimisedMap,
     OptimisedTrack,
     SessionTrack,
+    SolvedMap,
+    SolvedTrack,
     Told,
     TrackLoop,
 )
@@ -37,6 +39,13 @@ class CoreMapOptimiser:
 
         named = NamedGraph.of(graph)
         return named.answer(optimise(named.posed, told=partial(told, "OPTIMISE")))
+
+    def solved(self, graph: MapGraph, tracks: Sequence[SolvedTrack]) -> SolvedMap:
+        """See `MapOptimiser`."""
+        from revisit.service.adapters.core_solved_map import CoreSolvedMap
+
+        named = NamedGraph.of(graph)
+        return CoreSolvedMap(graph, named.posed, named.names, tracks)
 
 
 @dataclass(frozen=True)

@@ -44,8 +44,10 @@ from revisit.service.application.mapping.map_files import MapFiles
 from revisit.service.application.mapping.merges import MapMerges
 from revisit.service.application.mapping.tiles import MapTiles
 from revisit.service.application.mapping.versions import MapVersions
-from revisit.service.application.push.events import Events, Glance
+from revisit.service.application.push.events import Events
 from revisit.service.application.push.webhooks import Webhooks
+from revisit.service.application.query.freshness import ReadYourWrites
+from revisit.service.application.query.glance import Glance
 from revisit.service.application.query.loop_keypoints import LoopKeypointReading
 from revisit.service.application.query.loops import Loops
 from revisit.service.application.query.operations import Operations
@@ -89,6 +91,7 @@ class UseCases:
         backlog, lists = of.backlog, Lists(storage, of.in_flight, PageTokens(of.secret))
         admission = Admission(of.stopping, of.disk, of.in_flight, backlog, of.quota)
         jobs, collector = JobPosting(backlog, clock, policy), BlobCollector(storage)
+        glance, writes = Glance(storage, admission), ReadYourWrites(storage, admission)
         operations, audit = Operations(storage, lists, admission, clock), AuditLog(storage, clock)
         return cls(
             maps=Maps(storage, lists, admission, collector, of.index, streams, clock, policy),
@@ -97,22 +100,22 @@ class UseCases:
             scans=Scans(storage, admission, decoder, jobs, of.in_flight, streams, clock, policy),
             posting=SubmapPosting(storage, admission, decoder, jobs, clock),
             submaps=Submaps(storage, lists, admission, collector, clock, policy),
-            searches=Searches(storage, admission, decoder, jobs, of.memory, operations),
-            loops=Loops(storage, lists, admission),
+            searches=Searches(storage, admission, decoder, jobs, of.memory, operations, writes),
+            loops=Loops(storage, lists, admission, glance, writes),
             loop_keypoints=LoopKeypointReading(storage, admission, policy),
             operations=operations,
-            events=Events(storage, admission, Glance(storage)),
+            events=Events(storage, admission, glance),
             webhooks=Webhooks(storage, lists, admission, clock, policy.webhook_private_networks),
             map_versions=MapVersions(storage, lists, admission, clock, policy),
             map_merges=MapMerges(storage, lists, admission, jobs, collector, clock),
             map_tiles=MapTiles(storage, lists, admission, jobs, operations, policy),
             map_files=MapFiles(storage, lists, admission, jobs, collector, clock),
-            corrections=Corrections(storage, admission),
+            corrections=Corrections(storage, admission, glance),
             loop_decisions=LoopDecisions(storage, admission, lists, jobs, clock, policy),
             dead_letters=DeadLetters(storage, admission, backlog, policy),
             system=System(storage, admission, of.disk, of.index_health, clock, version),
             admission=admission,
-            access=Access(storage, audit, clock, rules),
+            access=Access(storage, audit, clock, rules, of.pace),
             keys=ApiKeys(storage, clock),
             audit=audit,
             budget=of.budget,

@@ -9,6 +9,7 @@ from functools import cached_property
 
 from revisit.service.application.capacity.backlog import Backlog
 from revisit.service.application.capacity.byte_budget import ByteBudget
+from revisit.service.application.capacity.call_pace import CallPace
 from revisit.service.application.capacity.in_flight import DECODERS, InFlight
 from revisit.service.application.capacity.storage_quota import StorageQuota
 from revisit.service.application.contract.blobs import BlobStore
@@ -25,6 +26,7 @@ from revisit.service.application.contract.transactions import Transactions
 from revisit.service.application.housekeeping.index_keeping import IndexHealth, IndexKeeper
 from revisit.service.application.ingest.clouds import CloudDecoder
 from revisit.service.application.ingest.open_streams import OpenStreams
+from revisit.service.application.mapping.early_corrections import EarlyCorrections
 from revisit.service.application.mapping.map_filing import MapFiling
 from revisit.service.application.mapping.merging import MapMerging, MergeTools
 from revisit.service.application.mapping.optimisation import MapOptimisation
@@ -44,6 +46,7 @@ class Installation:
     policy: Policy
     stopping: threading.Event = field(default_factory=threading.Event)
     in_flight: InFlight = field(default_factory=InFlight)
+    pace: CallPace = field(default_factory=CallPace)
     disk: DiskSpace = field(default_factory=UnlimitedDisk)
     index_health: IndexHealth = field(default_factory=IndexHealth)
     open_streams: OpenStreams = field(default_factory=OpenStreams)
@@ -77,11 +80,12 @@ class Installation:
         self, recogniser: PlaceRecogniser, optimiser: MapOptimiser, merger: MapMerger, tiler: TileMaker
     ) -> Recognition:
         """What a worker does with a job; `recogniser`, `optimiser`, `merger` and `tiler` are the method."""
+        early = EarlyCorrections(self.transactions, self.clock, self.policy, optimiser)
         mapping = MapOptimisation(self.transactions, self.clock, self.policy, optimiser)
         merging = MapMerging(self.transactions, self.blobs, self.clock, self.policy, MergeTools(recogniser, merger))
         tiles = TileMaking(self.transactions, self.blobs, self.clock, self.policy, tiler)
         filing = MapFiling(self.transactions, self.blobs, self.clock, self.policy)
-        work = MapWork(mapping, merging, tiles, filing)
+        work = MapWork(mapping, merging, tiles, filing, early)
         return Recognition(self.transactions, self.blobs, self.memory, self.clock, self.policy, recogniser, work)
 
     def index_keeper(self) -> IndexKeeper:

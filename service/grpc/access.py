@@ -117,17 +117,19 @@ class Gate:
     async def admit(self, method: str, context: Any) -> None:
         """Admit the caller of `/revisit.v1.Service/Method`.
 
-        Raises Unauthenticated, PermissionDenied, TooManyFailures.
+        Raises Unauthenticated, PermissionDenied, TooManyFailures, RateLimited.
         """
         shown, peer = credential_of(context), str(context.peer())
-        await self.verify(method, shown)
+        enter(await self._access.admit_call(shown, _scopes_of(method), method))
         self._strangers.admit(peer)
 
     async def verify(self, method: str, shown: Credential) -> None:
-        """As `admit`, for what its caller has shown."""
-        service, name = method.rsplit("/", 1)
-        scopes = SCOPES[service.rpartition(".")[2]][name]
-        enter(await self._access.admit(shown, scopes, method))
+        """As `admit`, again, for what the caller of an open stream has shown."""
+        enter(await self._access.admit(shown, _scopes_of(method), method))
+
+    async def delay_refusal(self, peer: str) -> None:
+        """Wait before a stranger is refused, where strangers at this address are refused too often."""
+        await self._access.delay_refusal(_address_of(peer))
 
     @asynccontextmanager
     async def watching(self, method: str, context: Any) -> AsyncIterator[None]:
@@ -176,8 +178,18 @@ def credential_of(context: Any) -> Credential:
     return Credential(
         bearer=token.strip() if scheme.lower() == "bearer" else None,
         certificate_names=tuple(name.decode("utf-8", "replace") for name in names),
-        address=str(context.peer()).rpartition(":")[0],
+        address=_address_of(str(context.peer())),
     )
+
+
+def _address_of(peer: str) -> str:
+    return peer.rpartition(":")[0]
+
+
+def _scopes_of(method: str) -> frozenset[Scope]:
+    """Of these scopes, a caller of `/revisit.v1.Service/Method` needs one."""
+    service, name = method.rsplit("/", 1)
+    return SCOPES[service.rpartition(".")[2]][name]
 
 
 def require_declared_scopes(services: Iterable[ServiceDescriptor]) -> None:

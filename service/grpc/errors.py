@@ -79,7 +79,7 @@ class ErrorInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  #
         if handler is None:
             return None
         if not method.startswith(OWN_METHODS):
-            return _public(handler, self._places)
+            return _public(handler, self._gate, self._places)
         return _guarded(handler, method, self._gate, self._places, self._budget)
 
 
@@ -168,28 +168,32 @@ async def _streamed(
         yield response
 
 
-def _public(handler: Any, places: CallPlaces) -> Any:
+def _public(handler: Any, gate: Gate, places: CallPlaces) -> Any:
     """A call that needs no credential: health and reflection, whose handlers parse their own messages."""
     parts = (handler.request_deserializer, handler.response_serializer)
     if handler.response_streaming:
 
         async def stream(requests: AsyncIterator[Any], context: Any) -> AsyncIterator[Any]:
+            peer = str(context.peer())
             try:
-                with places.of_public(str(context.peer()), lasting=True):
+                with places.of_public(peer, lasting=True):
                     given = requests if handler.request_streaming else await _only(requests, PUBLIC_MESSAGE_S)
                     answer = handler.stream_stream if handler.request_streaming else handler.unary_stream
                     async for response in answer(given, context):
                         yield response
             except RevisitError as error:
+                await gate.delay_refusal(peer)
                 await _abort(context, error)
 
         return grpc.stream_stream_rpc_method_handler(stream, *parts)
 
     async def unary(requests: AsyncIterator[Any], context: Any) -> Any:
+        peer = str(context.peer())
         try:
-            with places.of_public(str(context.peer()), lasting=False):
+            with places.of_public(peer, lasting=False):
                 return await handler.unary_unary(await _only(requests, PUBLIC_MESSAGE_S), context)
         except RevisitError as error:
+            await gate.delay_refusal(peer)
             await _abort(context, error)
 
     return grpc.stream_unary_rpc_method_handler(unary, *parts)

@@ -28,12 +28,12 @@ FRAMEWORK_PATHS = frozenset({"/openapi.json"})
 async def admitted(request: Request, needed: SecurityScopes) -> None:
     """Admit the caller where its credential has one of the scopes `needed`, before anything of the request is read.
 
-    Raises Unauthenticated, PermissionDenied, TooManyFailures.
+    Raises Unauthenticated, PermissionDenied, TooManyFailures, RateLimited.
     """
     scopes = frozenset(Scope(scope) for scope in needed.scopes)
     path = f"{request.method} {request.url.path}"
     access = request.app.state.use_cases.access
-    enter(await access.admit(credential_of(request), scopes, call_of(request.scope), path))
+    enter(await access.admit_call(credential_of(request), scopes, call_of(request.scope), path))
 
 
 async def until_refused(request: Request, scopes: frozenset[Scope]) -> RevisitError:

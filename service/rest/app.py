@@ -7,8 +7,8 @@ from typing import Any
 from fastapi import FastAPI
 
 from revisit.service.application import UseCases
+from revisit.service.application.capacity.in_flight import Turns
 from revisit.service.application.capacity.places import Places
-from revisit.service.application.capacity.turns import Turns
 from revisit.service.application.contract.tracing import NoTracer, Tracer
 from revisit.service.metrics import RequestMetrics
 from revisit.service.rest.access import describe_access, require_declared_scopes

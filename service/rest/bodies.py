@@ -16,7 +16,7 @@ from revisit.core.errors import BadField, MalformedBody, TooLarge, UnsupportedEn
 from revisit.formats import MEDIA_TYPES
 from revisit.service.application.access.callers import current_tenant
 from revisit.service.application.capacity.admission import Admission
-from revisit.service.application.capacity.turns import Turns
+from revisit.service.application.capacity.in_flight import Turns
 from revisit.service.application.ingest.clouds import EncodedCloud
 from revisit.service.rest.errors import bad_field
 from revisit.service.rest.limits import HttpLimits

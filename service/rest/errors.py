@@ -102,6 +102,7 @@ async def _on_invalid_parameters(request: Request, error: Any) -> Response:
 
 
 async def _on_http_exception(request: Request, error: Any) -> Response:
+    await request.app.state.use_cases.access.delay_refusal(request.client.host if request.client is not None else "")
     known: dict[int, RevisitError] = {404: UnknownPath(), 405: MethodNotAllowed()}
     headers = dict(error.headers or {})
     return problem(known.get(error.status_code, BadField(str(error.detail))), request.state.request_id, headers)

@@ -21,6 +21,7 @@ from revisit.service.application.catalogue.paging import Page
 from revisit.service.application.catalogue.robots import RobotView
 from revisit.service.application.catalogue.sessions import SessionView
 from revisit.service.application.contract.map_frames import MapPose, matrix_of
+from revisit.service.application.contract.records import MapMergeRecord
 from revisit.service.application.contract.views import OperationFailure, OperationView, SubmapView
 from revisit.service.application.contract.webhooks import DeliveryRecord
 from revisit.service.application.housekeeping.system import ServiceStatus
@@ -28,7 +29,6 @@ from revisit.service.application.ingest.scans import ScanAck
 from revisit.service.application.ingest.submap_posting import PostedSubmap
 from revisit.service.application.mapping.corrections import CorrectionView
 from revisit.service.application.mapping.loop_decisions import LoopEventView, ProposedLoop
-from revisit.service.application.mapping.merges import MapMergeView
 from revisit.service.application.mapping.versions import MapVersionView, SubmapPoseView
 from revisit.service.application.push.events import EventView
 from revisit.service.application.push.webhooks import CreatedWebhook, WebhookView
@@ -236,18 +236,18 @@ def of_submap_pose(view: SubmapPoseView) -> Fields:
     }
 
 
-def of_map_merge(view: MapMergeView) -> Fields:
+def of_map_merge(record: MapMergeRecord) -> Fields:
     """The fields of a MapMerge."""
     return {
-        "name": f"maps/{view.map_id}/merges/{view.merge_id}",
-        "source": view.source,
-        "version_before": view.version_before,
-        "version": view.version,
-        "sessions": [key.name for key in view.sessions],
-        "report": {name: value for name, value in view.report.items() if name != "changes"},
-        "changes": [_change(one) for one in view.report["changes"]],
-        "created_at_ns": view.created_at_ns,
-        "reverted_at_ns": view.reverted_at_ns,
+        "name": f"maps/{record.map_id}/merges/{record.merge_id}",
+        "source": record.source,
+        "version_before": record.version_before,
+        "version": record.version,
+        "sessions": [f"maps/{record.map_id}/sessions/{name}" for name in record.sessions],
+        "report": {name: value for name, value in record.report.items() if name != "changes"},
+        "changes": [_change(one) for one in record.report["changes"]],
+        "created_at_ns": record.created_at_ns,
+        "reverted_at_ns": record.reverted_at_ns,
     }
 
 
@@ -265,6 +265,7 @@ def of_correction(view: CorrectionView) -> Fields:
         "map_version": view.map_version,
         "covariance": _covariance(view.covariance),
         "created_at_ns": view.created_at_ns,
+        "early_loops": view.early_loops,
     }
 
 

@@ -67,7 +67,7 @@ def test_a_failed_write_leaves_nothing_behind(tmp_path, monkeypatch):
     def full(descriptor):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("revisit.service.adapters.files.durable_files.os.fsync", full)
+    monkeypatch.setattr("revisit.service.adapters.files.disk.os.fsync", full)
     with pytest.raises(Exception) as refused:
         blobs.put(TENANT, "cloud", b"points")
     assert refused.value.code == "STORAGE_FULL"

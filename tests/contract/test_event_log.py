@@ -35,6 +35,18 @@ def test_events_follow_each_other_by_number_within_their_tenant_and_map(write, r
     assert read(lambda uow: uow.events.last_number()) == told(read)[-1].number
 
 
+def test_the_newest_event_of_each_map_says_where_something_happened(write, read):
+    for map_id, subject, tenant in (("town", "a", TENANT), ("yard", "b", TENANT), ("town", "c", OTHER)):
+        write(lambda uow, row=(map_id, subject, tenant): note(uow, *row))
+    seen = read(lambda uow: uow.events.last_number())
+    write(lambda uow: note(uow, "town", "d"))
+    write(lambda uow: note(uow, "town", "e", OTHER))
+    write(lambda uow: note(uow, "town", "f"))
+    assert [event.subject for event in read(lambda uow: uow.events.newest_of_maps(0))] == ["b", "e", "f"]
+    assert [event.subject for event in read(lambda uow: uow.events.newest_of_maps(seen))] == ["e", "f"]
+    assert read(lambda uow: uow.events.newest_of_maps(seen + 3)) == []
+
+
 def test_what_is_forgotten_leaves_a_sign_and_the_newest(write, read):
     for subject in "abcdef":
         write(lambda uow, subject=subject: note(uow, subject=subject))

@@ -9,6 +9,7 @@ import pytest
 from revisit.service.adapters.leased_jobs import MOST_FORGIVEN
 from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.errors import StaleLease
+from revisit.service.application.contract.identity import TenantId
 from tests.support.records import TENANT, a_job
 
 LEASE_MS = 10_000
@@ -354,3 +355,15 @@ def test_a_run_tells_how_far_it_is_and_learns_that_it_is_to_end(queue, write, re
     with pytest.raises(StaleLease):
         write(lambda uow: uow.queue.report(lease, told))
     assert write(lambda uow: uow.queue.report(later, told)) is False
+
+
+def test_of_the_operations_that_somebody_waits_for_those_are_told_that_wait_or_run(write, read):
+    def fill(uow):
+        for number in range(4):
+            uow.jobs.add(a_job(f"op-{number}", state=("QUEUED", "RUNNING", "DONE", "FAILED")[number]))
+        uow.jobs.add(a_job("foreign", tenant=TenantId("other")))
+
+    write(fill)
+    asked = {"op-0", "op-1", "op-2", "op-3", "foreign", "none"}
+    assert read(lambda uow: uow.jobs.unfinished(TENANT, asked)) == {"op-0", "op-1"}
+    assert read(lambda uow: uow.jobs.unfinished(TENANT, {"op-1"})) == {"op-1"}

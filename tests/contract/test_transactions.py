@@ -145,16 +145,16 @@ def test_scans_are_found_by_distance_and_by_number(write, read):
     assert [scan.seq for scan in found] == [2, 4]
 
 
-def test_what_waits_in_a_map_is_counted_up_to_a_number_of_this_tenant(write, read):
+def test_the_first_that_waits_in_a_map_is_one_of_this_tenant(write, read):
     _, _, first, second, _ = write(fill)
+
+    def first_waiting(tenant, map_id):
+        return read(lambda uow: uow.submaps.first_waiting(tenant, map_id))
+
+    assert first_waiting(TENANT, "town") == first.number
     write(lambda uow: uow.submaps.replace(replace(first, state="DESCRIBED")))
-
-    def waiting(tenant, map_id, number):
-        return read(lambda uow: uow.submaps.waiting_up_to(tenant, map_id, number))
-
-    assert waiting(TENANT, "town", second.number) == 1
-    assert waiting(TENANT, "town", first.number) == 0
-    assert waiting(TENANT, "elsewhere", second.number) == waiting(OTHER, "town", second.number) == 0
+    assert first_waiting(TENANT, "town") == second.number
+    assert first_waiting(TENANT, "elsewhere") is first_waiting(OTHER, "town") is None
 
 
 def test_flags_and_failures_of_a_session_are_counted_of_this_tenant(write, read):

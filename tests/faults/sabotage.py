@@ -8,6 +8,7 @@ name that is no longer there is itself a failure.
 
 from __future__ import annotations
 
+import asyncio
 import importlib
 import os
 import stat
@@ -34,6 +35,7 @@ QUEUE = "tests/contract/test_job_queue.py::"
 PLACES = "tests/contract/api/test_api_places.py::"
 LIMITS = "tests/contract/api/test_api_limits.py::"
 QUOTA = "tests/integration/test_cheap_requests_cost_quota.py::"
+PACE = "tests/contract/api/test_api_pace.py::"
 DELETION = "tests/contract/api/test_api_session_deletion.py::"
 
 SERVICE = "revisit.service."
@@ -60,11 +62,6 @@ def _tell_at_once(attempt):
 
 def _tell_once(tell):
     return lambda outcome: None if outcome.write.future.done() else tell(outcome)
-
-
-def _checking_another(validated, **changes):
-    """What is checked is not what is used."""
-    return lambda wanted: validated(replace(wanted, **changes)) and wanted
 
 
 def _skip_files(fsync):
@@ -156,9 +153,18 @@ def _for_every_tenant(keyed_hash):
     return lambda tokens, purpose, _tenant, data: keyed_hash(tokens, purpose, "everybody", data)
 
 
-def _unbounded(init):
-    """A tenant may have as many turns at a time as there are."""
-    return lambda turns, _places, of_tenant=None: init(turns, 99)
+def _alone(has_come):
+    """Nobody else waits beside the same key."""
+    return lambda looks, key, item, within_s: has_come(looks, (key, item), item, within_s)
+
+
+def _comes_at_once(_waited):
+    """What is waited for comes at once."""
+
+    async def come(*_arguments):
+        await asyncio.sleep(0)
+
+    return come
 
 
 async def _at_once(work, *arguments):
@@ -232,7 +238,7 @@ SABOTAGES = (
     Sabotage("a blob is not synced", {"os:fsync": _skip_files}, POWER_CUT),
     Sabotage(
         "the directory of a blob is not synced",
-        {f"{ADAPTERS}files.durable_files:durable_write": _skip_directory},
+        {f"{ADAPTERS}files.disk:durable_write": _skip_directory},
         POWER_CUT,
     ),
     Sabotage(
@@ -377,7 +383,7 @@ SABOTAGES = (
     ),
     Sabotage(
         "who asks first is served first, whoever it is",
-        {f"{USE_CASES}capacity.turns:Turns.__init__": _one_line},
+        {f"{USE_CASES}capacity.in_flight:Turns.__init__": _one_line},
         "tests/unit/service/test_turns.py::test_tenants_take_turns_and_each_keeps_its_own_order",
     ),
     Sabotage(
@@ -399,6 +405,33 @@ SABOTAGES = (
         "JSON of any length is read",
         {f"{SERVICE}rest.schemas:Request.most_bytes": lambda _most: 2**24},
         "tests/contract/api/test_api_http.py::test_strange_json_is_refused_and_nothing_is_stored",
+    ),
+    Sabotage(
+        "a key may begin any number of calls at once",
+        {f"{USE_CASES}capacity.call_pace:CallPace._wait": _comes_at_once},
+        "tests/unit/service/test_call_pace.py::test_a_burst_waits_for_nothing_and_what_follows_comes_at_the_rate",
+        quick=True,
+    ),
+    Sabotage(
+        "calls do not wait for their turn",
+        {f"{USE_CASES}capacity.call_pace:CallPace.turn": _comes_at_once},
+        f"{PACE}test_a_key_that_begins_too_many_calls_waits_and_another_does_not[rest]",
+    ),
+    Sabotage(
+        "strangers are refused as fast as they ask",
+        {f"{USE_CASES}capacity.call_pace:CallPace.refusal": _comes_at_once},
+        f"{PACE}test_a_stranger_that_is_refused_too_often_waits[rest]",
+    ),
+    Sabotage(
+        "everyone who watches looks at the log",
+        {f"{USE_CASES}query.glance:Glance._look": lambda _look: lambda glance: glance._read_tail()},
+        "tests/unit/service/test_glance.py::test_many_who_watch_cause_one_look_at_a_time",
+        quick=True,
+    ),
+    Sabotage(
+        "everyone who waits looks for the own operation",
+        {f"{USE_CASES}query.shared_looks:SharedLooks.has_come": _alone},
+        "tests/unit/service/test_shared_looks.py::test_all_that_wait_beside_one_key_are_told_by_one_read",
     ),
     Sabotage(
         "a page token is good for every tenant",
@@ -449,7 +482,7 @@ SABOTAGES = (
     Sabotage(
         "a tenant has as many lists read at once as it likes",
         {
-            f"{USE_CASES}capacity.turns:Turns.__init__": lambda init: (
+            f"{USE_CASES}capacity.in_flight:Turns.__init__": lambda init: (
                 lambda turns, _places, of_tenant=None: init(turns, 99)
             )
         },

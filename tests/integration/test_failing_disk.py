@@ -117,7 +117,7 @@ def test_after_a_failed_sync_nothing_is_written_even_if_the_disk_seems_well_agai
         raise OSError(5, "Input/output error")
 
     with monkeypatch.context() as failing:
-        failing.setattr("revisit.service.adapters.files.durable_files.os.fsync", broken)
+        failing.setattr("revisit.service.adapters.files.disk.os.fsync", broken)
         with pytest.raises(StorageUncertain):
             blobs.put(TenantId("default"), "cloud", b"points")
     with pytest.raises(StorageUncertain, match="restarting"):

@@ -11,8 +11,7 @@ import pytest
 from sqlalchemy.exc import OperationalError
 
 from revisit.service.adapters.sqlite import transactions
-from revisit.service.adapters.sqlite.connections import WriterLock
-from revisit.service.adapters.sqlite.transactions import SqliteTransactions
+from revisit.service.adapters.sqlite.transactions import SqliteTransactions, WriterLock
 from revisit.service.application.contract.errors import AlreadyExists, StorageFull
 from tests.support.made_database import made_database
 from tests.support.patience import PATIENCE_S

@@ -10,9 +10,9 @@ import pytest
 from revisit.service.adapters.files.disk import FailStop
 from revisit.service.adapters.sqlite import checkpoints
 from revisit.service.adapters.sqlite.checkpoints import LARGE_BYTES, OLD_S, SMALL_BYTES, Checkpoints
-from revisit.service.adapters.sqlite.connections import StorageFailures, write_ahead_log
+from revisit.service.adapters.sqlite.connections import write_ahead_log
 from revisit.service.adapters.sqlite.examination import examine
-from revisit.service.adapters.sqlite.transactions import SqliteTransactions
+from revisit.service.adapters.sqlite.transactions import SqliteTransactions, StorageFailures
 from revisit.service.application.contract.errors import StorageUncertain
 from revisit.service.application.contract.records import WorkerRecord
 from revisit.service.application.housekeeping.system import WAL_ALARM_BYTES

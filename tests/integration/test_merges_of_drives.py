@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from revisit.evaluation.datasets import KittiRecording
+from revisit.evaluation.real_data import real_data, real_recording
 from revisit.service.adapters.core_recogniser import load_recogniser
 from tests.support.block_worlds import along, corridors, seen, yard
 from tests.support.driven_maps import driven, merged, offset, random_start, real_world
+from tests.support.real_data import needs_real_data
 
 pytestmark = pytest.mark.slow
-needs_data = pytest.mark.skipif("REVISIT_DATA" not in os.environ, reason="REVISIT_DATA names no real recordings")
 
 KITTI_SCANS = 100
 """Of the head of KITTI 00: 180 m."""
@@ -27,21 +23,15 @@ def recogniser():
     return load_recogniser()
 
 
-def recording(name: str, folder: Path) -> KittiRecording:
-    script = Path(os.environ["REVISIT_DATA"]) / "unpack.py"
-    subprocess.run([sys.executable, script, name, folder / name], check=True, stdout=subprocess.DEVNULL)
-    return KittiRecording(folder / name)
-
-
 def scans(of: KittiRecording, chosen: range):
     return ((of.scan(index).points, of.pose(index)) for index in chosen)
 
 
-@needs_data
+@needs_real_data
 @pytest.mark.real_data
 @pytest.mark.parametrize("halves", ["interleaved", "overlapping"])
 async def test_two_halves_of_a_street_with_other_starts_are_merged_back(halves, tmp_path, recogniser):
-    street, world, rng = recording("kitti00_head", tmp_path), real_world(), np.random.default_rng(5)
+    street, world, rng = real_recording("kitti00_head", tmp_path), real_world(), np.random.default_rng(5)
     both = {
         "interleaved": (range(0, KITTI_SCANS, 2), range(1, KITTI_SCANS, 2)),
         "overlapping": (range(70), range(40, 110)),
@@ -57,27 +47,27 @@ async def test_two_halves_of_a_street_with_other_starts_are_merged_back(halves, 
         assert error_m <= 0.3 and error_deg <= 0.5
 
 
-@needs_data
+@needs_real_data
 @pytest.mark.real_data
 async def test_two_parts_of_a_street_that_share_nothing_are_refused(tmp_path, recogniser):
-    street, world, rng = recording("kitti00_head", tmp_path), real_world(), np.random.default_rng(6)
+    street, world, rng = real_recording("kitti00_head", tmp_path), real_world(), np.random.default_rng(6)
     for name, chosen in (("a", range(40)), ("b", range(250, 290))):
         await driven(world, name, scans(street, chosen), random_start(rng), recogniser)
     result = await merged(world, "a", "b", recogniser)
     assert (result["verdict"], result["refusal"]) == ("REFUSED", "TOO_FEW_LOOPS")
 
 
-@needs_data
+@needs_real_data
 @pytest.mark.real_data
 async def test_two_sessions_in_a_courtyard_are_merged(tmp_path, recogniser):
     world, rng = real_world(), np.random.default_rng(7)
-    T_hku1_hku2 = np.loadtxt(Path(os.environ["REVISIT_DATA"]) / "T_hku1_hku2.txt")
+    T_hku1_hku2 = np.loadtxt(real_data() / "T_hku1_hku2.txt")
     u, _, vt = np.linalg.svd(T_hku1_hku2[:3, :3])
     T_hku1_hku2[:3, :3] = u @ vt
     of_map = {"scene_scale": 0.25, "tau_m": 5.0, "stride_m": 2.0}
     starts = [random_start(rng), random_start(rng)]
     for name, start in zip(("hku1", "hku2"), (starts[0], starts[1] @ T_hku1_hku2), strict=True):
-        drive = recording(name, tmp_path)
+        drive = real_recording(name, tmp_path)
         await driven(world, name, scans(drive, range(len(drive))), start, recogniser, **of_map)
     result = await merged(world, "hku1", "hku2", recogniser, validate_only=True)
     assert result["verdict"] == "MERGEABLE"

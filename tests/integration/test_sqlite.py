@@ -140,7 +140,7 @@ def test_a_read_sees_one_snapshot_while_others_write(database):
 
 
 def test_a_writer_that_does_not_get_its_turn_says_so_and_stores_nothing(database, monkeypatch):
-    monkeypatch.setattr("revisit.service.adapters.sqlite.connections.LOCK_TIMEOUT_S", 0.1)
+    monkeypatch.setattr("revisit.service.adapters.sqlite.transactions.LOCK_TIMEOUT_S", 0.1)
     store, other = SqliteTransactions(database, checkpoints=True), SqliteTransactions(database, checkpoints=False)
     entered, leave = threading.Event(), threading.Event()
 

@@ -109,10 +109,10 @@ def _store(uow, made: Fleet, map_id: str, tenant: TenantId, blobs: BlobStore | N
             if blobs is not None:
                 uow.changes.record_described(tenant, record.number, submaps[trajectory.session, ordinal].number)
     for edge in made.graph.loops:
-        add_loop(uow, _loop(edge, submaps), Change(LoopEventKind.VERIFIED, 1))
+        add_loop(uow, loop_record(edge, submaps), Change(LoopEventKind.VERIFIED, 1))
 
 
-def _loop(edge: LoopEdge, submaps: dict[tuple[str, int], SubmapRecord]) -> LoopRecord:
+def loop_record(edge: LoopEdge, submaps: dict[tuple[str, int], SubmapRecord]) -> LoopRecord:
     """As it is stored: the submap that came later is the query."""
     query, match, T_match_query = submaps[edge.query], submaps[edge.match], edge.T_match_query
     if query.number < match.number:

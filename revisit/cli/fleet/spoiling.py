@@ -13,9 +13,9 @@ from revisit.core.geometry.se3 import pose_row
 from revisit.evaluation.demo.truth import FoundLoop
 from revisit.service.adapters.sqlite.migration import migrate
 from revisit.service.application.contract.identity import DEFAULT_TENANT, SubmapKey, TenantId
-from revisit.service.application.contract.lookup import require_submap
 from revisit.service.application.contract.records import LoopRecord, SubmapRecord
 from revisit.service.application.contract.states import LoopEventKind, LoopState
+from revisit.service.application.contract.storage import require_submap
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.mapping.loop_events import Change, add_loop
 from revisit.service.composition import build_installation

@@ -15,13 +15,14 @@ from pathlib import Path
 import structlog
 
 from revisit.core.errors import DataLoss
-from revisit.service.adapters.files.disk import FailStop
-from revisit.service.adapters.files.durable_files import (
+from revisit.service.adapters.files.disk import (
     NO_ROOM,
     TEMPORARY_PREFIX,
+    FailStop,
     durable_write,
     make_directories,
     move_durably,
+    open_folder,
     sync_directory,
 )
 from revisit.service.application.contract.blobs import StoredBlob
@@ -157,7 +158,7 @@ def blob_path(root: Path, blob: StoredBlob) -> Path:
 @contextmanager
 def deleting(root: Path) -> Iterator[bool]:
     """Whether blobs below `root` may be deleted within the block: not while a backup runs."""
-    lock = os.open(root, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    lock = open_folder(root)
     try:
         yield _try_shared(lock)
     finally:
@@ -167,7 +168,7 @@ def deleting(root: Path) -> Iterator[bool]:
 @contextmanager
 def nothing_deleted(root: Path) -> Iterator[None]:
     """No process deletes a blob below `root` within the block. Waits for running deletions first."""
-    lock = os.open(root, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    lock = open_folder(root)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield

@@ -6,7 +6,7 @@ import hashlib
 import shutil
 from pathlib import Path
 
-from revisit.service.adapters.files.durable_files import durable_write, make_directories
+from revisit.service.adapters.files.disk import durable_write, make_directories
 
 
 class FileDrafts:

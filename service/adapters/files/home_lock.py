@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from revisit.service.adapters.files.durable_files import open_lock, try_lock
+from revisit.service.adapters.files.disk import open_lock, try_lock
 
 LOCK = "gateway.lock"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import secrets
 from pathlib import Path
 
-from revisit.service.adapters.files.durable_files import durable_write
+from revisit.service.adapters.files.disk import durable_write
 
 SECRET_BYTES = 32
 

@@ -161,14 +161,17 @@ class MemorySubmaps(MemoryRepository[SubmapRecord]):
         """See `SubmapRepository`."""
         return sum(row.point_count for row in self.find(tenant) if row.cloud_sha256 is not None)
 
-    def placed(self, tenant: TenantId, map_id: str) -> list[PlacedSubmap]:
+    def placed(self, tenant: TenantId, map_id: str, after: int = 0) -> list[PlacedSubmap]:
         """See `SubmapRepository`."""
-        of_map = sorted(self.find(tenant, map_id=map_id), key=lambda one: (one.session_number, one.ordinal))
+        of_map = sorted(
+            self.find(tenant, after=after, map_id=map_id), key=lambda one: (one.session_number, one.ordinal)
+        )
         return [PlacedSubmap(one.number, one.session_number, one.ordinal, one.T_odom_submap) for one in of_map]
 
-    def waiting_up_to(self, tenant: TenantId, map_id: str, number: int) -> int:
+    def first_waiting(self, tenant: TenantId, map_id: str) -> int | None:
         """See `SubmapRepository`."""
-        return sum(row.number <= number for row in self.find(tenant, map_id=map_id, state=SubmapState.QUEUED.value))
+        queued = self.find(tenant, map_id=map_id, state=SubmapState.QUEUED.value)
+        return min((row.number for row in queued), default=None)
 
     def flag_counts(self, tenant: TenantId, map_id: str, session_id: str) -> dict[str, int]:
         """See `SubmapRepository`."""
@@ -184,6 +187,12 @@ class MemoryJobs(MemoryRepository[JobRecord]):
         """See `JobRepository`."""
         due = [job for job in self._all() if job.tenant == tenant and _due(job, now)]
         return min(due, key=lambda job: (job.priority, job.number), default=None)
+
+    def unfinished(self, tenant: TenantId, operation_ids: Collection[str]) -> frozenset[str]:
+        """See `JobRepository`."""
+        going_on = (OperationState.QUEUED, OperationState.RUNNING)
+        ids = {job.operation_id for job in self._all() if job.tenant == tenant and job.state in going_on}
+        return frozenset(ids.intersection(operation_ids))
 
     def exhausted(self, now: Instant) -> list[JobRecord]:
         """See `JobRepository`."""
@@ -285,6 +294,12 @@ class MemoryEventLog:
         """See `EventLog`."""
         rows = [row for at, row in sorted(self._rows.by_number.items()) if at > number and row.tenant == tenant]
         return [row for row in rows if map_id is None or row.map_id in (map_id, "")][:limit]
+
+    def newest_of_maps(self, number: int) -> list[EventRecord]:
+        """See `EventLog`."""
+        rows = sorted((at, row) for at, row in self._rows.by_number.items() if at > number)
+        newest = {(row.tenant, row.map_id): at for at, row in rows}
+        return [row for at, row in rows if newest[row.tenant, row.map_id] == at]
 
     def last_number(self) -> int:
         """See `EventLog`."""

@@ -23,6 +23,7 @@ from revisit.service.adapters.memory.repositories import (
 )
 from revisit.service.application.contract.events import on_job_change, on_loop_change, on_version_change
 from revisit.service.application.contract.records import (
+    EarlyCorrectionRecord,
     LoopEventRecord,
     LoopRecord,
     MapFileRecord,
@@ -41,7 +42,7 @@ T = TypeVar("T")
 
 _TABLES = (
     *("maps", "robots", "sessions", "scans", "submaps", "loops"),
-    *("loop_events", "map_versions", "session_poses", "map_merges", "map_tiles", "map_files"),
+    *("loop_events", "map_versions", "session_poses", "early_corrections", "map_merges", "map_tiles", "map_files"),
     *("jobs", "turns", "changes", "events", "webhooks", "webhook_deliveries", "workers", "keys", "audit"),
 )
 
@@ -70,6 +71,9 @@ class MemoryUnitOfWork:
         )
         self.session_poses: MemoryRepository[SessionPosesRecord] = MemoryRepository(
             tables["session_poses"], ("map_id", "version", "session_id")
+        )
+        self.early_corrections: MemoryRepository[EarlyCorrectionRecord] = MemoryRepository(
+            tables["early_corrections"], ("map_id", "session_id")
         )
         self.map_merges: MemoryRepository[MapMergeRecord] = MemoryRepository(
             tables["map_merges"], ("map_id", "merge_id")

@@ -36,6 +36,11 @@ class SqlEventLog:
         rows = self._connection.execute(_following(map_id is not None).limit(limit), asked)
         return [EventRecord(**row._mapping) for row in rows]
 
+    def newest_of_maps(self, number: int) -> list[EventRecord]:
+        """See `EventLog`."""
+        rows = self._connection.execute(_newest_of_maps(), {"seen": number})
+        return [EventRecord(**row._mapping) for row in rows]
+
     def last_number(self) -> int:
         """See `EventLog`."""
         return self._engine.last_number(self._connection, tables.events)
@@ -55,6 +60,15 @@ class SqlEventLog:
         stands_for = {"kind": EventKind.FORGOTTEN.value, "map_id": "", "subject": ""}
         self._connection.execute(update(tables.events).where(events.number == cut).values(stands_for))
         return gone
+
+
+@cache
+def _newest_of_maps() -> Select[Any]:
+    """Takes `seen`."""
+    events = tables.events.c
+    newest = select(func.max(events.number)).where(events.number > bindparam("seen"))
+    of_maps = newest.group_by(events.tenant, events.map_id)
+    return select(tables.events).where(events.number.in_(of_maps)).order_by(events.number)
 
 
 @cache

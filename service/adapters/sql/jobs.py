@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from functools import cache
 from typing import Any
 
@@ -25,6 +26,13 @@ class SqlJobs(SqlRepository[JobRecord]):
         rows = [self._connection.execute(_runnable(lost), asked).first() for lost in (False, True)]
         first = [self._of(row) for row in rows if row is not None]
         return min(first, key=lambda job: (job.priority, job.number), default=None)
+
+    def unfinished(self, tenant: TenantId, operation_ids: Collection[str]) -> frozenset[str]:
+        """See `JobRepository`."""
+        jobs = tables.jobs.c
+        going_on = jobs.state.in_((OperationState.QUEUED.value, OperationState.RUNNING.value))
+        its = and_(jobs.tenant == tenant, jobs.operation_id.in_(operation_ids), going_on)
+        return frozenset(self._connection.execute(select(jobs.operation_id).where(its)).scalars())
 
     def exhausted(self, now: Instant) -> list[JobRecord]:
         """See `JobRepository`."""

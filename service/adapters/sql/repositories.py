@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from sqlalchemy import (
     ColumnElement,
@@ -33,17 +33,21 @@ from sqlalchemy.sql.dml import ReturningInsert
 from revisit.service.adapters.sql import tables
 from revisit.service.adapters.sql.engine import DatabaseEngine
 from revisit.service.application.contract.errors import AlreadyExists, NotFound
-from revisit.service.application.contract.events import ChangeOf
+from revisit.service.application.contract.events import ChangeOf, EventLog
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.records import ScanRecord, SubmapRecord
 from revisit.service.application.contract.repositories import PlacedSubmap
 from revisit.service.application.contract.states import SubmapState
+
+if TYPE_CHECKING:
+    from revisit.service.adapters.sql.unit_of_work import SqlUnitOfWork
 
 Scalar = str | int | None
 Asked = Mapping[str, Scalar]
 """The value that each named column must have; also the parameters of the statements that are built from it."""
 
 R = TypeVar("R")
+Kind = TypeVar("Kind", bound="SqlRepository[Any]")
 
 REVISED_AT_ONCE = 500
 """Rows that one statement changes: each is a parameter of it."""
@@ -58,15 +62,14 @@ class SqlRepository(Generic[R]):
         engine: DatabaseEngine,
         table: Table,
         record: type[R],
-        key: tuple[str, ...],
         on_change: ChangeOf[R] | None = None,
     ) -> None:
-        """`key` names the columns that, with the tenant, identify a record; `on_change` hears each add and replace."""
+        """`on_change` hears each add and replace."""
         self._connection = connection
         self._engine = engine
         self._table = table
         self._record = record
-        self._key = key
+        self._key: tuple[str, ...] = table.info["key"]
         self._on_change = on_change
 
     def add(self, record: R) -> R:
@@ -171,6 +174,37 @@ class SqlRepository(Generic[R]):
         return self._record(**dict(zip(self._table.columns.keys(), row, strict=True)))
 
 
+class Stored(Generic[Kind]):
+    """An attribute of a unit of work: the repository of a table, made when it is first asked for."""
+
+    def __init__(
+        self, kind: Callable[..., Kind], table: Table, record: type, told: Callable[[EventLog], Any] | None = None
+    ) -> None:
+        """`told` gives what hears each add and replace, and notes it as an event."""
+        self._kind = kind
+        self._table = table
+        self._record = record
+        self._told = told
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        """The attribute's name."""
+        self._name = name
+
+    def __get__(self, work: SqlUnitOfWork, owner: type) -> Kind:
+        """The repository; from now on it is found in the unit of work itself."""
+        on_change = None if self._told is None else self._told(work.events)
+        made = self._kind(work.connection, work.engine, self._table, self._record, on_change)
+        vars(work)[self._name] = made
+        return made
+
+
+def stored(
+    table: Table, record: type[R], told: Callable[[EventLog], ChangeOf[R]] | None = None
+) -> Stored[SqlRepository[R]]:
+    """A table that no use case asks more of than `Repository` can do."""
+    return Stored(SqlRepository, table, record, told)
+
+
 class SqlScans(SqlRepository[ScanRecord]):
     """`ScanRepository`."""
 
@@ -219,18 +253,20 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
         query = select(func.coalesce(func.sum(submaps.point_count), 0)).where(posted)
         return int(self._connection.execute(query).scalar_one())
 
-    def placed(self, tenant: TenantId, map_id: str) -> list[PlacedSubmap]:
+    def placed(self, tenant: TenantId, map_id: str, after: int = 0) -> list[PlacedSubmap]:
         """See `SubmapRepository`."""
         submaps, asked = tables.submaps.c, of_tenant(tenant, {"map_id": map_id})
         columns = (submaps.number, submaps.session_number, submaps.ordinal, submaps.T_odom_submap)
-        query = select(*columns).where(matches(tables.submaps, asked)).order_by(submaps.session_number, submaps.ordinal)
+        query = select(*columns).where(matches(tables.submaps, asked), submaps.number > after)
+        query = query.order_by(submaps.session_number, submaps.ordinal)
         return [PlacedSubmap(*row) for row in self._connection.execute(query, asked)]
 
-    def waiting_up_to(self, tenant: TenantId, map_id: str, number: int) -> int:
+    def first_waiting(self, tenant: TenantId, map_id: str) -> int | None:
         """See `SubmapRepository`."""
         asked = of_tenant(tenant, {"state": SubmapState.QUEUED.value, "map_id": map_id})
-        query = count_where(tables.submaps, asked).where(tables.submaps.c.number <= number)
-        return int(self._connection.execute(query, asked).scalar_one())
+        query = select(func.min(tables.submaps.c.number)).where(matches(tables.submaps, asked))
+        first: int | None = self._connection.execute(query, asked).scalar_one()
+        return first
 
     def flag_counts(self, tenant: TenantId, map_id: str, session_id: str) -> dict[str, int]:
         """See `SubmapRepository`."""

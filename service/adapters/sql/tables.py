@@ -51,7 +51,7 @@ class JsonTuple(TypeDecorator[tuple[Any, ...]]):
 
 
 def _numbered(name: str, key: tuple[str, ...], *columns: Any) -> Table:
-    """A table whose rows have a tenant, a number that is never used twice, and a unique key within the tenant."""
+    """A table whose rows have a tenant, a number that is never used twice, and a unique `key` within the tenant."""
     return Table(
         name,
         metadata,
@@ -59,6 +59,7 @@ def _numbered(name: str, key: tuple[str, ...], *columns: Any) -> Table:
         Column("tenant", String(64), nullable=False),
         *columns,
         UniqueConstraint("tenant", *key),
+        info={"key": key},
     )
 
 
@@ -277,6 +278,20 @@ session_poses = _numbered(
     Index(None, "tenant", "map_id", "session_id"),
 )
 
+early_corrections = _numbered(
+    "early_corrections",
+    ("map_id", "session_id"),
+    _text("map_id"),
+    _text("session_id"),
+    _integer("version"),
+    _integer("loops"),
+    _tuple("T_map_odom"),
+    _integer("created_at_ns"),
+    ForeignKeyConstraint(
+        ["tenant", "map_id", "session_id"], ["sessions.tenant", "sessions.map_id", "sessions.session_id"]
+    ),
+)
+
 map_merges = _numbered(
     "map_merges",
     ("map_id", "merge_id"),
@@ -407,6 +422,7 @@ webhook_deliveries = Table(
     _integer("took_ms"),
     _integer("at_ns"),
     Index(None, "tenant", "webhook_id"),
+    info={"key": ("number",)},
 )
 
 workers = Table(

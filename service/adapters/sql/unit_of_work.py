@@ -1,4 +1,4 @@
-"""One transaction of an SQL database, as the use cases see it."""
+"""One transaction of an SQL database, as the use cases see it: which records lie in which table."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ from revisit.service.adapters.sql.change_log import SqlChangeLog
 from revisit.service.adapters.sql.engine import DatabaseEngine
 from revisit.service.adapters.sql.event_log import SqlEventLog
 from revisit.service.adapters.sql.jobs import SqlJobs
-from revisit.service.adapters.sql.repositories import SqlRepository, SqlScans, SqlSubmaps
+from revisit.service.adapters.sql.repositories import SqlScans, SqlSubmaps, Stored, stored
 from revisit.service.adapters.sql.turns import SqlTenantTurns
 from revisit.service.adapters.sql.worker_log import SqlWorkerLog
 from revisit.service.application.contract.events import on_job_change, on_loop_change, on_version_change
 from revisit.service.application.contract.records import (
+    EarlyCorrectionRecord,
     JobRecord,
     LoopEventRecord,
     LoopRecord,
@@ -45,77 +46,38 @@ class SqlUnitOfWork:
     engine: DatabaseEngine
     lease_ms: int
 
-    @cached_property
-    def maps(self) -> SqlRepository[MapRecord]:
-        """Maps by (map_id)."""
-        return SqlRepository(self.connection, self.engine, tables.maps, MapRecord, ("map_id",))
-
-    @cached_property
-    def robots(self) -> SqlRepository[RobotRecord]:
-        """Robots by (robot_id)."""
-        return SqlRepository(self.connection, self.engine, tables.robots, RobotRecord, ("robot_id",))
-
-    @cached_property
-    def sessions(self) -> SqlRepository[SessionRecord]:
-        """Sessions by (map_id, session_id)."""
-        return SqlRepository(self.connection, self.engine, tables.sessions, SessionRecord, ("map_id", "session_id"))
-
-    @cached_property
-    def scans(self) -> SqlScans:
-        """Scans by (map_id, session_id, seq)."""
-        return SqlScans(self.connection, self.engine, tables.scans, ScanRecord, ("map_id", "session_id", "seq"))
-
-    @cached_property
-    def submaps(self) -> SqlSubmaps:
-        """Submaps by (map_id, session_id, submap_id)."""
-        key = ("map_id", "session_id", "submap_id")
-        return SqlSubmaps(self.connection, self.engine, tables.submaps, SubmapRecord, key)
-
-    @cached_property
-    def loops(self) -> SqlRepository[LoopRecord]:
-        """Loop closures by (map_id, loop_id)."""
-        key, told = ("map_id", "loop_id"), on_loop_change(self.events)
-        return SqlRepository(self.connection, self.engine, tables.loops, LoopRecord, key, told)
-
-    @cached_property
-    def loop_events(self) -> SqlRepository[LoopEventRecord]:
-        """Changes of loop closures by (number)."""
-        return SqlRepository(self.connection, self.engine, tables.loop_events, LoopEventRecord, ("number",))
-
-    @cached_property
-    def map_versions(self) -> SqlRepository[MapVersionRecord]:
-        """Versions of maps by (map_id, version)."""
-        key, told = ("map_id", "version"), on_version_change(self.events)
-        return SqlRepository(self.connection, self.engine, tables.map_versions, MapVersionRecord, key, told)
-
-    @cached_property
-    def session_poses(self) -> SqlRepository[SessionPosesRecord]:
-        """The poses of sessions in versions of maps by (map_id, version, session_id)."""
-        key = ("map_id", "version", "session_id")
-        return SqlRepository(self.connection, self.engine, tables.session_poses, SessionPosesRecord, key)
-
-    @cached_property
-    def map_merges(self) -> SqlRepository[MapMergeRecord]:
-        """Merges into maps by (map_id, merge_id)."""
-        key = ("map_id", "merge_id")
-        return SqlRepository(self.connection, self.engine, tables.map_merges, MapMergeRecord, key)
-
-    @cached_property
-    def map_tiles(self) -> SqlRepository[MapTileRecord]:
-        """Tiles of versions of maps by (map_id, version, tile_id)."""
-        key = ("map_id", "version", "tile_id")
-        return SqlRepository(self.connection, self.engine, tables.map_tiles, MapTileRecord, key)
-
-    @cached_property
-    def map_files(self) -> SqlRepository[MapFileRecord]:
-        """Versions of maps as files by (map_id, version)."""
-        return SqlRepository(self.connection, self.engine, tables.map_files, MapFileRecord, ("map_id", "version"))
-
-    @cached_property
-    def jobs(self) -> SqlJobs:
-        """Jobs by (operation_id)."""
-        told = on_job_change(self.events)
-        return SqlJobs(self.connection, self.engine, tables.jobs, JobRecord, ("operation_id",), told)
+    maps = stored(tables.maps, MapRecord)
+    """Maps by (map_id)."""
+    robots = stored(tables.robots, RobotRecord)
+    """Robots by (robot_id)."""
+    sessions = stored(tables.sessions, SessionRecord)
+    """Sessions by (map_id, session_id)."""
+    scans = Stored(SqlScans, tables.scans, ScanRecord)
+    """Scans by (map_id, session_id, seq)."""
+    submaps = Stored(SqlSubmaps, tables.submaps, SubmapRecord)
+    """Submaps by (map_id, session_id, submap_id)."""
+    loops = stored(tables.loops, LoopRecord, on_loop_change)
+    """Loop closures by (map_id, loop_id)."""
+    loop_events = stored(tables.loop_events, LoopEventRecord)
+    """Changes of loop closures by (number)."""
+    map_versions = stored(tables.map_versions, MapVersionRecord, on_version_change)
+    """Versions of maps by (map_id, version)."""
+    session_poses = stored(tables.session_poses, SessionPosesRecord)
+    """The poses of sessions in versions of maps by (map_id, version, session_id)."""
+    early_corrections = stored(tables.early_corrections, EarlyCorrectionRecord)
+    """Corrections ahead of the next version by (map_id, session_id)."""
+    map_merges = stored(tables.map_merges, MapMergeRecord)
+    """Merges into maps by (map_id, merge_id)."""
+    map_tiles = stored(tables.map_tiles, MapTileRecord)
+    """Tiles of versions of maps that were made, by (map_id, version, tile_id)."""
+    map_files = stored(tables.map_files, MapFileRecord)
+    """Versions of maps as files by (map_id, version)."""
+    jobs = Stored(SqlJobs, tables.jobs, JobRecord, on_job_change)
+    """Jobs by (operation_id)."""
+    webhooks = stored(tables.webhooks, WebhookRecord)
+    """Webhooks by (webhook_id)."""
+    webhook_deliveries = stored(tables.webhook_deliveries, DeliveryRecord)
+    """Attempts to deliver by (number)."""
 
     @cached_property
     def queue(self) -> LeasedJobs:
@@ -126,16 +88,6 @@ class SqlUnitOfWork:
     def changes(self) -> SqlChangeLog:
         """The change log of the maps' indexes."""
         return SqlChangeLog(self.connection, self.engine)
-
-    @cached_property
-    def webhooks(self) -> SqlRepository[WebhookRecord]:
-        """Webhooks by (webhook_id)."""
-        return SqlRepository(self.connection, self.engine, tables.webhooks, WebhookRecord, ("webhook_id",))
-
-    @cached_property
-    def webhook_deliveries(self) -> SqlRepository[DeliveryRecord]:
-        """Attempts to deliver by (number)."""
-        return SqlRepository(self.connection, self.engine, tables.webhook_deliveries, DeliveryRecord, ("number",))
 
     @cached_property
     def events(self) -> SqlEventLog:

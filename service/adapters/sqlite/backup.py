@@ -23,7 +23,7 @@ from pathlib import Path
 
 from revisit.core.errors import DataLoss
 from revisit.service.adapters.files.blobs import blob_path, nothing_deleted, read_verified
-from revisit.service.adapters.files.durable_files import (
+from revisit.service.adapters.files.disk import (
     durable_write,
     make_directories,
     move_durably,

@@ -15,7 +15,8 @@ from pathlib import Path
 import structlog
 from sqlalchemy.exc import DatabaseError
 
-from revisit.service.adapters.sqlite.connections import StorageFailures, WriterLock, write_ahead_log
+from revisit.service.adapters.sqlite.connections import write_ahead_log
+from revisit.service.adapters.sqlite.transactions import StorageFailures, WriterLock
 
 SMALL_BYTES = 4 * 2**20
 """A log beyond this is folded back at once."""

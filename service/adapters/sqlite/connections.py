@@ -1,28 +1,13 @@
-"""Connections to a SQLite file.
-
-What makes them durable or harmless (pragmas), when their transactions begin, which process may write (the writers'
-lock), and what SQLite's errors mean: no room, damaged, or uncertain until a restart.
-"""
+"""How a SQLite file is opened: what makes a connection durable or harmless, and how its transactions begin."""
 
 from __future__ import annotations
 
-import fcntl
-import os
 import sqlite3
-import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from sqlalchemy import Connection, Engine, create_engine, event
-from sqlalchemy.exc import DatabaseError
-
-from revisit.core.errors import DataLoss
-from revisit.service.adapters.files.disk import FailStop
-from revisit.service.adapters.files.durable_files import may_grow, open_lock, try_lock
-from revisit.service.application.contract.errors import StorageFull, StorageUncertain
 
 DATABASE = "revisit.db"
 """The name of the database file in the data folder."""
@@ -39,19 +24,6 @@ WRITER_PRAGMAS: dict[str, str | int] = {
     "secure_delete": 1,  # deleted rows are overwritten
 }
 READER_PRAGMAS: dict[str, str | int] = {"query_only": 1, "busy_timeout": 5000, "wal_autocheckpoint": 0}
-
-LOCK_TIMEOUT_S = 5.0
-
-FULL = ("SQLITE_FULL", "SQLITE_IOERR_SHMSIZE")
-"""No room: in a file, or for the index of the write-ahead log."""
-
-WRITE_FAILED = "SQLITE_IOERR_WRITE"
-"""A broken disk; or a quota, or the limit of a file's size, which SQLite does not tell apart."""
-
-FRAME_BYTES = 4096 + 24
-"""The least by which the write-ahead log grows."""
-
-DAMAGED = ("SQLITE_CORRUPT", "SQLITE_NOTADB")
 
 
 def writer_engine(path: Path, *, checkpoints: bool) -> Engine:
@@ -107,79 +79,4 @@ def _prepare(engine: Engine, pragmas: dict[str, str | int], begin: str) -> None:
         for name, value in pragmas.items():
             connection.execute(f"PRAGMA {name}={value}")
 
-    @event.listens_for(engine, "begin")
-    def begin_transaction(connection: Connection) -> None:
-        connection.exec_driver_sql(begin)
-
-
-class WriterLock:
-    """A lock between processes that a writer holds for each transaction, its checkpoint included.
-
-    SQLite's own lock lets one connection write while another checkpoints, which is how SQLite before 3.51.3 can damage
-    its write-ahead log; and SQLite waits for it in ever longer sleeps. The kernel releases this lock when its process
-    ends, however it ends. Waiting is fair: the first in line holds the turn lock, so a busy process cannot take the
-    writer lock twice while another waits.
-    """
-
-    def __init__(self, database: Path) -> None:
-        """The lock files lie beside `database`."""
-        self._writer = open_lock(database.with_name(f"{database.name}.writer"))
-        self._turn = open_lock(database.with_name(f"{database.name}.turn"))
-
-    @contextmanager
-    def held(self) -> Iterator[None]:
-        """Hold the lock. Raises StorageUncertain after 5 s, with nothing written."""
-        deadline = time.monotonic() + LOCK_TIMEOUT_S
-        with ExitStack() as holding:
-            with _locked(self._turn, deadline):
-                holding.enter_context(_locked(self._writer, deadline))
-            yield
-
-    def close(self) -> None:
-        """Close the files."""
-        os.close(self._writer)
-        os.close(self._turn)
-
-
-@contextmanager
-def _locked(descriptor: int, deadline: float) -> Iterator[None]:
-    """Hold one `flock`. Raises StorageUncertain at `deadline` of the monotonic clock."""
-    while not try_lock(descriptor):
-        if time.monotonic() > deadline:
-            raise StorageUncertain("another process holds the database; nothing was stored")
-        time.sleep(0.001)
-    try:
-        yield
-    finally:
-        fcntl.flock(descriptor, fcntl.LOCK_UN)
-
-
-@dataclass(frozen=True)
-class StorageFailures:
-    """Turns SQLite's errors into those of the ports, and acts on them.
-
-    `log` is the write-ahead log. The first I/O error trips `fail_stop`; `on_full` is called where there is no room.
-    """
-
-    log: Path
-    fail_stop: FailStop
-    on_full: Callable[[], None]
-
-    @contextmanager
-    def translated(self) -> Iterator[None]:
-        """Raises StorageFull, DataLoss or StorageUncertain for an error of the database in the block."""
-        try:
-            yield
-        except DatabaseError as error:
-            raise self._translation(error) from error
-
-    def _translation(self, error: DatabaseError) -> Exception:
-        name = str(getattr(error.orig, "sqlite_errorname", ""))
-        if name in FULL or (name == WRITE_FAILED and not may_grow(self.log, FRAME_BYTES)):
-            self.on_full()
-            return StorageFull()
-        if name in DAMAGED:
-            return DataLoss(f"the database is damaged: {error.orig}")
-        if name.startswith("SQLITE_IOERR"):
-            self.fail_stop.trip(f"{name}: {error.orig}")
-        return StorageUncertain(f"the database failed: {error.orig}")
+    event.listen(engine, "begin", partial(Connection.exec_driver_sql, statement=begin))

@@ -11,7 +11,8 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import Connection
 
 from revisit.service.adapters.files.filesystem import require_local
-from revisit.service.adapters.sqlite.connections import WriterLock, writer_engine
+from revisit.service.adapters.sqlite.connections import writer_engine
+from revisit.service.adapters.sqlite.transactions import WriterLock
 
 MIGRATIONS = Path(__file__).resolve().parents[3] / "migrations"
 

@@ -4,17 +4,22 @@ Why it looks like this (measured, docs/decisions/0011): Python's driver begins n
 read-modify-write loses updates; with synchronous=NORMAL a power cut loses acknowledged rows of the write-ahead log;
 SQLite before 3.51.3 can damage the log when two connections write or checkpoint at the same instant.
 
+A writer's lock between processes is held for each transaction. SQLite's errors are given their meaning here: no room,
+damaged, or uncertain until a restart.
+
 Group commit: writes that wait while another is synced to disk share the next transaction and its one fsync.
 """
 
 from __future__ import annotations
 
+import fcntl
+import os
 import queue
 import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -22,13 +27,12 @@ from typing import Any, Generic, TypeVar
 from sqlalchemy import Connection
 from sqlalchemy.exc import DatabaseError, IntegrityError
 
-from revisit.service.adapters.files.disk import FailStop
+from revisit.core.errors import DataLoss
+from revisit.service.adapters.files.disk import FailStop, may_grow, open_lock, try_lock
 from revisit.service.adapters.sql.unit_of_work import SqlUnitOfWork
 from revisit.service.adapters.sqlite.connections import (
     READER_PRAGMAS,
     READERS,
-    StorageFailures,
-    WriterLock,
     reader_engine,
     require_pragmas,
     write_ahead_log,
@@ -36,10 +40,24 @@ from revisit.service.adapters.sqlite.connections import (
     writer_pragmas,
 )
 from revisit.service.adapters.sqlite.engine import SqliteEngine
+from revisit.service.application.contract.errors import StorageFull, StorageUncertain
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.failpoints import failpoint
 
 T = TypeVar("T")
+
+LOCK_TIMEOUT_S = 5.0
+
+FULL = ("SQLITE_FULL", "SQLITE_IOERR_SHMSIZE")
+"""No room: in a file, or for the index of the write-ahead log."""
+
+WRITE_FAILED = "SQLITE_IOERR_WRITE"
+"""A broken disk; or a quota, or the limit of a file's size, which SQLite does not tell apart."""
+
+FRAME_BYTES = 4096 + 24
+"""The least by which the write-ahead log grows."""
+
+DAMAGED = ("SQLITE_CORRUPT", "SQLITE_NOTADB")
 
 MAX_GROUP = 64
 MAX_GROUP_S = 0.005
@@ -223,3 +241,76 @@ def _attempt(connection: Connection, write: _Write[Any]) -> _Outcome:
         outcome = _Outcome(write, error=error)
     connection.exec_driver_sql("RELEASE member")
     return outcome
+
+
+class WriterLock:
+    """A lock between processes that a writer holds for each transaction, its checkpoint included.
+
+    SQLite's own lock lets one connection write while another checkpoints, which is how SQLite before 3.51.3 can damage
+    its write-ahead log; and SQLite waits for it in ever longer sleeps. The kernel releases this lock when its process
+    ends, however it ends. Waiting is fair: the first in line holds the turn lock, so a busy process cannot take the
+    writer lock twice while another waits.
+    """
+
+    def __init__(self, database: Path) -> None:
+        """The lock files lie beside `database`."""
+        self._writer = open_lock(database.with_name(f"{database.name}.writer"))
+        self._turn = open_lock(database.with_name(f"{database.name}.turn"))
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Hold the lock. Raises StorageUncertain after 5 s, with nothing written."""
+        deadline = time.monotonic() + LOCK_TIMEOUT_S
+        with ExitStack() as holding:
+            with _locked(self._turn, deadline):
+                holding.enter_context(_locked(self._writer, deadline))
+            yield
+
+    def close(self) -> None:
+        """Close the files."""
+        os.close(self._writer)
+        os.close(self._turn)
+
+
+@contextmanager
+def _locked(descriptor: int, deadline: float) -> Iterator[None]:
+    """Hold one `flock`. Raises StorageUncertain at `deadline` of the monotonic clock."""
+    while not try_lock(descriptor):
+        if time.monotonic() > deadline:
+            raise StorageUncertain("another process holds the database; nothing was stored")
+        time.sleep(0.001)
+    try:
+        yield
+    finally:
+        fcntl.flock(descriptor, fcntl.LOCK_UN)
+
+
+@dataclass(frozen=True)
+class StorageFailures:
+    """Turns SQLite's errors into those of the ports, and acts on them.
+
+    `log` is the write-ahead log. The first I/O error trips `fail_stop`; `on_full` is called where there is no room.
+    """
+
+    log: Path
+    fail_stop: FailStop
+    on_full: Callable[[], None]
+
+    @contextmanager
+    def translated(self) -> Iterator[None]:
+        """Raises StorageFull, DataLoss or StorageUncertain for an error of the database in the block."""
+        try:
+            yield
+        except DatabaseError as error:
+            raise self._translation(error) from error
+
+    def _translation(self, error: DatabaseError) -> Exception:
+        name = str(getattr(error.orig, "sqlite_errorname", ""))
+        if name in FULL or (name == WRITE_FAILED and not may_grow(self.log, FRAME_BYTES)):
+            self.on_full()
+            return StorageFull()
+        if name in DAMAGED:
+            return DataLoss(f"the database is damaged: {error.orig}")
+        if name.startswith("SQLITE_IOERR"):
+            self.fail_stop.trip(f"{name}: {error.orig}")
+        return StorageUncertain(f"the database failed: {error.orig}")

@@ -14,6 +14,7 @@ from revisit.service.application.access.api_keys import caller_of_key, parse_key
 from revisit.service.application.access.audit import AuditEntry, AuditLog
 from revisit.service.application.access.callers import ANYONE, Caller, Scope
 from revisit.service.application.access.failed_attempts import FailedAttempts
+from revisit.service.application.capacity.call_pace import CallPace
 from revisit.service.application.contract.access_ports import TokenVerifier
 from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.errors import PermissionDenied, TooManyFailures, Unauthenticated
@@ -61,13 +62,30 @@ class AccessRules:
 class Access:
     """Authenticates and authorises callers, and notes refusals in the audit log."""
 
-    def __init__(self, storage: Storage, audit_log: AuditLog, clock: Clock, rules: AccessRules) -> None:
-        """Keys are looked up in `storage`."""
+    def __init__(self, storage: Storage, audit_log: AuditLog, clock: Clock, rules: AccessRules, pace: CallPace) -> None:
+        """Keys are looked up in `storage`; `pace` holds back whoever begins too many calls."""
         self._storage = storage
         self._audit = audit_log
         self._clock = clock
         self._rules = rules
+        self._pace = pace
         self._failed = FailedAttempts()
+
+    async def admit_call(
+        self, credential: Credential, scopes: frozenset[Scope], call: str, path: str | None = None
+    ) -> Caller:
+        """As `admit`, for a call that begins: it waits where its caller begins too many. Raises also RateLimited."""
+        try:
+            caller = await self.admit(credential, scopes, call, path)
+        except (Unauthenticated, PermissionDenied, TooManyFailures):
+            await self.delay_refusal(credential.address)
+            raise
+        await self._pace.turn(caller.tenant, caller.name)
+        return caller
+
+    async def delay_refusal(self, address: str) -> None:
+        """Wait before a stranger is refused, where strangers at this address are refused too often."""
+        await self._pace.refusal(address)
 
     async def admit(
         self, credential: Credential, scopes: frozenset[Scope], call: str, path: str | None = None

@@ -57,8 +57,7 @@ class Admission:
             raise StorageFull
 
     async def require_room(self, tenant: TenantId) -> None:
-        """As `require_storage`, for what the tenant keeps. Raises also QuotaReached."""
-        self.require_storage()
+        """Raises QuotaReached where the tenant stores as much as it may."""
         if self._quota is not None:
             await self._quota.require_room(tenant)
 

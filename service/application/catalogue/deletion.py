@@ -48,7 +48,7 @@ def delete_session(uow: UnitOfWork, record: MapRecord, session: SessionRecord, a
     for side in ("query_session_id", "match_session_id"):
         for rows in (uow.loops, uow.loop_events):
             rows.delete(tenant, map_id=session.map_id, **{side: session.session_id})
-    for of_it in (uow.session_poses, uow.submaps, uow.scans, uow.sessions):
+    for of_it in (uow.early_corrections, uow.session_poses, uow.submaps, uow.scans, uow.sessions):
         of_it.delete(tenant, **of_session)
     note_edit(uow, tenant, session.map_id)
     return doomed
@@ -59,7 +59,7 @@ def delete_map(uow: UnitOfWork, record: MapRecord, at_ns: int) -> set[Blob]:
     of_map = {"map_id": record.map_id}
     doomed = blobs_of_rows(uow, record.tenant, **of_map) | forget_all_made(uow, record.tenant, record.map_id)
     _drop_jobs(uow, record.tenant, at_ns, **of_map)
-    versions = (uow.map_merges, uow.session_poses, uow.map_versions)
+    versions = (uow.map_merges, uow.early_corrections, uow.session_poses, uow.map_versions)
     for rows in (*versions, uow.loop_events, uow.loops, uow.submaps, uow.scans, uow.sessions, uow.maps):
         rows.delete(record.tenant, **of_map)
     return doomed

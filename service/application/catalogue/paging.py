@@ -12,8 +12,7 @@ from functools import partial
 from typing import Generic, Protocol, TypeVar
 
 from revisit.core.errors import BadField
-from revisit.service.application.capacity.in_flight import InFlight
-from revisit.service.application.capacity.turns import Turns
+from revisit.service.application.capacity.in_flight import InFlight, Turns
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.storage import Storage

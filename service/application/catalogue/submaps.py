@@ -17,11 +17,10 @@ from revisit.service.application.catalogue.downloads import Download, DownloadKi
 from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.identity import SessionKey, SubmapKey, TenantId
-from revisit.service.application.contract.lookup import require_map, require_session, require_submap
 from revisit.service.application.contract.map_frames import MapFrames, submap_in_map
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.records import SubmapRecord
-from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.storage import Storage, require_map, require_session, require_submap
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.views import SubmapView, submap_view
 from revisit.service.application.ingest.submap_source import SubmapSource, submap_source

@@ -45,6 +45,10 @@ class EventLog(Protocol):
         """At most `limit` rows of a tenant above `number`, by number; of one map, with what concerns every map."""
         ...
 
+    def newest_of_maps(self, number: int) -> list[EventRecord]:
+        """The last row of each map of each tenant that has one above `number`; by number."""
+        ...
+
     def last_number(self) -> int:
         """The last number that was given out, to whichever tenant; 0 for none."""
         ...

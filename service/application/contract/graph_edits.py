@@ -5,11 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.lookup import require_map
+from revisit.service.application.contract.storage import require_map
 from revisit.service.application.contract.transactions import UnitOfWork
 
 
 def note_edit(uow: UnitOfWork, tenant: TenantId, map_id: str) -> None:
-    """A loop has changed, or a submap or session is gone. What is only added needs no note. Raises NotFound."""
+    """A loop has changed, or a submap or session is gone: what was corrected ahead of a version is forgotten.
+
+    What is only added needs no note. Raises NotFound.
+    """
     record = require_map(uow, tenant, map_id)
+    uow.early_corrections.delete(tenant, map_id=map_id)
     uow.maps.replace(replace(record, graph_edits=record.graph_edits + 1))

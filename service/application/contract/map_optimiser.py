@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -89,9 +89,44 @@ class OptimisedMap:
     degrees_of_freedom: int
 
 
+@dataclass(frozen=True)
+class SolvedTrack:
+    """The poses (n, 4, 4) of a session's submaps by an earlier optimisation, in the frame of session `anchor`."""
+
+    session_number: int
+    anchor: int
+    T_map_submap: Array64
+
+
+class SolvedMap(Protocol):
+    """A map that was optimised, to which single submaps and loops are added. It keeps what makes that fast."""
+
+    def append(self, session_number: int, submap: int, T_odom_submap: Matrix4) -> None:
+        """A further submap, by number, of a session; one of a session that the map does not have changes nothing."""
+        ...
+
+    def add(self, loop: TrackLoop) -> bool:
+        """Take in a loop; whether it moves the map. It does not where it contradicts it, or joins what shares no
+        frame.
+        """
+        ...
+
+    def corrections(self) -> dict[int, Matrix4]:
+        """T_map_odom (4, 4) by number of the sessions whose frames have taken in loops, as of their last submaps."""
+        ...
+
+    def refresh(self) -> None:
+        """Prepare for further loops, when there is time."""
+        ...
+
+
 class MapOptimiser(Protocol):
     """Places the sessions of a map to each other."""
 
     def optimise(self, graph: MapGraph, told: Told) -> OptimisedMap:
         """The same graph gives the same answer, bit for bit. Tracks and loops answer in their order."""
+        ...
+
+    def solved(self, graph: MapGraph, tracks: Sequence[SolvedTrack]) -> SolvedMap:
+        """The map with poses of the tracks of the graph in their order; they rest on all of its loops."""
         ...

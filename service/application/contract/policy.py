@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import TypeVar
+from dataclasses import dataclass, field
 
 from revisit.core.config import PipelineConfig
 from revisit.service.application.contract.records import MapRecord
-
-N = TypeVar("N", int, float)
 
 
 @dataclass(frozen=True)
@@ -32,29 +29,13 @@ class Policy:
 
     def for_map(self, record: MapRecord) -> PipelineConfig:
         """The parameters of the method with what the map overrides."""
-        submap, loop, rules = self.pipeline.submap, self.pipeline.loop, self.pipeline.verification
-        return replace(
-            self.pipeline,
-            scene_scale=record.scene_scale,
-            submap=replace(
-                submap,
-                min_range=submap.min_range * record.scene_scale,
-                tau=_given(record.tau_m, submap.tau),
-                stride=_given(record.stride_m, submap.stride),
-            ),
-            loop=replace(
-                loop,
-                min_index_gap=_given(record.min_index_gap, loop.min_index_gap),
-                candidates=_given(record.loop_candidates, loop.candidates),
-            ),
-            verification=replace(
-                rules,
-                min_score=_given(record.min_score, rules.min_score),
-                min_overlap=_given(record.min_overlap, rules.min_overlap),
-                max_seen_through=_given(record.max_seen_through, rules.max_seen_through),
-            ),
+        return self.pipeline.of_map(
+            record.scene_scale,
+            submap={"tau": record.tau_m, "stride": record.stride_m},
+            loop={"min_index_gap": record.min_index_gap, "candidates": record.loop_candidates},
+            verification={
+                "min_score": record.min_score,
+                "min_overlap": record.min_overlap,
+                "max_seen_through": record.max_seen_through,
+            },
         )
-
-
-def _given(own: N | None, of_service: N) -> N:
-    return of_service if own is None else own

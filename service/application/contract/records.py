@@ -56,7 +56,7 @@ class RobotRecord:
 
 @dataclass(frozen=True)
 class SessionRecord:
-    """A session and where its current window of scans stands (see `ingest.windows`)."""
+    """A session and where its current window of scans stands (see `ingest.scans`)."""
 
     tenant: TenantId
     map_id: str
@@ -233,6 +233,22 @@ class SessionPosesRecord:
     T_map_odom: Pose
     submaps: bytes
     content_hash: str
+    created_at_ns: int
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class EarlyCorrectionRecord:
+    """T_map_odom of a session by version `version` of its map and by single `loops` that were asked since, ahead of the
+    next version. It says nothing of another version than this one.
+    """
+
+    tenant: TenantId
+    map_id: str
+    session_id: str
+    version: int
+    loops: int
+    T_map_odom: Pose
     created_at_ns: int
     number: int = 0
 

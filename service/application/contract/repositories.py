@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
@@ -119,12 +119,14 @@ class SubmapRepository(Repository[SubmapRecord], Protocol):
         """How many points the clouds have together that a tenant has posted as submaps."""
         ...
 
-    def placed(self, tenant: TenantId, map_id: str) -> list[PlacedSubmap]:
-        """Every submap of a map with its place in its session, by session and then in the order of the drive."""
+    def placed(self, tenant: TenantId, map_id: str, after: int = 0) -> list[PlacedSubmap]:
+        """Every submap of a map whose number is above `after`, with its place in its session: by session and then in
+        the order of the drive.
+        """
         ...
 
-    def waiting_up_to(self, tenant: TenantId, map_id: str, number: int) -> int:
-        """How many submaps of a map with numbers up to `number` are still queued."""
+    def first_waiting(self, tenant: TenantId, map_id: str) -> int | None:
+        """The lowest number of a submap of a map that is still queued; None where none is."""
         ...
 
     def flag_counts(self, tenant: TenantId, map_id: str, session_id: str) -> dict[str, int]:
@@ -132,7 +134,15 @@ class SubmapRepository(Repository[SubmapRecord], Protocol):
         ...
 
 
-class JobRepository(Repository[JobRecord], Protocol):
+class AwaitedJobs(Repository[JobRecord], Protocol):
+    """Jobs that clients wait for."""
+
+    def unfinished(self, tenant: TenantId, operation_ids: Collection[str]) -> frozenset[str]:
+        """Those of these operations that wait or run."""
+        ...
+
+
+class JobRepository(AwaitedJobs, Protocol):
     """Jobs, also across tenants for those who run them."""
 
     def next_runnable(self, now: Instant, tenant: TenantId) -> JobRecord | None:

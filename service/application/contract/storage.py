@@ -1,4 +1,4 @@
-"""Storage as the use cases wait for it: transactions and blobs, from the event loop."""
+"""Storage as the use cases use it: transactions and blobs from the event loop, and resources by their key."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from revisit.service.application.contract.blobs import BlobStore
-from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.errors import AlreadyExists, NotFound, SessionFinished
+from revisit.service.application.contract.identity import SessionKey, SubmapKey, TenantId
+from revisit.service.application.contract.records import JobRecord, MapRecord, RobotRecord, SessionRecord, SubmapRecord
+from revisit.service.application.contract.states import SessionState
 from revisit.service.application.contract.transactions import Transactions, UnitOfWork
 
 T = TypeVar("T")
@@ -49,3 +52,55 @@ class Storage:
 
 async def _outcome(future: Future[T]) -> T:
     return await asyncio.shield(asyncio.wrap_future(future))
+
+
+def require_map(uow: UnitOfWork, tenant: TenantId, map_id: str) -> MapRecord:
+    """The map. Raises NotFound."""
+    record = uow.maps.get(tenant, map_id)
+    if record is None:
+        raise NotFound(f"there is no map {map_id!r}"[:200])
+    return record
+
+
+def require_robot(uow: UnitOfWork, tenant: TenantId, robot_id: str) -> RobotRecord:
+    """The robot. Raises NotFound."""
+    record = uow.robots.get(tenant, robot_id)
+    if record is None:
+        raise NotFound(f"there is no robot {robot_id!r}"[:200])
+    return record
+
+
+def require_session(uow: UnitOfWork, tenant: TenantId, key: SessionKey) -> SessionRecord:
+    """The session. Raises NotFound."""
+    record = uow.sessions.get(tenant, key.map_id, key.session_id)
+    if record is None:
+        raise NotFound(f"there is no session {key.name!r}"[:300])
+    return record
+
+
+def require_active(session: SessionRecord) -> None:
+    """Raises SessionFinished unless the session takes data."""
+    if session.state != SessionState.ACTIVE:
+        raise SessionFinished(f"session {session.session_id} is finished")
+
+
+def require_submap(uow: UnitOfWork, tenant: TenantId, key: SubmapKey) -> SubmapRecord:
+    """The submap. Raises NotFound."""
+    record = uow.submaps.get(tenant, key.map_id, key.session_id, key.submap_id)
+    if record is None:
+        raise NotFound(f"there is no submap {key.name!r}"[:300])
+    return record
+
+
+def require_job(uow: UnitOfWork, tenant: TenantId, operation_id: str) -> JobRecord:
+    """The job behind an operation. Raises NotFound."""
+    record = uow.jobs.get(tenant, operation_id)
+    if record is None:
+        raise NotFound(f"there is no operation {operation_id!r}"[:200])
+    return record
+
+
+def require_same_content(known: str, sent: str, name: str) -> None:
+    """Raises AlreadyExists where what is stored under a name is not what was sent again, by the hashes of both."""
+    if known != sent:
+        raise AlreadyExists(f"{name} exists with other content")

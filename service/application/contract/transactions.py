@@ -11,6 +11,7 @@ from revisit.service.application.contract.events import EventLog
 from revisit.service.application.contract.index import ChangeLog
 from revisit.service.application.contract.job_queue import JobQueue, WorkerLog
 from revisit.service.application.contract.records import (
+    EarlyCorrectionRecord,
     LoopEventRecord,
     LoopRecord,
     MapFileRecord,
@@ -82,6 +83,11 @@ class UnitOfWork(Protocol):
     @property
     def session_poses(self) -> Repository[SessionPosesRecord]:
         """The poses of sessions in versions of maps by (map_id, version, session_id)."""
+        ...
+
+    @property
+    def early_corrections(self) -> Repository[EarlyCorrectionRecord]:
+        """Corrections ahead of the next version by (map_id, session_id)."""
         ...
 
     @property

@@ -14,11 +14,10 @@ from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.capacity.backlog import QUERIES, Backlog
 from revisit.service.application.contract.errors import NotFound
 from revisit.service.application.contract.identity import SubmapKey, TenantId
-from revisit.service.application.contract.lookup import require_job
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.records import JobRecord, SubmapRecord
 from revisit.service.application.contract.states import OperationKind, OperationState, SubmapState
-from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.storage import Storage, require_job
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.views import OperationView, operation_view
 

@@ -20,9 +20,8 @@ from revisit.core.container import decompressed, from_byte_planes, to_byte_plane
 from revisit.core.errors import BadField, DataLoss, RevisitError, TooLarge
 from revisit.core.scan import CloudReport, Points, validate_cloud
 from revisit.formats import CloudLimits, DecodedCloud, decode_cloud, quantised
-from revisit.formats.cloud import DEFAULT_LIMITS
-from revisit.formats.compression import decode_content
-from revisit.service.application.capacity.turns import Turns
+from revisit.formats.cloud import DEFAULT_LIMITS, decode_content
+from revisit.service.application.capacity.in_flight import Turns
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.identity import TenantId
 

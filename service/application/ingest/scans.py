@@ -1,9 +1,15 @@
-"""Scans: a stream of posed sweeps that the service cuts into submaps."""
+"""Scans: a stream of posed sweeps that the service cuts into submaps.
+
+A session's row holds the window of scans that the next submap is made of: the state of `core.submap.SubmapBuilder`. The
+builder keeps scans in memory; here they are rows, and a window is the range of their sequence numbers, so that an
+unfinished one survives a restart. A test holds the two against each other on random drives.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import hashlib
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -14,6 +20,7 @@ from revisit.core.config import SubmapConfig
 from revisit.core.errors import BadField
 from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
 from revisit.core.scan import CloudReport, Scan
+from revisit.core.submap import next_window_start
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.capacity.backlog import JobPosting
 from revisit.service.application.capacity.in_flight import InFlight
@@ -22,10 +29,9 @@ from revisit.service.application.contract.blobs import CLOUD_BLOB
 from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.errors import AlreadyExists, NotFound, SequenceGap
 from revisit.service.application.contract.identity import SessionKey, TenantId
-from revisit.service.application.contract.lookup import require_active, require_map, require_session
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.records import ScanRecord, SessionRecord
-from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.storage import Storage, require_active, require_map, require_session
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.ingest.clouds import (
     CloudDecoder,
@@ -37,7 +43,7 @@ from revisit.service.application.ingest.clouds import (
 )
 from revisit.service.application.ingest.open_streams import OpenStreams
 from revisit.service.application.ingest.submap_posting import PostedSubmap
-from revisit.service.application.ingest.windows import Window, add_window_submap, advance, window_of
+from revisit.service.application.ingest.windows import ScanRange, add_window_submap
 from revisit.service.failpoints import failpoint
 
 SAME_POSE = 1e-9
@@ -45,6 +51,10 @@ SAME_POSE = 1e-9
 
 SESSIONS_REMEMBERED = 4096
 """Sessions whose window rules are kept in memory, about 1 kB each."""
+
+
+FirstSeqFrom = Callable[[float], int | None]
+"""The first stored scan taken at or beyond a travelled distance in metres."""
 
 
 @dataclass(frozen=True)
@@ -158,7 +168,6 @@ class Scans:
         StorageUncertain.
         """
         self._admission.require_storage()
-        limits.SCAN_SEQ.validated(command.seq, "seq")
         session = await self._storage.read(partial(require_session, tenant=tenant, key=command.session))
         replay = _is_replay(session, command.seq)
         if not replay:
@@ -214,8 +223,7 @@ class Scans:
         """Move the session's window on; the submap that is complete now, if one is."""
         config = self._window_config(uow, session)
         first_seq_from = partial(uow.scans.first_seq_from, session.tenant, session.map_id, session.session_id)
-        window, finished = advance(window_of(session), seq, step_m, config, first_seq_from)
-        moved = _with_window(replace(session, committed_seq=seq), window)
+        moved, finished = advance(session, seq, step_m, config, first_seq_from)
         if finished is None:
             uow.sessions.replace(moved)
             return None
@@ -231,6 +239,28 @@ class Scans:
         return self._window_configs[session.number]
 
 
+def advance(
+    session: SessionRecord, seq: int, step_m: float, config: SubmapConfig, first_seq_from: FirstSeqFrom
+) -> tuple[SessionRecord, ScanRange | None]:
+    """The session after scan `seq`, taken `step_m` metres beyond the last one, and the window that it completes."""
+    travelled = session.travelled_m + step_m
+    if travelled - session.window_start_m < config.tau:
+        return replace(session, committed_seq=seq, travelled_m=travelled), None
+    start = next_window_start(session.window_start_m, travelled, config)
+    # The newest scan always stays: the next step is measured from it.
+    first_kept = first_seq_from(start)
+    first = seq if first_kept is None else max(session.window_first_seq, first_kept)
+    moved = replace(
+        session,
+        committed_seq=seq,
+        travelled_m=travelled,
+        window_first_seq=first,
+        window_start_m=start,
+        emitted_to_m=travelled,
+    )
+    return moved, ScanRange(session.window_first_seq, seq)
+
+
 def _accept(command: AppendScan) -> _Accepted:
     cloud, report = accept_cloud(command.cloud, limits.SCAN_POINTS)
     scan = Scan.posed(cloud.points, report, command.T_odom_sensor, command.stamp_ns)
@@ -239,13 +269,16 @@ def _accept(command: AppendScan) -> _Accepted:
 
 
 def _is_replay(session: SessionRecord, seq: int) -> bool:
-    """Whether the scan is durable already. Raises SequenceGap where it is not the next one; SessionFinished."""
-    if seq <= session.committed_seq:
+    """Whether the scan is durable already. Raises BadField; SessionFinished; SequenceGap beyond the next one."""
+    following = session.committed_seq + 1
+    if seq == following:
+        require_active(session)
+        return False
+    limits.SCAN_SEQ.validated(seq, "seq")
+    if seq < following:
         return True
     require_active(session)
-    if seq != session.committed_seq + 1:
-        raise SequenceGap(session.committed_seq + 1, seq)
-    return False
+    raise SequenceGap(following, seq)
 
 
 def _stored_scan(uow: UnitOfWork, session: SessionRecord, seq: int) -> ScanRecord | None:
@@ -293,14 +326,4 @@ def _row(session: SessionRecord, accepted: _Accepted, travelled_m: float) -> Sca
         travelled_m=travelled_m,
         point_count=len(accepted.scan.points),
         cloud_sha256=accepted.sha256,
-    )
-
-
-def _with_window(session: SessionRecord, window: Window) -> SessionRecord:
-    return replace(
-        session,
-        window_first_seq=window.first_seq,
-        window_start_m=window.start_m,
-        travelled_m=window.travelled_m,
-        emitted_to_m=window.emitted_to_m,
     )

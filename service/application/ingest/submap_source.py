@@ -11,9 +11,9 @@ from revisit.core.geometry.se3 import pose_matrix
 from revisit.core.scan import CloudReport, Scan
 from revisit.core.submap import Submap, chosen_scans
 from revisit.service.application.contract.blobs import CLOUD_BLOB, BlobStore
-from revisit.service.application.contract.lookup import require_map
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.records import Pose, SubmapRecord
+from revisit.service.application.contract.storage import require_map
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.ingest.clouds import unpack_cloud
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from functools import partial
@@ -15,13 +14,14 @@ from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.contract.errors import NotReady
 from revisit.service.application.contract.identity import SessionKey, TenantId
-from revisit.service.application.contract.lookup import require_map, require_session
-from revisit.service.application.contract.records import SessionPosesRecord
+from revisit.service.application.contract.records import EarlyCorrectionRecord, SessionPosesRecord
 from revisit.service.application.contract.session_poses import PackedSubmaps
-from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.storage import Storage, require_map, require_session
 from revisit.service.application.contract.transactions import UnitOfWork
+from revisit.service.application.query.glance import AGAIN_S, Glance
 
-_WATCH_POLL_S = 0.25
+SOON_S = 0.3
+"""A loop is in the log of events before what it corrects is stored: a watch looks again after so long."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,8 @@ class CorrectionView:
     """T_map_odom (4, 4) of a session by a version of its map, as of its last submap there.
 
     Covariance (6, 6) of that submap's pose in the map: of (x, y, z, rx, ry, rz) in the submap's frame.
+    `early_loops` is not 0 where single loops have moved the session since: then T_map_odom is as of its last submap of
+    all, until a version says more.
     """
 
     session: SessionKey
@@ -37,15 +39,17 @@ class CorrectionView:
     map_version: int
     covariance: NDArray[np.float32]
     created_at_ns: int
+    early_loops: int = 0
 
 
 class Corrections:
     """Get and watch the corrections of sessions."""
 
-    def __init__(self, storage: Storage, admission: Admission) -> None:
-        """Watching ends when `admission` says that the service stops."""
+    def __init__(self, storage: Storage, admission: Admission, glance: Glance) -> None:
+        """Watching ends when `admission` says that the service stops; `glance` sees that there is news."""
         self._storage = storage
         self._admission = admission
+        self._glance = glance
 
     async def get(self, tenant: TenantId, key: SessionKey) -> CorrectionView:
         """By the version in force. Raises NotFound; NotReady where that does not have the session."""
@@ -56,15 +60,19 @@ class Corrections:
     ) -> AsyncIterator[CorrectionView]:
         """The corrections by the version in force where it is above `after`, then by each that follows.
 
-        Of versions that follow fast, the newest counts. Ends when the service stops. Raises NotFound for the map and
-        the session.
+        Those ahead of a version come as they are made. Of those that follow fast, the newest counts. Ends when the
+        service stops. Raises NotFound for the map and the session.
         """
+        early, happened = dict[str, int](), False
         while not self._admission.stopping:
-            known = partial(_newer, tenant=tenant, map_id=map_id, after=after, session_id=session_id)
+            looked_at = self._glance.last
+            known = partial(_newer, tenant=tenant, map_id=map_id, after=after, session_id=session_id, early=early)
             after, corrections = await self._storage.read(known)
             for correction in corrections:
+                early[correction.session.session_id] = correction.early_loops
                 yield correction
-            await asyncio.sleep(_WATCH_POLL_S)
+            at_most_s = SOON_S if happened else AGAIN_S
+            happened = await self._glance.beyond(tenant, map_id, looked_at, at_most_s)
 
 
 def _correction(uow: UnitOfWork, tenant: TenantId, key: SessionKey) -> CorrectionView:
@@ -73,28 +81,35 @@ def _correction(uow: UnitOfWork, tenant: TenantId, key: SessionKey) -> Correctio
     row = uow.session_poses.get(tenant, key.map_id, version, key.session_id)
     if row is None:
         raise NotReady(f"no version of map {key.map_id} has session {key.session_id} yet")
-    return _view(row)
+    return _view(row, uow.early_corrections.get(tenant, key.map_id, key.session_id))
 
 
 def _newer(
-    uow: UnitOfWork, tenant: TenantId, map_id: str, after: int, session_id: str | None
+    uow: UnitOfWork, tenant: TenantId, map_id: str, after: int, session_id: str | None, early: dict[str, int]
 ) -> tuple[int, list[CorrectionView]]:
+    """The version in force, and what it says that was not told: of a version above `after` everything."""
     version = require_map(uow, tenant, map_id).map_version
     if session_id is not None:
         require_session(uow, tenant, SessionKey(map_id, session_id))
-    if version <= after:
-        return after, []
     of_session: dict[str, Any] = {} if session_id is None else {"session_id": session_id}
+    ahead = {row.session_id: row for row in uow.early_corrections.find(tenant, map_id=map_id, **of_session)}
+    loops = {name: row.loops for name, row in ahead.items() if row.version == version}
+    if version <= after and loops == {name: known for name, known in early.items() if known}:
+        return after, []
     rows = uow.session_poses.find(tenant, map_id=map_id, version=version, **of_session)
-    return version, [_view(row) for row in sorted(rows, key=lambda row: row.session_number)]
+    views = [_view(row, ahead.get(row.session_id)) for row in sorted(rows, key=lambda row: row.session_number)]
+    told = [view for view in views if version > after or view.early_loops != early.get(view.session.session_id, 0)]
+    return max(version, after), told
 
 
-def _view(row: SessionPosesRecord) -> CorrectionView:
+def _view(row: SessionPosesRecord, ahead: EarlyCorrectionRecord | None) -> CorrectionView:
+    early = ahead if ahead is not None and ahead.version == row.version else None
     return CorrectionView(
         session=SessionKey(row.map_id, row.session_id),
-        T_map_odom=pose_matrix(row.T_map_odom),
+        T_map_odom=pose_matrix(row.T_map_odom if early is None else early.T_map_odom),
         frame=row.frame,
         map_version=row.version,
         covariance=PackedSubmaps.of(row.submaps).covariances[-1],
-        created_at_ns=row.created_at_ns,
+        created_at_ns=row.created_at_ns if early is None else early.created_at_ns,
+        early_loops=0 if early is None else early.loops,
     )

@@ -41,7 +41,7 @@ def read_task(uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str) ->
     tracks = _tracks(uow, tenant, map_id)
     accepted = uow.loops.find(tenant, map_id=map_id, state=LoopState.ACCEPTED.value)
     loops = tuple(loop for loop in accepted if loop.T_match_query is not None)
-    graph = MapGraph(tracks, tuple(_track_loop(loop) for loop in loops), policy.for_map(record).submap.tau)
+    graph = MapGraph(tracks, tuple(track_loop(loop) for loop in loops), policy.for_map(record).submap.tau)
     before = uow.session_poses.find(tenant, map_id=map_id, version=record.map_version)
     return MapTask(record, graph, tuple(ids[track.session_number] for track in tracks), loops, tuple(before))
 
@@ -55,7 +55,8 @@ def _tracks(uow: UnitOfWork, tenant: TenantId, map_id: str) -> tuple[SessionTrac
     return tuple(tracks)
 
 
-def _track_loop(record: LoopRecord) -> TrackLoop:
+def track_loop(record: LoopRecord) -> TrackLoop:
+    """An accepted loop as a pose graph has it."""
     T_match_query = pose_matrix(record.T_match_query or ())
     covariance = measured_covariance(record.evidence)
     return TrackLoop(record.number, record.match_number, record.query_number, T_match_query, covariance)

@@ -18,7 +18,6 @@ from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.errors import AlreadyExists, NotReady
 from revisit.service.application.contract.graph_edits import note_edit
 from revisit.service.application.contract.identity import SubmapKey, TenantId, content_hash, validated_note
-from revisit.service.application.contract.lookup import require_job, require_map, require_submap
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.records import LoopEventRecord, LoopRecord, SubmapRecord
 from revisit.service.application.contract.states import (
@@ -28,7 +27,7 @@ from revisit.service.application.contract.states import (
     OperationKind,
     SubmapState,
 )
-from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.storage import Storage, require_job, require_map, require_submap
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.views import OperationView, operation_view
 from revisit.service.application.mapping.loop_events import (

@@ -20,10 +20,9 @@ from revisit.service.application.contract.blobs import MAP_LAYOUT_BLOB, NEURAL_M
 from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.errors import NotFound
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.lookup import require_map
 from revisit.service.application.contract.records import MapFileRecord
 from revisit.service.application.contract.states import MapFileState, OperationKind
-from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.storage import Storage, require_map
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.views import PostedOperation, operation_view
 from revisit.service.application.mapping.map_layout import MapLayout

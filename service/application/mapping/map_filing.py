@@ -20,11 +20,11 @@ from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.errors import NotReady, Unavailable
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.job_queue import Lease
-from revisit.service.application.contract.lookup import require_map
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.records import MapFileRecord, SubmapRecord
 from revisit.service.application.contract.session_poses import PackedSubmaps
 from revisit.service.application.contract.states import MapFileState
+from revisit.service.application.contract.storage import require_map
 from revisit.service.application.contract.transactions import Transactions, UnitOfWork
 from revisit.service.application.contract.views import submap_key
 from revisit.service.application.mapping.map_layout import LayoutRecorder, MapLayout

@@ -21,10 +21,9 @@ from revisit.service.application.contract import limits
 from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.errors import NotFound, NotReady
 from revisit.service.application.contract.identity import SessionKey, TenantId
-from revisit.service.application.contract.lookup import require_map, require_session
 from revisit.service.application.contract.records import MapMergeRecord
 from revisit.service.application.contract.states import OperationKind
-from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.storage import Storage, require_map, require_session
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.views import PostedOperation, operation_view
 from revisit.service.application.mapping.merge_reading import require_comparable
@@ -72,22 +71,6 @@ class MergeMap:
         }
 
 
-@dataclass(frozen=True)
-class MapMergeView:
-    """A merge as clients see it (see `MapMergeRecord`)."""
-
-    map_id: str
-    merge_id: str
-    source: str
-    version_before: int
-    version: int
-    sessions: tuple[SessionKey, ...]
-    report: dict[str, Any]
-    created_at_ns: int
-    reverted_at_ns: int | None
-    number: int
-
-
 class MapMerges:
     """Merge, list, get, take back."""
 
@@ -118,16 +101,15 @@ class MapMerges:
         payload = command.payload()
         return await self._storage.write(partial(self._post, tenant=tenant, command=command, payload=payload))
 
-    async def list(self, tenant: TenantId, map_id: str, page: PageRequest) -> Page[MapMergeView]:
+    async def list(self, tenant: TenantId, map_id: str, page: PageRequest) -> Page[MapMergeRecord]:
         """The merges into a map, oldest first, those taken back too. Raises NotFound for the map."""
         return await self._lists.page(tenant, page, partial(_merges, tenant=tenant, map_id=map_id), lambda _, one: one)
 
-    async def get(self, tenant: TenantId, map_id: str, merge_id: str) -> MapMergeView:
+    async def get(self, tenant: TenantId, map_id: str, merge_id: str) -> MapMergeRecord:
         """Raises NotFound."""
-        found = await self._storage.read(partial(_require_merge, tenant=tenant, map_id=map_id, merge_id=merge_id))
-        return _view(found)
+        return await self._storage.read(partial(_require_merge, tenant=tenant, map_id=map_id, merge_id=merge_id))
 
-    async def revert(self, tenant: TenantId, map_id: str, merge_id: str) -> MapMergeView:
+    async def revert(self, tenant: TenantId, map_id: str, merge_id: str) -> MapMergeRecord:
         """Take a merge back: its copies are deleted, the poses from before it come back, bit for bit.
 
         What came into the map since stays. Raises NotFound; NotReady where a later merge holds; Draining.
@@ -137,7 +119,7 @@ class MapMerges:
         work = partial(self._revert, map_id=map_id, merge_id=merge_id, entry=entry)
         reverted, doomed = await self._storage.write(work)
         await self._collector.collect(tenant, doomed)
-        return _view(reverted)
+        return reverted
 
     def _post(self, uow: UnitOfWork, tenant: TenantId, command: MergeMap, payload: dict[str, Any]) -> PostedOperation:
         target, source = (require_map(uow, tenant, one) for one in (command.map_id, command.source_map_id))
@@ -189,21 +171,6 @@ def _require_merge(uow: UnitOfWork, tenant: TenantId, map_id: str, merge_id: str
     return known
 
 
-def _merges(uow: UnitOfWork, after: int, limit: int, *, tenant: TenantId, map_id: str) -> list[MapMergeView]:
+def _merges(uow: UnitOfWork, after: int, limit: int, *, tenant: TenantId, map_id: str) -> list[MapMergeRecord]:
     require_map(uow, tenant, map_id)
-    return [_view(row) for row in uow.map_merges.find(tenant, after=after, limit=limit, map_id=map_id)]
-
-
-def _view(record: MapMergeRecord) -> MapMergeView:
-    return MapMergeView(
-        map_id=record.map_id,
-        merge_id=record.merge_id,
-        source=record.source,
-        version_before=record.version_before,
-        version=record.version,
-        sessions=tuple(SessionKey(record.map_id, name) for name in record.sessions),
-        report=record.report,
-        created_at_ns=record.created_at_ns,
-        reverted_at_ns=record.reverted_at_ns,
-        number=record.number,
-    )
+    return uow.map_merges.find(tenant, after=after, limit=limit, map_id=map_id)

@@ -12,12 +12,12 @@ from revisit.core.config import PipelineConfig
 from revisit.core.geometry.tile_grid import TileGrid
 from revisit.service.application.contract.errors import NotFound
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.lookup import require_map
 from revisit.service.application.contract.map_merger import PlacedSubmapMap
 from revisit.service.application.contract.map_tiles import TileKey
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.records import SubmapRecord
 from revisit.service.application.contract.session_poses import PackedSubmaps
+from revisit.service.application.contract.storage import require_map
 from revisit.service.application.contract.transactions import UnitOfWork
 
 MOST_SUBMAPS = 128

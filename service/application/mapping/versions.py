@@ -18,7 +18,6 @@ from revisit.service.application.contract import limits
 from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.errors import NotFound
 from revisit.service.application.contract.identity import SubmapKey, TenantId
-from revisit.service.application.contract.lookup import require_map
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.records import MapRecord, MapVersionRecord, SessionPosesRecord
 from revisit.service.application.contract.session_poses import (
@@ -28,7 +27,7 @@ from revisit.service.application.contract.session_poses import (
     unpack_loops,
 )
 from revisit.service.application.contract.states import LoopState
-from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.storage import Storage, require_map
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.views import PostedOperation, operation_view
 from revisit.service.application.mapping.optimisation import (

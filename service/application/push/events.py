@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterable
 from dataclasses import dataclass, field
 from functools import partial
 
 from revisit.service.application.capacity.admission import Admission
-from revisit.service.application.capacity.turns import Turns
+from revisit.service.application.capacity.in_flight import Turns
 from revisit.service.application.contract.errors import NotFound
 from revisit.service.application.contract.events import EventRecord
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.lookup import require_map
 from revisit.service.application.contract.states import EventKind
-from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.storage import Storage, require_map
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.views import OperationView, operation_view
 from revisit.service.application.mapping.versions import MapVersionView, version_seen
+from revisit.service.application.query.glance import AGAIN_S, Glance
 from revisit.service.application.query.loops import LoopClosureView, loop_view
-
-LOOK_EVERY_S = 0.2
-"""How often the log is looked at while anybody watches, however many do."""
 
 HEARTBEAT_S = 15.0
 """A watch of which there is nothing to tell says so after this long."""
@@ -55,32 +52,6 @@ class Told:
 
     events: list[EventView]
     seen: int
-
-
-class Glance:
-    """Looks at the last number of the log, once for all who wait for it."""
-
-    def __init__(self, storage: Storage, every_s: float = LOOK_EVERY_S) -> None:
-        """At most one look in `every_s` seconds."""
-        self._storage = storage
-        self._every_s = every_s
-        self._next: asyncio.Task[int] | None = None
-
-    async def next(self) -> int:
-        """The last number as of the next look."""
-        if self._next is None or self._next.done():
-            self._next = asyncio.create_task(self._look())
-        return await asyncio.shield(self._next)
-
-    async def beyond(self, number: int, at_most_s: float) -> None:
-        """Wait until the last number is above `number`, or for so many seconds."""
-        until_s = asyncio.get_running_loop().time() + at_most_s
-        while await self.next() <= number and asyncio.get_running_loop().time() < until_s:
-            pass
-
-    async def _look(self) -> int:
-        await asyncio.sleep(self._every_s)
-        return await self._storage.read(lambda uow: uow.events.last_number())
 
 
 @dataclass(frozen=True)
@@ -121,7 +92,8 @@ class Events:
                         yield event
                 continue
             began_s = asyncio.get_running_loop().time()
-            last = max(last, await self.glance.next())
+            await self.glance.beyond(tenant, map_id, seen, min(AGAIN_S, self.heartbeat_s - silent_s))
+            last = max(last, self.glance.last)
             silent_s += asyncio.get_running_loop().time() - began_s
             if silent_s >= self.heartbeat_s:
                 silent_s = 0.0
@@ -136,14 +108,17 @@ def _last(uow: UnitOfWork, tenant: TenantId, map_id: str) -> int:
 def _told(uow: UnitOfWork, tenant: TenantId, map_id: str, seen: int, last: int) -> Told:
     require_map(uow, tenant, map_id)
     rows = uow.events.following(tenant, seen, BATCH, map_id)
-    # The row that comes last stands for all of the same resource in this batch.
+    return Told(events_of(uow, rows), last if len(rows) < BATCH else rows[-1].number)
+
+
+def events_of(uow: UnitOfWork, rows: Iterable[EventRecord]) -> list[EventView]:
+    """What rows tell, in their order: of several of one resource the last, of one that is gone nothing."""
     newest = {(row.kind, row.subject): row for row in rows}
-    events = [event_of(uow, row) for row in sorted(newest.values(), key=lambda row: row.number)]
-    whole = len(rows) < BATCH
-    return Told([event for event in events if event is not None], last if whole else rows[-1].number)
+    events = [_event_of(uow, row) for row in sorted(newest.values(), key=lambda row: row.number)]
+    return [event for event in events if event is not None]
 
 
-def event_of(uow: UnitOfWork, row: EventRecord) -> EventView | None:
+def _event_of(uow: UnitOfWork, row: EventRecord) -> EventView | None:
     """The event of a row, None where its resource is gone."""
     kind = EventKind(row.kind)
     if kind is EventKind.LOOP_CLOSURE:

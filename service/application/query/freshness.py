@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import time
 from dataclasses import dataclass
 
@@ -10,13 +9,13 @@ from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.errors import SeqNotReached
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.lookup import require_map
-from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.storage import Storage, require_map
 from revisit.service.application.contract.transactions import UnitOfWork
+from revisit.service.application.query.shared_looks import SharedLooks
 
 MAX_WAIT_S = limits.WAIT_S.most
 DEFAULT_WAIT_S = 10.0
-_POLL_S = (0.005, 0.25)
+_PAUSE_S = (0.005, 0.25)
 
 
 @dataclass(frozen=True)
@@ -37,27 +36,35 @@ class Freshness:
         return self
 
 
-async def await_freshness(
-    storage: Storage, admission: Admission, tenant: TenantId, map_id: str, wanted: Freshness
-) -> None:
-    """Return once whatever is read from now on holds what is `wanted`.
+class ReadYourWrites:
+    """Waits until queries see what they must rest on."""
 
-    Raises SeqNotReached after the time allowed, or at once for a number beyond the tenant's own submaps, whether or not
-    somebody else has it; Draining where the service stops meanwhile; NotFound for the map.
-    """
-    if wanted.validated().min_seq == 0:
-        return
-    if await storage.read(lambda uow: _last(uow, tenant, map_id)) < wanted.min_seq:
-        raise SeqNotReached(f"no submap with seq {wanted.min_seq} was stored", field="min_seq")
-    deadline, pause = time.monotonic() + wanted.timeout_s, _POLL_S[0]
-    while waiting := await storage.read(lambda uow: _waiting(uow, tenant, map_id, wanted.min_seq)):
-        admission.require_running()
-        left = deadline - time.monotonic()
-        if left <= 0.0:
-            message = f"{waiting} submaps up to seq {wanted.min_seq} are not described after {wanted.timeout_s:g} s"
-            raise SeqNotReached(message, field="min_seq")
-        await asyncio.sleep(min(pause, left))
-        pause = min(pause * 1.5, _POLL_S[1])
+    def __init__(self, storage: Storage, admission: Admission) -> None:
+        """Waiting ends when `admission` says that the service stops."""
+        self._storage = storage
+        self._admission = admission
+        self._looks = SharedLooks(storage, _not_described)
+
+    async def reached(self, tenant: TenantId, map_id: str, wanted: Freshness) -> None:
+        """Return once whatever is read from now on holds what is `wanted`.
+
+        Raises SeqNotReached after the time allowed, or at once for a number beyond the tenant's own submaps, whether or
+        not somebody else has it; Draining where the service stops meanwhile; NotFound for the map.
+        """
+        min_seq = wanted.validated().min_seq
+        if min_seq == 0:
+            return
+        if await self._storage.read(lambda uow: _last(uow, tenant, map_id)) < min_seq:
+            raise SeqNotReached(f"no submap with seq {min_seq} was stored", field="min_seq")
+        deadline, pause, longer = time.monotonic() + wanted.timeout_s, 0.0, _PAUSE_S[0]
+        while not await self._looks.has_come((tenant, map_id), min_seq, pause):
+            self._admission.require_running()
+            left = deadline - time.monotonic()
+            if left <= 0.0:
+                raise SeqNotReached(
+                    f"submaps up to seq {min_seq} are not described after {wanted.timeout_s:g} s", field="min_seq"
+                )
+            pause, longer = min(longer, left), min(longer * 1.5, _PAUSE_S[1])
 
 
 def _last(uow: UnitOfWork, tenant: TenantId, map_id: str) -> int:
@@ -65,6 +72,9 @@ def _last(uow: UnitOfWork, tenant: TenantId, map_id: str) -> int:
     return uow.submaps.last_number(tenant)
 
 
-def _waiting(uow: UnitOfWork, tenant: TenantId, map_id: str, min_seq: int) -> int:
+def _not_described(uow: UnitOfWork, of: tuple[TenantId, str], min_seqs: frozenset[int]) -> frozenset[int]:
+    """Those numbers up to which a submap of the map waits. Raises NotFound."""
+    tenant, map_id = of
     require_map(uow, tenant, map_id)
-    return uow.submaps.waiting_up_to(tenant, map_id, min_seq)
+    first = uow.submaps.first_waiting(tenant, map_id)
+    return frozenset(() if first is None else (min_seq for min_seq in min_seqs if first <= min_seq))

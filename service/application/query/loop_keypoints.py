@@ -16,14 +16,13 @@ from revisit.core.geometry.se2 import PlanarPose
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.place import Place
 from revisit.service.application.capacity.admission import Admission
-from revisit.service.application.capacity.turns import Turns
+from revisit.service.application.capacity.in_flight import Turns
 from revisit.service.application.contract.blobs import PLACE_BLOB, BlobStore
 from revisit.service.application.contract.errors import NotReady
 from revisit.service.application.contract.identity import SubmapKey, TenantId
-from revisit.service.application.contract.lookup import require_submap
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.records import SubmapRecord
-from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.storage import Storage, require_submap
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.query.loops import LoopClosureView, loop_view, require_loop
 

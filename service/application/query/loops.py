@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -13,18 +12,17 @@ from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract.errors import NotFound
 from revisit.service.application.contract.identity import SessionKey, SubmapKey, TenantId
-from revisit.service.application.contract.lookup import require_map, require_session
 from revisit.service.application.contract.map_frames import LoopInMap, MapFrames
 from revisit.service.application.contract.records import LoopRecord
 from revisit.service.application.contract.states import GraphState, LoopState
-from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.storage import Storage, require_map, require_session
 from revisit.service.application.contract.transactions import UnitOfWork
-from revisit.service.application.query.freshness import Freshness, await_freshness
+from revisit.service.application.query.freshness import Freshness, ReadYourWrites
+from revisit.service.application.query.glance import Glance
 
 _LAST_NUMBER = 2**63 - 1
 """No closure has a larger number; stores cannot compare with one."""
 
-_WATCH_POLL_S = 0.25
 _WATCH_BATCH = 100
 
 
@@ -64,11 +62,15 @@ class LoopClosureView:
 class Loops:
     """Get, list and watch loop closures."""
 
-    def __init__(self, storage: Storage, lists: Lists, admission: Admission) -> None:
-        """Watching ends when `admission` says that the service stops."""
+    def __init__(
+        self, storage: Storage, lists: Lists, admission: Admission, glance: Glance, writes: ReadYourWrites
+    ) -> None:
+        """Watching ends when `admission` says that the service stops; `glance` sees that there is news."""
         self._storage = storage
         self._lists = lists
         self._admission = admission
+        self._glance = glance
+        self._writes = writes
 
     async def get(self, tenant: TenantId, map_id: str, loop_id: str) -> LoopClosureView:
         """Raises NotFound."""
@@ -91,7 +93,7 @@ class Loops:
 
         Raises NotFound for the map and the session, SeqNotReached where `fresh` was not reached.
         """
-        await await_freshness(self._storage, self._admission, tenant, map_id, fresh)
+        await self._writes.reached(tenant, map_id, fresh)
         wanted = Wanted(map_id, state, session_id, graph_state, reason or None)
         find = partial(_views, tenant=tenant, wanted=wanted)
         return await self._lists.page(tenant, page, find, lambda _, view: view)
@@ -105,12 +107,13 @@ class Loops:
         """
         seen = min(after, _LAST_NUMBER)
         while not self._admission.stopping:
+            looked_at = self._glance.last
             views = await self._accepted_after(tenant, map_id, seen, session_id)
             for view in views:
                 seen = view.number
                 yield view
             if not views:
-                await asyncio.sleep(_WATCH_POLL_S)
+                await self._glance.beyond(tenant, map_id, looked_at)
 
     async def _accepted_after(
         self, tenant: TenantId, map_id: str, after: int, session_id: str | None

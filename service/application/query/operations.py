@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import time
 from dataclasses import replace
 from functools import partial
@@ -14,13 +13,13 @@ from revisit.service.application.contract import limits
 from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.job_queue import CANCELLED
-from revisit.service.application.contract.lookup import require_job
 from revisit.service.application.contract.states import OperationKind, OperationState
-from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.storage import Storage, require_job
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.views import OperationView, operation_view
+from revisit.service.application.query.shared_looks import SharedLooks
 
-_POLL_S = (0.02, 0.25)
+_PAUSE_S = (0.02, 0.25)
 
 CANCELLABLE = (OperationKind.OPTIMISE_MAP, OperationKind.MERGE_MAP)
 """The kinds of operations that look, while they run, whether they are to end."""
@@ -35,6 +34,7 @@ class Operations:
         self._lists = lists
         self._admission = admission
         self._clock = clock
+        self._looks = SharedLooks(storage, _unfinished)
 
     async def get(self, tenant: TenantId, operation_id: str) -> OperationView:
         """Raises NotFound."""
@@ -80,11 +80,17 @@ class Operations:
         Returns early, as it stands, when the service stops.
         """
         deadline = time.monotonic() + min(max(timeout_s, 0.0), limits.WAIT_S.most)
-        pause = _POLL_S[0]
-        while True:
-            operation = await self.get(tenant, operation_id)
+        pause = _PAUSE_S[0]
+        operation = await self.get(tenant, operation_id)
+        ended = operation.done
+        while not ended:
             left = deadline - time.monotonic()
-            if operation.done or left <= 0 or self._admission.stopping:
-                return operation
-            await asyncio.sleep(min(pause, left))
-            pause = min(pause * 1.5, _POLL_S[1])
+            if left <= 0 or self._admission.stopping:
+                break
+            ended = await self._looks.has_come(tenant, operation_id, min(pause, left))
+            pause = min(pause * 1.5, _PAUSE_S[1])
+        return operation if operation.done else await self.get(tenant, operation_id)
+
+
+def _unfinished(uow: UnitOfWork, tenant: TenantId, operation_ids: frozenset[str]) -> frozenset[str]:
+    return uow.jobs.unfinished(tenant, operation_ids)

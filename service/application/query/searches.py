@@ -22,10 +22,9 @@ from revisit.service.application.contract.blobs import QUERY_CLOUD_BLOB
 from revisit.service.application.contract.errors import NoAnswer, NotReady, error_of
 from revisit.service.application.contract.identity import SubmapKey, TenantId
 from revisit.service.application.contract.index import VectorFilter
-from revisit.service.application.contract.lookup import require_map, require_submap
 from revisit.service.application.contract.records import JobRecord, MapRecord, SubmapRecord
 from revisit.service.application.contract.states import OperationKind, OperationState
-from revisit.service.application.contract.storage import Storage
+from revisit.service.application.contract.storage import Storage, require_map, require_submap
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.views import OperationView
 from revisit.service.application.ingest.clouds import (
@@ -36,7 +35,7 @@ from revisit.service.application.ingest.clouds import (
     pack_cloud,
     reading_points,
 )
-from revisit.service.application.query.freshness import Freshness, await_freshness
+from revisit.service.application.query.freshness import Freshness, ReadYourWrites
 from revisit.service.application.query.operations import Operations
 from revisit.service.application.query.place_memory import PlaceMemory, vector_filter
 from revisit.service.application.query.search_answers import (
@@ -79,6 +78,7 @@ class Searches:
         jobs: JobPosting,
         memory: PlaceMemory,
         operations: Operations,
+        writes: ReadYourWrites,
     ) -> None:
         """Clouds are described by jobs posted through `jobs`; `operations` waits for their answers."""
         self._storage = storage
@@ -87,6 +87,7 @@ class Searches:
         self._jobs = jobs
         self._memory = memory
         self._operations = operations
+        self._writes = writes
 
     async def by_submap(
         self, tenant: TenantId, key: SubmapKey, criteria: SearchCriteria, fresh: Freshness = Freshness()
@@ -96,7 +97,7 @@ class Searches:
         Raises NotFound, NotReady, BadField, SeqNotReached where `fresh` was not reached.
         """
         validated_criteria(criteria)
-        await await_freshness(self._storage, self._admission, tenant, key.map_id, fresh)
+        await self._writes.reached(tenant, key.map_id, fresh)
         map_record, record, where = await self._storage.read(
             partial(_asked_by, tenant=tenant, key=key, criteria=criteria)
         )
@@ -115,7 +116,7 @@ class Searches:
         """The submaps nearest to a descriptor (d,), once normalised. Raises as `by_submap`, DescriptorModelMismatch."""
         validated_criteria(criteria)
         unit = _unit(vector)
-        await await_freshness(self._storage, self._admission, tenant, map_id, fresh)
+        await self._writes.reached(tenant, map_id, fresh)
         map_record, where = await self._storage.read(
             partial(_asked_in, tenant=tenant, map_id=map_id, criteria=criteria)
         )
@@ -138,7 +139,7 @@ class Searches:
         Raises NoAnswer, WorkersBusy, NotFound, SeqNotReached, ...
         """
         payload = _payload(map_id, validated_criteria(criteria), T_level_query)
-        await await_freshness(self._storage, self._admission, tenant, map_id, fresh)
+        await self._writes.reached(tenant, map_id, fresh)
         answer = await self._ask(tenant, OperationKind.SEARCH_CLOUD, payload, cloud, timeout_s)
         return search_result_from_json(answer)
 
@@ -156,7 +157,7 @@ class Searches:
         )
         criteria = validated_criteria(narrowed)
         payload = _payload(query.map_id, criteria, query.T_level_query)
-        await await_freshness(self._storage, self._admission, tenant, query.map_id, fresh)
+        await self._writes.reached(tenant, query.map_id, fresh)
         answer = await self._ask(tenant, OperationKind.LOCALIZE, payload, query.cloud, timeout_s)
         return localization_from_json(answer)
 

@@ -14,11 +14,11 @@ from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.events import AMBIGUOUS
 from revisit.service.application.contract.index import IndexChange, VectorFilter
 from revisit.service.application.contract.job_queue import Lease
-from revisit.service.application.contract.lookup import require_map
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.recogniser import LoopVerdict, SubmapDescription
 from revisit.service.application.contract.records import LoopRecord, MapRecord, SubmapRecord
 from revisit.service.application.contract.states import LoopEventKind, LoopState
+from revisit.service.application.contract.storage import require_map
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.views import submap_key
 from revisit.service.application.ingest.submap_source import SubmapSource

@@ -10,11 +10,11 @@ import numpy as np
 from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
 from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.job_queue import Lease
-from revisit.service.application.contract.lookup import require_map
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.recogniser import LoopVerdict
 from revisit.service.application.contract.records import JobRecord, LoopRecord, MapRecord, SubmapRecord
 from revisit.service.application.contract.states import LoopEventKind, LoopState
+from revisit.service.application.contract.storage import require_map
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.mapping.loop_events import Change, change_loop
 from revisit.service.application.mapping.optimisation import optimise_soon

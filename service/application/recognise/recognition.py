@@ -37,18 +37,19 @@ from revisit.service.application.contract.errors import NoAnswer, StaleLease, St
 from revisit.service.application.contract.identity import SubmapKey
 from revisit.service.application.contract.index import VectorFilter
 from revisit.service.application.contract.job_queue import Lease
-from revisit.service.application.contract.lookup import require_map
 from revisit.service.application.contract.map_frames import MapPose, submap_in_map
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.recogniser import LoopVerdict, PlaceRecogniser, SubmapDescription
 from revisit.service.application.contract.records import JobRecord, MapRecord, SubmapRecord
 from revisit.service.application.contract.states import OperationKind, SubmapState
+from revisit.service.application.contract.storage import require_map
 from revisit.service.application.contract.tracing import current_request
 from revisit.service.application.contract.transactions import Transactions, UnitOfWork
 from revisit.service.application.contract.views import submap_key
 from revisit.service.application.housekeeping.dead_letters import mark_subject_failed
 from revisit.service.application.ingest.clouds import QUERY_NONCE_BYTES, unpack_cloud
 from revisit.service.application.ingest.submap_source import load_scans, submap_of, submap_source
+from revisit.service.application.mapping.early_corrections import EarlyCorrections
 from revisit.service.application.mapping.map_filing import MapFiling
 from revisit.service.application.mapping.merging import MapMerging
 from revisit.service.application.mapping.optimisation import MapOptimisation
@@ -85,12 +86,13 @@ LOST = LoopVerdict(False, "PLACE_LOST", 0.0, None, {})
 
 @dataclass(frozen=True)
 class MapWork:
-    """The jobs about whole maps: optimise, merge, make and measure tiles, publish."""
+    """The jobs about whole maps: optimise, merge, make and measure tiles, publish; what loops correct before that."""
 
     mapping: MapOptimisation
     merging: MapMerging
     tiles: TileMaking
     filing: MapFiling
+    early: EarlyCorrections
 
 
 class Recognition:
@@ -121,7 +123,7 @@ class Recognition:
             OperationKind.DESCRIBE_SUBMAP: self._describe_submap,
             OperationKind.SEARCH_CLOUD: self._search_cloud,
             OperationKind.LOCALIZE: self._localize,
-            OperationKind.OPTIMISE_MAP: self._maps.mapping.run,
+            OperationKind.OPTIMISE_MAP: self._optimise_map,
             OperationKind.VERIFY_LOOP: self._verify_loop,
             OperationKind.MERGE_MAP: self._maps.merging.run,
             OperationKind.MAKE_TILE: self._maps.tiles.make,
@@ -237,6 +239,8 @@ class Recognition:
             )
             failpoint("job.before_commit")
             if self._transactions.write(commit).result():
+                if earlier or any(one.verdict.accepted for one in kept):
+                    self._maps.early.take_in(task.map.tenant, task.map.map_id)
                 return
 
     def _judge(
@@ -292,6 +296,11 @@ class Recognition:
                 f"map {record.map_id} was described by model {record.model_version}, this worker has {own}"
             )
 
+    def _optimise_map(self, lease: Lease) -> None:
+        """Optimise a map; the loops that came in meanwhile correct the version that is in force now."""
+        self._maps.mapping.run(lease)
+        self._maps.early.take_in(lease.job.tenant, str(lease.job.payload["map_id"]))
+
     def _verify_loop(self, lease: Lease) -> None:
         """Register the two submaps of a loop that a person has made."""
         pair = self._transactions.read(partial(proposed_pair, job=lease.job)).result()
@@ -302,6 +311,8 @@ class Recognition:
         now, now_ns = self._clock.instant(), self._clock.wall_ns()
         commit = VerdictCommit(lease, self._recogniser.model_version, self._policy, pair, verdict, now, now_ns)
         self._transactions.write(commit).result()
+        if pair is not None and verdict is not None and verdict.accepted:
+            self._maps.early.take_in(pair.map.tenant, pair.map.map_id)
 
     # -- searching by cloud
 

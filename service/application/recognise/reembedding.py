@@ -18,11 +18,11 @@ from revisit.core.container import Container
 from revisit.core.errors import DataLoss, RevisitError
 from revisit.service.application.catalogue.maps import model_for_map
 from revisit.service.application.contract.blobs import NEURAL_MAP_BLOB, PLACE_BLOB, BlobStore
-from revisit.service.application.contract.lookup import require_map
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.recogniser import PlaceRecogniser, Redescription
 from revisit.service.application.contract.records import MapRecord, SubmapRecord
 from revisit.service.application.contract.states import SubmapState
+from revisit.service.application.contract.storage import require_map
 from revisit.service.application.contract.transactions import Transactions, UnitOfWork
 from revisit.service.application.ingest.submap_source import load_submap, submap_source
 

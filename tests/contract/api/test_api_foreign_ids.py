@@ -8,7 +8,6 @@ import grpc
 import httpx
 import numpy as np
 import pytest
-from google.protobuf.descriptor import FieldDescriptor
 from google.protobuf.message_factory import GetMessageClass
 
 from revisit import Client
@@ -68,9 +67,6 @@ def answers():
         yield before, {key: renamed(answer, real, guessed) for key, answer in after.items()}, client, real
 
 
-MAPS_OWN = ("OptimiseMap", "RevertMap", "ListMapVersions", "WatchCorrections", "MergeMap", "ListMapMerges")
-
-
 def fill(client):
     """The owner's resources; their ids, those that the service gave out too."""
     client.create_robot("rover")
@@ -91,29 +87,31 @@ def fill(client):
     return {**UNIVERSE, "operation": operation.name.removeprefix("operations/"), "loop": loop, "merge": merge}
 
 
+MAP, SESSION, VERSION = "maps/{map}", "maps/{map}/sessions/{session}", "maps/{map}/versions/{version}"
+SUBMAP, LOOP = SESSION + "/submaps/{submap}", MAP + "/loopClosures/{loop}"
+NOTE = {"note": "mine"}
+BODIES = {
+    "/sessions": {"session_id": "new"},
+    **dict.fromkeys(("}:accept", "}:reject", "loop_id}:revert"), NOTE),
+    ":distances": {"points_m": [0.0, 0.0, 0.0]},
+    ":publish": {},
+    ":merge": {"source": "maps/annex"},
+    ":revert": {"version": 1},
+    "/loopClosures": {"query": SESSION + "/submaps/b", "match": SESSION + "/submaps/a"},
+}
+"""The JSON of a path by its end; of any other it is a cloud."""
+
+
 def ask(http, channel, metadata, ids):
     """Every answer by its call."""
     found = {}
     for method, path in rest_calls():
-        filled = re.sub(r"{(\w+)_id}", lambda m: ids[m[1]], path)
-        body = {"json": {"session_id": "new"}} if path.endswith("/sessions") else {}
-        if path.endswith(("}:accept", "}:reject", "loop_id}:revert")):
-            body = {"json": {"note": "mine"}}
-        elif path.endswith(":distances"):
-            body = {"json": {"points_m": [0.0, 0.0, 0.0]}}
-        elif path.endswith(":publish"):
-            body = {"json": {}}
-        elif path.endswith(":merge"):
-            body = {"json": {"source": "maps/annex"}}
-        elif path.endswith(":revert"):
-            body = {"json": {"version": 1}}
-        if path.endswith("/loopClosures"):
-            submap = f"maps/{ids['map']}/sessions/{ids['session']}/submaps"
-            body = {"json": {"query": f"{submap}/b", "match": f"{submap}/a"}}
-        if not body:
-            body = {"content": CLOUD, "headers": {"content-type": QUANTISED}}
+        url = re.sub(r"{(\w+)_id}", lambda m: ids[m[1]], path)
+        json = next((one for end, one in BODIES.items() if path.endswith(end)), None)
+        binary = {"content": CLOUD, "headers": {"content-type": QUANTISED}}
+        body = binary if json is None else {"json": filled(json, ids)}
         query = {**QUERY, "seq": 1, "T_odom_sensor": POSE} if method == "post" else QUERY
-        answer = http.request(method, filled, params={k: v for k, v in query.items() if wanted(path, k)}, **body)
+        answer = http.request(method, url, params={k: v for k, v in query.items() if wanted(path, k)}, **body)
         found[f"{method} {path}"] = (answer.status_code, answer.text)
     for method in rpcs():
         found[f"{method.containing_service.name}.{method.name}"] = status(channel, metadata, method, ids)
@@ -142,68 +140,58 @@ def status(channel, metadata, method, ids):
     return "OK", ""
 
 
+NAMES = {
+    "Map": {"name": MAP},
+    "Robot": {"name": "robots/{robot}"},
+    "Session": {"name": SESSION, "parent": MAP, "session_id": "new"},
+    "Submap": {"name": SUBMAP, "parent": SESSION, "submap_id": "new"},
+    "LoopClosure": {"name": LOOP, "parent": MAP},
+    "Operation": {"name": "operations/{operation}"},
+    "Mapping": {"name": MAP, "parent": MAP},
+    "Event": {"parent": MAP},
+    "Webhook": {"name": "webhooks/{webhook}", "parent": "webhooks/{webhook}"},
+    "MapTile": {"name": VERSION + "/tiles/{tile}", "parent": VERSION},
+    "MapFile": {"name": "maps/{map}/files/{version}", "parent": VERSION},
+}
+"""The names in the requests of a service, by its noun."""
+OWN = {
+    "GetMapVersion": {"name": VERSION},
+    "ListSubmapPoses": {"parent": VERSION},
+    "GetMapMerge": {"name": "maps/{map}/merges/{merge}"},
+    "RevertMapMerge": {"name": "maps/{map}/merges/{merge}"},
+    "GetCorrection": {"name": SESSION},
+    "ListMapFiles": {"parent": MAP},
+    "ListLoopClosureEvents": {"parent": LOOP},
+    "CreateLoopClosure": {"query": SESSION + "/submaps/b", "match": SESSION + "/submaps/a"},
+    "MergeMap": {"source": "maps/annex"},
+    "RevertMap": {"version": 1},
+    "StreamScans": {"open": {"session": SESSION}},
+    "MeasureMapDistances": {"points_m": [{"x": 1.0}]},
+    "FindMapPoints": {"within_m": 9.0},
+    "DownloadSubmap": {"format": 1},
+    "DownloadMapTile": {"format": 1},
+}
+"""What the requests of one method have beside those, or instead of them."""
+ANYWHERE = {
+    "cloud": {"encoded": {"content_type": QUANTISED, "data": CLOUD}},
+    "t_odom_submap": {"rotation": {"w": 1.0}, "translation": {"x": 0.0}},
+}
+"""What a field of this name is filled with."""
+
+
 def message(method, ids):
     """The request with every resource name filled in."""
-    request = GetMessageClass(method.input_type)()
     noun = method.containing_service.name.removesuffix("Service")
-    session = f"maps/{ids['map']}/sessions/{ids['session']}"
-    version = f"maps/{ids['map']}/versions/{ids['version']}"
-    merge = f"maps/{ids['map']}/merges/{ids['merge']}"
-    mapping = {
-        **dict.fromkeys(MAPS_OWN, f"maps/{ids['map']}"),
-        **dict.fromkeys(("GetMapVersion", "ListSubmapPoses"), version),
-        **dict.fromkeys(("GetMapMerge", "RevertMapMerge"), merge),
-        "GetCorrection": session,
-    }
-    names = {
-        "Map": f"maps/{ids['map']}",
-        "Robot": f"robots/{ids['robot']}",
-        "Session": session,
-        "Submap": f"{session}/submaps/{ids['submap']}",
-        "LoopClosure": f"maps/{ids['map']}/loopClosures/{ids['loop']}",
-        "Operation": f"operations/{ids['operation']}",
-        "Mapping": mapping.get(method.name),
-        "Webhook": f"webhooks/{ids['webhook']}",
-        "MapTile": f"{version}/tiles/{ids['tile']}",
-        "MapFile": f"maps/{ids['map']}/files/{ids['version']}",
-    }
-    parents = {
-        "Session": names["Map"],
-        "Submap": session,
-        "LoopClosure": names["Map"],
-        "Mapping": names["Mapping"],
-        "Event": names["Map"],
-        "Webhook": names["Webhook"],
-        "MapTile": version,
-        "MapFile": names["Map"] if method.name == "ListMapFiles" else version,
-    }
-    fields = method.input_type.fields_by_name
-    values = {"name": names.get(noun), "parent": parents.get(noun), "session_id": "new", "submap_id": "new"}
-    for name, value in values.items():
-        if name in fields and value and fields[name].type == FieldDescriptor.TYPE_STRING:
-            setattr(request, name, value)
-    if method.name == "ListLoopClosureEvents":
-        request.parent = names["LoopClosure"]
-    if method.name == "CreateLoopClosure":
-        request.query, request.match = f"{session}/submaps/b", f"{session}/submaps/a"
-    if method.name == "MergeMap":
-        request.source = "maps/annex"
-    if method.name == "RevertMap":
-        request.version = 1
-    if "open" in fields:
-        request.open.session = session
-    if method.name == "MeasureMapDistances":
-        request.points_m.add(x=1.0)
-    if method.name == "FindMapPoints":
-        request.within_m = 9.0
-    if method.name in ("DownloadSubmap", "DownloadMapTile"):
-        request.format = 1
-    if "cloud" in fields:
-        request.cloud.encoded.content_type, request.cloud.encoded.data = QUANTISED, CLOUD
-    if "t_odom_submap" in fields:
-        request.t_odom_submap.rotation.w = 1.0
-        request.t_odom_submap.translation.x = 0.0
-    return request
+    wanted = {**ANYWHERE, **NAMES.get(noun, {}), **OWN.get(method.name, {})}
+    fields = {name: filled(value, ids) for name, value in wanted.items() if name in method.input_type.fields_by_name}
+    return GetMessageClass(method.input_type)(**fields)
+
+
+def filled(value, ids):
+    """The value with its names filled in, in whatever it lies."""
+    if isinstance(value, dict):
+        return {name: filled(one, ids) for name, one in value.items()}
+    return value.format_map(ids) if isinstance(value, str) else value
 
 
 def renamed(answer, real, guessed):

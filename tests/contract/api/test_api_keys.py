@@ -258,6 +258,8 @@ async def test_a_call_that_has_ended_is_asked_for_nothing_while_its_watch_goes_o
             (watched if verified.is_set() else verified).set()
             return ANYONE
 
+        admit_call = admit
+
     gate = grpc_access.Gate(SimpleNamespace(access=Access()), recheck_s=0.0)
     call = EndedCall()
     async with gate.watching("/revisit.v1.LoopClosureService/WatchLoopClosures", call):

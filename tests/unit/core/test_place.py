@@ -17,6 +17,7 @@ from revisit.core.geometry import se3
 from revisit.core.geometry.level_frame import LevelFrame
 from revisit.core.place import CONTAINER, Place
 from revisit.core.place_surface import read_surface, write_surface
+from revisit.core.scan_disagreement import ScanDisagreement
 from tests.support.yards import CONFIG, recognised, yard
 
 
@@ -53,6 +54,15 @@ def test_a_stored_frame_that_is_no_similarity_is_refused(matrix: object) -> None
     rows = matrix.tolist() if isinstance(matrix, np.ndarray) else matrix
     with pytest.raises(DataLoss, match="level frame"):
         Place.from_blob(CONTAINER.pack(header | {"T_level_submap": rows}, b""))
+
+
+@pytest.mark.parametrize("stated", [[0.01], [0.01, -1.0], ["a", 0.1], [0.01, float("inf")], 0.01])
+def test_what_scans_disagree_by_survives_the_blob_and_nonsense_is_refused(stated: object) -> None:
+    told = replace(stored(), scan_disagreement=ScanDisagreement(0.0123, 0.004))
+    assert Place.from_blob(told.to_blob()).scan_disagreement == told.scan_disagreement
+    header, body = CONTAINER.unpack(told.to_blob())
+    with pytest.raises(DataLoss):
+        Place.from_blob(CONTAINER.pack({**header, "disagreement": stated}, body))
 
 
 def test_a_place_fits_into_12_kilobytes() -> None:

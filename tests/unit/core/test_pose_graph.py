@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import itertools
-import os
 from dataclasses import replace
-from pathlib import Path
 
 import gtsam
 import numpy as np
@@ -19,7 +17,6 @@ from revisit.core.pose_graph import (
     Node,
     PoseGraph,
     Robustness,
-    SolvedComponent,
     Trajectory,
     optimise,
 )
@@ -28,8 +25,10 @@ from revisit.core.pose_graph.g2o import read_g2o, write_g2o
 from revisit.core.pose_graph.least_squares import INLIER, graduated, minimise
 from revisit.core.pose_graph.variance_factor import Side, rescaled, squared_errors, variance_factor
 from revisit.evaluation.pose_graph_benchmark import Case, Spoiling, measure
+from revisit.evaluation.real_data import real_data
 from revisit.evaluation.wrong_loops import is_wrong, with_agreeing_loops
 from tests.support.made_up_fleet import LOOP_COVARIANCE, MODEL, drifted, fleet, random_motion, road
+from tests.support.real_data import needs_real_data
 
 
 def in_map(graph: PoseGraph, states: tuple[LoopState, ...]) -> list[str]:
@@ -243,9 +242,9 @@ def test_a_loop_to_nowhere_is_refused() -> None:
 
 
 @pytest.mark.real_data
-@pytest.mark.skipif("REVISIT_DATA" not in os.environ, reason="REVISIT_DATA names no folder of recorded graphs")
+@needs_real_data
 def test_half_wrong_loops_do_not_move_a_recorded_graph() -> None:
-    graph = read_g2o((Path(os.environ["REVISIT_DATA"]) / "graphs/kitti_05.g2o").read_text())
+    graph = read_g2o((real_data() / "graphs/kitti_05.g2o").read_text())
     # with this seed graduated non-convexity alone sets every loop aside
     rng, (trajectory,) = np.random.default_rng(4), graph.trajectories
     wrong = []
@@ -265,9 +264,9 @@ def test_half_wrong_loops_do_not_move_a_recorded_graph() -> None:
 
 @pytest.mark.slow
 @pytest.mark.real_data
-@pytest.mark.skipif("REVISIT_DATA" not in os.environ, reason="REVISIT_DATA names no folder of recorded graphs")
+@needs_real_data
 def test_wrong_loops_do_not_bend_a_recorded_graph_that_states_far_too_large_uncertainties() -> None:
-    file = Path(os.environ["REVISIT_DATA"]) / "graphs/parking-garage.g2o"
+    file = real_data() / "graphs/parking-garage.g2o"
     outcome = measure(Case(file, Spoiling(0.5), Robustness.ONLINE))
     assert (outcome.right_kept, outcome.wrong_kept) == (outcome.right, 0)
     assert outcome.distance_m < 0.1
@@ -322,22 +321,6 @@ def test_a_loop_that_the_odometry_forbids_is_not_used_even_alone() -> None:
     apart = se3.inverse(truth[0]) @ truth[30]
     result = optimise(PoseGraph.of([trajectory], [_loop("alone", 0, 60, apart)]), Robustness.COMMIT)
     assert result.loops == (LoopState.SET_ASIDE,)
-
-
-def test_one_loop_more_gives_the_poses_of_a_whole_new_optimisation() -> None:
-    made = fleet(11, 0.0)
-    *loops, last = made.graph.loops
-    fewer = PoseGraph.of(list(made.graph.trajectories), loops)
-    before = optimise(fewer, Robustness.ONLINE)
-    solved = SolvedComponent(fewer, before, before.components[0])
-    assert solved.add(last) is LoopState.IN_MAP
-    whole = optimise(made.graph, Robustness.ONLINE).T_map_submap
-    for name, poses in solved.T_map_submap().items():
-        assert np.abs(poses[:, :3, 3] - whole[name][:, :3, 3]).max() < 0.03
-    wrong = replace(last, name="wrong", T_match_query=random_motion(np.random.default_rng(0)))
-    poses = solved.T_map_submap()
-    assert solved.add(wrong) is LoopState.SET_ASIDE
-    assert all(np.array_equal(poses[name], other) for name, other in solved.T_map_submap().items())
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ import pytest
 
 from revisit.core.geometry import se3
 from revisit.core.upright import estimate_up, surface_normals
-from tests.support.real_drive import needs_real_drive, unpacked_drive
+from tests.support.real_data import needs_real_data, unpacked_drive
 
 RNG = np.random.default_rng(6)
 
@@ -86,7 +86,7 @@ def test_normals_are_those_of_the_planes() -> None:
 
 
 @pytest.mark.real_data
-@needs_real_drive
+@needs_real_data
 def test_single_scans_of_a_car_are_levelled_to_a_degree_and_a_half(tmp_path: Path) -> None:
     from revisit.evaluation.datasets import open_recording
 

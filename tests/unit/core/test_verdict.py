@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
@@ -20,11 +17,13 @@ from revisit.core.geometry.level_frame import LevelFrame
 from revisit.core.model_bundle import load_packaged_models
 from revisit.core.pipeline import describe
 from revisit.core.place import Place
+from revisit.core.scan_disagreement import ScanDisagreement
 from revisit.core.verification import RejectedLoop, RejectionReason, VerifiedLoop, loop_score, verify
 from revisit.core.verification.verdict import systematic_covariance
 from revisit.evaluation.cutting import cut, load_submap
-from revisit.evaluation.datasets import KittiRecording
 from revisit.evaluation.perturbations import Perturbation, turned
+from revisit.evaluation.real_data import real_recording
+from tests.support.real_data import needs_real_data
 from tests.support.yards import CONFIG, moved, place_of_points, recognised, surface_of, thinned, yard
 
 VERIFICATION = CONFIG.verification
@@ -133,11 +132,9 @@ def test_a_place_and_its_copy_in_another_frame_are_aligned_the_same_from_either_
 
 @pytest.mark.real_data
 @pytest.mark.slow
-@pytest.mark.skipif("REVISIT_DATA" not in os.environ, reason="REVISIT_DATA names no folder of real recordings")
+@needs_real_data
 def test_verdicts_on_real_submaps_do_not_depend_on_which_is_the_query(tmp_path: Path) -> None:
-    script = Path(os.environ["REVISIT_DATA"]) / "unpack.py"
-    subprocess.run([sys.executable, script, "kitti00_head", tmp_path], check=True, stdout=subprocess.DEVNULL)
-    recording, config = KittiRecording(tmp_path), replace(CONFIG.submap, tau=10.0, stride=10.0)
+    recording, config = real_recording("kitti00_head", tmp_path), replace(CONFIG.submap, tau=10.0, stride=10.0)
     windows = cut(recording, config, range(0, len(recording), 2))[2:7]
     submaps = [load_submap(recording, window, config, Perturbation())[0] for window in windows]
     models = load_packaged_models()
@@ -182,6 +179,25 @@ def test_the_less_is_shared_and_the_farther_apart_the_less_sure_a_loop_is() -> N
     np.testing.assert_allclose(aside[:3], [0.04, np.hypot(0.04, lever), np.hypot(0.02, lever)])
     in_scene = np.sqrt(np.diag(systematic_covariance(np.eye(4), 0.5, 0.25, VERIFICATION)))
     np.testing.assert_allclose(in_scene, half * [4, 4, 4, 1, 1, 1])
+
+
+def test_scans_that_agree_make_a_loop_surer_and_an_askew_sensor_less_sure() -> None:
+    away, half = se3.from_yaw(0.0, (10.0, 0.0, 0.0)), 0.5
+    unknown = np.sqrt(np.diag(systematic_covariance(away, half, 1.0, VERIFICATION)))
+    told = ScanDisagreement(surface=np.hypot(0.005, 0.005), askew=np.radians(0.1))
+    partly = np.sqrt(np.diag(systematic_covariance(away, half, 1.0, VERIFICATION, told)))
+    assert partly[0] == pytest.approx(unknown[0] / 2)
+    assert partly[1] == pytest.approx(np.hypot(unknown[0] / 2, 10.0 * np.radians(0.1)))
+    worse = ScanDisagreement(surface=0.03, askew=np.radians(1.0))
+    assert systematic_covariance(away, half, 1.0, VERIFICATION, worse)[1, 1] > unknown[1] ** 2
+    assert systematic_covariance(away, half, 1.0, VERIFICATION, worse)[0, 0] == pytest.approx(unknown[0] ** 2)
+
+
+def test_what_the_scans_of_one_place_tell_is_not_taken_for_both() -> None:
+    agreeing = replace(place(1), scan_disagreement=ScanDisagreement(0.0, 0.0))
+    alone, both = (verify(agreeing, other, 1.0, VERIFICATION) for other in (place(1), agreeing))
+    assert isinstance(alone, VerifiedLoop) and isinstance(both, VerifiedLoop)
+    assert alone.measurement.covariance[0, 0] > 0.04**2 > 4.0 * both.measurement.covariance[0, 0]
 
 
 def test_the_error_of_a_made_up_revisit_lies_within_what_the_covariance_says() -> None:

@@ -10,6 +10,7 @@ import pytest
 from revisit.core.geometry import se3
 from revisit.evaluation.baselines import (
     ALL_BASELINES,
+    AugmentedScanContext,
     LidarIris,
     M2dp,
     NdtHistogram,
@@ -80,6 +81,14 @@ def test_scan_context_compares_only_the_candidates_of_the_ring_key() -> None:
     places = np.stack([ScanContext().describe(place(seed)) for seed in range(30)])
     found = ScanContext(ring_key_candidates=5).similarities(places[7], places)
     assert np.count_nonzero(found > -1.0) == 5 and int(found.argmax()) == 7
+
+
+def test_the_augmented_context_finds_a_place_passed_on_the_next_lane_as_alike_as_the_place_itself() -> None:
+    method, cloud = AugmentedScanContext(), place(1)
+    seen, here = method.describe(seen_from(cloud, np.radians(90.0), x=2.0)), method.describe(cloud)
+    aside = method.similarities(seen, here[None])[0]
+    assert aside == pytest.approx(1.0, abs=1e-5)
+    assert method.context.similarities(seen[0], here[None, 0])[0] < 0.99
 
 
 def test_ring_hardly_changes_when_the_place_is_seen_from_a_few_metres_away() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 from pathlib import Path as Folder
 
@@ -14,7 +13,7 @@ from revisit.cli.app import app
 from revisit.core.errors import EmptyCloud
 from revisit.core.geometry import se3
 from revisit.core.submap import Submap
-from revisit.evaluation.domains import catalogue
+from revisit.evaluation import real_data
 from revisit.evaluation.domains.catalogue import DOMAINS, Domain, Pass, Setting, SomeScans
 from revisit.evaluation.domains.drives import DrivenWorld, Leg, Ride, backwards, winding_way
 from revisit.evaluation.domains.evaluation import RememberedVerdicts, evaluate_domain
@@ -28,6 +27,7 @@ from revisit.evaluation.metrics import LoopProtocol
 from revisit.evaluation.realism import scan_statistics
 from revisit.evaluation.simulator import HDL32, VLP16, Path
 from revisit.evaluation.simulator.blocks import Material, block
+from tests.support.real_data import needs_real_data
 
 SENSOR = replace(VLP16, columns=200)
 WAY = winding_way(90.0, 3)
@@ -182,7 +182,7 @@ def test_a_domain_is_evaluated_with_peers_verified_like_the_product_and_goes_on_
 
 
 def test_domains_of_real_data_say_why_they_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv(catalogue.DATA_VARIABLE, raising=False)
+    monkeypatch.delenv(real_data.VARIABLE, raising=False)
     missing = {domain.name for domain in DOMAINS if domain.missing}
     assert {"facades", "resimulated", "real-halves"} <= missing
     assert {"country-road", "canyon", "woods"}.isdisjoint(missing)
@@ -191,7 +191,7 @@ def test_domains_of_real_data_say_why_they_are_left_out(monkeypatch: pytest.Monk
 def test_the_command_leaves_out_what_it_cannot_run_and_refuses_unknown_names(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Folder
 ) -> None:
-    monkeypatch.delenv(catalogue.DATA_VARIABLE, raising=False)
+    monkeypatch.delenv(real_data.VARIABLE, raising=False)
     run = CliRunner().invoke(app, ["bench", "domains", "--only", "facades", "--out", str(tmp_path)])
     assert run.exit_code == 0, run.output
     assert "facades was left out" in run.output and "Not run: facades" in (tmp_path / "domains.md").read_text()
@@ -206,7 +206,7 @@ def test_every_second_scan_keeps_its_pose_and_time(world: OpenWorld) -> None:
 
 
 @pytest.mark.real_data
-@pytest.mark.skipif(catalogue.DATA_VARIABLE not in os.environ, reason="REVISIT_DATA names no folder of real data")
+@needs_real_data
 def test_the_street_between_real_facades_is_free_to_drive(tmp_path: Folder) -> None:
     facades = next(domain for domain in DOMAINS if domain.name == "facades")
     recording = facades.make(Setting(tmp_path)).queries

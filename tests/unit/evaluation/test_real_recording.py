@@ -8,9 +8,9 @@ import pytest
 from revisit.evaluation.datasets import KittiRecording
 from revisit.evaluation.interleaved import evaluate_interleaved
 from revisit.evaluation.recording_evaluation import EvaluationOptions
-from tests.support.real_drive import needs_real_drive, unpacked_drive
+from tests.support.real_data import needs_real_data, unpacked_drive
 
-pytestmark = [pytest.mark.real_data, needs_real_drive]
+pytestmark = [pytest.mark.real_data, needs_real_data]
 SCANS = 110
 
 

@@ -9,8 +9,14 @@ from hypothesis import strategies as st
 from revisit.core.config import SubmapConfig
 from revisit.core.scan import CloudReport, Scan
 from revisit.core.submap import SubmapBuilder
-from revisit.service.application.ingest.windows import ScanRange, Window, advance, remainder
+from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.records import SessionRecord
+from revisit.service.application.ingest.scans import advance
+from revisit.service.application.ingest.windows import ScanRange, remainder
 
+NEW = SessionRecord(
+    TenantId("t"), "town", "run", "", None, "ACTIVE", 0, 1, 0.0, 0.0, 1, None, created_at_ns=0, finished_at_ns=None
+)
 STEPS_M = st.lists(st.one_of(st.just(0.0), st.floats(0.01, 3.0), st.floats(8.0, 40.0)), min_size=1, max_size=60)
 
 
@@ -24,7 +30,7 @@ def scan_at(x_m: float, seq: int) -> Scan:
 @given(steps_m=STEPS_M, tau=st.floats(1.0, 12.0), stride=st.floats(0.5, 15.0))
 def test_windows_are_those_of_the_builder(steps_m, tau, stride):
     config = SubmapConfig(tau=tau, stride=stride)
-    builder, window = SubmapBuilder(config), Window(1, 0.0, 0.0, None)
+    builder, session = SubmapBuilder(config), NEW
     travelled, x_m = {}, 0.0
 
     def first_seq_from(start_m):
@@ -34,14 +40,14 @@ def test_windows_are_those_of_the_builder(steps_m, tau, stride):
         # As the builder and the use case measure it: the difference of two positions.
         before, x_m = x_m, x_m + (0.0 if seq == 1 else step_m)
         measured = abs(x_m - before)
-        travelled[seq] = window.travelled_m + measured
+        travelled[seq] = session.travelled_m + measured
         built = builder.add(scan_at(x_m, seq))
-        window, finished = advance(window, seq, measured, config, first_seq_from)
+        session, finished = advance(session, seq, measured, config, first_seq_from)
         assert finished == (None if built is None else ScanRange(built[0].stamp_ns, built[-1].stamp_ns))
     rest = builder.flush()
     expected = None if rest is None else ScanRange(rest[0].stamp_ns, rest[-1].stamp_ns)
-    assert remainder(window, len(steps_m)) == expected
+    assert remainder(session) == expected
 
 
 def test_a_session_without_scans_has_no_remainder():
-    assert remainder(Window(1, 0.0, 0.0, None), committed_seq=0) is None
+    assert remainder(NEW) is None

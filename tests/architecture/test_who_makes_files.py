@@ -1,4 +1,4 @@
-"""Files are made by service/adapters/files/durable_files.py and nowhere else in the service."""
+"""Files are made by service/adapters/files/disk.py and nowhere else in the service."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 
 from tests.support.sources import calls, modules
 
-HOME = "service/adapters/files/durable_files.py"
+HOME = "service/adapters/files/disk.py"
 MAKERS = {
     "write_bytes", "write_text", "touch", "mknod", "mkstemp", "NamedTemporaryFile", "TemporaryFile", "copyfile",
     "copytree", "copy2",
@@ -34,14 +34,12 @@ def _writes(modes: list[ast.expr], keywords: list[ast.keyword]) -> bool:
 
 
 ALLOWED = {
-    # Opens directories, to lock them.
-    "service/adapters/files/blobs.py": {"os.open"},
     # Tells the kernel something; no file.
     "service/worker/confinement.py": {"Path('/proc/self/oom_score_adj').write_text"},
 }
 
 
-def test_only_durable_files_makes_files():
+def test_only_the_disk_module_makes_files():
     others = [module for module in modules("service") if module.name != HOME]
     found = {module.name: makes_files(module.tree) - ALLOWED.get(module.name, set()) for module in others}
     assert {name: makers for name, makers in found.items() if makers} == {}

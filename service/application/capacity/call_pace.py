@@ -1,0 +1,93 @@
+"""How many calls may begin each second. Whoever begins more waits, and is refused only where many wait already.
+
+A call costs the event loop about a millisecond, refused or not, and answers do not stop who sends the next call at
+once. Rate limits in points cannot help: what is refused by them costs that millisecond again.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable, Iterable
+from dataclasses import dataclass
+
+from revisit.service.application.capacity.in_flight import TokenBucket
+from revisit.service.application.contract.errors import RateLimited
+from revisit.service.application.contract.identity import TenantId
+
+MOST_BUCKETS = 4096
+"""Callers that are remembered at the same time. Those that have not called for long are forgotten."""
+
+
+@dataclass(frozen=True)
+class PaceLimits:
+    """Calls that begin, a second and in all. The first `burst` of calls that come together wait for nothing."""
+
+    client_calls_per_s: float = 300.0
+    """About a quarter of one core."""
+    tenant_calls_per_s: float = 450.0
+    refusals_per_s: float = 100.0
+    """Of one address, to callers that nobody knows."""
+    burst: int = 20
+    """Together they hold up the event loop for about 20 ms; as many of one address are refused at once."""
+    most_wait_s: float = 3.0
+    waiting: int = 640
+    """Calls of all callers that wait, fewer than there are places for calls."""
+
+
+class CallPace:
+    """Holds calls back. All calls of its methods come from the event loop."""
+
+    def __init__(
+        self,
+        limits: PaceLimits = PaceLimits(),
+        now_s: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
+    ) -> None:
+        """`now_s` is a monotonic clock, seconds; `sleep` waits for so many."""
+        self._limits = limits
+        self._now_s = now_s
+        self._sleep = sleep
+        self._buckets: dict[tuple[str, ...], TokenBucket] = {}
+        self._waiting = 0
+
+    @property
+    def waiting(self) -> int:
+        """Calls that wait."""
+        return self._waiting
+
+    async def turn(self, tenant: TenantId, client: str) -> None:
+        """Return when a call of the tenant's client may begin. Raises RateLimited where too many wait."""
+        limits = self._limits
+        own = self._bucket(("client", tenant, client), limits.client_calls_per_s)
+        await self._wait((own, self._bucket(("tenant", tenant), limits.tenant_calls_per_s)))
+
+    async def refusal(self, address: str) -> None:
+        """Return when a caller that nobody knows may be told so; at once where too many wait."""
+        try:
+            await self._wait((self._bucket(("address", address), self._limits.refusals_per_s),))
+        except RateLimited:
+            return
+
+    async def _wait(self, buckets: Iterable[TokenBucket]) -> None:
+        now_s = self._now_s()
+        wait_s = max(bucket.wait_s(now_s, 1.0) for bucket in buckets)
+        if wait_s > self._limits.most_wait_s or (wait_s > 0.0 and self._waiting >= self._limits.waiting):
+            raise RateLimited("too many calls wait already: begin fewer at a time", retry_after_s=wait_s)
+        for bucket in buckets:
+            bucket.take(1.0, now_s)
+        if wait_s > 0.0:
+            self._waiting += 1
+            try:
+                await self._sleep(wait_s)
+            finally:
+                self._waiting -= 1
+
+    def _bucket(self, caller: tuple[str, ...], per_s: float) -> TokenBucket:
+        """The caller's bucket, which is now the last to be forgotten."""
+        now_s = self._now_s()
+        bucket = self._buckets.pop(caller, None) or TokenBucket.full(per_s, self._limits.burst, now_s)
+        self._buckets[caller] = bucket
+        if len(self._buckets) > MOST_BUCKETS:
+            del self._buckets[next(iter(self._buckets))]
+        return bucket

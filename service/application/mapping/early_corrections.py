@@ -1,0 +1,215 @@
+"""Corrections by single loops, ahead of the optimisation that follows: a worker keeps its last map solved in memory.
+
+Provisional: they rest on the version in force and on loops that were each held against its poses, and nothing else of
+the map is moved by them. A version replaces them; so does whatever makes a part of the map's graph void.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+import structlog
+
+from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
+from revisit.service.application.contract.clock import Clock
+from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.map_optimiser import (
+    MapGraph,
+    MapOptimiser,
+    SessionTrack,
+    SolvedMap,
+    SolvedTrack,
+    TrackLoop,
+)
+from revisit.service.application.contract.policy import Policy
+from revisit.service.application.contract.records import EarlyCorrectionRecord, MapRecord, SessionPosesRecord
+from revisit.service.application.contract.session_poses import PackedSubmaps
+from revisit.service.application.contract.states import GraphState, LoopState
+from revisit.service.application.contract.transactions import Transactions, UnitOfWork
+from revisit.service.application.mapping.graph_reading import MapTask, read_task, track_loop
+
+log = structlog.get_logger(__name__)
+
+LEAST_MOVE_M = 1e-3
+"""A correction is told that moves the last submap of its session so far, metres."""
+
+MOST_AT_ONCE = 32
+"""Loops, at most, that are asked in one go; more wait for the next loop, or for the version that follows."""
+
+
+@dataclass(frozen=True)
+class _Later:
+    """A submap, by number, and where the odometry of its session saw it."""
+
+    number: int
+    session_number: int
+    T_odom_submap: Matrix4
+
+
+@dataclass(frozen=True)
+class _News:
+    """What came into a map since its version: loops that no version has seen, and submaps.
+
+    `task` is there where the map has to be solved first.
+    """
+
+    map: MapRecord
+    task: MapTask | None
+    loops: tuple[TrackLoop, ...]
+    submaps: Sequence[_Later]
+
+
+@dataclass
+class _Held:
+    """A map as this worker keeps it: what it is of, the corrections of its version, and what it has taken in."""
+
+    key: tuple[int, int, int]
+    solved: SolvedMap
+    before: dict[int, SessionPosesRecord]
+    in_version: frozenset[int]
+    last_submap: int = 0
+    ends: dict[int, Matrix4] = field(default_factory=dict)
+    asked: set[int] = field(default_factory=set)
+
+
+class EarlyCorrections:
+    """Keeps one map solved: that of the last loop."""
+
+    def __init__(self, transactions: Transactions, clock: Clock, policy: Policy, optimiser: MapOptimiser) -> None:
+        """`optimiser` solves the map."""
+        self._transactions = transactions
+        self._clock = clock
+        self._policy = policy
+        self._optimiser = optimiser
+        self._held: _Held | None = None
+
+    def take_in(self, tenant: TenantId, map_id: str) -> None:
+        """Take in the accepted loops of a map that its version has not seen, and store what they correct.
+
+        Where the map is optimised by itself. What fails here is logged: the optimisation follows.
+        """
+        if not self._policy.optimise_after_loops:
+            return
+        try:
+            self._take_in(tenant, map_id)
+        except Exception:  # the job that found the loop has ended well
+            log.exception("early_correction_failed", map=map_id)
+            self._held = None
+
+    def _take_in(self, tenant: TenantId, map_id: str) -> None:
+        held_key = None if self._held is None else self._held.key
+        known = 0 if self._held is None else self._held.last_submap
+        read = partial(_news, policy=self._policy, tenant=tenant, map_id=map_id, held=held_key, known=known)
+        news = self._transactions.read(read).result()
+        if news is None:
+            return
+        if news.task is not None:
+            self._held = self._solved(news.map, news.task)
+        held = self._held
+        if held is None or not _added(held, news):
+            return
+        rows = _rows(held, news.map, self._clock.wall_ns())
+        self._transactions.write(partial(_store, known=news.map, rows=rows)).result()
+        held.solved.refresh()
+
+    def _solved(self, record: MapRecord, task: MapTask) -> _Held:
+        before = {row.session_number: row for row in task.before}
+        tracks = [_known_track(track, before[track.session_number])
+                  for track in task.graph.tracks if track.session_number in before]  # fmt: skip
+        seen = {loop.number for loop in task.loops if loop.graph_state == GraphState.IN_MAP.value}
+        loops = tuple(loop for loop in task.graph.loops if loop.number in seen)
+        graph = MapGraph(tuple(track for track, _ in tracks), loops, task.graph.window_m)
+        in_version = frozenset(number for track in graph.tracks for number in track.submaps)
+        return _Held(_key(record), self._optimiser.solved(graph, [one for _, one in tracks]), before, in_version)
+
+
+def _key(record: MapRecord) -> tuple[int, int, int]:
+    return record.number, record.map_version, record.graph_edits
+
+
+def _news(
+    uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str, held: tuple[int, int, int] | None, known: int
+) -> _News | None:
+    record = uow.maps.get(tenant, map_id)
+    if record is None or not record.map_version:
+        return None
+    accepted = uow.loops.find(tenant, map_id=map_id, state=LoopState.ACCEPTED.value, graph_state=None)
+    loops = tuple(track_loop(loop) for loop in accepted if loop.T_match_query is not None)
+    if not loops:
+        return None
+    if _key(record) == held:
+        placed = uow.submaps.placed(tenant, map_id, after=known)
+        later = [_Later(one.number, one.session_number, pose_matrix(one.T_odom_submap)) for one in placed]
+        return _News(record, None, loops, later)
+    task = read_task(uow, policy, tenant, map_id)
+    return None if task is None else _News(record, task, loops, _submaps(task))
+
+
+def _submaps(task: MapTask) -> list[_Later]:
+    return [
+        _Later(number, track.session_number, T_odom_submap)
+        for track in task.graph.tracks
+        for number, T_odom_submap in zip(track.submaps, track.T_odom_submap, strict=True)
+    ]
+
+
+def _known_track(track: SessionTrack, row: SessionPosesRecord) -> tuple[SessionTrack, SolvedTrack]:
+    """The submaps of a track that the version has, and where it puts them."""
+    packed = PackedSubmaps.of(row.submaps)
+    place = {number: n for n, number in enumerate(packed.numbers.tolist())}
+    there = [n for n, number in enumerate(track.submaps) if number in place]
+    numbers = tuple(track.submaps[n] for n in there)
+    poses = packed.T_map_submap[[place[number] for number in numbers]]
+    anchor = int(row.frame.rpartition("-")[2])
+    known = SessionTrack(track.session_number, numbers, track.T_odom_submap[there])
+    return known, SolvedTrack(track.session_number, anchor, np.asarray(poses, dtype=np.float64))
+
+
+def _added(held: _Held, news: _News) -> bool:
+    """Whether any of the new loops moves the map."""
+    for one in news.submaps:
+        held.last_submap, held.ends[one.session_number] = max(held.last_submap, one.number), one.T_odom_submap
+        if one.number not in held.in_version:
+            held.solved.append(one.session_number, one.number, one.T_odom_submap)
+    new = [loop for loop in news.loops if loop.number not in held.asked][:MOST_AT_ONCE]
+    held.asked.update(loop.number for loop in new)
+    moved = [held.solved.add(loop) for loop in new]
+    return any(moved)
+
+
+def _rows(held: _Held, record: MapRecord, now_ns: int) -> list[EarlyCorrectionRecord]:
+    """The corrections that differ from those of the version."""
+    rows = []
+    for number, T_map_odom in held.solved.corrections().items():
+        row, T_odom_last = held.before[number], held.ends[number]
+        moved = T_map_odom @ T_odom_last - pose_matrix(row.T_map_odom) @ T_odom_last
+        if np.linalg.norm(moved[:3, 3]) >= LEAST_MOVE_M:
+            rows.append(
+                EarlyCorrectionRecord(
+                    tenant=record.tenant,
+                    map_id=record.map_id,
+                    session_id=row.session_id,
+                    version=record.map_version,
+                    loops=len(held.asked),
+                    T_map_odom=pose_row(T_map_odom),
+                    created_at_ns=now_ns,
+                )
+            )
+    return rows
+
+
+def _store(uow: UnitOfWork, known: MapRecord, rows: list[EarlyCorrectionRecord]) -> None:
+    """Replace what rests on fewer loops, unless the map has changed since it was read."""
+    current = uow.maps.get(known.tenant, known.map_id)
+    if current is None or _key(current) != _key(known):
+        return
+    for row in rows:
+        earlier = uow.early_corrections.get(row.tenant, row.map_id, row.session_id)
+        if earlier is not None and earlier.version == row.version and earlier.loops > row.loops:
+            continue
+        if earlier is not None:
+            uow.early_corrections.delete(row.tenant, number=earlier.number)
+        uow.early_corrections.add(row)

@@ -1,0 +1,96 @@
+"""A key that begins too many calls waits for its turn, refused or not, and no other key does (P11)."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+
+import httpx
+import pytest
+
+from revisit import ApiError, Client
+from revisit.sdk.retry import RetryPolicy
+from revisit.service.application import UseCases
+from revisit.service.application.capacity.call_pace import CallPace, PaceLimits
+from tests.support.credentials import a_key
+from tests.support.live_service import live_service
+from tests.support.service_world import World, memory_world
+
+BURST = 3
+LIMITS = PaceLimits(
+    client_calls_per_s=BURST, tenant_calls_per_s=BURST, refusals_per_s=BURST, burst=BURST, most_wait_s=1.0
+)
+
+
+class Line:
+    """Calls that wait are let go at once, and counted; no time passes."""
+
+    def __init__(self):
+        self.waited, self.pace = 0, CallPace(LIMITS, lambda: 0.0, self._wait)
+
+    def start_anew(self):
+        """Nobody has called yet."""
+        self.waited = 0
+        self.pace._buckets.clear()
+
+    async def _wait(self, _seconds):
+        self.waited += 1
+        await asyncio.sleep(0)
+
+
+@pytest.fixture(scope="module")
+def line():
+    return Line()
+
+
+@pytest.fixture(scope="module")
+def paced(line):
+    """A service with keys, in which no time passes for the pace of calls."""
+    made = memory_world()
+    context = replace(made.context, pace=line.pace)
+    with live_service(World(context, UseCases.over(context, "test"), made.clock)) as running:
+        yield running
+
+
+def client_of(paced, transport, key):
+    once = RetryPolicy(attempts=1)
+    if transport == "rest":
+        return Client(paced.http, api_key=key, retry=once)
+    return Client.grpc(paced.grpc, api_key=key, retry=once)
+
+
+@pytest.mark.parametrize("transport", ["rest", "grpc"])
+def test_a_key_that_begins_too_many_calls_waits_and_another_does_not(paced, line, transport):
+    """Reading one resource costs as much as being refused: the map is not there."""
+    greedy, modest = (a_key(paced.world, f"{who}-{transport}").text for who in ("greedy", "modest"))
+    line.start_anew()
+    told = []
+    with client_of(paced, transport, greedy) as client:
+        for _ in range(2 * BURST + 1):
+            with pytest.raises(ApiError) as refused:
+                client.get_map("maps/nowhere")
+            told.append(refused.value.reason)
+    assert told == ["NOT_FOUND"] * 2 * BURST + ["RATE"]
+    assert line.waited == BURST
+    with client_of(paced, transport, modest) as client:
+        client.create_map("town")
+    assert line.waited == BURST
+
+
+@pytest.mark.parametrize("transport", ["rest", "grpc"])
+def test_a_stranger_that_is_refused_too_often_waits(paced, line, transport):
+    a_key(paced.world)
+    line.start_anew()
+    with client_of(paced, transport, "rv_none") as client:
+        for _ in range(BURST + 2):
+            with pytest.raises(ApiError) as refused:
+                client.get_map("maps/nowhere")
+            assert refused.value.reason == "UNAUTHENTICATED"
+    assert line.waited == 2
+
+
+def test_whoever_asks_for_what_there_is_none_of_too_often_waits(paced, line):
+    line.start_anew()
+    with httpx.Client(base_url=paced.http, trust_env=False) as http:
+        assert {http.get("/nowhere").status_code for _ in range(BURST + 2)} == {404}
+    assert line.waited == 2

@@ -1,0 +1,84 @@
+"""How far the scans of a submap disagree: what no motion mends, and a sensor that looks beside its way."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from revisit.core.config import SubmapConfig
+from revisit.core.geometry import se3
+from revisit.core.scan import Scan
+from revisit.core.scan_disagreement import ScanDisagreement, scan_disagreement
+from revisit.core.submap import Submap
+
+NOISE_M = 0.01
+
+
+def street(rng: np.random.Generator, count: int = 9_000) -> np.ndarray:
+    """Points (n, 3) on the ground, on two rows of houses with gaps, and on walls across the gaps."""
+    along, up = rng.uniform(-25.0, 25.0, count), rng.uniform(0.0, 5.0, count)
+    ground = np.column_stack([along, rng.uniform(-8.0, 8.0, count), np.zeros(count)])
+    fronts = np.column_stack([along, 8.0 * rng.choice([-1.0, 1.0], count), up])
+    ends = np.column_stack([rng.choice([-15.0, -4.0, 7.0, 18.0], count), rng.uniform(8.0, 14.0, count), up])
+    return np.concatenate([ground, fronts, ends])
+
+
+def driven(askew_deg: float = 0.0, uneven_m: float = 0.0, jitter_m: float = 0.0) -> Submap:
+    """Five scans along x; the sensor is turned aside, its ranges are wrong by its own angles, its poses are jittery."""
+    rng, scans = np.random.default_rng(4), []
+    T_mount = se3.from_yaw(np.radians(askew_deg))
+    for x in (-4.0, -2.0, 0.0, 2.0, 4.0):
+        seen = street(rng) - [x, 0.0, 1.6]
+        seen += rng.normal(0.0, NOISE_M, seen.shape)
+        distance = np.linalg.norm(seen, axis=1, keepdims=True)
+        beam = np.sin(9.0 * np.arctan2(seen[:, 1:2], seen[:, :1]))
+        points = se3.apply(se3.inverse(T_mount), seen * (1.0 + uneven_m * beam / distance))
+        aside = tuple(np.array([x, 0.0, 1.6]) + rng.normal(0.0, jitter_m, 3))
+        scans.append(Scan.validated(points.astype(np.float32), se3.from_yaw(0.0, aside), int(1e9 * (x + 9))))
+    return Submap.from_scans(scans, SubmapConfig())
+
+
+def told(submap: Submap) -> ScanDisagreement:
+    found = scan_disagreement(submap.levelled())
+    assert found is not None
+    return found
+
+
+def test_scans_that_see_the_same_planes_agree() -> None:
+    found = told(driven())
+    assert found.surface < 0.002
+    assert np.degrees(found.askew) < 0.05
+
+
+def test_little_counts_of_what_poses_are_off_by_and_more_where_they_are_off_by_much() -> None:
+    usual, bad = told(driven(jitter_m=0.01)), told(driven(jitter_m=0.06))
+    assert usual.surface < 0.004
+    assert bad.surface > 2.0 * usual.surface
+
+
+def test_a_sensor_that_looks_beside_its_way_is_told_by_its_angle() -> None:
+    found = told(driven(askew_deg=0.5))
+    assert np.degrees(found.askew) == pytest.approx(0.5, abs=0.05)
+    assert found.surface < 0.002
+
+
+def test_what_no_motion_of_the_scans_mends_is_left() -> None:
+    assert told(driven(uneven_m=0.08)).surface > 0.008
+
+
+def test_the_order_of_the_axes_does_not_matter() -> None:
+    submap = driven(askew_deg=0.5)
+    turned = Submap.accumulated(
+        [Scan.validated(submap.points[submap.scan_index == s], se3.from_yaw(0.7), s + 1) for s in range(5)],
+        np.eye(4), SubmapConfig(),
+    )  # fmt: skip
+    origins = se3.apply(se3.from_yaw(0.7), submap.origins).astype(np.float32)
+    turned = Submap(turned.points, turned.scan_index, origins, turned.stamps_ns, np.eye(4), turned.position)
+    assert told(turned).askew == pytest.approx(told(submap).askew, abs=np.radians(0.05))
+
+
+def test_one_cloud_and_few_points_tell_nothing() -> None:
+    scan = Scan.validated(street(np.random.default_rng(0)).astype(np.float32), np.eye(4), 1)
+    assert scan_disagreement(Submap.from_cloud(scan)) is None
+    thin = [Scan.validated(street(np.random.default_rng(k), 60).astype(np.float32), np.eye(4), k + 1) for k in range(3)]
+    assert scan_disagreement(Submap.accumulated(thin, np.eye(4), SubmapConfig())) is None

@@ -1,0 +1,118 @@
+"""Whoever begins too many calls waits, and nobody else does (P11)."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from revisit.service.application.capacity import call_pace
+from revisit.service.application.capacity.call_pace import CallPace, PaceLimits
+from revisit.service.application.contract.errors import RateLimited
+
+LIMITS = PaceLimits(
+    client_calls_per_s=10.0, tenant_calls_per_s=15.0, refusals_per_s=5.0, burst=10, most_wait_s=2.0, waiting=25
+)
+
+
+class Time:
+    """A clock, and sleepers who are woken when it has come so far."""
+
+    def __init__(self):
+        self.now_s, self.waits, self._sleepers = 0.0, [], []
+
+    async def sleep(self, wait_s):
+        self.waits.append(round(wait_s, 3))
+        woken = asyncio.get_running_loop().create_future()
+        self._sleepers.append((self.now_s + wait_s, woken))
+        await woken
+
+    async def pass_s(self, seconds):
+        self.now_s += seconds
+        for due_s, woken in self._sleepers:
+            if due_s <= self.now_s and not woken.done():
+                woken.set_result(None)
+        await asyncio.sleep(0)
+
+
+@pytest.fixture
+def time():
+    return Time()
+
+
+@pytest.fixture
+def pace(time):
+    return CallPace(LIMITS, lambda: time.now_s, time.sleep)
+
+
+async def begun(calls):
+    """Tasks of calls, each of which has come to where it waits, if it does."""
+    tasks = [asyncio.create_task(call) for call in calls]
+    await asyncio.sleep(0)
+    return tasks
+
+
+async def test_a_burst_waits_for_nothing_and_what_follows_comes_at_the_rate(pace, time):
+    calls = await begun(pace.turn("acme", "robot") for _ in range(13))
+    assert [call.done() for call in calls] == [True] * 10 + [False] * 3
+    assert time.waits == [0.1, 0.2, 0.3]
+    await time.pass_s(0.25)
+    assert [call.done() for call in calls[10:]] == [True, True, False]
+    await time.pass_s(0.1)
+    await asyncio.gather(*calls)
+
+
+async def test_others_do_not_wait_for_whoever_calls_too_often(pace, time):
+    calls = await begun(pace.turn("acme", "robot") for _ in range(30))
+    time.waits.clear()
+    await pace.turn("another", "robot")
+    calls += await begun([pace.turn("acme", "other")])
+    assert time.waits == [1.4]  # the other key waits for its tenant: ten calls at once, then fifteen a second
+    for call in calls:
+        call.cancel()
+
+
+async def test_a_client_has_so_many_calls_wait_and_one_more_is_told_when_to_come_back(pace, time):
+    calls = await begun(pace.turn("acme", "robot") for _ in range(31))
+    assert [call.done() for call in calls] == [True] * 10 + [False] * 20 + [True]
+    with pytest.raises(RateLimited) as refused:
+        calls[-1].result()
+    assert refused.value.retry_after_s == pytest.approx(2.1)
+    await time.pass_s(2.1)
+    await pace.turn("acme", "robot")
+
+
+async def test_all_callers_together_have_so_many_calls_wait_and_who_calls_seldom_is_served(pace):
+    calls = await begun(pace.turn(tenant, "robot") for tenant in ("acme", "other") for _ in range(25))
+    refused = [call for call in calls if call.done() and call.exception() is not None]
+    assert len(refused) == 2 * 15 - LIMITS.waiting
+    await pace.turn("third", "robot")
+    for call in calls:
+        call.cancel()
+
+
+async def test_a_call_that_is_given_up_leaves_the_line(pace):
+    calls = await begun(pace.turn("acme", "robot") for _ in range(30))
+    for call in calls:
+        call.cancel()
+    await asyncio.gather(*calls, return_exceptions=True)
+    assert pace.waiting == 0
+
+
+async def test_strangers_of_one_address_are_refused_at_their_own_pace_and_at_once_where_too_many_wait(pace, time):
+    told = await begun(pace.refusal("10.0.0.9") for _ in range(21))
+    assert [call.done() for call in told] == [True] * 10 + [False] * 10 + [True]
+    assert told[-1].exception() is None
+    time.waits.clear()
+    await pace.refusal("10.0.0.10")
+    await pace.turn("acme", "robot")
+    assert not time.waits
+    for call in told:
+        call.cancel()
+
+
+async def test_callers_that_have_not_called_for_long_are_forgotten(pace, monkeypatch):
+    monkeypatch.setattr(call_pace, "MOST_BUCKETS", 20)
+    for number in range(100):
+        await pace.refusal(f"10.0.0.{number}")
+    assert len(pace._buckets) == 20
