@@ -132,9 +132,9 @@ def patch_model(codebooks: Codebooks) -> str:
 
 def _spread_rows(points: Array, chosen: NDArray[np.bool_], spacing: float, limit: int) -> NDArray[np.int64]:
     """One row for each cube of edge `spacing` among the chosen points; where still too many, every k-th of them."""
-    rows = np.flatnonzero(chosen)
-    near = rows[np.abs(points[rows]).max(axis=1) < 300.0]
-    cubes = np.floor(points[near].astype(np.float64) / spacing + CUBE_CORNER).astype(np.int64)
+    x, y, z = np.abs(points).T
+    near = np.flatnonzero(chosen & (x < 300.0) & (y < 300.0) & (z < 300.0))
+    cubes = np.floor(points[near].T.astype(np.float64) / spacing + CUBE_CORNER).astype(np.int64).T
     spread = near[first_rows(voxel_keys(cubes))]
     if len(spread) <= limit:
         return np.asarray(spread)

@@ -42,7 +42,6 @@ WITHIN_M = 25.0
 BOUND = float(chi2.ppf(0.95, 6))
 """A right covariance has 95 of 100 squared errors below this."""
 
-EXPECTED_MEDIAN = float(chi2.median(6))
 OVERLAPS = (0.2, 0.3, 0.35, 0.4, 0.5, 0.6, 1.0)
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 

@@ -111,8 +111,10 @@ def apply(transform: Matrix4, points: NDArray[np.floating]) -> NDArray[np.float6
 def adjoint(transform: Matrix4) -> NDArray[np.float64]:
     """The (6, 6) matrix with T exp(xi) = exp(adjoint @ xi) T, for tangents (x, y, z, rx, ry, rz)."""
     rotation = transform[:3, :3]
-    zeros = np.zeros((3, 3))
-    return np.block([[rotation, _hat(transform[:3, 3]) @ rotation], [zeros, rotation]])
+    found = np.zeros((6, 6))
+    found[:3, :3] = found[3:, 3:] = rotation
+    found[:3, 3:] = _hat(transform[:3, 3]) @ rotation
+    return found
 
 
 def rotation_angle(transform: Matrix4) -> float:

@@ -22,7 +22,6 @@ _TINY_M = np.float32(1e-9)
 _SPREAD = 6  # numbers of an upper d d^T
 
 
-@numba.njit(cache=True, error_model="numpy")
 def insert_returns(
     points: NDArray[np.float32],
     start: int,
@@ -41,8 +40,21 @@ def insert_returns(
     p p^T; the sum of the unit vectors towards the sensor; and the first, the last and the number of the scans that saw
     it. Where there are `limit` of them, no more are created: the returns are left out.
     """
-    slots, following, voxels = table.slots, table.following, table.voxels
     cells, units = np.empty((3, _CHUNK), dtype=np.int32), np.empty((3, _CHUNK), dtype=np.float32)
+    filled: tuple[int, int] = _insert(
+        points, start, origin, scan, table, records, size, resolution, limit, cells, units
+    )
+    return filled
+
+
+@loop
+def _insert(
+    points: NDArray[np.float32], start: int, origin: NDArray[np.float32], scan: int, table: VoxelTable,
+    records: NDArray[np.float64], size: int, resolution: float, limit: int, cells: NDArray[np.int32],
+    units: NDArray[np.float32],
+) -> tuple[int, int]:  # fmt: skip
+    """As `insert_returns`; `cells` and `units` (3, _CHUNK) are for its use."""
+    slots, following, voxels = table.slots, table.following, table.voxels
     while start < len(points):
         count = min(_CHUNK, len(points) - start)
         if size + count > len(records) and len(records) < limit:
@@ -98,15 +110,16 @@ def _gather(
     """Add the returns from start + first up to start + last, all in one voxel, to record i."""
     sx, sy, sz, xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     ux, uy, uz = 0.0, 0.0, 0.0
-    for k in range(first, last):
-        x, y, z = points[start + k, 0], points[start + k, 1], points[start + k, 2]
+    begin = np.uint64(start)  # rows of unsigned numbers are never counted from the end
+    for k in range(np.uint64(first), np.uint64(last)):
+        x, y, z = points[begin + k, 0], points[begin + k, 1], points[begin + k, 2]
         sx, sy, sz = sx + x, sy + y, sz + z
         xx, xy, xz = xx + x * x, xy + x * y, xz + x * z
         yy, yz, zz = yy + y * y, yz + y * z, zz + z * z
         ux, uy, uz = ux + units[0, k], uy + units[1, k], uz + units[2, k]
-    sums = float(last - first), sx, sy, sz, xx, xy, xz, yy, yz, zz, ux, uy, uz
-    for a in range(13):
-        records[i, a] += sums[a]
+    sums, row = (float(last - first), sx, sy, sz, xx, xy, xz, yy, yz, zz, ux, uy, uz), np.uint64(i)
+    for a in range(np.uint64(13)):
+        records[row, a] += sums[a]
 
 
 def pooled_covariances(

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.kernels.loops import loop
 from revisit.core.kernels.range_coder import UNARY, Coder, Models, code_number
 
 _SIZES = 4
@@ -16,7 +16,7 @@ def feature_models(features: int) -> int:
     return max(1, features) * _SIZES * UNARY
 
 
-@numba.njit(cache=True)
+@loop
 def code_features(coder: Coder, data: NDArray[np.uint8], models: Models, values: NDArray[np.int32]) -> None:
     """Write `values` (n, F), or read and fill them; each is guessed to be about as large as the one before it."""
     count, features = values.shape

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.kernels.loops import loop
 from revisit.core.kernels.range_coder import Coder, Models, code_bit
 from revisit.core.kernels.voxel_table import VoxelTable, add, find
 
@@ -14,7 +14,6 @@ Voxels = NDArray[np.int32]
 OCTREE_MODELS = 3 * 8 * 64 * 8
 
 
-@numba.njit(cache=True)
 def code_octree(
     coder: Coder, data: NDArray[np.uint8], models: Models, voxels: Voxels, depth: int, count: int
 ) -> Voxels:
@@ -27,16 +26,14 @@ def code_octree(
     nodes = np.zeros((1, 3), dtype=np.int32)
     for level in range(depth):
         shift = depth - 1 - level
-        wanted = _table(len(voxels))
-        if len(voxels):
-            _enter(wanted, voxels, shift)
-        children = _table(min(8 * len(nodes), count))
-        size = _code_level(coder, data, models, nodes, wanted, children, min(shift, 2))
+        wanted, parents, children = _table(len(voxels)), _table(len(nodes)), _table(min(8 * len(nodes), count))
+        _enter(wanted, voxels, shift)
+        _enter(parents, nodes, 0)
+        size = _code_level(coder, data, models, nodes, parents, wanted, children, min(shift, 2))
         nodes = children.voxels[:size].copy()
     return nodes
 
 
-@numba.njit(cache=True)
 def _table(rows: int) -> VoxelTable:
     """An empty table with room for so many rows."""
     slots = 64
@@ -45,7 +42,7 @@ def _table(rows: int) -> VoxelTable:
     return VoxelTable(np.full(slots, -1, np.int32), np.full(rows, -1, np.int32), np.zeros((rows, 3), np.int32))
 
 
-@numba.njit(cache=True)
+@loop
 def _enter(table: VoxelTable, voxels: Voxels, shift: int) -> None:
     """Enter the nodes of the tree above `voxels` (n, 3), whose edge is 2^shift voxels."""
     size = 0
@@ -56,52 +53,68 @@ def _enter(table: VoxelTable, voxels: Voxels, shift: int) -> None:
             size += 1
 
 
-@numba.njit(cache=True)
+@loop
 def _code_level(
-    coder: Coder, data: NDArray[np.uint8], models: Models, nodes: Voxels, wanted: VoxelTable, children: VoxelTable,
-    detail: int,
+    coder: Coder, data: NDArray[np.uint8], models: Models, nodes: Voxels, parents: VoxelTable, wanted: VoxelTable,
+    children: VoxelTable, detail: int,
 ) -> int:  # fmt: skip
     """The occupied children of `nodes` (n, 3); `detail` 0 for the finest level, 1 for the one above, else 2."""
-    parents = _table(len(nodes))
-    for row in range(len(nodes)):
-        add(parents, row, nodes[row, 0], nodes[row, 1], nodes[row, 2])
     size = 0
     for row in range(len(nodes)):
-        before = size
+        px, py, pz = nodes[row, 0], nodes[row, 1], nodes[row, 2]
+        beside, before, coded = _beside(parents, px, py, pz), size, 0
+        # below, above, and at the two sides already passed, how many are occupied
+        passed = (beside >> 2 & 1) + (beside >> 5 & 1) + (1 if beside & 3 else 0)
         for child in range(8):
             if size == len(children.voxels):
                 return size
-            px, py, pz = nodes[row]
             x, y, z = 2 * px + (child >> 2), 2 * py + (child >> 1 & 1), 2 * pz + (child & 1)
             bit = 1
             if child < 7 or size > before:  # the last child of an otherwise empty node is certain
-                known = 4 * min(size - before, 1) + _beside(parents, px, py, pz)
-                model = ((detail * 8 + child) * 64 + _around(parents, children, x, y, z)) * 8 + known
+                known = 4 * min(size - before, 1) + passed
+                around = _around(children, beside, coded, child, x, y, z)
+                model = ((detail * 8 + child) * 64 + around) * 8 + known
                 bit = code_bit(coder, data, models, model, 1 if find(wanted, x, y, z) >= 0 else 0)
             if bit:
                 add(children, size, x, y, z)
                 size += 1
+                coded |= 1 << child
     return size
 
 
-@numba.njit(cache=True)
-def _around(parents: VoxelTable, children: VoxelTable, x: int, y: int, z: int) -> int:
-    """What is known of the six neighbours of a child, one bit each: itself where it is coded, else its parent."""
-    known = 0
-    known |= 1 if find(children, x - 1, y, z) >= 0 else 0
-    known |= 2 if find(children, x, y - 1, z) >= 0 else 0
-    known |= 4 if find(children, x, y, z - 1) >= 0 else 0
-    known |= 8 if find(parents, (x + 1) >> 1, y >> 1, z >> 1) >= 0 else 0
-    known |= 16 if find(parents, x >> 1, (y + 1) >> 1, z >> 1) >= 0 else 0
-    known |= 32 if find(parents, x >> 1, y >> 1, (z + 1) >> 1) >= 0 else 0
-    return known
-
-
-@numba.njit(cache=True)
+@loop
 def _beside(parents: VoxelTable, x: int, y: int, z: int) -> int:
-    """Of a parent's neighbours below, above, and at the two sides already passed, how many are occupied, 0 to 3."""
-    count = 0
-    count += 1 if find(parents, x, y, z - 1) >= 0 else 0
-    count += 1 if find(parents, x, y, z + 1) >= 0 else 0
-    count += 1 if find(parents, x - 1, y, z) >= 0 or find(parents, x, y - 1, z) >= 0 else 0
-    return count
+    """Which of the six neighbours of a node are occupied, one bit each: below along x, y, z, then above."""
+    beside = 1 if find(parents, x - 1, y, z) >= 0 else 0
+    beside |= 2 if find(parents, x, y - 1, z) >= 0 else 0
+    beside |= 4 if find(parents, x, y, z - 1) >= 0 else 0
+    beside |= 8 if find(parents, x + 1, y, z) >= 0 else 0
+    beside |= 16 if find(parents, x, y + 1, z) >= 0 else 0
+    beside |= 32 if find(parents, x, y, z + 1) >= 0 else 0
+    return beside
+
+
+@loop
+def _around(children: VoxelTable, beside: int, coded: int, child: int, x: int, y: int, z: int) -> int:
+    """What is known of the six neighbours of a child, one bit each: itself where it is coded, else its parent.
+
+    A neighbour within the node is one of the `coded` children or has the node itself as its parent. One in a node
+    `beside` that is empty is empty too, so that it is not sought.
+    """
+    known = 0
+    if child & 4:
+        known |= coded >> (child - 4) & 1
+        known |= beside & 8
+    else:
+        known |= 8 if beside & 1 == 0 or find(children, x - 1, y, z) < 0 else 9
+    if child & 2:
+        known |= (coded >> (child - 2) & 1) << 1
+        known |= beside & 16
+    else:
+        known |= 16 if beside & 2 == 0 or find(children, x, y - 1, z) < 0 else 18
+    if child & 1:
+        known |= (coded >> (child - 1) & 1) << 2
+        known |= beside & 32
+    else:
+        known |= 32 if beside & 4 == 0 or find(children, x, y, z - 1) < 0 else 36
+    return known

@@ -30,27 +30,30 @@ def patch_histograms(
     histograms = np.zeros((len(pixels), cells * cells * bins), dtype=np.float32)
     steps = (patch + step - 1) // step
     offsets, part = np.empty(steps), np.empty(steps, dtype=np.int64)
+    shares, lowers, uppers = np.empty(bins), np.empty(bins, dtype=np.int64), np.empty(bins, dtype=np.int64)
     for i in range(steps):
         offsets[i] = i * step + 0.5 * step - 0.5 * patch
         part[i] = i * step * cells // patch
     for keypoint in range(len(pixels)):
         cosine, sine = np.cos(angles[keypoint]), np.sin(angles[keypoint])
         turn = angles[keypoint] * bins / np.pi
+        for orientation in range(bins):
+            relative = orientation - turn
+            # an angle of pi, rounded up, turns the first bin a little beyond the last
+            relative = max(relative + bins, 0.0) if relative < 0.0 else relative
+            lower = int(relative)
+            shares[orientation] = relative - lower
+            lowers[orientation], uppers[orientation] = lower % bins, lower + 1 if lower + 1 < bins else 0
         for i in range(steps):
             for j in range(steps):
                 column = int(np.rint(pixels[keypoint, 0] + cosine * offsets[j] - sine * offsets[i]))
                 row = int(np.rint(pixels[keypoint, 1] + sine * offsets[j] + cosine * offsets[i]))
                 if row < 0 or column < 0 or row >= height or column >= width or weights[row, column] == 0.0:
                     continue
-                relative = index[row, column] - turn
-                # an angle of pi, rounded up, turns the first bin a little beyond the last
-                relative = max(relative + bins, 0.0) if relative < 0.0 else relative
-                lower = int(relative)
-                share = relative - lower
-                upper = lower + 1 if lower + 1 < bins else 0
-                cell = (part[i] * cells + part[j]) * bins
-                histograms[keypoint, cell + lower % bins] += weights[row, column] * (1.0 - share)
-                histograms[keypoint, cell + upper] += weights[row, column] * share
+                orientation, cell = index[row, column], (part[i] * cells + part[j]) * bins
+                share = shares[orientation]
+                histograms[keypoint, cell + lowers[orientation]] += weights[row, column] * (1.0 - share)
+                histograms[keypoint, cell + uppers[orientation]] += weights[row, column] * share
     return histograms
 
 

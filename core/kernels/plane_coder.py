@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.kernels.loops import loop
 from revisit.core.kernels.range_coder import UNARY, Coder, Models, code_bit, code_number
 from revisit.core.kernels.voxel_table import VoxelTable, find
 
@@ -22,7 +22,6 @@ PLANE_MODELS = _HITS + 64 * HIT_CLASSES
 Whole = NDArray[np.int32]
 
 
-@numba.njit(cache=True)
 def code_planes(
     coder: Coder, data: NDArray[np.uint8], models: Models, table: VoxelTable, codes: Whole, vectors: Whole,
     steps: int, offset_unit: int,
@@ -32,7 +31,15 @@ def code_planes(
     `table` holds the voxels, in the order of coding. vectors[i, j] (3,) is the normal of codes i, j in parts of FIXED;
     codes run to 2 * `steps`. An offset counts units of `offset_unit` parts of FIXED of a voxel's edge.
     """
-    near = np.zeros(26, dtype=np.int32)
+    _code_all(coder, data, models, table, codes, vectors, steps, offset_unit, np.zeros(26, dtype=np.int32))
+
+
+@loop
+def _code_all(
+    coder: Coder, data: NDArray[np.uint8], models: Models, table: VoxelTable, codes: Whole, vectors: Whole,
+    steps: int, offset_unit: int, near: Whole,
+) -> None:  # fmt: skip
+    """As `code_planes`; `near` (26,) is for its use."""
     for row in range(len(codes)):
         count = _coded_neighbours(table, row, near)
         a, b, spread = _guessed_normal(codes, near, count, steps)
@@ -46,7 +53,7 @@ def code_planes(
         _code_hits(coder, data, models, codes, row, near, count)
 
 
-@numba.njit(cache=True)
+@loop
 def _coded_neighbours(table: VoxelTable, row: int, near: Whole) -> int:
     """Rows of the coded ones among the 26 voxels around a row's, those that share a face first; how many there are."""
     count = 0
@@ -63,7 +70,7 @@ def _coded_neighbours(table: VoxelTable, row: int, near: Whole) -> int:
     return count
 
 
-@numba.njit(cache=True)
+@loop
 def _guessed_normal(codes: Whole, near: Whole, count: int, steps: int) -> tuple[int, int, int]:
     """The code whose distance to those of the neighbours is least on the whole, and a class of how far they spread."""
     if count == 0:
@@ -81,7 +88,7 @@ def _guessed_normal(codes: Whole, near: Whole, count: int, steps: int) -> tuple[
     return codes[best, 0], codes[best, 1], spread
 
 
-@numba.njit(cache=True)
+@loop
 def _size(value: int) -> int:
     """0 for 0, else one more than the whole logarithm to base 2."""
     size = 0
@@ -91,7 +98,7 @@ def _size(value: int) -> int:
     return size
 
 
-@numba.njit(cache=True)
+@loop
 def _guessed_offset(
     table: VoxelTable, codes: Whole, vectors: Whole, row: int, near: Whole, count: int, unit: int
 ) -> tuple[int, int]:
@@ -125,7 +132,7 @@ def _guessed_offset(
     return guess, spread
 
 
-@numba.njit(cache=True)
+@loop
 def _code_hits(
     coder: Coder, data: NDArray[np.uint8], models: Models, codes: Whole, row: int, near: Whole, count: int
 ) -> None:

@@ -5,9 +5,10 @@ All arithmetic is on integers: what one machine writes every other one reads.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from revisit.core.kernels.loops import loop
 
 Coder = NDArray[np.int64]
 """Lower and upper end of the interval, the bytes read ahead, the position in the data, and 1 where it reads."""
@@ -30,7 +31,6 @@ def fresh_models(count: int) -> Models:
     return models
 
 
-@numba.njit(cache=True)
 def start(data: NDArray[np.uint8], reads: bool) -> Coder:
     """A coder at the beginning of `data` (n,), which it reads, or else writes."""
     coder = np.zeros(5, dtype=np.int64)
@@ -42,7 +42,7 @@ def start(data: NDArray[np.uint8], reads: bool) -> Coder:
     return coder
 
 
-@numba.njit(cache=True)
+@loop
 def finish(coder: Coder, data: NDArray[np.uint8]) -> int:
     """Write what is left of the interval; returns how many bytes of `data` are used, or would have been."""
     if coder[_READS] == 0:
@@ -54,7 +54,7 @@ def finish(coder: Coder, data: NDArray[np.uint8]) -> int:
     return int(coder[_AT])
 
 
-@numba.njit(cache=True)
+@loop
 def _put(coder: Coder, data: NDArray[np.uint8], byte: int) -> None:
     """Write a byte; behind the end it is only counted."""
     if coder[_AT] < len(data):
@@ -62,7 +62,7 @@ def _put(coder: Coder, data: NDArray[np.uint8], byte: int) -> None:
     coder[_AT] += 1
 
 
-@numba.njit(cache=True)
+@loop
 def _next_byte(coder: Coder, data: NDArray[np.uint8]) -> None:
     """Read a byte; behind the end there are zeros."""
     byte = np.int64(data[coder[_AT]]) if coder[_AT] < len(data) else np.int64(0)
@@ -70,7 +70,7 @@ def _next_byte(coder: Coder, data: NDArray[np.uint8]) -> None:
     coder[_AT] += 1
 
 
-@numba.njit(cache=True)
+@loop
 def code_bit(coder: Coder, data: NDArray[np.uint8], models: Models, model: int, bit: int) -> int:
     """Write `bit` with the chance that models[model] gives it, or read and return the bit; the model learns of it."""
     chance = models[model, 0]
@@ -95,7 +95,7 @@ def code_bit(coder: Coder, data: NDArray[np.uint8], models: Models, model: int, 
     return bit
 
 
-@numba.njit(cache=True)
+@loop
 def code_number(coder: Coder, data: NDArray[np.uint8], models: Models, first: int, value: int) -> int:
     """Write or read a whole number between -2^16 and 2^16, small ones short; its UNARY models begin at `first`."""
     if code_bit(coder, data, models, first, 1 if value == 0 else 0):
@@ -109,7 +109,7 @@ def code_number(coder: Coder, data: NDArray[np.uint8], models: Models, first: in
     return _code_large(coder, data, models, first + 1 + size, rest - size, size, negative)
 
 
-@numba.njit(cache=True)
+@loop
 def _code_large(
     coder: Coder, data: NDArray[np.uint8], models: Models, model: int, rest: int, size: int, negative: int
 ) -> int:

@@ -10,6 +10,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.kernels.loops import loop
 from revisit.core.kernels.voxel_table import VoxelTable, add_to, find_in
 
 NEAR_PLANE = 0.9
@@ -19,7 +20,7 @@ _WINDOW = 4  # corners along each edge of the 27 voxels around a point
 Bits = NDArray[np.uint64]
 
 
-@numba.njit(cache=True, error_model="numpy")
+@loop
 def enter_observed_corners(
     positions: NDArray[np.float32], resolution: float, reach: float, pieces: VoxelTable, bits: Bits
 ) -> int:
@@ -30,7 +31,7 @@ def enter_observed_corners(
     """
     slots, following, voxels = pieces.slots, pieces.following, pieces.voxels
     count, steps = 0, int(np.ceil(reach / resolution))
-    limit = np.float32(reach)
+    limit = np.float32(reach) * np.float32(reach)
     for i in range(len(positions)):
         px, py, pz = positions[i, 0], positions[i, 1], positions[i, 2]
         vx, vy, vz = int(np.floor(px / resolution)), int(np.floor(py / resolution)), int(np.floor(pz / resolution))
@@ -41,7 +42,7 @@ def enter_observed_corners(
                 row, height = -1, 0
                 for z in range(vz - steps + 1, vz + steps + 1):
                     dz = pz - np.float32(z * resolution)
-                    if np.sqrt(dx * dx + dy * dy + dz * dz) > limit:
+                    if dx * dx + dy * dy + dz * dz > limit:
                         continue
                     if row < 0 or z >> 6 != height:
                         height = z >> 6

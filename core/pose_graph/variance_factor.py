@@ -19,6 +19,7 @@ from revisit.core.pose_graph.consistency import inverted, oriented
 from revisit.core.pose_graph.graph import LoopEdge, PoseGraph, Trajectory
 
 Array64 = NDArray[np.float64]
+Ordinals = NDArray[np.int64]
 
 BESIDE = 10
 """Submaps by which the ends of two loops may be apart to close a small circle."""
@@ -45,7 +46,7 @@ LEAST = 1e-3
 
 def variance_factor(graph: PoseGraph) -> float:
     """What to multiply all covariances of the graph with: 1 unless they are more than `SLACK` times too large."""
-    errors = np.array([error for group in _groups(graph) for error in _errors(graph, *group)])
+    errors = np.concatenate([np.zeros(0), *(_errors(graph, *group) for group in _groups(graph))])
     if len(errors) < LEAST_CIRCLES:
         return 1.0
     return float(np.clip(SLACK * np.median(errors) / EXPECTED, LEAST, 1.0))
@@ -73,47 +74,70 @@ def _forward(loop: LoopEdge) -> LoopEdge:
     return loop if loop.match.ordinal < loop.query.ordinal else inverted(loop)
 
 
-def _errors(graph: PoseGraph, first: str, second: str, loops: list[LoopEdge]) -> Iterator[float]:
-    """Squared errors, in variances, of small circles."""
+def _errors(graph: PoseGraph, first: str, second: str, loops: list[LoopEdge]) -> Array64:
+    """Squared errors (n,), in variances, of small circles."""
     ends = np.array([(loop.match.ordinal, loop.query.ordinal) for loop in loops])
     pairs = cKDTree(ends).query_pairs(BESIDE, p=np.inf, output_type="ndarray")
     pairs = pairs[np.lexsort(pairs.T[::-1])]
-    sides = _Side.of(graph.by_session[first]), _Side.of(graph.by_session[second])
-    for one, other in pairs[:: -(-len(pairs) // CIRCLES) or 1]:
-        yield _error(loops[one], loops[other], *sides)
+    pairs = pairs[:: -(-len(pairs) // CIRCLES) or 1]
+    if not len(pairs):
+        return np.zeros(0)
+    sides = Side.of(graph.by_session[first]), Side.of(graph.by_session[second])
+    poses = np.stack([loop.T_match_query for loop in loops])
+    return squared_errors(poses, np.stack([loop.covariance for loop in loops]), ends, pairs, *sides)
 
 
-class _Side:
+class Side:
     """A trajectory with the covariances (n, 6, 6) of its poses as steps add them up, in the odometry frame."""
 
     def __init__(self, poses: Array64, summed: Array64) -> None:
+        """`poses` (n, 4, 4) are T_odom_submap."""
         self.poses, self._summed = poses, summed
 
     @classmethod
-    def of(cls, trajectory: Trajectory) -> _Side:
+    def of(cls, trajectory: Trajectory) -> Side:
+        """The side of a trajectory."""
         poses = trajectory.T_odom_submap
-        turns = np.stack([se3.adjoint(pose) for pose in poses])
+        turns = _adjoints(poses)
         steps = turns[1:] @ trajectory.step_covariances @ turns[1:].transpose(0, 2, 1)
         return cls(poses, np.concatenate([np.zeros((1, 6, 6)), np.cumsum(steps, axis=0)]))
 
-    def between(self, start: int, end: int) -> Array64:
-        """The covariance (6, 6) of the way between two submaps, in the odometry frame."""
-        return np.asarray(self._summed[max(start, end)] - self._summed[min(start, end)])
+    def between(self, starts: Ordinals, ends: Ordinals) -> Array64:
+        """The covariances (n, 6, 6) of the ways between submaps, in the odometry frame."""
+        return np.asarray(self._summed[np.maximum(starts, ends)] - self._summed[np.minimum(starts, ends)])
 
 
-def _error(one: LoopEdge, other: LoopEdge, first: _Side, second: _Side) -> float:
-    """Squared error of the circle: along `one`, beside in `second`, back along `other`, beside in `first`."""
-    (a, b), (c, d) = ((loop.match.ordinal, loop.query.ordinal) for loop in (one, other))
-    T_match_second = one.T_match_query @ se3.inverse(second.poses[b])
-    T_match_other = T_match_second @ second.poses[d] @ se3.inverse(other.T_match_query)
-    T_match_first = T_match_other @ se3.inverse(first.poses[c])
-    covariance = one.covariance.copy()
+def squared_errors(
+    poses: Array64, covariances: Array64, ends: Ordinals, pairs: Ordinals, first: Side, second: Side
+) -> Array64:
+    """Squared errors (n,) of circles of `pairs` (n, 2) of loops: along one, beside in `second`, back along the other,
+    beside in `first`.
+
+    Of all loops (m): T_match_query (m, 4, 4), covariances (m, 6, 6), ordinals of match and query (m, 2).
+    """
+    one, other = pairs.T
+    (a, b), (c, d) = ends[one].T, ends[other].T
+    T_match_second = poses[one] @ np.linalg.inv(second.poses[b])
+    T_match_other = T_match_second @ second.poses[d] @ np.linalg.inv(poses[other])
+    T_match_first = T_match_other @ np.linalg.inv(first.poses[c])
+    covariance = covariances[one].copy()
     for T_match_side, of_side in (
         (T_match_second, second.between(b, d)),
-        (T_match_other, other.covariance),
+        (T_match_other, covariances[other]),
         (T_match_first, first.between(a, c)),
     ):
-        turn = se3.adjoint(T_match_side)
-        covariance += turn @ of_side @ turn.T
-    error = se3.log(T_match_first @ first.poses[a])
-    return float(error @ np.linalg.solve(covariance, error))
+        turns = _adjoints(T_match_side)
+        covariance += turns @ of_side @ turns.transpose(0, 2, 1)
+    errors = np.array([se3.log(gap) for gap in T_match_first @ first.poses[a]])
+    return np.asarray(np.einsum("ij,ij->i", errors, np.linalg.solve(covariance, errors[..., None])[..., 0]))
+
+
+def _adjoints(transforms: Array64) -> Array64:
+    """`se3.adjoint` of each of `transforms` (n, 4, 4)."""
+    found = np.zeros((len(transforms), 6, 6))
+    rotations, (x, y, z) = transforms[:, :3, :3], transforms[:, :3, 3].T
+    found[:, :3, :3] = found[:, 3:, 3:] = rotations
+    across = np.zeros_like(rotations)
+    across[:, 0, 1], across[:, 0, 2], across[:, 1, 2] = -z, y, -x
+    found[:, :3, 3:] = (across - across.transpose(0, 2, 1)) @ rotations
+    return found

@@ -24,23 +24,32 @@ class ScenePair:
     second: Scan
 
 
-def agreement(pair: ScenePair, T_first_second: se3.Matrix4) -> float:
-    """The share of the second scan's points that lie near a point of the first one, once moved by the transform."""
-    first = pair.first.points[:: max(1, len(pair.first.points) // 30_000)]
-    second, scale = thinned_cloud(pair.second.points)
-    if len(second) == 0:
-        return 0.0
-    distances, _ = cKDTree(first).query(se3.apply(T_first_second, second), distance_upper_bound=0.2 * scale)
-    return float(np.isfinite(distances).mean())
+class _Comparison:
+    """A pair, prepared to be laid on each other in several ways."""
+
+    def __init__(self, pair: ScenePair) -> None:
+        self.poses = pair.first.T_odom_sensor, pair.second.T_odom_sensor
+        self._first = cKDTree(pair.first.points[:: max(1, len(pair.first.points) // 30_000)])
+        self._second, self._scale = thinned_cloud(pair.second.points)
+
+    def agreement(self, T_first_second: se3.Matrix4) -> float:
+        """The share of the second scan's points that lie near a point of the first one, once moved so."""
+        if len(self._second) == 0:
+            return 0.0
+        moved = se3.apply(T_first_second, self._second)
+        distances, _ = self._first.query(moved, distance_upper_bound=0.2 * self._scale)
+        return float(np.isfinite(distances).mean())
 
 
 def check_agreement(pairs: Sequence[ScenePair]) -> list[Finding]:
     """Whether scans lie on each other once moved by their poses, or would so if the poses meant something else."""
     if not pairs:
         return []
-    poses = [(pair.first.T_odom_sensor, pair.second.T_odom_sensor) for pair in pairs]
-    as_given = _mean_agreement(pairs, [se3.inverse(one) @ other for one, other in poses])
-    others = {name: _mean_agreement(pairs, [step(*both) for both in poses]) for name, step in _STEPS.items()}
+    compared = [_Comparison(pair) for pair in pairs]
+    as_given = _mean_agreement(compared, lambda one, other: se3.inverse(one) @ other)
+    if as_given + AGREEMENT_MARGIN > 1.0:  # nothing agrees better by so much
+        return []
+    others = {name: _mean_agreement(compared, step) for name, step in _STEPS.items()}
     best = max(others, key=lambda name: others[name])
     if others[best] < as_given + AGREEMENT_MARGIN:
         return []
@@ -48,12 +57,12 @@ def check_agreement(pairs: Sequence[ScenePair]) -> list[Finding]:
     return [Finding(_CODES[best], measured, best, _ADVICE[best])]
 
 
-def _mean_agreement(pairs: Sequence[ScenePair], steps: Sequence[se3.Matrix4]) -> float:
-    return float(np.mean([agreement(pair, step) for pair, step in zip(pairs, steps, strict=True)]))
-
-
 Step = Callable[[se3.Matrix4, se3.Matrix4], se3.Matrix4]
 """T_first_second of two poses, if these mean something else than T_odom_sensor."""
+
+
+def _mean_agreement(compared: Sequence[_Comparison], step: Step) -> float:
+    return float(np.mean([pair.agreement(step(*pair.poses)) for pair in compared]))
 
 
 def _seen_through(T_given_meant: se3.Matrix4) -> Step:

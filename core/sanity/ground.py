@@ -75,7 +75,7 @@ def place_flags(
     come so far: its points lie beyond the sensor's range.
     """
     plane = ground_plane(points, scores_of=scores_of)
-    sample = points[:: max(1, len(points) // 30_000)]
+    sample = _sample(points)
     size_m = scene_scale * float(np.sqrt(np.percentile(np.einsum("ij,ij->i", sample, sample), 95.0)))
     tilted = plane is not None and not plane.upright
     return ("ground_tilted",) * tilted + ("scene_too_small",) * (size_m < MIN_SCENE_M)
@@ -83,7 +83,7 @@ def place_flags(
 
 def thinned_cloud(points: NDArray[np.floating]) -> tuple[Array, float]:
     """At most 3,000 of the nearer points, one a voxel, and the scene's scale compared with a street's."""
-    points = points[:: max(1, len(points) // 30_000)]
+    points = _sample(points)
     # returns that did not come back are zeros in what some drivers store
     points = points[(points[:, 0] != 0.0) | (points[:, 1] != 0.0) | (points[:, 2] != 0.0)]
     ranges = np.sqrt(np.einsum("ij,ij->i", points, points))
@@ -106,10 +106,9 @@ def _surrounds(inliers: Array, normal: Array, offset: float) -> bool:
     return bool((np.bincount(sectors, minlength=12) >= 0.02 * len(inliers)).sum() >= 9)
 
 
-def check_gravity(scans: Sequence[Scan]) -> list[Finding]:
+def check_gravity(scans: Sequence[Scan], scores_of: PlaneScores = scores_of_planes) -> list[Finding]:
     """Whether the ground lies below the sensors, in the frame of the odometry."""
-    turned = [(scan, scan.T_odom_sensor[:3, :3]) for scan in scans]
-    planes = [ground_plane(scan.points @ rotation.T) for scan, rotation in turned]
+    planes = [_plane_seen(scan, scan.T_odom_sensor[:3, :3], scores_of) for scan in scans]
     known = [(scan, plane) for scan, plane in zip(scans, planes, strict=True) if plane is not None]
     tilted = [plane for _, plane in known if not plane.upright]
     if len(known) < max(2, len(scans) // 3) or len(tilted) < 0.7 * len(known):
@@ -117,7 +116,8 @@ def check_gravity(scans: Sequence[Scan]) -> list[Finding]:
     heights = np.median([plane.height_m for plane in tilted])
     tilts = [np.degrees(np.arccos(np.clip(plane.normal[2], -1.0, 1.0))) for plane in tilted]
     measured = f"the ground, {heights:.2g} m away, is tilted by {np.median(tilts):.0f} degrees"
-    if _upright_share([scan for scan, _ in known], read_as_wxyz) > 0.7:
+    reread = [_plane_seen(scan, read_as_wxyz(scan.T_odom_sensor), scores_of) for scan, _ in known]
+    if np.mean([plane is not None and plane.upright for plane in reread]) > 0.7:
         cause, advice = "the quaternions are in the order w, x, y, z", "give them as x, y, z, w"
         return [Finding("quaternion_order", measured, cause, advice)]
     return [Finding("ground_tilted", measured, *_why_tilted(np.median([plane.normal for plane in tilted], axis=0)))]
@@ -138,6 +138,11 @@ def read_as_wxyz(transform: se3.Matrix4) -> Array:
     return np.asarray(se3.from_quaternion((x, y, z, w), np.zeros(3))[:3, :3])
 
 
-def _upright_share(scans: Sequence[Scan], rotation: Callable[[se3.Matrix4], Array]) -> float:
-    planes = [ground_plane(scan.points @ rotation(scan.T_odom_sensor).T) for scan in scans]
-    return float(np.mean([plane is not None and plane.upright for plane in planes]))
+def _plane_seen(scan: Scan, rotation: Array, scores_of: PlaneScores) -> GroundPlane | None:
+    """The ground of a scan turned by `rotation` (3, 3)."""
+    return ground_plane(_sample(scan.points) @ rotation.T, scores_of=scores_of)
+
+
+def _sample(points: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Every so many-th point: 30,000 to 60,000, or all of fewer."""
+    return points[:: max(1, len(points) // 30_000)]

@@ -86,7 +86,7 @@ def check_points(scans: Sequence[Scan]) -> list[Finding]:
         measured = f"{100 * np.median(missing):.0f} % of the points are NaN or infinite"
         cause = "an organised cloud of an open place, or a damaged field"
         found.append(Finding("non_finite", measured, cause, "leave them out; see whether the fields are right"))
-    at_origin = np.median([(np.abs(scan.points) < 0.01).all(axis=1).mean() for scan in scans])
+    at_origin = np.median([(np.abs(_rows(scan)) < 0.01).all(axis=1).mean() for scan in scans])
     if at_origin > 0.3:
         measured = f"{100 * at_origin:.0f} % of the points are at the sensor's origin"
         found.append(Finding("zeros", measured, "returns that did not come back are stored as zeros", "leave them out"))
@@ -101,8 +101,9 @@ def check_points(scans: Sequence[Scan]) -> list[Finding]:
 
 def _columns(scan: Scan) -> int:
     """How many numbers a row of the source had: rows of 3 or 5 that are read as 4 change their meaning periodically."""
+    points = _rows(scan)
     for period in (3, 5):
-        rows = [scan.points[start::period] for start in range(period)]
+        rows = [points[start::period] for start in range(period)]
         there = [part[(part != 0.0).any(axis=1)] for part in rows]
         if min(len(part) for part in there) == 0:
             continue
@@ -110,3 +111,16 @@ def _columns(scan: Scan) -> int:
         if (spread.max(axis=0) > 3.0 * np.maximum(spread.min(axis=0), 1e-6)).sum() >= 2:
             return period
     return 4
+
+
+def _rows(scan: Scan) -> NDArray[np.floating]:
+    """At most about 30,000 points: pieces of `_PIECE` rows as they follow each other, evenly spread."""
+    count = len(scan.points) // _PIECE
+    if count <= 1:
+        return scan.points
+    pieces = scan.points[: count * _PIECE].reshape(count, _PIECE, 3)
+    return pieces[:: -(-count * _PIECE // _MOST_ROWS)].reshape(-1, 3)
+
+
+_PIECE = 60  # a whole number of times 3 and 5
+_MOST_ROWS = 30_000

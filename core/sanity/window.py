@@ -9,7 +9,7 @@ import numpy as np
 from revisit.core.geometry import se3
 from revisit.core.sanity.agreement import ScenePair, check_agreement
 from revisit.core.sanity.finding import Finding
-from revisit.core.sanity.ground import check_gravity
+from revisit.core.sanity.ground import PlaneScores, check_gravity, scores_of_planes
 from revisit.core.sanity.numbers import check_motion, check_points, check_times, check_units
 from revisit.core.scan import Scan, scene_size
 
@@ -20,10 +20,10 @@ APART_RAD = np.radians(15.0)
 JUMP_M = 15.0
 
 
-def window_findings(scans: Sequence[Scan]) -> list[Finding]:
+def window_findings(scans: Sequence[Scan], scores_of: PlaneScores = scores_of_planes) -> list[Finding]:
     """What is unlikely to be meant about scans in time order, one finding for each code.
 
-    All poses and times are looked at, and at most six of the clouds.
+    All poses and times are looked at, and at most six of the clouds. `scores_of`: how planes are scored.
     """
     poses = np.stack([scan.T_odom_sensor for scan in scans])
     stamps_ns = np.array([scan.stamp_ns for scan in scans], dtype=np.int64)
@@ -33,7 +33,8 @@ def window_findings(scans: Sequence[Scan]) -> list[Finding]:
     pairs = [ScenePair(scans[one], scans[other]) for one, other in partners.items()]
     findings = [
         *check_times(stamps_ns), *check_motion(poses, stamps_ns), *check_points(looked_at),
-        *check_units([scene_size(scan) for scan in looked_at]), *check_gravity(looked_at), *check_agreement(pairs),
+        *check_units([scene_size(scan) for scan in looked_at]), *check_gravity(looked_at, scores_of),
+        *check_agreement(pairs),
     ]  # fmt: skip
     return list({finding.code: finding for finding in reversed(findings)}.values())[::-1]
 

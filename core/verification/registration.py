@@ -74,10 +74,10 @@ def iterate(
     T_match_query: se3.Matrix4, query: OrientedPoints, match: OrientedPoints, reach: float, rounds: int
 ) -> se3.Matrix4:
     """Up to `rounds` Gauss-Newton steps from `T_match_query`, with counterparts within `reach` metres."""
+    T_start, patches = np.ascontiguousarray(T_match_query), match.kept(OrientedPoints.patches_by, _ICP_EDGE_M)
     return np.asarray(
         aligned(
-            np.ascontiguousarray(T_match_query), np.ascontiguousarray(query.points),
-            np.ascontiguousarray(query.normals), match.kept(OrientedPoints.patches_by, _ICP_EDGE_M), _ICP_EDGE_M,
+            T_start, np.ascontiguousarray(query.points), np.ascontiguousarray(query.normals), patches, _ICP_EDGE_M,
             reach, rounds, _FACING_ALIKE, _ROBUST_SHARE * reach, MIN_COUNTERPARTS,
         )
     )  # fmt: skip

@@ -116,6 +116,23 @@ def surface(
     say(f"{out / 'kinds.md'}, {out / 'spacings.md'} and {out / 'rate-distortion.png'}")
 
 
+@group.command("bytes")
+@needs("evaluation")
+def stored(
+    out: Annotated[Path, typer.Option(help="Folder for the table and unpacked recordings.")] = Path("out/bytes"),
+) -> None:
+    """What a kilometre takes in the store, by sensor: scans, neural maps, places and descriptors."""
+    from revisit.evaluation.benchmark import storage
+
+    out.mkdir(parents=True, exist_ok=True)
+    rows = []
+    for name, scans, config in storage.drives(out):
+        say(name)
+        rows.append(storage.stored_bytes(name, scans, config))
+    (out / "bytes.md").write_text(storage.storage_table(rows))
+    say(f"{out / 'bytes.md'}")
+
+
 @group.command("graphs")
 @needs("evaluation")
 def graphs(

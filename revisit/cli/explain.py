@@ -9,10 +9,11 @@ import typer
 
 from revisit.cli.options import HTTP, Http, Json, MapName
 from revisit.cli.output import emit_json, emit_table
+from revisit.cli.submap_names import full_name, short_name
 
 
 def explain(
-    submap: Annotated[str, typer.Argument(help="SESSION/SUBMAP.")],
+    submap: Annotated[str, typer.Argument(help="SESSION/SUBMAP, or the whole name.")],
     map_id: MapName = "default",
     k: Annotated[int, typer.Option(min=1, max=100, help="How many of the most similar submaps to look at.")] = 20,
     http: Http = HTTP,
@@ -21,23 +22,15 @@ def explain(
     """Say which gate stopped each near miss of a submap, and what would have passed it."""
     from revisit.sdk.client import Client
 
-    session, _, name = submap.partition("/")
+    name = full_name(map_id, submap)
     with Client(http) as client:
-        found = client.explain(f"maps/{map_id}/sessions/{session}/submaps/{name}", k=k)
+        found = client.explain(name, k=k)
     if json:
         emit_json([asdict(miss) | {"remedy": miss.remedy} for miss in found])
         return
     rows = [
-        (
-            miss.submap.partition("/sessions/")[2].replace("/submaps/", "/"),
-            miss.similarity,
-            miss.gate,
-            miss.measured,
-            miss.threshold,
-            miss.remedy,
-        )
+        (short_name(miss.submap), miss.similarity, miss.gate, miss.measured, miss.threshold, miss.remedy)
         for miss in found
     ]
-    emit_table(
-        f"Near misses of {submap}", ("submap", "similarity", "gate", "measured", "threshold", "passes with"), rows
-    )
+    columns = ("submap", "similarity", "gate", "measured", "threshold", "passes with")
+    emit_table(f"Near misses of {short_name(name)}", columns, rows)

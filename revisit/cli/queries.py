@@ -11,6 +11,7 @@ import typer
 
 from revisit.cli.options import HTTP, Http, Json, MapName
 from revisit.cli.output import emit_json, emit_table, refuse, say
+from revisit.cli.submap_names import full_name, short_name
 from revisit.core.errors import RevisitError
 
 if TYPE_CHECKING:
@@ -66,8 +67,8 @@ def loops(
         return
     rows = [
         (
-            _short(loop.query),
-            _short(loop.match),
+            short_name(loop.query),
+            short_name(loop.match),
             loop.state,
             loop.reason,
             loop.similarity,
@@ -92,13 +93,13 @@ def _localize(client: Client, map_id: str, cloud: Path, k: int, where: dict[str,
     if as_json:
         emit_json(asdict(found))
         return
-    rows = [(_short(c.submap), c.accepted, c.reason, c.similarity, c.score) for c in found.candidates]
+    rows = [(short_name(c.submap), c.accepted, c.reason, c.similarity, c.score) for c in found.candidates]
     emit_table("Compared", ("submap", "accepted", "reason", "similarity", "score"), rows)
     if found.best is None or found.T_odom_query is None:
         say("This place is not in the map.")
         return
     x, y, z = found.T_odom_query[:3, 3]
-    say(f"Taken at x {x:.2f} m, y {y:.2f} m, z {z:.2f} m in the odometry frame of {_short(found.session or '')}.")
+    say(f"Taken at x {x:.2f} m, y {y:.2f} m, z {z:.2f} m in the odometry frame of {short_name(found.session or '')}.")
 
 
 def _level(quaternion: str) -> Matrix4 | None:
@@ -115,13 +116,11 @@ def _level(quaternion: str) -> Matrix4 | None:
 
 
 def _search(client: Client, map_id: str, submap: str, k: int, without: str | None, as_json: bool) -> None:
-    session_id, _, submap_id = submap.partition("/")
-    name = f"maps/{map_id}/sessions/{session_id}/submaps/{submap_id}"
-    hits = client.search(f"maps/{map_id}", submap=name, k=k, exclude_session=without)
+    hits = client.search(f"maps/{map_id}", submap=full_name(map_id, submap), k=k, exclude_session=without)
     if as_json:
         emit_json([asdict(hit) for hit in hits])
         return
-    emit_table("Most similar", ("submap", "similarity"), [(_short(hit.submap), hit.similarity) for hit in hits])
+    emit_table("Most similar", ("submap", "similarity"), [(short_name(hit.submap), hit.similarity) for hit in hits])
 
 
 def _planar(T_match_query: Matrix4 | None) -> tuple[str, ...]:
@@ -130,8 +129,3 @@ def _planar(T_match_query: Matrix4 | None) -> tuple[str, ...]:
         return ("", "", "", "")
     yaw_deg = math.degrees(math.atan2(T_match_query[1, 0], T_match_query[0, 0]))
     return (*(f"{value:.2f}" for value in T_match_query[:3, 3]), f"{yaw_deg:.1f}")
-
-
-def _short(name: str) -> str:
-    parts = name.split("/")
-    return "/".join(parts[3::2])

@@ -16,6 +16,7 @@ from revisit.core.config import PipelineConfig, VerificationConfig
 from revisit.core.errors import RevisitError
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.implicit_map import NeuralMap
+from revisit.core.kernels.plane_votes import plane_scores
 from revisit.core.model_bundle import ModelBundle, load_packaged_models
 from revisit.core.pipeline import DescribedPlace, describe, describe_again, verify
 from revisit.core.place import Place
@@ -53,7 +54,7 @@ class CoreRecogniser:
 
     def inspect(self, scans: Sequence[Scan]) -> tuple[str, ...]:
         """See `PlaceRecogniser`."""
-        return tuple(finding.code for finding in window_findings(scans))
+        return tuple(finding.code for finding in window_findings(scans, plane_scores))
 
     def describe(self, submap: Submap, config: PipelineConfig) -> SubmapDescription:
         """See `PlaceRecogniser`."""

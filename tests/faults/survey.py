@@ -23,7 +23,7 @@ from revisit.service.application.contract.records import JobRecord, MapRecord, S
 from revisit.service.application.contract.session_poses import unpack_loops
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.ingest.clouds import unpack_cloud
-from revisit.service.application.mapping.loop_events import LoopStanding, standing_after
+from revisit.service.application.mapping.loop_events import LoopStanding
 from tests.faults.history import History, Stored, sequence_violations, violations
 from tests.support.records import TENANT
 
@@ -147,8 +147,8 @@ def _version_problems(uow: UnitOfWork, record: MapRecord) -> Iterator[str]:
         if loop.graph_state != judged.get(loop.number):
             yield f"{loop.loop_id} is {loop.graph_state}, the version in force says {judged.get(loop.number)}"
         events = uow.loop_events.find(record.tenant, map_id=record.map_id, loop_id=loop.loop_id)
-        if standing_after(events) != LoopStanding.of(loop):
-            yield f"{loop.loop_id}: its events say {standing_after(events)}"
+        if [LoopStanding.of(event) for event in events[-1:]] != [LoopStanding.of(loop)]:
+            yield f"{loop.loop_id}: its events say {events[-1:]}"
 
 
 def _job_problems(submaps: list[SubmapRecord], jobs: list[JobRecord]) -> Iterator[str]:

@@ -15,7 +15,7 @@ from revisit.service.application import SessionKey
 from revisit.service.application.catalogue.paging import PageRequest
 from revisit.service.application.contract.errors import AlreadyExists
 from revisit.service.application.mapping.loop_decisions import ProposeLoop
-from revisit.service.application.mapping.loop_events import LoopStanding, standing_after
+from revisit.service.application.mapping.loop_events import LoopStanding
 from tests.support.fleet_in_service import fleet_in
 from tests.support.service_world import TENANT, memory_world, submap
 
@@ -109,7 +109,7 @@ class LoopsOfAMap(RuleBasedStateMachine):
     @invariant()
     def the_events_of_a_loop_give_its_state(self):
         for loop in self.loops():
-            assert standing_after(self.events(loop)) == LoopStanding.of(loop)
+            assert LoopStanding.of(self.events(loop)[-1]) == LoopStanding.of(loop)
 
     @invariant()
     def only_accepted_loops_have_a_verdict_of_the_graph(self):

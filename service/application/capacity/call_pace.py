@@ -21,13 +21,15 @@ MOST_BUCKETS = 4096
 
 @dataclass(frozen=True)
 class PaceLimits:
-    """Calls that begin, a second and in all. A burst of one second's calls waits for nothing."""
+    """Calls that begin, a second and in all. The first `burst` of calls that come together wait for nothing."""
 
     client_calls_per_s: float = 300.0
     """About a quarter of one core."""
     tenant_calls_per_s: float = 450.0
     refusals_per_s: float = 100.0
     """Of one address, to callers that nobody knows."""
+    burst: int = 20
+    """Together they hold up the event loop for about 20 ms; as many of one address are refused at once."""
     most_wait_s: float = 3.0
     waiting: int = 640
     """Calls of all callers that wait, fewer than there are places for calls."""
@@ -84,7 +86,7 @@ class CallPace:
     def _bucket(self, caller: tuple[str, ...], per_s: float) -> TokenBucket:
         """The caller's bucket, which is now the last to be forgotten."""
         now_s = self._now_s()
-        bucket = self._buckets.pop(caller, None) or TokenBucket.full(per_s, per_s, now_s)
+        bucket = self._buckets.pop(caller, None) or TokenBucket.full(per_s, self._limits.burst, now_s)
         self._buckets[caller] = bucket
         if len(self._buckets) > MOST_BUCKETS:
             del self._buckets[next(iter(self._buckets))]

@@ -14,13 +14,12 @@ from revisit.service.application.catalogue.deletion import delete_map
 from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.clock import Clock
-from revisit.service.application.contract.errors import AlreadyExists
 from revisit.service.application.contract.identity import TenantId, content_hash, validated_id, validated_label
 from revisit.service.application.contract.index import VectorIndex
 from revisit.service.application.contract.loop_policy import LoopPolicy
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.records import MapRecord
-from revisit.service.application.contract.storage import Storage, require_map
+from revisit.service.application.contract.storage import Storage, require_map, require_same_content
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.ingest.open_streams import OpenStreams
 from revisit.service.failpoints import failpoint
@@ -107,8 +106,7 @@ class Maps:
         known = uow.maps.get(record.tenant, record.map_id)
         if known is None:
             return CreatedMap(self._view(uow, uow.maps.add(record)), replay=False)
-        if known.content_hash != record.content_hash:
-            raise AlreadyExists(f"map {record.map_id} exists with other content")
+        require_same_content(known.content_hash, record.content_hash, f"map {record.map_id}")
         return CreatedMap(self._view(uow, known), replay=True)
 
     async def get(self, tenant: TenantId, map_id: str) -> MapView:

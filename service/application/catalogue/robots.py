@@ -8,10 +8,9 @@ from functools import partial
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract.clock import Clock
-from revisit.service.application.contract.errors import AlreadyExists
 from revisit.service.application.contract.identity import TenantId, content_hash, validated_id, validated_label
 from revisit.service.application.contract.records import RobotRecord
-from revisit.service.application.contract.storage import Storage, require_robot
+from revisit.service.application.contract.storage import Storage, require_robot, require_same_content
 from revisit.service.application.contract.transactions import UnitOfWork
 
 
@@ -83,8 +82,7 @@ def _add(uow: UnitOfWork, record: RobotRecord) -> CreatedRobot:
     known = uow.robots.get(record.tenant, record.robot_id)
     if known is None:
         return CreatedRobot(_view(uow.robots.add(record)), replay=False)
-    if known.content_hash != record.content_hash:
-        raise AlreadyExists(f"robot {record.robot_id} exists with other content")
+    require_same_content(known.content_hash, record.content_hash, f"robot {record.robot_id}")
     return CreatedRobot(_view(known), replay=True)
 
 

@@ -14,11 +14,16 @@ from revisit.service.application.catalogue.blob_references import Blob, BlobColl
 from revisit.service.application.catalogue.deletion import delete_session
 from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract.clock import Clock
-from revisit.service.application.contract.errors import AlreadyExists
 from revisit.service.application.contract.identity import SessionKey, TenantId, content_hash, validated_id
 from revisit.service.application.contract.records import SessionRecord
 from revisit.service.application.contract.states import SessionState
-from revisit.service.application.contract.storage import Storage, require_map, require_robot, require_session
+from revisit.service.application.contract.storage import (
+    Storage,
+    require_map,
+    require_robot,
+    require_same_content,
+    require_session,
+)
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.ingest.open_streams import OpenStreams
 from revisit.service.application.ingest.windows import add_window_submap, remainder
@@ -170,8 +175,7 @@ def _add(uow: UnitOfWork, record: SessionRecord) -> CreatedSession:
         if record.robot_id is not None:
             require_robot(uow, record.tenant, record.robot_id)
         return CreatedSession(_view(uow, uow.sessions.add(record)), replay=False)
-    if known.content_hash != record.content_hash:
-        raise AlreadyExists(f"session {record.session_id} exists with other content")
+    require_same_content(known.content_hash, record.content_hash, f"session {record.session_id}")
     return CreatedSession(_view(uow, known), replay=True)
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from revisit.service.application.contract.blobs import BlobStore
-from revisit.service.application.contract.errors import NotFound, SessionFinished
+from revisit.service.application.contract.errors import AlreadyExists, NotFound, SessionFinished
 from revisit.service.application.contract.identity import SessionKey, SubmapKey, TenantId
 from revisit.service.application.contract.records import JobRecord, MapRecord, RobotRecord, SessionRecord, SubmapRecord
 from revisit.service.application.contract.states import SessionState
@@ -98,3 +98,9 @@ def require_job(uow: UnitOfWork, tenant: TenantId, operation_id: str) -> JobReco
     if record is None:
         raise NotFound(f"there is no operation {operation_id!r}"[:200])
     return record
+
+
+def require_same_content(known: str, sent: str, name: str) -> None:
+    """Raises AlreadyExists where what is stored under a name is not what was sent again, by the hashes of both."""
+    if known != sent:
+        raise AlreadyExists(f"{name} exists with other content")

@@ -17,7 +17,6 @@ from revisit.service.application.capacity.backlog import JobPosting
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.blobs import CLOUD_BLOB
 from revisit.service.application.contract.clock import Clock
-from revisit.service.application.contract.errors import AlreadyExists
 from revisit.service.application.contract.identity import (
     RESERVED_SUBMAP_PREFIX,
     SessionKey,
@@ -28,7 +27,13 @@ from revisit.service.application.contract.identity import (
 )
 from revisit.service.application.contract.records import SessionRecord, SubmapRecord
 from revisit.service.application.contract.states import OperationKind, SubmapState
-from revisit.service.application.contract.storage import Storage, require_active, require_job, require_session
+from revisit.service.application.contract.storage import (
+    Storage,
+    require_active,
+    require_job,
+    require_same_content,
+    require_session,
+)
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.views import OperationView, SubmapView, operation_view, submap_view
 from revisit.service.application.ingest.clouds import (
@@ -148,8 +153,7 @@ def _replayed(uow: UnitOfWork, row: SubmapRecord) -> PostedSubmap | None:
     if known is None:
         require_active(session)
         return None
-    if known.content_hash != row.content_hash:
-        raise AlreadyExists(f"submap {row.submap_id} exists with other content")
+    require_same_content(known.content_hash, row.content_hash, f"submap {row.submap_id}")
     return posted_submap(uow, known, replay=True, report=None)
 
 

@@ -1,4 +1,4 @@
-"""The history of loop closures: every change is an event, and the events alone give the state."""
+"""The history of loop closures: every change is an event, and the last one gives the state."""
 
 from __future__ import annotations
 
@@ -39,14 +39,6 @@ class LoopStanding:
     def of(cls, record: LoopRecord | LoopEventRecord) -> LoopStanding:
         """As a loop's row has it, or as an event left it."""
         return cls(LoopState(record.state), record.reason, record.T_match_query, record.graph_state)
-
-
-def standing_after(events: Iterable[LoopEventRecord]) -> LoopStanding | None:
-    """The state of a loop by its events alone, oldest first; None where there are none."""
-    standing = None
-    for event in events:
-        standing = LoopStanding.of(event)
-    return standing
 
 
 def before_last_decision(events: Iterable[LoopEventRecord]) -> LoopStanding | None:

@@ -25,7 +25,7 @@ from revisit.service.application.contract.states import EventKind, WebhookState
 from revisit.service.application.contract.storage import Storage
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.webhooks import Answered, DeliveryRecord, WebhookRecord, WebhookSender
-from revisit.service.application.push.events import EventView, event_of
+from revisit.service.application.push.events import EventView, events_of
 
 BATCH = 50
 """Events of one request at most."""
@@ -148,9 +148,7 @@ def _batch(uow: UnitOfWork, webhook: WebhookRecord) -> Batch:
     rows = uow.events.following(webhook.tenant, webhook.told, BATCH, webhook.map_id)
     wanted = {*webhook.kinds, EventKind.FORGOTTEN.value}
     chosen = [row for row in rows if not webhook.kinds or row.kind in wanted]
-    newest = {(row.kind, row.subject): row for row in chosen}
-    events = [event_of(uow, row) for row in sorted(newest.values(), key=lambda row: row.number)]
-    return Batch([event for event in events if event is not None], rows[-1].number if rows else webhook.told)
+    return Batch(events_of(uow, chosen), rows[-1].number if rows else webhook.told)
 
 
 def _attempt(webhook: WebhookRecord, batch: Batch, answered: Answered, at_ns: int, took_ms: int) -> DeliveryRecord:

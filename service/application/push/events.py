@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterable
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -108,14 +108,17 @@ def _last(uow: UnitOfWork, tenant: TenantId, map_id: str) -> int:
 def _told(uow: UnitOfWork, tenant: TenantId, map_id: str, seen: int, last: int) -> Told:
     require_map(uow, tenant, map_id)
     rows = uow.events.following(tenant, seen, BATCH, map_id)
-    # The row that comes last stands for all of the same resource in this batch.
+    return Told(events_of(uow, rows), last if len(rows) < BATCH else rows[-1].number)
+
+
+def events_of(uow: UnitOfWork, rows: Iterable[EventRecord]) -> list[EventView]:
+    """What rows tell, in their order: of several of one resource the last, of one that is gone nothing."""
     newest = {(row.kind, row.subject): row for row in rows}
-    events = [event_of(uow, row) for row in sorted(newest.values(), key=lambda row: row.number)]
-    whole = len(rows) < BATCH
-    return Told([event for event in events if event is not None], last if whole else rows[-1].number)
+    events = [_event_of(uow, row) for row in sorted(newest.values(), key=lambda row: row.number)]
+    return [event for event in events if event is not None]
 
 
-def event_of(uow: UnitOfWork, row: EventRecord) -> EventView | None:
+def _event_of(uow: UnitOfWork, row: EventRecord) -> EventView | None:
     """The event of a row, None where its resource is gone."""
     kind = EventKind(row.kind)
     if kind is EventKind.LOOP_CLOSURE:

@@ -11,10 +11,10 @@ from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.clock import Clock
-from revisit.service.application.contract.errors import AlreadyExists, NotFound, QuotaReached
+from revisit.service.application.contract.errors import NotFound, QuotaReached
 from revisit.service.application.contract.identity import TenantId, content_hash, validated_id
 from revisit.service.application.contract.states import EventKind, WebhookState
-from revisit.service.application.contract.storage import Storage, require_map
+from revisit.service.application.contract.storage import Storage, require_map, require_same_content
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.webhooks import DeliveryRecord, WebhookRecord
 from revisit.service.application.push.addresses import validated_url
@@ -130,8 +130,7 @@ class Webhooks:
 def _add(uow: UnitOfWork, record: WebhookRecord) -> CreatedWebhook:
     known = uow.webhooks.get(record.tenant, record.webhook_id)
     if known is not None:
-        if known.content_hash != record.content_hash:
-            raise AlreadyExists(f"webhook {record.webhook_id} exists with other content")
+        require_same_content(known.content_hash, record.content_hash, f"webhook {record.webhook_id}")
         return CreatedWebhook(_view(known), "", replay=True)
     if record.map_id is not None:
         require_map(uow, record.tenant, record.map_id)

@@ -54,13 +54,16 @@ class _Look(Generic[I]):
     def __init__(self) -> None:
         self.items: set[I] = set()
         self.outcome: asyncio.Future[Collection[I]] = asyncio.get_running_loop().create_future()
-        self._timer: asyncio.TimerHandle | None = None
+        self._timer: asyncio.Handle | None = None
+        self._due_s = 0.0
 
     def begin_within(self, seconds: float, begin: Callable[[], None]) -> None:
         """Begin in so many seconds, unless it begins earlier anyway."""
         loop = asyncio.get_running_loop()
-        if self._timer is not None and self._timer.when() <= loop.time() + seconds:
-            return
+        due_s = loop.time() + seconds
         if self._timer is not None:
+            # Noted here: a timer of uvloop that is due at once does not know when.
+            if self._due_s <= due_s:
+                return
             self._timer.cancel()
-        self._timer = loop.call_later(seconds, begin)
+        self._timer, self._due_s = loop.call_later(seconds, begin), due_s

@@ -17,7 +17,9 @@ from tests.support.live_service import live_service
 from tests.support.service_world import World, memory_world
 
 BURST = 3
-LIMITS = PaceLimits(client_calls_per_s=BURST, tenant_calls_per_s=BURST, refusals_per_s=BURST, most_wait_s=1.0)
+LIMITS = PaceLimits(
+    client_calls_per_s=BURST, tenant_calls_per_s=BURST, refusals_per_s=BURST, burst=BURST, most_wait_s=1.0
+)
 
 
 class Line:

@@ -23,3 +23,8 @@ def test_the_axes_are_exact_and_codes_are_stable():
     codes = octahedral.encode(axes, 127)
     assert np.allclose(octahedral.decode(codes, 127), axes)
     assert np.array_equal(octahedral.encode(octahedral.decode(codes, 127), 127), codes)
+
+
+def test_listed_directions_are_those_of_the_formula():
+    codes = np.stack(np.meshgrid(np.arange(31), np.arange(31), indexing="ij"), axis=-1).reshape(-1, 2)
+    assert np.array_equal(octahedral.decode(codes, 15), octahedral._decoded(codes, 15))

@@ -24,7 +24,7 @@ from revisit.core.pose_graph.consistency import agreement, consistent_sets, larg
 from revisit.core.pose_graph.g2o import read_g2o, write_g2o
 from revisit.core.pose_graph.least_squares import INLIER, graduated, minimise
 from revisit.core.pose_graph.support import STRETCH, LoopsWithin
-from revisit.core.pose_graph.variance_factor import rescaled, variance_factor
+from revisit.core.pose_graph.variance_factor import Side, rescaled, squared_errors, variance_factor
 from revisit.evaluation.pose_graph_benchmark import Case, Spoiling, measure
 from revisit.evaluation.real_data import real_data
 from revisit.evaluation.wrong_loops import is_wrong, with_agreeing_loops
@@ -64,6 +64,26 @@ def test_uncertainties_are_reduced_that_small_circles_show_to_be_far_too_large()
     assert variance_factor(made) == 1.0
     assert variance_factor(rescaled(made, 1e3)) == 1.0
     assert 0.001 < variance_factor(rescaled(made, 1e5)) < 0.1
+
+
+def test_the_errors_of_circles_are_those_of_one_circle_after_the_other() -> None:
+    rng = np.random.default_rng(4)
+    sides = tuple(
+        Side(np.stack([random_motion(rng) for _ in range(6)]), np.cumsum([np.eye(6)] * 6, axis=0)) for _ in range(2)
+    )
+    poses, ends = np.stack([random_motion(rng) for _ in range(4)]), rng.integers(0, 6, (4, 2))
+    covariances, pairs = np.stack([(1.0 + k) * np.eye(6) for k in range(4)]), np.array([[0, 1], [2, 3], [1, 3]])
+    expected = []
+    for one, other in pairs:
+        (a, b), (c, d) = ends[one], ends[other]
+        to_second = poses[one] @ se3.inverse(sides[1].poses[b])
+        to_other = to_second @ sides[1].poses[d] @ se3.inverse(poses[other])
+        to_first = to_other @ se3.inverse(sides[0].poses[c])
+        parts = ((to_second, abs(b - d)), (to_other, 1.0 + other), (to_first, abs(a - c)))
+        turned = sum(weight * se3.adjoint(pose) @ se3.adjoint(pose).T for pose, weight in parts)
+        error = se3.log(to_first @ sides[0].poses[a])
+        expected.append(error @ np.linalg.solve(covariances[one] + turned, error))
+    np.testing.assert_allclose(squared_errors(poses, covariances, ends, pairs, *sides), expected, rtol=1e-9)
 
 
 def test_what_a_graph_states_is_believed_where_few_circles_speak_against_it() -> None:

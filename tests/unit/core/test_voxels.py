@@ -11,7 +11,7 @@ import pytest
 from revisit.core.clusters import euclidean_clusters, find_ground
 from revisit.core.config import ClusterConfig, ImplicitMapConfig, PipelineConfig
 from revisit.core.errors import BadField
-from revisit.core.geometry.voxel_keys import voxel_keys
+from revisit.core.geometry.voxel_keys import first_rows, voxel_keys
 from revisit.core.implicit_map.neural_points import ElasticAccumulator
 from revisit.core.kernels.elastic_points import FIRST_SCAN, MOMENTS, RECORD, VIEW, insert_returns
 from revisit.core.kernels.nearest_points import nearest_points
@@ -49,6 +49,13 @@ def test_voxel_keys_are_equal_and_ordered_as_the_voxels_are(span, axes):
     changes = (voxels[order][1:] != voxels[order][:-1]).any(axis=1)
     assert np.array_equal(np.diff(keys[order]) > 0, changes)
     assert np.array_equal(np.diff(keys[order]) == 0, ~changes)
+
+
+@pytest.mark.parametrize("greatest", [3, 10_000, 2**62])
+def test_the_first_rows_of_keys_are_those_of_numpy(greatest):
+    keys = np.random.default_rng(1).integers(0, greatest, 2_000)
+    assert np.array_equal(first_rows(keys), np.unique(keys, return_index=True)[1])
+    assert len(first_rows(keys[:0])) == 0
 
 
 def test_no_voxels_have_no_keys():

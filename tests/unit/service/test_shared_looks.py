@@ -73,3 +73,15 @@ async def test_who_goes_away_leaves_the_others_waiting(looks, store):
     one.cancel()
     assert await other
     assert one.cancelled()
+
+
+def test_it_works_on_the_loop_of_the_gateway_too():
+    uvloop = pytest.importorskip("uvloop")
+
+    async def ask():
+        store = Store()
+        looks = SharedLooks(store, store.not_come)
+        return await asyncio.gather(*(looks.has_come("acme", 1, within_s) for within_s in (0.0, 0.0, 0.001)))
+
+    with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+        assert runner.run(ask()) == [True] * 3
