@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.kernels.near_columns import near_columns
 from revisit.core.submap import Submap
 
 Array64 = NDArray[np.float64]
@@ -104,13 +105,13 @@ def _askew(normal: Array64, right: Array64, origins: Array64) -> float:
 
 def _some_columns(submap: Submap) -> tuple[Array64, NDArray[np.int64], NDArray[np.int64]]:
     """Points (n, 3), their scans (n,) and cubes (n,) of about _POINTS points: whole columns, drawn by their place."""
-    x, y = submap.points[:, 0], submap.points[:, 1]
-    rows = np.flatnonzero((np.abs(x) < _REACH_M) & (np.abs(y) < _REACH_M))
-    across, along = (np.floor(part[rows] / np.float32(_CUBE_M)).astype(np.int32) for part in (x, y))
-    column = (across + 1024) * 2048 + along + 1024
-    if len(rows) > _POINTS:
-        drawn = (column.astype(np.uint32) * _TURN) < np.uint32(2**32 * (_POINTS / len(rows)))
-        rows, column = rows[drawn], column[drawn]
+    columns = near_columns(submap.points, _REACH_M, _CUBE_M)
+    chosen = columns >= 0
+    many = np.count_nonzero(chosen)
+    if many > _POINTS:
+        chosen &= (columns.view(np.uint32) * _TURN) < np.uint32(2**32 * (_POINTS / many))
+    rows = np.flatnonzero(chosen)
+    column = columns[rows]
     points = submap.points[rows].astype(np.float64)
     height = np.clip(np.floor(points[:, 2] / _CUBE_M).astype(np.int64) + 512, 0, 1023)
     return points, submap.scan_index[rows].astype(np.int64), column.astype(np.int64) * 1024 + height

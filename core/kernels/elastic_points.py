@@ -41,10 +41,7 @@ def insert_returns(
     it. Where there are `limit` of them, no more are created: the returns are left out.
     """
     cells, units = np.empty((3, _CHUNK), dtype=np.int32), np.empty((3, _CHUNK), dtype=np.float32)
-    filled: tuple[int, int] = _insert(
-        points, start, origin, scan, table, records, size, resolution, limit, cells, units
-    )
-    return filled
+    return _insert(points, start, origin, scan, table, records, size, resolution, limit, cells, units)
 
 
 @loop

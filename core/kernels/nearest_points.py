@@ -58,7 +58,7 @@ def _find_nearest(
                 dx, dy, dz = points[i, 0] - px, points[i, 1] - py, points[i, 2] - pz
                 d = np.float32(dx * dx + dy * dy + dz * dz)
                 near[size] = (np.int64(d.view(np.int32)) << 32) | i
-                size += int(d <= farthest)
+                size += 1 if d <= farthest else 0
             for n in range(size):
                 candidate = near[n]
                 for k in range(count):

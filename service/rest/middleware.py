@@ -181,6 +181,10 @@ class BodyLimit:
                 return message
 
             await self._app(scope, receive_within_limits, send)
+            unread_bytes = int(headers.get("content-length", "0")) - body.read_bytes
+            if unread_bytes > 0:
+                # The connection goes on, so the rest is still read, and thrown away.
+                scope["app"].state.use_cases.access.note_unread(unread_bytes)
 
     def _refusal(self, budget: ByteBudget, declared: str) -> RevisitError | None:
         if not declared.isascii() or not declared.isdigit():

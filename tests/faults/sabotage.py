@@ -418,6 +418,11 @@ SABOTAGES = (
         f"{PACE}test_a_key_that_begins_too_many_calls_waits_and_another_does_not[rest]",
     ),
     Sabotage(
+        "a body that is refused unread costs nothing",
+        {f"{USE_CASES}capacity.call_pace:CallPace.note_unread": nothing},
+        f"{PACE}test_a_body_that_is_refused_unread_makes_further_calls_wait",
+    ),
+    Sabotage(
         "strangers are refused as fast as they ask",
         {f"{USE_CASES}capacity.call_pace:CallPace.refusal": _comes_at_once},
         f"{PACE}test_a_stranger_that_is_refused_too_often_waits[rest]",

@@ -12,7 +12,13 @@ from revisit.core.errors import RevisitError
 from revisit.service.application.access import audit
 from revisit.service.application.access.api_keys import caller_of_key, parse_key
 from revisit.service.application.access.audit import AuditEntry, AuditLog
-from revisit.service.application.access.callers import ANYONE, Caller, Scope
+from revisit.service.application.access.callers import (
+    ANYONE,
+    Caller,
+    Scope,
+    current_actor,
+    current_tenant_or_none,
+)
 from revisit.service.application.access.failed_attempts import FailedAttempts
 from revisit.service.application.capacity.call_pace import CallPace
 from revisit.service.application.contract.access_ports import TokenVerifier
@@ -82,6 +88,12 @@ class Access:
             raise
         await self._pace.turn(caller.tenant, caller.name)
         return caller
+
+    def note_unread(self, unread_bytes: int) -> None:
+        """The body of this call was refused before it was read: further calls of its caller wait longer for it."""
+        tenant = current_tenant_or_none()
+        if tenant is not None:
+            self._pace.note_unread(tenant, current_actor(), unread_bytes)
 
     async def delay_refusal(self, address: str) -> None:
         """Wait before a stranger is refused, where strangers at this address are refused too often."""

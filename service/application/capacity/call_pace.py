@@ -19,6 +19,12 @@ MOST_BUCKETS = 4096
 """Callers that are remembered at the same time. Those that have not called for long are forgotten."""
 
 
+UNREAD_BYTES_A_CALL = 64 * 2**10
+"""So many bytes of a body that was refused unread take about as long to throw away as a call takes to refuse."""
+
+MOST_UNREAD_CALLS = 20
+
+
 @dataclass(frozen=True)
 class PaceLimits:
     """Calls that begin, a second and in all. The first `burst` of calls that come together wait for nothing."""
@@ -58,9 +64,13 @@ class CallPace:
 
     async def turn(self, tenant: TenantId, client: str) -> None:
         """Return when a call of the tenant's client may begin. Raises RateLimited where too many wait."""
-        limits = self._limits
-        own = self._bucket(("client", tenant, client), limits.client_calls_per_s)
-        await self._wait((own, self._bucket(("tenant", tenant), limits.tenant_calls_per_s)))
+        await self._wait(self._buckets_of(tenant, client))
+
+    def note_unread(self, tenant: TenantId, client: str, unread_bytes: int) -> None:
+        """A body of the client was refused before it was read: its further calls wait for as long as that takes."""
+        calls = min(unread_bytes / UNREAD_BYTES_A_CALL, MOST_UNREAD_CALLS)
+        for bucket in self._buckets_of(tenant, client):
+            bucket.take(calls, self._now_s())
 
     async def refusal(self, address: str) -> None:
         """Return when a caller that nobody knows may be told so; at once where too many wait."""
@@ -82,6 +92,11 @@ class CallPace:
                 await self._sleep(wait_s)
             finally:
                 self._waiting -= 1
+
+    def _buckets_of(self, tenant: TenantId, client: str) -> tuple[TokenBucket, TokenBucket]:
+        limits = self._limits
+        own = self._bucket(("client", tenant, client), limits.client_calls_per_s)
+        return own, self._bucket(("tenant", tenant), limits.tenant_calls_per_s)
 
     def _bucket(self, caller: tuple[str, ...], per_s: float) -> TokenBucket:
         """The caller's bucket, which is now the last to be forgotten."""

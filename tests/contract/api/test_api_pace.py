@@ -94,3 +94,12 @@ def test_whoever_asks_for_what_there_is_none_of_too_often_waits(paced, line):
     with httpx.Client(base_url=paced.http, trust_env=False) as http:
         assert {http.get("/nowhere").status_code for _ in range(BURST + 2)} == {404}
     assert line.waited == 2
+
+
+def test_a_body_that_is_refused_unread_makes_further_calls_wait(paced, line):
+    headers = {"authorization": f"Bearer {a_key(paced.world, 'wasteful').text}", "content-type": "application/json"}
+    line.start_anew()
+    with httpx.Client(base_url=paced.http, trust_env=False, headers=headers) as http:
+        assert http.post("/v1/maps", content=b"[" + b" " * 2**17 + b"]").status_code == 413
+        assert http.get("/v1/maps/nowhere").status_code == 404
+    assert line.waited == 1

@@ -116,3 +116,17 @@ async def test_callers_that_have_not_called_for_long_are_forgotten(pace, monkeyp
     for number in range(100):
         await pace.refusal(f"10.0.0.{number}")
     assert len(pace._buckets) == 20
+
+
+async def test_a_body_that_is_refused_unread_counts_as_the_calls_that_take_as_long(pace, time):
+    await pace.turn("acme", "robot")
+    pace.note_unread("acme", "robot", 10 * call_pace.UNREAD_BYTES_A_CALL)
+    pace.note_unread("acme", "robot", 1)
+    waiting = await begun([pace.turn("acme", "robot")])
+    assert time.waits == [0.2]  # 11 calls before this one, of a burst of ten, ten a second
+    await time.pass_s(100.0)
+    await waiting[0]
+    pace.note_unread("acme", "robot", 2**40)
+    (after,) = await begun([pace.turn("acme", "robot")])
+    assert time.waits[-1] == pytest.approx((1 + call_pace.MOST_UNREAD_CALLS - LIMITS.burst) / 10.0, abs=0.11)
+    after.cancel()
