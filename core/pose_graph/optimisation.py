@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 import gtsam
@@ -125,24 +126,33 @@ def optimise(
 @dataclass(frozen=True)
 class Trusted:
     """Loops by their place in the graph: all that may be right at all (those between sessions agree with others); those
-    to begin with, which others support; those that wait for better poses.
+    to begin with, which others support; those that wait for better poses. Some of the first ones may speak for others,
+    by number: then these follow where those are believed.
     """
 
     possible: frozenset[int]
     first: frozenset[int]
     waiting: frozenset[int]
+    speakers: dict[int, tuple[int, ...]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, graph: PoseGraph, sets: list[ConsistentSet], within: LoopsWithin) -> Trusted:
         """What consistency between sessions and support within them say of the loops of the graph."""
         between = frozenset[int]().union(*(one.loops for one in sets))
         in_one = {n for n, loop in enumerate(graph.loops) if loop.match.session == loop.query.session}
-        return cls(between | in_one, between | within.supported, within.allowed - within.supported)
+        spoken_for = frozenset(itertools.chain.from_iterable(within.speakers.values()))
+        first = (between | within.supported) - spoken_for | within.speakers.keys()
+        return cls(between | in_one, first, within.allowed - within.supported, within.speakers)
 
     def among(self, loops: Iterable[int]) -> Trusted:
         """The same for some of the loops."""
         some = frozenset(loops)
-        return Trusted(self.possible & some, self.first & some, self.waiting & some)
+        speakers = {number: others for number, others in self.speakers.items() if number in some}
+        return Trusted(self.possible & some, self.first & some, self.waiting & some, speakers)
+
+    def with_spoken_for(self, loops: set[int]) -> set[int]:
+        """These loops, and those that they speak for."""
+        return loops.union(*(self.speakers.get(number, ()) for number in loops))
 
 
 @dataclass(frozen=True)
@@ -264,15 +274,36 @@ def _by_gates(problem: Problem) -> tuple[gtsam.Values, set[int]]:
     """Cauchy weights first, under which wrong loops pull little; then the loops near those poses, exactly; then those
     that lie where these poses expect them, also loops that nothing supports.
     """
-    usable, first = set(problem.trusted.first | problem.trusted.waiting), set(problem.trusted.first)
-    values = minimise(problem.graph(first, gtsam.noiseModel.mEstimator.Cauchy.Create(1.0)), problem.start)
-    values, kept = _gated(problem, values, first, WIDE_GATE)
+    first = set(problem.trusted.first)
+    values, kept = _by_cauchy(problem, problem.start, first)
+    if problem.trusted.speakers:
+        values, kept = _with_spoken_for(problem, values, kept)
+    usable = problem.trusted.with_spoken_for(first | problem.trusted.waiting)
     for _ in range(MAX_GATINGS):
         expected = _expected(problem, values, kept, usable - kept)
         if not expected:
             break
         values, kept = _gated(problem, values, usable, WIDE_GATE, kept | expected)
     return values, kept
+
+
+def _with_spoken_for(problem: Problem, values: gtsam.Values, kept: set[int]) -> tuple[gtsam.Values, set[int]]:
+    """The poses by the loops that the `kept` ones speak for, too; more speakers join where these expect them."""
+    for _ in range(MAX_GATINGS):
+        believed = kept | _expected(problem, values, kept, set(problem.trusted.first) - kept)
+        heard = problem.trusted.with_spoken_for(believed)
+        if heard <= kept:
+            break
+        before, (values, kept) = kept, _by_cauchy(problem, values, heard)
+        if kept == before:
+            break
+    return values, kept
+
+
+def _by_cauchy(problem: Problem, start: gtsam.Values, loops: set[int]) -> tuple[gtsam.Values, set[int]]:
+    """The poses by some loops with Cauchy weights, then by those near these poses, exactly; and which those are."""
+    values = minimise(problem.graph(loops, gtsam.noiseModel.mEstimator.Cauchy.Create(1.0)), start)
+    return _gated(problem, values, loops, WIDE_GATE)
 
 
 def _gated(

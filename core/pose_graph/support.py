@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from revisit.core.pose_graph.consistency import MAX_CLOSING_ERROR, Circles, inverted
@@ -20,6 +22,9 @@ Array64 = NDArray[np.float64]
 BESIDE = 10
 """Submaps by which the ends of two loops may be apart for one to support the other."""
 
+STRETCH = 20
+"""Submaps of a stretch of which one loop speaks for all that agree with it, where loops are more than submaps."""
+
 _TYPICAL = 0.25
 _SLACK = 100.0
 """How much worse than typical circles (their lower quartile) one may close: stated covariances can be far too large,
@@ -29,24 +34,34 @@ and the circles that close best show it.
 
 @dataclass(frozen=True)
 class LoopsWithin:
-    """Loops within sessions, by their place in the graph: what the odometry allows, and what others support of it."""
+    """Loops within sessions, by their place in the graph: what the odometry allows, and what others support of it.
+
+    Of a session with more supported loops than submaps, some speak for others that agree with them: wrong loops join
+    everything with everything, and the equations of thousands of them are dense (docs/decisions/0186). `speakers` has,
+    by number, those that each of them speaks for, itself among them.
+    """
 
     allowed: frozenset[int]
     supported: frozenset[int]
+    speakers: dict[int, tuple[int, ...]]
 
     @classmethod
     def of(cls, graph: PoseGraph) -> LoopsWithin:
         """Every loop within a session, held against its odometry and against the loops beside it."""
         allowed: list[int] = []
         supported: list[int] = []
+        speakers: dict[int, tuple[int, ...]] = {}
         for trajectory in graph.trajectories:
             rows = np.array([n for n, loop in enumerate(graph.loops) if _is_within(loop, trajectory)], dtype=np.int64)
             loops = [_forward(graph.loops[row]) for row in rows]
             circles = Circles.of(loops, trajectory, trajectory)
             fits = np.flatnonzero(odometry_errors(circles) < MAX_CLOSING_ERROR)
             allowed += rows[fits].tolist()
-            supported += rows[fits[have_support(circles, fits)]].tolist()
-        return cls(frozenset(allowed), frozenset(supported))
+            borne = fits[have_support(circles, fits)]
+            supported += rows[borne].tolist()
+            if len(borne) > len(trajectory):
+                speakers |= {int(rows[group[0]]): tuple(rows[group].tolist()) for group in stretches(circles, borne)}
+        return cls(frozenset(allowed), frozenset(supported), speakers)
 
 
 def _is_within(loop: LoopEdge, trajectory: Trajectory) -> bool:
@@ -80,3 +95,15 @@ def have_support(circles: Circles, rows: NDArray[np.int64]) -> NDArray[np.bool_]
     closing = least[np.isfinite(least)]
     typical = float(np.quantile(closing, _TYPICAL)) if len(closing) else 0.0
     return np.asarray(least <= min(MAX_CLOSING_ERROR, _SLACK * typical))
+
+
+def stretches(circles: Circles, rows: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """The loops `rows` (n,) by runs, which small circles hold together, and stretches of STRETCH submaps."""
+    pairs = cKDTree(circles.ends[rows]).query_pairs(BESIDE, p=np.inf, output_type="ndarray")
+    closing = pairs[circles.errors(rows[pairs[:, 0]], rows[pairs[:, 1]]) < MAX_CLOSING_ERROR]
+    links = coo_matrix((np.ones(len(closing)), (closing[:, 0], closing[:, 1])), shape=(len(rows), len(rows)))
+    _, runs = connected_components(links, directed=False)
+    places = np.column_stack([runs, circles.ends[rows, 1] // STRETCH])
+    _, group = np.unique(places, axis=0, return_inverse=True)
+    order = np.argsort(group.ravel(), kind="stable")
+    return np.split(rows[order], np.flatnonzero(np.diff(group.ravel()[order])) + 1)

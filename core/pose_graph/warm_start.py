@@ -108,7 +108,7 @@ class SolvedComponent:
         """Take the loop into the map, or set it aside where the poses, as sure as they are, contradict it.
 
         By how much the least cost grows is the squared Mahalanobis distance of the loop from the poses, with their
-        covariance: that is held against the gate. A loop whose poses do not settle is set aside as well.
+        covariance: that is held against the gate. Poses that have not settled after MAX_STEPS are judged as they are.
         """
         if len(self._taken) >= MOST_HELD or len(self._steps) > MOST_LATER:
             self.refresh()
@@ -116,10 +116,10 @@ class SolvedComponent:
         inner = _inner(taken)
         if self._expected_growth(taken, inner) > WIDE_GATE:
             return LoopState.SET_ASIDE
-        found = self._settled(taken, np.asarray(np.linalg.inv(inner)))
-        if found is None or found[1] - self._cost > GATE:
+        state, cost = self._settled(taken, np.asarray(np.linalg.inv(inner)))
+        if not cost - self._cost <= GATE:
             return LoopState.SET_ASIDE
-        self._taken, (self._state, self._cost) = taken, found
+        self._taken, self._state, self._cost = taken, state, cost
         return LoopState.IN_MAP
 
     def T_map_submap(self, node: Node) -> se3.Matrix4:
@@ -192,18 +192,18 @@ class SolvedComponent:
         own = inner[-6:, -6:] - inner[-6:, :-6] @ np.linalg.solve(before, inner[:-6, -6:])
         return float(error @ np.linalg.solve(own, error))
 
-    def _settled(self, taken: list[_Taken], inverted: Array64) -> tuple[_State, float] | None:
-        """The poses with all `taken` loops, and their cost; None where they do not come to rest."""
-        state = self._state
+    def _settled(self, taken: list[_Taken], inverted: Array64) -> tuple[_State, float]:
+        """The poses with all `taken` loops, and their cost."""
+        state, cost = self._state, np.inf
         free = taken[-1].moves @ self._error(taken[-1], state)
         for _ in range(MAX_STEPS):
             step = _held_back(free, taken, inverted)
             state, moved_m = self._moved(state, -step)
             cost, gradient = self._cost_and_gradient(taken, state)
             if moved_m < SETTLED_M:
-                return state, cost
+                break
             free = self._solved(gradient[:, None])[:, 0]
-        return None
+        return state, cost
 
     def _moved(self, state: _State, step: Array64) -> tuple[_State, float]:
         """The state after a step (6 u,), and how far the farthest submap moves, metres."""

@@ -23,6 +23,7 @@ from revisit.core.pose_graph import (
 from revisit.core.pose_graph.consistency import agreement, consistent_sets, largest_clique, oriented
 from revisit.core.pose_graph.g2o import read_g2o, write_g2o
 from revisit.core.pose_graph.least_squares import INLIER, graduated, minimise
+from revisit.core.pose_graph.support import STRETCH, LoopsWithin
 from revisit.core.pose_graph.variance_factor import Side, rescaled, squared_errors, variance_factor
 from revisit.evaluation.pose_graph_benchmark import Case, Spoiling, measure
 from revisit.evaluation.real_data import real_data
@@ -305,6 +306,22 @@ def test_aliases_within_a_session_that_agree_with_each_other_are_set_aside() -> 
         kept = in_map(spoilt, optimise(spoilt, robustness).loops)
         assert all(name.startswith("right") for name in kept), robustness
         assert len(kept) >= 0.95 * len(right), robustness
+
+
+def test_where_loops_are_more_than_submaps_some_speak_for_all_that_agree_with_them() -> None:
+    """Three loops a submap, and four wrong ones for each: the first solution rests on one a stretch of each run."""
+    truth = np.concatenate([road(100, 0.0, 1)] * 2)
+    right = [_loop(f"right-{n}-{k}", n, n + 100 + k, se3.inverse(truth[n]) @ truth[n + 100 + k])
+             for n in range(96) for k in range(4)]  # fmt: skip
+    trajectory = Trajectory.from_odometry("s", drifted(truth, np.random.default_rng(8)))
+    graph = PoseGraph.of([trajectory], right)
+    within = LoopsWithin.of(graph)
+    queries = sorted(graph.loops[number].query.ordinal for number in within.speakers)
+    assert len({ordinal // STRETCH for ordinal in queries}) == len(queries) == 5
+    assert {number for others in within.speakers.values() for number in others} == within.supported
+    spoilt = with_agreeing_loops(graph, 0.8, seed=3)
+    kept = in_map(spoilt, optimise(spoilt, Robustness.ONLINE).loops)
+    assert all(name.startswith("right") for name in kept) and len(kept) >= 0.95 * len(right)
 
 
 def test_a_single_right_loop_that_nothing_supports_is_used() -> None:
