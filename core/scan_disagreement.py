@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.near_columns import near_columns
 from revisit.core.submap import Submap
 
 Array64 = NDArray[np.float64]
@@ -102,21 +101,10 @@ def _askew(normal: Array64, right: Array64, origins: Array64) -> float:
 
 
 def _some_columns(submap: Submap) -> tuple[Array64, NDArray[np.int64], NDArray[np.int64]]:
-<<<<<<< HEAD
-    """Points (n, 3), their scans (n,) and cubes (n,) of about _POINTS points: whole columns, drawn by their place."""
-    columns = near_columns(submap.points, _REACH_M, _CUBE_M)
-    chosen = columns >= 0
-    many = np.count_nonzero(chosen)
-    if many > _POINTS:
-        chosen &= (columns.view(np.uint32) * _TURN) < np.uint32(2**32 * (_POINTS / many))
-    rows = np.flatnonzero(chosen)
-    column = columns[rows]
-=======
     """Points (n, 3), their scans (n,) and cubes (n,) of 1 m, of about _POINTS points: whole columns."""
     from revisit.core.kernels.drawn_columns import points_of_drawn_columns  # compiled: the gateway needs none of it
 
-    rows = points_of_drawn_columns(np.ascontiguousarray(submap.points), _REACH_M, _POINTS)
->>>>>>> h6-E
+    rows = points_of_drawn_columns(submap.points, _REACH_M, _POINTS)
     points = submap.points[rows].astype(np.float64)
     cubes = np.clip(np.floor(points).astype(np.int64) + 1024, 0, 2047)
     return points, submap.scan_index[rows].astype(np.int64), (cubes[:, 0] * 2048 + cubes[:, 1]) * 2048 + cubes[:, 2]
