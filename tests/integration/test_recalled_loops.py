@@ -10,6 +10,7 @@ import pytest
 from revisit.service.application.contract.recogniser import LoopVerdict
 from revisit.service.application.mapping.loop_events import LoopStanding
 from revisit.service.application.recognise import recalled_loops
+from revisit.service.failpoints import arm
 from tests.support.fake_recogniser import FakeRecogniser
 from tests.support.fleet_in_service import fleet_in
 from tests.support.service_world import TENANT, memory_world, sqlite_world
@@ -169,6 +170,18 @@ async def test_a_result_that_comes_late_changes_nothing(town):
     assert len(known) == 2
     worker.run(lease)
     assert town.events(lost) == known
+
+
+async def test_recall_that_breaks_off_is_done_again_and_changes_a_loop_once(town):
+    lost = town.right[0]
+    town.rejected(lost)
+    arm("recall.before_commit=raise@1")
+    try:
+        await town.optimised(Geometry())
+    finally:
+        arm("")
+    assert town.loop(lost).state == "ACCEPTED"
+    assert [event.actor for event in town.events(lost)] == ["service", "map version 1", "service"]
 
 
 async def test_a_map_that_is_only_optimised_when_asked_is_left_as_it_is():
