@@ -113,11 +113,18 @@ def recall(vector: NDArray[np.float32], index: PlaceIndex, policy: CandidatePoli
 
 
 def verify(
-    query: Place, match: Place, similarity: float, config: VerificationConfig, near: Matrix4 | None = None
+    query: Place,
+    match: Place,
+    similarity: float,
+    config: VerificationConfig,
+    near: Matrix4 | None = None,
+    *,
+    near_decides: bool = True,
 ) -> VerifiedLoop | RejectedLoop:
     """Whether two places are the same and how they align: SE(2) start, ICP, gates (paper III-E, end).
 
     `T_match_query` of the answer maps the frame of the query submap into that of the match submap. Exchanged places get
-    the same verdict and the inverse pose. `near` (4, 4) is a T_match_query to start from, where somebody knows one.
+    the same verdict and the inverse pose. `near` (4, 4) is a T_match_query to start from, where somebody knows one;
+    unless it decides, other poses that fit as well count against it.
     """
-    return verification.verify(query, match, similarity, config, near)
+    return verification.verify(query, match, similarity, config, near, near_decides=near_decides)

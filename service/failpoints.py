@@ -38,6 +38,7 @@ POINTS = {
     "optimise.after_solution": "the poses of a map are optimised, nothing of them is committed",
     "optimise.after_version": "in its transaction, a version of a map is added, without its poses",
     "optimise.after_poses": "in its transaction, the poses and verdicts of a version are added, it is not in force",
+    "recall.before_commit": "rejected loops are tested again, nothing of it is committed",
     "revert.after_rows": "in its transaction, an earlier version of a map is back, nothing is committed",
     "map_merge.after_evidence": "two maps are compared, nothing of the merge is committed",
     "map_merge.after_rows": "in its transaction, the sessions of a merge are copied, the map has no version of them",

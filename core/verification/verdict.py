@@ -77,25 +77,36 @@ class RejectedLoop:
 
 
 def verify(
-    query: Place, match: Place, similarity: float, config: VerificationConfig, near: se3.Matrix4 | None = None
+    query: Place,
+    match: Place,
+    similarity: float,
+    config: VerificationConfig,
+    near: se3.Matrix4 | None = None,
+    *,
+    near_decides: bool = True,
 ) -> VerifiedLoop | RejectedLoop:
     """Whether two submaps show the same place, and how they lie to each other.
 
-    `near` (4, 4), a T_match_query between the submap frames that somebody names, is where registration starts then:
-    alone, and other poses that fit as well do not count against it.
+    `near` (4, 4), a T_match_query between the submap frames that somebody names, is where registration starts then,
+    alone. Where it decides, other poses that fit as well do not count against it; else they do, as they do without it.
 
     Nothing in it is random, and the answer does not depend on which place is the query: `verify(b, a)` has the verdict,
     reason and evidence of `verify(a, b)`, and the inverse pose. Raises DescriptorModelMismatch where the places come
     from different codebooks or scene scales.
     """
     if query.content_digest <= match.content_digest:
-        return _verify_in_order(query, match, similarity, config, near)
+        return _verify_in_order(query, match, similarity, config, near, near_decides)
     exchanged = None if near is None else se3.inverse(near)
-    return _inverted(_verify_in_order(match, query, similarity, config, exchanged))
+    return _inverted(_verify_in_order(match, query, similarity, config, exchanged, near_decides))
 
 
 def _verify_in_order(
-    query: Place, match: Place, similarity: float, config: VerificationConfig, near: se3.Matrix4 | None
+    query: Place,
+    match: Place,
+    similarity: float,
+    config: VerificationConfig,
+    near: se3.Matrix4 | None,
+    near_decides: bool,
 ) -> VerifiedLoop | RejectedLoop:
     """The verdict on two places in the order of their content digests.
 
@@ -114,7 +125,7 @@ def _verify_in_order(
     enough = max(config.min_common, config.min_common_share * min(query.standing_count, match.standing_count))
     measurement = _measure(start.fit, registration, evidence, similarity, config)
     reason = _rejection(registration, evidence, measurement.score, enough, config)
-    if reason is None and near is None:
+    if reason is None and not (near is not None and near_decides):
         rivals = find_rivals(registration.T_match_query, *surfaces, config)
         measurement = dataclasses.replace(measurement, rivals=rivals)
         reason = RejectionReason.AMBIGUOUS if rivals else None

@@ -348,7 +348,7 @@ COMMENTS = {
     'revisit.v1.Operation.subject': 'The resource it works on.',
     'revisit.v1.OperationProgress': 'How far an operation has come.',
     'revisit.v1.OperationProgress.done': 'Of `total` parts of the stage.',
-    'revisit.v1.OperationProgress.stage': 'READ_MAP, OPTIMISE, COMMIT; of a merge READ_MAPS, FIND_CANDIDATES, VERIFY_LOOPS, ALIGN, COMPARE_SURFACES, COMMIT.',
+    'revisit.v1.OperationProgress.stage': 'READ_MAP, OPTIMISE, COMMIT; of a merge READ_MAPS, FIND_CANDIDATES, VERIFY_LOOPS, ALIGN, COMPARE_SURFACES, COMMIT; of loops that are tested again READ_LOOPS, VERIFY_LOOPS.',
     'revisit.v1.OperationService': 'Operations: work that goes on after the answer.',
     'revisit.v1.OperationService.CancelOperation': 'End an operation that optimises or merges maps: at once where it waits, else at its next step. It changes nothing.',
     'revisit.v1.OperationService.GetOperation': 'Get an operation. That of a query by cloud is forgotten a day after its end, or when the settings say.',

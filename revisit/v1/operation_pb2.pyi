@@ -30,6 +30,7 @@ class Operation(_message.Message):
         MAKE_TILE: _ClassVar[Operation.Kind]
         MEASURE_MAP: _ClassVar[Operation.Kind]
         PUBLISH_MAP: _ClassVar[Operation.Kind]
+        RECALL_LOOPS: _ClassVar[Operation.Kind]
     KIND_UNSPECIFIED: Operation.Kind
     DESCRIBE_SUBMAP: Operation.Kind
     SEARCH_CLOUD: Operation.Kind
@@ -40,6 +41,7 @@ class Operation(_message.Message):
     MAKE_TILE: Operation.Kind
     MEASURE_MAP: Operation.Kind
     PUBLISH_MAP: Operation.Kind
+    RECALL_LOOPS: Operation.Kind
     class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STATE_UNSPECIFIED: _ClassVar[Operation.State]

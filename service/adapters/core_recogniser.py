@@ -76,11 +76,18 @@ class CoreRecogniser:
         return Redescription(described.descriptor.vector, described.place.to_blob())
 
     def verify(
-        self, query: bytes, match: bytes, similarity: float, config: PipelineConfig, near: Matrix4 | None = None
+        self,
+        query: bytes,
+        match: bytes,
+        similarity: float,
+        config: PipelineConfig,
+        near: Matrix4 | None = None,
+        *,
+        near_decides: bool = True,
     ) -> LoopVerdict:
         """See `PlaceRecogniser`."""
         places = self._place(query), self._place(match)
-        verdict = verify(*places, similarity, config.verification, near)
+        verdict = verify(*places, similarity, config.verification, near, near_decides=near_decides)
         evidence = _evidence(verdict, config)
         if isinstance(verdict, VerifiedLoop):
             measured = verdict.measurement

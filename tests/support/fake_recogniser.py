@@ -110,7 +110,14 @@ class FakeRecogniser:
         return Redescription(descriptor, descriptor.tobytes())
 
     def verify(
-        self, query: bytes, match: bytes, similarity: float, config: PipelineConfig, near: np.ndarray | None = None
+        self,
+        query: bytes,
+        match: bytes,
+        similarity: float,
+        config: PipelineConfig,
+        near: np.ndarray | None = None,
+        *,
+        near_decides: bool = True,
     ) -> LoopVerdict:
         """Accepted where the descriptors nearly agree; the transform is 1 m along x, or `near`."""
         if query.startswith(PLACED):

@@ -74,11 +74,21 @@ def _described(blobs: BlobStore, tenant: TenantId, T_world_submap: np.ndarray) -
 
 
 def fleet_in(
-    world: World, map_id: str, wrong_share: float = 0.0, seed: int = 3, tenant: TenantId = TENANT, **shape: int
+    world: World,
+    map_id: str,
+    wrong_share: float = 0.0,
+    seed: int = 3,
+    tenant: TenantId = TENANT,
+    with_places: bool = False,
+    **shape: int,
 ) -> FleetInService:
-    """Store a fleet as it would be after all its submaps were described and their loops accepted."""
+    """Store a fleet as it would be after all its submaps were described and their loops accepted.
+
+    `with_places`: `FakeRecogniser` can compare them, by their true poses.
+    """
     made = fleet(seed, wrong_share, **shape)
-    world.context.transactions.write(lambda uow: _store(uow, made, map_id, tenant)).result()
+    blobs = world.context.blobs if with_places else None
+    world.context.transactions.write(lambda uow: _store(uow, made, map_id, tenant, blobs)).result()
     return FleetInService(made, map_id)
 
 

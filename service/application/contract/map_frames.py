@@ -84,6 +84,24 @@ class MapFrames:
             if query is not None and match is not None and query.frame == match.frame
         }
 
+    def spread_m(self, loop: LoopRecord) -> float | None:
+        """How well the version knows where the ends of a loop lie to each other: one standard deviation, metres.
+
+        Across the ground, at most: that the errors of the two ends have much in common does not count. None where the
+        version does not have them.
+        """
+        variance = 0.0
+        for session_id, number in (
+            (loop.query_session_id, loop.query_number),
+            (loop.match_session_id, loop.match_number),
+        ):
+            session = self._session(session_id)
+            place = None if session is None else session.submaps.place_of(number)
+            if session is None or place is None:
+                return None
+            variance += float(np.linalg.eigvalsh(session.submaps.covariances[place, :2, :2].astype(np.float64))[-1])
+        return float(np.sqrt(max(variance, 0.0)))
+
     def _later(self, numbers: list[int], loops: list[LoopRecord]) -> dict[int, MapPose]:
         """The poses of those submaps that are not in the version, but whose session is."""
         sessions = {loop.query_number: loop.query_session_id for loop in loops}

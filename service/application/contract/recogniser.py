@@ -76,10 +76,18 @@ class PlaceRecogniser(Protocol):
         ...
 
     def verify(
-        self, query: bytes, match: bytes, similarity: float, config: PipelineConfig, near: Matrix4 | None = None
+        self,
+        query: bytes,
+        match: bytes,
+        similarity: float,
+        config: PipelineConfig,
+        near: Matrix4 | None = None,
+        *,
+        near_decides: bool = True,
     ) -> LoopVerdict:
         """Compare two places geometrically, around T_match_query `near` (4, 4) where somebody names one.
 
-        Raises DataLoss for damaged ones.
+        Unless that decides, other poses that fit as well count against it, as they do without it. Raises DataLoss for
+        damaged ones.
         """
         ...

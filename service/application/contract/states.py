@@ -76,6 +76,7 @@ class OperationKind(StrEnum):
     MAKE_TILE = "MAKE_TILE"
     MEASURE_MAP = "MEASURE_MAP"
     PUBLISH_MAP = "PUBLISH_MAP"
+    RECALL_LOOPS = "RECALL_LOOPS"
 
 
 class MapFileState(StrEnum):

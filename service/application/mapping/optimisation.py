@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import secrets
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -15,9 +14,9 @@ from revisit.service.application.contract.map_optimiser import MapOptimiser
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.records import JobRecord
 from revisit.service.application.contract.states import LoopState, OperationKind, OperationState
-from revisit.service.application.contract.tracing import current_request
 from revisit.service.application.contract.transactions import Transactions, UnitOfWork
 from revisit.service.application.mapping.graph_reading import read_task
+from revisit.service.application.mapping.map_jobs import post_map_job, waiting_map_job
 from revisit.service.application.mapping.progress import OperationCancelled, Progress
 from revisit.service.application.mapping.version_commit import MAP_DELETED, VersionCommit
 from revisit.service.failpoints import failpoint
@@ -64,7 +63,7 @@ class MapOptimisation:
             failpoint("optimise.after_solution")
             progress("COMMIT")
             now, now_ns = self._clock.instant(), self._clock.wall_ns()
-            commit = VersionCommit(lease, task, optimised, self._policy.map_versions_kept, now, now_ns)
+            commit = VersionCommit(lease, task, optimised, self._policy, now, now_ns)
             if self._transactions.write(commit).result():
                 return
         raise Unavailable("the map was changed again and again while it was optimised")
@@ -101,32 +100,13 @@ def optimise_soon(
 def post_optimisation(
     uow: UnitOfWork, tenant: TenantId, map_id: str, policy: Policy, now_ns: int, due: Instant | None = None
 ) -> JobRecord:
-    """Queue the job, not to be run before `due`. A map has one that waits at most, so no backlog bounds them."""
-    request = current_request()
-    return uow.queue.enqueue(
-        JobRecord(
-            tenant=tenant,
-            operation_id=f"op-{secrets.token_hex(10)}",
-            kind=OperationKind.OPTIMISE_MAP.value,
-            state=OperationState.QUEUED.value,
-            subject=f"maps/{map_id}",
-            payload={"map_id": map_id},
-            attempts=0,
-            max_attempts=policy.max_attempts,
-            created_at_ns=now_ns,
-            lease_epoch="" if due is None else due.epoch,
-            not_before_ms=0 if due is None else due.ms,
-            request_id=request.request_id,
-            traceparent=request.span.traceparent,
-        )
-    )
+    """Queue the job, not to be run before `due`."""
+    return post_map_job(uow, tenant, map_id, OperationKind.OPTIMISE_MAP, policy, now_ns, due)
 
 
 def waiting_optimisation(uow: UnitOfWork, tenant: TenantId, map_id: str) -> JobRecord | None:
     """The job of a map that no worker has taken yet."""
-    queued, kind = OperationState.QUEUED.value, OperationKind.OPTIMISE_MAP.value
-    found = uow.jobs.find(tenant, limit=1, state=queued, kind=kind, subject=f"maps/{map_id}")
-    return found[0] if found else None
+    return waiting_map_job(uow, tenant, map_id, OperationKind.OPTIMISE_MAP)
 
 
 def brought_forward(uow: UnitOfWork, job: JobRecord) -> JobRecord:

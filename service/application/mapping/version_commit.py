@@ -16,6 +16,7 @@ from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.job_queue import Lease
 from revisit.service.application.contract.map_frames import frame_name
 from revisit.service.application.contract.map_optimiser import JudgedLoop, OptimisedMap, OptimisedTrack
+from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.records import LoopRecord, MapRecord, MapVersionRecord, SessionPosesRecord
 from revisit.service.application.contract.session_poses import (
     PackedSubmaps,
@@ -27,6 +28,7 @@ from revisit.service.application.contract.states import GraphState, LoopEventKin
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.mapping.graph_reading import MapTask
 from revisit.service.application.mapping.loop_events import Change, change_loops
+from revisit.service.application.mapping.map_jobs import recall_loops
 from revisit.service.failpoints import failpoint
 
 MAP_DELETED = {"outcome": "the map was deleted"}
@@ -36,12 +38,12 @@ MAP_REVERTED = {"outcome": "an earlier version was brought back meanwhile"}
 
 @dataclass(frozen=True)
 class VersionCommit:
-    """The one transaction that ends an optimisation; at most `kept` versions of the map stay."""
+    """The one transaction that ends an optimisation; it keeps as many versions as the policy says."""
 
     lease: Lease
     task: MapTask
     optimised: OptimisedMap
-    kept: int
+    policy: Policy
     now: Instant
     now_ns: int
 
@@ -67,7 +69,8 @@ class VersionCommit:
         summary = summary_of(self.task, self.optimised.tracks, self.optimised)
         operation_id = self.lease.job.operation_id
         version = add_version(uow, current, self.task, self.optimised, summary, operation_id, self.now_ns)
-        forget_versions(uow, current.tenant, current.map_id, version - self.kept)
+        forget_versions(uow, current.tenant, current.map_id, version - self.policy.map_versions_kept)
+        recall_loops(uow, current.tenant, current.map_id, self.policy, self.now_ns)
         self._end(uow, {"version": f"maps/{current.map_id}/versions/{version}", **summary})
 
     def _end(self, uow: UnitOfWork, result: dict[str, Any]) -> None:

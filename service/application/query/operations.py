@@ -21,7 +21,7 @@ from revisit.service.application.query.shared_looks import SharedLooks
 
 _PAUSE_S = (0.02, 0.25)
 
-CANCELLABLE = (OperationKind.OPTIMISE_MAP, OperationKind.MERGE_MAP)
+CANCELLABLE = (OperationKind.OPTIMISE_MAP, OperationKind.MERGE_MAP, OperationKind.RECALL_LOOPS)
 """The kinds of operations that look, while they run, whether they are to end."""
 
 

@@ -36,7 +36,7 @@ from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.errors import NoAnswer, StaleLease, StorageFull, Unavailable
 from revisit.service.application.contract.identity import SubmapKey
 from revisit.service.application.contract.index import VectorFilter
-from revisit.service.application.contract.job_queue import Lease
+from revisit.service.application.contract.job_queue import CANCELLED, Lease
 from revisit.service.application.contract.map_frames import MapPose, submap_in_map
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.recogniser import LoopVerdict, PlaceRecogniser, SubmapDescription
@@ -53,6 +53,7 @@ from revisit.service.application.mapping.early_corrections import EarlyCorrectio
 from revisit.service.application.mapping.map_filing import MapFiling
 from revisit.service.application.mapping.merging import MapMerging
 from revisit.service.application.mapping.optimisation import MapOptimisation
+from revisit.service.application.mapping.progress import OperationCancelled, Progress
 from revisit.service.application.mapping.tile_making import TileMaking
 from revisit.service.application.query.place_memory import PlaceMemory, RecalledPlace, vector_filter
 from revisit.service.application.query.search_answers import (
@@ -71,6 +72,12 @@ from revisit.service.application.recognise.description_commit import (
 from revisit.service.application.recognise.distinctiveness import with_distinctiveness
 from revisit.service.application.recognise.loops_beside import Beside, loops_before, supported
 from revisit.service.application.recognise.proposed_loops import VerdictCommit, proposed_pair
+from revisit.service.application.recognise.recalled_loops import (
+    RecallCommit,
+    RecalledLoop,
+    kept_near,
+    loops_to_recall,
+)
 from revisit.service.failpoints import failpoint
 
 log = structlog.get_logger(__name__)
@@ -129,6 +136,7 @@ class Recognition:
             OperationKind.MAKE_TILE: self._maps.tiles.make,
             OperationKind.MEASURE_MAP: self._maps.tiles.measure,
             OperationKind.PUBLISH_MAP: self._maps.filing.run,
+            OperationKind.RECALL_LOOPS: self._recall_loops,
         }
         try:
             failpoint("job.after_claim")
@@ -244,12 +252,17 @@ class Recognition:
                 return
 
     def _judge(
-        self, place: bytes, recalled: RecalledPlace, config: PipelineConfig, near: Matrix4 | None = None
+        self,
+        place: bytes,
+        recalled: RecalledPlace,
+        config: PipelineConfig,
+        near: Matrix4 | None = None,
+        near_decides: bool = True,
     ) -> JudgedPlace:
         submap = recalled.submap
         try:
             blob = self._blobs.get(submap.tenant, PLACE_BLOB, str(submap.place_sha256))
-            verdict = self._recogniser.verify(place, blob, recalled.similarity, config, near)
+            verdict = self._recogniser.verify(place, blob, recalled.similarity, config, near, near_decides=near_decides)
         except DataLoss as error:
             log.error("place_lost", submap=submap_key(submap).name, reason=error.message)
             verdict = replace(LOST, evidence={"message": error.message})
@@ -313,6 +326,34 @@ class Recognition:
         self._transactions.write(commit).result()
         if pair is not None and verdict is not None and verdict.accepted:
             self._maps.early.take_in(pair.map.tenant, pair.map.map_id)
+
+    def _recall_loops(self, lease: Lease) -> None:
+        """Register rejected loops again from where the new version of their map has their submaps."""
+        tenant, map_id = lease.job.tenant, str(lease.job.payload["map_id"])
+        progress = Progress(self._transactions, self._clock, lease)
+        try:
+            loops = loops_to_recall(self._transactions, self._policy, tenant, map_id, progress)
+            tested = []
+            for done, loop in enumerate(loops):
+                progress("VERIFY_LOOPS", done, len(loops))
+                tested.append(self._recalled(loop))
+        except OperationCancelled:
+            self._complete(lease, CANCELLED)
+            return
+        failpoint("recall.before_commit")
+        now, now_ns = self._clock.instant(), self._clock.wall_ns()
+        commit = RecallCommit(lease, self._recogniser.model_version, self._policy, tested, now, now_ns)
+        if self._transactions.write(commit).result():
+            self._maps.early.take_in(tenant, map_id)
+
+    def _recalled(self, loop: RecalledLoop) -> RecalledLoop:
+        place = self._stored_place(loop.query)
+        if place is None:
+            return replace(loop, verdict=LOST)
+        config = self._policy.for_map(loop.map)
+        match = RecalledPlace(loop.match, loop.record.similarity)
+        verdict = self._judge(place, match, config, loop.T_match_query, near_decides=False).verdict
+        return kept_near(loop, verdict)
 
     # -- searching by cloud
 

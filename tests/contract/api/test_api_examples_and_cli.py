@@ -17,7 +17,9 @@ from typer.testing import CliRunner
 
 from revisit import Client
 from revisit.cli.app import app
+from revisit.core.geometry import se3
 from revisit.evaluation.datasets import write_kitti
+from revisit.formats import encode_npy
 from tests.support.fleet_in_service import fleet_in, fleet_in_two
 from tests.support.patience import PATIENCE_S
 from tests.support.service_world import cloud_points, pose
@@ -107,6 +109,28 @@ def test_a_recording_is_ingested_in_two_goes_and_not_a_third_time(recording, ser
     assert second["described"] == second["submaps"] >= 4
     third = json.loads(invoke("ingest", recording, *where))
     assert (third["scans_sent"], third["submaps"]) == (0, second["submaps"])
+
+
+TURNED = "0 0 0.6 0.8"  # the quaternion of a turn about z
+
+
+@pytest.mark.parametrize(("file", "row"), [("poses.tum", "{seconds} {x} 1 0 {turned}"),
+                                           ("graph.g2o", "VERTEX_SE3:QUAT {number} {x} 1 0 {turned}")])  # fmt: skip
+def test_clouds_with_a_tum_or_g2o_trajectory_become_a_session(service, tmp_path, file, row):
+    for number in range(12):
+        (tmp_path / f"{number:03d}.npy").write_bytes(encode_npy(cloud_points(number, 500)))
+    rows = [row.format(number=n, seconds=f"100.{n}" if n < 10 else f"101.{n - 10}", x=1.5 * n, turned=TURNED)
+            for n in range(12)]  # fmt: skip
+    (tmp_path / file).write_text("\n".join(rows))
+    where = ("--map", f"with-{file[-3:]}", "--session", "monday", "--grpc", service.grpc, "--json")
+    told = json.loads(invoke("ingest", tmp_path, *where))
+    assert told["scans_stored"] == 12 and told["described"] == told["submaps"] >= 1
+    with Client.grpc(service.grpc) as client:
+        first = client.list_submaps(f"maps/with-{file[-3:]}/sessions/monday")[0]
+    expected = se3.from_yaw(2 * np.arcsin(0.6), (first.T_odom_submap[0, 3], 0.0, 0.0))  # a recording begins at 0
+    np.testing.assert_allclose(first.T_odom_submap, expected, atol=1e-9)
+    assert first.T_odom_submap[0, 3] % 1.5 == pytest.approx(0.0, abs=1e-9)
+    assert first.stamp_ns // 10**9 == (100 if file == "poses.tum" else 0)
 
 
 def test_another_recording_is_not_taken_for_the_rest_of_a_session(recording, service, tmp_path):

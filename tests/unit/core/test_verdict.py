@@ -351,3 +351,12 @@ def test_a_pose_given_up_early_counts_as_the_worst_evidence() -> None:
     assert verdict.measurement is not None
     assert (verdict.measurement.contrast, verdict.measurement.seen_through) == (0.0, 1.0)
     assert verdict.measurement.score < 1e-3
+
+
+def test_a_start_that_is_named_decides_among_equal_houses_only_where_it_may() -> None:
+    places = houses_along_a_street(1, 0.0), houses_along_a_street(2, 3.0)
+    near = se3.from_yaw(0.0, (-3.0, 0.0, 0.0))
+    assert isinstance(verify(*places, 0.9, VERIFICATION, near), VerifiedLoop)
+    verdict = verify(*places, 0.9, VERIFICATION, near, near_decides=False)
+    assert isinstance(verdict, RejectedLoop) and verdict.reason is RejectionReason.AMBIGUOUS
+    assert verdict.measurement is not None and abs(verdict.measurement.T_match_query[0, 3] + 3.0) < 0.3

@@ -9,6 +9,7 @@ import threading
 import numpy as np
 import pytest
 from rich.console import Console
+from scipy.spatial.transform import Rotation
 
 from revisit.cli.demo.report import show_map
 from revisit.cli.demo.steps import step
@@ -16,6 +17,7 @@ from revisit.core.geometry import se3
 from revisit.evaluation.demo import FoundLoop, Targets, TrueSubmap, closing_pair, compare, judge_map
 from revisit.evaluation.demo.map_errors import trajectory_error
 from revisit.evaluation.demo.pair import standing
+from revisit.evaluation.fleet import ate_m
 
 # A square of 30 m, once round and a little further; its odometry turns 1 degree too far at each submap.
 CORNERS = 10.0 * np.array([(0, 0), (1, 0), (2, 0), (3, 0), (3, 1), (3, 2), (3, 3), (2, 3), (1, 3), (0, 3), (0, 2),
@@ -53,6 +55,21 @@ def test_the_error_of_a_trajectory_does_not_depend_on_where_its_frame_lies():
     assert trajectory_error(se3.apply(T_WORLD_MAP, truth), truth) == pytest.approx(0.0, abs=1e-9)
     raised = truth + np.where(np.arange(len(truth)) % 2 == 0, 0.3, -0.3)[:, None] * [0.0, 0.0, 1.0]
     assert trajectory_error(raised, truth) == pytest.approx(0.3, rel=0.05)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_error_of_a_trajectory_is_that_of_scipys_best_rotation(seed):
+    """Independent of our fit: the fit of evo's `evo_ape tum --align`, by scipy's Rotation.align_vectors."""
+    rng = np.random.default_rng(seed)
+    truth = np.cumsum(rng.normal(0.0, 1.0, (200, 3)), axis=0) * [1.0, 1.0, 0.05]
+    drifted = truth + np.cumsum(rng.normal(0.0, 0.05, (200, 3)), axis=0)
+    estimate = se3.apply(T_WORLD_MAP, drifted @ Rotation.from_rotvec(rng.normal(0.0, 1.0, 3)).as_matrix())
+    centred, expected = estimate - estimate.mean(axis=0), truth - truth.mean(axis=0)
+    rotation, distance = Rotation.align_vectors(expected, centred)
+    np.testing.assert_allclose(trajectory_error(estimate, truth), distance / np.sqrt(len(truth)), rtol=1e-9)
+    gaps = np.linalg.norm(rotation.apply(centred) - expected, axis=1)
+    poses = [{str(n): se3.from_yaw(0.1 * n, at) for n, at in enumerate(all_of)} for all_of in (estimate, truth)]
+    assert ate_m(*poses) == pytest.approx(np.sqrt(np.mean(gaps**2)), rel=1e-9)
 
 
 def test_odometry_starts_at_the_truth_and_the_map_is_laid_on_it_as_a_whole(report):

@@ -1,0 +1,62 @@
+"""The jobs about a whole map that the service queues by itself: of each kind one that waits at most, so that no backlog
+bounds them."""
+
+from __future__ import annotations
+
+import secrets
+
+from revisit.service.application.contract.clock import Instant
+from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.policy import Policy
+from revisit.service.application.contract.records import JobRecord
+from revisit.service.application.contract.states import LoopState, OperationKind, OperationState
+from revisit.service.application.contract.tracing import current_request
+from revisit.service.application.contract.transactions import UnitOfWork
+
+
+def post_map_job(
+    uow: UnitOfWork,
+    tenant: TenantId,
+    map_id: str,
+    kind: OperationKind,
+    policy: Policy,
+    now_ns: int,
+    due: Instant | None = None,
+) -> JobRecord:
+    """Queue a job about a map, not to be run before `due`."""
+    request = current_request()
+    return uow.queue.enqueue(
+        JobRecord(
+            tenant=tenant,
+            operation_id=f"op-{secrets.token_hex(10)}",
+            kind=kind.value,
+            state=OperationState.QUEUED.value,
+            subject=f"maps/{map_id}",
+            payload={"map_id": map_id},
+            attempts=0,
+            max_attempts=policy.max_attempts,
+            created_at_ns=now_ns,
+            lease_epoch="" if due is None else due.epoch,
+            not_before_ms=0 if due is None else due.ms,
+            request_id=request.request_id,
+            traceparent=request.span.traceparent,
+        )
+    )
+
+
+def waiting_map_job(uow: UnitOfWork, tenant: TenantId, map_id: str, kind: OperationKind) -> JobRecord | None:
+    """The job of this kind about a map that no worker has taken yet."""
+    queued = OperationState.QUEUED.value
+    found = uow.jobs.find(tenant, limit=1, state=queued, kind=kind.value, subject=f"maps/{map_id}")
+    return found[0] if found else None
+
+
+def recall_loops(uow: UnitOfWork, tenant: TenantId, map_id: str, policy: Policy, now_ns: int) -> None:
+    """Let the rejected loops of a map that has a new version be tested again (docs/decisions/0187).
+
+    Where the service optimises maps by itself; where a person asks for each version, loops stay as they are.
+    """
+    if not policy.optimise_after_loops or waiting_map_job(uow, tenant, map_id, OperationKind.RECALL_LOOPS) is not None:
+        return
+    if uow.loops.find(tenant, limit=1, map_id=map_id, state=LoopState.REJECTED.value, manual=False):
+        post_map_job(uow, tenant, map_id, OperationKind.RECALL_LOOPS, policy, now_ns)

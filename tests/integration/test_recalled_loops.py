@@ -1,0 +1,191 @@
+"""Rejected loops are tested again from where a new version of their map has their submaps. A made-up fleet (0187)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from revisit.service.application.contract.recogniser import LoopVerdict
+from revisit.service.application.mapping.loop_events import LoopStanding
+from revisit.service.application.recognise import recalled_loops
+from revisit.service.failpoints import arm
+from tests.support.fake_recogniser import FakeRecogniser
+from tests.support.fleet_in_service import fleet_in
+from tests.support.service_world import TENANT, memory_world, sqlite_world
+
+MAP = "town"
+RULES = {"thresholds": {"min_overlap": 0.2}, "thresholds_version": "t-1"}
+
+
+class Geometry(FakeRecogniser):
+    """Finds the right pose only where it is told where to start; what it was asked is kept."""
+
+    def __init__(self, aside_m: float = 0.0, blind: bool = False) -> None:
+        self.asked: list[tuple[np.ndarray, bool]] = []
+        self._aside_m, self._blind = aside_m, blind
+
+    def verify(self, query, match, similarity, config, near=None, *, near_decides=True):
+        if near is None:
+            return LoopVerdict(False, "LOW_OVERLAP", 0.1, None, {})
+        self.asked.append((near, near_decides))
+        found = super().verify(query, match, similarity, config, near)
+        if self._blind or not found.accepted:
+            return LoopVerdict(False, "LOW_OVERLAP", 0.1, near, {"measurement": {}, **RULES})
+        T = found.T_match_query.copy()
+        T[0, 3] += self._aside_m
+        return replace(found, T_match_query=T, evidence={**found.evidence, **RULES})
+
+
+class Town:
+    """A map of two drives of which some right loops were rejected, in a service that optimises maps by itself."""
+
+    def __init__(self, world) -> None:
+        self.world = world
+        fleet_in(world, MAP, 0.3, sessions=2, submaps=16, per_pair=12, with_places=True)
+        self.right = [loop for loop in self.loops() if loop.loop_id.startswith("right")]
+
+    def loops(self):
+        return self.read(lambda uow: uow.loops.find(TENANT, map_id=MAP))
+
+    def loop(self, known):
+        return self.read(lambda uow: uow.loops.get(TENANT, MAP, known.loop_id))
+
+    def events(self, known):
+        return self.read(lambda uow: uow.loop_events.find(TENANT, map_id=MAP, loop_id=known.loop_id))
+
+    def read(self, work):
+        return self.world.context.transactions.read(work).result()
+
+    def rejected(self, *loops, reason="LOW_OVERLAP", **fields):
+        """These loops as if geometry had rejected them, when their submaps were described."""
+        fields = {"state": "REJECTED", "reason": reason, "score": 0.1, **fields}
+
+        def work(uow) -> None:
+            for loop in loops:
+                event = uow.loop_events.find(TENANT, map_id=MAP, loop_id=loop.loop_id)[0]
+                uow.loops.replace(replace(loop, **fields))
+                uow.loop_events.replace(replace(event, state="REJECTED", reason=reason))
+
+        self.world.context.transactions.write(work).result()
+
+    async def optimised(self, geometry) -> int:
+        """How many jobs ran: a version of the map, and all that follows from it."""
+        await self.world.use_cases.map_versions.optimise(TENANT, MAP)
+        done = 0
+        while (now := self.world.work_off(geometry)) > 0:
+            done += now
+            self.world.clock.ms += 60_000
+        return done
+
+
+@pytest.fixture
+def town():
+    return Town(memory_world(optimise_after_loops=1))
+
+
+@pytest.fixture(params=["memory", "sqlite"])
+def kept_town(request, tmp_path):
+    rules = {"optimise_after_loops": 1}
+    world = memory_world(**rules) if request.param == "memory" else sqlite_world(tmp_path, **rules)
+    yield Town(world)
+    world.context.transactions.close()
+
+
+async def test_a_rejected_loop_returns_once_the_map_says_where_to_look(kept_town):
+    town = kept_town
+    lost, geometry = town.right[0], Geometry()
+    town.rejected(lost)
+    assert await town.optimised(geometry) == 3  # a version, recall, and a version with the loop
+    loop, events = town.loop(lost), town.events(lost)
+    assert (loop.state, loop.reason, loop.graph_state) == ("ACCEPTED", None, "IN_MAP")
+    assert all(LoopStanding.of(town.events(one)[-1]) == LoopStanding.of(one) for one in town.loops())
+    assert [event.kind for event in events] == ["VERIFIED", "VERIFIED", "JUDGED"]
+    assert (events[1].actor, events[1].map_version) == ("map version 1", 1)
+    assert "LOW_OVERLAP" in events[1].note
+    assert events[1].details["model_version"] == "fake-1" and events[1].details["thresholds"] == RULES["thresholds"]
+    # The map's pose is where registration starts, and no more: what else fits counts against it.
+    assert [decides for _, decides in geometry.asked] == [False]
+    assert loop.evidence["recall"]["before"] == "LOW_OVERLAP" and loop.evidence["recall"]["map_version"] == 1
+
+
+async def test_what_is_rejected_again_is_not_tested_from_there_a_third_time(town):
+    lost, geometry = town.right[0], Geometry(blind=True)
+    town.rejected(lost)
+    assert await town.optimised(geometry) == 2
+    loop = town.loop(lost)
+    assert (loop.state, loop.reason, loop.score, loop.T_match_query) == (
+        "REJECTED", "LOW_OVERLAP", 0.1, lost.T_match_query)  # fmt: skip
+    assert [event.state for event in town.events(lost)] == ["REJECTED", "REJECTED"]
+    await town.optimised(geometry)
+    assert len(geometry.asked) == 1
+
+
+async def test_each_version_tests_a_bounded_number_and_the_next_goes_on(town, monkeypatch):
+    monkeypatch.setattr(recalled_loops, "MOST_RECALLED", 1)
+    first, second = town.right[:2]
+    town.rejected(first, similarity=0.6)
+    town.rejected(second, similarity=0.7)
+    geometry = Geometry(blind=True)
+    await town.optimised(geometry)
+    assert ["recall" in town.loop(one).evidence for one in (first, second)] == [False, True]
+    await town.optimised(geometry)
+    assert ["recall" in town.loop(one).evidence for one in (first, second)] == [True, True]
+
+
+async def test_wrong_pairs_ambiguous_ones_and_what_people_decided_are_left_alone(town):
+    ambiguous, by_hand, decided, *_ = town.right
+    wrong = [loop for loop in town.loops() if not loop.loop_id.startswith("right")]
+    town.rejected(*wrong)
+    town.rejected(ambiguous, reason="AMBIGUOUS")
+    town.rejected(by_hand, manual=True)
+    town.rejected(decided)
+    await town.world.use_cases.loop_decisions.accept(TENANT, MAP, decided.loop_id)
+    await town.world.use_cases.loop_decisions.revert(TENANT, MAP, decided.loop_id)
+    geometry = Geometry()
+    await town.optimised(geometry)
+    assert wrong and [town.loop(one).state for one in (ambiguous, by_hand, decided)] == ["REJECTED"] * 3
+    # Of the wrong pairs those may be asked that happen to lie near each other; the pose is then the right one.
+    assert len(geometry.asked) < len(wrong)
+
+
+async def test_a_pose_far_from_what_the_map_says_is_not_accepted(town):
+    lost, geometry = town.right[0], Geometry(aside_m=4.0)
+    town.rejected(lost)
+    await town.optimised(geometry)
+    assert len(geometry.asked) == 1
+    assert town.loop(lost).state == "REJECTED" and town.loop(lost).evidence["recall"]["reason"] == "FAR_FROM_MAP"
+
+
+async def test_a_result_that_comes_late_changes_nothing(town):
+    lost, worker = town.right[0], town.world.worker(Geometry())
+    town.rejected(lost)
+    await town.world.use_cases.map_versions.optimise(TENANT, MAP)
+    worker.run(town.world.claim())
+    lease = town.world.claim()
+    assert lease.job.kind == "RECALL_LOOPS"
+    worker.run(lease)
+    known = town.events(lost)
+    assert len(known) == 2
+    worker.run(lease)
+    assert town.events(lost) == known
+
+
+async def test_recall_that_breaks_off_is_done_again_and_changes_a_loop_once(town):
+    lost = town.right[0]
+    town.rejected(lost)
+    arm("recall.before_commit=raise@1")
+    try:
+        await town.optimised(Geometry())
+    finally:
+        arm("")
+    assert town.loop(lost).state == "ACCEPTED"
+    assert [event.actor for event in town.events(lost)] == ["service", "map version 1", "service"]
+
+
+async def test_a_map_that_is_only_optimised_when_asked_is_left_as_it_is():
+    town, geometry = Town(memory_world()), Geometry()
+    town.rejected(town.right[0])
+    assert await town.optimised(geometry) == 1
+    assert not geometry.asked
