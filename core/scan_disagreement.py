@@ -13,13 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.near_columns import near_columns
 from revisit.core.submap import Submap
 
 Array64 = NDArray[np.float64]
 
 _REACH_M = 30.0  # farther out, a cube holds few points of a scan
-_CUBE_M = 1.0
 _POINTS = 30_000  # about so many are looked at: those of some columns of cubes
 _LEAST_OF_SCAN, _LEAST_OF_CUBE = 5, 20
 _THICKEST_M = 0.1
@@ -29,7 +27,6 @@ _OUTLIER_M = 0.05
 _RIDGE = 1e-2
 _OF_MENDED = 0.25  # a quarter of the variance of poses, decision 0194
 _SPARE = 60  # heights of scans over planes that must remain beyond the unknowns
-_TURN = np.uint32(2654435761)
 
 
 @dataclass(frozen=True)
@@ -104,17 +101,13 @@ def _askew(normal: Array64, right: Array64, origins: Array64) -> float:
 
 
 def _some_columns(submap: Submap) -> tuple[Array64, NDArray[np.int64], NDArray[np.int64]]:
-    """Points (n, 3), their scans (n,) and cubes (n,) of about _POINTS points: whole columns, drawn by their place."""
-    columns = near_columns(submap.points, _REACH_M, _CUBE_M)
-    chosen = columns >= 0
-    many = np.count_nonzero(chosen)
-    if many > _POINTS:
-        chosen &= (columns.view(np.uint32) * _TURN) < np.uint32(2**32 * (_POINTS / many))
-    rows = np.flatnonzero(chosen)
-    column = columns[rows]
+    """Points (n, 3), their scans (n,) and cubes (n,) of 1 m, of about _POINTS points: whole columns."""
+    from revisit.core.kernels.drawn_columns import points_of_drawn_columns  # compiled: the gateway needs none of it
+
+    rows = points_of_drawn_columns(submap.points, _REACH_M, _POINTS)
     points = submap.points[rows].astype(np.float64)
-    height = np.clip(np.floor(points[:, 2] / _CUBE_M).astype(np.int64) + 512, 0, 1023)
-    return points, submap.scan_index[rows].astype(np.int64), column.astype(np.int64) * 1024 + height
+    cubes = np.clip(np.floor(points).astype(np.int64) + 1024, 0, 2047)
+    return points, submap.scan_index[rows].astype(np.int64), (cubes[:, 0] * 2048 + cubes[:, 1]) * 2048 + cubes[:, 2]
 
 
 def _plane_heights(points: Array64, scan: NDArray[np.int64], cube: NDArray[np.int64]) -> _PlaneHeights | None:

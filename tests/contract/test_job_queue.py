@@ -61,10 +61,10 @@ def test_jobs_are_claimed_oldest_first_and_once(queue):
     assert queue.claim() is None
 
 
-def test_a_job_for_which_a_client_waits_goes_before_older_ones(queue, write):
-    queue.enqueue("op-1")
-    write(lambda uow: uow.queue.enqueue(a_job("search", priority=0)))
-    assert [queue.claim().job.operation_id for _ in range(2)] == ["search", "op-1"]
+def test_a_job_for_which_a_client_waits_goes_before_older_ones_and_one_for_which_nobody_does_after_all(queue, write):
+    for operation_id, priority in (("recall", 2), ("op-1", 1), ("search", 0)):
+        write(lambda uow, job=a_job(operation_id, priority=priority): uow.queue.enqueue(job))
+    assert [queue.claim().job.operation_id for _ in range(3)] == ["search", "op-1", "recall"]
 
 
 def test_queries_that_ended_long_ago_are_forgotten_and_nothing_else(queue, write, read):

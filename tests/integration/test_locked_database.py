@@ -9,7 +9,7 @@ import pytest
 
 from revisit import ApiError, Client
 from revisit.sdk.retry import RetryPolicy
-from revisit.service.adapters.sqlite import connections
+from revisit.service.adapters.sqlite import connections, transactions
 from tests.support.live_service import live_service
 from tests.support.service_world import cloud_points, pose, sqlite_world
 
@@ -29,7 +29,7 @@ def service(tmp_path, monkeypatch):
 
 
 def test_a_writer_waits_five_seconds_for_the_database():
-    assert connections.WRITER_PRAGMAS["busy_timeout"] == 1000 * connections.LOCK_TIMEOUT_S == 5000
+    assert connections.WRITER_PRAGMAS["busy_timeout"] == 1000 * transactions.LOCK_TIMEOUT_S == 5000
 
 
 @pytest.mark.parametrize("transport", ["rest", "grpc"])

@@ -164,7 +164,7 @@ async def test_a_result_that_comes_late_changes_nothing(town):
     await town.world.use_cases.map_versions.optimise(TENANT, MAP)
     worker.run(town.world.claim())
     lease = town.world.claim()
-    assert lease.job.kind == "RECALL_LOOPS"
+    assert (lease.job.kind, lease.job.priority) == ("RECALL_LOOPS", 2)
     worker.run(lease)
     known = town.events(lost)
     assert len(known) == 2

@@ -314,12 +314,12 @@ class MapFileRecord:
 class JobRecord:
     """A leased job, which clients see as an operation.
 
-    Jobs of `priority` 0, for which a client waits, go before those of 1. `lease_token` grows with every claim: only
-    the holder of the newest may complete the job (fencing). Lease times count on the monotonic clock of one boot of
-    the machine, named by `lease_epoch`; `claimed_ms` is when the last run began. `forgiven` of the `attempts` ended
-    for a reason that was none of the job's (docs/decisions/0082). `progress` is JSON (stage, done, total), and
-    `cancel_requested` says that somebody wants it to end. `request_id` and `traceparent` (W3C) name the
-    request that the job came from.
+    Of a tenant's jobs those of `priority` 0, for which a client waits, go before those of 1, and these before those of
+    2, for which nobody does. `lease_token` grows with every claim: only the holder of the newest may complete the job
+    (fencing). Lease times count on the monotonic clock of one boot of the machine, named by `lease_epoch`;
+    `claimed_ms` is when the last run began. `forgiven` of the `attempts` ended for a reason that was none of the job's
+    (docs/decisions/0082). `progress` is JSON (stage, done, total), and `cancel_requested` says that somebody wants it
+    to end. `request_id` and `traceparent` (W3C) name the request that the job came from.
     """
 
     tenant: TenantId

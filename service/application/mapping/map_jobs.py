@@ -13,6 +13,8 @@ from revisit.service.application.contract.states import LoopState, OperationKind
 from revisit.service.application.contract.tracing import current_request
 from revisit.service.application.contract.transactions import UnitOfWork
 
+_LAST = 2
+
 
 def post_map_job(
     uow: UnitOfWork,
@@ -22,6 +24,7 @@ def post_map_job(
     policy: Policy,
     now_ns: int,
     due: Instant | None = None,
+    priority: int = 1,
 ) -> JobRecord:
     """Queue a job about a map, not to be run before `due`."""
     request = current_request()
@@ -36,6 +39,7 @@ def post_map_job(
             attempts=0,
             max_attempts=policy.max_attempts,
             created_at_ns=now_ns,
+            priority=priority,
             lease_epoch="" if due is None else due.epoch,
             not_before_ms=0 if due is None else due.ms,
             request_id=request.request_id,
@@ -54,9 +58,10 @@ def waiting_map_job(uow: UnitOfWork, tenant: TenantId, map_id: str, kind: Operat
 def recall_loops(uow: UnitOfWork, tenant: TenantId, map_id: str, policy: Policy, now_ns: int) -> None:
     """Let the rejected loops of a map that has a new version be tested again (docs/decisions/0187).
 
-    Where the service optimises maps by itself; where a person asks for each version, loops stay as they are.
+    Where the service optimises maps by itself; where a person asks for each version, loops stay as they are. All other
+    work of the tenant goes before it: a robot waits for a loop, and nobody for this.
     """
     if not policy.optimise_after_loops or waiting_map_job(uow, tenant, map_id, OperationKind.RECALL_LOOPS) is not None:
         return
     if uow.loops.find(tenant, limit=1, map_id=map_id, state=LoopState.REJECTED.value, manual=False):
-        post_map_job(uow, tenant, map_id, OperationKind.RECALL_LOOPS, policy, now_ns)
+        post_map_job(uow, tenant, map_id, OperationKind.RECALL_LOOPS, policy, now_ns, priority=_LAST)

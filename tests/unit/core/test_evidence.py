@@ -117,3 +117,14 @@ def test_the_compiled_shares_are_those_of_contact_in_the_common_region():
         expected.append((contact(moved, other, CONFIG).touching & seen).sum() / max(seen.sum(), 1))
     assert 0.0 < expected[0] < 1.0 and expected[3] == 0.0
     np.testing.assert_allclose(shared_shares(surface, other, offsets, CONFIG), expected)
+
+
+def test_contrast_is_against_the_move_that_loses_least_of_all():
+    rng = np.random.default_rng(6)
+    crossing = joined(wall(STREET), *(wall(STREET, axis=1, offset=x) for x in np.arange(-20.0, 20.0, 2.5)))
+    points = crossing.points + rng.normal(0.0, 0.1, crossing.points.shape)
+    surface, along = OrientedPoints(points, crossing.normals, len(points)), np.array([1.0, 0.0, 0.0])
+    moves = np.outer([sign * shift for shift in CONFIG.contrast_shifts for sign in (-1.0, 1.0)], along)
+    least_lost = max(shared_shares(surface, crossing, moves, CONFIG))
+    assert 0.1 < least_lost < 1.0
+    assert contrast(surface, crossing, along, 1.0, CONFIG) == 1.0 - least_lost

@@ -8,7 +8,6 @@ import pytest
 
 from revisit.core.kernels import cluster_joins, elastic_points, nearest_points, octree_coder, oriented_normals
 from revisit.core.kernels.loops import loop
-from revisit.core.kernels.near_columns import near_columns
 from revisit.core.kernels.visibility import _nearest_around
 
 HOT = (
@@ -37,10 +36,3 @@ def test_the_nearest_range_around_a_pixel_is_that_of_nine_and_zero_where_fewer_t
     nine = np.stack([around[i : i + 180, j : j + 360] for i in range(3) for j in range(3)])
     expected = np.where(np.isfinite(nine).sum(axis=0) >= 2, nine.min(axis=0), 0.0)
     assert np.array_equal(_nearest_around(image), expected.ravel())
-
-
-def test_columns_of_cubes_are_those_of_numpy_and_none_beyond_the_reach():
-    points = np.random.default_rng(1).uniform(-40, 40, (3_000, 3)).astype(np.float32)
-    across, along = np.floor(points[:, :2].T).astype(int)
-    expected = np.where((np.abs(points[:, :2]) < 30).all(axis=1), (across + 1024) * 2048 + along + 1024, -1)
-    assert np.array_equal(near_columns(points, 30.0, 1.0), expected)

@@ -7,6 +7,7 @@ import pytest
 
 from revisit.core.config import SubmapConfig
 from revisit.core.geometry import se3
+from revisit.core.kernels.drawn_columns import points_of_drawn_columns
 from revisit.core.scan import Scan
 from revisit.core.scan_disagreement import ScanDisagreement, scan_disagreement
 from revisit.core.submap import Submap
@@ -75,6 +76,16 @@ def test_the_order_of_the_axes_does_not_matter() -> None:
     origins = se3.apply(se3.from_yaw(0.7), submap.origins).astype(np.float32)
     turned = Submap(turned.points, turned.scan_index, origins, turned.stamps_ns, np.eye(4), turned.position)
     assert told(turned).askew == pytest.approx(told(submap).askew, abs=np.radians(0.05))
+
+
+def test_columns_are_drawn_whole_and_about_as_many_points_as_wanted() -> None:
+    points = np.random.default_rng(1).uniform(-40.0, 40.0, (40_000, 3)).astype(np.float32)
+    near = np.flatnonzero((np.abs(points[:, :2]) < 30.0).all(axis=1))
+    np.testing.assert_array_equal(points_of_drawn_columns(points, 30.0, 50_000), near)
+    rows = points_of_drawn_columns(points, 30.0, 5_000)
+    assert 4_000 < len(rows) < 6_000
+    drawn, others = (np.floor(points[some, :2]) for some in (rows, np.setdiff1d(near, rows)))
+    assert not {tuple(one) for one in drawn.tolist()} & {tuple(one) for one in others.tolist()}
 
 
 def test_one_cloud_and_few_points_tell_nothing() -> None:
