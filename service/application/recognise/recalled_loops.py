@@ -25,7 +25,7 @@ from revisit.service.application.contract.recogniser import LoopVerdict
 from revisit.service.application.contract.records import LoopRecord, MapRecord, SubmapRecord
 from revisit.service.application.contract.states import LoopEventKind, LoopState
 from revisit.service.application.contract.transactions import Transactions, UnitOfWork
-from revisit.service.application.mapping.loop_events import Change, change_loop
+from revisit.service.application.mapping.loop_events import Change, LoopStanding, change_loop
 from revisit.service.application.mapping.optimisation import optimise_soon
 from revisit.service.application.mapping.progress import Progress
 from revisit.service.application.recognise.proposed_loops import rules_of
@@ -168,6 +168,11 @@ def _decided(uow: UnitOfWork, loop: LoopRecord) -> bool:
     return any(event.kind in by_person for event in events)
 
 
+def _as_read(loop: LoopRecord) -> tuple[int, LoopStanding, Any]:
+    """What must not have changed meanwhile: which loop it is, its standing, and what an earlier test has told."""
+    return loop.number, LoopStanding.of(loop), loop.evidence.get(RECALL)
+
+
 def kept_near(loop: RecalledLoop, verdict: LoopVerdict) -> RecalledLoop:
     """A loop with its verdict; what was accepted far from where the map has it is rejected all the same."""
     if verdict.accepted and verdict.T_match_query is not None:
@@ -206,7 +211,7 @@ class RecallCommit:
         """Accept a loop, or note that it was tested; whether it was accepted."""
         verdict, known = one.verdict, one.record
         loop = uow.loops.get(known.tenant, known.map_id, known.loop_id)
-        if verdict is None or loop != known or _decided(uow, known):
+        if verdict is None or loop is None or _as_read(loop) != _as_read(known) or _decided(uow, known):
             return False
         told = {**loop.evidence, RECALL: self._told(one, verdict)}
         fields: dict[str, Any] = {"evidence": told}
