@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
 from revisit.evaluation.demo.truth import TrueSubmap
+from revisit.evaluation.trajectory_error import rigid_fit, trajectory_error
 
 Floats = NDArray[np.float64]
 
@@ -75,19 +76,6 @@ class MapReport:
     def better(self) -> bool:
         """Whether all robots in one map are nearer to the truth than the worst of them by its odometry alone."""
         return self.ate_m < max(track.odometry_ate_m for track in self.tracks)
-
-
-def trajectory_error(estimate: Floats, truth: Floats) -> float:
-    """Root mean square distance (metres) of positions (n, 3) from the truth (n, 3) after the best rigid fit."""
-    fitted = se3.apply(rigid_fit(estimate, truth), estimate)
-    return float(np.sqrt(np.mean(np.sum((fitted - truth) ** 2, axis=1))))
-
-
-def rigid_fit(points: Floats, truth: Floats) -> se3.Matrix4:
-    """T_truth_points (4, 4) that lays points (n, 3) on the truth (n, 3) with the least squared distances."""
-    u, _, vt = np.linalg.svd((truth - truth.mean(axis=0)).T @ (points - points.mean(axis=0)))  # Kabsch
-    rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    return se3.from_rotation_translation(rotation, truth.mean(axis=0) - rotation @ points.mean(axis=0))
 
 
 def judge_map(

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
 from revisit.core.pose_graph import PoseGraph, Robustness, optimise
+from revisit.evaluation.trajectory_error import rigid_fit, trajectory_error
 
 Poses = Mapping[str, se3.Matrix4]
 
@@ -43,33 +44,21 @@ class FleetOutcome:
 
 
 def ate_m(estimated: Poses, truth: Poses) -> float:
-    """Absolute trajectory error: root mean square of the distances after the best rigid alignment, metres.
-
-    Over the poses that are in both. Raises ValueError for fewer than three.
-    """
-    names = _common(estimated, truth)
-    moved = aligned(estimated, truth)
-    gaps = np.stack([moved[name][:3, 3] - truth[name][:3, 3] for name in names])
-    return float(np.sqrt(np.mean(np.sum(gaps**2, axis=1))))
+    """Absolute trajectory error in metres over the poses that are in both. Raises ValueError for fewer than three."""
+    return trajectory_error(*_places(estimated, truth))
 
 
 def aligned(estimated: Poses, truth: Poses) -> dict[str, se3.Matrix4]:
-    """The estimated poses, moved by the rigid motion that brings their positions nearest to the true ones (Umeyama)."""
-    names = _common(estimated, truth)
-    a = np.stack([estimated[name][:3, 3] for name in names])
-    b = np.stack([truth[name][:3, 3] for name in names])
-    u, _, vt = np.linalg.svd((a - a.mean(axis=0)).T @ (b - b.mean(axis=0)))
-    T = np.eye(4)
-    T[:3, :3] = (u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt).T
-    T[:3, 3] = b.mean(axis=0) - T[:3, :3] @ a.mean(axis=0)
+    """The estimated poses, moved by the rigid motion that brings their positions nearest to the true ones."""
+    T = rigid_fit(*_places(estimated, truth))
     return {name: np.asarray(T @ pose) for name, pose in estimated.items()}
 
 
-def _common(estimated: Poses, truth: Poses) -> list[str]:
+def _places(estimated: Poses, truth: Poses) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Positions (n, 3) of the poses that are in both."""
     names = sorted(estimated.keys() & truth.keys())
-    if len(names) < 3:
-        raise ValueError("fewer than three poses to align")
-    return names
+    places, true_places = (np.array([poses[name][:3, 3] for name in names]) for poses in (estimated, truth))
+    return places, true_places
 
 
 def poses_without_wrong_loops(graph: PoseGraph, wrong: set[str]) -> dict[str, NDArray[np.float64]]:

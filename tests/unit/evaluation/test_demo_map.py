@@ -15,9 +15,9 @@ from revisit.cli.demo.report import show_map
 from revisit.cli.demo.steps import step
 from revisit.core.geometry import se3
 from revisit.evaluation.demo import FoundLoop, Targets, TrueSubmap, closing_pair, compare, judge_map
-from revisit.evaluation.demo.map_errors import trajectory_error
 from revisit.evaluation.demo.pair import standing
 from revisit.evaluation.fleet import ate_m
+from revisit.evaluation.trajectory_error import trajectory_error
 
 # A square of 30 m, once round and a little further; its odometry turns 1 degree too far at each submap.
 CORNERS = 10.0 * np.array([(0, 0), (1, 0), (2, 0), (3, 0), (3, 1), (3, 2), (3, 3), (2, 3), (1, 3), (0, 3), (0, 2),
