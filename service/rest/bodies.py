@@ -106,6 +106,7 @@ def parse_json(data: bytes, schema: type[SchemaT], limits: HttpLimits) -> Schema
 async def _charged_body(request: Request, most: int) -> bytes:
     admission: Admission = request.app.state.use_cases.admission
     data = await body_bytes(request, most)
+    request.app.state.use_cases.access.note_json(len(data))
     admission.charge_call(current_tenant(), int(JSON_POINTS_A_BYTE * len(data)))
     return data
 

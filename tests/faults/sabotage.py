@@ -423,6 +423,11 @@ SABOTAGES = (
         f"{PACE}test_a_body_that_is_refused_unread_makes_further_calls_wait",
     ),
     Sabotage(
+        "JSON that is read counts as a call, however long it is",
+        {f"{USE_CASES}capacity.call_pace:CallPace.note_json": nothing},
+        f"{PACE}test_long_json_makes_further_calls_wait_whether_it_is_good_or_not",
+    ),
+    Sabotage(
         "strangers are refused as fast as they ask",
         {f"{USE_CASES}capacity.call_pace:CallPace.refusal": _comes_at_once},
         f"{PACE}test_a_stranger_that_is_refused_too_often_waits[rest]",

@@ -17,6 +17,7 @@ from revisit.service.application.access.callers import (
     Caller,
     Scope,
     current_actor,
+    current_tenant,
     current_tenant_or_none,
 )
 from revisit.service.application.access.failed_attempts import FailedAttempts
@@ -94,6 +95,10 @@ class Access:
         tenant = current_tenant_or_none()
         if tenant is not None:
             self._pace.note_unread(tenant, current_actor(), unread_bytes)
+
+    def note_json(self, json_bytes: int) -> None:
+        """So much JSON of this call is read: further calls of its caller wait longer for it."""
+        self._pace.note_json(current_tenant(), current_actor(), json_bytes)
 
     async def delay_refusal(self, address: str) -> None:
         """Wait before a stranger is refused, where strangers at this address are refused too often."""

@@ -22,7 +22,10 @@ MOST_BUCKETS = 4096
 UNREAD_BYTES_A_CALL = 64 * 2**10
 """So many bytes of a body that was refused unread take about as long to throw away as a call takes to refuse."""
 
-MOST_UNREAD_CALLS = 20
+JSON_BYTES_A_CALL = 16 * 2**10
+"""So many bytes of JSON take about as long to read as a call takes without them."""
+
+MOST_CALLS_A_BODY = 20
 
 
 @dataclass(frozen=True)
@@ -68,9 +71,15 @@ class CallPace:
 
     def note_unread(self, tenant: TenantId, client: str, unread_bytes: int) -> None:
         """A body of the client was refused before it was read: its further calls wait for as long as that takes."""
-        calls = min(unread_bytes / UNREAD_BYTES_A_CALL, MOST_UNREAD_CALLS)
+        self._note(tenant, client, unread_bytes / UNREAD_BYTES_A_CALL)
+
+    def note_json(self, tenant: TenantId, client: str, json_bytes: int) -> None:
+        """So much JSON of the client is read, good or bad: its further calls wait for as long as that takes."""
+        self._note(tenant, client, json_bytes / JSON_BYTES_A_CALL)
+
+    def _note(self, tenant: TenantId, client: str, calls: float) -> None:
         for bucket in self._buckets_of(tenant, client):
-            bucket.take(calls, self._now_s())
+            bucket.take(min(calls, MOST_CALLS_A_BODY), self._now_s())
 
     async def refusal(self, address: str) -> None:
         """Return when a caller that nobody knows may be told so; at once where too many wait."""

@@ -103,3 +103,13 @@ def test_a_body_that_is_refused_unread_makes_further_calls_wait(paced, line):
         assert http.post("/v1/maps", content=b"[" + b" " * 2**17 + b"]").status_code == 413
         assert http.get("/v1/maps/nowhere").status_code == 404
     assert line.waited == 1
+
+
+def test_long_json_makes_further_calls_wait_whether_it_is_good_or_not(paced, line):
+    headers = {"authorization": f"Bearer {a_key(paced.world, 'talkative').text}", "content-type": "application/json"}
+    line.start_anew()
+    with httpx.Client(base_url=paced.http, trust_env=False, headers=headers) as http:
+        long = b'{"descriptor": [' + b"0.0, " * 10_000 + b'0.0], "wrong": 1}'
+        assert http.post("/v1/maps/town/submaps:search", content=long).status_code == 422
+        assert http.get("/v1/maps/nowhere").status_code == 404
+    assert line.waited == 1

@@ -128,5 +128,5 @@ async def test_a_body_that_is_refused_unread_counts_as_the_calls_that_take_as_lo
     await waiting[0]
     pace.note_unread("acme", "robot", 2**40)
     (after,) = await begun([pace.turn("acme", "robot")])
-    assert time.waits[-1] == pytest.approx((1 + call_pace.MOST_UNREAD_CALLS - LIMITS.burst) / 10.0, abs=0.11)
+    assert time.waits[-1] == pytest.approx((1 + call_pace.MOST_CALLS_A_BODY - LIMITS.burst) / 10.0, abs=0.11)
     after.cancel()
