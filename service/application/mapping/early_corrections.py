@@ -25,9 +25,14 @@ from revisit.service.application.contract.map_optimiser import (
     TrackLoop,
 )
 from revisit.service.application.contract.policy import Policy
-from revisit.service.application.contract.records import EarlyCorrectionRecord, MapRecord, SessionPosesRecord
+from revisit.service.application.contract.records import (
+    EarlyCorrectionRecord,
+    LoopRecord,
+    MapRecord,
+    SessionPosesRecord,
+)
 from revisit.service.application.contract.session_poses import PackedSubmaps
-from revisit.service.application.contract.states import GraphState, LoopState
+from revisit.service.application.contract.states import GraphState, LoopState, OperationState
 from revisit.service.application.contract.transactions import Transactions, UnitOfWork
 from revisit.service.application.mapping.graph_reading import MapTask, read_task, track_loop
 
@@ -36,8 +41,12 @@ log = structlog.get_logger(__name__)
 LEAST_MOVE_M = 1e-3
 """A correction is told that moves the last submap of its session so far, metres."""
 
-MOST_AT_ONCE = 32
-"""Loops, at most, that are asked in one go; more wait for the next loop, or for the version that follows."""
+MOST_AT_ONCE = 2
+"""Loops, at most, that are asked in one go: those of the best score. Many loops of a submap say much the same, and the
+version that follows takes them all."""
+
+MOST_WAITING = 4
+"""Where more jobs of the tenant wait than this, nothing is corrected ahead: the next submap matters more."""
 
 
 @dataclass(frozen=True)
@@ -53,12 +62,13 @@ class _Later:
 class _News:
     """What came into a map since its version: loops that no version has seen, and submaps.
 
-    `task` is there where the map has to be solved first.
+    `task` is there where the map has to be solved first; `loops` are the best of those up to number `last_loop`.
     """
 
     map: MapRecord
     task: MapTask | None
     loops: tuple[TrackLoop, ...]
+    last_loop: int
     submaps: Sequence[_Later]
 
 
@@ -71,8 +81,9 @@ class _Held:
     before: dict[int, SessionPosesRecord]
     in_version: frozenset[int]
     last_submap: int = 0
+    last_loop: int = 0
     ends: dict[int, Matrix4] = field(default_factory=dict)
-    asked: set[int] = field(default_factory=set)
+    loops: int = 0
 
 
 class EarlyCorrections:
@@ -100,9 +111,7 @@ class EarlyCorrections:
             self._held = None
 
     def _take_in(self, tenant: TenantId, map_id: str) -> None:
-        held_key = None if self._held is None else self._held.key
-        known = 0 if self._held is None else self._held.last_submap
-        read = partial(_news, policy=self._policy, tenant=tenant, map_id=map_id, held=held_key, known=known)
+        read = partial(_news, policy=self._policy, tenant=tenant, map_id=map_id, held=self._held)
         news = self._transactions.read(read).result()
         if news is None:
             return
@@ -130,22 +139,30 @@ def _key(record: MapRecord) -> tuple[int, int, int]:
     return record.number, record.map_version, record.graph_edits
 
 
-def _news(
-    uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str, held: tuple[int, int, int] | None, known: int
-) -> _News | None:
+def _news(uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str, held: _Held | None) -> _News | None:
     record = uow.maps.get(tenant, map_id)
     if record is None or not record.map_version:
         return None
-    accepted = uow.loops.find(tenant, map_id=map_id, state=LoopState.ACCEPTED.value, graph_state=None)
-    loops = tuple(track_loop(loop) for loop in accepted if loop.T_match_query is not None)
+    if uow.jobs.count(tenant, state=OperationState.QUEUED.value) > MOST_WAITING:
+        return None
+    if held is not None and held.key != _key(record):
+        held = None
+    after = 0 if held is None else held.last_loop
+    accepted = uow.loops.find(tenant, after=after, map_id=map_id, state=LoopState.ACCEPTED.value, graph_state=None)
+    loops = tuple(track_loop(loop) for loop in _best(accepted))
     if not loops:
         return None
-    if _key(record) == held:
-        placed = uow.submaps.placed(tenant, map_id, after=known)
+    if held is not None:
+        placed = uow.submaps.placed(tenant, map_id, after=held.last_submap)
         later = [_Later(one.number, one.session_number, pose_matrix(one.T_odom_submap)) for one in placed]
-        return _News(record, None, loops, later)
+        return _News(record, None, loops, accepted[-1].number, later)
     task = read_task(uow, policy, tenant, map_id)
-    return None if task is None else _News(record, task, loops, _submaps(task))
+    return None if task is None else _News(record, task, loops, accepted[-1].number, _submaps(task))
+
+
+def _best(accepted: Sequence[LoopRecord]) -> list[LoopRecord]:
+    known = [loop for loop in accepted if loop.T_match_query is not None]
+    return sorted(known, key=lambda loop: (-loop.score, loop.number))[:MOST_AT_ONCE]
 
 
 def _submaps(task: MapTask) -> list[_Later]:
@@ -174,9 +191,8 @@ def _added(held: _Held, news: _News) -> bool:
         held.last_submap, held.ends[one.session_number] = max(held.last_submap, one.number), one.T_odom_submap
         if one.number not in held.in_version:
             held.solved.append(one.session_number, one.number, one.T_odom_submap)
-    new = [loop for loop in news.loops if loop.number not in held.asked][:MOST_AT_ONCE]
-    held.asked.update(loop.number for loop in new)
-    moved = [held.solved.add(loop) for loop in new]
+    held.last_loop, held.loops = news.last_loop, held.loops + len(news.loops)
+    moved = [held.solved.add(loop) for loop in news.loops]
     return any(moved)
 
 
@@ -193,7 +209,7 @@ def _rows(held: _Held, record: MapRecord, now_ns: int) -> list[EarlyCorrectionRe
                     map_id=record.map_id,
                     session_id=row.session_id,
                     version=record.map_version,
-                    loops=len(held.asked),
+                    loops=held.loops,
                     T_map_odom=pose_row(T_map_odom),
                     created_at_ns=now_ns,
                 )
