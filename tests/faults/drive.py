@@ -1,9 +1,9 @@
 """A short drive through every step of the service, in one process over SQLite and files: something to interrupt.
 
 Three sessions are opened, submaps posted (two of one place, one that cannot be described), scans appended, one submap
-and one session deleted, another session finished, and the jobs run. The map is optimised twice, and its first version
-brought back; a second map is merged into it, and taken out again. Doing it again after a crash must end where an
-undisturbed run does: every step carries the client's own ids.
+and one session deleted, another session finished, and the jobs run. The map is optimised twice, its rejected loops are
+tested again, and its first version brought back; a second map is merged into it, and taken out again. Doing it again
+after a crash must end where an undisturbed run does: every step carries the client's own ids.
 """
 
 from __future__ import annotations
@@ -20,6 +20,9 @@ from revisit.service.application import SessionKey, SubmapKey
 from revisit.service.application.catalogue.downloads import DownloadKind
 from revisit.service.application.catalogue.paging import PageRequest
 from revisit.service.application.contract.errors import NotFound, SessionFinished
+from revisit.service.application.contract.states import OperationKind
+from revisit.service.application.contract.transactions import UnitOfWork
+from revisit.service.application.mapping.map_jobs import post_map_job
 from revisit.service.application.mapping.merges import MergeMap
 from tests.faults.history import History, Kind, Outcome
 from tests.support.fake_merger import EasyMerger
@@ -73,9 +76,21 @@ async def drive(world: World, history: History) -> None:
     for _ in range(2):
         await world.use_cases.map_versions.optimise(TENANT, POSTED.map_id)
         world.work_off()
+    _test_rejected_loops_again(world)
     await _publish_and_look(world)
     await world.use_cases.map_versions.revert(TENANT, POSTED.map_id, 1)
     await _merge_and_take_back(world, history)
+
+
+def _test_rejected_loops_again(world: World) -> None:
+    """As a service does that optimises maps by itself."""
+    context = world.context
+
+    def queue(uow: UnitOfWork) -> None:
+        post_map_job(uow, TENANT, POSTED.map_id, OperationKind.RECALL_LOOPS, context.policy, context.clock.wall_ns())
+
+    context.transactions.write(queue).result()
+    world.work_off()
 
 
 async def _publish_and_look(world: World) -> None:
