@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from revisit.core.geometry import se3
+from revisit.core.geometry import se3, se3_rows
 from revisit.core.pose_graph.consistency import inverted, oriented
 from revisit.core.pose_graph.graph import LoopEdge, PoseGraph, Trajectory
 
@@ -98,7 +98,7 @@ class Side:
     def of(cls, trajectory: Trajectory) -> Side:
         """The side of a trajectory."""
         poses = trajectory.T_odom_submap
-        turns = _adjoints(poses)
+        turns = se3_rows.adjoint(poses)
         steps = turns[1:] @ trajectory.step_covariances @ turns[1:].transpose(0, 2, 1)
         return cls(poses, np.concatenate([np.zeros((1, 6, 6)), np.cumsum(steps, axis=0)]))
 
@@ -117,27 +117,16 @@ def squared_errors(
     """
     one, other = pairs.T
     (a, b), (c, d) = ends[one].T, ends[other].T
-    T_match_second = poses[one] @ np.linalg.inv(second.poses[b])
-    T_match_other = T_match_second @ second.poses[d] @ np.linalg.inv(poses[other])
-    T_match_first = T_match_other @ np.linalg.inv(first.poses[c])
+    T_match_second = poses[one] @ se3_rows.inverse(second.poses[b])
+    T_match_other = T_match_second @ second.poses[d] @ se3_rows.inverse(poses[other])
+    T_match_first = T_match_other @ se3_rows.inverse(first.poses[c])
     covariance = covariances[one].copy()
     for T_match_side, of_side in (
         (T_match_second, second.between(b, d)),
         (T_match_other, covariances[other]),
         (T_match_first, first.between(a, c)),
     ):
-        turns = _adjoints(T_match_side)
+        turns = se3_rows.adjoint(T_match_side)
         covariance += turns @ of_side @ turns.transpose(0, 2, 1)
     errors = np.array([se3.log(gap) for gap in T_match_first @ first.poses[a]])
     return np.asarray(np.einsum("ij,ij->i", errors, np.linalg.solve(covariance, errors[..., None])[..., 0]))
-
-
-def _adjoints(transforms: Array64) -> Array64:
-    """`se3.adjoint` of each of `transforms` (n, 4, 4)."""
-    found = np.zeros((len(transforms), 6, 6))
-    rotations, (x, y, z) = transforms[:, :3, :3], transforms[:, :3, 3].T
-    found[:, :3, :3] = found[:, 3:, 3:] = rotations
-    across = np.zeros_like(rotations)
-    across[:, 0, 1], across[:, 0, 2], across[:, 1, 2] = -z, y, -x
-    found[:, :3, 3:] = (across - across.transpose(0, 2, 1)) @ rotations
-    return found

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from revisit.core.geometry import se3
 from revisit.core.sanity.finding import Finding
-from revisit.core.sanity.ground import read_as_wxyz, thinned_cloud
+from revisit.core.sanity.ground import read_as_wxyz, sample_of, thinned_cloud
 from revisit.core.scan import Scan
 
 AGREEMENT_MARGIN = 0.15
@@ -29,7 +29,7 @@ class _Comparison:
 
     def __init__(self, pair: ScenePair) -> None:
         self.poses = pair.first.T_odom_sensor, pair.second.T_odom_sensor
-        self._first = cKDTree(pair.first.points[:: max(1, len(pair.first.points) // 30_000)])
+        self._first = cKDTree(sample_of(pair.first.points))
         self._second, self._scale = thinned_cloud(pair.second.points)
 
     def agreement(self, T_first_second: se3.Matrix4) -> float:

@@ -75,7 +75,7 @@ def place_flags(
     come so far: its points lie beyond the sensor's range.
     """
     plane = ground_plane(points, scores_of=scores_of)
-    sample = _sample(points)
+    sample = sample_of(points)
     size_m = scene_scale * float(np.sqrt(np.percentile(np.einsum("ij,ij->i", sample, sample), 95.0)))
     tilted = plane is not None and not plane.upright
     return ("ground_tilted",) * tilted + ("scene_too_small",) * (size_m < MIN_SCENE_M)
@@ -83,7 +83,7 @@ def place_flags(
 
 def thinned_cloud(points: NDArray[np.floating]) -> tuple[Array, float]:
     """At most 3,000 of the nearer points, one a voxel, and the scene's scale compared with a street's."""
-    points = _sample(points)
+    points = sample_of(points)
     # returns that did not come back are zeros in what some drivers store
     points = points[(points[:, 0] != 0.0) | (points[:, 1] != 0.0) | (points[:, 2] != 0.0)]
     ranges = np.sqrt(np.einsum("ij,ij->i", points, points))
@@ -140,9 +140,9 @@ def read_as_wxyz(transform: se3.Matrix4) -> Array:
 
 def _plane_seen(scan: Scan, rotation: Array, scores_of: PlaneScores) -> GroundPlane | None:
     """The ground of a scan turned by `rotation` (3, 3)."""
-    return ground_plane(_sample(scan.points) @ rotation.T, scores_of=scores_of)
+    return ground_plane(sample_of(scan.points) @ rotation.T, scores_of=scores_of)
 
 
-def _sample(points: NDArray[np.floating]) -> NDArray[np.floating]:
+def sample_of(points: NDArray[np.floating]) -> NDArray[np.floating]:
     """Every so many-th point: 30,000 to 60,000, or all of fewer."""
     return points[:: max(1, len(points) // 30_000)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import secrets
 
+from revisit.service.application.capacity.backlog import same_job
 from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.policy import Policy
@@ -50,9 +51,7 @@ def post_map_job(
 
 def waiting_map_job(uow: UnitOfWork, tenant: TenantId, map_id: str, kind: OperationKind) -> JobRecord | None:
     """The job of this kind about a map that no worker has taken yet."""
-    queued = OperationState.QUEUED.value
-    found = uow.jobs.find(tenant, limit=1, state=queued, kind=kind.value, subject=f"maps/{map_id}")
-    return found[0] if found else None
+    return same_job(uow, tenant, kind, f"maps/{map_id}", {"map_id": map_id})
 
 
 def recall_loops(uow: UnitOfWork, tenant: TenantId, map_id: str, policy: Policy, now_ns: int) -> None:
