@@ -12,6 +12,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from sqlalchemy import (
+    BindParameter,
     ColumnElement,
     Connection,
     Row,
@@ -334,7 +335,7 @@ def _have_numbers(table: Table) -> ColumnElement[bool]:
     The tenant is made an expression, which no index holds: SQLite would look through all rows of the tenant instead of
     taking a few by their numbers.
     """
-    numbers = bindparam("numbers", expanding=True)
+    numbers: BindParameter[Any] = bindparam("numbers", expanding=True)
     return and_(table.c.number.in_(numbers), table.c.tenant.concat("") == bindparam("its_tenant"))
 
 
