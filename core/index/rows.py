@@ -102,7 +102,8 @@ class Rows:
             passes &= sessions == only.only_session
         if only.near is not None:
             session, ordinal, min_gap = only.near
-            passes &= (sessions != session) | (np.abs(self.ordinals[: self.count] - ordinal) >= min_gap)
+            own = np.flatnonzero(sessions == session) if min_gap > 0 else np.zeros(0, np.intp)
+            passes[own[np.abs(self.ordinals[own] - ordinal) < min_gap]] = False
         if only.position is not None and only.radius_m is not None:
             distances = np.linalg.norm(self.positions[: self.count] - only.position, axis=1)
             passes &= distances <= only.radius_m
