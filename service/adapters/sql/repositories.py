@@ -332,7 +332,7 @@ def _numbered(table: Table) -> Select[Any]:
 def _have_numbers(table: Table) -> ColumnElement[bool]:
     """The rows of tenant `its_tenant` with one of the `numbers`.
 
-    The tenant is made an expression, which no index holds: SQLite would look through all rows of the tenant instead of
+    The tenant is made an expression, which no index holds: the engine would look through all rows of the tenant instead of
     taking a few by their numbers.
     """
     numbers: BindParameter[Any] = bindparam("numbers", expanding=True)
