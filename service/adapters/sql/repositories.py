@@ -37,7 +37,7 @@ from revisit.service.application.contract.errors import AlreadyExists, NotFound
 from revisit.service.application.contract.events import ChangeOf, EventLog
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.records import ScanRecord, SubmapRecord
-from revisit.service.application.contract.repositories import PlacedSubmap
+from revisit.service.application.contract.repositories import FoundSubmap, PlacedSubmap
 from revisit.service.application.contract.states import SubmapState
 
 if TYPE_CHECKING:
@@ -261,6 +261,11 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
         query = query.order_by(submaps.session_number, submaps.ordinal)
         return [PlacedSubmap(*row) for row in self._connection.execute(query, asked)]
 
+    def found(self, tenant: TenantId, numbers: Sequence[int]) -> dict[int, FoundSubmap]:
+        """See `SubmapRepository`."""
+        rows = self._connection.execute(_found_submaps(), {"numbers": numbers, "its_tenant": tenant})
+        return {row.number: FoundSubmap(*row) for row in rows}
+
     def first_waiting(self, tenant: TenantId, map_id: str) -> int | None:
         """See `SubmapRepository`."""
         asked = of_tenant(tenant, {"state": SubmapState.QUEUED.value, "map_id": map_id})
@@ -327,6 +332,12 @@ def _given_and_absent(asked: Asked) -> tuple[tuple[str, ...], tuple[str, ...]]:
 @cache
 def _numbered(table: Table) -> Select[Any]:
     return select(table).where(_have_numbers(table))
+
+
+@cache
+def _found_submaps() -> Select[Any]:
+    columns = (tables.submaps.c[field.name] for field in dataclasses.fields(FoundSubmap))
+    return select(*columns).where(_have_numbers(tables.submaps))
 
 
 def _have_numbers(table: Table) -> ColumnElement[bool]:
