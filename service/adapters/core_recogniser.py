@@ -84,10 +84,11 @@ class CoreRecogniser:
         near: Matrix4 | None = None,
         *,
         near_decides: bool = True,
+        expected: Matrix4 | None = None,
     ) -> LoopVerdict:
         """See `PlaceRecogniser`."""
         places = self._place(query), self._place(match)
-        verdict = verify(*places, similarity, config.verification, near, near_decides=near_decides)
+        verdict = verify(*places, similarity, config.verification, near, near_decides=near_decides, expected=expected)
         evidence = _evidence(verdict, config)
         if isinstance(verdict, VerifiedLoop):
             measured = verdict.measurement
