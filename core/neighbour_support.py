@@ -48,7 +48,7 @@ class NeighbourSupport:
 
 @dataclass(frozen=True)
 class ToldPose:
-    """T_match_query (4, 4) of a pair as the loops beside it tell it, and how many (`agreeing`) of them tell the same."""
+    """T_match_query (4, 4) of a pair as the loops beside it tell it; `agreeing`: how many of them tell the same."""
 
     T_match_query: se3.Matrix4
     agreeing: int
