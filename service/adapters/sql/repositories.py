@@ -343,8 +343,8 @@ def _found_submaps() -> Select[Any]:
 def _have_numbers(table: Table) -> ColumnElement[bool]:
     """The rows of tenant `its_tenant` with one of the `numbers`.
 
-    The tenant is made an expression, which no index holds: SQLite would look through all rows of the tenant instead of
-    taking a few by their numbers.
+    The tenant is made an expression, which no index holds: else the engine looks through all rows of the tenant, where
+    a few are asked for by their numbers.
     """
     numbers: BindParameter[Any] = bindparam("numbers", expanding=True)
     return and_(table.c.number.in_(numbers), table.c.tenant.concat("") == bindparam("its_tenant"))
