@@ -59,11 +59,11 @@ def test_a_rejected_candidate_tells_nothing():
     assert told_by((drive(4), seen_at(22.0, 4, accepted=False))).of(drive(5)) is None
 
 
-def test_as_many_loops_as_are_enough_make_the_rest_of_their_drive_known_near_and_far():
+def test_as_many_loops_as_are_enough_make_the_near_submaps_of_their_drive_known_and_hide_no_far_one():
     told = told_by((drive(4), seen_at(22.0, 4)), (drive(5), seen_at(22.1, 5)))
     near, far = told.of(drive(6)), told.of(drive(13))
     assert near is not None and (near.within_reach, near.is_known) == (True, True)
-    assert far is not None and (far.within_reach, far.is_known) == (False, True)
+    assert far is not None and (far.within_reach, far.is_known) == (False, False)
 
 
 def test_farther_than_odometry_carries_a_pose_nothing_is_told():
