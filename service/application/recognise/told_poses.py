@@ -23,6 +23,11 @@ from revisit.service.application.contract.records import SubmapRecord
 from revisit.service.application.contract.transactions import Transactions, UnitOfWork
 from revisit.service.application.recognise.loops_beside import way_between
 
+_WINDOWS = 3.0
+"""Windows between two submaps up to which they share about half of what they have seen. What repeats within that is seen
+as a rival of each single loop (docs/decisions/0080); what repeats farther away, by candidates that lie farther away.
+"""
+
 MapPoses = Mapping[int, MapPose]
 """Where submaps, by number, lie in the map."""
 
@@ -31,8 +36,7 @@ MapPoses = Mapping[int, MapPose]
 class Told:
     """How a candidate lies to the query, as other loops tell it.
 
-    within_reach: the two share most of what they have seen, because they lie within two windows; is_known: and enough
-    loops agree on it.
+    within_reach: the two lie within `_WINDOWS`; is_known: and enough loops agree on it.
     """
 
     T_match_query: Matrix4
@@ -78,7 +82,7 @@ class ToldPoses:
         if told is None:
             return None
         # Far candidates are compared whatever is told: a second place that looks alike must not be hidden.
-        within_reach = float(np.linalg.norm(told.T_match_query[:3, 3])) <= 2.0 * self._config.submap.tau
+        within_reach = float(np.linalg.norm(told.T_match_query[:3, 3])) <= _WINDOWS * self._config.submap.tau
         is_known = within_reach and 0 < self._config.loop.enough <= told.agreeing
         return Told(told.T_match_query, within_reach, is_known)
 
