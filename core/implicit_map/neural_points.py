@@ -47,10 +47,9 @@ class NeuralPoints:  # Eq. 1
 
     def subset(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> NeuralPoints:
         """Only the points where `keep` (n,) holds, or those of the rows `keep` (m,)."""
-        return NeuralPoints(
-            self.positions[keep], self.normals[keep], self.created[keep], self.updated[keep], self.hits[keep],
-            self.stability[keep],
-        )  # fmt: skip
+        rows = np.flatnonzero(keep) if keep.dtype == np.bool_ else keep
+        parts = (self.positions, self.normals, self.created, self.updated, self.hits, self.stability)
+        return NeuralPoints(*(part.take(rows, axis=0) for part in parts))
 
     @classmethod
     def remembered(cls, positions: Array, normals: Array, hits: NDArray[np.int32], scans: int) -> NeuralPoints:
