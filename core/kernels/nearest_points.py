@@ -13,6 +13,7 @@ Keys = NDArray[np.int64]
 
 _NOTHING = np.int64(0x7F800000 << 32)  # infinitely far
 _ROW = np.int64(0xFFFFFFFF)
+_SIX = 6  # neighbours of a query in the map of a submap
 
 
 def nearest_points(
@@ -112,11 +113,23 @@ def _keep_nearest_above(
 @numba.njit(inline="always")
 def _keep(near: Keys, size: int, best: Keys) -> None:
     """Keep the least of `best` (K,) and of the first `size` candidates, in order."""
+    if len(best) != _SIX:
+        for n in range(size):
+            candidate = near[n]
+            for k in range(len(best)):
+                kept = best[k]
+                best[k], candidate = min(kept, candidate), max(kept, candidate)
+        return
+    a, b, c, d, e, f = best[0], best[1], best[2], best[3], best[4], best[5]  # they stay in registers
     for n in range(size):
         candidate = near[n]
-        for k in range(len(best)):
-            kept = best[k]
-            best[k], candidate = min(kept, candidate), max(kept, candidate)
+        a, candidate = min(a, candidate), max(a, candidate)
+        b, candidate = min(b, candidate), max(b, candidate)
+        c, candidate = min(c, candidate), max(c, candidate)
+        d, candidate = min(d, candidate), max(d, candidate)
+        e, candidate = min(e, candidate), max(e, candidate)
+        f = min(f, candidate)
+    best[0], best[1], best[2], best[3], best[4], best[5] = a, b, c, d, e, f
 
 
 def any_within(queries: NDArray[np.float32], columns: PointColumns, distance: float) -> NDArray[np.bool_]:
