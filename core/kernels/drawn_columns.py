@@ -19,9 +19,9 @@ def points_of_drawn_columns(points: NDArray[np.float32], reach: float, wanted: i
     """
     turned = np.empty(len(points), dtype=np.uint32)
     near = _turn_columns(np.ascontiguousarray(points).reshape(-1), np.float32(reach), turned)
-    share = wanted / near if near > wanted else 1.0
+    below = np.uint32(2**32 * (wanted / near)) if near > wanted else _FAR
     rows = np.empty(len(points), dtype=np.int32)
-    return rows[: _draw(turned, np.uint32(min(2**32 * share, _FAR)), rows)].astype(np.int64)
+    return rows[: _draw(turned, below, rows)].astype(np.int64)
 
 
 @loop
@@ -42,7 +42,7 @@ def _turn_columns(flat: NDArray[np.float32], reach: np.float32, turned: NDArray[
 
 @loop
 def _draw(turned: NDArray[np.uint32], below: np.uint32, rows: NDArray[np.int32]) -> int:
-    """List the rows (n,) whose number is less than `below`; returns how many there are. No branch to be guessed wrong."""
+    """List the rows (n,) whose number is less than `below`; returns how many. No branch is guessed wrong."""
     count = 0
     for n in range(np.uint64(len(turned))):
         rows[np.uint64(count)] = n

@@ -90,7 +90,7 @@ def _find_runs(cells: NDArray[np.int32], count: int, runs: Rows) -> int:
         same = (cells[0, k] == cells[0, k - one]) & (cells[1, k] == cells[1, k - one])
         found += np.uint64(0) if same & (cells[2, k] == cells[2, k - one]) else one
     runs[found] = count
-    return np.int64(found)
+    return int(found)
 
 
 @numba.njit(inline="always")

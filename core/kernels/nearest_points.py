@@ -38,8 +38,9 @@ def _find_nearest(
     halves: NDArray[np.float32], held: Keys, levels: NDArray[np.floating], found: NDArray[np.int32],
     squared: NDArray[np.float32],
 ) -> None:  # fmt: skip
-    """Fill `found` and `squared` (m, K). `near`, `best` (K,), `held` and `levels` (2, ...) are for its use; `halves` are
-    the bytes of `best`.
+    """Fill `found` and `squared` (m, K). `near`, `best` (K,), `held` and `levels` (2, n) are for its use.
+
+    `halves` are the bytes of `best`.
 
     A candidate is a number: the bits of its squared distance, which are in the order of the distances, above its row.
     So the nearest are kept in order by least and greatest of two numbers alone, without a branch to be guessed wrong.
@@ -52,33 +53,43 @@ def _find_nearest(
         px, py, end = queries[begin, 0], queries[begin, 1], begin + 1
         while end < len(queries) and queries[end, 0] == px and queries[end, 1] == py:
             end += 1
-        cx, cy = int(np.floor(px / resolution)), int(np.floor(py / resolution)) - y_low
-        above = 0
+        cx, cy, size = int(np.floor(px / resolution)) - x_low, int(np.floor(py / resolution)) - y_low, 0
         if end > begin + 1:
-            for x in range(cx - rings - x_low, cx + rings + 1 - x_low):
+            for x in range(cx - rings, cx + rings + 1):
                 first, last = span(keys, grid, width, depth, x, cy - rings, cy + rings)
-                for i in range(first, last):
-                    dx, dy = points[i, 0] - px, points[i, 1] - py
-                    held[above], levels[0, above], levels[1, above] = i, dx * dx + dy * dy, points[i, 2]
-                    above += 1 if levels[0, above] <= reach else 0
+                size = _hold(points, first, last, px, py, reach, held, levels, size)
         for q in range(begin, end):
             best[:] = _NOTHING
             if end > begin + 1:
-                _keep_nearest_above(queries[q, 2], reach, above, held, levels, near, best)
-            else:
-                for step in range(2 * rings + 1):
-                    x = cx + (step + 1) // 2 * (1 - 2 * (step & 1))  # from the middle outwards
-                    farthest = min(reach, halves[2 * count - 1])
-                    gap = max(x * resolution - px, px - (x + 1) * resolution, 0.0)
-                    if gap * gap > farthest:
-                        continue
-                    first, last = span(keys, grid, width, depth, x - x_low, cy - rings, cy + rings)
+                _keep_nearest_held(queries[q, 2], reach, size, held, levels, near, best)
+            for step in range(2 * rings + 1 if end == begin + 1 else 0):
+                x = cx + (step + 1) // 2 * (1 - 2 * (step & 1))  # from the middle outwards
+                gap = max((x + x_low) * resolution - px, px - (x + x_low + 1) * resolution, 0.0)
+                farthest = min(reach, halves[2 * count - 1])
+                if gap * gap <= farthest:
+                    first, last = span(keys, grid, width, depth, x, cy - rings, cy + rings)
                     _keep_nearest(queries, q, points, first, last, farthest, near, best)
             for k in range(count):
                 if halves[2 * k + 1] >= reach:
                     break
                 squared[q, k], found[q, k] = halves[2 * k + 1], rows[best[k] & _ROW]
         begin = end
+
+
+@numba.njit(inline="always")
+def _hold(
+    points: NDArray[np.floating], first: int, last: int, px: np.float32, py: np.float32, reach: np.float32, held: Keys,
+    levels: NDArray[np.floating], size: int,
+) -> int:  # fmt: skip
+    """Add the points from `first` to before `last` that are near (px, py) to the first `size` in `held`.
+
+    `levels` gets their squared distances from above, and their heights. Returns how many there are then.
+    """
+    for i in range(first, last):
+        dx, dy = points[i, 0] - px, points[i, 1] - py
+        held[size], levels[0, size], levels[1, size] = i, dx * dx + dy * dy, points[i, 2]
+        size += 1 if levels[0, size] <= reach else 0
+    return size
 
 
 @numba.njit(inline="always")
@@ -97,12 +108,12 @@ def _keep_nearest(
 
 
 @numba.njit(inline="always")
-def _keep_nearest_above(
-    pz: np.float32, reach: np.float32, above: int, held: Keys, levels: NDArray[np.floating], near: Keys, best: Keys
+def _keep_nearest_held(
+    pz: np.float32, reach: np.float32, count: int, held: Keys, levels: NDArray[np.floating], near: Keys, best: Keys
 ) -> None:
-    """Keep the nearest of the first `above` points in `held` to a query of height `pz`."""
+    """Keep the nearest of the first `count` points in `held` to a query of height `pz`."""
     size = 0
-    for n in range(above):
+    for n in range(count):
         dz = levels[1, n] - pz
         d = np.float32(levels[0, n] + dz * dz)
         near[size] = (np.int64(d.view(np.int32)) << 32) | held[n]

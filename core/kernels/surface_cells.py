@@ -95,9 +95,10 @@ def find_cells(
 @loop
 def _find(
     positions: NDArray[np.float32], normals: NDArray[np.float32], resolution: float, pieces: VoxelTable, bits: Bits,
-    first: NDArray[np.int32], tried: Bits, around: NDArray[np.int64], window: NDArray[np.int64], rows: NDArray[np.int32],
+    first: NDArray[np.int32], tried: Bits, around: NDArray[np.int64], window: NDArray[np.int64],
+    rows: NDArray[np.int32],
 ) -> int:  # fmt: skip
-    """Fill `rows`; `tried`, 0 for each piece, `around` and `window` are for its use. Returns how many cells there are."""
+    """Fill `rows`; `tried`, 0 for each piece, `around` and `window` are for its use. Returns how many cells."""
     found, reach = 0, NEAR_PLANE * resolution
     slots, following, voxels = pieces.slots, pieces.following, pieces.voxels
     for i in range(len(positions)):
