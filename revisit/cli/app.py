@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sqlite3
 from typing import Annotated
 
 import typer
@@ -91,4 +92,14 @@ def run() -> None:
         unreachable = isinstance(error, ApiError) and error.reason == "UNREACHABLE"
         hint = " - is it running? `revisit serve` starts it" if unreachable else ""
         typer.echo(f"revisit: {error}{hint}", err=True)
+        raise SystemExit(1) from error
+    except Exception as error:
+        broken = getattr(error, "orig", error)  # SQLAlchemy wraps it
+        if not isinstance(broken, sqlite3.DatabaseError):
+            raise
+        typer.echo(
+            f"revisit: the database cannot be read: {broken}. `revisit doctor` looks at it, `revisit restore` makes a "
+            "data folder of a backup",
+            err=True,
+        )
         raise SystemExit(1) from error
