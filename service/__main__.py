@@ -6,9 +6,7 @@ import argparse
 import asyncio
 import multiprocessing
 import os
-import sqlite3
 import sys
-from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -70,9 +68,10 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _run(options: argparse.Namespace, settings: Settings) -> int:
     """Run the command that was asked for; the exit status. Raises CommandError for a database of another version."""
+    from revisit.service.adapters.sqlite.connections import unreadable
     from revisit.service.adapters.sqlite.migration import current_revision, migrate
 
-    broken = _unreadable(settings.database)
+    broken = unreadable(settings.database)
     if broken:
         return _refuse(
             f"{settings.database} cannot be read: {broken}. `revisit restore` makes a data folder of a backup; "
@@ -123,23 +122,6 @@ def _serve(settings: Settings) -> int:
         if isinstance(error, OSError) and error.filename is not None:
             return _refuse(f"cannot use {error.filename}: {error.strerror}; REVISIT_HOME names the data folder")
         return _refuse(f"cannot serve on {settings.host}: {error}")
-
-
-def _unreadable(database: Path) -> str:
-    """What is wrong with the file of the database; "" where it can be read, does not exist or is busy."""
-    from revisit.service.adapters.sqlite.connections import open_to_read
-
-    if not database.exists():
-        return ""
-    try:
-        with closing(open_to_read(database)) as connection:
-            connection.execute("PRAGMA schema_version").fetchone()
-    except sqlite3.DatabaseError as error:
-        return str(error) if database.is_dir() or error.sqlite_errorcode in _BROKEN else ""
-    return ""
-
-
-_BROKEN = (sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT)
 
 
 def _missing_protection(settings: Settings) -> list[str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sqlite3
 from typing import Annotated
 
 import typer
@@ -95,7 +94,7 @@ def run() -> None:
         raise SystemExit(1) from error
     except Exception as error:
         broken = getattr(error, "orig", error)  # SQLAlchemy wraps it
-        if not isinstance(broken, sqlite3.DatabaseError):
+        if type(broken).__module__ != "sqlite3":  # the command line itself knows no database
             raise
         typer.echo(
             f"revisit: the database cannot be read: {broken}. `revisit doctor` looks at it, `revisit restore` makes a "
