@@ -48,7 +48,9 @@ class NeuralPoints:  # Eq. 1
     def subset(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> NeuralPoints:
         """Only the points where `keep` (n,) holds, or those of the rows `keep` (m,)."""
         rows = np.flatnonzero(keep) if keep.dtype == np.bool_ else keep
-        parts = (self.positions, self.normals, self.created, self.updated, self.hits, self.stability)
+        parts: tuple[NDArray[Any], ...] = (
+            self.positions, self.normals, self.created, self.updated, self.hits, self.stability
+        )  # fmt: skip
         return NeuralPoints(*(part.take(rows, axis=0) for part in parts))
 
     @classmethod
