@@ -55,7 +55,7 @@ from revisit.service.application.mapping.merging import MapMerging
 from revisit.service.application.mapping.optimisation import MapOptimisation
 from revisit.service.application.mapping.progress import OperationCancelled, Progress
 from revisit.service.application.mapping.tile_making import TileMaking
-from revisit.service.application.query.place_memory import PlaceMemory, RecalledPlace, vector_filter
+from revisit.service.application.query.place_memory import PlaceMemory, Recall, RecalledPlace, vector_filter
 from revisit.service.application.query.search_answers import (
     Localization,
     LocalizedCandidate,
@@ -78,6 +78,7 @@ from revisit.service.application.recognise.recalled_loops import (
     kept_near,
     loops_to_recall,
 )
+from revisit.service.application.recognise.told_poses import ToldPoses, poses_in_map
 from revisit.service.failpoints import failpoint
 
 log = structlog.get_logger(__name__)
@@ -236,10 +237,7 @@ class Recognition:
         judged: dict[int, JudgedPlace] = {}
         while True:
             recall = self._memory.recall(task.map, described.description.descriptor, config.loop.candidates, where)
-            for place in recall.places:
-                if place.submap.number not in judged:
-                    judged[place.submap.number] = self._judge(described.description.place, place, config)
-            kept = [judged[place.submap.number] for place in recall.places]
+            kept = self._judge_in_turn(described.description.place, recall, config, judged)
             kept, earlier = self._with_support(task.submap, described.description.place, kept, config)
             now, now_ns = self._clock.instant(), self._clock.wall_ns()
             commit = DescriptionCommit(
@@ -251,6 +249,25 @@ class Recognition:
                     self._maps.early.take_in(task.map.tenant, task.map.map_id)
                 return
 
+    def _judge_in_turn(
+        self, place: bytes, recall: Recall, config: PipelineConfig, judged: dict[int, JudgedPlace]
+    ) -> list[JudgedPlace]:
+        """The recalled places, most similar first, with verdicts, those in `judged` as they are.
+
+        Without those whose pose enough accepted loops before them tell (docs/decisions/0205).
+        """
+        recalled = [one.submap for one in recall.places]
+        loops, kept = ToldPoses(config, partial(poses_in_map, self._transactions, recalled)), []
+        for one in recall.places:
+            number, told = one.submap.number, loops.of(one.submap)
+            if number not in judged and not (told is not None and told.is_known):
+                expected = told.T_match_query if told is not None and told.within_reach else None
+                judged[number] = self._judge(place, one, config, expected=expected)
+            if number in judged:
+                kept.append(judged[number])
+                loops.take_in(one.submap, judged[number].verdict)
+        return kept
+
     def _judge(
         self,
         place: bytes,
@@ -258,11 +275,14 @@ class Recognition:
         config: PipelineConfig,
         near: Matrix4 | None = None,
         near_decides: bool = True,
+        expected: Matrix4 | None = None,
     ) -> JudgedPlace:
         submap = recalled.submap
         try:
             blob = self._blobs.get(submap.tenant, PLACE_BLOB, str(submap.place_sha256))
-            verdict = self._recogniser.verify(place, blob, recalled.similarity, config, near, near_decides=near_decides)
+            verdict = self._recogniser.verify(
+                place, blob, recalled.similarity, config, near, near_decides=near_decides, expected=expected
+            )
         except DataLoss as error:
             log.error("place_lost", submap=submap_key(submap).name, reason=error.message)
             verdict = replace(LOST, evidence={"message": error.message})
