@@ -511,6 +511,12 @@ class VerificationConfig(Section):
         0.1, "1", "own, decision 0194", "share of the deviations above where scans agree", low=0, high=1
     )
     rival_distance: float = parameter(1.5, "m", "own, decision 0080", "poses farther apart than this are rivals")
+    rival_nearest: float = parameter(
+        0.6, "m", "own, decision 0213", "hypotheses of an ambiguous loop lie farther apart than this"
+    )
+    rival_near_share: float = parameter(
+        0.95, "1", "own, decision 0213", "share of the overlap of those nearer than `rival_distance`", low=0
+    )
     rival_common: float = parameter(
         0.5, "1", "own, decision 0080", "share of the common surface that a rival must have, too", low=0, high=1
     )
