@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.config import VerificationConfig
+from revisit.core.device import device
+from revisit.core.device.contract import Alignment, AlignmentRules
 from revisit.core.geometry import se3
-from revisit.core.kernels.surface_alignment import aligned
-from revisit.core.verification.oriented_points import OrientedPoints, contact_in_pose
+from revisit.core.verification.oriented_points import OrientedPoints, contact_in_poses
 
 Array64 = NDArray[np.float64]
 
@@ -53,34 +54,38 @@ def register(
     All starts are refined coarsely with few points. Only the one on which most points agree is refined with all. Where
     less than `min_agreement` of them do, not even that one is: most candidates are no loops, and fine steps cost time.
     """
-    approached = [_approach(start, query, match, config) for start in starts]
-    T_match_query, agreement = max(approached, key=lambda pose: pose[1])
+    T_match_query, agreement = max(_approach(starts, query, match, config), key=lambda pose: pose[1])
     if agreement < config.min_agreement:
         return Registration(T_match_query, refined=False)
     return Registration(iterate(T_match_query, query, match, config.fine_distance, config.fine_rounds), refined=True)
 
 
 def _approach(
-    T_start: se3.Matrix4, query: OrientedPoints, match: OrientedPoints, config: VerificationConfig
-) -> tuple[se3.Matrix4, float]:
-    """A coarsely refined start, and the share of the points used that then lie on the other surface."""
+    starts: Sequence[se3.Matrix4], query: OrientedPoints, match: OrientedPoints, config: VerificationConfig
+) -> list[tuple[se3.Matrix4, float]]:
+    """Each start refined coarsely, and the share of the points used that then lie on the other surface."""
     few = query.kept(OrientedPoints.thinned, config.coarse_share)
-    T_match_query = iterate(T_start, few, match, config.coarse_distance, config.coarse_rounds)
-    touching = contact_in_pose(T_match_query, few, match, config).touching
-    return T_match_query, touching / max(len(few.points), 1)
+    poses = iterate_all(starts, few, match, config.coarse_distance, config.coarse_rounds)
+    touching = [sums.touching for sums in contact_in_poses([(pose, few, match) for pose in poses], config)]
+    return [(pose, count / max(len(few.points), 1)) for pose, count in zip(poses, touching, strict=True)]
 
 
 def iterate(
     T_match_query: se3.Matrix4, query: OrientedPoints, match: OrientedPoints, reach: float, rounds: int
 ) -> se3.Matrix4:
     """Up to `rounds` Gauss-Newton steps from `T_match_query`, with counterparts within `reach` metres."""
-    T_start, patches = np.ascontiguousarray(T_match_query), match.kept(OrientedPoints.patches_by, _ICP_EDGE_M)
-    return np.asarray(
-        aligned(
-            T_start, np.ascontiguousarray(query.points), np.ascontiguousarray(query.normals), patches, _ICP_EDGE_M,
-            reach, rounds, _FACING_ALIKE, _ROBUST_SHARE * reach, MIN_COUNTERPARTS,
-        )
-    )  # fmt: skip
+    return iterate_all([T_match_query], query, match, reach, rounds)[0]
+
+
+def iterate_all(
+    starts: Sequence[se3.Matrix4], query: OrientedPoints, match: OrientedPoints, reach: float, rounds: int
+) -> list[se3.Matrix4]:
+    """As `iterate`, from each of `starts`."""
+    points, normals = np.ascontiguousarray(query.points), np.ascontiguousarray(query.normals)
+    patches = match.kept(OrientedPoints.patches_by, _ICP_EDGE_M)
+    jobs = [Alignment(np.ascontiguousarray(start), points, normals, patches) for start in starts]
+    rules = AlignmentRules(_ICP_EDGE_M, reach, rounds, _FACING_ALIKE, _ROBUST_SHARE * reach, MIN_COUNTERPARTS)
+    return device().kernels.align(jobs, rules)
 
 
 def find_counterparts(moved: OrientedPoints, match: OrientedPoints, reach: float) -> Counterparts:
@@ -114,7 +119,7 @@ def point_to_plane_jacobian(points: Array64, normals: Array64) -> Array64:
 def information(points: Array64, normals: Array64) -> Array64:
     """The information (6, 6) of a tangent of the pose from point-to-plane residuals of unit variance.
 
-    The plain form of that of `contact_in_pose`.
+    The plain form of that of `contact_in_poses`.
     """
     jacobian = point_to_plane_jacobian(points, normals)
     return np.asarray(jacobian.T @ jacobian)

@@ -17,7 +17,7 @@ from revisit.core.geometry import se3
 from revisit.core.kernels.plan_images import layer_counts, layer_products, plan_peaks, plan_shares
 from revisit.core.verification.evidence import mutually_seen_through
 from revisit.core.verification.oriented_points import OrientedPoints, shared_shares
-from revisit.core.verification.registration import iterate
+from revisit.core.verification.registration import iterate_all
 
 Array64 = NDArray[np.float64]
 Images = NDArray[np.float32]
@@ -59,8 +59,7 @@ def find_rivals(
     rivals: list[Hypothesis] = []
     proposed = propose(T_match_query, query, match, config)
     least = config.rival_share * mean_overlap(T_match_query, query, match, few, config) if proposed else 0.0
-    for T_proposed in proposed:
-        T_rival = iterate(T_proposed, few[0], match, config.rival_reach, config.rival_rounds)
+    for T_rival in iterate_all(proposed, few[0], match, config.rival_reach, config.rival_rounds):
         if not all(
             _apart(T_rival, known, query, config) for known in (T_match_query, *(r.T_match_query for r in rivals))
         ):

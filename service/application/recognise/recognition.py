@@ -8,6 +8,7 @@ workers describe at the same time is found by the one that commits second.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -17,6 +18,7 @@ import structlog
 
 from revisit.core.candidates import candidate_policy
 from revisit.core.config import PipelineConfig
+from revisit.core.device import at_once
 from revisit.core.errors import DataLoss, DescriptorModelMismatch, ErrorCode, RevisitError
 from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.core.scan import Scan
@@ -236,9 +238,9 @@ class Recognition:
         judged: dict[int, JudgedPlace] = {}
         while True:
             recall = self._memory.recall(task.map, described.description.descriptor, config.loop.candidates, where)
-            for place in recall.places:
-                if place.submap.number not in judged:
-                    judged[place.submap.number] = self._judge(described.description.place, place, config)
+            new = [place for place in recall.places if place.submap.number not in judged]
+            for one in self._judge_all(described.description.place, new, config):
+                judged[one.place.submap.number] = one
             kept = [judged[place.submap.number] for place in recall.places]
             kept, earlier = self._with_support(task.submap, described.description.place, kept, config)
             now, now_ns = self._clock.instant(), self._clock.wall_ns()
@@ -250,6 +252,9 @@ class Recognition:
                 if earlier or any(one.verdict.accepted for one in kept):
                     self._maps.early.take_in(task.map.tenant, task.map.map_id)
                 return
+
+    def _judge_all(self, place: bytes, recalled: Iterable[RecalledPlace], config: PipelineConfig) -> list[JudgedPlace]:
+        return at_once([partial(self._judge, place, one, config) for one in recalled])
 
     def _judge(
         self,
@@ -370,7 +375,7 @@ class Recognition:
         config = self._policy.for_map(map_record)
         k = criteria_from_json(lease.job.payload["criteria"]).k
         recall = self._memory.recall(map_record, description.descriptor, k, where)
-        judged = [self._judge(description.place, place, config) for place in recall.places]
+        judged = self._judge_all(description.place, recall.places, config)
         found = _localization(judged)
         in_map = self._transactions.read(partial(_in_map, found=found, judged=judged)).result()
         self._complete(lease, localization_to_json(replace(found, in_map=in_map)))
