@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from revisit.core.config import PipelineConfig, VerificationConfig
-from revisit.core.errors import RevisitError
+from revisit.core.errors import DataLoss, RevisitError
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.implicit_map import NeuralMap
 from revisit.core.kernels.plane_votes import plane_scores
@@ -22,6 +22,7 @@ from revisit.core.pipeline import DescribedPlace, describe, describe_again, veri
 from revisit.core.place import Place
 from revisit.core.sanity.window import window_findings
 from revisit.core.scan import Scan
+from revisit.core.scan_disagreement import ScanDisagreement
 from revisit.core.stages import stage_times
 from revisit.core.submap import Submap
 from revisit.core.verification import Hypothesis, LoopMeasurement, RejectedLoop, VerifiedLoop
@@ -69,11 +70,12 @@ class CoreRecogniser:
             timings_s=timings_s,
         )
 
-    def describe_again(self, neural_map: bytes, config: PipelineConfig) -> Redescription:
+    def describe_again(self, neural_map: bytes, place: bytes | None, config: PipelineConfig) -> Redescription:
         """See `PlaceRecogniser`."""
         stored = NeuralMap.from_blob(neural_map, self._models.decoder, config.implicit_map)
         described = describe_again(stored, self._models, config)
-        return Redescription(described.descriptor.vector, described.place.to_blob())
+        again = dataclasses.replace(described.place, scan_disagreement=_disagreement_of(place))
+        return Redescription(described.descriptor.vector, again.to_blob())
 
     def verify(
         self,
@@ -128,6 +130,16 @@ def _made_up_yard(config: PipelineConfig) -> Submap:
         walls.append(np.column_stack([x + (along if along_x else across), y + (across if along_x else along), up]))
     points = np.vstack([floor, *walls]).astype(np.float32)
     return Submap.from_cloud(Scan.validated(points, np.eye(4), 0), config.submap)
+
+
+def _disagreement_of(place: bytes | None) -> ScanDisagreement | None:
+    """What the scans of a stored place disagree on (docs/decisions/0194); None where nothing readable says so."""
+    if place is None:
+        return None
+    try:
+        return Place.from_blob(place, surface=False).scan_disagreement
+    except DataLoss:
+        return None
 
 
 def _mesh(described: DescribedPlace) -> Mesh:

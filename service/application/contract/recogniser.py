@@ -71,8 +71,11 @@ class PlaceRecogniser(Protocol):
         """Neural map, descriptor and place of a submap. Raises RevisitError where it cannot be described."""
         ...
 
-    def describe_again(self, neural_map: bytes, config: PipelineConfig) -> Redescription:
-        """What this version makes of a submap from its stored neural map. Raises RevisitError where it cannot."""
+    def describe_again(self, neural_map: bytes, place: bytes | None, config: PipelineConfig) -> Redescription:
+        """What this version makes of a submap from its stored neural map. Raises RevisitError where it cannot.
+
+        What only the scans tell is taken over from the `place` that was made of them, where it is there and readable.
+        """
         ...
 
     def verify(

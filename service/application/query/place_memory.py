@@ -60,13 +60,20 @@ class PlaceMemory:
     def catch_up(self, tenant: TenantId, number: int) -> int:
         """Apply what the database has and the index has not, in portions; the last change that was read."""
         while True:
-            before = self._index.seq(number)
+            before = self._index.seq(number) or self._loaded(tenant, number)
             changes = self._transactions.read(partial(_changes, tenant=tenant, number=number, seq=before)).result()
             failpoint("index.before_apply")
             self._index.apply(number, changes, before)
             failpoint("index.after_apply")
             if len(changes) < PORTION:
                 return changes[-1].seq if changes else before
+
+    def _loaded(self, tenant: TenantId, number: int) -> int:
+        """Load the map from its file, if it has one; the last change that is in the index then."""
+        record = self._transactions.read(lambda uow: uow.maps.numbered(tenant, [number])).result().get(number)
+        if record is not None and record.index_file is not None:
+            self._index.load(number, record.index_file)
+        return self._index.seq(number)
 
     def search(
         self, map_record: MapRecord, vector: NDArray[np.float32], criteria: SearchCriteria, where: VectorFilter

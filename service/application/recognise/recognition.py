@@ -72,7 +72,7 @@ from revisit.service.application.recognise.description_commit import (
     StoredDescription,
 )
 from revisit.service.application.recognise.distinctiveness import with_distinctiveness
-from revisit.service.application.recognise.loops_beside import Beside, loops_before, supported
+from revisit.service.application.recognise.loops_beside import Beside, contradicted, loops_before, supported
 from revisit.service.application.recognise.proposed_loops import VerdictCommit, proposed_pair
 from revisit.service.application.recognise.recalled_loops import (
     RecallCommit,
@@ -298,14 +298,18 @@ class Recognition:
             asked = place if query is submap else self._stored_place(query)
             return LOST if asked is None else self._judge(asked, RecalledPlace(match, similarity), config, near).verdict
 
-        decided = supported([*before, *new], config.verification, config.submap.stride, register)
-        verdicts = {loop.match.number: loop.verdict for loop in decided if loop.record is None}
-        new = [replace(loop, verdict=verdicts.get(loop.match.number, loop.verdict)) for loop in new]
+        loops, revised = [*before, *new], list[Beside]()
+        for stage in (contradicted, partial(supported, register=register)):
+            decided = stage(loops, config.verification, config.submap.stride)
+            known = {loop.key: loop for loop in decided}
+            loops = [known.get(loop.key, loop) for loop in loops]
+            revised += decided
+        new = loops[len(before) :]
         kept = [
             replace(one, verdict=with_distinctiveness(loop, new, config.submap.stride))
             for one, loop in zip(judged, new, strict=True)
         ]
-        return kept, [loop for loop in decided if loop.record is not None]
+        return kept, list({loop.key: loop for loop in revised if loop.record is not None}.values())
 
     def _require_same_model(self, record: MapRecord) -> None:
         own = model_for_map(record, self._recogniser.model_version)
@@ -375,7 +379,7 @@ class Recognition:
         config = self._policy.for_map(map_record)
         k = criteria_from_json(lease.job.payload["criteria"]).k
         recall = self._memory.recall(map_record, description.descriptor, k, where)
-        judged = self._judge_all(description.place, recall.places, config)
+        judged = _agreeing(self._judge_all(description.place, recall.places, config), config)
         found = _localization(judged)
         in_map = self._transactions.read(partial(_in_map, found=found, judged=judged)).result()
         self._complete(lease, localization_to_json(replace(found, in_map=in_map)))
@@ -424,6 +428,14 @@ def _loop_filter(submap: SubmapRecord, config: PipelineConfig) -> VectorFilter:
         near_ordinal=policy.ordinal,
         min_gap=policy.min_gap,
     )
+
+
+def _agreeing(judged: list[JudgedPlace], config: PipelineConfig) -> list[JudgedPlace]:
+    """The candidates of a cloud; where accepted ones put it at different spots of a drive, they are ambiguous."""
+    # Any submap stands for the cloud: it is the same one for all candidates.
+    loops = [Beside(judged[0].place.submap, one.place.submap, 0.0, one.verdict) for one in judged]
+    changed = {loop.key: loop.verdict for loop in contradicted(loops, config.verification, config.submap.stride)}
+    return [replace(one, verdict=changed.get(loop.key, one.verdict)) for one, loop in zip(judged, loops, strict=True)]
 
 
 def _localization(judged: list[JudgedPlace]) -> Localization:
