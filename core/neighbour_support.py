@@ -46,6 +46,14 @@ class NeighbourSupport:
     along_m: float
 
 
+@dataclass(frozen=True)
+class ToldPose:
+    """T_match_query (4, 4) of a pair as the loops beside it tell it; `agreeing`: how many of them tell the same."""
+
+    T_match_query: se3.Matrix4
+    agreeing: int
+
+
 def carried_over(T_match_query: se3.Matrix4, T_match_other: se3.Matrix4, T_other_query: se3.Matrix4) -> se3.Matrix4:
     """The pose of a neighbouring loop as one of the ambiguous pair.
 
@@ -77,6 +85,18 @@ def find_support(
         if along_m >= config.support_length and 2 * len(agreeing) >= len(telling):
             return NeighbourSupport(row, anchors, len(agreeing), along_m)
     return None
+
+
+def told_pose(neighbours: Sequence[NeighbourLoop], config: VerificationConfig) -> ToldPose | None:
+    """The first pose of the neighbour with the shortest way, of those within `support_reach`; None where there is none.
+
+    How many agree with it, itself among them, says what it is worth: a guess, or known (docs/decisions/0205).
+    """
+    near = [one for one in neighbours if one.accepted and one.way_m <= config.support_reach]
+    if not near:
+        return None
+    T_match_query = min(near, key=lambda one: one.way_m).poses[0]
+    return ToldPose(T_match_query, sum(_agrees(T_match_query, one, config) for one in near))
 
 
 def is_contradicted(

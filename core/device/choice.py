@@ -14,12 +14,13 @@ from revisit.core.device.together import side_by_side
 from revisit.core.errors import BadField
 
 Result = TypeVar("Result")
+Item = TypeVar("Item")
 
 CPU = "cpu"
 TORCH_ON_CPU = "torch-cpu"
 
-MOST_TOGETHER = 32
-"""Works that are done side by side: each has a thread, and its jobs lie in the memory of the device."""
+TOGETHER = 32
+"""Works that are done side by side on a GPU: each has a thread, and its jobs lie in the memory of the device."""
 
 
 class MissingDevice(BadField):
@@ -28,11 +29,11 @@ class MissingDevice(BadField):
 
 @dataclass(frozen=True)
 class Device:
-    """A device by the name it was chosen by, and its kernels; `joins` says that it gains by many jobs at once."""
+    """A device by the name it was chosen by, and its kernels; it does up to `together` works side by side."""
 
     name: str
     kernels: Kernels
-    joins: bool
+    together: int = 1
 
 
 _DEVICE: ContextVar[Device | None] = ContextVar("_DEVICE", default=None)
@@ -51,7 +52,7 @@ def open_device(name: str) -> Device:
         hint = f"device {name} needs torch, which is not installed: pip install 'revisit-loops[learned]'"
         raise MissingDevice(hint, field="device") from missing
     try:
-        return Device(name, open_torch_kernels("cpu" if name == TORCH_ON_CPU else name), joins=True)
+        return Device(name, open_torch_kernels("cpu" if name == TORCH_ON_CPU else name), TOGETHER)
     except ValueError as error:
         raise MissingDevice(f"device {name}: {error}", field="device") from error
 
@@ -66,7 +67,7 @@ def require_device(name: str) -> None:
 def _processor() -> Device:
     from revisit.core.device.compiled import CompiledKernels  # and its compiler, only where something is computed
 
-    return Device(CPU, CompiledKernels(), joins=False)
+    return Device(CPU, CompiledKernels())
 
 
 def device() -> Device:
@@ -94,16 +95,24 @@ def at_once(works: Sequence[Callable[[], Result]]) -> list[Result]:
 
     Raises what the first of them raises that does.
     """
-    chosen = _DEVICE.get()
-    if chosen is None or not chosen.joins or len(works) < 2:
-        return [work() for work in works]
     results: list[Result] = []
-    for start in range(0, len(works), MOST_TOGETHER):
-        results += side_by_side(works[start : start + MOST_TOGETHER], chosen.kernels, _seated)
+    for some in batched(works):
+        if len(some) == 1:
+            results.append(some[0]())
+        else:
+            results += side_by_side(some, device().kernels, _seated)
     return results
+
+
+def batched(items: Sequence[Item]) -> Iterator[Sequence[Item]]:
+    """As many items at once as the device in use does side by side: one by one on the processor."""
+    chosen = _DEVICE.get()
+    step = 1 if chosen is None else chosen.together
+    for start in range(0, len(items), step):
+        yield items[start : start + step]
 
 
 def _seated(kernels: Kernels, work: Callable[[], Result]) -> Result:
     """Do a work with the kernels of its seat."""
-    with using(Device(device().name, kernels, joins=False)):
+    with using(Device(device().name, kernels)):
         return work()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -98,15 +98,6 @@ class Descriptors:
         same = Descriptors(self.dimension, self._shared)
         same.own = self.own
         return same
-
-
-def portions(vectors: Descriptors, alive: NDArray[np.bool_]) -> Iterator[Array]:
-    """The rows in order, a few at a time; zeros for those that are not `alive` (n,). Raises RowDiffers."""
-    for start in range(0, len(alive), PORTION):
-        lives = alive[start : start + PORTION]
-        portion = np.zeros((len(lives), vectors.dimension), dtype=np.float32)
-        portion[lives] = vectors[start + np.flatnonzero(lives)]
-        yield portion
 
 
 def marks_of(ids: NDArray[np.int64], vectors: Array) -> Marks:

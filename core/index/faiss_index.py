@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.config import AdaptationConfig
-from revisit.core.index.descriptors import Descriptors, Marks, SharedRows, marks_of, portions
+from revisit.core.index.descriptors import PORTION, Descriptors, Marks, SharedRows, marks_of
 from revisit.core.index.exact import asked, similarities, standardised
 from revisit.core.index.learning import SiteLearner
 from revisit.core.index.places import (
@@ -39,23 +39,23 @@ _CODED_PER_SEARCH = 256
 
 @dataclass(frozen=True)
 class StoredIndex:
-    """An index as arrays by name, a row each or less, beside its descriptors: nothing changes them any more."""
+    """An index as arrays by name, and its descriptors, which are `rows` of `vectors`: nothing changes them any more."""
 
     arrays: Mapping[str, NDArray[np.generic]]
     vectors: Descriptors
+    rows: Indices
 
     @property
     def size_bytes(self) -> int:
         """What all of it takes."""
-        rows = len(self.arrays["ids"])
-        return sum(array.nbytes for array in self.arrays.values()) + 4 * self.vectors.dimension * rows
+        return sum(array.nbytes for array in self.arrays.values()) + 4 * self.vectors.dimension * len(self.rows)
 
     def portions(self) -> Iterator[tuple[Array, Marks]]:
-        """The descriptors (n, d) of the rows in order, a few at a time, and their marks (n,). Raises RowDiffers."""
-        start, ids = 0, np.asarray(self.arrays["ids"], dtype=np.int64)
-        for portion in portions(self.vectors, np.asarray(self.arrays["alive"], dtype=bool)):
-            yield portion, marks_of(ids[start : start + len(portion)], portion)
-            start += len(portion)
+        """The descriptors (n, d) in order, a few at a time, and their marks (n,). Raises RowDiffers."""
+        ids = np.asarray(self.arrays["ids"], dtype=np.int64)
+        for start in range(0, len(ids), PORTION):
+            portion = self.vectors[self.rows[start : start + PORTION]]
+            yield portion, marks_of(ids[start : start + PORTION], portion)
 
 
 class FaissIndex:
@@ -134,19 +134,18 @@ class FaissIndex:
         return 0 if self._codes is None else self._codes.learned_at
 
     def stored(self) -> StoredIndex:
-        """What `restored` needs to answer as this index does, as of now. Raises RowDiffers."""
+        """What `restored` needs to answer as this index does now, and nothing of removed places. Raises RowDiffers."""
         self._learn()
-        rows = self._rows
+        rows, live = self._rows, self._rows.live()
         arrays = {
-            "ids": rows.ids[: rows.count].copy(),
-            "sessions": rows.sessions[: rows.count].copy(),
-            "ordinals": rows.ordinals[: rows.count].copy(),
-            "positions": rows.positions[: rows.count].copy(),
-            "alive": rows.alive[: rows.count].copy(),
-            **self._learner.stored(rows.count),
-            **({} if self._codes is None else self._codes.stored()),
+            "ids": rows.ids[live],
+            "sessions": rows.sessions[live],
+            "ordinals": rows.ordinals[live],
+            "positions": rows.positions[live],
+            **self._learner.stored(live, rows.count),
+            **({} if self._codes is None else self._codes.stored(live)),
         }
-        return StoredIndex(arrays, rows.vectors.frozen())
+        return StoredIndex(arrays, rows.vectors.frozen(), live)
 
     @classmethod
     def restored(
@@ -158,8 +157,7 @@ class FaissIndex:
     ) -> FaissIndex:
         """The index that was `stored` as `arrays`, over its descriptors; the arrays become its own."""
         made = cls(shared.vectors.shape[1], config, coded_from)
-        places = (arrays[name] for name in ("sessions", "ordinals", "positions", "alive"))
-        made._rows = Rows.restored(shared, *places)
+        made._rows = Rows.restored(shared, arrays["sessions"], arrays["ordinals"], arrays["positions"])
         made._learner.restore(made._rows, arrays)
         if "codes" in arrays:
             made._flat, made._codes = None, CodedShortlist.restored(made._dimension, arrays)

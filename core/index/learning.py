@@ -47,13 +47,13 @@ class SiteLearner:
         self._seen = self._learned = 0
         self.site = None
 
-    def stored(self, count: int) -> dict[str, NDArray[np.generic]]:
-        """What it has learned of `count` rows, as arrays; all of them have been taken in."""
+    def stored(self, live: Indices, count: int) -> dict[str, NDArray[np.generic]]:
+        """What it has learned of `count` rows as arrays, for the `live` ones; all of them have been taken in."""
         counted = np.zeros(count, dtype=bool)
         counted[self._counted] = True
         steps = [] if self.site is None else [self._steps[session] for session in self.site.session_means]
         return {
-            "counted": counted,
+            "counted": counted[live],
             "learned": np.array([self._learned]),
             "session_steps": np.array(steps, dtype=np.int64),
             **site_as_arrays(self.site, "site_"),

@@ -34,14 +34,13 @@ class Rows:
         sessions: NDArray[np.int64],
         ordinals: NDArray[np.int64],
         positions: NDArray[np.float64],
-        alive: Flags,
     ) -> Rows:
         """Rows whose descriptors are shared, with what filters know of them (n,), positions (n, 3)."""
         rows = cls(shared.vectors.shape[1])
         rows.ids, rows.sessions, rows.ordinals, rows.positions = shared.ids, sessions, ordinals, positions
-        rows.alive, rows.count = alive, len(alive)
+        rows.alive, rows.count = np.ones(len(shared.ids), dtype=bool), len(shared.ids)
         rows.vectors = Descriptors(shared.vectors.shape[1], shared)
-        rows.row_of = {int(rows.ids[row]): row for row in rows.live().tolist()}
+        rows.row_of = {identifier: row for row, identifier in enumerate(rows.ids.tolist())}
         return rows
 
     def append(self, entries: Sequence[IndexEntry], vectors: Array) -> None:
@@ -102,7 +101,8 @@ class Rows:
             passes &= sessions == only.only_session
         if only.near is not None:
             session, ordinal, min_gap = only.near
-            passes &= (sessions != session) | (np.abs(self.ordinals[: self.count] - ordinal) >= min_gap)
+            own = np.flatnonzero(sessions == session) if min_gap > 0 else np.zeros(0, np.intp)
+            passes[own[np.abs(self.ordinals[own] - ordinal) < min_gap]] = False
         if only.position is not None and only.radius_m is not None:
             distances = np.linalg.norm(self.positions[: self.count] - only.position, axis=1)
             passes &= distances <= only.radius_m

@@ -94,8 +94,12 @@ class CodedShortlist:
         made._faiss.train(standardised(rows, chosen, site))
         return made
 
-    def stored(self) -> dict[str, NDArray[np.generic]]:
-        """The codes and how they were learned, as arrays that do not change with it."""
+    def stored(self, live: Indices) -> dict[str, NDArray[np.generic]]:
+        """The codes of the `live` rows and how they were learned, as arrays that do not change with it."""
+        if len(live) < self.count:
+            kept = self.restored(self._faiss.d, self.stored(np.arange(self.count)))
+            kept._faiss.remove_ids(np.setdiff1d(np.arange(self.count), live))
+            return kept.stored(np.arange(len(live)))
         return {
             "codes": self._table().copy(),
             "coded": np.array([self.count, self.learned_at]),

@@ -7,6 +7,7 @@ in this process's own memory. Whatever is wrong with a file, the map is forgotte
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -30,6 +31,9 @@ MakeIndex = Callable[[int], "PlaceIndex"]
 SAVED_FROM = 4096
 """Places from which a map has a file, and that must have come for another one: below, 16 MB are soon read."""
 
+TRACES_KEPT_S = 600.0
+"""What a file holds of a removed place beside its descriptor (id, position, code) is gone this much later."""
+
 _OWN_SHARE = 0.125
 """A file is written anew once a process has this share of a map in its own memory."""
 
@@ -45,11 +49,12 @@ class _MapIndex:
     places: PlaceIndex | None = None
     file: str | None = None
     codes_learned_at: int = 0  # in the file
+    erased_at_s: float | None = None  # when something of the file was first removed
     lock: threading.Lock = field(default_factory=threading.Lock)
 
     def forget(self) -> None:
         """Begin anew; `lock` is held."""
-        self.seq, self.places, self.file, self.codes_learned_at = 0, None, None, 0
+        self.seq, self.places, self.file, self.codes_learned_at, self.erased_at_s = 0, None, None, 0, None
 
 
 class PlaceVectorIndex:
@@ -65,6 +70,7 @@ class PlaceVectorIndex:
         self._make_index = make_index
         self._files = files
         self._saved_from = saved_from
+        self._traces_kept_s = TRACES_KEPT_S
         self._maps: dict[int, _MapIndex] = {}
         self._distrusted: set[str] = set()
         self._differed: dict[int, tuple[str | None, int]] = {}
@@ -169,7 +175,7 @@ class PlaceVectorIndex:
         index = self._of(map_number)
         with index.lock:
             index.seq, index.dimension, index.places, index.file = opened.seq, opened.vectors.shape[1], places, name
-            index.codes_learned_at = places.codes_learned_at
+            index.codes_learned_at, index.erased_at_s = places.codes_learned_at, None
         return True
 
     def large(self) -> list[int]:
@@ -190,6 +196,8 @@ class PlaceVectorIndex:
             return False
         if index.file is None or index.codes_learned_at != places.codes_learned_at:
             return True
+        if index.erased_at_s is not None and time.monotonic() - index.erased_at_s >= self._traces_kept_s:
+            return True
         return places.own_rows >= max(self._saved_from, int(_OWN_SHARE * len(places)))
 
     def _erase(self, index: _MapIndex, numbers: list[int]) -> None:
@@ -200,6 +208,8 @@ class PlaceVectorIndex:
         rows = places.shared_of(numbers)
         if self._saved_from is None or not len(rows):
             return
+        if index.erased_at_s is None:
+            index.erased_at_s = time.monotonic()
         try:
             files.erase(name, rows, 4 * index.dimension)
         except OSError as error:

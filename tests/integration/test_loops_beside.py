@@ -40,7 +40,7 @@ class RowOfHouses(FakeRecogniser):
     def describe(self, given, config):
         return replace(super().describe(given, config), place=np.float64(given.T_odom_submap[0, 3]).tobytes())
 
-    def verify(self, query, match, similarity, config, near=None, *, near_decides=True):
+    def verify(self, query, match, similarity, config, near=None, *, near_decides=True, expected=None):
         at, other = (float(np.frombuffer(one)[0]) for one in (query, match))
         shifts = (at - other + PERIOD_M, at - other, at - other - PERIOD_M)
         poses = [se3.from_yaw(0.0, (shift, 0.3, 0.0)) for shift in shifts]
@@ -123,7 +123,7 @@ class EqualBlocks(FakeRecogniser):
     def describe(self, given, config):
         return replace(super().describe(given, config), place=np.float64(given.T_odom_submap[0, 3]).tobytes())
 
-    def verify(self, query, match, similarity, config, near=None, *, near_decides=True):
+    def verify(self, query, match, similarity, config, near=None, *, near_decides=True, expected=None):
         at, other = (float(np.frombuffer(one)[0]) for one in (query, match))
         shift = (at - other + 10.0) % 20.0 - 10.0
         return LoopVerdict(True, None, 0.9, se3.from_yaw(0.0, (shift, 0.3, 0.0)), {"measurement": {"rivals": []}})

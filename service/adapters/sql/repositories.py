@@ -37,7 +37,7 @@ from revisit.service.application.contract.errors import AlreadyExists, NotFound
 from revisit.service.application.contract.events import ChangeOf, EventLog
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.records import ScanRecord, SubmapRecord
-from revisit.service.application.contract.repositories import PlacedSubmap
+from revisit.service.application.contract.repositories import FoundSubmap, PlacedSubmap
 from revisit.service.application.contract.states import SubmapState
 
 if TYPE_CHECKING:
@@ -261,6 +261,11 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
         query = query.order_by(submaps.session_number, submaps.ordinal)
         return [PlacedSubmap(*row) for row in self._connection.execute(query, asked)]
 
+    def found(self, tenant: TenantId, numbers: Sequence[int]) -> dict[int, FoundSubmap]:
+        """See `SubmapRepository`."""
+        rows = self._connection.execute(_found_submaps(), {"numbers": numbers, "its_tenant": tenant})
+        return {row.number: FoundSubmap(*row) for row in rows}
+
     def first_waiting(self, tenant: TenantId, map_id: str) -> int | None:
         """See `SubmapRepository`."""
         asked = of_tenant(tenant, {"state": SubmapState.QUEUED.value, "map_id": map_id})
@@ -329,11 +334,17 @@ def _numbered(table: Table) -> Select[Any]:
     return select(table).where(_have_numbers(table))
 
 
+@cache
+def _found_submaps() -> Select[Any]:
+    columns = (tables.submaps.c[field.name] for field in dataclasses.fields(FoundSubmap))
+    return select(*columns).where(_have_numbers(tables.submaps))
+
+
 def _have_numbers(table: Table) -> ColumnElement[bool]:
     """The rows of tenant `its_tenant` with one of the `numbers`.
 
-    The tenant is made an expression, which no index holds: SQLite would look through all rows of the tenant instead of
-    taking a few by their numbers.
+    The tenant is made an expression, which no index holds: else the engine looks through all rows of the tenant, where
+    a few are asked for by their numbers.
     """
     numbers: BindParameter[Any] = bindparam("numbers", expanding=True)
     return and_(table.c.number.in_(numbers), table.c.tenant.concat("") == bindparam("its_tenant"))

@@ -178,7 +178,7 @@ def _neighbour(loop: Beside, other: Beside, stride_m: float) -> NeighbourLoop:
     T_match_other = _between(loop.match, other.match)
     poses = tuple(carried_over(T, T_match_other, T_other_query) for T in other.hypotheses)
     query_m, match_m = _ahead(loop.query, other.query), _ahead(loop.match, other.match)
-    way_m = _way(loop.query, other.query, query_m, stride_m) + _way(loop.match, other.match, match_m, stride_m)
+    way_m = way_between(loop.query, other.query, stride_m) + way_between(loop.match, other.match, stride_m)
     return NeighbourLoop(other.accepted_by_itself, poses, query_m, match_m, way_m)
 
 
@@ -193,8 +193,9 @@ def _ahead(submap: SubmapRecord, other: SubmapRecord) -> float:
     return distance if other.ordinal > submap.ordinal else -distance
 
 
-def _way(submap: SubmapRecord, other: SubmapRecord, ahead_m: float, stride_m: float) -> float:
-    return max(abs(ahead_m), stride_m * abs(other.ordinal - submap.ordinal))
+def way_between(submap: SubmapRecord, other: SubmapRecord, stride_m: float) -> float:
+    """At least so many metres of way lie between two submaps of a drive that begins one every `stride_m`."""
+    return max(abs(_ahead(submap, other)), stride_m * abs(other.ordinal - submap.ordinal))
 
 
 def _registered(

@@ -18,7 +18,7 @@ import structlog
 
 from revisit.core.candidates import candidate_policy
 from revisit.core.config import PipelineConfig
-from revisit.core.device import at_once
+from revisit.core.device import at_once, batched
 from revisit.core.errors import DataLoss, DescriptorModelMismatch, ErrorCode, RevisitError
 from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.core.scan import Scan
@@ -57,7 +57,7 @@ from revisit.service.application.mapping.merging import MapMerging
 from revisit.service.application.mapping.optimisation import MapOptimisation
 from revisit.service.application.mapping.progress import OperationCancelled, Progress
 from revisit.service.application.mapping.tile_making import TileMaking
-from revisit.service.application.query.place_memory import PlaceMemory, RecalledPlace, vector_filter
+from revisit.service.application.query.place_memory import PlaceMemory, Recall, RecalledPlace, vector_filter
 from revisit.service.application.query.search_answers import (
     Localization,
     LocalizedCandidate,
@@ -80,6 +80,7 @@ from revisit.service.application.recognise.recalled_loops import (
     kept_near,
     loops_to_recall,
 )
+from revisit.service.application.recognise.told_poses import Told, ToldPoses, poses_in_map
 from revisit.service.failpoints import failpoint
 
 log = structlog.get_logger(__name__)
@@ -238,10 +239,7 @@ class Recognition:
         judged: dict[int, JudgedPlace] = {}
         while True:
             recall = self._memory.recall(task.map, described.description.descriptor, config.loop.candidates, where)
-            new = [place for place in recall.places if place.submap.number not in judged]
-            for one in self._judge_all(described.description.place, new, config):
-                judged[one.place.submap.number] = one
-            kept = [judged[place.submap.number] for place in recall.places]
+            kept = self._judge_in_turn(described.description.place, recall, config, judged)
             kept, earlier = self._with_support(task.submap, described.description.place, kept, config)
             now, now_ns = self._clock.instant(), self._clock.wall_ns()
             commit = DescriptionCommit(
@@ -253,6 +251,27 @@ class Recognition:
                     self._maps.early.take_in(task.map.tenant, task.map.map_id)
                 return
 
+    def _judge_in_turn(
+        self, place: bytes, recall: Recall, config: PipelineConfig, judged: dict[int, JudgedPlace]
+    ) -> list[JudgedPlace]:
+        """The recalled places, most similar first, with verdicts, those in `judged` as they are.
+
+        Without those whose pose enough accepted loops before them tell (docs/decisions/0205).
+        """
+        recalled = [one.submap for one in recall.places]
+        loops, kept = ToldPoses(config, partial(poses_in_map, self._transactions, recalled)), []
+        for some in batched(recall.places):  # one by one, unless a device gains by more
+            told = {one.submap.number: loops.of(one.submap) for one in some}
+            new = [one for one in some if one.submap.number not in judged and not _is_known(told[one.submap.number])]
+            works = [
+                partial(self._judge, place, one, config, expected=_expected(told[one.submap.number])) for one in new
+            ]
+            judged.update({one.place.submap.number: one for one in at_once(works)})
+            for number in (one.submap.number for one in some if one.submap.number in judged):
+                kept.append(judged[number])
+                loops.take_in(judged[number].place.submap, judged[number].verdict)
+        return kept
+
     def _judge_all(self, place: bytes, recalled: Iterable[RecalledPlace], config: PipelineConfig) -> list[JudgedPlace]:
         return at_once([partial(self._judge, place, one, config) for one in recalled])
 
@@ -263,11 +282,14 @@ class Recognition:
         config: PipelineConfig,
         near: Matrix4 | None = None,
         near_decides: bool = True,
+        expected: Matrix4 | None = None,
     ) -> JudgedPlace:
         submap = recalled.submap
         try:
             blob = self._blobs.get(submap.tenant, PLACE_BLOB, str(submap.place_sha256))
-            verdict = self._recogniser.verify(place, blob, recalled.similarity, config, near, near_decides=near_decides)
+            verdict = self._recogniser.verify(
+                place, blob, recalled.similarity, config, near, near_decides=near_decides, expected=expected
+            )
         except DataLoss as error:
             log.error("place_lost", submap=submap_key(submap).name, reason=error.message)
             verdict = replace(LOST, evidence={"message": error.message})
@@ -436,6 +458,14 @@ def _agreeing(judged: list[JudgedPlace], config: PipelineConfig) -> list[JudgedP
     loops = [Beside(judged[0].place.submap, one.place.submap, 0.0, one.verdict) for one in judged]
     changed = {loop.key: loop.verdict for loop in contradicted(loops, config.verification, config.submap.stride)}
     return [replace(one, verdict=changed.get(loop.key, one.verdict)) for one, loop in zip(judged, loops, strict=True)]
+
+
+def _is_known(told: Told | None) -> bool:
+    return told is not None and told.is_known
+
+
+def _expected(told: Told | None) -> Matrix4 | None:
+    return told.T_match_query if told is not None and told.within_reach else None
 
 
 def _localization(judged: list[JudgedPlace]) -> Localization:

@@ -171,9 +171,9 @@ class Counting:
 
 def test_calls_of_candidates_at_once_are_joined():
     alone, joined = Counting(), Counting()
-    with using(Device("counting", alone, joins=False)):
+    with using(Device("counting", alone)):
         expected = at_once(verifications())
-    with using(Device("counting", joined, joins=True)):
+    with using(Device("counting", joined, together=3)):
         found = at_once(verifications())
     assert [type(one) for one in found] == [type(one) for one in expected]
     assert sum(jobs for _, jobs in joined.calls) == sum(jobs for _, jobs in alone.calls)
@@ -198,7 +198,7 @@ def test_what_a_device_refuses_is_told_to_each_candidate_that_asked():
         def __getattr__(self, method):
             raise RuntimeError("out of memory")
 
-    with using(Device("broken", Broken(), joins=True)), pytest.raises(RuntimeError, match="out of memory"):
+    with using(Device("broken", Broken(), together=3)), pytest.raises(RuntimeError, match="out of memory"):
         at_once(verifications())
 
 
