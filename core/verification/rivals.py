@@ -18,7 +18,7 @@ from revisit.core.geometry import se3
 from revisit.core.kernels.plan_images import layer_counts, layer_products, plan_peaks, plan_shares
 from revisit.core.verification.evidence import mutually_seen_through
 from revisit.core.verification.oriented_points import OrientedPoints, shared_shares
-from revisit.core.verification.registration import iterate
+from revisit.core.verification.registration import iterate_all
 
 Array64 = NDArray[np.float64]
 Images = NDArray[np.float32]
@@ -99,8 +99,7 @@ class _Search:
         """The `known` rivals, and those of the `proposed` poses that end as one by a rule."""
         rivals, config = list(known), self.config
         least = rule.share * self._overlap(self.best) if proposed else 0.0
-        for T_proposed in proposed:
-            T_rival = iterate(T_proposed, self.few[0], self.match, rule.reach_m, config.rival_rounds)
+        for T_rival in iterate_all(proposed, self.few[0], self.match, rule.reach_m, config.rival_rounds):
             others = (self.best, *(rival.T_match_query for rival in rivals))
             if not all(_apart(T_rival, other, self.query, rule.apart_m) for other in others):
                 continue
