@@ -105,8 +105,8 @@ class Settings(AccessSettings):
     worker_memory_mb: int = Field(
         default=4096,
         ge=256,
-        description="memory (MiB) that a worker may take, its index (4 KiB a submap) included; a job that needs more "
-        "fails, and a worker that keeps three quarters of it between two jobs is replaced",
+        description="memory (MiB) that a worker may take, its index included (4 KiB a submap of a small map); a job "
+        "that needs more fails, and a worker that keeps three quarters of it between two jobs is replaced",
     )
     reserve_mb: int = Field(
         default=256,

@@ -25,6 +25,12 @@ SEARCH_EDGE_M = 1.0
 COLUMN_M = 2.0
 """Edge of the vertical columns in which two places are compared, in metres."""
 
+_STEEPEST_GROUND = np.cos(np.radians(70.0))
+"""Ground with a steeper normal is a lone ring of a beam: a line, whose normal is a guess and looks at the sensor. Such
+rings stand like boards around each spot a scan was taken from, and alignment would put board on board instead of
+surface on surface (docs/decisions/0212).
+"""
+
 _FACING_ALIKE = 0.6  # smallest cosine between the normals of two points on one surface
 
 
@@ -38,12 +44,18 @@ class OrientedPoints(Keeping):
 
     @classmethod
     def of(cls, place: Place) -> OrientedPoints:
-        """The stored surface of a place, in its level frame; kept with the place."""
+        """The stored surface of a place, in its level frame; kept with the place.
+
+        Ground whose stored normal is steep gets one that looks up: see `_STEEPEST_GROUND`.
+        """
         return place.kept(cls._copied)
 
     @classmethod
     def _copied(cls, place: Place) -> OrientedPoints:
-        return cls(place.points.astype(np.float64), place.normals.astype(np.float64), place.standing_count)
+        normals = place.normals.astype(np.float64)
+        ground = normals[place.standing_count :]
+        ground[np.abs(ground[:, 2]) < _STEEPEST_GROUND] = (0.0, 0.0, 1.0)
+        return cls(place.points.astype(np.float64), normals, place.standing_count)
 
     @cached_property
     def tree(self) -> cKDTree:

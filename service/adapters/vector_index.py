@@ -167,7 +167,7 @@ class PlaceVectorIndex:
             return False
         from revisit.core.index import FaissIndex, SharedRows
 
-        opened = self._files.open(name)
+        opened = self._files.open(name, whole=self._saved_from is not None)
         if opened is None:
             self._distrusted.add(name)
             return False

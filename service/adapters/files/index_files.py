@@ -11,6 +11,7 @@ and its length.
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import mmap
 import os
@@ -34,6 +35,7 @@ LAYOUT = 1
 """Of the file: another number is another layout, which this version does not read."""
 
 _LENGTH_BYTES = 8
+_PORTION_BYTES = 2**20
 _NAME = re.compile(r"([0-9a-f]{16})-([0-9a-f]{64})")
 _ROOM_FOR = 2
 """A file is written where the disk has room for so many of its size."""
@@ -71,11 +73,16 @@ class IndexFiles:
         replaceable_write(self._folder / token, content.pieces())
         return f"{token}-{content.header_sha256}"
 
-    def open(self, name: str) -> OpenedIndex | None:
-        """The index that `write` named so; None where it is not there, or is not what was written."""
+    def open(self, name: str, *, whole: bool = False) -> OpenedIndex | None:
+        """The index that `write` named so; None where it is not there, or is not what was written.
+
+        `whole`: nor where the disk cannot read all of it. Touching such a page of a mapped file ends the process.
+        """
         path, sha256 = self._of(name)
         try:
-            with path.open("rb") as file:
+            with path.open("rb", buffering=0) as file:
+                if whole:
+                    _read_through(file)
                 return _opened(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ), sha256)
         except FileNotFoundError:
             return None
@@ -148,6 +155,13 @@ def _opened(mapped: mmap.mmap, sha256: str) -> OpenedIndex:
     marks, dimension = arrays.pop("marks"), about["dimension"]
     vectors = np.frombuffer(mapped, "<f4", len(marks) * dimension).reshape(len(marks), dimension)
     return OpenedIndex(about["seq"], vectors, marks, arrays)
+
+
+def _read_through(file: io.FileIO) -> None:
+    """Raises OSError."""
+    portion = bytearray(_PORTION_BYTES)
+    while file.readinto(portion):
+        pass
 
 
 def _header(mapped: mmap.mmap, sha256: str) -> bytes:

@@ -103,6 +103,7 @@ class IndexKeeper:
         failpoint("index.after_file_named")
         await asyncio.to_thread(self._index.load, record.number, name)
         await asyncio.to_thread(self._memory.catch_up, record.tenant, record.number)
+        log.info("index_file_written", map=record.map_id, submaps=self._index.size(record.number))
         return True
 
     async def _keep_named_files(self) -> None:

@@ -23,6 +23,11 @@ from revisit.service.application.contract.records import SubmapRecord
 from revisit.service.application.contract.transactions import Transactions, UnitOfWork
 from revisit.service.application.recognise.loops_beside import way_between
 
+_WINDOWS = 3.0
+"""Windows between two submaps up to which they share about half of what they have seen. What repeats within that is
+seen as a rival of each single loop (docs/decisions/0080); what repeats farther away, by farther candidates.
+"""
+
 MapPoses = Mapping[int, MapPose]
 """Where submaps, by number, lie in the map."""
 
@@ -31,8 +36,7 @@ MapPoses = Mapping[int, MapPose]
 class Told:
     """How a candidate lies to the query, as other loops tell it.
 
-    within_reach: the two share most of what they have seen, because they lie within two windows; is_known: enough loops
-    agree on it.
+    within_reach: the two lie within `_WINDOWS`; is_known: and enough loops agree on it.
     """
 
     T_match_query: Matrix4
@@ -74,17 +78,13 @@ class ToldPoses:
 
     def of(self, match: SubmapRecord) -> Told | None:
         """What the loops so far tell of a candidate; None where they tell nothing."""
-        rules, enough = self._config.verification, self._config.loop.enough
-        by_odometry = self._by_odometry(match)
-        told = told_pose(by_odometry, rules)
-        if told is not None and 0 < enough <= told.agreeing:
-            return Told(told.T_match_query, self._is_within_reach(told.T_match_query), is_known=True)
-        told = told_pose([*by_odometry, *self._by_map(match)], rules)
+        told = told_pose([*self._by_odometry(match), *self._by_map(match)], self._config.verification)
         if told is None:
             return None
-        # A map that is wrong must not hide what would set it right: it counts for near candidates only.
-        within_reach = self._is_within_reach(told.T_match_query)
-        return Told(told.T_match_query, within_reach, is_known=within_reach and 0 < enough <= told.agreeing)
+        # Far candidates are compared whatever is told: a second place that looks alike must not be hidden.
+        within_reach = float(np.linalg.norm(told.T_match_query[:3, 3])) <= _WINDOWS * self._config.submap.tau
+        is_known = within_reach and 0 < self._config.loop.enough <= told.agreeing
+        return Told(told.T_match_query, within_reach, is_known)
 
     def _by_odometry(self, match: SubmapRecord) -> list[NeighbourLoop]:
         """What the loops with the same drive say that odometry carries so far."""
@@ -111,9 +111,6 @@ class ToldPoses:
         same_drive = match.session_number == stands.match.session_number
         way_m = way_between(match, stands.match, self._config.submap.stride) if same_drive else np.inf
         return way_m <= self._config.verification.support_reach
-
-    def _is_within_reach(self, T_match_query: Matrix4) -> bool:
-        return float(np.linalg.norm(T_match_query[:3, 3])) <= 2.0 * self._config.submap.tau
 
 
 def _child(parent: Sequence[float], T_parent_child: Matrix4) -> Matrix4:

@@ -59,11 +59,11 @@ def test_a_rejected_candidate_tells_nothing():
     assert told_by((drive(4), seen_at(22.0, 4, accepted=False))).of(drive(5)) is None
 
 
-def test_as_many_loops_as_are_enough_make_the_rest_of_their_drive_known_near_and_far():
+def test_as_many_loops_as_are_enough_make_the_near_submaps_of_their_drive_known_and_hide_no_far_one():
     told = told_by((drive(4), seen_at(22.0, 4)), (drive(5), seen_at(22.1, 5)))
     near, far = told.of(drive(6)), told.of(drive(13))
     assert near is not None and (near.within_reach, near.is_known) == (True, True)
-    assert far is not None and (far.within_reach, far.is_known) == (False, True)
+    assert far is not None and (far.within_reach, far.is_known) == (False, False)
 
 
 def test_farther_than_odometry_carries_a_pose_nothing_is_told():
@@ -84,13 +84,13 @@ def test_nothing_is_left_out_where_all_candidates_are_wanted():
 
 
 IN_MAP = {drive(4).number: placed(20.0), drive(5).number: placed(25.0), drive(3, 2).number: placed(21.0),
-          drive(9, 2).number: placed(51.0)}  # fmt: skip
+          drive(11, 2).number: placed(61.0)}  # fmt: skip
 """Two drives in one frame of the map; the second one's odometry begins 6 m farther on."""
 
 
 def test_by_the_map_a_submap_of_another_drive_is_known_where_it_is_near():
     told = told_by((drive(4), seen_at(22.0, 4)), (drive(5), seen_at(22.1, 5)), in_map=IN_MAP)
-    near, far = told.of(drive(3, 2)), told.of(drive(9, 2))
+    near, far = told.of(drive(3, 2)), told.of(drive(11, 2))
     assert near is not None and near.is_known
     np.testing.assert_allclose(near.T_match_query[:3, 3], (1.0, 0.0, 0.0), atol=1e-12)
     assert far is not None and not far.within_reach and not far.is_known
