@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -48,12 +50,17 @@ def context_histograms(orientation_map: OrientationMap, pixels: Pixels, config: 
 
     A pixel at the share rho of the disc's radius counts with (1 - rho)^2 times its filter amplitude (method notes).
     """
-    radius = config.context_px // 2
-    offset = np.arange(-radius, radius + 1)
-    disc = np.clip(1.0 - np.hypot(offset[:, None], offset[None, :]) / radius, 0.0, None) ** 2
     orientation = np.arange(orientation_map.orientations)[:, None, None]
     layers = np.where(orientation_map.index == orientation, orientation_map.amplitude, np.float32(0.0))
-    return np.asarray(disc_histograms(layers, pixels, disc.astype(np.float32)))
+    return np.asarray(disc_histograms(layers, pixels, _fading_disc(config.context_px // 2)))
+
+
+@lru_cache(maxsize=4)
+def _fading_disc(radius: int) -> Array:
+    """Weights (2 * radius + 1, the same) that fall from 1 in the middle to 0 at the radius."""
+    offset = np.arange(-radius, radius + 1)
+    disc = np.clip(1.0 - np.hypot(offset[:, None], offset[None, :]) / radius, 0.0, None) ** 2
+    return np.asarray(disc, dtype=np.float32)
 
 
 def dominant_orientations(histograms: Array) -> Array:

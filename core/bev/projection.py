@@ -43,9 +43,9 @@ def project(surface: Surface, voxels: Flags, config: BevConfig) -> Array:
     size = image_size(surface.resolution, config)
     pixels = surface.occupied[voxels][:, :2] + size // 2
     inside = ((pixels >= 0) & (pixels < size)).all(axis=1)
-    sums = np.zeros((size, size), dtype=np.float32)
-    np.add.at(sums, (pixels[inside, 1], pixels[inside, 0]), surface.occupancy[voxels][inside])  # Eq. 9
-    return normalise(sums, config)
+    places = pixels[inside, 1] * size + pixels[inside, 0]
+    sums = np.bincount(places, surface.occupancy[voxels][inside], size * size)  # Eq. 9
+    return normalise(sums.reshape(size, size).astype(np.float32), config)
 
 
 def normalise(sums: Array, config: BevConfig) -> Array:

@@ -26,15 +26,15 @@ def decode(codes: NDArray[np.integer], steps: int) -> NDArray[np.float64]:
     """The unit vectors (n, 3) of codes (n, 2): within about 2 / steps radians of what was encoded."""
     if steps > _LISTED_STEPS:
         return _decoded(codes, steps)
-    return np.asarray(_listed(steps)[codes[:, 0], codes[:, 1]])
+    return _listed(steps).take(codes[:, 0].astype(np.int64) * (2 * steps + 1) + codes[:, 1], axis=0)
 
 
 @lru_cache(maxsize=4)
 def _listed(steps: int) -> NDArray[np.float64]:
-    """The unit vector of each code, (2 * steps + 1, 2 * steps + 1, 3)."""
+    """The unit vector of each code, ((2 * steps + 1)^2, 3)."""
     side = np.arange(2 * steps + 1)
     codes = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1)
-    return _decoded(codes.reshape(-1, 2), steps).reshape(*codes.shape[:2], 3)
+    return _decoded(codes.reshape(-1, 2), steps)
 
 
 def _decoded(codes: NDArray[np.integer], steps: int) -> NDArray[np.float64]:

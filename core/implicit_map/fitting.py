@@ -67,9 +67,10 @@ def without_dynamic_points(points: NeuralPoints, submap: Submap, config: Implici
     dynamic = suspect.copy()
     consistent = seen_through == 0
     if suspect.any() and consistent.any():
-        stable = points.subset(consistent)
-        columns = columns_of(stable.positions, config.resolution)
-        near = find_neighbourhood(points.positions[suspect], stable.positions, stable.normals, columns, config)
+        stable = np.flatnonzero(consistent)
+        positions, normals = points.positions.take(stable, axis=0), points.normals.take(stable, axis=0)
+        columns = columns_of(positions, config.resolution)
+        near = find_neighbourhood(points.positions[suspect], positions, normals, columns, config)
         # free space without any surface near is far from it
         far = (near.plane_distance > config.dynamic_distance) | ~np.isfinite(near.nearest)
         dynamic[suspect] = far  # Eq. 6: S(p) > gamma_d, and H(p) > gamma_mu of the suspects

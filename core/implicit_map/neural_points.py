@@ -47,9 +47,10 @@ class NeuralPoints:  # Eq. 1
 
     def subset(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> NeuralPoints:
         """Only the points where `keep` (n,) holds, or those of the rows `keep` (m,)."""
+        rows = np.flatnonzero(keep) if keep.dtype == np.bool_ else keep
         return NeuralPoints(
-            self.positions[keep], self.normals[keep], self.created[keep], self.updated[keep], self.hits[keep],
-            self.stability[keep],
+            self.positions.take(rows, axis=0), self.normals.take(rows, axis=0), self.created[rows], self.updated[rows],
+            self.hits[rows], self.stability[rows],
         )  # fmt: skip
 
     @classmethod
@@ -92,11 +93,15 @@ class ElasticAccumulator:
         """The points accumulated so far, with their orientations; of more than `most` those nearest to the middle."""
         records = self._records[: self._size]
         positions = (records[:, 1:4] / records[:, :1]).astype(np.float32)
-        columns, rows = columns_of(positions, self._resolution), nearest_to_middle(positions, most)
-        chosen, scans = positions[rows], records[rows, FIRST_SCAN:].astype(np.int32)
-        normals = oriented_normals(pooled_covariances(chosen, records, columns, self._resolution), records[rows, VIEW])
+        columns, gathered = columns_of(positions, self._resolution), records
+        if len(positions) > most:
+            rows = nearest_to_middle(positions, most)
+            positions, records = positions[rows], records[rows]
+        scans = records[:, FIRST_SCAN:].astype(np.int32)
+        spreads = pooled_covariances(positions, gathered, columns, self._resolution)
+        normals = oriented_normals(spreads, records[:, VIEW])
         return NeuralPoints(
-            positions=chosen, normals=normals, created=scans[:, 0].copy(), updated=scans[:, 1].copy(),
+            positions=positions, normals=normals, created=scans[:, 0].copy(), updated=scans[:, 1].copy(),
             hits=scans[:, 2].copy(), stability=scans[:, 2].astype(np.float32),
         )  # fmt: skip
 

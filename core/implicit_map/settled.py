@@ -44,8 +44,10 @@ def settle(points: NeuralPoints, resolution: float) -> NeuralPoints:
     """
     codes = plane_codes(points, resolution)
     rows = distinct_rows(codes.voxels)
-    positions, normals = geometry(codes[rows], resolution)
-    return dataclasses.replace(points.subset(rows), positions=positions, normals=normals)
+    if len(rows) < len(points):
+        codes, points = codes[rows], points.subset(rows)
+    positions, normals = geometry(codes, resolution)
+    return dataclasses.replace(points, positions=positions, normals=normals)
 
 
 def distinct_rows(voxels: NDArray[np.int32]) -> NDArray[np.int64]:

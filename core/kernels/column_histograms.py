@@ -34,45 +34,65 @@ def column_histograms(
     Column vertices: horizontal distance below `radius`, their mean height is the centre of the sphere.
     """
     histograms = np.zeros((len(keypoints), distance_bins * height_bins * ANGLE_BINS))
+    sums, inside = np.empty((REGIONS, 7)), np.empty(len(vertices), dtype=np.int64)
+    away, regions = np.empty((3, len(vertices))), np.empty(len(vertices), dtype=np.int64)
     for k in range(len(keypoints)):
-        sums = np.zeros((REGIONS, 7))
         first, last = bounds[assignment[k]], bounds[assignment[k] + 1]
-        centre_z, members = 0.0, 0
-        inside = np.empty(last - first, dtype=np.int64)
-        for i in range(first, last):
-            dx, dy = vertices[i, 0] - keypoints[k, 0], vertices[i, 1] - keypoints[k, 1]
-            if dx * dx + dy * dy < radius * radius:
-                inside[members] = i
-                members += 1
-                centre_z += vertices[i, 2]
+        members = _find_members(vertices, first, last, keypoints[k, 0], keypoints[k, 1], radius, inside, away)
         if members < MIN_MEMBERS:
             continue
-        centre_z /= members
-        sxx, sxy, syy = 0.0, 0.0, 0.0
+        _find_regions(away, members, regions)
+        sums[:] = 0.0
         for n in range(members):
-            dx, dy = vertices[inside[n], 0] - keypoints[k, 0], vertices[inside[n], 1] - keypoints[k, 1]
-            sxx += dx * dx
-            sxy += dx * dy
-            syy += dy * dy
-        axis = 0.5 * np.arctan2(2.0 * sxy, sxx - syy)
-        for n in range(members):
-            i = inside[n]
-            dx, dy = vertices[i, 0] - keypoints[k, 0], vertices[i, 1] - keypoints[k, 1]
-            dz = vertices[i, 2] - centre_z
-            latitude = arc_tangent(dz, np.sqrt(dx * dx + dy * dy)) + 0.5 * np.pi
-            longitude = arc_tangent(dy, dx) - axis
-            longitude = longitude + 2.0 * np.pi if longitude < 0.0 else longitude
-            band = min(int(latitude / np.pi * LATITUDE_BANDS), LATITUDE_BANDS - 1)
-            sector = min(int(longitude / (2.0 * np.pi) * SECTORS), SECTORS - 1)
-            region = band * SECTORS + sector
+            region, i = regions[n], inside[n]
             for a in range(3):
                 sums[region, a] += normals[i, a]
-            sums[region, 3] += dx
-            sums[region, 4] += dy
-            sums[region, 5] += dz
+                sums[region, 3 + a] += away[a, n]
             sums[region, 6] += 1.0
         _count_pairs(sums, radius, distance_bins, height_bins, histograms[k])
     return histograms
+
+
+@numba.njit(inline="always")
+def _find_members(
+    vertices: Array, first: int, last: int, x: np.float32, y: np.float32, radius: float, inside: NDArray[np.int64],
+    away: NDArray[np.float64],
+) -> int:  # fmt: skip
+    """List in `inside` the vertices of the column around (x, y), and in `away` (3, ...) where they lie from its middle.
+
+    Returns how many there are.
+    """
+    members, height = 0, 0.0
+    for i in range(first, last):
+        dx, dy = vertices[i, 0] - x, vertices[i, 1] - y
+        if dx * dx + dy * dy < radius * radius:
+            inside[members], away[0, members], away[1, members] = i, dx, dy
+            members += 1
+            height += vertices[i, 2]
+    if members:
+        height /= members
+    for n in range(members):
+        away[2, n] = vertices[inside[n], 2] - height
+    return members
+
+
+@numba.njit(inline="always")
+def _find_regions(away: NDArray[np.float64], members: int, regions: NDArray[np.int64]) -> None:
+    """The region of each of the first `members` places `away` (3, ...), turned by their principal horizontal axis."""
+    sxx, sxy, syy = 0.0, 0.0, 0.0
+    for n in range(members):
+        sxx += away[0, n] * away[0, n]
+        sxy += away[0, n] * away[1, n]
+        syy += away[1, n] * away[1, n]
+    axis = 0.5 * np.arctan2(2.0 * sxy, sxx - syy)
+    for n in range(np.uint64(members)):  # without a branch, so that several are done at once
+        dx, dy = away[0, n], away[1, n]
+        latitude = arc_tangent(away[2, n], np.sqrt(dx * dx + dy * dy)) + 0.5 * np.pi
+        longitude = arc_tangent(dy, dx) - axis
+        longitude = longitude + 2.0 * np.pi if longitude < 0.0 else longitude
+        band = min(int(latitude / np.pi * LATITUDE_BANDS), LATITUDE_BANDS - 1)
+        sector = min(int(longitude / (2.0 * np.pi) * SECTORS), SECTORS - 1)
+        regions[n] = band * SECTORS + sector
 
 
 @numba.njit(cache=True, error_model="numpy")

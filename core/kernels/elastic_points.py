@@ -10,6 +10,8 @@ from revisit.core.kernels.loops import loop
 from revisit.core.kernels.point_columns import PointColumns, span
 from revisit.core.kernels.voxel_table import VoxelTable, add_to, find_in
 
+Rows = NDArray[np.int64]
+
 POOLED_RETURNS = 8.0
 
 MOMENTS, VIEW = slice(0, 10), slice(10, 13)
@@ -17,7 +19,7 @@ FIRST_SCAN, LAST_SCAN, SCANS = 13, 14, 15
 RECORD = 16
 """Numbers that are gathered of a neural point, in two lines of the cache."""
 
-_CHUNK = 1024
+_CHUNK = 512
 _TINY_M = np.float32(1e-9)
 _SPREAD = 6  # numbers of an upper d d^T
 
@@ -41,43 +43,75 @@ def insert_returns(
     it. Where there are `limit` of them, no more are created: the returns are left out.
     """
     cells, units = np.empty((3, _CHUNK), dtype=np.int32), np.empty((3, _CHUNK), dtype=np.float32)
-    return _insert(points, start, origin, scan, table, records, size, resolution, limit, cells, units)
+    runs, rows = np.empty(_CHUNK + 1, dtype=np.int64), np.empty(_CHUNK, dtype=np.int64)
+    return _insert(points, start, origin, scan, table, records, size, resolution, limit, cells, units, runs, rows)
 
 
 @loop
 def _insert(
     points: NDArray[np.float32], start: int, origin: NDArray[np.float32], scan: int, table: VoxelTable,
     records: NDArray[np.float64], size: int, resolution: float, limit: int, cells: NDArray[np.int32],
-    units: NDArray[np.float32],
+    units: NDArray[np.float32], runs: Rows, rows: Rows,
 ) -> tuple[int, int]:  # fmt: skip
-    """As `insert_returns`; `cells` and `units` (3, _CHUNK) are for its use."""
+    """As `insert_returns`; `cells` and `units` (3, _CHUNK), `runs` and `rows` are for its use.
+
+    Returns that follow each other in one voxel are a run. Runs are found without a branch, and all records of a chunk
+    before any is changed, so that a processor waits for several at once.
+    """
     slots, following, voxels = table.slots, table.following, table.voxels
     while start < len(points):
         count = min(_CHUNK, len(points) - start)
         if size + count > len(records) and len(records) < limit:
             break
         _prepare(points, start, count, origin, resolution, cells, units)
-        k = 0
-        while k < count:
-            x, y, z = cells[0, k], cells[1, k], cells[2, k]
-            i = find_in(slots, following, voxels, x, y, z)
-            first = k
-            while k < count and cells[0, k] == x and cells[1, k] == y and cells[2, k] == z:
-                k += 1
-            if i < 0 and size >= limit:
-                continue
+        found, known = _find_runs(cells, count, runs), size
+        size = _find_records(cells, runs, found, slots, following, voxels, rows, size, limit)
+        for i in range(known, size):
+            records[i] = 0.0
+            records[i, FIRST_SCAN], records[i, LAST_SCAN] = scan, -1.0
+        for run in range(found):
+            i = rows[run]
             if i < 0:
-                i = size
-                size += 1
-                add_to(slots, following, voxels, i, x, y, z)
-                records[i] = 0.0
-                records[i, FIRST_SCAN], records[i, LAST_SCAN] = scan, -1.0
-            if records[i, LAST_SCAN] != scan:
-                records[i, LAST_SCAN] = scan
-                records[i, SCANS] += 1.0
-            _gather(points, start, first, k, units, records, i)
+                continue
+            records[i, SCANS] += 1.0 if records[i, LAST_SCAN] != scan else 0.0
+            records[i, LAST_SCAN] = scan
+            _gather(points, start, runs[run], runs[run + 1], units, records, i)
         start += count
     return size, start
+
+
+@numba.njit(inline="always")
+def _find_runs(cells: NDArray[np.int32], count: int, runs: Rows) -> int:
+    """Fill `runs` with the first return of each run in `cells` (3, count), and `count` after them; returns how many."""
+    one, found = np.uint64(1), np.uint64(1)
+    runs[0] = 0
+    for k in range(one, np.uint64(count)):
+        runs[found] = k
+        same = (cells[0, k] == cells[0, k - one]) & (cells[1, k] == cells[1, k - one])
+        found += np.uint64(0) if same & (cells[2, k] == cells[2, k - one]) else one
+    runs[found] = count
+    return int(found)
+
+
+@numba.njit(inline="always")
+def _find_records(
+    cells: NDArray[np.int32], runs: Rows, found: int, slots: NDArray[np.int32], following: NDArray[np.int32],
+    voxels: NDArray[np.int32], rows: Rows, size: int, limit: int,
+) -> int:  # fmt: skip
+    """Fill `rows` with the record of each run, a new one where its voxel has none, -1 where there is no room for it.
+
+    Returns how many records there are then.
+    """
+    for run in range(np.uint64(found)):
+        k = np.uint64(runs[run])
+        x, y, z = cells[0, k], cells[1, k], cells[2, k]
+        i = find_in(slots, following, voxels, x, y, z)
+        if i < 0 and size < limit:
+            i = size
+            size += 1
+            add_to(slots, following, voxels, i, x, y, z)
+        rows[run] = i
+    return size
 
 
 @numba.njit(inline="always")

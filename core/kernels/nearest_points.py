@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,6 +13,7 @@ Keys = NDArray[np.int64]
 
 _NOTHING = np.int64(0x7F800000 << 32)  # infinitely far
 _ROW = np.int64(0xFFFFFFFF)
+_SIX = 6  # neighbours of a query in the map of a submap
 
 
 def nearest_points(
@@ -25,50 +27,120 @@ def nearest_points(
     found = np.full((len(queries), count), -1, dtype=np.int32)
     squared = np.full((len(queries), count), np.inf, dtype=np.float32)
     near, best = np.empty(len(columns.points) + 1, dtype=np.int64), np.empty(count, dtype=np.int64)
-    _find_nearest(queries, columns, resolution, rings, near, best, best.view(np.float32), found, squared)
+    held = np.empty(len(near), np.int64), np.empty((2, len(near)), columns.points.dtype)
+    _find_nearest(queries, columns, resolution, rings, near, best, best.view(np.float32), *held, found, squared)
     return found, squared
 
 
 @loop
 def _find_nearest(
     queries: NDArray[np.float32], columns: PointColumns, resolution: float, rings: int, near: Keys, best: Keys,
-    halves: NDArray[np.float32], found: NDArray[np.int32], squared: NDArray[np.float32],
+    halves: NDArray[np.float32], held: Keys, levels: NDArray[np.floating], found: NDArray[np.int32],
+    squared: NDArray[np.float32],
 ) -> None:  # fmt: skip
-    """Fill `found` and `squared` (m, K). `near` and `best` (K,) are for its use; `halves` are the bytes of `best`.
+    """Fill `found` and `squared` (m, K). `near`, `best` (K,), `held` and `levels` (2, n) are for its use.
+
+    `halves` are the bytes of `best`.
 
     A candidate is a number: the bits of its squared distance, which are in the order of the distances, above its row.
     So the nearest are kept in order by least and greatest of two numbers alone, without a branch to be guessed wrong.
+    Queries that stand above each other, as the corners of voxels do, look through the same columns once.
     """
     points, rows, keys, grid = columns.points, columns.rows, columns.keys, columns.grid
     x_low, y_low, width, depth = columns.low[0], columns.low[1], columns.shape[0], columns.shape[1]
-    reach, count = np.float32((rings * resolution) ** 2), len(best)
-    for q in range(len(queries)):
-        px, py, pz = queries[q, 0], queries[q, 1], queries[q, 2]
-        cx, cy = int(np.floor(px / resolution)), int(np.floor(py / resolution)) - y_low
-        farthest = reach
-        best[:] = _NOTHING
-        for step in range(2 * rings + 1):
-            x = cx + (step + 1) // 2 * (1 - 2 * (step & 1))  # from the middle outwards
-            gap = max(x * resolution - px, px - (x + 1) * resolution, 0.0)
-            if gap * gap > farthest:
-                continue
-            first, last = span(keys, grid, width, depth, x - x_low, cy - rings, cy + rings)
-            size = 0
-            for i in range(first, last):
-                dx, dy, dz = points[i, 0] - px, points[i, 1] - py, points[i, 2] - pz
-                d = np.float32(dx * dx + dy * dy + dz * dz)
-                near[size] = (np.int64(d.view(np.int32)) << 32) | i
-                size += 1 if d <= farthest else 0
-            for n in range(size):
-                candidate = near[n]
-                for k in range(count):
-                    kept = best[k]
-                    best[k], candidate = min(kept, candidate), max(kept, candidate)
-            farthest = min(reach, halves[2 * count - 1])
-        for k in range(count):
-            if halves[2 * k + 1] >= reach:
-                break
-            squared[q, k], found[q, k] = halves[2 * k + 1], rows[best[k] & _ROW]
+    reach, count, begin = np.float32((rings * resolution) ** 2), len(best), 0
+    while begin < len(queries):
+        px, py, end = queries[begin, 0], queries[begin, 1], begin + 1
+        while end < len(queries) and queries[end, 0] == px and queries[end, 1] == py:
+            end += 1
+        cx, cy, size = int(np.floor(px / resolution)) - x_low, int(np.floor(py / resolution)) - y_low, 0
+        if end > begin + 1:
+            for x in range(cx - rings, cx + rings + 1):
+                first, last = span(keys, grid, width, depth, x, cy - rings, cy + rings)
+                size = _hold(points, first, last, px, py, reach, held, levels, size)
+        for q in range(begin, end):
+            best[:] = _NOTHING
+            if end > begin + 1:
+                _keep_nearest_held(queries[q, 2], reach, size, held, levels, near, best)
+            for step in range(2 * rings + 1 if end == begin + 1 else 0):
+                x = cx + (step + 1) // 2 * (1 - 2 * (step & 1))  # from the middle outwards
+                gap = max((x + x_low) * resolution - px, px - (x + x_low + 1) * resolution, 0.0)
+                farthest = min(reach, halves[2 * count - 1])
+                if gap * gap <= farthest:
+                    first, last = span(keys, grid, width, depth, x, cy - rings, cy + rings)
+                    _keep_nearest(queries, q, points, first, last, farthest, near, best)
+            for k in range(count):
+                if halves[2 * k + 1] >= reach:
+                    break
+                squared[q, k], found[q, k] = halves[2 * k + 1], rows[best[k] & _ROW]
+        begin = end
+
+
+@numba.njit(inline="always")
+def _hold(
+    points: NDArray[np.floating], first: int, last: int, px: np.float32, py: np.float32, reach: np.float32, held: Keys,
+    levels: NDArray[np.floating], size: int,
+) -> int:  # fmt: skip
+    """Add the points from `first` to before `last` that are near (px, py) to the first `size` in `held`.
+
+    `levels` gets their squared distances from above, and their heights. Returns how many there are then.
+    """
+    for i in range(first, last):
+        dx, dy = points[i, 0] - px, points[i, 1] - py
+        held[size], levels[0, size], levels[1, size] = i, dx * dx + dy * dy, points[i, 2]
+        size += 1 if levels[0, size] <= reach else 0
+    return size
+
+
+@numba.njit(inline="always")
+def _keep_nearest(
+    queries: NDArray[np.float32], q: int, points: NDArray[np.floating], first: int, last: int, farthest: np.float32,
+    near: Keys, best: Keys,
+) -> None:  # fmt: skip
+    """Keep the nearest of the points from `first` to before `last` to query q."""
+    px, py, pz, size = queries[q, 0], queries[q, 1], queries[q, 2], 0
+    for i in range(first, last):
+        dx, dy, dz = points[i, 0] - px, points[i, 1] - py, points[i, 2] - pz
+        d = np.float32(dx * dx + dy * dy + dz * dz)
+        near[size] = (np.int64(d.view(np.int32)) << 32) | i
+        size += 1 if d <= farthest else 0
+    _keep(near, size, best)
+
+
+@numba.njit(inline="always")
+def _keep_nearest_held(
+    pz: np.float32, reach: np.float32, count: int, held: Keys, levels: NDArray[np.floating], near: Keys, best: Keys
+) -> None:
+    """Keep the nearest of the first `count` points in `held` to a query of height `pz`."""
+    size = 0
+    for n in range(count):
+        dz = levels[1, n] - pz
+        d = np.float32(levels[0, n] + dz * dz)
+        near[size] = (np.int64(d.view(np.int32)) << 32) | held[n]
+        size += 1 if d <= reach else 0
+    _keep(near, size, best)
+
+
+@numba.njit(inline="always")
+def _keep(near: Keys, size: int, best: Keys) -> None:
+    """Keep the least of `best` (K,) and of the first `size` candidates, in order."""
+    if len(best) != _SIX:
+        for n in range(size):
+            candidate = near[n]
+            for k in range(len(best)):
+                kept = best[k]
+                best[k], candidate = min(kept, candidate), max(kept, candidate)
+        return
+    a, b, c, d, e, f = best[0], best[1], best[2], best[3], best[4], best[5]  # they stay in registers
+    for n in range(size):
+        candidate = near[n]
+        a, candidate = min(a, candidate), max(a, candidate)
+        b, candidate = min(b, candidate), max(b, candidate)
+        c, candidate = min(c, candidate), max(c, candidate)
+        d, candidate = min(d, candidate), max(d, candidate)
+        e, candidate = min(e, candidate), max(e, candidate)
+        f = min(f, candidate)
+    best[0], best[1], best[2], best[3], best[4], best[5] = a, b, c, d, e, f
 
 
 def any_within(queries: NDArray[np.float32], columns: PointColumns, distance: float) -> NDArray[np.bool_]:

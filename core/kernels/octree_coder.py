@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,9 +27,10 @@ def code_octree(
     nodes = np.zeros((1, 3), dtype=np.int32)
     for level in range(depth):
         shift = depth - 1 - level
-        wanted, parents, children = _table(len(voxels)), _table(len(nodes)), _table(min(8 * len(nodes), count))
-        _enter(wanted, voxels, shift)
-        _enter(parents, nodes, 0)
+        parents, children = _table(len(nodes)), _table(min(8 * len(nodes), count))
+        wanted = np.zeros(len(nodes), dtype=np.int64)
+        _enter(parents, nodes)
+        _mark_children(parents, voxels, shift, wanted)
         size = _code_level(coder, data, models, nodes, parents, wanted, children, min(shift, 2))
         nodes = children.voxels[:size].copy()
     return nodes
@@ -43,22 +45,33 @@ def _table(rows: int) -> VoxelTable:
 
 
 @loop
-def _enter(table: VoxelTable, voxels: Voxels, shift: int) -> None:
-    """Enter the nodes of the tree above `voxels` (n, 3), whose edge is 2^shift voxels."""
-    size = 0
+def _enter(table: VoxelTable, nodes: Voxels) -> None:
+    """Enter the distinct `nodes` (n, 3), each as its row."""
+    for row in range(len(nodes)):
+        add(table, row, nodes[row, 0], nodes[row, 1], nodes[row, 2])
+
+
+@loop
+def _mark_children(parents: VoxelTable, voxels: Voxels, shift: int, wanted: NDArray[np.int64]) -> None:
+    """Set a bit in `wanted` (n,) for each child of the n `parents` that any of `voxels` lies in.
+
+    The edge of a child is 2^shift voxels.
+    """
     for row in range(len(voxels)):
         x, y, z = voxels[row, 0] >> shift, voxels[row, 1] >> shift, voxels[row, 2] >> shift
-        if find(table, x, y, z) < 0:
-            add(table, size, x, y, z)
-            size += 1
+        node = find(parents, x >> 1, y >> 1, z >> 1)
+        wanted[node] |= 1 << (4 * (x & 1) + 2 * (y & 1) + (z & 1))
 
 
 @loop
 def _code_level(
-    coder: Coder, data: NDArray[np.uint8], models: Models, nodes: Voxels, parents: VoxelTable, wanted: VoxelTable,
-    children: VoxelTable, detail: int,
+    coder: Coder, data: NDArray[np.uint8], models: Models, nodes: Voxels, parents: VoxelTable,
+    wanted: NDArray[np.int64], children: VoxelTable, detail: int,
 ) -> int:  # fmt: skip
-    """The occupied children of `nodes` (n, 3); `detail` 0 for the finest level, 1 for the one above, else 2."""
+    """The occupied children of `nodes` (n, 3), which are `wanted` (n,) where the coder writes, a bit each.
+
+    `detail` is 0 for the finest level, 1 for the one above, else 2.
+    """
     size = 0
     for row in range(len(nodes)):
         px, py, pz = nodes[row, 0], nodes[row, 1], nodes[row, 2]
@@ -74,7 +87,7 @@ def _code_level(
                 known = 4 * min(size - before, 1) + passed
                 around = _around(children, beside, coded, child, x, y, z)
                 model = ((detail * 8 + child) * 64 + around) * 8 + known
-                bit = code_bit(coder, data, models, model, 1 if find(wanted, x, y, z) >= 0 else 0)
+                bit = code_bit(coder, data, models, model, wanted[row] >> child & 1)
             if bit:
                 add(children, size, x, y, z)
                 size += 1
@@ -82,7 +95,7 @@ def _code_level(
     return size
 
 
-@loop
+@numba.njit(inline="always")
 def _beside(parents: VoxelTable, x: int, y: int, z: int) -> int:
     """Which of the six neighbours of a node are occupied, one bit each: below along x, y, z, then above."""
     beside = 1 if find(parents, x - 1, y, z) >= 0 else 0
@@ -94,7 +107,7 @@ def _beside(parents: VoxelTable, x: int, y: int, z: int) -> int:
     return beside
 
 
-@loop
+@numba.njit(inline="always")
 def _around(children: VoxelTable, beside: int, coded: int, child: int, x: int, y: int, z: int) -> int:
     """What is known of the six neighbours of a child, one bit each: itself where it is coded, else its parent.
 

@@ -12,6 +12,7 @@ Array64 = NDArray[np.float64]
 
 NORMAL_PRIOR = 0.05
 _SWEEPS = 12
+_LANES = 64
 _NEGLIGIBLE = 1e-18  # of what is squared: axes are right within a billionth
 
 
@@ -22,7 +23,7 @@ def oriented_normals(covariances: Array64, views: Array64) -> NDArray[np.float32
     form a line (one beam on a wall) or a single spot.
     """
     normals = np.empty((len(covariances), 3), dtype=np.float32)
-    _orient(covariances, views, np.empty((3, 3)), np.empty((3, 3)), np.empty(3), normals)
+    _orient(covariances, views, np.empty((6, _LANES)), np.empty((9, _LANES)), np.empty((3, _LANES)), normals)
     return normals
 
 
@@ -30,59 +31,90 @@ def oriented_normals(covariances: Array64, views: Array64) -> NDArray[np.float32
 def _orient(
     covariances: Array64, views: Array64, matrix: Array64, axes: Array64, view: Array64, normals: NDArray[np.float32]
 ) -> None:
-    """Fill `normals` (n, 3); `matrix`, `axes` (3, 3) and `view` (3,) are for its use."""
-    for i in range(len(covariances)):
-        spread = covariances[i, 0, 0] + covariances[i, 1, 1] + covariances[i, 2, 2] + 1e-9
+    """Fill `normals` (n, 3); `matrix` (6, _LANES), `axes` (9, _LANES) and `view` (3, _LANES) are for its use.
+
+    So many matrices are done side by side: diagonal and upper triangle (00, 11, 22, 01, 02, 12) of each; of
+    its axes, row 3 a + b is component a of axis b.
+    """
+    for start in range(0, len(covariances), _LANES):
+        count = np.uint64(min(_LANES, len(covariances) - start))
+        _load(covariances, views, np.uint64(start), count, matrix, axes, view)
+        for _ in range(_SWEEPS):
+            if _clear_diagonal(matrix, count) == count:
+                break
+            _rotate(matrix, axes, count, 0, 1)
+            _rotate(matrix, axes, count, 0, 2)
+            _rotate(matrix, axes, count, 1, 2)
+        for k in range(count):
+            first, second, third = matrix[0, k], matrix[1, k], matrix[2, k]
+            least = 1 if second < first else 0
+            least = 2 if third < min(first, second) else least
+            x, y, z = axes[least, k], axes[3 + least, k], axes[6 + least, k]
+            sign = -1.0 if x * view[0, k] + y * view[1, k] + z * view[2, k] < 0.0 else 1.0
+            i = np.uint64(start) + k
+            normals[i, 0], normals[i, 1], normals[i, 2] = sign * x, sign * y, sign * z
+
+
+@numba.njit(inline="always")
+def _load(
+    covariances: Array64, views: Array64, start: np.uint64, count: np.uint64, matrix: Array64, axes: Array64,
+    view: Array64,
+) -> None:  # fmt: skip
+    """The matrices of `count` points from row `start` on, of trace 1 and with the prior, and no turn yet."""
+    for k in range(count):
+        i = start + k
         length = np.sqrt(views[i, 0] ** 2 + views[i, 1] ** 2 + views[i, 2] ** 2) + 1e-12
         for a in range(3):
-            view[a] = views[i, a] / length
+            view[a, k] = views[i, a] / length
+    for k in range(count):
+        i = start + k
+        spread = covariances[i, 0, 0] + covariances[i, 1, 1] + covariances[i, 2, 2] + 1e-9
         for a in range(3):
-            for b in range(3):
-                matrix[a, b] = covariances[i, a, b] / spread - NORMAL_PRIOR * view[a] * view[b]
-            matrix[a, a] += NORMAL_PRIOR
-        _diagonalise(matrix, axes)
-        least = 0
-        for a in range(1, 3):
-            if matrix[a, a] < matrix[least, least]:
-                least = a
-        facing = axes[0, least] * view[0] + axes[1, least] * view[1] + axes[2, least] * view[2]
-        sign = -1.0 if facing < 0.0 else 1.0
-        for a in range(3):
-            normals[i, a] = sign * axes[a, least]
+            matrix[a, k] = covariances[i, a, a] / spread - NORMAL_PRIOR * view[a, k] * view[a, k] + NORMAL_PRIOR
+        matrix[3, k] = covariances[i, 0, 1] / spread - NORMAL_PRIOR * view[0, k] * view[1, k]
+        matrix[4, k] = covariances[i, 0, 2] / spread - NORMAL_PRIOR * view[0, k] * view[2, k]
+        matrix[5, k] = covariances[i, 1, 2] / spread - NORMAL_PRIOR * view[1, k] * view[2, k]
+    for a in range(9):
+        for k in range(count):
+            axes[a, k] = 1.0 if a % 4 == 0 else 0.0
 
 
 @numba.njit(inline="always")
-def _diagonalise(matrix: Array64, axes: Array64) -> None:
-    """Jacobi's method: the symmetric `matrix` (3, 3) becomes diagonal, the columns of `axes` its eigenvectors."""
-    for a in range(3):
-        for b in range(3):
-            axes[a, b] = 1.0 if a == b else 0.0
-    for _ in range(_SWEEPS):
-        aside = matrix[0, 1] ** 2 + matrix[0, 2] ** 2 + matrix[1, 2] ** 2
-        if aside <= _NEGLIGIBLE * (matrix[0, 0] ** 2 + matrix[1, 1] ** 2 + matrix[2, 2] ** 2):
-            break
-        for p, q in ((0, 1), (0, 2), (1, 2)):
-            if matrix[p, q] != 0.0:
-                _rotate(matrix, axes, p, q)
+def _clear_diagonal(matrix: Array64, count: np.uint64) -> int:
+    """Make what is negligible beside the diagonals zero, so that it is not turned any more; return of how many."""
+    found = 0
+    for k in range(count):
+        aside = matrix[3, k] ** 2 + matrix[4, k] ** 2 + matrix[5, k] ** 2
+        diagonal = aside <= _NEGLIGIBLE * (matrix[0, k] ** 2 + matrix[1, k] ** 2 + matrix[2, k] ** 2)
+        found += 1 if diagonal else 0
+        for a in range(3, 6):
+            matrix[a, k] = 0.0 if diagonal else matrix[a, k]
+    return found
 
 
 @numba.njit(inline="always")
-def _rotate(matrix: Array64, axes: Array64, p: int, q: int) -> None:
-    """Turn in the plane of axes p and q so that matrix[p, q] becomes zero."""
-    ratio = (matrix[q, q] - matrix[p, p]) / (2.0 * matrix[p, q])
-    tangent = 1.0 / (abs(ratio) + np.sqrt(ratio * ratio + 1.0))
-    if ratio < 0.0:
-        tangent = -tangent
-    cosine = 1.0 / np.sqrt(tangent * tangent + 1.0)
-    sine = tangent * cosine
-    r = 3 - p - q
-    matrix[p, p] -= tangent * matrix[p, q]
-    matrix[q, q] += tangent * matrix[p, q]
-    matrix[p, q] = matrix[q, p] = 0.0
-    along_p, along_q = matrix[r, p], matrix[r, q]
-    matrix[r, p] = matrix[p, r] = cosine * along_p - sine * along_q
-    matrix[r, q] = matrix[q, r] = sine * along_p + cosine * along_q
-    for a in range(3):
-        along_p, along_q = axes[a, p], axes[a, q]
-        axes[a, p] = cosine * along_p - sine * along_q
-        axes[a, q] = sine * along_p + cosine * along_q
+def _rotate(matrix: Array64, axes: Array64, count: np.uint64, p: int, q: int) -> None:
+    """Jacobi's method: turn in the plane of axes p and q so that the matrices' element (p, q) becomes zero.
+
+    Without a branch, so that several are done at once: where it is zero already, the turn is none.
+    """
+    pq, r = 2 + p + q, 3 - p - q
+    rp, rq = 2 + r + p, 2 + r + q
+    for k in range(count):
+        off = matrix[pq, k]
+        ratio = (matrix[q, k] - matrix[p, k]) / (2.0 * off if off != 0.0 else 1.0)
+        tangent = 1.0 / (abs(ratio) + np.sqrt(ratio * ratio + 1.0))
+        tangent = -tangent if ratio < 0.0 else tangent
+        tangent = tangent if off != 0.0 else 0.0
+        cosine = 1.0 / np.sqrt(tangent * tangent + 1.0)
+        sine = tangent * cosine
+        matrix[p, k] -= tangent * off
+        matrix[q, k] += tangent * off
+        matrix[pq, k] = 0.0
+        along_p, along_q = matrix[rp, k], matrix[rq, k]
+        matrix[rp, k] = cosine * along_p - sine * along_q
+        matrix[rq, k] = sine * along_p + cosine * along_q
+        for a in range(3):
+            along_p, along_q = axes[3 * a + p, k], axes[3 * a + q, k]
+            axes[3 * a + p, k] = cosine * along_p - sine * along_q
+            axes[3 * a + q, k] = sine * along_p + cosine * along_q

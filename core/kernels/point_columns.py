@@ -8,12 +8,12 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.kernels.loops import loop
+
 MAX_GRID = 1 << 22
 """Most columns of the grid; where the points spread over more, their keys are searched instead."""
 
 _LARGEST_KEY = 2.0**62
-_SHORT = 24
-"""Points of a column that are sorted by insertion."""
 
 
 class PointColumns(NamedTuple):
@@ -35,13 +35,18 @@ class PointColumns(NamedTuple):
 
 def columns_of(positions: NDArray[np.floating], resolution: float) -> PointColumns:
     """The columns of `positions` (n, 3) over voxels of edge `resolution`; points of one voxel keep their order."""
-    voxels, low, high = _voxels(np.ascontiguousarray(positions), resolution)
-    shape = high - low + 1
-    if shape[0] * shape[1] <= MAX_GRID:
-        rows, keys, grid = _counted(voxels, low, shape)
-    else:
+    cloud = np.ascontiguousarray(positions)
+    voxels, bounds = np.empty((len(cloud), 3), dtype=np.int64), np.zeros((2, 3), dtype=np.int64)
+    _find_voxels(cloud, resolution, voxels, bounds)
+    low, shape = bounds[0], bounds[1] - bounds[0] + 1
+    if shape[0] * shape[1] > MAX_GRID or shape[2] > MAX_GRID:
         rows, keys, grid = _sorted(voxels - low, shape)
-    return PointColumns(np.ascontiguousarray(positions)[rows], rows, keys, grid, low[:2], shape[:2])
+        return PointColumns(cloud[rows], rows, keys, grid, low[:2], shape[:2])
+    grid, levels = np.zeros(shape[0] * shape[1] + 2, dtype=np.int32), np.zeros(shape[2] + 1, dtype=np.int32)
+    order, rows, keys = np.empty(len(cloud), np.int32), np.empty(len(cloud), np.int32), np.empty(len(cloud), np.int64)
+    points = np.empty_like(cloud)
+    _order(cloud, voxels, low, shape[1], levels, grid, order, rows, keys, points)
+    return PointColumns(points, rows, keys, grid[:-1], low[:2], shape[:2])
 
 
 def _sorted(
@@ -56,60 +61,49 @@ def _sorted(
     return order.astype(np.int32), keys[order], np.zeros(0, dtype=np.int32)
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _voxels(
-    positions: NDArray[Any], resolution: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """The voxels (n, 3) of `positions`, and the least and greatest of them on each axis; 0 where there is none."""
-    voxels = np.empty((len(positions), 3), dtype=np.int64)
-    low, high = np.zeros(3, dtype=np.int64), np.zeros(3, dtype=np.int64)
+@loop
+def _find_voxels(
+    positions: NDArray[Any], resolution: float, voxels: NDArray[np.int64], bounds: NDArray[np.int64]
+) -> None:
+    """Fill the voxels (n, 3) of `positions`, and `bounds` (2, 3) with the least and greatest; 0 where there is none."""
     for a in range(3):
-        for i in range(len(positions)):
+        for i in range(np.uint64(len(positions))):
             voxels[i, a] = np.int64(np.floor(positions[i, a] / resolution))
-        if len(positions):
-            low[a], high[a] = voxels[:, a].min(), voxels[:, a].max()
-    return voxels, low, high
+    for a in range(3):
+        low, high = (voxels[0, a], voxels[0, a]) if len(voxels) else (0, 0)
+        for i in range(np.uint64(len(voxels))):
+            low, high = min(low, voxels[i, a]), max(high, voxels[i, a])
+        bounds[0, a], bounds[1, a] = low, high
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _counted(
-    voxels: NDArray[np.int64], low: NDArray[np.int64], shape: NDArray[np.int64]
-) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]]:
-    """Rows and keys in the order of the voxels, by counting those of each column, and the grid of the columns."""
-    grid = np.zeros(shape[0] * shape[1] + 2, dtype=np.int32)
-    keys = np.empty(len(voxels), dtype=np.int64)
-    for i in range(len(voxels)):
-        keys[i] = (voxels[i, 0] - low[0]) * shape[1] + voxels[i, 1] - low[1]
-        grid[keys[i] + 2] += 1
+@loop
+def _order(
+    cloud: NDArray[Any], voxels: NDArray[np.int64], low: NDArray[np.int64], depth: int, levels: NDArray[np.int32],
+    grid: NDArray[np.int32], order: NDArray[np.int32], rows: NDArray[np.int32], keys: NDArray[np.int64],
+    points: NDArray[Any],
+) -> None:  # fmt: skip
+    """Fill `grid`, and `rows`, `keys` and `points` in the order of the voxels: by counting heights, then columns.
+
+    `levels` and `grid` are 0, of one and two numbers more than there are; `order` is for its use.
+    """
+    for i in range(len(cloud)):
+        levels[voxels[i, 2] - low[2] + 1] += 1
+        grid[(voxels[i, 0] - low[0]) * depth + voxels[i, 1] - low[1] + 2] += 1
+    for level in range(1, len(levels)):
+        levels[level] += levels[level - 1]
     for cell in range(2, len(grid)):
         grid[cell] += grid[cell - 1]
-    rows = np.empty(len(voxels), dtype=np.int32)
-    for i in range(len(voxels)):  # grid[key + 1] is where the column goes on, and in the end where it ends
-        rows[grid[keys[i] + 1]] = i
-        grid[keys[i] + 1] += 1
-    heights = np.empty(len(voxels), dtype=np.int64)
-    for i in range(len(voxels)):
-        heights[i] = voxels[rows[i], 2]
-    first = 0
-    for i in range(1, len(voxels) + 1):
-        if i == len(voxels) or keys[rows[i]] != keys[rows[first]]:
-            _order(rows, heights, first, i)
-            first = i
-    return rows, keys[rows], grid[:-1]
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _order(rows: NDArray[np.int32], heights: NDArray[np.int64], first: int, last: int) -> None:
-    """Sort the rows from `first` to before `last` by their heights; equal ones keep their order."""
-    if last - first > _SHORT:
-        rows[first:last] = rows[first:last][np.argsort(heights[first:last], kind="mergesort")]
-        return
-    for i in range(first + 1, last):
-        row, height, k = rows[i], heights[i], i
-        while k > first and heights[k - 1] > height:
-            rows[k], heights[k] = rows[k - 1], heights[k - 1]
-            k -= 1
-        rows[k], heights[k] = row, height
+    for i in range(len(cloud)):
+        level = voxels[i, 2] - low[2]
+        order[levels[level]] = i
+        levels[level] += 1
+    for k in range(len(cloud)):  # grid[key + 1] is where the column goes on, and in the end where it ends
+        i = order[k]
+        key = (voxels[i, 0] - low[0]) * depth + voxels[i, 1] - low[1]
+        at = grid[key + 1]
+        grid[key + 1] += 1
+        rows[at], keys[at] = i, key
+        points[at, 0], points[at, 1], points[at, 2] = cloud[i, 0], cloud[i, 1], cloud[i, 2]
 
 
 @numba.njit(inline="always")

@@ -5,6 +5,7 @@ All arithmetic is on integers: what one machine writes every other one reads.
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -70,7 +71,7 @@ def _next_byte(coder: Coder, data: NDArray[np.uint8]) -> None:
     coder[_AT] += 1
 
 
-@loop
+@numba.njit(inline="always")
 def code_bit(coder: Coder, data: NDArray[np.uint8], models: Models, model: int, bit: int) -> int:
     """Write `bit` with the chance that models[model] gives it, or read and return the bit; the model learns of it."""
     chance = models[model, 0]

@@ -39,10 +39,12 @@ def enter_observed_corners(
             dx = px - np.float32(x * resolution)
             for y in range(vy - steps + 1, vy + steps + 1):
                 dy = py - np.float32(y * resolution)
-                row, height = -1, 0
+                row, height, level = -1, 0, dx * dx + dy * dy
+                if level > limit:
+                    continue
                 for z in range(vz - steps + 1, vz + steps + 1):
                     dz = pz - np.float32(z * resolution)
-                    if dx * dx + dy * dy + dz * dz > limit:
+                    if level + dz * dz > limit:
                         continue
                     if row < 0 or z >> 6 != height:
                         height = z >> 6
@@ -75,7 +77,6 @@ def list_corners(pieces: VoxelTable, bits: Bits, count: int) -> tuple[NDArray[np
     return corners, first
 
 
-@numba.njit(cache=True, error_model="numpy")
 def find_cells(
     positions: NDArray[np.float32], normals: NDArray[np.float32], resolution: float, pieces: VoxelTable, bits: Bits,
     first: NDArray[np.int32], most: int,
@@ -85,50 +86,65 @@ def find_cells(
     Near: the centre lies within 0.9 edges of the plane. Voxels without all eight corners among the `most` corners are
     left out. Returns the rows (m, 8) of each voxel's corners, corner c at + (c & 1, c >> 1 & 1, c >> 2 & 1).
     """
-    rows = np.empty((most, 8), dtype=np.int32)
-    tried = np.zeros(len(first), dtype=np.uint64)  # a voxel is named by its lowest corner
+    rows, tried = np.empty((most, 8), dtype=np.int32), np.zeros(len(first), dtype=np.uint64)
+    around, window = np.empty((2, _WINDOW, _WINDOW), np.int64), np.empty((_WINDOW, _WINDOW), np.int64)
+    count = _find(positions, normals, resolution, pieces, bits, first, tried, around, window, rows)
+    return rows[:count].copy()
+
+
+@loop
+def _find(
+    positions: NDArray[np.float32], normals: NDArray[np.float32], resolution: float, pieces: VoxelTable, bits: Bits,
+    first: NDArray[np.int32], tried: Bits, around: NDArray[np.int64], window: NDArray[np.int64],
+    rows: NDArray[np.int32],
+) -> int:  # fmt: skip
+    """Fill `rows`; `tried`, 0 for each piece, `around` and `window` are for its use. Returns how many cells."""
     found, reach = 0, NEAR_PLANE * resolution
-    owners, window = np.empty((2, _WINDOW, _WINDOW), np.int64), np.empty((_WINDOW, _WINDOW), np.int64)
+    slots, following, voxels = pieces.slots, pieces.following, pieces.voxels
     for i in range(len(positions)):
         px, py, pz = positions[i, 0], positions[i, 1], positions[i, 2]
         vx, vy, vz = int(np.floor(px / resolution)), int(np.floor(py / resolution)), int(np.floor(pz / resolution))
         shift = (vz - 1) & 63
-        _read_window(pieces, bits, vx - 1, vy - 1, vz - 1, owners, window)
+        _read_window(slots, following, voxels, bits, vx - 1, vy - 1, vz - 1, around, window)
         for a in range(_WINDOW - 1):
+            height_a = ((vx + a - 0.5) * resolution - px) * normals[i, 0]
             for b in range(_WINDOW - 1):
                 known = window[a, b] & window[a + 1, b] & window[a, b + 1] & window[a + 1, b + 1]
                 known &= known >> 1
+                height_b = height_a + ((vy + b - 0.5) * resolution - py) * normals[i, 1]
                 for c in range(_WINDOW - 1):
-                    height = ((vx + a - 0.5) * resolution - px) * normals[i, 0]
-                    height += ((vy + b - 0.5) * resolution - py) * normals[i, 1]
-                    height += ((vz + c - 0.5) * resolution - pz) * normals[i, 2]
+                    height = height_b + ((vz + c - 0.5) * resolution - pz) * normals[i, 2]
                     if (known >> c) & 1 == 0 or abs(height) > reach:
                         continue
-                    named, bit = owners[(shift + c) >> 6, a, b], np.uint64(1) << np.uint64((shift + c) & 63)
+                    # a voxel is named by its lowest corner
+                    named, bit = around[(shift + c) >> 6, a, b], np.uint64(1) << np.uint64((shift + c) & 63)
                     if tried[named] & bit:
                         continue
                     tried[named] |= bit
                     for corner in range(8):
                         z = shift + c + (corner >> 2)
-                        owner = owners[z >> 6, a + (corner & 1), b + (corner >> 1 & 1)]
+                        owner = around[z >> 6, a + (corner & 1), b + (corner >> 1 & 1)]
                         below = bits[owner] & ((np.uint64(1) << np.uint64(z & 63)) - np.uint64(1))
                         rows[found, corner] = first[owner] + _ones(below)
                     found += 1
-    return rows[:found].copy()
+    return found
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(inline="always")
 def _read_window(
-    pieces: VoxelTable, bits: Bits, x0: int, y0: int, z0: int, owners: NDArray[np.int64], window: NDArray[np.int64]
-) -> None:
+    slots: NDArray[np.int32], following: NDArray[np.int32], voxels: NDArray[np.int32], bits: Bits,
+    x0: int, y0: int, z0: int, around: NDArray[np.int64], window: NDArray[np.int64],
+) -> None:  # fmt: skip
     """Note which corners from (x0, y0, z0) on there are, as bits by z, and the rows of the pieces that hold them."""
     low, shift = z0 >> 6, z0 & 63
     for a in range(_WINDOW):
         for b in range(_WINDOW):
-            owners[0, a, b] = row = find_in(pieces.slots, pieces.following, pieces.voxels, x0 + a, y0 + b, low)
+            row = find_in(slots, following, voxels, x0 + a, y0 + b, low)
+            around[0, a, b] = row
             window[a, b] = np.int64((bits[row] >> np.uint64(shift)) & np.uint64(15)) if row >= 0 else 0
             if shift > PIECE - _WINDOW:
-                owners[1, a, b] = row = find_in(pieces.slots, pieces.following, pieces.voxels, x0 + a, y0 + b, low + 1)
+                row = find_in(slots, following, voxels, x0 + a, y0 + b, low + 1)
+                around[1, a, b] = row
                 if row >= 0:
                     window[a, b] |= np.int64((bits[row] << np.uint64(PIECE - shift)) & np.uint64(15))
 

@@ -84,9 +84,10 @@ def _without_small_components(
     if len(vertices) == 0:
         return vertices, faces
     part = connected_parts(len(vertices), faces)
-    keep = np.bincount(part, minlength=len(vertices))[part] >= smallest
+    keep = (np.bincount(part, minlength=len(vertices)) >= smallest).take(part)
     renumbered = np.cumsum(keep, dtype=np.int32) - 1
-    return vertices[keep], renumbered[faces[keep[faces[:, 0]]]]
+    kept_faces = faces.take(np.flatnonzero(keep.take(faces[:, 0])), axis=0)
+    return vertices.take(np.flatnonzero(keep), axis=0), renumbered.take(kept_faces)
 
 
 def _empty(resolution: float) -> Surface:

@@ -86,10 +86,11 @@ class CoreRecogniser:
         near: Matrix4 | None = None,
         *,
         near_decides: bool = True,
+        expected: Matrix4 | None = None,
     ) -> LoopVerdict:
         """See `PlaceRecogniser`."""
         places = self._place(query), self._place(match)
-        verdict = verify(*places, similarity, config.verification, near, near_decides=near_decides)
+        verdict = verify(*places, similarity, config.verification, near, near_decides=near_decides, expected=expected)
         evidence = _evidence(verdict, config)
         if isinstance(verdict, VerifiedLoop):
             measured = verdict.measurement
@@ -157,8 +158,12 @@ def _evidence(verdict: VerifiedLoop | RejectedLoop, config: PipelineConfig) -> d
     return {"measurement": measured, **_thresholds(config.verification)}
 
 
+@lru_cache(maxsize=64)
 def _thresholds(rules: VerificationConfig) -> dict[str, Any]:
-    """Which rules gave the verdict: those that an operator sets, others that are not the default, and a hash of all."""
+    """Which rules gave the verdict: those that an operator sets, others that are not the default, and a hash of all.
+
+    Kept, because each candidate of a map has the same ones; nobody changes what is answered.
+    """
     values, defaults = _as_json(rules), _as_json(VerificationConfig())
     told = {name: value for name, value in values.items() if name in SETTABLE or value != defaults[name]}
     digest = hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()

@@ -118,6 +118,7 @@ class FakeRecogniser:
         near: np.ndarray | None = None,
         *,
         near_decides: bool = True,
+        expected: np.ndarray | None = None,
     ) -> LoopVerdict:
         """Accepted where the descriptors nearly agree; the transform is 1 m along x, or `near`."""
         if query.startswith(PLACED):

@@ -87,10 +87,11 @@ class PlaceRecogniser(Protocol):
         near: Matrix4 | None = None,
         *,
         near_decides: bool = True,
+        expected: Matrix4 | None = None,
     ) -> LoopVerdict:
         """Compare two places geometrically, around T_match_query `near` (4, 4) where somebody names one.
 
-        Unless that decides, other poses that fit as well count against it, as they do without it. Raises DataLoss for
-        damaged ones.
+        Unless that decides, other poses that fit as well count against it, as they do without it. `expected` (4, 4) is
+        a guess at T_match_query: tried first, and no more than that. Raises DataLoss for damaged places.
         """
         ...

@@ -14,19 +14,19 @@ from revisit.core.kernels.arcs import arc_tangent, arc_tangent_32
 from revisit.core.kernels.choose_returns import choose_returns
 from revisit.core.kernels.cluster_joins import connected_parts
 from revisit.core.kernels.column_histograms import MIN_MEMBERS, column_histograms
-from revisit.core.kernels.elastic_points import POOLED_RETURNS, RECORD, pooled_covariances
+from revisit.core.kernels.elastic_points import POOLED_RETURNS, RECORD, insert_returns, pooled_covariances
 from revisit.core.kernels.filter_layers import add_amplitudes, multiply_spectrum, strongest_layer
 from revisit.core.kernels.heading_profiles import face_profiles, plan_profiles
-from revisit.core.kernels.nearest_points import any_within
+from revisit.core.kernels.nearest_points import any_within, nearest_points
 from revisit.core.kernels.neighbour_blend import blend_neighbours, blend_normals, tangent_frames
 from revisit.core.kernels.oriented_normals import NORMAL_PRIOR, oriented_normals
 from revisit.core.kernels.patch_histograms import disc_histograms, patch_histograms
 from revisit.core.kernels.plane_votes import plane_scores
-from revisit.core.kernels.point_columns import columns_of
+from revisit.core.kernels.point_columns import MAX_GRID, columns_of
 from revisit.core.kernels.rigid_motion import moved_points, placed_returns
 from revisit.core.kernels.settled_planes import spots_on_planes
 from revisit.core.kernels.visibility import range_image
-from revisit.core.kernels.voxel_table import table_of, voxels_of
+from revisit.core.kernels.voxel_table import VoxelTable, empty_slots, table_of, voxels_of
 from revisit.core.micro.cluster_normals import (
     aligned_to_unit_sphere,
     angular_histogram,
@@ -362,3 +362,46 @@ def test_columns_are_sorted_as_by_numpy_and_keep_the_order_of_a_voxel(tall):
     expected = (voxels[order, 0] - columns.low[0]) * columns.shape[1] + voxels[order, 1] - columns.low[1]
     assert np.array_equal(columns.keys, expected)
     assert np.array_equal(columns.grid, np.searchsorted(expected, np.arange(columns.shape.prod() + 1)))
+
+
+def test_columns_higher_than_can_be_counted_are_sorted():
+    positions = np.array([[0.1, 0.1, 0.7 * MAX_GRID], [0.2, 0.1, 0.1], [0.1, 0.3, 0.2], [0.9, 0.1, 0.3]], np.float32)
+    columns = columns_of(positions, 0.5)
+    assert columns.rows.tolist() == [1, 2, 0, 3] and len(columns.grid) == 0
+
+
+@pytest.mark.parametrize("count", [6, 4])
+def test_the_nearest_points_of_queries_above_each_other_are_those_of_each_alone(count):
+    rng = np.random.default_rng(17)
+    points = rng.uniform(-2, 2, (800, 3)).astype(np.float32)
+    feet = rng.uniform(-2, 2, (60, 1, 2)).repeat(3, axis=1)
+    queries = np.concatenate([feet, rng.uniform(-2, 2, (60, 3, 1))], axis=2).reshape(-1, 3).astype(np.float32)
+    columns = columns_of(points, 0.4)
+    rows, squared = nearest_points(queries, columns, 0.4, count, 2)
+    alone = [nearest_points(query[None], columns, 0.4, count, 2) for query in queries]
+    assert np.array_equal(rows, np.concatenate([one[0] for one in alone])) and (rows >= 0).sum() > 400
+    assert np.array_equal(squared, np.concatenate([one[1] for one in alone]))
+
+
+@pytest.mark.parametrize("limit", [1_000, 20])
+def test_inserted_returns_are_summed_by_voxel_up_to_the_limit(limit):
+    rng = np.random.default_rng(18)
+    scans = [rng.uniform(-1, 1, (700, 3)).astype(np.float32).repeat(2, axis=0) for _ in range(2)]
+    origins, records = np.array([[0, 0, 3], [0, 3, 0]], np.float32), np.empty((2_000, RECORD))
+    table = VoxelTable(empty_slots(0), np.empty(2_000, np.int32), np.empty((2_000, 3), np.int32))
+    size = 0
+    for scan, points in enumerate(scans):
+        size, done = insert_returns(points, 0, origins[scan], scan, table, records, size, 0.4, limit)
+        assert done == len(points)
+    every, voxels = np.concatenate(scans), [tuple(voxel) for voxel in voxels_of(np.concatenate(scans), 0.4)]
+    known = list(dict.fromkeys(voxels))[:limit]
+    assert [tuple(voxel) for voxel in table.voxels[:size]] == known
+    assert min(limit, 125) <= size <= 216
+    for row, voxel in enumerate(known):
+        own = np.array([one == voxel for one in voxels])
+        points, upper = every[own].astype(np.float64), np.triu_indices(3)
+        views = np.repeat(origins, 1_400, axis=0)[own] - points
+        views /= np.linalg.norm(views, axis=1, keepdims=True)
+        seen = [scan for scan in range(2) if own[1_400 * scan : 1_400 * (scan + 1)].any()]
+        sums = [own.sum(), *points.sum(axis=0), *(points.T @ points)[upper], *views.sum(axis=0)]
+        np.testing.assert_allclose(records[row], [*sums, seen[0], seen[-1], len(seen)], rtol=1e-5, atol=1e-5)
