@@ -45,8 +45,9 @@ BOUND = float(chi2.ppf(0.95, 6))
 OVERLAPS = (0.2, 0.3, 0.35, 0.4, 0.5, 0.6, 1.0)
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 
-_ROADS = ("country-road", "row-houses", "canyon", "woods")
-_SHARE = 0.3
+ALL_SCANS = "frame of all scans"
+_ROADS = ("country-road", "row-houses", "canyon", "woods", "thin-block", "kitti05-way", "facades", "resimulated")
+_SHARE = 0.5
 _APART_SCANS = 30
 
 
@@ -134,9 +135,9 @@ def near_pairs(
 
 
 def table(name: str, errors: Sequence[LoopError]) -> list[str]:
-    """Lines of a Markdown table: all loops of a recording by bins of overlap."""
+    """Lines of a Markdown table: all loops of a recording by bins of overlap, and together."""
     lines = []
-    for low, high in pairwise(OVERLAPS):
+    for low, high in (*pairwise(OVERLAPS), (OVERLAPS[0], OVERLAPS[-1])):
         inside = [one for one in errors if low <= one.overlap < high]
         if inside:
             row = ErrorRow.of(inside)
@@ -174,10 +175,29 @@ def describe_truly(recording: Recording, perturbation: Perturbation) -> list[Des
     return [replace(one, T_world_submap=truth[one.window[len(one.window) // 2]]) for one in described]
 
 
-def _of_road(name: str, setting: Setting) -> list[LoopError]:
-    domain = next(domain for domain in DOMAINS if domain.name == name)
-    submaps = describe_truly(domain.make(setting).queries, Perturbation(rotate_seed=1))
+def as_all_scans_carry(submaps: Sequence[DescribedSubmap], world: DrivenWorld) -> list[DescribedSubmap]:
+    """The submaps with the truth of their frame as all their scans carry it, on average, not the middle one alone.
+
+    The recorded pose of the middle scan is the submap's frame: its own error is none of the surfaces of a loop.
+    """
+    truth, carried = world.trajectory.T_world_sensor, []
+    for one in submaps:
+        off = [se3.log(truth[index] @ se3.inverse(world.pose(index))) for index in one.window]
+        T_recorded = world.pose(one.window[len(one.window) // 2])
+        carried.append(replace(one, T_world_submap=se3.exp(np.mean(off, axis=0)) @ T_recorded))
+    return carried
+
+
+def _of_road(name: str, setting: Setting, *, by_all_scans: bool = False) -> list[LoopError]:
+    recording = next(domain for domain in DOMAINS if domain.name == name).make(setting).queries
+    submaps = describe_truly(recording, Perturbation(rotate_seed=1))
+    if by_all_scans and isinstance(recording, DrivenWorld):
+        submaps = as_all_scans_carry(submaps, recording)
     return loop_errors(near_pairs(submaps, submaps, _APART_SCANS), PipelineConfig().verification)
+
+
+def _of_all_scans(name: str, setting: Setting) -> list[LoopError]:
+    return _of_road(name.removesuffix(f", {ALL_SCANS}"), setting, by_all_scans=True)
 
 
 def _of_street(name: str, setting: Setting) -> list[LoopError]:
@@ -191,9 +211,11 @@ def main(out: Path) -> None:
     """Print the tables and draw the picture."""
     out.mkdir(parents=True, exist_ok=True)
     street = [d.name for d in DOMAINS if d.name.startswith("real") and not d.missing]
+    roads = [d.name for d in DOMAINS if d.name in _ROADS and not d.missing]
     makers: dict[str, Callable[[str, Setting], list[LoopError]]] = {
         **dict.fromkeys(street, _of_street),
-        **dict.fromkeys(_ROADS, _of_road),
+        **dict.fromkeys(roads, _of_road),
+        **{f"{name}, {ALL_SCANS}": _of_all_scans for name in roads},
     }
     print(f"| recording | overlap | loops | median NEES | within {BOUND:.1f} | m | degrees | {', '.join(DIRECTIONS)} |")
     print("|---|---|---|---|---|---|---|---|")
