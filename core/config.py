@@ -390,6 +390,13 @@ class LoopConfig(Section):
         50, "submaps", "paper IV-B", "submaps of one session nearer than this are no loop", low=0
     )
     candidates: int = parameter(20, "submaps", "method notes", "nearest descriptors that are verified")
+    enough: int = parameter(
+        4,
+        "loops",
+        "own, decision 0205",
+        "accepted loops of a submap that agree where another candidate lies, so that it is not compared; 0: all are",
+        low=0,
+    )
 
 
 @dataclass(frozen=True)
@@ -417,10 +424,21 @@ class VerificationConfig(Section):
         3, "yaws", "own", "yaws tried by phase correlation, each in both directions", low=0
     )
     coarse_rounds: int = parameter(10, "steps", "own", "coarse ICP steps", low=0)
+    first_rounds: int = parameter(
+        2, "steps", "own, decision 0204", "coarse ICP steps from each start, then the best goes on alone", low=0
+    )
     coarse_share: int = parameter(5, "points", "own", "coarse steps use every so many-th point")
     coarse_distance: float = parameter(3.0, "m", "own", "reach of the coarse ICP steps")
     min_agreement: float = parameter(
         0.1, "1", "own, decision 0121", "share of points on the other surface below which ICP ends early", low=0
+    )
+    min_coarse_overlap: float = parameter(
+        0.75,
+        "1",
+        "own, decision 0204",
+        "part of min_overlap that the coarse steps must reach, else ICP ends early",
+        low=0,
+        high=1,
     )
     fine_rounds: int = parameter(6, "steps", "own", "ICP steps on all points", low=0)
     fine_distance: float = parameter(1.0, "m", "own", "reach of the fine ICP steps")

@@ -46,6 +46,14 @@ class NeighbourSupport:
     along_m: float
 
 
+@dataclass(frozen=True)
+class ToldPose:
+    """T_match_query (4, 4) of a pair as the loops beside it tell it; `agreeing`: how many of them tell the same."""
+
+    T_match_query: se3.Matrix4
+    agreeing: int
+
+
 def carried_over(T_match_query: se3.Matrix4, T_match_other: se3.Matrix4, T_other_query: se3.Matrix4) -> se3.Matrix4:
     """The pose of a neighbouring loop as one of the ambiguous pair.
 
@@ -77,6 +85,54 @@ def find_support(
         if along_m >= config.support_length and 2 * len(agreeing) >= len(telling):
             return NeighbourSupport(row, anchors, len(agreeing), along_m)
     return None
+
+
+def told_pose(neighbours: Sequence[NeighbourLoop], config: VerificationConfig) -> ToldPose | None:
+    """The first pose of the neighbour with the shortest way, of those within `support_reach`; None where there is none.
+
+    How many agree with it, itself among them, says what it is worth: a guess, or known (docs/decisions/0205).
+    """
+    near = [one for one in neighbours if one.accepted and one.way_m <= config.support_reach]
+    if not near:
+        return None
+    T_match_query = min(near, key=lambda one: one.way_m).poses[0]
+    return ToldPose(T_match_query, sum(_agrees(T_match_query, one, config) for one in near))
+
+
+def is_contradicted(
+    T_match_query: se3.Matrix4, neighbours: Sequence[NeighbourLoop], config: VerificationConfig
+) -> bool:
+    """Whether the accepted loop `T_match_query` cannot be believed, for what other accepted loops say of its pair.
+
+    The first pose of each of the `neighbours` counts. Of two poses that lie apart by more than drift explains, one at
+    least is wrong. Which one is not known: the loop stands only where no more than one in five of those that speak of
+    the pair, itself included, contradict it (docs/decisions/0214).
+    """
+    near = [one for one in neighbours if one.way_m <= config.support_reach]
+    against = sum(_contradicts(T_match_query, one, config) for one in near)
+    return against > _CONTRADICTING_SHARE * (1 + len(near))
+
+
+def other_poses(
+    T_match_query: se3.Matrix4, neighbours: Sequence[NeighbourLoop], config: VerificationConfig
+) -> list[se3.Matrix4]:
+    """What those of the `neighbours` that contradict `T_match_query` say instead; poses that are one, once."""
+    found: list[se3.Matrix4] = []
+    for one in sorted(neighbours, key=lambda neighbour: neighbour.way_m):
+        if all(_contradicts(pose, one, config) for pose in (T_match_query, *found)):
+            found.append(one.poses[0])
+    return found
+
+
+def _contradicts(T_match_query: se3.Matrix4, neighbour: NeighbourLoop, config: VerificationConfig) -> bool:
+    apart_m = config.rival_distance + _CONTRADICTING_DRIFT * neighbour.way_m
+    pose = neighbour.poses[0]
+    return _shift(T_match_query, pose) > apart_m or _turn(T_match_query, pose) > _CONTRADICTING_TURN
+
+
+_CONTRADICTING_SHARE = 0.2
+_CONTRADICTING_DRIFT = 0.05  # a poor odometry; right loops must not contradict each other
+_CONTRADICTING_TURN = np.radians(10.0)
 
 
 def _tells_apart(hypotheses: Sequence[se3.Matrix4], neighbour: NeighbourLoop, config: VerificationConfig) -> bool:

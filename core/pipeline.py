@@ -120,11 +120,12 @@ def verify(
     near: Matrix4 | None = None,
     *,
     near_decides: bool = True,
+    expected: Matrix4 | None = None,
 ) -> VerifiedLoop | RejectedLoop:
     """Whether two places are the same and how they align: SE(2) start, ICP, gates (paper III-E, end).
 
     `T_match_query` of the answer maps the frame of the query submap into that of the match submap. Exchanged places get
     the same verdict and the inverse pose. `near` (4, 4) is a T_match_query to start from, where somebody knows one;
-    unless it decides, other poses that fit as well count against it.
+    unless it decides, other poses that fit as well count against it. `expected` (4, 4) is a guess that is tried first.
     """
-    return verification.verify(query, match, similarity, config, near, near_decides=near_decides)
+    return verification.verify(query, match, similarity, config, near, near_decides=near_decides, expected=expected)

@@ -15,6 +15,8 @@ Points = NDArray[np.float32]
 MIN_POINTS = 100
 MAX_COORDINATE_M = 10_000.0
 MAX_DROPPED_SHARE = 0.9
+_PLANE_ROWS = 6_000
+_PIECE = 60  # a whole number of times 2, 3, 4 and 5
 # No LiDAR sees most of a scene farther away: such a cloud is not in metres.
 MAX_SCENE_M = 400.0
 
@@ -70,7 +72,7 @@ def validate_cloud(points: NDArray[np.floating]) -> tuple[Points, CloudReport]:
         raise NonFinitePoints(f"{dropped} of {len(points)} points are NaN or infinite", field="points")
     if len(kept) < MIN_POINTS:
         raise EmptyCloud(f"a cloud needs at least {MIN_POINTS} finite points, got {len(kept)}", field="points")
-    if float(np.abs(kept).max()) > MAX_COORDINATE_M:
+    if max(float(kept.max()), -float(kept.min())) > MAX_COORDINATE_M:
         raise OutOfRange(field="points")
     cloud = np.ascontiguousarray(kept, dtype=np.float32)
     return cloud, CloudReport(dropped, is_plane(cloud))
@@ -84,10 +86,22 @@ def _finite(points: NDArray[np.floating]) -> NDArray[np.floating]:
 
 def is_plane(cloud: Points) -> bool:
     """Whether the cloud is coplanar; raises DegenerateCloud when it has less than two dimensions."""
-    sample = cloud[:: max(1, len(cloud) // 20_000)].astype(np.float64)
+    sample = spread_pieces(cloud, _PLANE_ROWS).astype(np.float64)
     centred = sample - sample.mean(axis=0)
     covariance = centred.T @ centred / (len(centred) - 1)
     spread = np.sqrt(np.clip(np.linalg.eigvalsh(covariance), 0.0, None))
     if spread[1] < 1e-3 or spread[1] < 1e-5 * spread[2]:
         raise DegenerateCloud(field="points")
     return bool(spread[0] < 0.02 and spread[0] < 0.01 * spread[2])
+
+
+def spread_pieces(points: NDArray[np.floating], most: int) -> NDArray[np.floating]:
+    """At most about `most` of the points (n, 3): pieces of 60 rows as they follow each other, evenly spread.
+
+    Every so many-th row would see one kind of row only where kinds alternate: each second one zero, a beam of 64.
+    """
+    count = len(points) // _PIECE
+    if count <= 1:
+        return points
+    pieces = points[: count * _PIECE].reshape(count, _PIECE, 3)
+    return pieces[:: -(-count * _PIECE // most)].reshape(-1, 3)

@@ -68,22 +68,22 @@ def describe_submaps(work: DescriptionWork, windows: Sequence[Window], jobs: int
 def describe_submap(work: DescriptionWork, task: tuple[int, Window]) -> DescribedSubmap:
     """Build, turn and describe one submap. A submap the method refuses becomes a place with its failure."""
     index, window = task
-    yaw, started, points = work.perturbation.yaw(index), time.perf_counter(), 0
+    yaw, started, points = work.perturbation.yaw(index), time.process_time(), 0
     description, failure = None, None
     used: Window = ()
     try:
         submap, used = load_submap(work.recording, window, work.config, work.perturbation)
         submap = turned(submap, yaw)
-        points, loaded = len(submap.points), time.perf_counter()
+        points, loaded = len(submap.points), time.process_time()
         description = work.method.describe(submap, work.seed) if work.method else None
     except RevisitError as error:
-        failure, loaded = f"{error.code}: {error.message}", time.perf_counter()
+        failure, loaded = f"{error.code}: {error.message}", time.process_time()
     poses = [work.recording.pose(scan) for scan in used or window]
     return DescribedSubmap(
         id=index, window=window, position=np.mean([pose[:3, 3] for pose in poses], axis=0),
         T_world_submap=poses[len(poses) // 2], yaw=yaw, description=description, failure=failure, points=points,
         bad_scans=tuple(scan for scan in window if scan not in used),
-        seconds={"load": loaded - started, "describe": time.perf_counter() - loaded},
+        seconds={"load": loaded - started, "describe": time.process_time() - loaded},
     )  # fmt: skip
 
 

@@ -68,8 +68,15 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _run(options: argparse.Namespace, settings: Settings) -> int:
     """Run the command that was asked for; the exit status. Raises CommandError for a database of another version."""
+    from revisit.service.adapters.sqlite.connections import unreadable
     from revisit.service.adapters.sqlite.migration import current_revision, migrate
 
+    broken = unreadable(settings.database)
+    if broken:
+        return _refuse(
+            f"{settings.database} cannot be read: {broken}. `revisit restore` makes a data folder of a backup; "
+            "REVISIT_HOME names it"
+        )
     if options.command == "migrate":
         migrate(settings.database, options.revision)
         return 0
@@ -112,6 +119,8 @@ def _serve(settings: Settings) -> int:
         print(error, file=sys.stderr)
         return TAKEN
     except (OSError, ValueError) as error:
+        if isinstance(error, OSError) and error.filename is not None:
+            return _refuse(f"cannot use {error.filename}: {error.strerror}; REVISIT_HOME names the data folder")
         return _refuse(f"cannot serve on {settings.host}: {error}")
 
 

@@ -25,11 +25,12 @@ from revisit.service.adapters.files.blobs import FileBlobStore
 from revisit.service.adapters.files.disk import Disk, FailStop
 from revisit.service.adapters.files.file_drafts import FileDrafts
 from revisit.service.adapters.files.filesystem import require_local
+from revisit.service.adapters.files.index_files import IndexFiles
 from revisit.service.adapters.files.secret_files import SECRET_BYTES, kept_secret
 from revisit.service.adapters.sqlite.checkpoints import Checkpoints
 from revisit.service.adapters.sqlite.connections import write_ahead_log
 from revisit.service.adapters.sqlite.transactions import SqliteTransactions, StorageFailures
-from revisit.service.adapters.vector_index import PlaceVectorIndex
+from revisit.service.adapters.vector_index import SAVED_FROM, PlaceVectorIndex
 from revisit.service.adapters.webhook_sender import HttpWebhookSender
 from revisit.service.application import Installation, UseCases
 from revisit.service.application.access.callers import current_actor
@@ -58,6 +59,7 @@ FOLD_LOG_BACK_EVERY_S = 1.0
 SWEEP_EVERY_S = 6 * 3600.0
 LOAD_INDEX_EVERY_S = 1.0
 AUDIT_INDEX_EVERY_S = 2.0
+TEND_INDEX_FILES_EVERY_S = 2.0
 FORGET_ANSWERS_EVERY_S = 60.0
 FORGET_EVENTS_EVERY_S = 60.0
 DELIVER_WEBHOOKS_EVERY_S = 1.0
@@ -67,6 +69,9 @@ PAGE_SECRET = "pages.key"
 
 DRAFTS = "reembedding"
 """The folder in the data folder of what `revisit reembed` has made so far."""
+
+INDEX_FILES = "index"
+"""The folder in the data folder of the files of large maps' indexes."""
 
 STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
@@ -83,7 +88,9 @@ def build_installation(settings: Settings, *, gateway: bool, fail_stop: FailStop
     return Installation(
         transactions=transactions,
         blobs=FileBlobStore(settings.blobs, fail_stop=switch, on_full=disk.release),
-        index=PlaceVectorIndex(_new_index),
+        index=PlaceVectorIndex(
+            _new_index, IndexFiles(settings.home / INDEX_FILES), saved_from=SAVED_FROM if gateway else None
+        ),
         clock=SystemClock(),
         policy=policy,
         in_flight=InFlight(settings.capacity, current_actor),
@@ -125,6 +132,9 @@ def chores(settings: Settings, installation: Installation, fail_stop: FailStop) 
     async def audit_index() -> None:
         await keeper.audit()
 
+    async def tend_index_files() -> None:
+        await keeper.tend_files()
+
     async def forget() -> None:
         kept_s = 3600.0 * settings.answers_kept_h
         await forget_answers(installation.storage, installation.clock, kept_s)
@@ -140,6 +150,7 @@ def chores(settings: Settings, installation: Installation, fail_stop: FailStop) 
         Chore("sweep_blobs", SWEEP_EVERY_S, sweep_blobs),
         Chore("load_index", LOAD_INDEX_EVERY_S, keeper.load),
         Chore("audit_index", AUDIT_INDEX_EVERY_S, audit_index),
+        Chore("tend_index_files", TEND_INDEX_FILES_EVERY_S, tend_index_files),
         Chore("forget_answers", FORGET_ANSWERS_EVERY_S, forget),
         Chore("forget_events", FORGET_EVENTS_EVERY_S, forget_old_events),
         Chore("deliver_webhooks", DELIVER_WEBHOOKS_EVERY_S, deliveries.deliver_due, close=deliveries.close),

@@ -49,6 +49,8 @@ POINTS = {
     "publish.after_blob": "what the bytes of a map file are is durable, no row names it",
     "index.before_apply": "the changes of an index are read, none is applied",
     "index.after_apply": "the changes of an index are applied, nothing was searched",
+    "index.before_file_named": "the file of an index is written, its map does not name it",
+    "index.after_file_named": "a map names the file of its index, no process has loaded it",
     "delete.after_rows": "the rows of a submap, session or map are gone, their blobs are there",
     "delete.after_blob": "one blob of what was deleted is gone, others may be there",
 }

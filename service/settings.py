@@ -105,8 +105,8 @@ class Settings(AccessSettings):
     worker_memory_mb: int = Field(
         default=4096,
         ge=256,
-        description="memory (MiB) that a worker may take, its index (4 KiB a submap) included; a job that needs more "
-        "fails, and a worker that keeps three quarters of it between two jobs is replaced",
+        description="memory (MiB) that a worker may take, its index included (4 KiB a submap of a small map); a job "
+        "that needs more fails, and a worker that keeps three quarters of it between two jobs is replaced",
     )
     reserve_mb: int = Field(
         default=256,
@@ -152,6 +152,13 @@ class Settings(AccessSettings):
         le=limits.LOOP_CANDIDATES.most,
         description="submaps most alike that are verified for each new one; a map may have its own",
     )
+    loops_enough: int = Field(
+        default_factory=lambda: PipelineConfig().loop.enough,
+        ge=0,
+        le=limits.LOOP_CANDIDATES.most,
+        description="accepted loops of a new submap that agree where another candidate lies, so that this one is not "
+        "verified; 0: all candidates are",
+    )
     min_score: float = Field(
         default_factory=lambda: PipelineConfig().verification.min_score,
         ge=limits.MIN_SCORE.least,
@@ -187,7 +194,12 @@ class Settings(AccessSettings):
         """The rules that the use cases follow."""
         pipeline = PipelineConfig()
         submap = replace(pipeline.submap, tau=self.tau_m, stride=self.stride_m)
-        loop = replace(pipeline.loop, min_index_gap=self.min_index_gap, candidates=self.loop_candidates)
+        loop = replace(
+            pipeline.loop,
+            min_index_gap=self.min_index_gap,
+            candidates=self.loop_candidates,
+            enough=self.loops_enough,
+        )
         verification = replace(
             pipeline.verification,
             min_score=self.min_score,

@@ -34,11 +34,14 @@ class SiteStatistics:
         """
         names, which = np.unique(sessions, return_inverse=True)
         means = np.stack([self.session_means.get(session, self.mean) for session in names.tolist()] or [self.mean])
-        adapted = np.asarray((vectors - means[which]) / self.spread, dtype=np.float32)
+        # In place: a search adapts a megabyte, and a new array of that size costs as much as the sum in it.
+        adapted = np.take(means, which, axis=0)
+        np.subtract(vectors, adapted, out=adapted)
+        adapted /= self.spread
         lengths = np.sqrt(np.einsum("ij,ij->i", adapted, adapted))
-        usable = lengths > 1e-6
-        adapted[~usable] = vectors[~usable]
-        adapted[usable] /= lengths[usable, None]
+        if not (usable := lengths > 1e-6).all():
+            adapted[~usable], lengths[~usable] = vectors[~usable], 1.0
+        adapted /= lengths[:, None]
         return adapted
 
     def with_sessions(self, seen: Mapping[int, SessionSums]) -> SiteStatistics:

@@ -32,7 +32,7 @@ class ExactIndex:
     def add(self, entries: Sequence[IndexEntry], vectors: Array) -> None:
         """See PlaceIndex."""
         rows = self._rows
-        rows.append(entries, checked_vectors(entries, vectors, rows.vectors.shape[1], rows.row_of))
+        rows.append(entries, checked_vectors(entries, vectors, rows.vectors.dimension, rows.row_of))
 
     def remove(self, ids: Sequence[int]) -> None:
         """See PlaceIndex."""
@@ -42,7 +42,7 @@ class ExactIndex:
 
     def search(self, vector: Array, k: int, only: SearchFilter = SearchFilter()) -> list[Match]:
         """See PlaceIndex."""
-        query, k = checked_query(vector, k, self._rows.vectors.shape[1])
+        query, k = checked_query(vector, k, self._rows.vectors.dimension)
         rows = np.flatnonzero(self._rows.passing(only))
         return ranked(self._rows.ids[rows], similarities(self._rows, rows, self._learned(), query, only), k)
 
@@ -78,7 +78,7 @@ def similarities(
 
 def standardised(rows: Rows, chosen: NDArray[np.intp], site: SiteStatistics | None) -> Array:
     """The `chosen` rows (n,) as they are compared: unit vectors (n, d)."""
-    vectors = rows.vectors[chosen]
+    vectors = rows.descriptors(chosen)
     return vectors if site is None else site.adapted(vectors, rows.sessions[chosen])
 
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import faiss
 import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.config import AdaptationConfig
+from revisit.core.index.descriptors import PORTION, Descriptors, Marks, SharedRows, marks_of
 from revisit.core.index.exact import asked, similarities, standardised
 from revisit.core.index.learning import SiteLearner
 from revisit.core.index.places import (
@@ -32,6 +35,27 @@ _CODES_ARE_LEARNED_ANEW_AFTER = 4
 _SHORTLIST = 300
 _FEW = 2048
 _CODED_PER_SEARCH = 256
+
+
+@dataclass(frozen=True)
+class StoredIndex:
+    """An index as arrays by name, and its descriptors, which are `rows` of `vectors`: nothing changes them any more."""
+
+    arrays: Mapping[str, NDArray[np.generic]]
+    vectors: Descriptors
+    rows: Indices
+
+    @property
+    def size_bytes(self) -> int:
+        """What all of it takes."""
+        return sum(array.nbytes for array in self.arrays.values()) + 4 * self.vectors.dimension * len(self.rows)
+
+    def portions(self) -> Iterator[tuple[Array, Marks]]:
+        """The descriptors (n, d) in order, a few at a time, and their marks (n,). Raises RowDiffers."""
+        ids = np.asarray(self.arrays["ids"], dtype=np.int64)
+        for start in range(0, len(ids), PORTION):
+            portion = self.vectors[self.rows[start : start + PORTION]]
+            yield portion, marks_of(ids[start : start + PORTION], portion)
 
 
 class FaissIndex:
@@ -95,9 +119,53 @@ class FaissIndex:
             differing.update(self._rows.ids[rows[self._flat.differs(rows, self._standardised(rows))]].tolist())
         return [entry.id for entry in entries if entry.id in differing]
 
+    def shared_of(self, ids: Sequence[int]) -> Indices:
+        """Which of the shared rows hold those places."""
+        return self._rows.shared_of(ids)
+
+    @property
+    def own_rows(self) -> int:
+        """How many rows are in this process's own memory."""
+        return self._rows.count - self._rows.vectors.shared_count
+
+    @property
+    def codes_learned_at(self) -> int:
+        """Of how many rows the codes were learned by which it is searched, 0 for none."""
+        return 0 if self._codes is None else self._codes.learned_at
+
+    def stored(self) -> StoredIndex:
+        """What `restored` needs to answer as this index does now, and nothing of removed places. Raises RowDiffers."""
+        self._learn()
+        rows, live = self._rows, self._rows.live()
+        arrays = {
+            "ids": rows.ids[live],
+            "sessions": rows.sessions[live],
+            "ordinals": rows.ordinals[live],
+            "positions": rows.positions[live],
+            **self._learner.stored(live, rows.count),
+            **({} if self._codes is None else self._codes.stored(live)),
+        }
+        return StoredIndex(arrays, rows.vectors.frozen(), live)
+
+    @classmethod
+    def restored(
+        cls,
+        shared: SharedRows,
+        arrays: Mapping[str, NDArray[Any]],
+        config: AdaptationConfig = AdaptationConfig(),
+        coded_from: int = CODED_FROM,
+    ) -> FaissIndex:
+        """The index that was `stored` as `arrays`, over its descriptors; the arrays become its own."""
+        made = cls(shared.vectors.shape[1], config, coded_from)
+        made._rows = Rows.restored(shared, arrays["sessions"], arrays["ordinals"], arrays["positions"])
+        made._learner.restore(made._rows, arrays)
+        if "codes" in arrays:
+            made._flat, made._codes = None, CodedShortlist.restored(made._dimension, arrays)
+        return made
+
     @property
     def _dimension(self) -> int:
-        return self._rows.vectors.shape[1]
+        return self._rows.vectors.dimension
 
     def _compared(self) -> int:
         """How many rows the searched shortlist holds."""
@@ -134,7 +202,7 @@ class FaissIndex:
         """Code at most `budget` rows for the next codes; they take over once they hold all."""
         if self._next_codes is None and self._codes_are_due():
             self._learn()
-            self._next_codes = CodedShortlist(self._rows, self._learner.site)
+            self._next_codes = CodedShortlist.learned(self._rows, self._learner.site)
         if self._next_codes is None:
             return
         self._next_codes.append(self._rows, min(self._next_codes.count + budget, self._rows.count))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +26,13 @@ class SiteLearner:
         self._config = config
         self._counted: list[int] = []  # rows
         self._by_session: dict[int, list[int]] = {}
-        self._cells: set[tuple[int, ...]] = set()
+        self._cells: dict[int, set[tuple[int, ...]]] = {}  # by session, as far as it was asked for
         self._seen = 0
         self._learned = 0
         self._stale: set[int] = set()
         self._in_map: dict[int, SessionSums] = {}
         self._of_session: dict[int, SessionSums] = {}
+        self._steps: dict[int, int] = {}  # from how many places the mean of each session was learned
         self.site: SiteStatistics | None = None
 
     def forget(self) -> None:
@@ -41,8 +43,33 @@ class SiteLearner:
         self._stale.clear()
         self._in_map.clear()
         self._of_session.clear()
+        self._steps.clear()
         self._seen = self._learned = 0
         self.site = None
+
+    def stored(self, live: Indices, count: int) -> dict[str, NDArray[np.generic]]:
+        """What it has learned of `count` rows as arrays, for the `live` ones; all of them have been taken in."""
+        counted = np.zeros(count, dtype=bool)
+        counted[self._counted] = True
+        steps = [] if self.site is None else [self._steps[session] for session in self.site.session_means]
+        return {
+            "counted": counted[live],
+            "learned": np.array([self._learned]),
+            "session_steps": np.array(steps, dtype=np.int64),
+            **site_as_arrays(self.site, "site_"),
+        }
+
+    def restore(self, rows: Rows, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Go on from what was `stored`. Sums are made of the `rows` again when they are next needed."""
+        self.forget()
+        self.site = site_of_arrays(arrays, "site_")
+        counted = np.flatnonzero(arrays["counted"])
+        self._counted = counted.tolist()
+        for session, own in by_session(rows.sessions[counted]):
+            self._by_session[session] = counted[own].tolist()
+        if self.site is not None:
+            self._steps = dict(zip(self.site.session_means, arrays["session_steps"].tolist(), strict=True))
+        self._seen, self._learned = len(arrays["counted"]), int(arrays["learned"][0])
 
     def learn(self, rows: Rows) -> Indices:
         """Take in the places that have come since the last time; the rows whose standardised form is another now."""
@@ -55,14 +82,26 @@ class SiteLearner:
 
     def _count(self, rows: Rows) -> None:
         new = np.arange(self._seen, rows.count)[rows.alive[self._seen : rows.count]]
-        cells = np.floor(rows.positions[new] / self._config.cell).astype(np.int64).tolist()
-        for row, session, cell in zip(new.tolist(), rows.sessions[new].tolist(), cells, strict=True):
-            if (session, *cell) not in self._cells:
-                self._cells.add((session, *cell))
+        for row, session, cell in zip(
+            new.tolist(), rows.sessions[new].tolist(), self._cells_of(rows, new), strict=True
+        ):
+            counted = self._counted_cells(rows, session)
+            if cell not in counted:
+                counted.add(cell)
                 self._counted.append(row)
                 self._by_session.setdefault(session, []).append(row)
                 self._stale.add(session)
         self._seen = rows.count
+
+    def _counted_cells(self, rows: Rows, session: int) -> set[tuple[int, ...]]:
+        """The cells in which a place of the session counts."""
+        if session not in self._cells:
+            of_session = np.array(self._by_session.get(session, ()), dtype=np.intp)
+            self._cells[session] = set(self._cells_of(rows, of_session))
+        return self._cells[session]
+
+    def _cells_of(self, rows: Rows, chosen: Indices) -> Iterator[tuple[int, ...]]:
+        return map(tuple, np.floor(rows.positions[chosen] / self._config.cell).astype(np.int64).tolist())
 
     def _learn_map(self, rows: Rows, step: int) -> Indices:
         """Learn from the first `step` places that count; the sessions follow."""
@@ -84,9 +123,10 @@ class SiteLearner:
         changed = {
             session: self._sums(rows, session, step, self._of_session)
             for session, step in steps.items()
-            if step and (session not in self.site.session_means or step != self._of_session[session].count)
+            if step and (session not in self.site.session_means or step != self._steps[session])
         }
         self._of_session.update(changed)
+        self._steps.update({session: steps[session] for session in changed})
         self.site = self.site.with_sessions(changed)
         self._stale.clear()
         return list(changed)
@@ -96,6 +136,27 @@ class SiteLearner:
         if session in known and known[session].count == count:
             return known[session]
         return SessionSums.of(rows.vectors[self._by_session[session][:count]])
+
+
+def site_as_arrays(site: SiteStatistics | None, prefix: str) -> dict[str, NDArray[np.generic]]:
+    """Statistics as arrays whose names begin with `prefix`; empty ones for none."""
+    if site is None:
+        empty = np.zeros(0, dtype=np.float32)
+        site = SiteStatistics(empty, empty)
+    means = list(site.session_means.values())
+    return {
+        f"{prefix}mean": site.mean,
+        f"{prefix}spread": site.spread,
+        f"{prefix}sessions": np.array(list(site.session_means), dtype=np.int64),
+        f"{prefix}session_means": np.stack(means) if means else np.zeros((0, len(site.mean)), dtype=np.float32),
+    }
+
+
+def site_of_arrays(arrays: Mapping[str, NDArray[Any]], prefix: str) -> SiteStatistics | None:
+    """The inverse of `site_as_arrays`."""
+    mean, spread = arrays[f"{prefix}mean"], arrays[f"{prefix}spread"]
+    means = zip(arrays[f"{prefix}sessions"].tolist(), arrays[f"{prefix}session_means"], strict=True)
+    return SiteStatistics(mean, spread, dict(means)) if len(mean) else None
 
 
 def learn_plainly(rows: Rows, config: AdaptationConfig) -> SiteStatistics | None:

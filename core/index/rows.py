@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.index.descriptors import Descriptors, Indices, SharedRows
 from revisit.core.index.places import Array, Flags, IndexEntry, SearchFilter, checked_vectors
 
 SMALLEST_TO_COMPACT = 64
@@ -24,13 +25,29 @@ class Rows:
         self.ordinals = np.zeros(0, dtype=np.int64)
         self.positions = np.zeros((0, 3))
         self.alive = np.zeros(0, dtype=bool)
-        self.vectors = np.zeros((0, dimension), dtype=np.float32)
+        self.vectors = Descriptors(dimension)
+
+    @classmethod
+    def restored(
+        cls,
+        shared: SharedRows,
+        sessions: NDArray[np.int64],
+        ordinals: NDArray[np.int64],
+        positions: NDArray[np.float64],
+    ) -> Rows:
+        """Rows whose descriptors are shared, with what filters know of them (n,), positions (n, 3)."""
+        rows = cls(shared.vectors.shape[1])
+        rows.ids, rows.sessions, rows.ordinals, rows.positions = shared.ids, sessions, ordinals, positions
+        rows.alive, rows.count = np.ones(len(shared.ids), dtype=bool), len(shared.ids)
+        rows.vectors = Descriptors(shared.vectors.shape[1], shared)
+        rows.row_of = {identifier: row for row, identifier in enumerate(rows.ids.tolist())}
+        return rows
 
     def append(self, entries: Sequence[IndexEntry], vectors: Array) -> None:
         """Add places whose ids are new, with vectors (n, d) that were checked."""
         start, end = self.count, self.count + len(entries)
         self._reserve(end)
-        self.vectors[start:end] = vectors
+        self.vectors.put(start, vectors)
         for row, entry in enumerate(entries, start):
             self.row_of[entry.id] = row
             self.ids[row], self.sessions[row], self.ordinals[row] = entry.id, entry.session, entry.ordinal
@@ -51,7 +68,7 @@ class Rows:
             return False
         kept = self.live()
         self.ids, self.sessions, self.ordinals = self.ids[kept], self.sessions[kept], self.ordinals[kept]
-        self.positions, self.alive, self.vectors = self.positions[kept], self.alive[kept], self.vectors[kept]
+        self.positions, self.alive, self.vectors = self.positions[kept], self.alive[kept], self.vectors.only(kept)
         self.row_of = {identifier: row for row, identifier in enumerate(self.ids.tolist())}
         self.count = len(kept)
         return True
@@ -59,6 +76,20 @@ class Rows:
     def live(self) -> NDArray[np.intp]:
         """The rows of places that were not removed, in order."""
         return np.flatnonzero(self.alive[: self.count])
+
+    def descriptors(self, chosen: Indices) -> Array:
+        """The descriptors of those rows; zeros for removed places. Raises RowDiffers."""
+        lives = self.alive[chosen]
+        if lives.all():
+            return self.vectors[chosen]
+        found = np.zeros((len(chosen), self.vectors.dimension), dtype=np.float32)
+        found[lives] = self.vectors[chosen[lives]]
+        return found
+
+    def shared_of(self, ids: Sequence[int]) -> Indices:
+        """The rows of those ids whose descriptors are shared."""
+        rows = np.array([self.row_of[identifier] for identifier in ids if identifier in self.row_of], np.intp)
+        return rows[rows < self.vectors.shared_count]
 
     def passing(self, only: SearchFilter) -> Flags:
         """Which rows (count,) a search may find."""
@@ -70,7 +101,8 @@ class Rows:
             passes &= sessions == only.only_session
         if only.near is not None:
             session, ordinal, min_gap = only.near
-            passes &= (sessions != session) | (np.abs(self.ordinals[: self.count] - ordinal) >= min_gap)
+            own = np.flatnonzero(sessions == session) if min_gap > 0 else np.zeros(0, np.intp)
+            passes[own[np.abs(self.ordinals[own] - ordinal) < min_gap]] = False
         if only.position is not None and only.radius_m is not None:
             distances = np.linalg.norm(self.positions[: self.count] - only.position, axis=1)
             passes &= distances <= only.radius_m
@@ -80,7 +112,7 @@ class Rows:
 
     def differing(self, entries: Sequence[IndexEntry], vectors: Array) -> list[int]:
         """See PlaceIndex."""
-        expected = checked_vectors(entries, vectors, self.vectors.shape[1], {})
+        expected = checked_vectors(entries, vectors, self.vectors.dimension, {})
         return [entry.id for entry, vector in zip(entries, expected, strict=True) if not self._holds(entry, vector)]
 
     def _holds(self, entry: IndexEntry, vector: Array) -> bool:
@@ -89,14 +121,16 @@ class Rows:
             self.alive[row]
             and (self.ids[row], self.sessions[row], self.ordinals[row]) == (entry.id, entry.session, entry.ordinal)
             and np.array_equal(self.positions[row], entry.position)
-            and self.vectors[row].tobytes() == vector.tobytes()
+            and self.vectors.as_held(row).tobytes() == vector.tobytes()
         )
 
     def _reserve(self, wanted: int) -> None:
         if wanted <= len(self.ids):
             return
-        size = max(wanted, 2 * len(self.ids), SMALLEST_TO_COMPACT)
-        for name in ("ids", "sessions", "ordinals", "positions", "alive", "vectors"):
+        shared = self.vectors.shared_count
+        size = shared + max(wanted - shared, 2 * (len(self.ids) - shared), SMALLEST_TO_COMPACT)
+        self.vectors.reserve(size)
+        for name in ("ids", "sessions", "ordinals", "positions", "alive"):
             setattr(self, name, _enlarged(getattr(self, name), size))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import faiss
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from revisit.core.descriptor.adaptation import SiteStatistics
 from revisit.core.index.exact import asked, standardised
+from revisit.core.index.learning import site_as_arrays, site_of_arrays
 from revisit.core.index.places import Array, Flags, SearchFilter
 from revisit.core.index.rows import Rows
 
@@ -73,19 +75,49 @@ class CodedShortlist:
     Approximate: the k most similar rows are among a few hundred of its answers (figures: docs/decisions/0112).
     """
 
-    def __init__(self, rows: Rows, site: SiteStatistics | None) -> None:
-        """Learn the codes from a part of the `rows`; none is coded yet."""
-        dimension = rows.vectors.shape[1]
+    def __init__(self, dimension: int, site: SiteStatistics | None, learned_at: int) -> None:
+        """Codes that are not learned yet: see `learned` and `restored`. `learned_at`: of how many rows."""
+        self.learned_at = learned_at
         self._site = site
         self._faiss: Any = faiss.IndexPQFastScan(
             dimension, max(dimension // _ENTRIES_PER_CODE, 1), _BITS, faiss.METRIC_INNER_PRODUCT
         )
-        self._faiss.pq.cp.niter = _ITERATIONS
-        self._faiss.pq.cp.min_points_per_centroid = 1  # it warns below
+
+    @classmethod
+    def learned(cls, rows: Rows, site: SiteStatistics | None) -> CodedShortlist:
+        """Codes learned from a part of the `rows`; none is coded yet."""
+        made = cls(rows.vectors.dimension, site, rows.count)
+        made._faiss.pq.cp.niter = _ITERATIONS
+        made._faiss.pq.cp.min_points_per_centroid = 1  # it warns below
         live = rows.live()
         chosen = live[np.linspace(0, len(live) - 1, min(len(live), _TRAINED_ON)).astype(np.intp)]
-        self._faiss.train(standardised(rows, chosen, site))
-        self.learned_at = rows.count
+        made._faiss.train(standardised(rows, chosen, site))
+        return made
+
+    def stored(self, live: Indices) -> dict[str, NDArray[np.generic]]:
+        """The codes of the `live` rows and how they were learned, as arrays that do not change with it."""
+        if len(live) < self.count:
+            kept = self.restored(self._faiss.d, self.stored(np.arange(self.count)))
+            kept._faiss.remove_ids(np.setdiff1d(np.arange(self.count), live))
+            return kept.stored(np.arange(len(live)))
+        return {
+            "codes": self._table().copy(),
+            "coded": np.array([self.count, self.learned_at]),
+            "centroids": faiss.vector_to_array(self._faiss.pq.centroids).copy(),
+            **site_as_arrays(self._site, "coded_"),
+        }
+
+    @classmethod
+    def restored(cls, dimension: int, arrays: Mapping[str, NDArray[Any]]) -> CodedShortlist:
+        """What was `stored`."""
+        count, learned_at = arrays["coded"].tolist()
+        made = cls(dimension, site_of_arrays(arrays, "coded_"), learned_at)
+        faiss.copy_array_to_vector(arrays["centroids"], made._faiss.pq.centroids)
+        made._faiss.codes.resize(len(arrays["codes"]))
+        made._table()[:] = arrays["codes"]
+        made._faiss.ntotal, made._faiss.is_trained = count, True
+        made._faiss.ntotal2 = 2 * len(arrays["codes"]) // made._faiss.M2
+        return made
 
     @staticmethod
     def fits(dimension: int) -> bool:
@@ -105,3 +137,7 @@ class CodedShortlist:
         """`count` rows, the most similar to the unit query (d,) first, whether or not they pass the filter."""
         rows = self._faiss.search(asked(self._site, query, only)[None], min(count, self.count))[1][0]
         return np.asarray(rows[rows >= 0], dtype=np.intp)
+
+    def _table(self) -> NDArray[np.uint8]:
+        codes = self._faiss.codes
+        return np.asarray(faiss.rev_swig_ptr(codes.get(), codes.size()))

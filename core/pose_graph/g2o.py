@@ -6,7 +6,7 @@ quaternion is half the angle, so its information is four times that of the angle
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,9 @@ Array64 = NDArray[np.float64]
 
 _UPPER = np.triu_indices(6)
 _HALF_ANGLES = np.diag([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
+_LARGEST = 1e15
+"""No number of an edge is as large: what is would overflow where it is squared."""
+
 _OUT_OF_PLANE = 1e-6
 """Variance of what an SE2 edge does not say: z, roll and pitch, m^2 and rad^2."""
 
@@ -46,20 +49,29 @@ def write_g2o(graph: PoseGraph, T_map_submap: dict[str, Array64]) -> str:
 def read_g2o(text: str, session: str = "g2o") -> PoseGraph:
     """The edges of a graph as one session: those between successive vertices are its steps, the others are loops.
 
-    Raises MalformedBody where a line cannot be read or a step is missing.
+    Vertices may have any numbers, in any order: they are taken in ascending order. A step may be written backwards. A
+    line that stands twice counts once: the second one measures nothing.
+    Raises MalformedBody where a line cannot be read or is no measurement (a number that is not finite, information
+    that is not positive definite), or where a step is missing; BadField where an edge joins a vertex with itself.
     """
+    edges = list(_edges(text))
+    vertices = sorted({end for edge in edges for end in edge[:2]} | set(_vertices(text)))
+    ordinals = {vertex: row for row, vertex in enumerate(vertices)}
     steps: dict[int, tuple[se3.Matrix4, Array64]] = {}
     loops: list[LoopEdge] = []
-    for first, second, T_first_second, covariance in _edges(text):
-        if second == first + 1 and first not in steps:
-            steps[first] = (T_first_second, covariance)
-            continue
+    for one, other, T_first_second, covariance in edges:
+        first, second = ordinals[one], ordinals[other]
         turn = se3.adjoint(T_first_second)
-        name = f"{first}-{second}-{len(loops)}"
+        in_first = turn @ covariance @ turn.T
+        if abs(second - first) == 1 and min(first, second) not in steps:
+            forward = second > first
+            steps[min(first, second)] = (
+                (T_first_second, covariance) if forward else (se3.inverse(T_first_second), in_first)
+            )
+            continue
         ends = Node(session, first), Node(session, second)
-        loops.append(LoopEdge(name, *ends, T_first_second, turn @ covariance @ turn.T))
-    if not steps or sorted(steps) != list(range(len(steps))):
-        raise MalformedBody("the g2o graph lacks edges between successive vertices")
+        loops.append(LoopEdge(f"{one}-{other}-{len(loops)}", *ends, T_first_second, in_first))
+    _require_steps(steps, vertices)
     poses = [np.eye(4)]
     for number in range(len(steps)):
         poses.append(poses[-1] @ steps[number][0])
@@ -67,34 +79,66 @@ def read_g2o(text: str, session: str = "g2o") -> PoseGraph:
     return PoseGraph.of([trajectory], loops)
 
 
-def _edges(text: str) -> Iterator[tuple[int, int, se3.Matrix4, Array64]]:
-    """Ends, motion and covariance (6, 6), in the frame of the second end, of each edge."""
+def _require_steps(steps: Collection[int], vertices: list[int]) -> None:
+    """Raises MalformedBody where two successive vertices have no edge, or where there is none at all."""
+    if not steps:
+        raise MalformedBody("the g2o graph has no EDGE_SE2 and no EDGE_SE3:QUAT")
+    missing = next((row for row in range(len(vertices) - 1) if row not in steps), None)
+    if missing is not None:
+        one, other = vertices[missing], vertices[missing + 1]
+        raise MalformedBody(f"the g2o graph lacks an edge between successive vertices: {one} and {other}")
+
+
+def _vertices(text: str) -> Iterator[int]:
+    """The numbers of the vertices that have a line."""
     for line in text.splitlines():
         words = line.split()
+        if words and words[0] in ("VERTEX_SE2", "VERTEX_SE3:QUAT"):
+            try:
+                yield int(words[1])
+            except (ValueError, IndexError) as error:
+                raise MalformedBody(f"a g2o vertex cannot be read: {line[:80]!r}") from error
+
+
+def _edges(text: str) -> Iterator[tuple[int, int, se3.Matrix4, Array64]]:
+    """Ends, motion and covariance (6, 6), in the frame of the second end, of each edge."""
+    readers = {"EDGE_SE3:QUAT": (_spatial, 28), "EDGE_SE2": (_planar, 9)}
+    for line in dict.fromkeys(text.splitlines()):
+        words = line.split("#")[0].split()
+        if not words or words[0] not in readers:
+            continue
+        read, count = readers[words[0]]
         try:
-            if words[:1] == ["EDGE_SE3:QUAT"]:
-                yield int(words[1]), int(words[2]), *_spatial([float(word) for word in words[3:]])
-            elif words[:1] == ["EDGE_SE2"]:
-                yield int(words[1]), int(words[2]), *_planar([float(word) for word in words[3:]])
+            numbers = [float(word) for word in words[3:]]
+            if len(numbers) != count or not np.abs(numbers).max() < _LARGEST:
+                raise ValueError(f"{count} finite numbers are wanted")
+            yield int(words[1]), int(words[2]), *read(numbers)
         except (ValueError, IndexError, np.linalg.LinAlgError) as error:
-            raise MalformedBody(f"a g2o edge cannot be read: {line[:80]!r}") from error
+            raise MalformedBody(f"a g2o edge cannot be read ({error}): {line[:80]!r}") from error
+
+
+def _inverted(information: Array64) -> Array64:
+    """A covariance from the upper half of an information matrix. Raises LinAlgError unless positive definite."""
+    information = information + np.triu(information, 1).T
+    np.linalg.cholesky(information)
+    return np.asarray(np.linalg.inv(information))
 
 
 def _spatial(numbers: list[float]) -> tuple[se3.Matrix4, Array64]:
     information = np.zeros((6, 6))
     information[_UPPER] = numbers[7:28]
-    information += np.triu(information, 1).T
-    quaternion = np.array(numbers[3:7])
-    pose = se3.from_quaternion(quaternion / np.linalg.norm(quaternion), numbers[:3])
-    return pose, np.asarray(np.linalg.inv(_HALF_ANGLES @ information @ _HALF_ANGLES))
+    norm = float(np.linalg.norm(numbers[3:7]))
+    if not norm > 0.0:
+        raise ValueError("the quaternion is zero")
+    pose = se3.from_quaternion(np.array(numbers[3:7]) / norm, numbers[:3])
+    return pose, _inverted(_HALF_ANGLES @ information @ _HALF_ANGLES)
 
 
 def _planar(numbers: list[float]) -> tuple[se3.Matrix4, Array64]:
     information = np.zeros((3, 3))
     information[np.triu_indices(3)] = numbers[3:9]
-    information += np.triu(information, 1).T
     covariance = np.eye(6) * _OUT_OF_PLANE
-    covariance[np.ix_([0, 1, 5], [0, 1, 5])] = np.linalg.inv(information)
+    covariance[np.ix_([0, 1, 5], [0, 1, 5])] = _inverted(information)
     return se3.from_yaw(numbers[2], (numbers[0], numbers[1], 0.0)), covariance
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.sanity.finding import Finding
-from revisit.core.scan import MAX_SCENE_M, Scan
+from revisit.core.scan import MAX_SCENE_M, Scan, spread_pieces
 
 Array = NDArray[np.float64]
 Poses = NDArray[np.float64]
@@ -114,13 +114,7 @@ def _columns(scan: Scan) -> int:
 
 
 def _rows(scan: Scan) -> NDArray[np.floating]:
-    """At most about 30,000 points: pieces of `_PIECE` rows as they follow each other, evenly spread."""
-    count = len(scan.points) // _PIECE
-    if count <= 1:
-        return scan.points
-    pieces = scan.points[: count * _PIECE].reshape(count, _PIECE, 3)
-    return pieces[:: -(-count * _PIECE // _MOST_ROWS)].reshape(-1, 3)
+    return spread_pieces(scan.points, _MOST_ROWS)
 
 
-_PIECE = 60  # a whole number of times 3 and 5
 _MOST_ROWS = 30_000

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from revisit.core.config import VerificationConfig
 from revisit.core.correspondences import Correspondences
@@ -38,5 +39,14 @@ def fit_planar_pose(correspondences: Correspondences, config: VerificationConfig
         if agree.sum() < 2:
             return KeypointFit(pose, int(agree.sum()), len(correspondences))
         pose = least_squares_pose(source[agree], target[agree])
+    return _fit_of(pose, agree, correspondences)
+
+
+def fit_of_pose(pose: PlanarPose, correspondences: Correspondences, config: VerificationConfig) -> KeypointFit:
+    """How well a pose that is known otherwise fits the keypoints."""
+    return _fit_of(pose, correspondences.agreeing(pose, config), correspondences)
+
+
+def _fit_of(pose: PlanarPose, agree: NDArray[np.bool_], correspondences: Correspondences) -> KeypointFit:
     distinct = min(len(np.unique(side)) for side in correspondences.pairs[agree].T)
     return KeypointFit(pose, distinct, len(correspondences))

@@ -26,10 +26,16 @@ _ICP_EDGE_M = 1.5  # of the columns in which counterparts are sought, two for ea
 
 @dataclass(frozen=True)
 class Registration:
-    """Where ICP ended: T_match_query (4, 4), and whether it was refined or given up after the coarse steps."""
+    """Where ICP ended: T_match_query (4, 4), and whether it was refined or given up after the coarse steps.
+
+    agreement: the share of the few points of the coarse steps that then lay on the other surface; left_out: where the
+    other starts were when this one went on alone.
+    """
 
     T_match_query: se3.Matrix4
     refined: bool
+    agreement: float = 0.0
+    left_out: tuple[se3.Matrix4, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -50,24 +56,65 @@ def register(
 ) -> Registration:
     """Point-to-plane ICP from the best of `starts` (each T_match_query), coarse first and then fine.
 
-    All starts are refined coarsely with few points. Only the one on which most points agree is refined with all. Where
-    less than `min_agreement` of them do, not even that one is: most candidates are no loops, and fine steps cost time.
+    All starts are refined by a few coarse steps on few points; the one on which most of them agree then goes on alone
+    (docs/decisions/0204). Where too little of what stands lies on the other surface after the coarse steps, there are
+    no fine ones: most candidates are no loops, and fine steps cost time.
     """
-    approached = [_approach(start, query, match, config) for start in starts]
-    T_match_query, agreement = max(approached, key=lambda pose: pose[1])
-    if agreement < config.min_agreement:
-        return Registration(T_match_query, refined=False)
-    return Registration(iterate(T_match_query, query, match, config.fine_distance, config.fine_rounds), refined=True)
+    if len(starts) == 1:
+        return _refined(_approach(starts[0], query, match, config, config.coarse_rounds), (), query, match, config)
+    approached = [_approach(start, query, match, config, config.first_rounds) for start in starts]
+    best = max(range(len(starts)), key=lambda row: approached[row].agreement)
+    left_out = tuple(one.T_match_query for row, one in enumerate(approached) if row != best)
+    gone_on = _approach(approached[best].T_match_query, query, match, config, _further(config))
+    return _refined(gone_on, left_out, query, match, config)
+
+
+def reconsider(
+    registration: Registration, query: OrientedPoints, match: OrientedPoints, config: VerificationConfig
+) -> Registration | None:
+    """The registration from a start that was left out, where on all coarse steps more points agree on it."""
+    gone_on = [_approach(one, query, match, config, _further(config)) for one in registration.left_out]
+    best = max(gone_on, key=lambda one: one.agreement, default=None)
+    if best is None or best.agreement <= registration.agreement:
+        return None
+    return _refined(best, (), query, match, config)
+
+
+@dataclass(frozen=True)
+class _Approached:
+    """A pose after coarse steps, the share of the few points that lie on the other surface, and of those that stand
+    in the common region.
+    """
+
+    T_match_query: se3.Matrix4
+    agreement: float
+    overlap: float
 
 
 def _approach(
-    T_start: se3.Matrix4, query: OrientedPoints, match: OrientedPoints, config: VerificationConfig
-) -> tuple[se3.Matrix4, float]:
-    """A coarsely refined start, and the share of the points used that then lie on the other surface."""
+    T_start: se3.Matrix4, query: OrientedPoints, match: OrientedPoints, config: VerificationConfig, rounds: int
+) -> _Approached:
     few = query.kept(OrientedPoints.thinned, config.coarse_share)
-    T_match_query = iterate(T_start, few, match, config.coarse_distance, config.coarse_rounds)
-    touching = contact_in_pose(T_match_query, few, match, config).touching
-    return T_match_query, touching / max(len(few.points), 1)
+    T_match_query = iterate(T_start, few, match, config.coarse_distance, rounds)
+    found = contact_in_pose(T_match_query, few, match, config)
+    return _Approached(T_match_query, found.touching / max(len(few.points), 1), found.share)
+
+
+def _further(config: VerificationConfig) -> int:
+    return max(config.coarse_rounds - config.first_rounds, 0)
+
+
+def _refined(
+    found: _Approached,
+    left_out: tuple[se3.Matrix4, ...],
+    query: OrientedPoints,
+    match: OrientedPoints,
+    config: VerificationConfig,
+) -> Registration:
+    if found.agreement < config.min_agreement or found.overlap < config.min_coarse_overlap * config.min_overlap:
+        return Registration(found.T_match_query, False, found.agreement, left_out)
+    T_match_query = iterate(found.T_match_query, query, match, config.fine_distance, config.fine_rounds)
+    return Registration(T_match_query, True, found.agreement, left_out)
 
 
 def iterate(

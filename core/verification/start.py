@@ -16,7 +16,7 @@ from revisit.core.geometry.se2 import PlanarPose
 from revisit.core.kernels.plan_images import plan_density
 from revisit.core.kernels.seen_columns import heights_above
 from revisit.core.place import Place
-from revisit.core.verification.keypoint_fit import KeypointFit, fit_planar_pose
+from revisit.core.verification.keypoint_fit import KeypointFit, fit_of_pose, fit_planar_pose
 from revisit.core.verification.oriented_points import COLUMN_M, OrientedPoints
 
 Array64 = NDArray[np.float64]
@@ -45,6 +45,12 @@ def find_start(query: Place, match: Place, config: VerificationConfig) -> Start:
     fit = fit_planar_pose(correspond(query, match, config.correspondences), config)
     planar = [fit.pose] if fit.inliers >= config.sure_inliers else [fit.pose, *correlate(query, match, config)]
     return Start(fit, tuple(lift(pose, query, match) for pose in planar[: config.starts]))
+
+
+def start_at(T_match_query: se3.Matrix4, query: Place, match: Place, config: VerificationConfig) -> Start:
+    """A pose that is known otherwise, in the level frames, as the only one; the fit tells how many keypoints agree."""
+    planar = PlanarPose(float(np.arctan2(T_match_query[1, 0], T_match_query[0, 0])), T_match_query[:2, 3])
+    return Start(fit_of_pose(planar, correspond(query, match, config.correspondences), config), (T_match_query,))
 
 
 def correlate(query: Place, match: Place, config: VerificationConfig) -> list[PlanarPose]:

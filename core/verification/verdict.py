@@ -18,9 +18,9 @@ from revisit.core.scan_disagreement import ScanDisagreement
 from revisit.core.verification.evidence import Evidence, gather_evidence
 from revisit.core.verification.keypoint_fit import KeypointFit
 from revisit.core.verification.oriented_points import OrientedPoints
-from revisit.core.verification.registration import Registration, observability, register
+from revisit.core.verification.registration import Registration, observability, reconsider, register
 from revisit.core.verification.rivals import Hypothesis, find_rivals
-from revisit.core.verification.start import find_start
+from revisit.core.verification.start import find_start, start_at
 
 
 class RejectionReason(StrEnum):
@@ -84,16 +84,23 @@ def verify(
     near: se3.Matrix4 | None = None,
     *,
     near_decides: bool = True,
+    expected: se3.Matrix4 | None = None,
 ) -> VerifiedLoop | RejectedLoop:
     """Whether two submaps show the same place, and how they lie to each other.
 
     `near` (4, 4), a T_match_query between the submap frames that somebody names, is where registration starts then,
     alone. Where it decides, other poses that fit as well do not count against it; else they do, as they do without it.
+    `expected` (4, 4), a guess at it, is tried first: where the pair passes everything from there, that is the answer,
+    else the one without a guess. A wrong guess costs time alone.
 
     Nothing in it is random, and the answer does not depend on which place is the query: `verify(b, a)` has the verdict,
     reason and evidence of `verify(a, b)`, and the inverse pose. Raises DescriptorModelMismatch where the places come
     from different codebooks or scene scales.
     """
+    if expected is not None and near is None:
+        found = verify(query, match, similarity, config, expected, near_decides=False)
+        if isinstance(found, VerifiedLoop):
+            return found
     if query.content_digest <= match.content_digest:
         return _verify_in_order(query, match, similarity, config, near, near_decides)
     exchanged = None if near is None else se3.inverse(near)
@@ -116,21 +123,47 @@ def _verify_in_order(
         raise DescriptorModelMismatch
     if is_degenerate(query, config) or is_degenerate(match, config):
         return RejectedLoop(RejectionReason.DEGENERATE_PLACE)
-    start = find_start(query, match, config)
-    if near is not None:
-        start = dataclasses.replace(start, poses=(motion_between_levels(near, query.frame, match.frame),))
+    start = (
+        find_start(query, match, config)
+        if near is None
+        else start_at(motion_between_levels(near, query.frame, match.frame), query, match, config)
+    )
     surfaces = OrientedPoints.of(query), OrientedPoints.of(match)
     registration = register(start.poses, *surfaces, config)
-    evidence = gather_evidence(registration, *surfaces, config)
-    enough = max(config.min_common, config.min_common_share * min(query.standing_count, match.standing_count))
-    measurement = _measure(start.fit, registration, evidence, similarity, config)
-    reason = _rejection(registration, evidence, measurement.score, enough, config)
+    measurement, reason = _judged(registration, start.fit, query, match, similarity, config)
+    other = reconsider(registration, *surfaces, config) if reason in _OF_A_POSE else None
+    if other is not None:
+        measurement, reason = _judged(other, start.fit, query, match, similarity, config)
     if reason is None and not (near is not None and near_decides):
-        rivals = find_rivals(registration.T_match_query, *surfaces, config)
+        rivals = find_rivals(measurement.T_match_query, *surfaces, config)
         measurement = dataclasses.replace(measurement, rivals=rivals)
         reason = RejectionReason.AMBIGUOUS if rivals else None
     measurement = _unlevelled(measurement, query, match, config)
     return VerifiedLoop(measurement) if reason is None else RejectedLoop(reason, measurement)
+
+
+_OF_A_POSE = (
+    RejectionReason.DEGENERATE_ALIGNMENT,
+    RejectionReason.IMPLAUSIBLE_TILT,
+    RejectionReason.SEEN_THROUGH,
+    RejectionReason.LOW_SCORE,
+)
+"""Reasons that a wrong pose has which shares much surface: then the starts that were left out are asked."""
+
+
+def _judged(
+    registration: Registration,
+    fit: KeypointFit,
+    query: Place,
+    match: Place,
+    similarity: float,
+    config: VerificationConfig,
+) -> tuple[LoopMeasurement, RejectionReason | None]:
+    """What is measured of a registration, in the level frames, and the first gate that it does not pass."""
+    evidence = gather_evidence(registration, OrientedPoints.of(query), OrientedPoints.of(match), config)
+    enough = max(config.min_common, config.min_common_share * min(query.standing_count, match.standing_count))
+    measurement = _measure(fit, registration, evidence, similarity, config)
+    return measurement, _rejection(registration, evidence, measurement.score, enough, config)
 
 
 def is_degenerate(place: Place, config: VerificationConfig) -> bool:

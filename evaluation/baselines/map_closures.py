@@ -11,12 +11,16 @@ import importlib
 import importlib.util
 from collections.abc import Iterable, Iterator
 
+import numpy as np
+
 from revisit.core.scan import Points
 
 NAME = "map-closures"
 PACKAGE = "map_closures"
 VOXEL_M, MAX_RANGE_M = 0.5, 100.0
 """Of the package's own pipeline, version 2.2.0."""
+MAP_M = 100.0
+"""Length of a map in that pipeline, in metres travelled."""
 
 
 def is_installed() -> bool:
@@ -24,18 +28,22 @@ def is_installed() -> bool:
     return importlib.util.find_spec(PACKAGE) is not None
 
 
+def in_voxels(points: Points) -> Points:
+    """The points (n, 3) that its voxel map keeps of a cloud, metres: it looks at densities, which near the path drown
+    all else in raw clouds. Raises ModuleNotFoundError where the package is not installed."""
+    kept = importlib.import_module(f"{PACKAGE}.voxel_map").VoxelMap(VOXEL_M, MAX_RANGE_M)
+    kept.add_points(points)
+    return np.asarray(kept.point_cloud(), dtype=np.float32)
+
+
 def find_closures(clouds: Iterable[Points]) -> Iterator[dict[int, int]]:
     """For every cloud (n, 3) in turn, metres: which earlier clouds show the same place, by number.
 
     The value is the number of key points that agree on one alignment. As in the package's own pipeline, clouds pass
-    through its voxel map: it looks at densities, which near the path drown all else in raw clouds. It never compares a
-    cloud with the three before it, and seeds its RANSAC at random: the numbers vary from run to run.
-    Raises ModuleNotFoundError where the package is not installed.
+    through its voxel map. It never compares a cloud with the three before it, and seeds its RANSAC at random: the
+    numbers vary from run to run. Raises ModuleNotFoundError where the package is not installed.
     """
     memory = importlib.import_module(f"{PACKAGE}.map_closures").MapClosures()
-    voxel_map = importlib.import_module(f"{PACKAGE}.voxel_map").VoxelMap
     for number, points in enumerate(clouds):
-        voxels = voxel_map(VOXEL_M, MAX_RANGE_M)
-        voxels.add_points(points)
-        closures = memory.get_closures(number, voxels.point_cloud())
+        closures = memory.get_closures(number, in_voxels(points))
         yield {int(closure.source_id): int(closure.number_of_inliers) for closure in closures}

@@ -15,6 +15,8 @@ from scipy.spatial import cKDTree
 
 from revisit.core.scan import Points
 from revisit.evaluation.baselines.place_recogniser import Descriptor
+from revisit.evaluation.baselines.plane_edges import spaced
+from revisit.evaluation.baselines.stable_triangles import neighbour_triples
 
 Floats = NDArray[np.float64]
 
@@ -58,7 +60,7 @@ class Triangles:
         result = np.full((self.most, _SIDES + _CORNERS), np.nan, dtype=np.float32)
         if len(keys) < 3:
             return result
-        corners = keys[_neighbour_triples(keys, self.neighbours)]
+        corners = keys[neighbour_triples(keys, self.neighbours)]
         sides = np.linalg.norm(corners[:, [1, 2, 0]] - corners[:, [2, 0, 1]], axis=2)
         # Sides of a step apart tell the corners of one triangle from another's; longer ones are too rare to be met.
         order = np.argsort(sides, axis=1)
@@ -93,7 +95,8 @@ class Triangles:
         upright = centre[top - bottom > self.min_rise_m]
         clearness = _one_sidedness(upright, self.around_m)
         order = np.argsort(-clearness, kind="stable")
-        return _spaced(upright[order[clearness[order] > _ONE_SIDED]], self.spacing_m)[: self.key_points]
+        clear: Floats = upright[order[clearness[order] > _ONE_SIDED]]
+        return clear[spaced(clear, self.spacing_m)][: self.key_points]
 
     def _keys(self, rows: Descriptor) -> NDArray[np.int64]:
         """One number a triangle, from its rounded sides."""
@@ -128,26 +131,6 @@ def _one_sidedness(points: Floats, radius: float) -> Floats:
     offset = np.array([np.linalg.norm(points[near].mean(axis=0) - points[i]) for i, near in enumerate(neighbours)])
     alone = np.array([len(near) <= _POST_PIXELS for near in neighbours])
     return np.where(alone, 1.0, offset / radius)
-
-
-def _spaced(points: Floats, spacing: float) -> Floats:
-    """The points (n, 2) that have no earlier kept one within `spacing`."""
-    if len(points) == 0:
-        return points
-    neighbours = cKDTree(points).query_ball_point(points, spacing)
-    kept = np.zeros(len(points), dtype=bool)
-    for index, near in enumerate(neighbours):
-        kept[index] = not kept[[other for other in near if other < index]].any()
-    return points[kept]
-
-
-def _neighbour_triples(keys: Floats, neighbours: int) -> NDArray[np.int64]:
-    """Indices (t, 3) of every key point with every two of its nearest, each triangle once."""
-    near = cKDTree(keys).query(keys, k=min(neighbours + 1, len(keys)))[1][:, 1:]
-    i, j = np.triu_indices(near.shape[1], k=1)
-    triples = np.stack([np.repeat(np.arange(len(keys)), len(i)), near[:, i].ravel(), near[:, j].ravel()], axis=1)
-    _, first = np.unique(np.sort(triples, axis=1), axis=0, return_index=True)
-    return np.asarray(triples[np.sort(first)])
 
 
 def _equal_pairs(first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -69,7 +69,7 @@ class PoseTopic:
 class BagTopics:
     """All that was found, with every topic's type and how many poses were no rigid motions and were left out.
 
-    `cut` is the file that ends within a record, "" where none does.
+    `cut` is the file that ends within a record, "" where none does; `unreadable` messages were left out, too.
     """
 
     clouds: dict[str, CloudTopic]
@@ -78,6 +78,7 @@ class BagTopics:
     types: dict[str, str]
     broken_poses: int
     cut: str = ""
+    unreadable: int = 0
 
 
 @dataclass
@@ -90,31 +91,40 @@ class _Pass:
     fixed: list[StampedTransform] = field(default_factory=list)
     paths: dict[str, Message] = field(default_factory=dict)
     broken: int = 0
+    unreadable: list[str] = field(default_factory=list)
 
     def take(self, message: Message) -> None:
-        """Note a message of use. Raises MalformedBody."""
+        """Note a message of use, or that it cannot be read: a damaged one does not cost the drive."""
         try:
-            if message.message_type in CLOUD_TYPES:
-                self._cloud(message)
-            elif message.message_type in POSE_TYPES:
-                pose = read_pose(message.data, message.message_type, message.encoding)
-                self.poses.setdefault(message.topic, PoseTopic(message.topic)).poses.append(pose)
-            elif message.message_type in PATH_TYPES:
-                self.paths[message.topic] = message  # each holds those before it, the last one all
-            elif message.message_type in TRANSFORM_TYPES:
-                told = self.fixed if message.topic.endswith("tf_static") else self.moving
-                told += read_transforms(message.data, message.encoding)
+            self._take(message)
         except BadTransform:
             # An odometry that has not started publishes zeros.
             self.broken += 1
+        except MalformedBody as error:
+            self.unreadable.append(f"{message.topic}: {error.message}")
+
+    def _take(self, message: Message) -> None:
+        if message.message_type in CLOUD_TYPES:
+            self._cloud(message)
+        elif message.message_type in POSE_TYPES:
+            pose = read_pose(message.data, message.message_type, message.encoding)
+            self.poses.setdefault(message.topic, PoseTopic(message.topic)).poses.append(pose)
+        elif message.message_type in PATH_TYPES:
+            self.paths[message.topic] = message  # each holds those before it, the last one all
+        elif message.message_type in TRANSFORM_TYPES:
+            told = self.fixed if message.topic.endswith("tf_static") else self.moving
+            told += read_transforms(message.data, message.encoding)
 
     def finish(self) -> None:
-        """Read what only the last message of a topic tells. Raises MalformedBody."""
+        """Read what only the last message of a topic tells."""
         for topic, message in self.paths.items():
             try:
                 poses = read_path(message.data, message.encoding)
             except BadTransform:
                 self.broken += 1
+                continue
+            except MalformedBody as error:
+                self.unreadable.append(f"{topic}: {error.message}")
                 continue
             if poses:
                 self.poses.setdefault(topic, PoseTopic(topic)).poses.extend(poses)
@@ -128,12 +138,18 @@ class _Pass:
 
 
 def read_topics(bag: Bag) -> BagTopics:
-    """Read a bag once, front to back. Raises MalformedBody, UnsupportedEncoding."""
+    """Read a bag once, front to back. Raises MalformedBody, UnsupportedEncoding.
+
+    Messages that cannot be read are counted; where none of the clouds, or of what moves, can, the bag is refused.
+    """
     gathered = _Pass()
     for message in bag.messages():
         gathered.take(message)
     gathered.finish()
     if bag.cut and not gathered.clouds:
         raise MalformedBody(f"{bag.cut} ends within a record, before the first cloud")
+    lost = gathered.unreadable
+    if lost and not (gathered.clouds and (gathered.poses or gathered.moving)):
+        raise MalformedBody(f"{len(lost)} messages cannot be read, the first of {lost[0]}")
     tree = TransformTree(gathered.moving, gathered.fixed)
-    return BagTopics(gathered.clouds, gathered.poses, tree, dict(bag.topics), gathered.broken, bag.cut)
+    return BagTopics(gathered.clouds, gathered.poses, tree, dict(bag.topics), gathered.broken, bag.cut, len(lost))

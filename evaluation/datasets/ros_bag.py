@@ -103,6 +103,8 @@ def _notes(pair: Pairing, found: BagTopics, kept: int, files: int) -> tuple[str,
         notes.append(f"{files} files read as one recording")
     if found.broken_poses:
         notes.append(f"warning: {found.broken_poses} messages with poses that are no rigid motions were left out")
+    if found.unreadable:
+        notes.append(f"warning: {found.unreadable} messages cannot be read and were left out")
     if found.cut:
         notes.append(f"warning: {found.cut} ends within a record, as after a loss of power: read as far as it goes")
     return tuple(notes)

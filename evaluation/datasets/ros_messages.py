@@ -116,11 +116,19 @@ def read_points(message: bytes, encoding: Encoding = "cdr") -> Points:
     columns = tuple(_column(fields) for _ in range(count))
     big_endian = bool(fields.number("B"))
     point_step, row_step = (int(value) for value in fields.numbers("I", 2))
-    data = fields.raw()
-    if height > 1 and row_step != width * point_step:
-        data = b"".join(data[row * row_step : row * row_step + width * point_step] for row in range(height))
+    data = _without_padding(fields.raw(), height, width * point_step, row_step)
     packed = PackedCloud(columns, point_step, width, data, height, big_endian)
     return decode_packed(packed, CloudLimits()).points
+
+
+def _without_padding(data: bytes, height: int, row_bytes: int, row_step: int) -> bytes:
+    """The rows of a cloud side by side; `data` as it is where it has not the size of rows `row_step` apart.
+
+    What the message says of its size is believed only if its bytes bear it out.
+    """
+    if row_step <= row_bytes or len(data) != height * row_step:
+        return data
+    return np.frombuffer(data, dtype=np.uint8).reshape(height, row_step)[:, :row_bytes].tobytes()
 
 
 def read_pose(message: bytes, message_type: str, encoding: Encoding = "cdr") -> StampedTransform:
@@ -167,5 +175,6 @@ def _transform(fields: _Fields) -> StampedTransform:
 
 
 def _column(fields: _Fields) -> PointField:
+    """A field of a point; some drivers write a count of 0 where they mean 1."""
     name, offset = fields.text(), int(fields.number("I"))
-    return PointField(name, offset, int(fields.number("B")), int(fields.number("I")))
+    return PointField(name, offset, int(fields.number("B")), max(int(fields.number("I")), 1))

@@ -223,6 +223,11 @@ def _no_poses(found: BagTopics, clouds: list[CloudTopic], wanted: WantedTopics) 
     cloud = clouds[0]
     if wanted.odometry == TF:
         return f"the transforms do not tell how {cloud.frame or 'the sensor'} moves: {_listed(found)}"
+    if found.broken_poses and not found.poses:
+        return (
+            f"{cloud.name} (frame {cloud.frame}) has no poses: all {found.broken_poses} in the bag are no rigid "
+            "motions. They hold NaN, or quaternions (x, y, z, w) that are not of length 1"
+        )
     return (
         f"{cloud.name} (frame {cloud.frame}) has no poses: the bag needs a nav_msgs/Odometry, a nav_msgs/Path, a "
         f"geometry_msgs/PoseStamped, or transforms above {cloud.frame} that move. Run a LiDAR odometry (KISS-ICP, "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +12,11 @@ import torch
 
 from revisit.core.config import PipelineConfig
 from revisit.core.model_bundle import load_packaged_models
-from revisit.core.submap import Submap
 from revisit.evaluation.baselines import AugmentedScanContext, PlaceRecogniser, Ring, RingPlusPlus, ScanContext
 from revisit.evaluation.domains.catalogue import Domain, Pass, Setting
 from revisit.evaluation.domains.drives import DrivenWorld
 from revisit.evaluation.domains.report import draw_world, write_domains
-from revisit.evaluation.loop_closure_method import Description, LoopClosureMethod, RevisitMethod, Verdict
+from revisit.evaluation.loop_closure_method import LoopClosureMethod, RememberedVerdicts, RevisitMethod
 from revisit.evaluation.protocols.comparison import (
     ComparedSubmap,
     Comparison,
@@ -31,24 +30,6 @@ from revisit.evaluation.protocols.experiment import Experiment
 
 PEERS: tuple[PlaceRecogniser, ...] = (Ring(), RingPlusPlus(), ScanContext(), AugmentedScanContext())
 PROTOCOL = "domain"
-
-
-@dataclass(frozen=True)
-class RememberedVerdicts:
-    """A method that verifies each pair of places once: several searches may propose the same pair."""
-
-    method: LoopClosureMethod
-    known: dict[tuple[bytes, bytes], Verdict] = field(default_factory=dict, repr=False)
-
-    def describe(self, submap: Submap, seed: int) -> Description:
-        """As the method does."""
-        return self.method.describe(submap, seed)
-
-    def verify(self, query: bytes, match: bytes, similarity: float) -> Verdict:
-        """As the method does the first time; its verdict must not depend on the similarity."""
-        if (query, match) not in self.known:
-            self.known[query, match] = self.method.verify(query, match, similarity)
-        return self.known[query, match]
 
 
 def evaluate_domain(

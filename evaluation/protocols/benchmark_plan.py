@@ -13,9 +13,9 @@ from typing import Protocol
 from revisit.core.config import LoopConfig, PipelineConfig, SubmapConfig
 from revisit.core.descriptor.fusion import without_parts
 from revisit.core.model_bundle import load_packaged_models
-from revisit.evaluation.baselines import ALL_BASELINES, PlaceRecogniser
+from revisit.evaluation.baselines import ALL_BASELINES, PlaceRecogniser, map_closures
 from revisit.evaluation.datasets import PosedClouds, Recording, open_recording
-from revisit.evaluation.loop_closure_method import LoopClosureMethod, RevisitMethod
+from revisit.evaluation.loop_closure_method import LoopClosureMethod, RememberedVerdicts, RevisitMethod
 from revisit.evaluation.metrics import LoopProtocol
 from revisit.evaluation.perturbations import Perturbation
 from revisit.evaluation.protocols.comparison import (
@@ -26,8 +26,10 @@ from revisit.evaluation.protocols.comparison import (
     QueriesAndMap,
     compare,
     describe_recording,
+    verified_result,
 )
 from revisit.evaluation.protocols.experiment import Experiment
+from revisit.evaluation.protocols.sequential_baseline import with_map_closures
 from revisit.evaluation.protocols.towns import DRIVES, SESSIONS
 from revisit.evaluation.scene import estimate_scene_scale
 
@@ -73,7 +75,8 @@ class BenchmarkPlan:
     """What to run. `drives` and `protocols` name a part of it; lengths in metres, jobs in processes.
 
     `folder` takes the results, `recordings` the simulated drives. Submaps start every 10 m and do not overlap, so that
-    a drive is affordable; the gap of 25 of them is 250 m.
+    a drive is affordable; the gap of 25 of them is 250 m. With `verified_peers` the first candidates of each baseline
+    are verified, too.
     """
 
     folder: Path
@@ -86,6 +89,7 @@ class BenchmarkPlan:
     loops: LoopProtocol = LoopProtocol(min_index_gap=25)
     candidates: int = LoopConfig().candidates
     jobs: int = 1
+    verified_peers: bool = False
 
     def pipeline(self, scene_scale: float) -> PipelineConfig:
         """The product's parameters for a scene of that scale."""
@@ -109,7 +113,12 @@ class BenchmarkPlan:
         if ablation != "none":
             return [(who, product)]
         peers = Comparison(None, submap, self.loops, self.baselines, 0, scene_scale, jobs=self.jobs)
-        return [(who, product), (repr((self.baselines, scene_scale)), peers)]
+        about = repr((self.baselines, scene_scale, map_closures.is_installed()))
+        if not self.verified_peers or product.method is None:
+            return [(who, product), (about, peers)]
+        method = RememberedVerdicts(product.method)
+        both = dataclasses.replace(peers, method=method, candidates=candidates, verified_peers=True)
+        return [(f"{who} {about}", both)]
 
 
 def run_plan(plan: BenchmarkPlan, report: Progress, method: LoopClosureMethod | None = None) -> Iterator[Experiment]:
@@ -140,12 +149,17 @@ class _DriveExperiments:
         asked_under = TURNED if protocol == "rotation" else HARDER.get(protocol, PLAIN)
         queries = self._submaps(PerturbedRecording(recording, asked_under), comparison)
         known = self._submaps(PerturbedRecording(recording), comparison) if protocol in HARDER else queries
-        return compare(
-            protocol, comparison, QueriesAndMap(recording.name, recording.name, queries, known), self._report
-        )
+        submaps = QueriesAndMap(recording.name, recording.name, queries, known)
+        compared = compare(protocol, comparison, submaps, self._report)
+        if protocol != "online" or not comparison.baselines or not map_closures.is_installed():
+            return compared
+        behind = partial(verified_result, comparison, submaps, self._report) if comparison.verified_peers else None
+        return with_map_closures(compared, recording, comparison.submap, behind, comparison.candidates)
 
     def _submaps(self, source: PerturbedRecording, comparison: Comparison) -> list[ComparedSubmap]:
         method = comparison.method
+        if isinstance(method, RememberedVerdicts):
+            return self._joined(source, comparison, method)
         if isinstance(method, RevisitMethod) and method.ablation in ("bev-only", "normals-only"):
             whole = self._submaps(
                 source, dataclasses.replace(comparison, method=dataclasses.replace(method, ablation="none"))
@@ -155,6 +169,15 @@ class _DriveExperiments:
         if key not in self._described:
             self._described[key] = describe_recording(source, comparison, self._report)
         return self._described[key]
+
+    def _joined(
+        self, source: PerturbedRecording, comparison: Comparison, method: RememberedVerdicts
+    ) -> list[ComparedSubmap]:
+        """What the product and what the baselines described, each apart, as one."""
+        product = self._submaps(source, dataclasses.replace(comparison, method=method.method, baselines=()))
+        peers = self._submaps(source, dataclasses.replace(comparison, method=None))
+        pairs = zip(product, peers, strict=True)
+        return [dataclasses.replace(peer, submap=own.submap) for own, peer in pairs]
 
 
 def _part(described: ComparedSubmap, method: RevisitMethod) -> ComparedSubmap:

@@ -112,15 +112,13 @@ def describe_recording(source: PerturbedRecording, comparison: Comparison, repor
 def compare(protocol: str, comparison: Comparison, submaps: QueriesAndMap, report: Progress) -> Experiment:
     """Match every query by every method."""
     ground_truth = _ground_truth(submaps, comparison.loops)
-    results = (
-        _product_results(comparison.method, submaps, ground_truth, comparison, report) if comparison.method else []
-    )
+    results = _product_results(submaps, ground_truth, comparison, report) if comparison.method else []
     for column, baseline in enumerate(comparison.baselines):
         matches, search_s = _baseline_matches(baseline, column, submaps, ground_truth, comparison.candidates)
         results.append(_baseline_result(baseline, column, submaps, matches, search_s))
         if comparison.method and comparison.verified_peers:
             name = verified_name(baseline.name)
-            results.append(_verified_result(comparison.method, submaps, matches, comparison, report, name))
+            results.append(verified_result(comparison, submaps, report, matches, name))
         report("compare", column + 1, len(comparison.baselines))
     return Experiment(
         sequence=submaps.name, protocol=protocol, query_recording=submaps.query_recording,
@@ -144,9 +142,9 @@ def _describe(context: tuple[DescriptionWork, Comparison], task: tuple[int, Wind
         return ComparedSubmap(described, None, ())
     points, descriptors, seconds = turned(submap, described.yaw).levelled().points / comparison.scene_scale, [], []
     for baseline in comparison.baselines:
-        started = time.perf_counter()
+        started = time.process_time()
         descriptors.append(baseline.describe(points))
-        seconds.append(time.perf_counter() - started)
+        seconds.append(time.process_time() - started)
     return ComparedSubmap(described, tuple(descriptors), tuple(seconds))
 
 
@@ -166,13 +164,12 @@ def _search(
     usable = np.array([one.submap.description is not None for one in submaps.mapped], dtype=bool)
     allowed = ground_truth.restricted_to(usable).allowed
     queries, mapped = [one.submap for one in submaps.queries], [one.submap for one in submaps.mapped]
-    wanted, started = max(comparison.candidates, KEPT_CANDIDATES), time.perf_counter()
+    wanted, started = max(comparison.candidates, KEPT_CANDIDATES), time.process_time()
     found = search_map(queries, mapped, wanted, allowed, own_map=submaps.own_map)
-    return found, (time.perf_counter() - started) / max(len(found), 1)
+    return found, (time.process_time() - started) / max(len(found), 1)
 
 
 def _product_results(
-    method: LoopClosureMethod,
     submaps: QueriesAndMap,
     ground_truth: GroundTruth,
     comparison: Comparison,
@@ -182,7 +179,7 @@ def _product_results(
     matches, search_s = _search(submaps, ground_truth, comparison)
     results = [_descriptor_result(submaps, matches, search_s)]
     if comparison.candidates > 0:
-        results.append(_verified_result(method, submaps, matches, comparison, report))
+        results.append(verified_result(comparison, submaps, report, matches))
     return results
 
 
@@ -200,20 +197,24 @@ def _descriptor_result(submaps: QueriesAndMap, matches: list[tuple[Match, ...]],
     )
 
 
-def _verified_result(
-    method: LoopClosureMethod,
-    submaps: QueriesAndMap,
-    matches: list[tuple[Match, ...]],
+def verified_result(
     comparison: Comparison,
+    submaps: QueriesAndMap,
     report: Progress,
+    matches: list[tuple[Match, ...]],
     name: str = VERIFIED,
 ) -> MethodResult:
-    """The candidates after verification, with the poses of the accepted ones."""
+    """The first candidates of the matches after verification, with the poses of the accepted ones.
+
+    Raises ValueError for a comparison without a method.
+    """
+    if comparison.method is None:
+        raise ValueError("a method must be given to verify with")
     shift = len(submaps.mapped)
     places = [one.submap for one in [*submaps.mapped, *submaps.queries]]
     candidates = [()] * shift + [found[: comparison.candidates] for found in matches]
     verified: list[QueryMatches] = []
-    work = VerificationWork(places, method, comparison.loops.positive_radius_m)
+    work = VerificationWork(places, comparison.method, comparison.loops.positive_radius_m)
     for one in verify_all(work, candidates, comparison.jobs):
         verified.append(one)
         report("verify", max(len(verified) - shift, 0), len(matches))
@@ -244,7 +245,7 @@ def _baseline_matches(
     usable = np.array([one.descriptors is not None for one in submaps.mapped], dtype=bool)
     known, found = _stacked(submaps.mapped, column), list[tuple[Match, ...]]()
     allowed = ground_truth.restricted_to(usable).allowed
-    started = time.perf_counter()
+    started = time.process_time()
     for query, one in enumerate(submaps.queries):
         ids = np.flatnonzero(allowed[query])
         if one.descriptors is None or len(ids) == 0:
@@ -253,7 +254,7 @@ def _baseline_matches(
         similarity = baseline.similarities(one.descriptors[column], known[ids])
         order = np.argsort(-similarity, kind="stable")[: max(count, KEPT_CANDIDATES)]
         found.append(tuple(Match(int(ids[row]), float(similarity[row])) for row in order))
-    return found, (time.perf_counter() - started) / max(len(found), 1)
+    return found, (time.process_time() - started) / max(len(found), 1)
 
 
 def _baseline_result(

@@ -6,6 +6,7 @@ maps. Needs the extra `service`, which holds the method.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -19,6 +20,7 @@ from revisit.core.geometry.se3 import Matrix4
 from revisit.core.implicit_map import NeuralMap
 from revisit.core.index import FaissIndex, IndexEntry, Match, SearchFilter
 from revisit.core.model_bundle import ModelBundle, load_packaged_models
+from revisit.core.neighbour_support import NeighbourLoop, is_contradicted
 from revisit.core.pipeline import DescribedPlace, describe, describe_again, verify
 from revisit.core.place import Place
 from revisit.core.scan import Scan
@@ -84,7 +86,7 @@ class AreaMap:
         found = self._recalled(
             described, candidates, prior_position_m=prior_position_m, radius_m=radius_m, only_session=only_session
         )
-        judged = [self._judged(described, match) for match in found]
+        judged = self._agreeing([self._judged(described, match) for match in found], [match.id for match in found])
         accepted = [n for n, candidate in enumerate(judged) if candidate.accepted]
         best = max(accepted, key=lambda n: (judged[n].score, -n), default=None)
         if best is None or (T_match_query := judged[best].T_match_query) is None:
@@ -155,6 +157,29 @@ class AreaMap:
             T_match_query=None if measured is None else measured.T_match_query,
             evidence={},
         )
+
+    def _agreeing(self, judged: list[Candidate], rows: list[int]) -> list[Candidate]:
+        """The candidates; accepted ones that put the cloud at different spots of a drive are ambiguous."""
+        submaps = [self.file.submaps[row] for row in rows]
+        agreeing = []
+        for one, match in zip(judged, submaps, strict=True):
+            others = [
+                self._claim(match, other, candidate.T_match_query)
+                for candidate, other in zip(judged, submaps, strict=True)
+                if candidate.accepted and candidate.T_match_query is not None
+                if other.session == match.session and other is not match
+            ]
+            pose = one.T_match_query if one.accepted else None
+            contradicted = pose is not None and is_contradicted(pose, others, self._config.verification)
+            agreeing.append(replace(one, accepted=False, reason="AMBIGUOUS") if contradicted else one)
+        return agreeing
+
+    def _claim(self, match: FiledSubmap, other: FiledSubmap, T_other_query: Matrix4) -> NeighbourLoop:
+        """Where a candidate `other` of the same drive puts the cloud, as seen from `match`."""
+        T_match_other = se3.inverse(match.T_odom_submap) @ other.T_odom_submap
+        apart_m = float(np.linalg.norm(T_match_other[:3, 3]))
+        way_m = max(apart_m, self._config.submap.stride * abs(match.ordinal - other.ordinal))
+        return NeighbourLoop(True, (T_match_other @ T_other_query,), 0.0, apart_m, way_m)
 
     def _place(self, row: int) -> Place:
         if row not in self._places:

@@ -92,3 +92,13 @@ def run() -> None:
         hint = " - is it running? `revisit serve` starts it" if unreachable else ""
         typer.echo(f"revisit: {error}{hint}", err=True)
         raise SystemExit(1) from error
+    except Exception as error:
+        broken = getattr(error, "orig", error)  # SQLAlchemy wraps it
+        if type(broken).__module__ != "sqlite3":  # the command line itself knows no database
+            raise
+        typer.echo(
+            f"revisit: the database cannot be read: {broken}. `revisit doctor` looks at it, `revisit restore` makes a "
+            "data folder of a backup",
+            err=True,
+        )
+        raise SystemExit(1) from error

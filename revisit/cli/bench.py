@@ -86,11 +86,15 @@ def recognition(
     min_index_gap: IndexGap = None,
     positive_radius: PositiveRadius = None,
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+    verified_peers: Annotated[
+        bool, typer.Option("--verified-peers", help="Verify the first answers of every baseline, too.")
+    ] = False,
 ) -> None:
     """Recognition of the product and of every baseline, as one report; a second run goes on where the first ended."""
     own = OwnRecordings(tuple(recording or ()), sessions, file_format)
     lengths = Lengths(tau, stride, min_index_gap, positive_radius)
-    _compare_methods(out, recordings or out / "recordings", (drives, protocols), own, lengths, jobs)
+    how = {"jobs": jobs, "verified_peers": verified_peers}
+    _compare_methods(out, recordings or out / "recordings", (drives, protocols), own, lengths, how)
 
 
 @group.command("surface")
@@ -245,7 +249,7 @@ def _measure(check: bool, update: bool, as_json: bool) -> None:
 
 
 def _compare_methods(
-    out: Path, recordings: Path, chosen: tuple[str, str], own: OwnRecordings, lengths: Lengths, jobs: int
+    out: Path, recordings: Path, chosen: tuple[str, str], own: OwnRecordings, lengths: Lengths, how: dict[str, Any]
 ) -> None:
     """Run the recognition bench on the simulated drives, or on the user's own recordings, and name its report."""
     from revisit.evaluation import recognition_benchmark
@@ -255,7 +259,7 @@ def _compare_methods(
     if own.file_format not in FORMATS:
         raise refuse(f"--format is one of {', '.join(FORMATS)}")
     protocols = _named("--protocols", chosen[1], PROTOCOLS)
-    plan = lengths.of(BenchmarkPlan(out, recordings, protocols=protocols, jobs=jobs, **_sources(chosen[0], own)))
+    plan = lengths.of(BenchmarkPlan(out, recordings, protocols=protocols, **how, **_sources(chosen[0], own)))
     with progress_bar(quiet=False) as bar:
         experiments, (markdown, page) = recognition_benchmark.run_recognition_bench(plan, reporter(bar))
     say(f"{len(experiments)} experiments in {markdown} and {page}")

@@ -6,6 +6,7 @@ The cap on what zstd and gzip yield is decided while it comes out.
 from __future__ import annotations
 
 import zlib
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +18,7 @@ from revisit.core.errors import BadField, MalformedBody, TooLarge, UnsupportedEn
 
 Points = NDArray[np.float32]
 Intensity = NDArray[np.float32]
+Buffer = bytes | memoryview
 
 
 @dataclass(frozen=True)
@@ -147,26 +149,34 @@ def decode_content(data: bytes, content_encoding: str | None, limits: CloudLimit
     raise UnsupportedEncoding("Content-Encoding must be one of identity, gzip, zstd", field="Content-Encoding")
 
 
-def decompress_zstd(data: bytes, max_bytes: int) -> bytes:
+def decompress_zstd(data: Buffer, max_bytes: int) -> bytes:
     """The content of one zstd frame without dictionary and with a window of at most 8 MiB.
 
     Raises MalformedBody, TooLarge above `max_bytes`.
     """
     try:
-        _check_frame(data, max_bytes)
-        decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW_BYTES).decompressobj()
-        pieces, total = [], 0
-        for start in range(0, len(data), _PIECE_BYTES):
-            piece = decompressor.decompress(data[start : start + _PIECE_BYTES])
-            total += len(piece)
-            if total > max_bytes:
-                raise TooLarge(f"the body decompresses to more than {max_bytes} bytes")
-            pieces.append(piece)
-            if decompressor.eof:
-                _require_end(decompressor.unused_data or data[start + _PIECE_BYTES :])
-                return b"".join(pieces)
+        announced = _announced_bytes(data, max_bytes)
+        if announced is not None:
+            with suppress(zstandard.ZstdError):
+                return zstandard.ZstdDecompressor().decompress(data, max_output_size=announced, allow_extra_data=False)
+        return _decompress_by_pieces(memoryview(data), max_bytes)
     except zstandard.ZstdError as error:
         raise MalformedBody("the zstd data is damaged") from error
+
+
+def _decompress_by_pieces(data: memoryview, max_bytes: int) -> bytes:
+    """For a frame that does not say how much it holds, and to learn what is wrong with one that does not hold it."""
+    decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW_BYTES).decompressobj()
+    pieces, total = [], 0
+    for start in range(0, len(data), _PIECE_BYTES):
+        piece = decompressor.decompress(data[start : start + _PIECE_BYTES])
+        total += len(piece)
+        if total > max_bytes:
+            raise TooLarge(f"the body decompresses to more than {max_bytes} bytes")
+        pieces.append(piece)
+        if decompressor.eof:
+            _require_end(decompressor.unused_data or data[start + _PIECE_BYTES :])
+            return b"".join(pieces)
     raise MalformedBody("the zstd data is truncated")
 
 
@@ -174,12 +184,16 @@ def _allowed(data: bytes, limits: CloudLimits) -> int:
     return min(limits.max_decoded_bytes, max(limits.max_ratio * len(data), ALWAYS_ALLOWED_BYTES))
 
 
-def _check_frame(data: bytes, max_bytes: int) -> None:
+def _announced_bytes(data: Buffer, max_bytes: int) -> int | None:
+    """How much a permitted frame says that it holds, if it says so; the decompressor writes no byte beyond it."""
     frame = zstandard.get_frame_parameters(data)
     if frame.dict_id or frame.window_size > max(MAX_WINDOW_BYTES, max_bytes):
         raise MalformedBody("the zstd frame needs a dictionary or a window above 8 MiB")
-    if frame.content_size != zstandard.CONTENTSIZE_UNKNOWN and frame.content_size > max_bytes:
+    if frame.content_size == zstandard.CONTENTSIZE_UNKNOWN:
+        return None
+    if frame.content_size > max_bytes:
         raise TooLarge(f"the body decompresses to more than {max_bytes} bytes")
+    return int(frame.content_size)
 
 
 def _gunzip(data: bytes, max_bytes: int) -> bytes:
@@ -196,6 +210,6 @@ def _gunzip(data: bytes, max_bytes: int) -> bytes:
     return content
 
 
-def _require_end(rest: bytes) -> None:
+def _require_end(rest: Buffer) -> None:
     if rest:
         raise MalformedBody(f"{len(rest)} bytes follow the compressed data")

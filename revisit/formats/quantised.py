@@ -63,7 +63,7 @@ def decode(data: bytes, limits: CloudLimits) -> DecodedCloud:
         raise MalformedBody("a quantised cloud has an impossible step")
     require_point_count(count, limits)
     size = count * (14 if intensity_step else 12)
-    content = memoryview(decompress_zstd(data[_HEADER.size :], size))
+    content = memoryview(decompress_zstd(memoryview(data)[_HEADER.size :], size))
     if len(content) != size:
         raise MalformedBody(f"{count} quantised points need {size} bytes, the frame holds {len(content)}")
     # The header's step is float32; the grid is meant in exact steps such as 0.001.

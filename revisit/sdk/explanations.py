@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -21,12 +22,17 @@ TOO_NEAR = "TOO_NEAR"
 NOT_VERIFIED = "NOT_VERIFIED"
 """Other submaps were more similar when the later one came: geometry was never asked."""
 
+KNOWN_ALREADY = "KNOWN_ALREADY"
+"""Accepted loops of the later one told already where the other lies: geometry was never asked. The service's setting
+REVISIT_LOOPS_ENOUGH says how many of them it takes."""
+
 
 @dataclass(frozen=True)
 class NearMiss:
     """A submap that is no loop with the one that was asked about.
 
-    `gate` stopped it: a reason for a rejection, SET_ASIDE by the pose graph, TOO_NEAR or NOT_VERIFIED. Where the gate
+    `gate` stopped it: a reason for a rejection, SET_ASIDE by the pose graph, TOO_NEAR, NOT_VERIFIED or KNOWN_ALREADY,
+    where it is among as many submaps as are verified and the submap has accepted loops. Where the gate
     is a number, `measured` did not reach `threshold`, and `rule` names the setting: with `measured` in its place the
     pair would have passed this gate, maybe not those behind it. `loop` is None where geometry was never asked.
     """
@@ -52,7 +58,7 @@ def explain(client: Client, submap: Submap, k: int) -> list[NearMiss]:
     map_ = client.get_map("/".join(submap.name.split("/")[:2]))
     hits = client.search(map_, submap=submap, k=k)
     loops = _loops_of(client, map_, submap, hits)
-    found = (_near_miss(client, map_, submap, rank, hit, loops.get(hit.submap)) for rank, hit in enumerate(hits, 1))
+    found = (_near_miss(client, map_, submap, rank, hit, loops) for rank, hit in enumerate(hits, 1))
     return [miss for miss in found if miss is not None]
 
 
@@ -65,14 +71,17 @@ def _loops_of(client: Client, map_: Map, submap: Submap, hits: list[SearchHit]) 
 
 
 def _near_miss(
-    client: Client, map_: Map, submap: Submap, rank: int, hit: SearchHit, loop: LoopClosure | None
+    client: Client, map_: Map, submap: Submap, rank: int, hit: SearchHit, loops: Mapping[str, LoopClosure]
 ) -> NearMiss | None:
-    """What stopped one hit, None where nothing did."""
+    """What stopped one hit, None where nothing did; `loops` are those of the submap with all hits."""
+    loop = loops.get(hit.submap)
     if loop is None:
         gap = _gap(client, submap, hit.submap)
         if gap is not None and gap < map_.min_index_gap:
             return NearMiss(hit.submap, hit.similarity, TOO_NEAR, gap, map_.min_index_gap, "min_index_gap", None)
         candidates = map_.loop_policy.candidates
+        if candidates is not None and rank <= candidates and any(one.state == "ACCEPTED" for one in loops.values()):
+            return NearMiss(hit.submap, hit.similarity, KNOWN_ALREADY, None, None, None, None)
         return NearMiss(hit.submap, hit.similarity, NOT_VERIFIED, rank, candidates, "candidates", None)
     if loop.state == "REJECTED":
         return _rejected(hit, loop)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from revisit.core.config import PipelineConfig, VerificationConfig
-from revisit.core.errors import RevisitError
+from revisit.core.errors import DataLoss, RevisitError
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.implicit_map import NeuralMap
 from revisit.core.kernels.plane_votes import plane_scores
@@ -22,6 +22,7 @@ from revisit.core.pipeline import DescribedPlace, describe, describe_again, veri
 from revisit.core.place import Place
 from revisit.core.sanity.window import window_findings
 from revisit.core.scan import Scan
+from revisit.core.scan_disagreement import ScanDisagreement
 from revisit.core.stages import stage_times
 from revisit.core.submap import Submap
 from revisit.core.verification import Hypothesis, LoopMeasurement, RejectedLoop, VerifiedLoop
@@ -69,11 +70,12 @@ class CoreRecogniser:
             timings_s=timings_s,
         )
 
-    def describe_again(self, neural_map: bytes, config: PipelineConfig) -> Redescription:
+    def describe_again(self, neural_map: bytes, place: bytes | None, config: PipelineConfig) -> Redescription:
         """See `PlaceRecogniser`."""
         stored = NeuralMap.from_blob(neural_map, self._models.decoder, config.implicit_map)
         described = describe_again(stored, self._models, config)
-        return Redescription(described.descriptor.vector, described.place.to_blob())
+        again = dataclasses.replace(described.place, scan_disagreement=_disagreement_of(place))
+        return Redescription(described.descriptor.vector, again.to_blob())
 
     def verify(
         self,
@@ -84,10 +86,11 @@ class CoreRecogniser:
         near: Matrix4 | None = None,
         *,
         near_decides: bool = True,
+        expected: Matrix4 | None = None,
     ) -> LoopVerdict:
         """See `PlaceRecogniser`."""
         places = self._place(query), self._place(match)
-        verdict = verify(*places, similarity, config.verification, near, near_decides=near_decides)
+        verdict = verify(*places, similarity, config.verification, near, near_decides=near_decides, expected=expected)
         evidence = _evidence(verdict, config)
         if isinstance(verdict, VerifiedLoop):
             measured = verdict.measurement
@@ -130,6 +133,16 @@ def _made_up_yard(config: PipelineConfig) -> Submap:
     return Submap.from_cloud(Scan.validated(points, np.eye(4), 0), config.submap)
 
 
+def _disagreement_of(place: bytes | None) -> ScanDisagreement | None:
+    """What the scans of a stored place disagree on (docs/decisions/0194); None where nothing readable says so."""
+    if place is None:
+        return None
+    try:
+        return Place.from_blob(place, surface=False).scan_disagreement
+    except DataLoss:
+        return None
+
+
 def _mesh(described: DescribedPlace) -> Mesh:
     """The surface in the frame of the submap."""
     normals = described.frame.normals_to_submap(described.surface.normals)
@@ -145,8 +158,12 @@ def _evidence(verdict: VerifiedLoop | RejectedLoop, config: PipelineConfig) -> d
     return {"measurement": measured, **_thresholds(config.verification)}
 
 
+@lru_cache(maxsize=64)
 def _thresholds(rules: VerificationConfig) -> dict[str, Any]:
-    """Which rules gave the verdict: those that an operator sets, others that are not the default, and a hash of all."""
+    """Which rules gave the verdict: those that an operator sets, others that are not the default, and a hash of all.
+
+    Kept, because each candidate of a map has the same ones; nobody changes what is answered.
+    """
     values, defaults = _as_json(rules), _as_json(VerificationConfig())
     told = {name: value for name, value in values.items() if name in SETTABLE or value != defaults[name]}
     digest = hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()

@@ -90,4 +90,4 @@ class Installation:
 
     def index_keeper(self) -> IndexKeeper:
         """What loads the index and compares it with the database. From now on the service is not ready until then."""
-        return IndexKeeper(self.storage, self.index, self.memory, self.index_health)
+        return IndexKeeper(self.storage, self.index, self.memory, self.index_health, self.disk)

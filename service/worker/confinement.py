@@ -37,6 +37,6 @@ def confine(memory_bytes: int) -> None:
 
 
 def resident_bytes() -> int:
-    """The memory that this process holds just now."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * resource.getpagesize()
+    """The memory that this process holds just now for itself: not what it shares, as files that it reads."""
+    held, shared = Path("/proc/self/statm").read_text().split()[1:3]
+    return (int(held) - int(shared)) * resource.getpagesize()

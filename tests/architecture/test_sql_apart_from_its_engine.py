@@ -58,6 +58,7 @@ CALLS = {
     "SqlSubmaps.add": lambda uow: uow.submaps.add(a_submap(submap_id="another")),
     "SqlSubmaps.last_number": lambda uow: uow.submaps.last_number(TENANT),
     "SqlSubmaps.flag_counts": lambda uow: uow.submaps.flag_counts(TENANT, "town", "monday"),
+    "SqlSubmaps.found": lambda uow: uow.submaps.found(TENANT, [1]),
     "SqlSubmaps.first_waiting": lambda uow: uow.submaps.first_waiting(TENANT, "town"),
     "SqlJobs.unfinished": lambda uow: uow.jobs.unfinished(TENANT, {"op-1", "op-2"}),
     "SqlJobs.next_runnable": lambda uow: (uow.jobs.next_runnable(NOW, TENANT), uow.jobs.add(a_job())),

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from revisit.core.config import AdaptationConfig
 from revisit.core.errors import BadField
-from revisit.core.index import ExactIndex, FaissIndex, IndexEntry, PlaceIndex, SearchFilter
+from revisit.core.index import ExactIndex, FaissIndex, IndexEntry, PlaceIndex, SearchFilter, SharedRows
 
 DIMENSION = 16
 
@@ -32,7 +35,32 @@ def coded(dimension: int) -> FaissIndex:
     return FaissIndex(dimension, PLAIN, coded_from=64)
 
 
-@pytest.fixture(params=[exact, flat, coded])
+class Resumed:
+    """The index of the service, left after every change by one process and taken up by the next, as from a file."""
+
+    def __init__(self, dimension: int) -> None:
+        self._index = coded(dimension)
+
+    def add(self, entries: Sequence[IndexEntry], vectors: NDArray[np.float32]) -> None:
+        self._index.add(entries, vectors)
+        self._index = taken_up(self._index)
+
+    def __len__(self) -> int:
+        return len(self._index)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._index, name)
+
+
+def taken_up(index: FaissIndex) -> FaissIndex:
+    """What another process makes of it, whose descriptors are all shared."""
+    stored = index.stored()
+    vectors, marks = (np.concatenate(parts) for parts in zip(*stored.portions(), strict=True))
+    shared = SharedRows(stored.arrays["ids"], vectors, marks)
+    return FaissIndex.restored(shared, stored.arrays, PLAIN, coded_from=64)
+
+
+@pytest.fixture(params=[exact, flat, coded, Resumed])
 def index(request: pytest.FixtureRequest) -> PlaceIndex:
     built: PlaceIndex = request.param(DIMENSION)
     return built

@@ -11,9 +11,12 @@ import pytest
 from revisit.core.config import PipelineConfig
 from revisit.core.errors import DataLoss
 from revisit.core.geometry import se3
+from revisit.core.model_bundle import load_packaged_models
+from revisit.core.place import Place
 from revisit.core.scan import Scan
+from revisit.core.scan_disagreement import ScanDisagreement
 from revisit.core.submap import Submap
-from revisit.service.adapters.core_recogniser import load_recogniser
+from revisit.service.adapters.core_recogniser import CoreRecogniser, load_recogniser
 from tests.support.fake_recogniser import FakeRecogniser
 
 CONFIG = PipelineConfig()
@@ -73,12 +76,25 @@ def test_the_same_submap_is_described_alike_again(recogniser, described):
 
 
 def test_a_stored_neural_map_is_enough_to_describe_a_submap_again(recogniser, described):
-    again = recogniser.describe_again(described.neural_map, CONFIG)
+    again = recogniser.describe_again(described.neural_map, described.place, CONFIG)
     assert again.descriptor.shape == described.descriptor.shape
     assert np.linalg.norm(again.descriptor) == pytest.approx(1.0, abs=1e-5)
     assert recogniser.verify(again.place, again.place, 1.0, CONFIG).accepted
     with pytest.raises(DataLoss):
-        recogniser.describe_again(b"damaged" + described.neural_map, CONFIG)
+        recogniser.describe_again(b"damaged" + described.neural_map, described.place, CONFIG)
+
+
+def test_what_scans_disagree_on_outlives_a_new_description():
+    method = CoreRecogniser(load_packaged_models())
+    described = method.describe(seen_from(TILTED, 1), CONFIG)
+    told = replace(Place.from_blob(described.place), scan_disagreement=ScanDisagreement(0.012, 0.004)).to_blob()
+
+    def stated(place):
+        again = method.describe_again(described.neural_map, place, CONFIG).place
+        return Place.from_blob(again).scan_disagreement
+
+    assert stated(told) == ScanDisagreement(0.012, 0.004)
+    assert stated(None) is None and stated(told[:-5]) is None
 
 
 def test_a_place_matches_itself_and_the_evidence_is_json(recogniser, described):

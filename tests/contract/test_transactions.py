@@ -9,6 +9,7 @@ import pytest
 from revisit.service.application.contract.errors import AlreadyExists, NotFound
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.records import WorkerRecord
+from revisit.service.application.contract.repositories import FoundSubmap
 from tests.support.records import TENANT, a_loop, a_map, a_robot, a_scan, a_session, a_submap
 
 OTHER = TenantId("other")
@@ -93,6 +94,14 @@ def test_records_are_found_by_their_numbers_within_the_tenant(write, read):
     theirs = write(lambda uow: uow.maps.add(a_map(tenant=OTHER)))
     assert read(lambda uow: uow.maps.numbered(TENANT, [theirs.number, 999, ours.number])) == {ours.number: ours}
     assert read(lambda uow: uow.maps.numbered(TENANT, [])) == {}
+
+
+def test_what_a_search_tells_of_submaps_is_read_by_number_within_a_tenant(write, read):
+    *_, first, second, _ = write(fill)
+    names = first.map_id, first.session_id, first.submap_id
+    told = FoundSubmap(first.number, *names, first.position_m, first.T_odom_submap)
+    assert read(lambda uow: uow.submaps.found(TENANT, [first.number, 999])) == {first.number: told}
+    assert read(lambda uow: uow.submaps.found(OTHER, [second.number])) == {}
 
 
 def test_replace_changes_one_record_and_needs_it_to_exist(write, read):

@@ -7,6 +7,7 @@ import pytest
 
 from revisit.core.errors import BadField
 from revisit.core.index import ExactIndex, FaissIndex
+from revisit.service.adapters.files.index_files import IndexFiles
 from revisit.service.adapters.memory import MemoryVectorIndex
 from revisit.service.adapters.vector_index import PlaceVectorIndex
 from revisit.service.application.contract.index import IndexChange, VectorFilter
@@ -15,8 +16,19 @@ ANY = VectorFilter()
 MAP = 5
 
 
-@pytest.fixture(params=["memory", "exact", "faiss"])
-def index(request):
+class SavedEachTime(PlaceVectorIndex):
+    """It goes on from a file after every change."""
+
+    def apply(self, map_number, changes, after=0):
+        super().apply(map_number, changes, after)
+        if (name := self.save(map_number)) is not None:
+            assert self.load(map_number, name)
+
+
+@pytest.fixture(params=["memory", "exact", "faiss", "file"])
+def index(request, tmp_path):
+    if request.param == "file":
+        return SavedEachTime(FaissIndex, IndexFiles(tmp_path / "index"), saved_from=1)
     makers = {"exact": ExactIndex, "faiss": FaissIndex}
     return MemoryVectorIndex() if request.param == "memory" else PlaceVectorIndex(makers[request.param])
 
@@ -129,3 +141,18 @@ def test_changes_that_follow_others_are_ignored_once_the_map_was_forgotten(index
     index.drop(MAP)
     index.apply(MAP, [added(2, 11, unit(0, 1))], after=1)
     assert (index.seq(MAP), index.size(MAP)) == (0, 0)
+
+
+def test_a_file_is_worth_it_for_a_large_map_and_again_once_an_eighth_has_come(tmp_path):
+    index = PlaceVectorIndex(FaissIndex, IndexFiles(tmp_path / "index"), saved_from=16)
+    vectors = np.random.default_rng(0).normal(size=(200, 8)).astype(np.float32)
+    saved = []
+    for number in range(1, 201):
+        index.apply(MAP, [added(number, number, vectors[number - 1])])
+        if (name := index.save(MAP)) is not None:
+            assert index.load(MAP, name)
+            saved.append(number)
+    assert saved == [16, 32, 48, 64, 80, 96, 112, 128, 146, 166, 189]
+    assert index.large() == [MAP]
+    reader = PlaceVectorIndex(FaissIndex, IndexFiles(tmp_path / "index"))
+    assert reader.save(MAP) is None

@@ -13,15 +13,20 @@ import contextlib
 import hashlib
 import sys
 from collections.abc import Awaitable
+from dataclasses import replace
 from pathlib import Path
 
+from revisit.core.index import FaissIndex
+from revisit.service.adapters.files.index_files import IndexFiles
 from revisit.service.adapters.sqlite.migration import migrate
+from revisit.service.adapters.vector_index import PlaceVectorIndex
 from revisit.service.application import SessionKey, SubmapKey
 from revisit.service.application.catalogue.downloads import DownloadKind
 from revisit.service.application.catalogue.paging import PageRequest
 from revisit.service.application.contract.errors import NotFound, SessionFinished
 from revisit.service.application.contract.states import OperationKind
 from revisit.service.application.contract.transactions import UnitOfWork
+from revisit.service.application.housekeeping.index_keeping import IndexHealth
 from revisit.service.application.mapping.map_jobs import post_map_job
 from revisit.service.application.mapping.merges import MergeMap
 from tests.faults.history import History, Kind, Outcome
@@ -78,6 +83,7 @@ async def drive(world: World, history: History) -> None:
         world.work_off()
     _test_rejected_loops_again(world)
     await _publish_and_look(world)
+    await _save_index(world)
     await world.use_cases.map_versions.revert(TENANT, POSTED.map_id, 1)
     await _merge_and_take_back(world, history)
 
@@ -102,6 +108,14 @@ async def _publish_and_look(world: World) -> None:
         world.work_off()
         await asyncio.sleep(0.001)
     await looking
+
+
+async def _save_index(world: World) -> None:
+    """As a gateway does with large maps."""
+    index = PlaceVectorIndex(FaissIndex, IndexFiles(world.home / "index"), saved_from=1)
+    keeper = replace(world.context, index=index, index_health=IndexHealth()).index_keeper()
+    await keeper.load()
+    await keeper.tend_files()
 
 
 async def _merge_and_take_back(world: World, history: History) -> None:

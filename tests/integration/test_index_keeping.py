@@ -138,7 +138,7 @@ def flip_a_bit(vectors, rng, row) -> None:
 
 
 def damage_vector(places, rng, row=None) -> None:
-    flip_a_bit(places._rows.vectors[: places._rows.count], rng, row)
+    flip_a_bit(places._rows.vectors.own[: places._rows.count], rng, row)
 
 
 def damage_what_is_compared(places, rng) -> None:

@@ -40,7 +40,7 @@ class RowOfHouses(FakeRecogniser):
     def describe(self, given, config):
         return replace(super().describe(given, config), place=np.float64(given.T_odom_submap[0, 3]).tobytes())
 
-    def verify(self, query, match, similarity, config, near=None, *, near_decides=True):
+    def verify(self, query, match, similarity, config, near=None, *, near_decides=True, expected=None):
         at, other = (float(np.frombuffer(one)[0]) for one in (query, match))
         shifts = (at - other + PERIOD_M, at - other, at - other - PERIOD_M)
         poses = [se3.from_yaw(0.0, (shift, 0.3, 0.0)) for shift in shifts]
@@ -115,3 +115,36 @@ async def test_what_a_person_rejected_is_left_alone():
         await world.use_cases.posting.post(TENANT, submap(f"tuesday-{station}", station, SECOND))
     world.work_off(recogniser)
     assert (await world.use_cases.loops.get(TENANT, "town", mine.loop_id)).state is LoopState.REJECTED
+
+
+class EqualBlocks(FakeRecogniser):
+    """Blocks every 20 m, each of which looks like every other one: a pair is accepted wherever its blocks meet."""
+
+    def describe(self, given, config):
+        return replace(super().describe(given, config), place=np.float64(given.T_odom_submap[0, 3]).tobytes())
+
+    def verify(self, query, match, similarity, config, near=None, *, near_decides=True, expected=None):
+        at, other = (float(np.frombuffer(one)[0]) for one in (query, match))
+        shift = (at - other + 10.0) % 20.0 - 10.0
+        return LoopVerdict(True, None, 0.9, se3.from_yaw(0.0, (shift, 0.3, 0.0)), {"measurement": {"rivals": []}})
+
+
+async def test_accepted_loops_that_contradict_each_other_are_ambiguous(world):
+    loops = await driven_twice(world, EqualBlocks())
+    assert len(loops) == len(STATIONS) ** 2
+    assert {(loop.state, loop.reason) for loop in loops} == {(LoopState.REJECTED, "AMBIGUOUS")}
+    measured = loops[0].evidence["measurement"]["rivals"]
+    assert measured and "loops beside it that say otherwise" in loops[0].evidence["contradicted"]["words"]
+
+
+async def test_a_later_loop_that_contradicts_an_earlier_one_takes_its_acceptance_back(world):
+    await open_session(world)
+    await world.use_cases.sessions.create(TENANT, CreateSession(SECOND.map_id, SECOND.session_id))
+    await world.use_cases.posting.post(TENANT, submap("monday-0", 0, SESSION))
+    states = []
+    for station in (0, 20):
+        await world.use_cases.posting.post(TENANT, submap(f"tuesday-{station}", station, SECOND))
+        world.work_off(EqualBlocks())
+        page = await world.use_cases.loops.list(TENANT, "town", PageRequest(500), session_id=SECOND.session_id)
+        states.append([loop.state for loop in page.items if loop.match.session_id == SESSION.session_id])
+    assert states == [[LoopState.ACCEPTED], [LoopState.REJECTED, LoopState.REJECTED]]

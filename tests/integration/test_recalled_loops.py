@@ -26,7 +26,7 @@ class Geometry(FakeRecogniser):
         self.asked: list[tuple[np.ndarray, bool]] = []
         self._aside_m, self._blind = aside_m, blind
 
-    def verify(self, query, match, similarity, config, near=None, *, near_decides=True):
+    def verify(self, query, match, similarity, config, near=None, *, near_decides=True, expected=None):
         if near is None:
             return LoopVerdict(False, "LOW_OVERLAP", 0.1, None, {})
         self.asked.append((near, near_decides))

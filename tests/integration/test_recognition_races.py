@@ -66,7 +66,7 @@ async def test_the_loop_is_found_when_the_match_is_committed_after_the_search(wo
     similarities = []
 
     class CommitsAMeanwhile(FakeRecogniser):
-        def verify(self, query, match, similarity, config, near=None, *, near_decides=True):
+        def verify(self, query, match, similarity, config, near=None, *, near_decides=True, expected=None):
             if not similarities:
                 world.worker().run(lease_a)
             similarities.append(round(similarity, 3))
@@ -134,7 +134,7 @@ async def test_a_match_deleted_during_verification_makes_no_loop(world):
         world.worker().run(world.claim())
 
     class DeletesTheMatch(FakeRecogniser):
-        def verify(self, query, match, similarity, config, near=None, *, near_decides=True):
+        def verify(self, query, match, similarity, config, near=None, *, near_decides=True, expected=None):
             def delete(uow):
                 record = uow.submaps.get(TENANT, "town", "monday", "a")
                 uow.submaps.delete(TENANT, number=record.number)

@@ -32,10 +32,12 @@ class Newer(FakeRecogniser):
 
     def __init__(self) -> None:
         self.again = self.from_scans = 0
+        self.places_before = []
 
-    def describe_again(self, neural_map, config):
+    def describe_again(self, neural_map, place, config):
         self.again += 1
-        return super().describe_again(neural_map, config)
+        self.places_before.append(place)
+        return super().describe_again(neural_map, place, config)
 
     def describe(self, submap, config):
         self.from_scans += 1
@@ -82,6 +84,7 @@ async def test_every_submap_gets_the_new_model_and_is_found_by_it(world, drafts)
     done = work.reembed(stale, lambda n, total: told.append((n, total)))
     assert (done.submaps, done.from_scans, done.failures, told) == (3, 0, {}, [(1, 3), (2, 3), (3, 3)])
     assert work.stale_maps() == [] and map_of(world).model_version == "fake-2"
+    assert newer.places_before == [world.context.blobs.get(TENANT, PLACE_BLOB, row.place_sha256) for row in before]
     for old, new in zip(before, rows_of(world), strict=True):
         assert new.descriptor == np.frombuffer(old.descriptor, "<f4")[::-1].tobytes()
         assert (new.model_version, new.mesh_sha256) == ("fake-2", old.mesh_sha256)
@@ -118,9 +121,17 @@ async def test_a_submap_without_its_neural_map_is_described_from_its_scans(world
     assert (done.from_scans, done.failures, newer.from_scans) == (1, {}, 1)
 
 
+async def test_a_submap_whose_place_is_gone_is_described_from_its_neural_map_alone(world, drafts):
+    world.context.blobs.delete(TENANT, PLACE_BLOB, rows_of(world)[0].place_sha256)
+    newer = Newer()
+    done = work_of(world, newer, drafts).reembed(map_of(world))
+    assert (done.from_scans, done.failures) == (0, {})
+    assert newer.places_before[0] is None and None not in newer.places_before[1:]
+
+
 async def test_what_cannot_be_described_has_failed_with_the_reason_and_is_found_no_more(world, drafts):
     class Choosy(Newer):
-        def describe_again(self, neural_map, config):
+        def describe_again(self, neural_map, place, config):
             raise DegenerateCloud("nothing to see")
 
         def describe(self, submap, config):

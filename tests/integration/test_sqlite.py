@@ -21,7 +21,7 @@ from revisit.service.adapters.sqlite.transactions import SqliteTransactions
 from revisit.service.application.contract.errors import StorageFull, StorageUncertain
 from tests.contract.test_transactions import fill
 from tests.support.patience import PATIENCE_S
-from tests.support.records import TENANT, a_map, a_session
+from tests.support.records import TENANT, a_map, a_session, a_submap
 
 
 @pytest.fixture
@@ -172,6 +172,30 @@ def test_old_answers_are_found_without_looking_at_the_jobs_of_submaps(database):
     plan = store.write(forget).result()
     assert any("ix_jobs_finished_at_ns" in step for step in plan)
     assert not any(step.startswith("SCAN jobs") for step in plan)
+    store.close()
+
+
+@pytest.mark.parametrize("use", ["read", "revised"])
+def test_submaps_are_found_by_number_without_looking_at_the_others_of_their_tenant(database, use):
+    store = SqliteTransactions(database, checkpoints=True)
+    statements = []
+
+    def by_number(uow):
+        uow.maps.add(a_map())
+        uow.sessions.add(a_session())
+        submaps = [uow.submaps.add(a_submap(name)) for name in ("a", "b")]
+        event.listen(uow.connection, "before_cursor_execute", lambda *seen: statements.append(seen[2:4]))
+        if use == "read":
+            found = uow.submaps.numbered(TENANT, [submap.number for submap in submaps])
+            assert found == {submap.number: submap for submap in submaps}
+            assert uow.submaps.numbered("another", [submaps[0].number]) == {}
+        else:
+            uow.submaps.revise(submaps, ordinal=3)
+        statement, parameters = statements[0]
+        return [row.detail for row in uow.connection.exec_driver_sql(f"EXPLAIN QUERY PLAN {statement}", parameters)]
+
+    plan = store.write(by_number).result()
+    assert plan[0].startswith("SEARCH submaps USING INTEGER PRIMARY KEY")
     store.close()
 
 

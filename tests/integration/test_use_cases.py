@@ -610,7 +610,7 @@ class NotingRecogniser(FakeRecogniser):
     def __init__(self):
         self.rules = []
 
-    def verify(self, query, match, similarity, config, near=None, *, near_decides=True):
+    def verify(self, query, match, similarity, config, near=None, *, near_decides=True, expected=None):
         self.rules.append((config.verification.min_score, config.verification.max_seen_through))
         return super().verify(query, match, similarity, config, near)
 

@@ -15,9 +15,10 @@ import numpy as np
 import pytest
 
 from revisit import Client
+from revisit.service.adapters.vector_index import SAVED_FROM
 from tests.support.figures import publish
 from tests.support.filled_store import fill_sessions
-from tests.support.load import quantile, rss_mib
+from tests.support.load import own_mib, quantile, rss_mib
 from tests.support.patience import PATIENCE_S
 from tests.support.processes import ServiceProcess, WorkerProcess
 from tests.support.service_world import cloud_points, pose
@@ -37,7 +38,11 @@ TIMES = {
     "delete_ms": "deletion of a session of 1,000",
     "ready_ms": "from start to ready",
 }
-MEMORY = {"database_mib": "database", "gateway_mib": "memory of the gateway", "worker_mib": "memory of a worker"}
+MEMORY = {
+    "database_mib": "database",
+    "gateway_own_mib": "own memory of the gateway",
+    "worker_own_mib": "own memory of a worker",
+}
 
 
 def timed_ms(call, arguments) -> list[float]:
@@ -96,6 +101,7 @@ def of_a_worker(home: Path, service: ServiceProcess) -> dict[str, float]:
                 "worker_ready_ms": 1000 * ready_s,
                 "worker_first_ms": 1000 * (time.perf_counter() - began),
                 "worker_mib": rss_mib(worker.pid),
+                "worker_own_mib": own_mib(worker.pid),
             }
         finally:
             worker.close()
@@ -109,6 +115,8 @@ def measured(home: Path, submaps: int) -> dict[str, float]:
     service = ServiceProcess(home, workers=0)
     try:
         service.wait_for("index_loaded")
+        if submaps >= SAVED_FROM:
+            service.wait_for("index_file_written")
         service.kill()
         began, seen = time.perf_counter(), len(service.events)
         service.start()
@@ -118,7 +126,8 @@ def measured(home: Path, submaps: int) -> dict[str, float]:
         return (
             figures
             | of_a_worker(home, service)
-            | {"gateway_mib": rss_mib(service.pid), "database_mib": database / 2**20}
+            | {"gateway_mib": rss_mib(service.pid), "gateway_own_mib": own_mib(service.pid)}
+            | {"database_mib": database / 2**20}
         )
     finally:
         service.close()

@@ -102,7 +102,7 @@ class FakeRecogniser:
         neural_map = b"neural " + descriptor.tobytes()
         return SubmapDescription(descriptor, descriptor.tobytes(), neural_map, mesh, (), {"all": 0.0})
 
-    def describe_again(self, neural_map: bytes, config: PipelineConfig) -> Redescription:
+    def describe_again(self, neural_map: bytes, place: bytes | None, config: PipelineConfig) -> Redescription:
         """The same descriptor, reversed: that of another model."""
         if not neural_map.startswith(b"neural "):
             raise DataLoss("not a neural map")
@@ -118,6 +118,7 @@ class FakeRecogniser:
         near: np.ndarray | None = None,
         *,
         near_decides: bool = True,
+        expected: np.ndarray | None = None,
     ) -> LoopVerdict:
         """Accepted where the descriptors nearly agree; the transform is 1 m along x, or `near`."""
         if query.startswith(PLACED):

@@ -160,8 +160,17 @@ def quantile(share: float, numbers: list[float]) -> float:
 
 def rss_mib(pid: int) -> float:
     """What a process holds of the memory, MiB."""
+    return _held_mib(pid, "VmRSS")
+
+
+def own_mib(pid: int) -> float:
+    """As `rss_mib`, without what it shares with others: the pages of files."""
+    return _held_mib(pid, "RssAnon")
+
+
+def _held_mib(pid: int, kind: str) -> float:
     status = Path(f"/proc/{pid}/status").read_text()
-    return int(next(line for line in status.splitlines() if line.startswith("VmRSS")).split()[1]) / 1024
+    return int(next(line for line in status.splitlines() if line.startswith(kind)).split()[1]) / 1024
 
 
 def processor_s(pid: int) -> float:

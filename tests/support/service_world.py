@@ -60,6 +60,7 @@ class World:
     clock: SteppedClock
     merger: MapMerger = field(default_factory=FakeMerger)
     tiler: TileMaker = field(default_factory=FakeTiler)
+    home: Path | None = None
 
     def worker(self, recogniser: PlaceRecogniser | None = None) -> Recognition:
         """Another worker's recognition, with an index of its own."""
@@ -97,7 +98,7 @@ def sqlite_world(home: Path, disk: DiskSpace = UnlimitedDisk(), **overrides) -> 
     rules = policy(**overrides)
     database = made_database(home / "revisit.db")
     transactions = SqliteTransactions(database, checkpoints=True, lease_ms=rules.lease_ms)
-    return _world(transactions, FileBlobStore(home / "blobs"), rules, disk)
+    return replace(_world(transactions, FileBlobStore(home / "blobs"), rules, disk), home=home)
 
 
 def _world(transactions, blobs, rules: Policy, disk: DiskSpace = UnlimitedDisk()) -> World:

@@ -19,7 +19,7 @@ import os
 import resource
 import secrets
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import structlog
@@ -148,6 +148,31 @@ def write_later_synced(path: Path, data: bytes) -> None:
     """Write a new file that survives a power cut only after `os.sync`; for many files that only count together."""
     with open(path, "xb", opener=_private) as file:
         file.write(data)
+
+
+def replaceable_write(path: Path, pieces: Iterable[bytes]) -> None:
+    """Make `path` hold the pieces, all or nothing for other processes, but not for a power cut.
+
+    For what can be made again and proves itself. Raises OSError, and what the pieces raise; then there is no file.
+    """
+    temporary = path.with_name(f"{TEMPORARY_PREFIX}{path.name}")
+    try:
+        with open(temporary, "xb", opener=_private) as file:
+            file.writelines(pieces)
+        temporary.replace(path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def erase_in_place(path: Path, starts: Iterable[int], length: int) -> None:
+    """Overwrite `length` bytes of a file with zeros from each of the `starts`. Raises OSError."""
+    zeros, descriptor = bytes(length), os.open(path, os.O_WRONLY | os.O_CLOEXEC)
+    try:
+        for start in starts:
+            os.pwrite(descriptor, zeros, start)
+    finally:
+        os.close(descriptor)
 
 
 def make_directories(path: Path, root: Path) -> None:

@@ -20,7 +20,7 @@ from revisit.service.application.contract.records import (
     TurnRecord,
     WorkerRecord,
 )
-from revisit.service.application.contract.repositories import PlacedSubmap
+from revisit.service.application.contract.repositories import FoundSubmap, PlacedSubmap
 from revisit.service.application.contract.states import EventKind, OperationState, SubmapState
 
 R = TypeVar("R")
@@ -167,6 +167,12 @@ class MemorySubmaps(MemoryRepository[SubmapRecord]):
             self.find(tenant, after=after, map_id=map_id), key=lambda one: (one.session_number, one.ordinal)
         )
         return [PlacedSubmap(one.number, one.session_number, one.ordinal, one.T_odom_submap) for one in of_map]
+
+    def found(self, tenant: TenantId, numbers: Sequence[int]) -> dict[int, FoundSubmap]:
+        """See `SubmapRepository`."""
+        fields = [field.name for field in dataclasses.fields(FoundSubmap)]
+        found = self.numbered(tenant, numbers)
+        return {number: FoundSubmap(*(getattr(row, name) for name in fields)) for number, row in found.items()}
 
     def first_waiting(self, tenant: TenantId, map_id: str) -> int | None:
         """See `SubmapRepository`."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,6 +57,21 @@ class MemoryVectorIndex:
         """See `VectorIndex`."""
         self._places.pop(map_number, None)
         self._seq.pop(map_number, None)
+
+    def save(self, map_number: int) -> str | None:
+        """See `SharedIndex`."""
+        return None
+
+    def load(self, map_number: int, name: str) -> bool:
+        """See `SharedIndex`."""
+        return False
+
+    def large(self) -> list[int]:
+        """See `SharedIndex`."""
+        return []
+
+    def keep(self, names: Collection[str]) -> None:
+        """See `SharedIndex`."""
 
     def numbers(self, map_number: int) -> tuple[int, NDArray[np.int64]]:
         """See `VectorIndex`."""

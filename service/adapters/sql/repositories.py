@@ -12,6 +12,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from sqlalchemy import (
+    BindParameter,
     ColumnElement,
     Connection,
     Row,
@@ -36,7 +37,7 @@ from revisit.service.application.contract.errors import AlreadyExists, NotFound
 from revisit.service.application.contract.events import ChangeOf, EventLog
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.records import ScanRecord, SubmapRecord
-from revisit.service.application.contract.repositories import PlacedSubmap
+from revisit.service.application.contract.repositories import FoundSubmap, PlacedSubmap
 from revisit.service.application.contract.states import SubmapState
 
 if TYPE_CHECKING:
@@ -114,8 +115,7 @@ class SqlRepository(Generic[R]):
 
     def numbered(self, tenant: TenantId, numbers: Sequence[int]) -> dict[int, R]:
         """See `Repository`."""
-        where = and_(self._table.c.number.in_(numbers), self._table.c.tenant == tenant)
-        rows = self._connection.execute(select(self._table).where(where))
+        rows = self._connection.execute(_numbered(self._table), {"numbers": numbers, "its_tenant": tenant})
         return {row.number: self._of(row) for row in rows}
 
     def distinct(self, tenant: TenantId, field: str, **equals: Scalar) -> set[Any]:
@@ -152,9 +152,9 @@ class SqlRepository(Generic[R]):
         which = [column_values(record) for record in records]
         for start in range(0, len(which), REVISED_AT_ONCE):
             some = which[start : start + REVISED_AT_ONCE]
-            number, tenant = self._table.c.number, self._table.c.tenant
-            where = and_(number.in_([row["number"] for row in some]), tenant == some[0]["tenant"])
-            if self._connection.execute(update(self._table).where(where).values(fields)).rowcount != len(some):
+            which_rows = {"numbers": [row["number"] for row in some], "its_tenant": some[0]["tenant"]}
+            query = update(self._table).where(_have_numbers(self._table)).values(fields)
+            if self._connection.execute(query, which_rows).rowcount != len(some):
                 raise NotFound
         if self._on_change is not None:
             for record in records:
@@ -261,6 +261,11 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
         query = query.order_by(submaps.session_number, submaps.ordinal)
         return [PlacedSubmap(*row) for row in self._connection.execute(query, asked)]
 
+    def found(self, tenant: TenantId, numbers: Sequence[int]) -> dict[int, FoundSubmap]:
+        """See `SubmapRepository`."""
+        rows = self._connection.execute(_found_submaps(), {"numbers": numbers, "its_tenant": tenant})
+        return {row.number: FoundSubmap(*row) for row in rows}
+
     def first_waiting(self, tenant: TenantId, map_id: str) -> int | None:
         """See `SubmapRepository`."""
         asked = of_tenant(tenant, {"state": SubmapState.QUEUED.value, "map_id": map_id})
@@ -322,6 +327,27 @@ def _given_and_absent(asked: Asked) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """The columns that must equal the parameter of their name, and those that must be null."""
     given = tuple(name for name, value in asked.items() if value is not None)
     return given, tuple(name for name, value in asked.items() if value is None)
+
+
+@cache
+def _numbered(table: Table) -> Select[Any]:
+    return select(table).where(_have_numbers(table))
+
+
+@cache
+def _found_submaps() -> Select[Any]:
+    columns = (tables.submaps.c[field.name] for field in dataclasses.fields(FoundSubmap))
+    return select(*columns).where(_have_numbers(tables.submaps))
+
+
+def _have_numbers(table: Table) -> ColumnElement[bool]:
+    """The rows of tenant `its_tenant` with one of the `numbers`.
+
+    The tenant is made an expression, which no index holds: else the engine looks through all rows of the tenant, where
+    a few are asked for by their numbers.
+    """
+    numbers: BindParameter[Any] = bindparam("numbers", expanding=True)
+    return and_(table.c.number.in_(numbers), table.c.tenant.concat("") == bindparam("its_tenant"))
 
 
 @cache

@@ -101,6 +101,7 @@ maps = _numbered(
     _integer("created_at_ns"),
     Column("map_version", BigInteger, nullable=False, server_default="0"),
     Column("graph_edits", BigInteger, nullable=False, server_default="0"),
+    _text("index_file", length=128, nullable=True),
 )
 
 robots = _numbered(

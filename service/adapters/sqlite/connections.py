@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -64,6 +65,19 @@ def open_to_read(database: Path, *, at_rest: bool = False) -> sqlite3.Connection
     """
     options = "mode=ro&immutable=1" if at_rest else "mode=ro"
     return sqlite3.connect(f"{database.absolute().as_uri()}?{options}", uri=True, timeout=5.0)
+
+
+def unreadable(database: Path) -> str:
+    """What is wrong with the file of the database; "" where it can be read, does not exist yet or is busy."""
+    if not database.exists():
+        return ""
+    try:
+        with closing(open_to_read(database)) as connection:
+            connection.execute("PRAGMA schema_version").fetchone()
+    except sqlite3.DatabaseError as error:
+        broken = database.is_dir() or error.sqlite_errorcode in (sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT)
+        return str(error) if broken else ""
+    return ""
 
 
 def write_ahead_log(database: Path) -> Path:

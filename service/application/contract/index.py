@@ -80,7 +80,30 @@ class IndexAudit(Protocol):
         ...
 
 
-class VectorIndex(IndexAudit, Protocol):
+class SharedIndex(Protocol):
+    """The index of a large map as a file, which all processes of a machine share.
+
+    One process saves. The row of the map names the file: one that it does not name is not loaded.
+    """
+
+    def save(self, map_number: int) -> str | None:
+        """Write a file of what it holds; its name. None where it is not worth it, or there is no room."""
+        ...
+
+    def load(self, map_number: int, name: str) -> bool:
+        """Hold what the file holds, and nothing else; whether that is so. Not where the file was found wrong before."""
+        ...
+
+    def large(self) -> list[int]:
+        """The numbers of the maps that have a file, or are large enough for one."""
+        ...
+
+    def keep(self, names: Collection[str]) -> None:
+        """Delete every other file."""
+        ...
+
+
+class VectorIndex(IndexAudit, SharedIndex, Protocol):
     """Nearest descriptors of one map each, keyed by map number: a cache that catches up with the change log."""
 
     def seq(self, map_number: int) -> int:
@@ -103,5 +126,5 @@ class VectorIndex(IndexAudit, Protocol):
         ...
 
     def drop(self, map_number: int) -> None:
-        """Forget a map."""
+        """Forget a map, and the file that it was loaded from: it is not loaded again."""
         ...

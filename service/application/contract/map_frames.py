@@ -10,6 +10,7 @@ import numpy as np
 from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.records import LoopRecord, Pose, SubmapRecord
+from revisit.service.application.contract.repositories import FoundSubmap
 from revisit.service.application.contract.session_poses import PackedSubmaps
 from revisit.service.application.contract.transactions import UnitOfWork
 
@@ -54,7 +55,7 @@ class MapFrames:
         self._version = 0 if record is None else record.map_version
         self._sessions: dict[str, _SessionInMap | None] = {}
 
-    def submap(self, record: SubmapRecord) -> MapPose | None:
+    def submap(self, record: SubmapRecord | FoundSubmap) -> MapPose | None:
         """T_map_submap; of a submap that came after the version by its session's correction. None without a frame."""
         known = self._known(record.session_id, record.number)
         if known is not None:

@@ -71,8 +71,11 @@ class PlaceRecogniser(Protocol):
         """Neural map, descriptor and place of a submap. Raises RevisitError where it cannot be described."""
         ...
 
-    def describe_again(self, neural_map: bytes, config: PipelineConfig) -> Redescription:
-        """What this version makes of a submap from its stored neural map. Raises RevisitError where it cannot."""
+    def describe_again(self, neural_map: bytes, place: bytes | None, config: PipelineConfig) -> Redescription:
+        """What this version makes of a submap from its stored neural map. Raises RevisitError where it cannot.
+
+        What only the scans tell is taken over from the `place` that was made of them, where it is there and readable.
+        """
         ...
 
     def verify(
@@ -84,10 +87,11 @@ class PlaceRecogniser(Protocol):
         near: Matrix4 | None = None,
         *,
         near_decides: bool = True,
+        expected: Matrix4 | None = None,
     ) -> LoopVerdict:
         """Compare two places geometrically, around T_match_query `near` (4, 4) where somebody names one.
 
-        Unless that decides, other poses that fit as well count against it, as they do without it. Raises DataLoss for
-        damaged ones.
+        Unless that decides, other poses that fit as well count against it, as they do without it. `expected` (4, 4) is
+        a guess at T_match_query: tried first, and no more than that. Raises DataLoss for damaged places.
         """
         ...

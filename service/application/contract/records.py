@@ -20,7 +20,8 @@ class MapRecord:
 
     `scene_scale` is the size of its scene compared with a street (docs/decisions/0009); it never changes.
     `loop_candidates` to `max_seen_through` are the map's own `LoopPolicy`. `map_version` is the version of its poses in
-    force, 0 for none; `graph_edits` counts the changes that made a part of its pose graph void.
+    force, 0 for none; `graph_edits` counts the changes that made a part of its pose graph void. `index_file` names the
+    file that its index may be loaded from.
     """
 
     tenant: TenantId
@@ -39,6 +40,7 @@ class MapRecord:
     max_seen_through: float | None = None
     map_version: int = 0
     graph_edits: int = 0
+    index_file: str | None = None
     number: int = 0
 
 

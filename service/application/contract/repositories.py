@@ -108,7 +108,27 @@ class PlacedSubmap:
     T_odom_submap: Pose
 
 
-class SubmapRepository(Repository[SubmapRecord], Protocol):
+@dataclass(frozen=True)
+class FoundSubmap:
+    """What a search tells of a submap: its number and names, and where it is in the odometry frame of its session."""
+
+    number: int
+    map_id: str
+    session_id: str
+    submap_id: str
+    position_m: tuple[float, float, float]
+    T_odom_submap: Pose
+
+
+class FoundSubmaps(Protocol):
+    """Submaps as a search tells of them."""
+
+    def found(self, tenant: TenantId, numbers: Sequence[int]) -> dict[int, FoundSubmap]:
+        """As `numbered`, as much of the submaps as a search tells."""
+        ...
+
+
+class SubmapRepository(Repository[SubmapRecord], FoundSubmaps, Protocol):
     """Submaps, also by how far a map has come with them."""
 
     def last_number(self, tenant: TenantId) -> int:

@@ -12,6 +12,7 @@ from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.service.application.contract.identity import SubmapKey
 from revisit.service.application.contract.map_frames import MapPose
 from revisit.service.application.contract.records import JobRecord, SubmapRecord
+from revisit.service.application.contract.repositories import FoundSubmap
 from revisit.service.application.contract.states import OperationKind, OperationState, SubmapState
 
 
@@ -126,7 +127,7 @@ def failure_of(code: str | None, message: str | None) -> OperationFailure | None
     return None if code is None else OperationFailure(code, message or "")
 
 
-def submap_key(record: SubmapRecord) -> SubmapKey:
+def submap_key(record: SubmapRecord | FoundSubmap) -> SubmapKey:
     """The key of a submap's row."""
     return SubmapKey(record.map_id, record.session_id, record.submap_id)
 

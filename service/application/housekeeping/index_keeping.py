@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 
 import structlog
 
+from revisit.service.application.contract.disk import DiskSpace
+from revisit.service.application.contract.errors import NotFound
 from revisit.service.application.contract.index import IndexChange, VectorIndex
 from revisit.service.application.contract.records import MapRecord, SubmapRecord
 from revisit.service.application.contract.states import SubmapState
 from revisit.service.application.contract.storage import Storage
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.query.place_memory import PlaceMemory
+from revisit.service.failpoints import failpoint
 
 WINDOW = 256
 """Descriptors that one turn of the audit compares: a few milliseconds, for requests wait meanwhile."""
@@ -40,12 +44,18 @@ class IndexHealth:
 class IndexKeeper:
     """Loads the index of every map once, then compares it with the database, a window at a time."""
 
-    def __init__(self, storage: Storage, index: VectorIndex, memory: PlaceMemory, health: IndexHealth) -> None:
-        """`memory` brings `index` up to date. From now on the service is not ready, until `load` is done."""
+    def __init__(
+        self, storage: Storage, index: VectorIndex, memory: PlaceMemory, health: IndexHealth, disk: DiskSpace
+    ) -> None:
+        """`memory` brings `index` up to date. From now on the service is not ready, until `load` is done.
+
+        No file is written where `disk` is full.
+        """
         self._storage = storage
         self._index = index
         self._memory = memory
         self._health = health
+        self._disk = disk
         self._last_map = 0
         self._last_submap: dict[int, int] = {}
         health.loading = True
@@ -58,9 +68,49 @@ class IndexKeeper:
         maps = await self._storage.read(lambda uow: uow.maps.of_all_tenants())
         for record in maps:
             await asyncio.to_thread(self._memory.catch_up, record.tenant, record.number)
+        await self._keep_named_files()
         self._health.loading = False
         submaps = sum(self._index.size(record.number) for record in maps)
         log.info("index_loaded", maps=len(maps), submaps=submaps, took_s=round(time.perf_counter() - began_s, 3))
+
+    async def tend_files(self) -> int:
+        """Bring the large maps up to the database, so that what was deleted leaves their files, too; save what is due.
+
+        How many were saved.
+        """
+        if self._health.loading:
+            return 0
+        saved = 0
+        for number in self._index.large():
+            found = await self._storage.read(partial(_next_map, after=number - 1))
+            if found is not None and found.number == number:
+                await asyncio.to_thread(self._memory.catch_up, found.tenant, number)
+                saved += await self._save(found)
+        if saved:
+            await self._keep_named_files()
+        return saved
+
+    async def _save(self, record: MapRecord) -> bool:
+        """Write a file of a map's index where one is due, name it in the database, and go on from it."""
+        if self._disk.full():
+            return False
+        name = await asyncio.to_thread(self._index.save, record.number)
+        if name is None:
+            return False
+        failpoint("index.before_file_named")
+        with suppress(NotFound):  # the map was deleted meanwhile, and the file goes with the next others
+            await self._storage.write(lambda uow: uow.maps.revise([record], index_file=name))
+        failpoint("index.after_file_named")
+        await asyncio.to_thread(self._index.load, record.number, name)
+        await asyncio.to_thread(self._memory.catch_up, record.tenant, record.number)
+        log.info("index_file_written", map=record.map_id, submaps=self._index.size(record.number))
+        return True
+
+    async def _keep_named_files(self) -> None:
+        """Delete the files that no map names."""
+        maps = await self._storage.read(lambda uow: uow.maps.of_all_tenants())
+        names = {record.index_file for record in maps if record.index_file is not None}
+        await asyncio.to_thread(self._index.keep, names)
 
     async def audit(self) -> int:
         """Compare the next maps, until a window of descriptors is done; how many submaps differed and were mended."""
@@ -108,6 +158,11 @@ class IndexKeeper:
         self._health.drift += drift
         self._index.drop(record.number)
         self._memory.catch_up(record.tenant, record.number)
+
+
+def _next_map(uow: UnitOfWork, after: int) -> MapRecord | None:
+    """The first map of any tenant whose number is above `after`."""
+    return next(iter(uow.maps.of_all_tenants(after=after, limit=1)), None)
 
 
 def _window(uow: UnitOfWork, record: MapRecord, after: int) -> list[SubmapRecord] | None:

@@ -57,6 +57,13 @@ def before_last_decision(events: Iterable[LoopEventRecord]) -> LoopStanding | No
     return standings[-2] if len(standings) > 1 else None
 
 
+def decided_by_person(uow: UnitOfWork, loop: LoopRecord) -> bool:
+    """Whether a person has ever decided on a loop."""
+    by_person = {LoopEventKind.ACCEPTED, LoopEventKind.REJECTED, LoopEventKind.REVERTED}
+    events = uow.loop_events.find(loop.tenant, map_id=loop.map_id, loop_id=loop.loop_id)
+    return any(event.kind in by_person for event in events)
+
+
 def add_loop(uow: UnitOfWork, record: LoopRecord, change: Change) -> LoopRecord:
     """Store a new loop with its first event."""
     added = uow.loops.add(record)

@@ -49,18 +49,25 @@ class PlaceMemory:
 
     def recall(self, map_record: MapRecord, vector: NDArray[np.float32], k: int, where: VectorFilter) -> Recall:
         """The k places most like `vector` (d,). Raises BadField for another dimension."""
+        matches, seq = self._matches(map_record, vector, k, where)
+        return Recall(self._transactions.read(lambda uow: _places(uow, map_record.tenant, matches)).result(), seq)
+
+    def _matches(
+        self, map_record: MapRecord, vector: NDArray[np.float32], k: int, where: VectorFilter
+    ) -> tuple[list[VectorMatch], int]:
+        """What the index finds, and the change as of which it knows everything."""
         tenant, number = map_record.tenant, map_record.number
         while True:
             seq = self.catch_up(tenant, number)
             matches = self._index.search(number, vector, k, where) if self._index.size(number) else []
             if self._index.seq(number) >= seq:
-                break  # else the map was forgotten in between, to be loaded again
-        return Recall(self._transactions.read(lambda uow: _places(uow, tenant, matches)).result(), seq)
+                return matches, seq
+            # The map was forgotten in between, to be loaded again.
 
     def catch_up(self, tenant: TenantId, number: int) -> int:
         """Apply what the database has and the index has not, in portions; the last change that was read."""
         while True:
-            before = self._index.seq(number)
+            before = self._index.seq(number) or self._loaded(tenant, number)
             changes = self._transactions.read(partial(_changes, tenant=tenant, number=number, seq=before)).result()
             failpoint("index.before_apply")
             self._index.apply(number, changes, before)
@@ -68,14 +75,21 @@ class PlaceMemory:
             if len(changes) < PORTION:
                 return changes[-1].seq if changes else before
 
+    def _loaded(self, tenant: TenantId, number: int) -> int:
+        """Load the map from its file, if it has one; the last change that is in the index then."""
+        record = self._transactions.read(lambda uow: uow.maps.numbered(tenant, [number])).result().get(number)
+        if record is not None and record.index_file is not None:
+            self._index.load(number, record.index_file)
+        return self._index.seq(number)
+
     def search(
         self, map_record: MapRecord, vector: NDArray[np.float32], criteria: SearchCriteria, where: VectorFilter
     ) -> SearchResult:
         """The answer to a client's search."""
-        recall = self.recall(map_record, vector, criteria.k, where)
+        found, _ = self._matches(map_record, vector, criteria.k, where)
         floor = -1.0 if criteria.min_similarity is None else criteria.min_similarity
-        places = [place for place in recall.places if place.similarity >= floor]
-        hits = self._transactions.read(partial(_hits, map_record=map_record, places=places)).result()
+        matches = [match for match in found if match.similarity >= floor]
+        hits = self._transactions.read(partial(_hits, map_record=map_record, matches=matches)).result()
         return SearchResult(hits, self._index.size(map_record.number))
 
 
@@ -83,11 +97,14 @@ def _changes(uow: UnitOfWork, tenant: TenantId, number: int, seq: int) -> list[I
     return uow.changes.since(tenant, number, seq, PORTION)
 
 
-def _hits(uow: UnitOfWork, map_record: MapRecord, places: list[RecalledPlace]) -> tuple[SearchHit, ...]:
+def _hits(uow: UnitOfWork, map_record: MapRecord, matches: list[VectorMatch]) -> tuple[SearchHit, ...]:
+    """The matches as a client sees them; a submap that was deleted a moment ago is left out."""
     frames = MapFrames(uow, map_record.tenant, map_record.map_id)
+    submaps = uow.submaps.found(map_record.tenant, [match.submap_number for match in matches])
+    found = ((submaps[match.submap_number], match) for match in matches if match.submap_number in submaps)
     return tuple(
-        SearchHit(submap_key(place.submap), place.similarity, place.submap.position_m, frames.submap(place.submap))
-        for place in places
+        SearchHit(submap_key(submap), match.similarity, submap.position_m, frames.submap(submap))
+        for submap, match in found
     )
 
 

@@ -11,7 +11,6 @@ from revisit.core.geometry.se3 import pose_row
 from revisit.service.application.catalogue.deletion import SUBMAP_DELETED
 from revisit.service.application.contract.blobs import BlobStore
 from revisit.service.application.contract.clock import Instant
-from revisit.service.application.contract.events import AMBIGUOUS
 from revisit.service.application.contract.index import IndexChange, VectorFilter
 from revisit.service.application.contract.job_queue import Lease
 from revisit.service.application.contract.policy import Policy
@@ -22,7 +21,13 @@ from revisit.service.application.contract.storage import require_map
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.views import submap_key
 from revisit.service.application.ingest.submap_source import SubmapSource
-from revisit.service.application.mapping.loop_events import Change, add_loop, change_loop
+from revisit.service.application.mapping.loop_events import (
+    Change,
+    LoopStanding,
+    add_loop,
+    change_loop,
+    decided_by_person,
+)
 from revisit.service.application.mapping.optimisation import optimise_soon
 from revisit.service.application.query.place_memory import RecalledPlace
 from revisit.service.application.recognise.loops_beside import Beside
@@ -120,25 +125,23 @@ class DescriptionCommit:
         uow.queue.complete(self.lease, result, self.now, self.now_ns)
 
     def _revise(self, uow: UnitOfWork, decided: Beside) -> bool:
-        """Accept an earlier loop that was ambiguous, if it still is."""
-        known = decided.record
+        """Change the verdict of an earlier loop, if it still has the one that it was read with."""
+        known, verdict = decided.record, decided.verdict
         loop = None if known is None else uow.loops.get(known.tenant, known.map_id, known.loop_id)
-        verdict = decided.verdict
-        if (
-            loop is None
-            or (loop.state, loop.reason) != (LoopState.REJECTED, AMBIGUOUS)
-            or verdict.T_match_query is None
-        ):
+        if known is None or loop is None or LoopStanding.of(loop) != LoopStanding.of(known):
+            return False
+        if verdict.T_match_query is None or (loop.state == LoopState.ACCEPTED and decided_by_person(uow, loop)):
             return False
         change_loop(
             uow,
             loop,
             Change(LoopEventKind.VERIFIED, self.now_ns, details=self._rules(verdict)),
-            state=LoopState.ACCEPTED.value,
-            reason=None,
+            state=(LoopState.ACCEPTED if verdict.accepted else LoopState.REJECTED).value,
+            reason=verdict.reason,
             score=verdict.score,
             T_match_query=pose_row(verdict.T_match_query),
             evidence={**loop.evidence, **verdict.evidence},
+            graph_state=loop.graph_state if verdict.accepted else None,
         )
         return True
 

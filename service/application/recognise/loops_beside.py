@@ -16,7 +16,14 @@ import numpy as np
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4, pose_matrix
-from revisit.core.neighbour_support import NeighbourLoop, NeighbourSupport, carried_over, find_support
+from revisit.core.neighbour_support import (
+    NeighbourLoop,
+    NeighbourSupport,
+    carried_over,
+    find_support,
+    is_contradicted,
+    other_poses,
+)
 from revisit.service.application.contract.events import AMBIGUOUS
 from revisit.service.application.contract.recogniser import LoopVerdict
 from revisit.service.application.contract.records import LoopRecord, SubmapRecord
@@ -25,6 +32,9 @@ from revisit.service.application.contract.transactions import UnitOfWork
 
 SUPPORT = "support"
 """The member of a loop's evidence that says which loops beside it have decided."""
+
+CONTRADICTED = "contradicted"
+"""The member of the evidence of a loop that passed every check, but not the comparison with the loops beside it."""
 
 _BEFORE = 100
 """Submaps of any drive, described before one, among which those before it on its own drive are sought."""
@@ -44,6 +54,16 @@ class Beside:
     record: LoopRecord | None = None
 
     @property
+    def key(self) -> tuple[int, int, int]:
+        """What tells it from others: the numbers of its submaps, and its own where it is stored."""
+        return self.query.number, self.match.number, 0 if self.record is None else self.record.number
+
+    @property
+    def by_hand(self) -> bool:
+        """Whether a person has made it."""
+        return self.record is not None and self.record.manual
+
+    @property
     def ambiguous(self) -> bool:
         """Whether several poses fit it."""
         return not self.verdict.accepted and self.verdict.reason == AMBIGUOUS
@@ -52,6 +72,11 @@ class Beside:
     def accepted_by_itself(self) -> bool:
         """Whether it was accepted, and not for the sake of other loops."""
         return self.verdict.accepted and SUPPORT not in self.verdict.evidence
+
+    @property
+    def speaks(self) -> bool:
+        """Whether geometry alone has accepted it: then it may contradict others."""
+        return self.accepted_by_itself or (self.ambiguous and CONTRADICTED in self.verdict.evidence)
 
     @property
     def hypotheses(self) -> tuple[Matrix4, ...]:
@@ -78,6 +103,38 @@ def loops_before(uow: UnitOfWork, submap: SubmapRecord, most: int) -> list[Besid
         for loop in loops
         if loop.match_number in matches
     ]
+
+
+def contradicted(loops: Sequence[Beside], config: VerificationConfig, stride_m: float) -> list[Beside]:
+    """Those of the accepted `loops` that others contradict, with the verdict that they have then: AMBIGUOUS.
+
+    The poses that the others say instead are their rivals. `stride_m`: how far apart neighbouring submaps of a drive
+    were begun.
+    """
+    changed = []
+    for drives in _by_drives(loops):
+        speaking = [loop for loop in drives if loop.speaks]
+        for loop in speaking:
+            pose, others = loop.verdict.T_match_query, [one for one in speaking if one is not loop]
+            if loop.accepted_by_itself and not loop.by_hand and pose is not None:
+                told = [_neighbour(loop, other, stride_m) for other in others]
+                if is_contradicted(pose, told, config):
+                    changed.append(replace(loop, verdict=_contradicted(loop, told, others, config)))
+    return changed
+
+
+def _contradicted(
+    loop: Beside, told: Sequence[NeighbourLoop], others: Sequence[Beside], config: VerificationConfig
+) -> LoopVerdict:
+    """The verdict of a loop that `others` contradict, by what each of them has `told` of it."""
+    rivals = other_poses(loop.hypotheses[0], [one for one in told if one.way_m <= config.support_reach], config)
+    overlaps = [other.verdict.evidence.get("measurement", {}).get("overlap", 0.0) for other in others]
+    overlap = max(overlaps, default=0.0)
+    measured = dict(loop.verdict.evidence.get("measurement", {}))
+    measured["rivals"] = [{"overlap": overlap, "T_match_query": pose.tolist()} for pose in rivals]
+    words = f"it passed every check, but so do loops beside it that say otherwise: {len(rivals)} other poses"
+    evidence = {**loop.verdict.evidence, "measurement": measured, CONTRADICTED: {"words": words}}
+    return replace(loop.verdict, accepted=False, reason=AMBIGUOUS, evidence=evidence)
 
 
 def supported(
@@ -121,7 +178,7 @@ def _neighbour(loop: Beside, other: Beside, stride_m: float) -> NeighbourLoop:
     T_match_other = _between(loop.match, other.match)
     poses = tuple(carried_over(T, T_match_other, T_other_query) for T in other.hypotheses)
     query_m, match_m = _ahead(loop.query, other.query), _ahead(loop.match, other.match)
-    way_m = _way(loop.query, other.query, query_m, stride_m) + _way(loop.match, other.match, match_m, stride_m)
+    way_m = way_between(loop.query, other.query, stride_m) + way_between(loop.match, other.match, stride_m)
     return NeighbourLoop(other.accepted_by_itself, poses, query_m, match_m, way_m)
 
 
@@ -136,8 +193,9 @@ def _ahead(submap: SubmapRecord, other: SubmapRecord) -> float:
     return distance if other.ordinal > submap.ordinal else -distance
 
 
-def _way(submap: SubmapRecord, other: SubmapRecord, ahead_m: float, stride_m: float) -> float:
-    return max(abs(ahead_m), stride_m * abs(other.ordinal - submap.ordinal))
+def way_between(submap: SubmapRecord, other: SubmapRecord, stride_m: float) -> float:
+    """At least so many metres of way lie between two submaps of a drive that begins one every `stride_m`."""
+    return max(abs(_ahead(submap, other)), stride_m * abs(other.ordinal - submap.ordinal))
 
 
 def _registered(

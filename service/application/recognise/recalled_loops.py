@@ -25,7 +25,7 @@ from revisit.service.application.contract.recogniser import LoopVerdict
 from revisit.service.application.contract.records import LoopRecord, MapRecord, SubmapRecord
 from revisit.service.application.contract.states import LoopEventKind, LoopState
 from revisit.service.application.contract.transactions import Transactions, UnitOfWork
-from revisit.service.application.mapping.loop_events import Change, LoopStanding, change_loop
+from revisit.service.application.mapping.loop_events import Change, LoopStanding, change_loop, decided_by_person
 from revisit.service.application.mapping.optimisation import optimise_soon
 from revisit.service.application.mapping.progress import Progress
 from revisit.service.application.recognise.proposed_loops import rules_of
@@ -158,14 +158,9 @@ def _undecided(uow: UnitOfWork, tenant: TenantId, best: list[_Found]) -> list[Re
             one.T_match_query,
         )
         for one in best
-        if {one.record.query_number, one.record.match_number} <= submaps.keys() and not _decided(uow, one.record)
+        if {one.record.query_number, one.record.match_number} <= submaps.keys()
+        and not decided_by_person(uow, one.record)
     ]
-
-
-def _decided(uow: UnitOfWork, loop: LoopRecord) -> bool:
-    by_person = {LoopEventKind.ACCEPTED, LoopEventKind.REJECTED, LoopEventKind.REVERTED}
-    events = uow.loop_events.find(loop.tenant, map_id=loop.map_id, loop_id=loop.loop_id)
-    return any(event.kind in by_person for event in events)
 
 
 def _as_read(loop: LoopRecord) -> tuple[int, LoopStanding, Any]:
@@ -211,7 +206,7 @@ class RecallCommit:
         """Accept a loop, or note that it was tested; whether it was accepted."""
         verdict, known = one.verdict, one.record
         loop = uow.loops.get(known.tenant, known.map_id, known.loop_id)
-        if verdict is None or loop is None or _as_read(loop) != _as_read(known) or _decided(uow, known):
+        if verdict is None or loop is None or _as_read(loop) != _as_read(known) or decided_by_person(uow, known):
             return False
         told = {**loop.evidence, RECALL: self._told(one, verdict)}
         fields: dict[str, Any] = {"evidence": told}

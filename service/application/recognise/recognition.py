@@ -55,7 +55,7 @@ from revisit.service.application.mapping.merging import MapMerging
 from revisit.service.application.mapping.optimisation import MapOptimisation
 from revisit.service.application.mapping.progress import OperationCancelled, Progress
 from revisit.service.application.mapping.tile_making import TileMaking
-from revisit.service.application.query.place_memory import PlaceMemory, RecalledPlace, vector_filter
+from revisit.service.application.query.place_memory import PlaceMemory, Recall, RecalledPlace, vector_filter
 from revisit.service.application.query.search_answers import (
     Localization,
     LocalizedCandidate,
@@ -70,7 +70,7 @@ from revisit.service.application.recognise.description_commit import (
     StoredDescription,
 )
 from revisit.service.application.recognise.distinctiveness import with_distinctiveness
-from revisit.service.application.recognise.loops_beside import Beside, loops_before, supported
+from revisit.service.application.recognise.loops_beside import Beside, contradicted, loops_before, supported
 from revisit.service.application.recognise.proposed_loops import VerdictCommit, proposed_pair
 from revisit.service.application.recognise.recalled_loops import (
     RecallCommit,
@@ -78,6 +78,7 @@ from revisit.service.application.recognise.recalled_loops import (
     kept_near,
     loops_to_recall,
 )
+from revisit.service.application.recognise.told_poses import ToldPoses, poses_in_map
 from revisit.service.failpoints import failpoint
 
 log = structlog.get_logger(__name__)
@@ -236,10 +237,7 @@ class Recognition:
         judged: dict[int, JudgedPlace] = {}
         while True:
             recall = self._memory.recall(task.map, described.description.descriptor, config.loop.candidates, where)
-            for place in recall.places:
-                if place.submap.number not in judged:
-                    judged[place.submap.number] = self._judge(described.description.place, place, config)
-            kept = [judged[place.submap.number] for place in recall.places]
+            kept = self._judge_in_turn(described.description.place, recall, config, judged)
             kept, earlier = self._with_support(task.submap, described.description.place, kept, config)
             now, now_ns = self._clock.instant(), self._clock.wall_ns()
             commit = DescriptionCommit(
@@ -251,6 +249,25 @@ class Recognition:
                     self._maps.early.take_in(task.map.tenant, task.map.map_id)
                 return
 
+    def _judge_in_turn(
+        self, place: bytes, recall: Recall, config: PipelineConfig, judged: dict[int, JudgedPlace]
+    ) -> list[JudgedPlace]:
+        """The recalled places, most similar first, with verdicts, those in `judged` as they are.
+
+        Without those whose pose enough accepted loops before them tell (docs/decisions/0205).
+        """
+        recalled = [one.submap for one in recall.places]
+        loops, kept = ToldPoses(config, partial(poses_in_map, self._transactions, recalled)), []
+        for one in recall.places:
+            number, told = one.submap.number, loops.of(one.submap)
+            if number not in judged and not (told is not None and told.is_known):
+                expected = told.T_match_query if told is not None and told.within_reach else None
+                judged[number] = self._judge(place, one, config, expected=expected)
+            if number in judged:
+                kept.append(judged[number])
+                loops.take_in(one.submap, judged[number].verdict)
+        return kept
+
     def _judge(
         self,
         place: bytes,
@@ -258,11 +275,14 @@ class Recognition:
         config: PipelineConfig,
         near: Matrix4 | None = None,
         near_decides: bool = True,
+        expected: Matrix4 | None = None,
     ) -> JudgedPlace:
         submap = recalled.submap
         try:
             blob = self._blobs.get(submap.tenant, PLACE_BLOB, str(submap.place_sha256))
-            verdict = self._recogniser.verify(place, blob, recalled.similarity, config, near, near_decides=near_decides)
+            verdict = self._recogniser.verify(
+                place, blob, recalled.similarity, config, near, near_decides=near_decides, expected=expected
+            )
         except DataLoss as error:
             log.error("place_lost", submap=submap_key(submap).name, reason=error.message)
             verdict = replace(LOST, evidence={"message": error.message})
@@ -293,14 +313,18 @@ class Recognition:
             asked = place if query is submap else self._stored_place(query)
             return LOST if asked is None else self._judge(asked, RecalledPlace(match, similarity), config, near).verdict
 
-        decided = supported([*before, *new], config.verification, config.submap.stride, register)
-        verdicts = {loop.match.number: loop.verdict for loop in decided if loop.record is None}
-        new = [replace(loop, verdict=verdicts.get(loop.match.number, loop.verdict)) for loop in new]
+        loops, revised = [*before, *new], list[Beside]()
+        for stage in (contradicted, partial(supported, register=register)):
+            decided = stage(loops, config.verification, config.submap.stride)
+            known = {loop.key: loop for loop in decided}
+            loops = [known.get(loop.key, loop) for loop in loops]
+            revised += decided
+        new = loops[len(before) :]
         kept = [
             replace(one, verdict=with_distinctiveness(loop, new, config.submap.stride))
             for one, loop in zip(judged, new, strict=True)
         ]
-        return kept, [loop for loop in decided if loop.record is not None]
+        return kept, list({loop.key: loop for loop in revised if loop.record is not None}.values())
 
     def _require_same_model(self, record: MapRecord) -> None:
         own = model_for_map(record, self._recogniser.model_version)
@@ -370,7 +394,7 @@ class Recognition:
         config = self._policy.for_map(map_record)
         k = criteria_from_json(lease.job.payload["criteria"]).k
         recall = self._memory.recall(map_record, description.descriptor, k, where)
-        judged = [self._judge(description.place, place, config) for place in recall.places]
+        judged = _agreeing([self._judge(description.place, place, config) for place in recall.places], config)
         found = _localization(judged)
         in_map = self._transactions.read(partial(_in_map, found=found, judged=judged)).result()
         self._complete(lease, localization_to_json(replace(found, in_map=in_map)))
@@ -419,6 +443,14 @@ def _loop_filter(submap: SubmapRecord, config: PipelineConfig) -> VectorFilter:
         near_ordinal=policy.ordinal,
         min_gap=policy.min_gap,
     )
+
+
+def _agreeing(judged: list[JudgedPlace], config: PipelineConfig) -> list[JudgedPlace]:
+    """The candidates of a cloud; where accepted ones put it at different spots of a drive, they are ambiguous."""
+    # Any submap stands for the cloud: it is the same one for all candidates.
+    loops = [Beside(judged[0].place.submap, one.place.submap, 0.0, one.verdict) for one in judged]
+    changed = {loop.key: loop.verdict for loop in contradicted(loops, config.verification, config.submap.stride)}
+    return [replace(one, verdict=changed.get(loop.key, one.verdict)) for one, loop in zip(judged, loops, strict=True)]
 
 
 def _localization(judged: list[JudgedPlace]) -> Localization:

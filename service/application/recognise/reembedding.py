@@ -132,11 +132,18 @@ class Reembedding:
         config = self._policy.for_map(record)
         try:
             stored = self._blobs.get(submap.tenant, NEURAL_MAP_BLOB, str(submap.neural_map_sha256))
-            return _Renewed(submap, self._recogniser.describe_again(stored, config))
+            return _Renewed(submap, self._recogniser.describe_again(stored, self._place_before(submap), config))
         except RevisitError:
             source = self._transactions.read(lambda uow: submap_source(uow, self._policy, submap)).result()
             whole = self._recogniser.describe(load_submap(self._blobs, submap, source), config)
             return _Renewed(submap, Redescription(whole.descriptor, whole.place), from_scans=True)
+
+    def _place_before(self, submap: SubmapRecord) -> bytes | None:
+        """The place that the older model left, which knows what only the scans tell; None where it is gone."""
+        try:
+            return self._blobs.get(submap.tenant, PLACE_BLOB, str(submap.place_sha256))
+        except DataLoss:
+            return None
 
     def _commit(
         self, uow: UnitOfWork, record: MapRecord, renewed: Sequence[_Renewed], rows: Sequence[SubmapRecord]

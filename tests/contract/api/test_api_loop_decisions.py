@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -169,6 +170,18 @@ def test_what_would_have_passed_a_gate_is_the_value_that_was_measured():
     tilted = replace(loop, reason="IMPLAUSIBLE_TILT")
     miss = explanations._rejected(SearchHit("match", 0.9, (0.0, 0.0, 0.0)), tilted)
     assert (miss.measured, miss.rule, miss.remedy) == (None, None, "no setting passes it")
+
+
+@pytest.mark.parametrize(("rank", "gate"), [(20, "KNOWN_ALREADY"), (21, "NOT_VERIFIED")])
+def test_a_similar_submap_that_was_not_compared_beside_accepted_loops_was_known_already(rank, gate):
+    accepted = LoopClosure("loop", 1, "query", "match", "ACCEPTED", None, 0.9, 0.9, np.eye(4), {}, created_at_ns=1)
+    map_ = SimpleNamespace(loop_policy=SimpleNamespace(candidates=20))
+    asked, hit = (
+        SimpleNamespace(name="maps/m/sessions/s/submaps/a"),
+        SearchHit("maps/m/sessions/t/submaps/b", 0.9, (0, 0, 0)),
+    )
+    assert explanations._near_miss(None, map_, asked, rank, hit, {"match": accepted}).gate == gate
+    assert explanations._near_miss(None, map_, asked, rank, hit, {}).gate == "NOT_VERIFIED"
 
 
 def test_events_go_with_their_loop(client, service, session, town, loops):

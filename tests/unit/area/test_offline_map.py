@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -56,6 +57,22 @@ def test_a_cloud_is_found_in_the_map_where_it_was_taken(area_file):
     error = se3.inverse(T_MAP_SUBMAP[1] @ T_submap_query) @ found.in_map.T_map
     assert np.linalg.norm(error[:3, 3]) < 0.1 and se3.rotation_angle(error) < np.radians(0.5)
     assert (found.in_map.frame, found.in_map.map_version) == ("frame-1", 5)
+
+
+def test_a_cloud_that_fits_at_two_spots_of_a_drive_is_not_placed(area_file, tmp_path):
+    with AreaMap.open(area_file) as area:
+        file, one = area.file, area.file.submaps[0]
+        twins = [
+            replace(one, name=f"{one.name}{n}", ordinal=n, T_odom_submap=se3.from_yaw(0.0, (x_m, 0.0, 0.0)))
+            for n, x_m in enumerate((0.0, 32.0))
+        ]
+        rows = [(twin, file.descriptors[0], file.neural_map(one)) for twin in twins]
+        write_map_file(tmp_path / "twins.zip", file.description, rows)
+    with AreaMap.open(tmp_path / "twins.zip") as area:
+        found = area.localize(cloud(0))
+        assert found.best is None
+        assert [(one.accepted, one.reason) for one in found.candidates] == [(False, "AMBIGUOUS")] * 2
+        assert area.localize(cloud(0), prior_position_m=T_MAP_SUBMAP[0][:3, 3], radius_m=10.0, candidates=1).best
 
 
 def test_a_place_that_is_not_in_the_map_or_far_from_the_prior_is_unknown(area_file):

@@ -8,7 +8,16 @@ from numpy.typing import NDArray
 
 from revisit.core.config import AdaptationConfig
 from revisit.core.descriptor.adaptation import SessionSums, learn_site, learned_from
-from revisit.core.index import ExactIndex, FaissIndex, IndexEntry, Match, PlaceIndex, SearchFilter
+from revisit.core.index import (
+    ExactIndex,
+    FaissIndex,
+    IndexEntry,
+    Match,
+    PlaceIndex,
+    RowDiffers,
+    SearchFilter,
+    SharedRows,
+)
 
 SIZE = 64
 Array = NDArray[np.float32]
@@ -111,7 +120,7 @@ def test_a_descriptor_that_was_changed_inside_is_noticed() -> None:
     index.search(vectors[0], 1)
     assert index._flat is not None
     index._flat._stored()[4, 0] += 1.0
-    index._rows.vectors[9, 0] += 1.0
+    index._rows.vectors.own[9, 0] += 1.0
     assert index.differing(entries(0, 30), vectors) == [4, 9]
 
 
@@ -175,6 +184,42 @@ def test_a_map_searched_by_codes_answers_as_the_reference_does() -> None:
         for only in (SearchFilter(), SearchFilter(only_session=2), SearchFilter(near=(listed[row].session, row, 20)))
     ]
     assert np.mean(alike) >= 0.99
+
+
+@pytest.mark.parametrize("coded_from", [100, 10_000])
+def test_an_index_that_another_process_takes_up_goes_on_as_if_it_were_the_same(coded_from: int) -> None:
+    listed, vectors = places_of_sessions(600, seed=6)
+    unbroken, resumed = FaissIndex(SIZE, coded_from=coded_from), FaissIndex(SIZE, coded_from=coded_from)
+    queries = vectors[::20] + np.float32(0.05) * drawn(30, seed=9)
+    for start in range(0, 600, 120):
+        for index in (unbroken, resumed):
+            index.add(listed[start : start + 120], vectors[start : start + 120])
+            index.remove([start + 3, start // 2])
+        only = SearchFilter(near=(start % 5, start, 20))
+        assert answers(resumed, queries, only) == answers(unbroken, queries, only)
+        stored = resumed.stored()
+        shared, marks = (np.concatenate(parts) for parts in zip(*stored.portions(), strict=True))
+        rows = SharedRows(stored.arrays["ids"], shared, marks)
+        resumed = FaissIndex.restored(rows, stored.arrays, coded_from=coded_from)
+        assert (resumed.own_rows, resumed._flat is None) == (0, unbroken._flat is None)
+        assert answers(resumed, queries, only) == answers(unbroken, queries, only)
+
+
+@pytest.mark.parametrize("erased", [True, False])
+def test_nothing_is_answered_from_a_shared_row_that_was_changed(erased: bool) -> None:
+    listed, vectors = places_of_sessions(60, seed=7)
+    index = FaissIndex(SIZE)
+    index.add(listed, vectors)
+    stored = index.stored()
+    shared, marks = (np.concatenate(parts) for parts in zip(*stored.portions(), strict=True))
+    other = FaissIndex.restored(SharedRows(stored.arrays["ids"], shared, marks), stored.arrays)
+    if erased:
+        shared[9] = 0.0
+    else:
+        shared.view(np.uint32)[9, 5] ^= 1
+    with pytest.raises(RowDiffers):
+        other.search(vectors[9], 1)
+    assert [entry.id for entry in listed if entry.id in other._rows.differing(listed, vectors)] == [9]
 
 
 def test_codes_are_made_while_places_come_and_searches_ask() -> None:

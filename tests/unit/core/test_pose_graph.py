@@ -228,11 +228,52 @@ def test_g2o_information_is_of_half_angles() -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["EDGE_SE2 0 1 1 2", "EDGE_SE2 0 2 0 0 0 1 0 0 1 0 1", "EDGE_SE3:QUAT a b", "EDGE_SE2 0 1 0 0 0 0 0 0 0 0 0"],
+    [
+        "EDGE_SE2 0 1 1 2",
+        "VERTEX_SE2 1\nEDGE_SE2 0 2 0 0 0 1 0 0 1 0 1",
+        "VERTEX_SE2 x",
+        "EDGE_SE3:QUAT a b",
+        "EDGE_SE2 0 1 0 0 0 0 0 0 0 0 0",
+    ],
 )
 def test_a_broken_g2o_graph_is_refused(text: str) -> None:
     with pytest.raises(MalformedBody):
         read_g2o(text)
+
+
+@pytest.mark.parametrize(
+    "edge",
+    ["3 nan 0 0 1 0 0 1 0 1", "3 0 1e400 0 1 0 0 1 0 1", "3 0 0 0 -1 0 0 1 0 1", "3 0 0 0 1 2 0 1 0 1",
+     "3 0 0 0 1 0 0 1 0 1 7", "3 1e200 0 0 1 0 0 1 0 1"],
+    ids=["NaN", "infinite", "negative information", "indefinite information", "a number too many", "far away"],
+)  # fmt: skip
+def test_an_edge_that_is_no_measurement_is_refused_and_named(edge: str) -> None:
+    steps = "".join(f"EDGE_SE2 {n} {n + 1} 1 0 0 1 0 0 1 0 1\n" for n in range(3))
+    with pytest.raises(MalformedBody, match=f"EDGE_SE2 0 {edge[:5]}"):
+        read_g2o(f"{steps}EDGE_SE2 0 {edge}\n")
+
+
+def test_g2o_in_any_order_and_numbering_is_the_same_graph() -> None:
+    information = "900 90 9 800 8 40000"
+    lines = [f"EDGE_SE2 {n} {n + 1} 1 0.1 0.3 {information}" for n in range(4)] + [
+        f"EDGE_SE2 0 4 2 2 1.2 {information}"
+    ]
+    graph = read_g2o("\n".join(lines))
+    numbered = [
+        " ".join([w[0], str(10 * int(w[1]) + 7), str(10 * int(w[2]) + 7), *w[3:]]) for w in map(str.split, lines)
+    ]
+    for text in ("\r\n".join(numbered[::-1]), "\n".join(numbered * 2), "# made up\n" + "\n".join(numbered)):
+        other = read_g2o(text)
+        np.testing.assert_array_equal(other.trajectories[0].T_odom_submap, graph.trajectories[0].T_odom_submap)
+        assert [(one.match, one.query) for one in other.loops] == [(one.match, one.query) for one in graph.loops]
+
+
+def test_a_step_that_is_written_backwards_is_a_step() -> None:
+    there = se3.from_yaw(0.3, (1.0, 0.1, 0.0))
+    back = se3.inverse(there)
+    yaw = float(np.arctan2(back[1, 0], back[0, 0]))
+    graph = read_g2o(f"EDGE_SE2 1 0 {back[0, 3]} {back[1, 3]} {yaw} 1 0 0 1 0 1\n")
+    np.testing.assert_allclose(graph.trajectories[0].T_odom_submap[1], there, atol=1e-12)
 
 
 def test_a_loop_to_nowhere_is_refused() -> None:

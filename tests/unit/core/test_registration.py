@@ -19,6 +19,7 @@ from revisit.core.verification.registration import (
     iterate,
     observability,
     point_to_plane_jacobian,
+    reconsider,
     register,
 )
 from tests.support.yards import yard
@@ -130,6 +131,33 @@ def test_the_start_on_which_most_points_agree_is_refined():
     registration = register([wrong, right], match, match, CONFIG)
     assert registration.refined
     np.testing.assert_allclose(registration.T_match_query, np.eye(4), atol=2e-3)
+
+
+def test_a_start_that_goes_on_alone_ends_where_it_would_have_ended_without_the_others():
+    match = surface()
+    wrong, right = se3.from_yaw(1.0, (20.0, 5.0, 0.0)), se3.from_yaw(0.02, (0.3, -0.2, 0.1))
+    alone, chosen = (register(starts, match, match, CONFIG) for starts in ([right], [wrong, right]))
+    np.testing.assert_allclose(chosen.T_match_query, alone.T_match_query, atol=1e-6)
+    assert (chosen.agreement, len(chosen.left_out)) == (alone.agreement, 1)
+
+
+def test_a_start_that_was_left_out_too_early_is_found_again():
+    match = surface()
+    beside, right = se3.from_yaw(1.0, (3.0, 5.0, 0.0)), se3.from_yaw(0.1, (1.5, -1.0, 1.2))
+    at_once = replace(CONFIG, first_rounds=0)
+    chosen = register([beside, right], match, match, at_once)
+    assert np.linalg.norm(chosen.T_match_query[:3, 3]) > 1.0
+    again = reconsider(chosen, match, match, at_once)
+    assert again is not None and again.agreement > chosen.agreement
+    np.testing.assert_allclose(again.T_match_query, np.eye(4), atol=2e-3)
+    assert reconsider(again, match, match, at_once) is None
+
+
+def test_a_start_on_which_too_little_of_what_stands_agrees_is_not_refined():
+    strict = replace(CONFIG, min_overlap=1.0)
+    apart = se3.from_yaw(1.0, (3.0, 5.0, 0.0))
+    assert not register([apart], surface(1), surface(1), strict).refined
+    assert register([np.eye(4)], surface(1), surface(1), strict).refined
 
 
 def test_a_start_on_which_too_few_points_agree_is_not_refined():

@@ -360,3 +360,26 @@ def test_a_start_that_is_named_decides_among_equal_houses_only_where_it_may() ->
     verdict = verify(*places, 0.9, VERIFICATION, near, near_decides=False)
     assert isinstance(verdict, RejectedLoop) and verdict.reason is RejectionReason.AMBIGUOUS
     assert verdict.measurement is not None and abs(verdict.measurement.T_match_query[0, 3] + 3.0) < 0.3
+
+
+@pytest.mark.parametrize("matched", [1, 2], ids=["the same yard", "another yard"])
+def test_a_wrong_guess_changes_nothing(matched) -> None:
+    places, wrong = (place(1), place(matched)), se3.from_yaw(1.5, (15.0, 9.0, 0.0))
+    guessed, without = verify(*places, 0.9, VERIFICATION, expected=wrong), verify(*places, 0.9, VERIFICATION)
+    assert type(guessed) is type(without)
+    assert guessed.measurement is not None and without.measurement is not None
+    np.testing.assert_array_equal(guessed.measurement.T_match_query, without.measurement.T_match_query)
+
+
+def test_a_right_guess_gives_the_loop_that_is_found_without_it() -> None:
+    near = se3.from_yaw(0.03, (0.4, -0.3, 0.1))
+    guessed, without = (verify(place(1), place(1), 0.9, VERIFICATION, expected=one) for one in (near, None))
+    assert isinstance(guessed, VerifiedLoop) and isinstance(without, VerifiedLoop)
+    np.testing.assert_allclose(guessed.measurement.T_match_query, without.measurement.T_match_query, atol=5e-3)
+    assert guessed.measurement.score == pytest.approx(without.measurement.score, abs=0.01)
+
+
+def test_a_guess_decides_nothing_among_equal_houses() -> None:
+    places = houses_along_a_street(1, 0.0), houses_along_a_street(2, 3.0)
+    verdict = verify(*places, 0.9, VERIFICATION, expected=se3.from_yaw(0.0, (-3.0, 0.0, 0.0)))
+    assert isinstance(verdict, RejectedLoop) and verdict.reason is RejectionReason.AMBIGUOUS

@@ -17,6 +17,7 @@ from revisit.core.errors import BadField, MalformedBody, TooLarge, UnsupportedEn
 from revisit.core.geometry import se3
 from revisit.evaluation.datasets import WantedTopics, open_bag
 from revisit.evaluation.datasets.bag_message import unpacked_chunk
+from revisit.evaluation.datasets.ros_messages import read_points
 
 MAGIC = b"\x89MCAP0\r\n"
 COUNT = 120
@@ -60,8 +61,9 @@ def point_cloud(stamp_ns: int, points: np.ndarray, rows: int = 2) -> bytes:
     return cdr.put("B", 0).put("I", step, step * width + 8).raw(content).put("B", 1).message()
 
 
-def odometry(stamp_ns: int, x: float) -> bytes:
-    return Cdr().header(stamp_ns, b"odom\0").raw(b"base\0").put("d", x, 0, 0, 0, 0, 0, 1, *([0.0] * 36)).message()
+def odometry(stamp_ns: int, x: float, quaternion_w: float = 1) -> bytes:
+    pose = Cdr().header(stamp_ns, b"odom\0").raw(b"base\0").put("d", x, 0, 0, 0, 0, 0, quaternion_w)
+    return pose.put("d", *([0.0] * 36)).message()
 
 
 def record(opcode: int, content: bytes) -> bytes:
@@ -91,7 +93,14 @@ def chunk(records: bytes, compression: str) -> bytes:
     return record(6, head + struct.pack("<Q", len(stored)) + stored)
 
 
-def bag(file: Path, compression: str | None = "zstd", *, with_odometry: bool = True) -> Path:
+def bag(
+    file: Path,
+    compression: str | None = "zstd",
+    *,
+    with_odometry: bool = True,
+    more: bytes = b"",
+    quaternion_w: float = 1,
+) -> Path:
     """Odometry drives 1 m a second for 3 s, 0.25 s late; clouds at 0, 1 and 2 s."""
     start = 1_700_000_000 * 10**9
     records = channel(1, "/points", "sensor_msgs/msg/PointCloud2") + channel(2, "/odom", "nav_msgs/msg/Odometry")
@@ -99,7 +108,8 @@ def bag(file: Path, compression: str | None = "zstd", *, with_odometry: bool = T
     for second in range(3):
         records += message(1, point_cloud(start + second * 10**9, cloud(second)))
         if with_odometry:
-            records += message(2, odometry(start + second * 10**9 + 250_000_000, float(second)))
+            records += message(2, odometry(start + second * 10**9 + 250_000_000, float(second), quaternion_w))
+    records += more
     body = records if compression is None else chunk(records, compression)
     file.write_bytes(MAGIC + record(1, text("ros2") + text("test")) + body + record(2, bytes(20)) + MAGIC)
     return file
@@ -165,6 +175,44 @@ def test_an_mcap_file_that_was_cut_is_read_as_far_as_it_goes(tmp_path: Path) -> 
     recording = open_bag(file)
     assert len(recording) == 1
     assert "drive.mcap ends within a record" in recording.notes[-1]
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_a_message_that_cannot_be_read_does_not_cost_the_drive(tmp_path: Path, number: int) -> None:
+    recording = open_bag(bag(tmp_path / "drive.mcap", more=message(number, b"\0\1\0\0") * 2))
+    assert len(recording) == 2
+    assert "warning: 2 messages cannot be read and were left out" in recording.notes
+
+
+def test_a_bag_of_messages_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
+    file = bag(tmp_path / "drive.mcap", with_odometry=False, more=message(2, b"\0\1\0\0"))
+    with pytest.raises(MalformedBody, match="/odom: the message ends too early"):
+        open_bag(file)
+
+
+def test_poses_that_are_all_no_rigid_motions_are_named_as_the_cause(tmp_path: Path) -> None:
+    with pytest.raises(BadField, match="all 3 in the bag are no rigid motions"):
+        open_bag(bag(tmp_path / "drive.mcap", quaternion_w=1.7))
+
+
+def a_cloud(points: np.ndarray, height: int, row_step: int, padding: int = 0, count: int = 1) -> bytes:
+    """A PointCloud2 of one row that says it has `height` rows `row_step` bytes apart."""
+    cdr = Cdr().header(0).put("I", height, len(points), 3)
+    for index, name in enumerate((b"x\0", b"y\0", b"z\0")):
+        cdr.raw(name).put("I", 4 * index).put("B", 7).put("I", count)
+    return cdr.put("B", 0).put("I", 12, row_step).raw(points.tobytes() + bytes(padding)).put("B", 1).message()
+
+
+def test_rows_are_counted_by_the_bytes_that_are_there() -> None:
+    with pytest.raises(MalformedBody, match="declares"):
+        read_points(a_cloud(cloud(0), 0xFFFFFFFF, 0))
+    with pytest.raises(MalformedBody, match="declares"):
+        read_points(a_cloud(cloud(0), 0xFFFFFFFF, 12 * COUNT + 8))
+
+
+def test_the_padding_of_a_single_row_and_a_count_of_none_are_read_as_they_are_meant() -> None:
+    np.testing.assert_array_equal(read_points(a_cloud(cloud(0), 1, 12 * COUNT + 8, padding=8)), cloud(0))
+    np.testing.assert_array_equal(read_points(a_cloud(cloud(0), 1, 12 * COUNT, count=0)), cloud(0))
 
 
 def test_a_sqlite_bag_is_read_like_an_mcap_file(tmp_path: Path) -> None:

@@ -19,8 +19,10 @@ from revisit.evaluation.baselines import (
     RingPlusPlus,
     ScanContext,
     Solid,
+    StableTriangles,
     Triangles,
 )
+from revisit.evaluation.baselines.plane_edges import PlaneEdges
 
 
 def place(seed: int) -> np.ndarray:
@@ -46,7 +48,11 @@ def described(method: PlaceRecogniser) -> np.ndarray:
     return np.stack([method.describe(place(seed)) for seed in range(30)])
 
 
-@pytest.mark.parametrize("method", ALL_BASELINES, ids=lambda method: method.name)
+# The voxels and pixels of STD follow the frame: of a few walls turned at will it keeps too few corners.
+BLIND_TO_TURNS = [method for method in ALL_BASELINES if not isinstance(method, StableTriangles)]
+
+
+@pytest.mark.parametrize("method", BLIND_TO_TURNS, ids=lambda method: method.name)
 @pytest.mark.parametrize("degrees", [0.0, 37.0, 180.0, 271.0])
 def test_a_turned_place_is_told_from_thirty_others(method: PlaceRecogniser, degrees: float) -> None:
     places = described(method)
@@ -209,3 +215,43 @@ def test_ring_plus_plus_hardly_changes_when_the_place_is_seen_from_a_few_metres_
     here, moved = method.describe(place(2)), method.describe(seen_from(place(2), 0.0, x=3.0, y=-2.0))
     elsewhere = max(method.similarities(here, np.stack([method.describe(place(seed)) for seed in range(10, 30)])))
     assert method.similarities(here, moved[None])[0] > elsewhere
+
+
+def yard() -> np.ndarray:
+    """Level ground, and a box of 1 by 1 by 1.5 m on it at (10, 4)."""
+    x, y = np.meshgrid(np.arange(-20, 20, 0.2), np.arange(-20, 20, 0.2))
+    ground = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, -1.7)])
+    side, up = np.meshgrid(np.arange(0, 1, 0.1), np.arange(0, 1.5, 0.1))
+    walls = [
+        np.column_stack([10 + a.ravel(), 4 + b.ravel(), up.ravel() - 1.7])
+        for a, b in ((side, 0 * side), (side, 0 * side + 1), (0 * side, side), (0 * side + 1, side))
+    ]
+    return np.concatenate([ground, *walls]).astype(np.float32)
+
+
+def test_the_only_corner_beside_level_ground_is_the_top_of_the_box_on_it() -> None:
+    pieces, corners = PlaneEdges().find(yard())
+    assert len(corners.points) == 1
+    np.testing.assert_allclose(corners.points[0], [10.5, 4.5, -0.3], atol=0.75)
+    assert abs(corners.normals[0, 2]) == pytest.approx(1.0, abs=1e-6)
+    assert len(set(pieces.planes)) == 1 and np.ptp(pieces.centres[:, 0]) > 30
+
+
+def test_the_pose_of_matched_triangles_lays_planes_on_planes() -> None:
+    method = StableTriangles()
+    here, elsewhere = method.describe(place(4)), method.describe(place(5))
+    assert method.similarities(here, np.stack([elsewhere, here])).argmax() == 1
+    turn = se3.from_yaw(0.7, (4.0, -3.0, 0.5))
+    asked = method.describe(place(4))[:, 6:].reshape(-1, 3, 3)
+    corners = asked[~np.isnan(asked[:, 0, 0])].astype(np.float64)
+    moved = se3.apply(turn, corners.reshape(-1, 3)).reshape(corners.shape)
+    found = method._pose(corners.reshape(-1, 9), moved.reshape(-1, 9))
+    assert found is not None
+    np.testing.assert_allclose(found[0], turn[:3, :3], atol=1e-6)
+    np.testing.assert_allclose(found[1], turn[:3, 3], atol=1e-5)
+
+
+def test_fewer_than_four_agreeing_triangles_give_no_pose() -> None:
+    rng = np.random.default_rng(0)
+    assert StableTriangles()._pose(rng.uniform(0, 30, (3, 9)), rng.uniform(0, 30, (3, 9))) is None
+    assert StableTriangles()._pose(rng.uniform(0, 30, (20, 9)), rng.uniform(0, 300, (20, 9))) is None

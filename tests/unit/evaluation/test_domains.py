@@ -16,13 +16,13 @@ from revisit.core.submap import Submap
 from revisit.evaluation import real_data
 from revisit.evaluation.domains.catalogue import DOMAINS, Domain, Pass, Setting, SomeScans
 from revisit.evaluation.domains.drives import DrivenWorld, Leg, Ride, backwards, winding_way
-from revisit.evaluation.domains.evaluation import RememberedVerdicts, evaluate_domain
+from revisit.evaluation.domains.evaluation import evaluate_domain
 from revisit.evaluation.domains.open_world import OpenWorld
 from revisit.evaluation.domains.relief import NearestHeights, Waves
 from revisit.evaluation.domains.report import write_domains
 from revisit.evaluation.domains.resimulation import beside_where_free
 from revisit.evaluation.domains.verge import CANYON, MIXED, WOODS, Style, grow
-from revisit.evaluation.loop_closure_method import Description, Verdict
+from revisit.evaluation.loop_closure_method import Description, RememberedVerdicts, Verdict
 from revisit.evaluation.metrics import LoopProtocol
 from revisit.evaluation.realism import scan_statistics
 from revisit.evaluation.simulator import HDL32, VLP16, Path

@@ -17,8 +17,9 @@ from revisit.evaluation.baselines import ScanContext, Solid
 from revisit.evaluation.datasets import write_kitti
 from revisit.evaluation.loop_closure_method import Description, RevisitMethod, Verdict
 from revisit.evaluation.metrics import LoopProtocol, Outcomes
+from revisit.evaluation.protocols import benchmark_plan
 from revisit.evaluation.protocols.benchmark_plan import ABLATIONS, PROTOCOLS, BenchmarkPlan, RecordedDrive, run_plan
-from revisit.evaluation.protocols.comparison import PRODUCT, VERIFIED
+from revisit.evaluation.protocols.comparison import PRODUCT, VERIFIED, verified_name
 from revisit.evaluation.protocols.directions import Direction, directions, recall_by_direction
 from revisit.evaluation.protocols.experiment import Experiment, MethodResult, classified, scores
 from revisit.evaluation.protocols.ground_truth import GroundTruth
@@ -129,6 +130,23 @@ def test_a_method_that_knows_where_it_is_is_always_right_and_poses_are_exact(
     assert figures.recall_at_1 == 1.0 and figures.recognition.loops > 20
     assert len(verified.accepted) >= figures.recognition.loops
     assert max(verified.poses.metres) < 1e-5 and max(verified.poses.degrees) < 1e-3
+
+
+def test_the_first_answers_of_every_peer_can_be_verified_too(
+    plan: BenchmarkPlan, experiments: list[Experiment], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(benchmark_plan.map_closures, "is_installed", lambda: False)
+    asked = dataclasses.replace(plan, protocols=("online",), verified_peers=True)
+    (compared,) = run_plan(asked, lambda *_: None, Compass())
+    plain = by_name(experiments, "online")
+    peers = ["scan-context", verified_name("scan-context"), "solid", verified_name("solid")]
+    assert [one.method for one in compared.results] == [PRODUCT, VERIFIED, *peers]
+    assert all(
+        compared.result(name).candidates == plain.result(name).candidates for name in (PRODUCT, VERIFIED, "solid")
+    )
+    behind, bare = (scores(compared.result(name), compared.ground_truth()).recognition for name in (peers[3], peers[2]))
+    # A right answer among the first three is accepted, a wrong one is not: precision can only rise.
+    assert compared.result(peers[3]).accepted and behind.recall_at_full_precision > bare.recall_at_full_precision
 
 
 def test_turning_costs_a_baseline_that_is_blind_to_yaw_little(experiments: list[Experiment]) -> None:

@@ -13,7 +13,7 @@ from revisit.evaluation.datasets import KittiRecording, write_kitti
 from revisit.evaluation.metrics import LoopProtocol
 from revisit.evaluation.protocols.experiment import Experiment
 from revisit.evaluation.protocols.ground_truth import GroundTruth
-from revisit.evaluation.protocols.sequential_baseline import result_of, with_map_closures
+from revisit.evaluation.protocols.sequential_baseline import LONG_NAME, matches_of, result_of, with_map_closures
 
 LOOPS = LoopProtocol(positive_radius_m=10.0, min_index_gap=3)
 
@@ -48,25 +48,58 @@ def test_the_submap_with_most_agreeing_points_is_matched_first_unless_the_protoc
     ground_truth = GroundTruth.within_session(positions, LOOPS)
     # Submap 5 may be matched with 0 and 1 only: 2 agrees best, but is too near in the order, as 1 is for submap 4.
     found = [{}, {}, {}, {}, {1: 9}, {0: 4, 1: 7, 2: 30}]
-    result = result_of(found, ground_truth, search_s=0.25)
+    result = result_of(matches_of(found, ground_truth, 5), search_s=0.25)
     assert result.candidates == ((), (), (), (), (), (1, 0))
     assert result.score == (None, None, None, None, None, 7.0)
     assert result.search_s == 0.25 and result.method == "map-closures"
 
 
-def test_a_submap_that_cannot_be_built_keeps_its_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    recording, experiment = drive(tmp_path)
-    sizes = []
+def asked_with(folder: Path, monkeypatch: pytest.MonkeyPatch, **more) -> tuple[Experiment, list[list[np.ndarray]]]:
+    """The drive after MapClosures, which here finds the first submap in every cloud, and the clouds it was shown."""
+    recording, experiment = drive(folder)
+    shown: list[list[np.ndarray]] = []
 
     def found_at_the_start(clouds):
+        shown.append([])
         for cloud in clouds:
-            sizes.append(len(cloud))
+            shown[-1].append(cloud)
             yield {0: 5}
 
     monkeypatch.setattr(map_closures, "find_closures", found_at_the_start)
-    answered = with_map_closures(experiment, recording, SubmapConfig())
-    assert [size > 0 for size in sizes] == [True, True, False, True, True, True]
+    monkeypatch.setattr(map_closures, "in_voxels", lambda points: points)
+    return with_map_closures(experiment, recording, SubmapConfig(stride=25.0), **more), shown
+
+
+def test_a_submap_that_cannot_be_built_keeps_its_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    answered, shown = asked_with(tmp_path, monkeypatch)
+    assert [len(cloud) > 0 for cloud in shown[0]] == [True, True, False, True, True, True]
     assert answered.result("map-closures").candidates == ((), (), (), (), (0,), (0,))
+
+
+def test_a_map_of_its_own_length_holds_what_lies_around_a_submap_in_its_frame(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    answered, (short, long) = asked_with(tmp_path, monkeypatch)
+    # 100 m at a stride of 25 m: two submaps before, itself, and one after; the third is empty.
+    count = len(short[0])
+    assert [len(cloud) // count for cloud in long] == [2, 2, 3, 3, 3, 3]
+    np.testing.assert_allclose(
+        np.sort(long[1][:, 0]), np.sort(np.concatenate([short[0] - [30, 0, 0], short[1]])[:, 0]), atol=1e-4
+    )
+    assert answered.result(LONG_NAME).candidates == answered.result("map-closures").candidates
+
+
+def test_the_first_matches_of_both_are_handed_to_the_verification(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    asked = []
+
+    def verification(matches, name):
+        asked.append((name, [tuple(match.id for match in one) for one in matches]))
+        return result_of(matches, 0.0, name)
+
+    answered, _ = asked_with(tmp_path, monkeypatch, verification=verification)
+    ids = [(), (), (), (), (0,), (0,)]
+    assert asked == [(f"{name} + our verification", ids) for name in ("map-closures", LONG_NAME)]
+    assert [one.method for one in answered.results][1::2] == [name for name, _ in asked]
 
 
 def test_an_experiment_between_two_recordings_is_refused(tmp_path: Path):

@@ -11,6 +11,7 @@ import pytest
 import structlog
 from alembic.script import ScriptDirectory
 
+from revisit.cli.app import run
 from revisit.service.__main__ import main
 from revisit.service.adapters.sqlite.migration import MIGRATIONS, current_revision
 from revisit.service.application.contract.records import WorkerRecord
@@ -42,6 +43,28 @@ def test_a_database_of_a_newer_version_is_refused_and_left_alone(home, capsys):
     assert main(["migrate"]) == 78
     assert "does not fit this version" in capsys.readouterr().err
     assert current_revision(home / "revisit.db") == "9999"
+
+
+@pytest.mark.parametrize("command", ["serve", "migrate", "worker"])
+def test_a_file_that_is_no_database_is_refused_in_one_line_and_left_alone(command, home, capsys):
+    (home / "revisit.db").write_bytes(b"no database" * 500)
+    assert main([command]) == 78
+    told = capsys.readouterr().err
+    assert "revisit.db cannot be read: file is not a database" in told and told.count("\n") == 1
+    assert (home / "revisit.db").read_bytes() == b"no database" * 500
+
+
+def test_a_folder_in_place_of_the_database_is_refused(home, capsys):
+    (home / "revisit.db").mkdir()
+    assert main(["serve"]) == 78
+    assert "revisit.db cannot be read" in capsys.readouterr().err
+
+
+def test_a_data_folder_that_cannot_be_made_is_named(home, capsys, monkeypatch):
+    (home / "file").write_text("")
+    monkeypatch.setenv("REVISIT_HOME", str(home / "file"))
+    assert main(["serve"]) == 78
+    assert f"cannot use {home / 'file'}: File exists; REVISIT_HOME" in capsys.readouterr().err
 
 
 def test_a_worker_without_a_database_is_refused(capsys):
@@ -96,3 +119,16 @@ def test_logs_are_json_lines_with_the_ids_that_are_bound(capsys):
     ours, theirs = (json.loads(line) for line in capsys.readouterr().err.splitlines())
     assert (ours["event"], ours["request_id"], ours["submap"], ours["level"]) == ("posted", "r-1", "a\nb", "info")
     assert (theirs["event"], theirs["logger"], theirs["level"]) == ("look here", "library", "warning")
+
+
+@pytest.mark.parametrize("command", [["keys", "list"], ["scrub"], ["backup", "elsewhere"]])
+def test_commands_say_in_one_line_that_the_database_is_damaged(command, home, capsys, monkeypatch):
+    (home / "revisit.db").write_bytes(b"no database" * 500)
+    monkeypatch.chdir(home)
+    monkeypatch.setattr("sys.argv", ["revisit", *command])
+    with pytest.raises(SystemExit) as ended:
+        run()
+    told = capsys.readouterr().err
+    assert ended.value.code == 1
+    assert "the database cannot be read: file is not a database" in told and told.count("\n") == 1
+    assert not (home / "elsewhere").exists()

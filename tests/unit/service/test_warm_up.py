@@ -25,7 +25,7 @@ class Rehearsed(FakeRecogniser):
             raise self._error
         return super().describe(submap, config)
 
-    def verify(self, query, match, similarity, config, near=None, *, near_decides=True):
+    def verify(self, query, match, similarity, config, near=None, *, near_decides=True, expected=None):
         self.asked.append(("verify", query == match))
         return super().verify(query, match, similarity, config, near)
 
