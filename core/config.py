@@ -418,10 +418,10 @@ class VerificationConfig(Section):
         25.0, "deg", "own", "largest error of the yaw that a correspondence implies", high=180
     )
     sure_inliers: int = parameter(25, "keypoints", "own", "below, poses by phase correlation are tried too", low=0)
-    starts: int = parameter(3, "poses", "own", "most planar poses that are refined by ICP")
+    starts: int = parameter(2, "poses", "own, decision 0204", "most planar poses that are refined by ICP")
     correlation_pixel: float = parameter(0.8, "m", "own", "pixel of the images for phase correlation")
     correlation_turns: int = parameter(
-        3, "yaws", "own", "yaws tried by phase correlation, each in both directions", low=0
+        2, "yaws", "own, decision 0204", "yaws tried by phase correlation, each in both directions", low=0
     )
     coarse_rounds: int = parameter(10, "steps", "own", "coarse ICP steps", low=0)
     first_rounds: int = parameter(
@@ -511,6 +511,12 @@ class VerificationConfig(Section):
         0.1, "1", "own, decision 0194", "share of the deviations above where scans agree", low=0, high=1
     )
     rival_distance: float = parameter(1.5, "m", "own, decision 0080", "poses farther apart than this are rivals")
+    rival_nearest: float = parameter(
+        0.6, "m", "own, decision 0213", "hypotheses of an ambiguous loop lie farther apart than this"
+    )
+    rival_near_share: float = parameter(
+        0.95, "1", "own, decision 0213", "share of the overlap of those nearer than `rival_distance`", low=0
+    )
     rival_common: float = parameter(
         0.5, "1", "own, decision 0080", "share of the common surface that a rival must have, too", low=0, high=1
     )

@@ -70,15 +70,16 @@ def find_support(
 
     Accepted neighbours of at least `support_anchors` submaps must agree with it, and no accepted one may contradict it;
     together with the pair, all that agree must reach along `support_length` metres of both drives, and half of all
-    neighbours must be among them. A neighbour counts only where odometry carries it so well that it cannot agree with
-    two hypotheses: an endless row never has such support, because none of its loops is accepted.
+    neighbours must be among them. A neighbour counts only where odometry carries it so well that, where it agrees, it
+    cannot agree with another hypothesis: an endless row never has such support, because none of its loops is accepted.
     """
     near = [one for one in neighbours if one.way_m <= config.support_reach]
-    telling = [one for one in near if _tells_apart(hypotheses, one, config)]
-    accepted = [one for one in telling if one.accepted]
-    anchors = len({one.query_m for one in accepted})
     for row, T_match_query in enumerate(hypotheses):
-        if anchors < config.support_anchors or not all(_agrees(T_match_query, one, config) for one in accepted):
+        others = [*hypotheses[:row], *hypotheses[row + 1 :]]
+        telling = [one for one in near if _tells_apart(T_match_query, others, one, config)]
+        anchors = len({one.query_m for one in telling if one.accepted})
+        contradicted = any(one.accepted and not _agrees(T_match_query, one, config) for one in near)
+        if anchors < config.support_anchors or contradicted:
             continue
         agreeing = [one for one in telling if _agrees(T_match_query, one, config)]
         along_m = min(_reach([one.query_m for one in agreeing]), _reach([one.match_m for one in agreeing]))
@@ -135,13 +136,14 @@ _CONTRADICTING_DRIFT = 0.05  # a poor odometry; right loops must not contradict 
 _CONTRADICTING_TURN = np.radians(10.0)
 
 
-def _tells_apart(hypotheses: Sequence[se3.Matrix4], neighbour: NeighbourLoop, config: VerificationConfig) -> bool:
-    """Whether no pose can agree with two of the hypotheses after odometry has carried it."""
+def _tells_apart(
+    hypothesis: se3.Matrix4, others: Sequence[se3.Matrix4], neighbour: NeighbourLoop, config: VerificationConfig
+) -> bool:
+    """Whether no pose can agree with a hypothesis and one of the others after odometry has carried it."""
     tolerance_m, tolerance_rad = _tolerance(neighbour, config)
     return all(
-        _shift(one, other) > 2.0 * tolerance_m or _turn(one, other) > 2.0 * tolerance_rad
-        for row, one in enumerate(hypotheses)
-        for other in hypotheses[:row]
+        _shift(hypothesis, other) > 2.0 * tolerance_m or _turn(hypothesis, other) > 2.0 * tolerance_rad
+        for other in others
     )
 
 

@@ -56,6 +56,7 @@ def main(arguments: list[str] | None = None) -> int:
         return _refuse(f"REVISIT_FAIL: {error}")
     from alembic.util import CommandError
 
+    from revisit.core.device import MissingDevice
     from revisit.service.adapters.files.filesystem import RemoteFileSystem
 
     try:
@@ -64,10 +65,16 @@ def main(arguments: list[str] | None = None) -> int:
         return _refuse(f"the database {settings.database} does not fit this version: {error}")
     except RemoteFileSystem as error:
         return _refuse(str(error))
+    except MissingDevice as error:
+        return _refuse(f"REVISIT_DEVICE: {error}")
 
 
 def _run(options: argparse.Namespace, settings: Settings) -> int:
-    """Run the command that was asked for; the exit status. Raises CommandError for a database of another version."""
+    """Run the command that was asked for; the exit status.
+
+    Raises CommandError for a database of another version, MissingDevice for a device that is not there.
+    """
+    from revisit.core.device import require_device
     from revisit.service.adapters.sqlite.connections import unreadable
     from revisit.service.adapters.sqlite.migration import current_revision, migrate
 
@@ -80,6 +87,8 @@ def _run(options: argparse.Namespace, settings: Settings) -> int:
     if options.command == "migrate":
         migrate(settings.database, options.revision)
         return 0
+    if options.command in ("serve", "worker"):
+        require_device(settings.device)
     if options.command == "serve":
         return _serve(settings)
     if current_revision(settings.database) is None:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, cast
 
 import structlog
 
+from revisit.core.device import open_device, use
 from revisit.service import VERSION
 from revisit.service.access_rules import access_rules
 from revisit.service.adapters.clock import SystemClock
@@ -204,7 +205,8 @@ def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None
         # A handler of its own, for the kernel spares the first process of a container the default one.
         signal.signal(number, lambda number, _: os._exit(128 + number))
     confine(settings.worker_memory_mb * 2**20)
-    log.info("worker_loading")
+    log.info("worker_loading", device=settings.device)
+    use(open_device(settings.device))
     recogniser = load_recogniser(settings.recogniser)
     stopping = threading.Event()
     for number in STOP_SIGNALS:
@@ -212,7 +214,7 @@ def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None
     installation = build_installation(settings, gateway=False, fail_stop=FailStop(lambda: os._exit(STORAGE_FAILED)))
     identity = WorkerIdentity(worker_id or f"worker-{secrets.token_hex(4)}", recogniser.model_version, parent_pid)
     structlog.contextvars.bind_contextvars(worker=identity.worker_id)
-    log.info("worker_ready", model_version=identity.model_version)
+    log.info("worker_ready", model_version=identity.model_version, device=settings.device)
     limits = WorkerLimits(settings.jobs_per_worker, settings.worker_memory_mb * 2**20 * 3 // 4, settings.job_timeout_s)
     tracer = build_tracer(settings, "worker")
     worker = Worker(

@@ -48,10 +48,10 @@ class NeuralPoints:  # Eq. 1
     def subset(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> NeuralPoints:
         """Only the points where `keep` (n,) holds, or those of the rows `keep` (m,)."""
         rows = np.flatnonzero(keep) if keep.dtype == np.bool_ else keep
-        parts: tuple[NDArray[Any], ...] = (
-            self.positions, self.normals, self.created, self.updated, self.hits, self.stability
+        return NeuralPoints(
+            self.positions.take(rows, axis=0), self.normals.take(rows, axis=0), self.created[rows], self.updated[rows],
+            self.hits[rows], self.stability[rows],
         )  # fmt: skip
-        return NeuralPoints(*(part.take(rows, axis=0) for part in parts))
 
     @classmethod
     def remembered(cls, positions: Array, normals: Array, hits: NDArray[np.int32], scans: int) -> NeuralPoints:

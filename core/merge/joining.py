@@ -81,13 +81,16 @@ def _rival_loops(graph: PoseGraph, loops: list[LoopEdge], second: frozenset[str]
 
 
 def _common_track_m(graph: PoseGraph, loops: Iterable[LoopEdge], second: frozenset[str], longest_gap_m: float) -> float:
-    """The way along the sessions `second` between submaps with loops that follow each other closely."""
+    """The way along the sessions `second` between submaps with loops that follow each other closely, to a millimetre:
+    steps that add up to a limit shall reach it.
+    """
     ends: dict[str, set[int]] = {}
     for loop in loops:
         for node in (loop.match, loop.query):
             if node.session in second:
                 ends.setdefault(node.session, set()).add(node.ordinal)
-    return sum(_spanned_m(graph, session, ordinals, longest_gap_m) for session, ordinals in sorted(ends.items()))
+    way_m = sum(_spanned_m(graph, session, ordinals, longest_gap_m) for session, ordinals in sorted(ends.items()))
+    return round(way_m, 3)
 
 
 def _spanned_m(graph: PoseGraph, session: str, ordinals: set[int], longest_gap_m: float) -> float:

@@ -11,7 +11,7 @@ from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
 from revisit.core.kernels.seen_columns import in_seen_columns
 from revisit.core.verification.line_of_sight import View, seen_through, view_of
-from revisit.core.verification.oriented_points import COLUMN_M, OrientedPoints, contact_in_pose, shared_shares
+from revisit.core.verification.oriented_points import COLUMN_M, OrientedPoints, contact_in_poses, shared_shares
 from revisit.core.verification.registration import Registration
 
 Array64 = NDArray[np.float64]
@@ -47,8 +47,8 @@ def gather_evidence(
 ) -> Evidence:
     """All evidence about a registration; what costs time only where it was refined."""
     T_match_query = registration.T_match_query
-    forward = contact_in_pose(T_match_query, query, match, config)
-    backward = contact_in_pose(se3.inverse(T_match_query), match, query, config)
+    directions = (T_match_query, query, match), (se3.inverse(T_match_query), match, query)
+    forward, backward = contact_in_poses(directions, config)
     overlap = 0.5 * (forward.share + backward.share)
     found = Evidence(
         overlap=overlap,

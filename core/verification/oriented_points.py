@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -10,11 +11,12 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from revisit.core.config import VerificationConfig
+from revisit.core.device import contract, device
 from revisit.core.geometry import se3
 from revisit.core.kept import Keeping
 from revisit.core.kernels.patches import Patches, patches_of
 from revisit.core.kernels.seen_columns import SeenColumns, seen_columns
-from revisit.core.kernels.surface_contact import contact_sums, shared_counts, touching_rows
+from revisit.core.kernels.surface_contact import touching_rows
 from revisit.core.place import Place
 
 Array64 = NDArray[np.float64]
@@ -24,6 +26,12 @@ SEARCH_EDGE_M = 1.0
 
 COLUMN_M = 2.0
 """Edge of the vertical columns in which two places are compared, in metres."""
+
+_STEEPEST_GROUND = np.cos(np.radians(70.0))
+"""Ground with a steeper normal is a lone ring of a beam: a line, whose normal is a guess and looks at the sensor. Such
+rings stand like boards around each spot a scan was taken from, and alignment would put board on board instead of
+surface on surface (docs/decisions/0212).
+"""
 
 _FACING_ALIKE = 0.6  # smallest cosine between the normals of two points on one surface
 
@@ -38,12 +46,18 @@ class OrientedPoints(Keeping):
 
     @classmethod
     def of(cls, place: Place) -> OrientedPoints:
-        """The stored surface of a place, in its level frame; kept with the place."""
+        """The stored surface of a place, in its level frame; kept with the place.
+
+        Ground whose stored normal is steep gets one that looks up: see `_STEEPEST_GROUND`.
+        """
         return place.kept(cls._copied)
 
     @classmethod
     def _copied(cls, place: Place) -> OrientedPoints:
-        return cls(place.points.astype(np.float64), place.normals.astype(np.float64), place.standing_count)
+        normals = place.normals.astype(np.float64)
+        ground = normals[place.standing_count :]
+        ground[np.abs(ground[:, 2]) < _STEEPEST_GROUND] = (0.0, 0.0, 1.0)
+        return cls(place.points.astype(np.float64), normals, place.standing_count)
 
     @cached_property
     def tree(self) -> cKDTree:
@@ -112,8 +126,9 @@ class Contact:
 def contact(surface: OrientedPoints, other: OrientedPoints, config: VerificationConfig) -> Contact:
     """Where `surface` lies on `other`: near one of its points, near its tangent plane, facing alike. One frame."""
     rows, distances = touching_rows(
-        np.ascontiguousarray(surface.points), np.ascontiguousarray(surface.normals), *_contact_rules(other, config)
-    )
+        np.ascontiguousarray(surface.points), np.ascontiguousarray(surface.normals), other.patches,
+        *_contact_rules(config)[:-1],
+    )  # fmt: skip
     touching = rows >= 0
     return Contact(touching, distances[touching], other.patches.rows[rows[touching]])
 
@@ -139,15 +154,22 @@ class ContactSums:
         return self.standing_touching / max(self.standing, 1)
 
 
-def contact_in_pose(
-    T_other_surface: se3.Matrix4, surface: OrientedPoints, other: OrientedPoints, config: VerificationConfig
-) -> ContactSums:
-    """What `surface` has in common with `other` where T_other_surface puts it."""
-    (standing, standing_touching, touching), squares, information = contact_sums(
-        np.ascontiguousarray(surface.points), np.ascontiguousarray(surface.normals), surface.standing_count,
-        np.ascontiguousarray(T_other_surface), *_contact_rules(other, config), other.seen.slots, COLUMN_M,
-    )  # fmt: skip
-    return ContactSums(int(standing), int(standing_touching), int(touching), float(squares), information)
+def contact_in_poses(
+    placed: Sequence[tuple[se3.Matrix4, OrientedPoints, OrientedPoints]], config: VerificationConfig
+) -> list[ContactSums]:
+    """For each T_other_surface, surface and other: what the surface has in common with the other where that puts it."""
+    jobs = [
+        contract.Contact(
+            np.ascontiguousarray(surface.points), np.ascontiguousarray(surface.normals), surface.standing_count,
+            np.ascontiguousarray(T_other_surface), other.patches, other.seen.slots,
+        )
+        for T_other_surface, surface, other in placed
+    ]  # fmt: skip
+    found = device().kernels.touch(jobs, _contact_rules(config))
+    return [
+        ContactSums(int(one.counts[0]), int(one.counts[1]), int(one.counts[2]), float(one.squares), one.information)
+        for one in found
+    ]
 
 
 def shared_shares(
@@ -156,15 +178,15 @@ def shared_shares(
     """For each of `offsets_m` (s, 3) by which `surface` is moved: the share of it that touches `other` then, of what
     stands in the columns that `other` has seen. One frame.
     """
-    counts = shared_counts(
-        np.ascontiguousarray(surface.points), np.ascontiguousarray(surface.normals), offsets_m,
-        *_contact_rules(other, config), other.seen.slots, COLUMN_M,
-    )  # fmt: skip
+    points, normals = np.ascontiguousarray(surface.points), np.ascontiguousarray(surface.normals)
+    job = contract.Shifts(points, normals, offsets_m, other.patches, other.seen.slots)
+    (counts,) = device().kernels.share([job], _contact_rules(config))
     return [float(touching) / max(int(seen), 1) for seen, touching in counts]
 
 
-def _contact_rules(other: OrientedPoints, config: VerificationConfig) -> tuple[Patches, float, float, float, float]:
-    return other.patches, SEARCH_EDGE_M, config.neighbour_distance, config.surface_distance, _FACING_ALIKE
+def _contact_rules(config: VerificationConfig) -> contract.ContactRules:
+    distances = config.neighbour_distance, config.surface_distance
+    return contract.ContactRules(SEARCH_EDGE_M, *distances, _FACING_ALIKE, COLUMN_M)
 
 
 def columns_of(points: Array64) -> NDArray[np.int64]:

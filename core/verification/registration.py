@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.config import VerificationConfig
+from revisit.core.device import device
+from revisit.core.device.contract import Alignment, AlignmentRules
 from revisit.core.geometry import se3
-from revisit.core.kernels.surface_alignment import aligned
-from revisit.core.verification.oriented_points import OrientedPoints, contact_in_pose
+from revisit.core.verification.oriented_points import OrientedPoints, contact_in_poses
 
 Array64 = NDArray[np.float64]
 
@@ -61,11 +62,12 @@ def register(
     no fine ones: most candidates are no loops, and fine steps cost time.
     """
     if len(starts) == 1:
-        return _refined(_approach(starts[0], query, match, config, config.coarse_rounds), (), query, match, config)
-    approached = [_approach(start, query, match, config, config.first_rounds) for start in starts]
+        (only,) = _approach(starts, query, match, config, config.coarse_rounds)
+        return _refined(only, (), query, match, config)
+    approached = _approach(starts, query, match, config, config.first_rounds)
     best = max(range(len(starts)), key=lambda row: approached[row].agreement)
     left_out = tuple(one.T_match_query for row, one in enumerate(approached) if row != best)
-    gone_on = _approach(approached[best].T_match_query, query, match, config, _further(config))
+    (gone_on,) = _approach([approached[best].T_match_query], query, match, config, _further(config))
     return _refined(gone_on, left_out, query, match, config)
 
 
@@ -73,7 +75,7 @@ def reconsider(
     registration: Registration, query: OrientedPoints, match: OrientedPoints, config: VerificationConfig
 ) -> Registration | None:
     """The registration from a start that was left out, where on all coarse steps more points agree on it."""
-    gone_on = [_approach(one, query, match, config, _further(config)) for one in registration.left_out]
+    gone_on = _approach(registration.left_out, query, match, config, _further(config))
     best = max(gone_on, key=lambda one: one.agreement, default=None)
     if best is None or best.agreement <= registration.agreement:
         return None
@@ -92,12 +94,13 @@ class _Approached:
 
 
 def _approach(
-    T_start: se3.Matrix4, query: OrientedPoints, match: OrientedPoints, config: VerificationConfig, rounds: int
-) -> _Approached:
+    starts: Sequence[se3.Matrix4], query: OrientedPoints, match: OrientedPoints, config: VerificationConfig, rounds: int
+) -> list[_Approached]:
     few = query.kept(OrientedPoints.thinned, config.coarse_share)
-    T_match_query = iterate(T_start, few, match, config.coarse_distance, rounds)
-    found = contact_in_pose(T_match_query, few, match, config)
-    return _Approached(T_match_query, found.touching / max(len(few.points), 1), found.share)
+    poses = iterate_all(starts, few, match, config.coarse_distance, rounds)
+    found = contact_in_poses([(pose, few, match) for pose in poses], config)
+    count = max(len(few.points), 1)
+    return [_Approached(pose, one.touching / count, one.share) for pose, one in zip(poses, found, strict=True)]
 
 
 def _further(config: VerificationConfig) -> int:
@@ -121,13 +124,18 @@ def iterate(
     T_match_query: se3.Matrix4, query: OrientedPoints, match: OrientedPoints, reach: float, rounds: int
 ) -> se3.Matrix4:
     """Up to `rounds` Gauss-Newton steps from `T_match_query`, with counterparts within `reach` metres."""
-    T_start, patches = np.ascontiguousarray(T_match_query), match.kept(OrientedPoints.patches_by, _ICP_EDGE_M)
-    return np.asarray(
-        aligned(
-            T_start, np.ascontiguousarray(query.points), np.ascontiguousarray(query.normals), patches, _ICP_EDGE_M,
-            reach, rounds, _FACING_ALIKE, _ROBUST_SHARE * reach, MIN_COUNTERPARTS,
-        )
-    )  # fmt: skip
+    return iterate_all([T_match_query], query, match, reach, rounds)[0]
+
+
+def iterate_all(
+    starts: Sequence[se3.Matrix4], query: OrientedPoints, match: OrientedPoints, reach: float, rounds: int
+) -> list[se3.Matrix4]:
+    """As `iterate`, from each of `starts`."""
+    points, normals = np.ascontiguousarray(query.points), np.ascontiguousarray(query.normals)
+    patches = match.kept(OrientedPoints.patches_by, _ICP_EDGE_M)
+    jobs = [Alignment(np.ascontiguousarray(start), points, normals, patches) for start in starts]
+    rules = AlignmentRules(_ICP_EDGE_M, reach, rounds, _FACING_ALIKE, _ROBUST_SHARE * reach, MIN_COUNTERPARTS)
+    return device().kernels.align(jobs, rules)
 
 
 def find_counterparts(moved: OrientedPoints, match: OrientedPoints, reach: float) -> Counterparts:
@@ -161,7 +169,7 @@ def point_to_plane_jacobian(points: Array64, normals: Array64) -> Array64:
 def information(points: Array64, normals: Array64) -> Array64:
     """The information (6, 6) of a tangent of the pose from point-to-plane residuals of unit variance.
 
-    The plain form of that of `contact_in_pose`.
+    The plain form of that of `contact_in_poses`.
     """
     jacobian = point_to_plane_jacobian(points, normals)
     return np.asarray(jacobian.T @ jacobian)

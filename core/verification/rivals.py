@@ -11,13 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
+from scipy.ndimage import maximum_filter
 
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
 from revisit.core.kernels.plan_images import layer_counts, layer_products, plan_peaks, plan_shares
 from revisit.core.verification.evidence import mutually_seen_through
 from revisit.core.verification.oriented_points import OrientedPoints, shared_shares
-from revisit.core.verification.registration import iterate
+from revisit.core.verification.registration import iterate_all
 
 Array64 = NDArray[np.float64]
 Images = NDArray[np.float32]
@@ -25,6 +26,7 @@ Images = NDArray[np.float32]
 PLAN_SIZE = 128
 """Pixels along an edge of the plans."""
 
+_NEAR_STEP_M = 0.4  # half of what stands across a rack, and half of a pixel of the plans
 _LAYERS = 4
 _LAYER_M = 1.5
 _LOWEST_M = -2.0
@@ -52,23 +54,75 @@ def find_rivals(
     """The poses other than `T_match_query` in which the surfaces overlap nearly as much, best first.
 
     A rival lies farther than `rival_distance` or 10 degrees away, its overlap is at least `rival_share` of that of
-    `T_match_query`, and neither place has looked through more of the other than a loop may.
+    `T_match_query`, and neither place has looked through more of the other than a loop may. Where there is one, other
+    poses nearby that fit as well are told, too (docs/decisions/0213): they make no loop ambiguous by themselves.
     """
-    share = config.coarse_share
-    few = query.kept(OrientedPoints.thinned, share), match.kept(OrientedPoints.thinned, share)
-    rivals: list[Hypothesis] = []
-    proposed = propose(T_match_query, query, match, config)
-    least = config.rival_share * mean_overlap(T_match_query, query, match, few, config) if proposed else 0.0
-    for T_proposed in proposed:
-        T_rival = iterate(T_proposed, few[0], match, config.rival_reach, config.rival_rounds)
-        if not all(
-            _apart(T_rival, known, query, config) for known in (T_match_query, *(r.T_match_query for r in rivals))
-        ):
-            continue
-        overlap = mean_overlap(T_rival, query, match, few, config)
-        if overlap >= least and mutually_seen_through(T_rival, query, match, config) <= config.max_seen_through:
-            rivals.append(Hypothesis(overlap, T_rival))
+    search = _Search.around(T_match_query, query, match, config)
+    far = _Rule(config.rival_distance, config.rival_reach, config.rival_share)
+    rivals = search.refined((), propose(T_match_query, query, match, config), far)
+    if rivals:
+        near = _Rule(config.rival_nearest, config.rival_nearest, config.rival_near_share)
+        rivals = search.refined(rivals, search.nearby(), near)
     return tuple(sorted(rivals, key=lambda rival: -rival.overlap))
+
+
+@dataclass(frozen=True)
+class _Rule:
+    """What makes a pose a rival: metres from all others, reach of the ICP that leads there, share of the overlap."""
+
+    apart_m: float
+    reach_m: float
+    share: float
+
+
+@dataclass(frozen=True)
+class _Search:
+    """The search for poses that explain two places as well as `best` does: `few` of their points tell."""
+
+    best: se3.Matrix4
+    query: OrientedPoints
+    match: OrientedPoints
+    few: tuple[OrientedPoints, OrientedPoints]
+    config: VerificationConfig
+
+    @classmethod
+    def around(
+        cls, best: se3.Matrix4, query: OrientedPoints, match: OrientedPoints, config: VerificationConfig
+    ) -> _Search:
+        share = config.coarse_share
+        few = query.kept(OrientedPoints.thinned, share), match.kept(OrientedPoints.thinned, share)
+        return cls(best, query, match, few, config)
+
+    def refined(
+        self, known: tuple[Hypothesis, ...], proposed: list[se3.Matrix4], rule: _Rule
+    ) -> tuple[Hypothesis, ...]:
+        """The `known` rivals, and those of the `proposed` poses that end as one by a rule."""
+        rivals, config = list(known), self.config
+        least = rule.share * self._overlap(self.best) if proposed else 0.0
+        for T_rival in iterate_all(proposed, self.few[0], self.match, rule.reach_m, config.rival_rounds):
+            others = (self.best, *(rival.T_match_query for rival in rivals))
+            if not all(_apart(T_rival, other, self.query, rule.apart_m) for other in others):
+                continue
+            overlap = self._overlap(T_rival)
+            through = mutually_seen_through(T_rival, self.query, self.match, config) if overlap >= least else 1.0
+            if through <= config.max_seen_through:
+                rivals.append(Hypothesis(overlap, T_rival))
+        return tuple(rivals)
+
+    def nearby(self) -> list[se3.Matrix4]:
+        """Local maxima of the overlap over horizontal shifts of `best` by up to twice `rival_distance`, best first."""
+        count = int(np.ceil(2.0 * self.config.rival_distance / _NEAR_STEP_M))
+        along = np.arange(-count, count + 1) * _NEAR_STEP_M
+        shifts = np.stack([*np.meshgrid(along, along), np.zeros((len(along), len(along)))], axis=-1).reshape(-1, 3)
+        standing = self.few[0].standing.moved(self.best)
+        shares = np.array(shared_shares(standing, self.match, shifts, self.config))
+        plane = shares.reshape(len(along), len(along))
+        peaks = np.flatnonzero((plane >= maximum_filter(plane, 3)) & (plane > 0.0))
+        order = peaks[np.argsort(-shares[peaks], kind="stable")][: self.config.rival_starts]
+        return [se3.from_yaw(0.0, tuple(shifts[row])) @ self.best for row in order]
+
+    def _overlap(self, T_match_query: se3.Matrix4) -> float:
+        return mean_overlap(T_match_query, self.query, self.match, self.few, self.config)
 
 
 def propose(
@@ -139,10 +193,10 @@ def _shifted(T_match_query: se3.Matrix4, quarter: int, row: int, column: int, pi
     return se3.from_yaw(quarter * np.pi / 2, (x * pixel, y * pixel, 0.0)) @ T_match_query
 
 
-def _apart(one: se3.Matrix4, other: se3.Matrix4, query: OrientedPoints, config: VerificationConfig) -> bool:
+def _apart(one: se3.Matrix4, other: se3.Matrix4, query: OrientedPoints, distance_m: float) -> bool:
     """Whether two poses differ: in where they put the middle of the query, or in their turn."""
     middle = query.standing.points.mean(axis=0)[None]
-    if np.linalg.norm(se3.apply(one, middle) - se3.apply(other, middle)) > config.rival_distance:
+    if np.linalg.norm(se3.apply(one, middle) - se3.apply(other, middle)) > distance_m:
         return True
     return float(np.degrees(se3.rotation_angle(se3.inverse(one) @ other))) > _TURN_APART_DEG
 

@@ -11,6 +11,8 @@ from scipy.ndimage import map_coordinates
 
 from revisit.core.config import VerificationConfig
 from revisit.core.correspondences import correspond
+from revisit.core.device import device
+from revisit.core.device.contract import Correlation
 from revisit.core.geometry import se3
 from revisit.core.geometry.se2 import PlanarPose
 from revisit.core.kernels.plan_images import plan_density
@@ -61,26 +63,17 @@ def correlate(query: Place, match: Place, config: VerificationConfig) -> list[Pl
     """
     pixel, points = config.correlation_pixel, query.kept(_standing_plan)
     of_query, of_match = query.kept(_seen_from_above, pixel), match.kept(_seen_from_above, pixel)
-    fits = []
-    for turn in _likely_turns(of_query.polar, of_match.polar)[: config.correlation_turns]:
-        image = raster(points, pixel, turn)
-        norm = max(float(np.linalg.norm(image)) * of_match.norm, 1e-12)
-        spectrum = fft.rfft2(image.astype(np.float32))
-        for half_turn in (False, True):
-            peak, shift = _best_shift(spectrum, of_match.spectrum, half_turn)
-            fits.append((peak / norm, PlanarPose(turn + np.pi * half_turn, shift * pixel)))
-    fits.sort(key=lambda fit: -fit[0])
-    return [pose for _, pose in fits]
+    turns = _likely_turns(of_query.polar, of_match.polar)[: config.correlation_turns]
+    (fits,) = device().kernels.correlate([Correlation(points, tuple(turns), of_match.spectrum)], pixel)
+    fits = sorted(fits, key=lambda fit: -fit.peak)
+    return [PlanarPose(fit.yaw, fit.shift * pixel) for fit in fits]
 
 
 @dataclass(frozen=True)
 class SeenFromAbove:
-    """What stands in a place as an image: its spectrum, the norm of the image, and the spectrum over angle (91, radii)
-    of its polar amplitude.
-    """
+    """What stands in a place as an image: its spectrum, and that over angle (91, radii) of its polar amplitude."""
 
     spectrum: NDArray[np.complex64]
-    norm: float
     polar: NDArray[np.complex128]
 
 
@@ -88,7 +81,7 @@ def _seen_from_above(place: Place, pixel: float) -> SeenFromAbove:
     image = raster(place.kept(_standing_plan), pixel)
     spectrum = fft.rfft2(image.astype(np.float32))
     polar = fft.rfft(_polar_amplitude(fft.fft2(image)), axis=0)
-    return SeenFromAbove(spectrum, float(np.linalg.norm(image)), polar)
+    return SeenFromAbove(spectrum, polar)
 
 
 def lift(pose: PlanarPose, query: Place, match: Place) -> se3.Matrix4:
@@ -113,18 +106,6 @@ def raster(points: Array64, pixel: float, yaw: float = 0.0) -> Array64:
 def _standing_plan(place: Place) -> Array64:
     """What stands in a place, seen from above (n, 2)."""
     return np.ascontiguousarray(place.points[: place.standing_count, :2].astype(np.float64))
-
-
-def _best_shift(spectrum: Spectrum, match_spectrum: Spectrum, half_turn: bool) -> tuple[float, Array64]:
-    """The largest correlation of an image with the match, and the shift (x, y) in pixels that gives it.
-
-    With `half_turn` the image is turned by 180 degrees first: its spectrum is then the conjugate, but for a pixel.
-    """
-    product = match_spectrum * (spectrum if half_turn else np.conj(spectrum))
-    surface = fft.irfft2(product, s=(IMAGE_SIZE, IMAGE_SIZE))
-    row, column = np.unravel_index(int(surface.argmax()), surface.shape)
-    shift = (np.array([column, row], dtype=np.float64) + half_turn + _HALF) % IMAGE_SIZE - _HALF
-    return float(surface[row, column]), shift
 
 
 def _polar_amplitude(spectrum: NDArray[np.complex128]) -> Array64:

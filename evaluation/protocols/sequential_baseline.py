@@ -61,16 +61,19 @@ def with_map_closures(
 
 
 def matches_of(found: Sequence[dict[int, int]], ground_truth: GroundTruth, count: int) -> list[tuple[Match, ...]]:
-    """The closures in `found` (for each query, inliers by submap) that the ground truth allows, most inliers first."""
+    """The closures in `found` (for each query, inliers by submap) that the ground truth allows, most inliers first.
+
+    The similarity of n inliers is n / (n + 1): what verification rejects is ordered by it, below all that it accepts.
+    """
     ranked = []
     for query, closures in enumerate(found):
         allowed = [(-inliers, submap) for submap, inliers in closures.items() if ground_truth.allowed[query, submap]]
-        ranked.append(tuple(Match(submap, float(-inliers)) for inliers, submap in sorted(allowed)[:count]))
+        ranked.append(tuple(Match(submap, inliers / (inliers - 1)) for inliers, submap in sorted(allowed)[:count]))
     return ranked
 
 
 def result_of(ranked: Sequence[tuple[Match, ...]], search_s: float, name: str = map_closures.NAME) -> MethodResult:
-    """The result whose matches are `ranked`, the number of inliers being their score.
+    """The result whose matches are `ranked`, their similarity being their score.
 
     Learning and searching are one step of the package, and so is reading the submap here: `search_s` holds all three.
     Its memory is not counted: bytes_per_submap is 0.

@@ -15,10 +15,19 @@ from revisit.cli.options import RECORDINGS, IndexGap, Json, PositiveRadius, Stri
 from revisit.cli.output import emit_json, emit_table, progress_bar, refuse, reporter, say
 
 if TYPE_CHECKING:
+    from revisit.evaluation.benchmark import Metric
     from revisit.evaluation.protocols.benchmark_plan import BenchmarkPlan
 
 Update = Annotated[bool, typer.Option(help="Write the measured figures as the new baseline.")]
 Check = Annotated[bool, typer.Option(help="End with status 1 where a figure is worse than the baseline by over 15 %.")]
+
+OnDevice = Annotated[
+    str | None,
+    typer.Option(
+        "--device",
+        help="Measure this device beside the processor instead: cuda, cuda:N, or torch-cpu, which only compares.",
+    ),
+]
 
 group = typer.Typer(help="Measure the product.", invoke_without_command=True)
 
@@ -50,9 +59,13 @@ class Lengths:
 
 @group.callback()
 @needs("evaluation")
-def bench(context: typer.Context, check: Check = False, update: Update = False, json: Json = False) -> None:
+def bench(
+    context: typer.Context, check: Check = False, update: Update = False, json: Json = False, device: OnDevice = None
+) -> None:
     """Measure the declared figures and name those that are worse than in the committed baseline."""
-    if context.invoked_subcommand is None:
+    if context.invoked_subcommand is None and device is not None:
+        _measure_device(device, json)
+    elif context.invoked_subcommand is None:
         _measure(check, update, json)
 
 
@@ -89,11 +102,12 @@ def recognition(
     verified_peers: Annotated[
         bool, typer.Option("--verified-peers", help="Verify the first answers of every baseline, too.")
     ] = False,
+    candidates: Annotated[int, typer.Option(min=1, help="How many first answers are verified.")] = 20,
 ) -> None:
     """Recognition of the product and of every baseline, as one report; a second run goes on where the first ended."""
     own = OwnRecordings(tuple(recording or ()), sessions, file_format)
     lengths = Lengths(tau, stride, min_index_gap, positive_radius)
-    how = {"jobs": jobs, "verified_peers": verified_peers}
+    how = {"jobs": jobs, "verified_peers": verified_peers, "candidates": candidates}
     _compare_methods(out, recordings or out / "recordings", (drives, protocols), own, lengths, how)
 
 
@@ -238,14 +252,33 @@ def _measure(check: bool, update: bool, as_json: bool) -> None:
     from revisit.evaluation import benchmark
 
     measured, regressions = benchmark.run(update=update)
-    if as_json:
-        emit_json({"metrics": [_finite(asdict(metric)) for metric in measured], "regressions": regressions})
-    else:
-        emit_table("Bench", ("metric", "value", "unit"), [(m.key, m.value, m.unit) for m in measured])
+    _show(measured, as_json, {"regressions": regressions})
+    if not as_json:
         for regression in regressions:
             say(f"worse: {regression}")
     if check and regressions:
         raise typer.Exit(1)
+
+
+def _measure_device(name: str, as_json: bool) -> None:
+    """Measure a device beside the processor; exit with status 1 where a verdict differs, or it is not there."""
+    from revisit.core.device import MissingDevice
+    from revisit.evaluation.benchmark.device import beside_the_processor
+
+    try:
+        measured = beside_the_processor(name)
+    except MissingDevice as missing:
+        raise refuse(f"--device: {missing}") from missing
+    _show(measured, as_json, {})
+    if measured[-1].value:
+        raise typer.Exit(1)
+
+
+def _show(measured: Sequence[Metric], as_json: bool, more: dict[str, Any]) -> None:
+    if as_json:
+        emit_json({"metrics": [_finite(asdict(metric)) for metric in measured], **more})
+    else:
+        emit_table("Bench", ("metric", "value", "unit"), [(m.key, m.value, m.unit) for m in measured])
 
 
 def _compare_methods(

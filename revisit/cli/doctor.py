@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from revisit.sdk.client import Client
     from revisit.service.adapters.sqlite.examination import Finding
 
-LIBRARIES = ("numpy", "torch", "faiss-cpu", "opencv-python-headless", "fastapi", "grpcio", "protobuf", "sqlalchemy")
+LIBRARIES = ("numpy", "faiss-cpu", "opencv-python-headless", "fastapi", "grpcio", "protobuf", "sqlalchemy")
 
 
 @needs("service")
@@ -42,7 +42,9 @@ def doctor(
     findings = [
         Finding("python", True, platform.python_version()),
         *(_library(name) for name in LIBRARIES),
+        _library("torch", optional=True),
         _checked("models", _models),
+        _checked("device", _device),
         *_data(home, full),
         _checked("REST", lambda: _answer(Client(http, retry=once))),
         _checked("gRPC", lambda: _answer(Client.grpc(grpc, retry=once))),
@@ -56,13 +58,13 @@ def doctor(
         raise typer.Exit(1)
 
 
-def _library(name: str) -> Finding:
+def _library(name: str, optional: bool = False) -> Finding:
     from revisit.service.adapters.sqlite.examination import Finding
 
     try:
         return Finding(name, True, metadata.version(name))
     except metadata.PackageNotFoundError:
-        return Finding(name, False, "not installed")
+        return Finding(name, None if optional else False, "not installed")
 
 
 def _checked(check: str, examine: Callable[[], str]) -> Finding:
@@ -72,6 +74,14 @@ def _checked(check: str, examine: Callable[[], str]) -> Finding:
         return Finding(check, True, examine())
     except (ApiError, RevisitError, OSError, ImportError, ValueError, RuntimeError) as error:
         return Finding(check, False, str(error)[:200])
+
+
+def _device() -> str:
+    """Where workers started like this command would verify candidates."""
+    from revisit.core.device import open_device
+    from revisit.service.settings import Settings
+
+    return open_device(Settings().device).name
 
 
 def _models() -> str:

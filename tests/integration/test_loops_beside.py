@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import replace
 
 import numpy as np
@@ -13,8 +14,9 @@ from revisit.service.application.catalogue.paging import PageRequest
 from revisit.service.application.catalogue.sessions import CreateSession
 from revisit.service.application.contract.recogniser import LoopVerdict
 from revisit.service.application.contract.states import LoopState
+from revisit.service.application.query.searches import LocalizeQuery
 from tests.support.fake_recogniser import FakeRecogniser
-from tests.support.service_world import SESSION, TENANT, memory_world, open_session, sqlite_world, submap
+from tests.support.service_world import SESSION, TENANT, cloud, memory_world, open_session, sqlite_world, submap
 
 PERIOD_M = 10.0
 SECOND = SessionKey("town", "tuesday")
@@ -148,3 +150,22 @@ async def test_a_later_loop_that_contradicts_an_earlier_one_takes_its_acceptance
         page = await world.use_cases.loops.list(TENANT, "town", PageRequest(500), session_id=SECOND.session_id)
         states.append([loop.state for loop in page.items if loop.match.session_id == SESSION.session_id])
     assert states == [[LoopState.ACCEPTED], [LoopState.REJECTED, LoopState.REJECTED]]
+
+
+async def test_a_cloud_that_fits_at_two_spots_of_a_drive_is_not_localised():
+    world, recogniser = memory_world(), EqualBlocks()
+    await open_session(world)
+    await world.use_cases.posting.post(TENANT, submap("monday-0", 0, SESSION))
+    bests = []
+    for station in (20, 40):
+        world.work_off(recogniser)
+        asked = world.use_cases.searches.localize(TENANT, LocalizeQuery("town", cloud(1)))
+        answer = asyncio.create_task(asked)
+        while not answer.done():
+            await asyncio.sleep(0.01)
+            await asyncio.to_thread(world.work_off, recogniser)
+        bests.append((await answer).best)
+        reasons = {candidate.reason for candidate in (await answer).candidates}
+        await world.use_cases.posting.post(TENANT, submap(f"monday-{station}", station, SESSION))
+    assert bests[0] is not None and bests[1] is None
+    assert reasons == {"AMBIGUOUS"}

@@ -8,6 +8,7 @@ workers describe at the same time is found by the one that commits second.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -17,6 +18,7 @@ import structlog
 
 from revisit.core.candidates import candidate_policy
 from revisit.core.config import PipelineConfig
+from revisit.core.device import at_once, batched
 from revisit.core.errors import DataLoss, DescriptorModelMismatch, ErrorCode, RevisitError
 from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.core.scan import Scan
@@ -78,7 +80,7 @@ from revisit.service.application.recognise.recalled_loops import (
     kept_near,
     loops_to_recall,
 )
-from revisit.service.application.recognise.told_poses import ToldPoses, poses_in_map
+from revisit.service.application.recognise.told_poses import Told, ToldPoses, poses_in_map
 from revisit.service.failpoints import failpoint
 
 log = structlog.get_logger(__name__)
@@ -258,15 +260,20 @@ class Recognition:
         """
         recalled = [one.submap for one in recall.places]
         loops, kept = ToldPoses(config, partial(poses_in_map, self._transactions, recalled)), []
-        for one in recall.places:
-            number, told = one.submap.number, loops.of(one.submap)
-            if number not in judged and not (told is not None and told.is_known):
-                expected = told.T_match_query if told is not None and told.within_reach else None
-                judged[number] = self._judge(place, one, config, expected=expected)
-            if number in judged:
+        for some in batched(recall.places):  # one by one, unless a device gains by more
+            told = {one.submap.number: loops.of(one.submap) for one in some}
+            new = [one for one in some if one.submap.number not in judged and not _is_known(told[one.submap.number])]
+            works = [
+                partial(self._judge, place, one, config, expected=_expected(told[one.submap.number])) for one in new
+            ]
+            judged.update({one.place.submap.number: one for one in at_once(works)})
+            for number in (one.submap.number for one in some if one.submap.number in judged):
                 kept.append(judged[number])
-                loops.take_in(one.submap, judged[number].verdict)
+                loops.take_in(judged[number].place.submap, judged[number].verdict)
         return kept
+
+    def _judge_all(self, place: bytes, recalled: Iterable[RecalledPlace], config: PipelineConfig) -> list[JudgedPlace]:
+        return at_once([partial(self._judge, place, one, config) for one in recalled])
 
     def _judge(
         self,
@@ -394,7 +401,7 @@ class Recognition:
         config = self._policy.for_map(map_record)
         k = criteria_from_json(lease.job.payload["criteria"]).k
         recall = self._memory.recall(map_record, description.descriptor, k, where)
-        judged = _agreeing([self._judge(description.place, place, config) for place in recall.places], config)
+        judged = _agreeing(self._judge_all(description.place, recall.places, config), config)
         found = _localization(judged)
         in_map = self._transactions.read(partial(_in_map, found=found, judged=judged)).result()
         self._complete(lease, localization_to_json(replace(found, in_map=in_map)))
@@ -451,6 +458,14 @@ def _agreeing(judged: list[JudgedPlace], config: PipelineConfig) -> list[JudgedP
     loops = [Beside(judged[0].place.submap, one.place.submap, 0.0, one.verdict) for one in judged]
     changed = {loop.key: loop.verdict for loop in contradicted(loops, config.verification, config.submap.stride)}
     return [replace(one, verdict=changed.get(loop.key, one.verdict)) for one, loop in zip(judged, loops, strict=True)]
+
+
+def _is_known(told: Told | None) -> bool:
+    return told is not None and told.is_known
+
+
+def _expected(told: Told | None) -> Matrix4 | None:
+    return told.T_match_query if told is not None and told.within_reach else None
 
 
 def _localization(judged: list[JudgedPlace]) -> Localization:

@@ -25,8 +25,7 @@ from revisit.service.application.recognise.loops_beside import way_between
 
 _WINDOWS = 3.0
 """Windows between two submaps up to which they share about half of what they have seen. What repeats within that is
-seen as a rival of each single loop (docs/decisions/0080); what repeats farther away, by candidates that lie farther
-away.
+seen as a rival of each single loop (docs/decisions/0080); what repeats farther away, by farther candidates.
 """
 
 MapPoses = Mapping[int, MapPose]

@@ -34,6 +34,7 @@ def test_loops_that_agree_join_and_span_the_common_track(made):
     assert (found.loops, found.rival_loops) == (12, 0)
     travelled = np.linalg.norm(np.diff(made.graph.by_session["s1"].T_odom_submap[:, :3, 3], axis=0), axis=1).sum()
     assert 0.3 * travelled < found.common_track_m < travelled
+    assert found.common_track_m == round(found.common_track_m, 3)  # else two steps of 5 m may not reach a limit of 10 m
     assert loops_refusal(found.loops, found.common_track_m, found.rival_loops) is None
 
 

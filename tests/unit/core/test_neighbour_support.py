@@ -66,6 +66,23 @@ def test_hypotheses_nearer_to_each_other_than_odometry_is_sure_are_not_told_apar
     assert find_support(close, neighbours, replace(CONFIG, support_drift=0.0)) is not None
 
 
+def test_a_hypothesis_with_a_twin_nearby_needs_shorter_ways_than_one_without() -> None:
+    twins = (shifted(0.0), shifted(1.2), shifted(-10.0))
+    away = [beside(ahead, poses=(shifted(-10.1),)) for ahead in (16.0, 24.0)]
+    support = find_support(twins, away, CONFIG)
+    assert support is not None and support.hypothesis == 2
+    at_twin = [beside(ahead, poses=(shifted(0.1),)) for ahead in (16.0, 24.0)]
+    assert find_support(twins, at_twin, CONFIG) is None
+    assert find_support((shifted(0.0), shifted(-10.0)), at_twin, CONFIG) is not None
+
+
+def test_an_accepted_loop_that_cannot_tell_twins_apart_may_not_contradict_either() -> None:
+    twins, anchors = (shifted(0.0), shifted(1.9)), [beside(10.0), beside(16.0)]
+    far = beside(28.0, poses=(shifted(-4.0),))
+    assert find_support(twins, anchors, CONFIG) is not None
+    assert find_support(twins, [*anchors, far], CONFIG) is None
+
+
 def test_a_pose_is_carried_over_by_the_odometry_of_both_drives() -> None:
     T_world_query, T_world_match = se3.from_yaw(0.3, (5.0, 2.0, 0.0)), se3.from_yaw(-1.0, (4.0, 0.0, 0.0))
     T_query_other, T_match_other = se3.from_yaw(0.2, (8.0, 0.0, 0.0)), se3.from_yaw(0.1, (-7.0, 1.0, 0.0))

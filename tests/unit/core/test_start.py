@@ -9,11 +9,12 @@ import pytest
 from scipy import fft
 
 from revisit.core.config import VerificationConfig
+from revisit.core.device.compiled import _best_shift
 from revisit.core.geometry import se3
 from revisit.core.geometry.se2 import PlanarPose, angle_between, turned
 from revisit.core.place import Place
 from revisit.core.verification.oriented_points import COLUMN_M
-from revisit.core.verification.start import IMAGE_SIZE, _best_shift, correlate, find_start, lift, raster
+from revisit.core.verification.start import IMAGE_SIZE, correlate, find_start, lift, raster
 from tests.support.yards import moved, place_of_points, recognised, thinned, yard
 
 CONFIG = VerificationConfig()

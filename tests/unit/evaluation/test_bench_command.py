@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from revisit.cli.app import app
+from revisit.core.verification import RejectedLoop, RejectionReason, VerifiedLoop, verify
 from revisit.evaluation import benchmark, recognition_benchmark
-from revisit.evaluation.benchmark import Metric
+from revisit.evaluation.benchmark import Metric, device
+from revisit.evaluation.benchmark.metric import shown
 from revisit.evaluation.protocols.benchmark_plan import BenchmarkPlan, RecordedDrive
+from tests.support.yards import CONFIG, recognised, yard
 
 GOOD = Metric("surface_error_median", 0.05, "m", "up", 0.1)
 SHOWN = Metric("describe", 0.4, "CPU s", "up", np.inf)
@@ -49,6 +54,39 @@ def test_json_names_every_metric_and_holds_no_infinity(asked: list[bool]) -> Non
     document = json.loads(CliRunner().invoke(app, ["bench", "--json"]).stdout)
     assert [metric["key"] for metric in document["metrics"]] == ["surface_error_median", "describe"]
     assert document["metrics"][1]["tolerance"] is None and document["regressions"] == ["surface_error_median: worse"]
+
+
+def test_a_device_is_measured_beside_the_processor_and_a_verdict_that_differs_ends_with_status_1(monkeypatch):
+    rows = [shown("verify_20_on_cpu", 150.0, "wall ms"), shown("verdicts_that_differ", 0, "candidates")]
+    monkeypatch.setattr(device, "beside_the_processor", lambda name: rows)
+    result = CliRunner().invoke(app, ["bench", "--device", "torch-cpu"])
+    assert result.exit_code == 0 and "verify_20_on_cpu" in result.stdout
+    rows[1] = shown("verdicts_that_differ", 2, "candidates")
+    result = CliRunner().invoke(app, ["bench", "--device", "torch-cpu", "--json"])
+    assert result.exit_code == 1 and json.loads(result.stdout)["metrics"][1]["value"] == 2
+
+
+def test_a_device_that_is_not_there_is_not_measured():
+    result = CliRunner().invoke(app, ["bench", "--device", "cuda:99"])
+    assert result.exit_code == 1 and "device cuda:99" in result.stderr
+
+
+def test_the_candidates_of_a_query_are_compared_between_devices(monkeypatch):
+    yards = {name: recognised(yard(seed, buildings=6))[1] for name, seed in (("place", 1), ("elsewhere", 2))}
+    monkeypatch.setattr(
+        device, "two_streets", lambda: SimpleNamespace(**{name: name for name in yards}, revisit="place")
+    )
+    monkeypatch.setattr(device, "describe", lambda name, *_: SimpleNamespace(place=yards[name]))
+    monkeypatch.setattr(device, "CANDIDATES", 2)
+    taken = device.beside_the_processor("torch-cpu", rounds=1)
+    assert [metric.key for metric in taken] == ["verify_2_on_cpu", "verify_2_on_torch-cpu", "verdicts_that_differ"]
+    assert taken[0].value > 0 and taken[2].value == 0
+    wrong = RejectedLoop(RejectionReason.LOW_SCORE)
+    assert device._different([wrong, wrong], [wrong, RejectedLoop(RejectionReason.LOW_OVERLAP)]) == 1
+    verdict = verify(yards["place"], yards["place"], 1.0, CONFIG.verification)
+    assert isinstance(verdict, VerifiedLoop)
+    moved = replace(verdict, measurement=replace(verdict.measurement, T_match_query=np.eye(4) + 1e-3))
+    assert device._different([verdict, verdict], [verdict, moved]) == 1
 
 
 @pytest.fixture

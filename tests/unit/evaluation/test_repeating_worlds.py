@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from revisit.core.verification import RejectedLoop, RejectionReason, verify
 from revisit.core.verification.oriented_points import OrientedPoints, contact
 from revisit.evaluation.repeating_worlds import (
     WORLDS,
+    Judgement,
     RepeatingPair,
     World,
     drawn_pairs,
@@ -55,6 +58,15 @@ def test_where_a_world_repeats_no_wrong_pose_is_accepted_and_the_true_one_is_tol
             poses = [verdict.measurement.T_match_query, *(rival.T_match_query for rival in rivals)]
             errors = [se3.inverse(pair.T_match_query) @ T for T in poses]
             assert min(float(np.linalg.norm(error[:3, 3])) for error in errors) < 0.3
+
+
+def test_where_a_rack_repeats_within_a_period_the_poses_nearby_are_hypotheses_too() -> None:
+    """Slots of a rack lie 1.35 m apart, half a period, and its two sides 1.1 m: less than what makes a rival."""
+    warehouse = next(world for world in WORLDS if world.name == "warehouse")
+    (pair,) = repeating_pairs(warehouse, 1, 0, load_packaged_models().codebooks, CONFIG)
+    assert judge(pair, CONFIG) == Judgement(accepted=False, right=False, among=True)
+    apart_alone = replace(CONFIG, verification=replace(CONFIG.verification, rival_near_share=2.0))
+    assert judge(pair, apart_alone) == Judgement(accepted=False, right=False, among=False)
 
 
 @pytest.mark.parametrize("size", sizes("REPEATING_PAIRS", 8, 1_400))

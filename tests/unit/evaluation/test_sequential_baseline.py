@@ -50,7 +50,7 @@ def test_the_submap_with_most_agreeing_points_is_matched_first_unless_the_protoc
     found = [{}, {}, {}, {}, {1: 9}, {0: 4, 1: 7, 2: 30}]
     result = result_of(matches_of(found, ground_truth, 5), search_s=0.25)
     assert result.candidates == ((), (), (), (), (), (1, 0))
-    assert result.score == (None, None, None, None, None, 7.0)
+    assert result.score == (None, None, None, None, None, 7 / 8)
     assert result.search_s == 0.25 and result.method == "map-closures"
 
 

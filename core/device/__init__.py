@@ -1,0 +1,38 @@
+"""Where the kernels of verification run: on the processor, or on a device of torch (docs/decisions/0208).
+
+contract         what kernels are asked for, and the port `Kernels`
+compiled         by the compiled functions of `core.kernels`
+torch_kernels, torch_patches, torch_plans    by torch, many jobs at once
+together         works side by side, whose calls are joined
+choice           which device is in use
+"""
+
+from revisit.core.device.choice import (
+    CPU,
+    TORCH_ON_CPU,
+    Device,
+    MissingDevice,
+    at_once,
+    batched,
+    device,
+    open_device,
+    require_device,
+    use,
+    using,
+)
+from revisit.core.device.contract import Kernels
+
+__all__ = [
+    "CPU",
+    "TORCH_ON_CPU",
+    "Device",
+    "Kernels",
+    "MissingDevice",
+    "at_once",
+    "batched",
+    "device",
+    "open_device",
+    "require_device",
+    "use",
+    "using",
+]
