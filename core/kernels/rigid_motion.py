@@ -13,7 +13,7 @@ Array = NDArray[np.float32]
 def moved_points(T_new_old: NDArray[np.float64], points: Array) -> Array:
     """The `points` (n, 3) in another frame: as `se3.apply`, rounded to float32.
 
-    NumPy asks for large pages of memory, Numba does not: a cloud made here is read in half the time.
+    NumPy asks for large pages of memory for so large an array, Numba does not.
     """
     moved = np.empty(3 * len(points), dtype=np.float32)
     _move(T_new_old, np.ascontiguousarray(points).reshape(-1), moved)
