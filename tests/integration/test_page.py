@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from revisit import Client
+from revisit.core.config import PipelineConfig, VerificationConfig
 from revisit.formats.glb import encode_scene
 from revisit.service.application.access.callers import Scope
 from tests.support.browser import Page, browser
@@ -31,6 +32,9 @@ MANY = 1000
 READ, READ_WRITE = frozenset({Scope.QUERY}), frozenset({Scope.QUERY, Scope.INGEST})
 SECONDS_FOR_MANY = 3.0
 
+EACH_BY_ITSELF = PipelineConfig(verification=VerificationConfig(support_reach=0.01))
+"""The fake puts every pair 1 m apart, whatever odometry says of it: no loop is held against those beside it."""
+
 
 @pytest.fixture(scope="module")
 def chromium():
@@ -41,7 +45,7 @@ def chromium():
 @pytest.fixture(scope="module")
 def service():
     """A map `town` of two sessions, eight submaps in all."""
-    with live_service() as running, Client(running.http) as client:
+    with live_service(pipeline=EACH_BY_ITSELF) as running, Client(running.http) as client:
         fill(client)
         yield running
 
@@ -289,7 +293,7 @@ def test_an_empty_service_and_an_empty_map_say_what_to_do(chromium):
 
 
 def test_with_keys_it_asks_for_one_and_opens_with_it(chromium):
-    world = memory_world()
+    world = memory_world(pipeline=EACH_BY_ITSELF)
     # The browser's event loop runs in this thread.
     with ThreadPoolExecutor(1) as elsewhere:
         writing, key = (elsewhere.submit(a_key, world, scopes=scopes).result() for scopes in (READ_WRITE, READ))
