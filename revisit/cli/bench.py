@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from revisit.cli.evaluate import given
 from revisit.cli.extras import needs
 from revisit.cli.options import RECORDINGS, IndexGap, Json, PositiveRadius, Stride, Tau
 from revisit.cli.output import emit_json, emit_table, progress_bar, refuse, reporter, say
+from revisit.service import ONE_THREAD
 
 if TYPE_CHECKING:
     from revisit.evaluation.benchmark import Metric
@@ -63,6 +65,7 @@ def bench(
     context: typer.Context, check: Check = False, update: Update = False, json: Json = False, device: OnDevice = None
 ) -> None:
     """Measure the declared figures and name those that are worse than in the committed baseline."""
+    os.environ.update(ONE_THREAD)  # before a library reads it: times are those of one thread
     if context.invoked_subcommand is None and device is not None:
         _measure_device(device, json)
     elif context.invoked_subcommand is None:

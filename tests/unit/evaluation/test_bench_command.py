@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -48,6 +49,17 @@ def test_a_regression_is_named_and_a_check_ends_with_status_1(asked: list[bool],
 def test_updating_writes_the_baseline_and_succeeds(asked: list[bool], command: list[str]) -> None:
     assert CliRunner().invoke(app, command).exit_code == 0
     assert asked == [True]
+
+
+def test_libraries_have_one_thread_before_anything_is_measured(
+    asked: list[bool], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "8")
+    monkeypatch.setattr(
+        benchmark, "run", lambda update: ([shown("threads", int(os.environ["OMP_NUM_THREADS"]), "")], [])
+    )
+    document = json.loads(CliRunner().invoke(app, ["bench", "--json"]).stdout)
+    assert [metric["value"] for metric in document["metrics"]] == [1]
 
 
 def test_json_names_every_metric_and_holds_no_infinity(asked: list[bool]) -> None:
