@@ -73,7 +73,7 @@ def find_support(
     neighbours must be among them. A neighbour counts only where odometry carries it so well that, where it agrees, it
     cannot agree with another hypothesis: an endless row never has such support, because none of its loops is accepted.
     """
-    near = [one for one in neighbours if one.way_m <= config.support_reach]
+    near = _within_reach(neighbours, config)
     for row, T_match_query in enumerate(hypotheses):
         others = [*hypotheses[:row], *hypotheses[row + 1 :]]
         telling = [one for one in near if _tells_apart(T_match_query, others, one, config)]
@@ -93,7 +93,7 @@ def told_pose(neighbours: Sequence[NeighbourLoop], config: VerificationConfig) -
 
     How many agree with it, itself among them, says what it is worth: a guess, or known (docs/decisions/0205).
     """
-    near = [one for one in neighbours if one.accepted and one.way_m <= config.support_reach]
+    near = [one for one in _within_reach(neighbours, config) if one.accepted]
     if not near:
         return None
     T_match_query = min(near, key=lambda one: one.way_m).poses[0]
@@ -109,7 +109,7 @@ def is_contradicted(
     least is wrong. Which one is not known: the loop stands only where no more than one in five of those that speak of
     the pair, itself included, contradict it (docs/decisions/0214).
     """
-    near = [one for one in neighbours if one.way_m <= config.support_reach]
+    near = _within_reach(neighbours, config)
     against = sum(_contradicts(T_match_query, one, config) for one in near)
     return against > _CONTRADICTING_SHARE * (1 + len(near))
 
@@ -117,12 +117,17 @@ def is_contradicted(
 def other_poses(
     T_match_query: se3.Matrix4, neighbours: Sequence[NeighbourLoop], config: VerificationConfig
 ) -> list[se3.Matrix4]:
-    """What those of the `neighbours` that contradict `T_match_query` say instead; poses that are one, once."""
+    """What those within reach that contradict `T_match_query` say instead; poses that are one, once."""
     found: list[se3.Matrix4] = []
-    for one in sorted(neighbours, key=lambda neighbour: neighbour.way_m):
+    for one in sorted(_within_reach(neighbours, config), key=lambda neighbour: neighbour.way_m):
         if all(_contradicts(pose, one, config) for pose in (T_match_query, *found)):
             found.append(one.poses[0])
     return found
+
+
+def _within_reach(neighbours: Sequence[NeighbourLoop], config: VerificationConfig) -> list[NeighbourLoop]:
+    """Those that odometry can speak of: no more than `support_reach` of way along both drives."""
+    return [one for one in neighbours if one.way_m <= config.support_reach]
 
 
 def _contradicts(T_match_query: se3.Matrix4, neighbour: NeighbourLoop, config: VerificationConfig) -> bool:

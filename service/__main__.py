@@ -54,6 +54,11 @@ def main(arguments: list[str] | None = None) -> int:
         arm(settings.fail)
     except ValueError as error:
         return _refuse(f"REVISIT_FAIL: {error}")
+    return _started(options, settings)
+
+
+def _started(options: argparse.Namespace, settings: Settings) -> int:
+    """Run the command; what it cannot run on is refused in a line."""
     from alembic.util import CommandError
 
     from revisit.core.device import MissingDevice

@@ -21,7 +21,7 @@ from revisit.service.application.contract.disk import UnlimitedDisk
 from revisit.service.application.contract.index import VectorFilter
 from revisit.service.application.housekeeping.index_keeping import IndexHealth
 from revisit.service.application.query.place_memory import PlaceMemory
-from tests.support.service_world import SESSION, TENANT, described, sqlite_world, submap
+from tests.support.service_world import SESSION, TENANT, described_home, sqlite_world, submap
 
 SUBMAPS = 12
 EVERY_ONE = [f"s{number}" for number in range(SUBMAPS)]
@@ -86,10 +86,7 @@ def files(home: Path) -> list[Path]:
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
     """The data of a service with submaps, and the file of their index."""
-    home = tmp_path_factory.mktemp("filled")
-    world = sqlite_world(home)
-    asyncio.run(described(world, **{f"s{number}": number for number in range(SUBMAPS)}))
-    world.context.transactions.close()
+    home = described_home(tmp_path_factory.mktemp("filled"), SUBMAPS)
     with Process(home) as gateway:
         assert gateway.saved() == 1
     return home

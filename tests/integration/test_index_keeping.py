@@ -18,7 +18,7 @@ from revisit.service.application.housekeeping import index_keeping
 from revisit.service.application.query import place_memory
 from revisit.service.application.query.place_memory import PlaceMemory
 from tests.support.campaigns import Campaign, sizes
-from tests.support.service_world import SESSION, TENANT, described, sqlite_world
+from tests.support.service_world import SESSION, TENANT, described_home, sqlite_world
 
 SUBMAPS = 12
 
@@ -26,11 +26,7 @@ SUBMAPS = 12
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
     """The data of a service with submaps."""
-    home = tmp_path_factory.mktemp("filled")
-    world = sqlite_world(home)
-    asyncio.run(described(world, **{f"s{number}": number for number in range(SUBMAPS)}))
-    world.context.transactions.close()
-    return home
+    return described_home(tmp_path_factory.mktemp("filled"), SUBMAPS)
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import threading
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -124,6 +125,14 @@ async def described(world: World, **places: int) -> None:
     """As `posted`; the jobs are done."""
     await posted(world, **places)
     world.work_off()
+
+
+def described_home(home: Path, submaps: int) -> Path:
+    """`home` with the data of a service that has so many submaps, each of a place of its own; nothing has it open."""
+    world = sqlite_world(home)
+    asyncio.run(described(world, **{f"s{number}": number for number in range(submaps)}))
+    world.context.transactions.close()
+    return home
 
 
 def cloud(place: int, points: int = 300) -> DecodedCloud:

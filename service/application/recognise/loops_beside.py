@@ -127,7 +127,7 @@ def _contradicted(
     loop: Beside, told: Sequence[NeighbourLoop], others: Sequence[Beside], config: VerificationConfig
 ) -> LoopVerdict:
     """The verdict of a loop that `others` contradict, by what each of them has `told` of it."""
-    rivals = other_poses(loop.hypotheses[0], [one for one in told if one.way_m <= config.support_reach], config)
+    rivals = other_poses(loop.hypotheses[0], told, config)
     overlaps = [other.verdict.evidence.get("measurement", {}).get("overlap", 0.0) for other in others]
     overlap = max(overlaps, default=0.0)
     measured = dict(loop.verdict.evidence.get("measurement", {}))
