@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -60,7 +60,7 @@ def with_map_closures(
     return dataclasses.replace(experiment, results=tuple(results))
 
 
-def matches_of(found: Sequence[dict[int, int]], ground_truth: GroundTruth, count: int) -> list[tuple[Match, ...]]:
+def matches_of(found: Sequence[Mapping[int, float]], ground_truth: GroundTruth, count: int) -> list[tuple[Match, ...]]:
     """The closures in `found` (for each query, inliers by submap) that the ground truth allows, most inliers first.
 
     The similarity of n inliers is n / (n + 1): what verification rejects is ordered by it, below all that it accepts.
