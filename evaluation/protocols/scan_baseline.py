@@ -16,9 +16,9 @@ from revisit.evaluation.baselines.bow3d import Bow3d
 from revisit.evaluation.baselines.link3d import LinkFeatures
 from revisit.evaluation.cutting import Window
 from revisit.evaluation.datasets import Recording
-from revisit.evaluation.protocols.comparison import KEPT_CANDIDATES, verified_name
+from revisit.evaluation.protocols.comparison import KEPT_CANDIDATES
 from revisit.evaluation.protocols.experiment import Experiment
-from revisit.evaluation.protocols.sequential_baseline import Verification, matches_of, result_of
+from revisit.evaluation.protocols.sequential_baseline import Verification, answers_of, matches_of
 
 SCANS = 3
 SEVERAL_NAME = f"{bow3d.NAME}, {SCANS} scans"
@@ -51,10 +51,7 @@ def with_bow3d(
         started = time.process_time()
         found = find_submaps(features_of(recording, chosen, elevations_deg, method), truth.allowed, method)
         seconds = (time.process_time() - started) / max(len(found), 1)
-        ranked = matches_of(found, truth, max(candidates, KEPT_CANDIDATES))
-        results.append(result_of(ranked, seconds, name))
-        if verification is not None:
-            results.append(verification(ranked, verified_name(name)))
+        results += answers_of(matches_of(found, truth, max(candidates, KEPT_CANDIDATES)), seconds, name, verification)
     return dataclasses.replace(experiment, results=tuple(results))
 
 

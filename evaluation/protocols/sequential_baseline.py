@@ -53,11 +53,16 @@ def with_map_closures(
         started = time.process_time()
         found = list(map_closures.find_closures(clouds))
         seconds = (time.process_time() - started) / max(len(found), 1)
-        ranked = matches_of(found, truth, max(candidates, KEPT_CANDIDATES))
-        results.append(result_of(ranked, seconds, name))
-        if verification is not None:
-            results.append(verification(ranked, verified_name(name)))
+        results += answers_of(matches_of(found, truth, max(candidates, KEPT_CANDIDATES)), seconds, name, verification)
     return dataclasses.replace(experiment, results=tuple(results))
+
+
+def answers_of(
+    ranked: list[tuple[Match, ...]], search_s: float, name: str, verification: Verification | None
+) -> list[MethodResult]:
+    """The result of a method, and that of the verification of its matches where there is one."""
+    bare = result_of(ranked, search_s, name)
+    return [bare] if verification is None else [bare, verification(ranked, verified_name(name))]
 
 
 def matches_of(found: Sequence[Mapping[int, float]], ground_truth: GroundTruth, count: int) -> list[tuple[Match, ...]]:
