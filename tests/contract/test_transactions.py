@@ -99,7 +99,7 @@ def test_records_are_found_by_their_numbers_within_the_tenant(write, read):
 def test_what_a_search_tells_of_submaps_is_read_by_number_within_a_tenant(write, read):
     *_, first, second, _ = write(fill)
     names = first.map_id, first.session_id, first.submap_id
-    told = FoundSubmap(first.number, *names, first.position_m, first.T_odom_submap)
+    told = FoundSubmap(first.number, *names, first.position_m)
     assert read(lambda uow: uow.submaps.found(TENANT, [first.number, 999])) == {first.number: told}
     assert read(lambda uow: uow.submaps.found(OTHER, [second.number])) == {}
 
