@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 
 import pytest
@@ -10,6 +11,7 @@ from revisit.service.application.contract.errors import AlreadyExists, NotFound
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.records import WorkerRecord
 from revisit.service.application.contract.repositories import FoundSubmap
+from revisit.service.application.contract.storage import require_map
 from tests.support.records import TENANT, a_loop, a_map, a_robot, a_scan, a_session, a_submap
 
 OTHER = TenantId("other")
@@ -58,6 +60,16 @@ def test_numbers_grow_and_are_never_used_again(write):
     write(lambda uow: uow.maps.delete(TENANT, map_id="b"))
     third = write(lambda uow: uow.maps.add(a_map("c")))
     assert 0 < first.number < second.number < third.number
+
+
+def test_a_thread_that_may_wait_reads_for_itself(transactions, write):
+    write(lambda uow: uow.maps.add(a_map()))
+    assert transactions.read_here(lambda uow: (uow.maps.count(TENANT), threading.get_ident())) == (
+        1,
+        threading.get_ident(),
+    )
+    with pytest.raises(NotFound):
+        transactions.read_here(lambda uow: require_map(uow, TENANT, "village"))
 
 
 def test_find_filters_pages_and_keeps_the_tenant(write, read):

@@ -188,8 +188,8 @@ class MapFrames:
     def _rows(self) -> Collection[int]:
         """The numbers of the rows of the version, without what they hold."""
         if self._numbers is None:
-            of = {"map_id": self._map_id, "version": self._version}
-            self._numbers = self._uow.session_poses.distinct(self._tenant, "number", **of)
+            rows = self._uow.session_poses
+            self._numbers = rows.distinct(self._tenant, "number", map_id=self._map_id, version=self._version)
         return self._numbers
 
 
