@@ -101,7 +101,6 @@ _SIGNS = (
 """What libraries say of an address that is not the service's, and what is to be done."""
 
 
-
 def error_of(details: ErrorDetails) -> ApiError:
     """The exception for an error answer."""
     return _CLASSES.get(details.code, ApiError)(details)
