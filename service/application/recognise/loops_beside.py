@@ -14,16 +14,9 @@ from typing import Any
 import numpy as np
 
 from revisit.core.config import VerificationConfig
-from revisit.core.geometry import se3
+from revisit.core.drive_loops import DriveLoop, DriveLoops, DriveSubmap
 from revisit.core.geometry.se3 import Matrix4, pose_matrix
-from revisit.core.neighbour_support import (
-    NeighbourLoop,
-    NeighbourSupport,
-    carried_over,
-    find_support,
-    is_contradicted,
-    other_poses,
-)
+from revisit.core.neighbour_support import NeighbourLoop, NeighbourSupport, find_support, other_poses
 from revisit.service.application.contract.events import AMBIGUOUS
 from revisit.service.application.contract.recogniser import LoopVerdict
 from revisit.service.application.contract.records import LoopRecord, SubmapRecord
@@ -114,12 +107,12 @@ def contradicted(loops: Sequence[Beside], config: VerificationConfig, stride_m: 
     changed = []
     for drives in _by_drives(loops):
         speaking = [loop for loop in drives if loop.speaks]
-        for loop in speaking:
-            pose, others = loop.verdict.T_match_query, [one for one in speaking if one is not loop]
-            if loop.accepted_by_itself and not loop.by_hand and pose is not None:
-                told = [_neighbour(loop, other, stride_m) for other in others]
-                if is_contradicted(pose, told, config):
-                    changed.append(replace(loop, verdict=_contradicted(loop, told, others, config)))
+        between = _between_drives(speaking, config, stride_m)
+        for row in np.flatnonzero(between.contradicted()).tolist():
+            loop, others = speaking[row], [*speaking[:row], *speaking[row + 1 :]]
+            if loop.accepted_by_itself and not loop.by_hand:
+                verdict = _contradicted(loop, between.neighbours(row), others, config)
+                changed.append(replace(loop, verdict=verdict))
     return changed
 
 
@@ -146,8 +139,11 @@ def supported(
     """
     decided = []
     for drives in _by_drives(loops):
-        for loop in drives:
-            support = _support(loop, drives, config, stride_m) if loop.ambiguous else None
+        between = _between_drives(drives, config, stride_m)
+        for row, loop in enumerate(drives):
+            if not (loop.ambiguous and between.has_accepted_neighbour(row)):
+                continue
+            support = find_support(loop.hypotheses, between.neighbours(row), config)
             verdict = None if support is None else _registered(loop, support, config, register)
             if verdict is not None:
                 decided.append(replace(loop, verdict=verdict))
@@ -163,39 +159,17 @@ def _by_drives(loops: Iterable[Beside]) -> list[list[Beside]]:
     return list(groups.values())
 
 
-def _support(
-    loop: Beside, others: Sequence[Beside], config: VerificationConfig, stride_m: float
-) -> NeighbourSupport | None:
-    neighbours = [_neighbour(loop, other, stride_m) for other in others if other is not loop]
-    if not any(one.accepted for one in neighbours):
-        return None
-    return find_support(loop.hypotheses, neighbours, config)
+def _between_drives(loops: Sequence[Beside], config: VerificationConfig, stride_m: float) -> DriveLoops:
+    """Loops between the same two drives, for what they say of each other."""
+    told = [
+        DriveLoop(_on_drive(loop.query), _on_drive(loop.match), loop.hypotheses, loop.accepted_by_itself)
+        for loop in loops
+    ]
+    return DriveLoops(told, stride_m, config)
 
 
-def _neighbour(loop: Beside, other: Beside, stride_m: float) -> NeighbourLoop:
-    """What `other` says of `loop`, by the odometry of both drives."""
-    T_other_query = _between(other.query, loop.query)
-    T_match_other = _between(loop.match, other.match)
-    poses = tuple(carried_over(T, T_match_other, T_other_query) for T in other.hypotheses)
-    query_m, match_m = _ahead(loop.query, other.query), _ahead(loop.match, other.match)
-    way_m = way_between(loop.query, other.query, stride_m) + way_between(loop.match, other.match, stride_m)
-    return NeighbourLoop(other.accepted_by_itself, poses, query_m, match_m, way_m)
-
-
-def _between(first: SubmapRecord, second: SubmapRecord) -> Matrix4:
-    """T_first_second by odometry; both are of one drive."""
-    return np.asarray(se3.inverse(pose_matrix(first.T_odom_submap)) @ pose_matrix(second.T_odom_submap))
-
-
-def _ahead(submap: SubmapRecord, other: SubmapRecord) -> float:
-    """How far ahead `other` lies on the drive of `submap`, as the crow flies; behind it is negative."""
-    distance = float(np.linalg.norm(np.subtract(other.position_m, submap.position_m)))
-    return distance if other.ordinal > submap.ordinal else -distance
-
-
-def way_between(submap: SubmapRecord, other: SubmapRecord, stride_m: float) -> float:
-    """At least so many metres of way lie between two submaps of a drive that begins one every `stride_m`."""
-    return max(abs(_ahead(submap, other)), stride_m * abs(other.ordinal - submap.ordinal))
+def _on_drive(submap: SubmapRecord) -> DriveSubmap:
+    return DriveSubmap(pose_matrix(submap.T_odom_submap), submap.ordinal)
 
 
 def _registered(
