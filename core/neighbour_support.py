@@ -15,15 +15,6 @@ import numpy as np
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
 
-CONTRADICTING_SHARE = 0.2
-"""Of the loops that speak of a pair, so many may contradict its loop (docs/decisions/0214)."""
-
-CONTRADICTING_DRIFT = 0.05
-"""Metres a metre of way by which right loops lie apart: a poor odometry."""
-
-CONTRADICTING_TURN = float(np.radians(10.0))
-"""Right loops are turned against each other by no more, radians."""
-
 
 @dataclass(frozen=True)
 class NeighbourLoop:
@@ -100,26 +91,9 @@ def told_pose(neighbours: Sequence[NeighbourLoop], config: VerificationConfig) -
     return ToldPose(T_match_query, sum(_agrees(T_match_query, one, config) for one in near))
 
 
-def other_poses(
-    T_match_query: se3.Matrix4, neighbours: Sequence[NeighbourLoop], config: VerificationConfig
-) -> list[se3.Matrix4]:
-    """What those within reach that contradict `T_match_query` say instead; poses that are one, once."""
-    found: list[se3.Matrix4] = []
-    for one in sorted(_within_reach(neighbours, config), key=lambda neighbour: neighbour.way_m):
-        if all(_contradicts(pose, one, config) for pose in (T_match_query, *found)):
-            found.append(one.poses[0])
-    return found
-
-
 def _within_reach(neighbours: Sequence[NeighbourLoop], config: VerificationConfig) -> list[NeighbourLoop]:
     """Those that odometry can speak of: no more than `support_reach` of way along both drives."""
     return [one for one in neighbours if one.way_m <= config.support_reach]
-
-
-def _contradicts(T_match_query: se3.Matrix4, neighbour: NeighbourLoop, config: VerificationConfig) -> bool:
-    apart_m = config.rival_distance + CONTRADICTING_DRIFT * neighbour.way_m
-    pose = neighbour.poses[0]
-    return _shift(T_match_query, pose) > apart_m or _turn(T_match_query, pose) > CONTRADICTING_TURN
 
 
 def _tells_apart(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from revisit.core.config import VerificationConfig
@@ -51,17 +53,61 @@ def test_what_a_poor_odometry_may_have_drifted_contradicts_nothing() -> None:
     assert along([0.0, 1.4], 0.1) == [False, False]
     assert along([0.0, 3.0], 0.1) == [True, True]
     assert along([0.0, 0.0, 0.0, 0.0, 3.0]) == [False] * 4 + [True]
-    far = drive(5)
-    loops = [true_loop(far[0], far[0]), true_loop(far[4], far[4], 3.0)]
+    near = drive(5)
+    loops = [true_loop(near[0], near[0]), true_loop(near[4], near[4], 3.0)]
     assert not DriveLoops(loops, STRIDE_M, CONFIG).contradicted().any()
 
 
-def test_loops_farther_than_odometry_reaches_say_nothing_of_each_other() -> None:
-    far = drive(8)
-    loops = [true_loop(far[0], far[0]), true_loop(far[7], far[7], 32.0)]
-    between = DriveLoops(loops, STRIDE_M, CONFIG)
-    assert not between.contradicted().any()
-    assert between.neighbours(0) == [] and not between.has_accepted_neighbour(0)
+def test_loops_far_along_the_drives_contradict_only_by_more_than_odometry_drifts_there() -> None:
+    far = drive(30)
+    for last, off_m, contradicted in ((8, 6.0, False), (8, 32.0, True), (25, 18.0, False), (25, 40.0, True)):
+        loops = [true_loop(far[0], far[0]), true_loop(far[last], far[last], off_m)]
+        between = DriveLoops(loops, STRIDE_M, CONFIG)
+        assert list(between.contradicted()) == [contradicted] * 2
+        assert between.neighbours(0) == [] and not between.has_accepted_neighbour(0)
+
+
+def test_loops_too_far_along_the_drives_say_nothing_of_each_other() -> None:
+    far = drive(40)
+    loops = [true_loop(far[0], far[0]), true_loop(far[38], far[38], 200.0)]
+    assert not DriveLoops(loops, STRIDE_M, CONFIG).contradicted().any()
+
+
+def test_far_loops_that_agree_do_not_save_one_that_its_neighbours_contradict() -> None:
+    """Carried over 300 m they cannot tell 10 m."""
+    way = drive(70)
+    loops = [true_loop(one, one) for one in way[28:33]] + [true_loop(one, one) for one in (*way[:15], *way[50:])]
+    found = DriveLoops([*loops, true_loop(way[30], way[30], 10.0)], STRIDE_M, CONFIG).contradicted()
+    assert list(found) == [False] * len(loops) + [True]
+
+
+def within_drive(off_m: float, ordinals_apart: int, yaw_rad: float = 0.0) -> DriveLoop:
+    """A loop of one drive that comes back to where it began, says a loop that is `off_m` off by its odometry."""
+    first, last = DriveSubmap(np.eye(4), 0), DriveSubmap(se3.from_yaw(yaw_rad, (3.0, 1.0, 0.0)), ordinals_apart)
+    return DriveLoop(last, first, (shifted(off_m) @ last.T_odom_submap,), True, one_drive=True)
+
+
+def test_a_loop_of_one_drive_is_refuted_by_what_its_odometry_cannot_have_drifted() -> None:
+    for off_m, ordinals_apart, refuted in ((25.0, 50, False), (49.0, 50, True), (113.0, 78, True), (5.0, 50, False)):
+        (found,) = DriveLoops([within_drive(off_m, ordinals_apart)], STRIDE_M, CONFIG).refuted()
+        assert found == refuted
+    two_drives = within_drive(113.0, 78)
+    assert not DriveLoops([replace(two_drives, one_drive=False)], STRIDE_M, CONFIG).refuted().any()
+
+
+def test_a_refuted_loop_says_nothing_of_others() -> None:
+    false, right = within_drive(113.0, 78), within_drive(0.3, 79)
+    between = DriveLoops([false, right], STRIDE_M, CONFIG)
+    assert list(between.refuted()) == [True, False] and not between.contradicted()[1]
+    np.testing.assert_allclose(between.other_poses(0)[0], false.query.T_odom_submap, atol=1e-9)
+
+
+def test_what_is_said_instead_of_a_contradicted_loop_is_named_once_each() -> None:
+    drives = drive(5, 0.1)
+    off_m = (0.0, 32.0, 32.4, -32.0, 0.2)
+    loops = [true_loop(one, one, off) for one, off in zip(drives, off_m, strict=True)]
+    others = DriveLoops(loops, 0.1, CONFIG).other_poses(0)
+    np.testing.assert_allclose(sorted(pose[0, 3] for pose in others), [-32.0, 32.0], atol=0.5)
 
 
 def test_where_nothing_is_said_nothing_is_contradicted() -> None:

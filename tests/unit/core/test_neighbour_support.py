@@ -9,7 +9,7 @@ import pytest
 
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
-from revisit.core.neighbour_support import NeighbourLoop, find_support, other_poses
+from revisit.core.neighbour_support import NeighbourLoop, find_support
 
 CONFIG = VerificationConfig()
 
@@ -81,15 +81,3 @@ def test_an_accepted_loop_that_cannot_tell_twins_apart_may_not_contradict_either
     far = beside(28.0, poses=(shifted(-4.0),))
     assert find_support(twins, anchors, CONFIG) is not None
     assert find_support(twins, [*anchors, far], CONFIG) is None
-
-
-HERE = shifted(0.0)
-
-
-def told(count: int, x_m: float, way_m: float = 0.0) -> list[NeighbourLoop]:
-    return [NeighbourLoop(True, (shifted(x_m),), 0.0, way_m, way_m)] * count
-
-
-def test_the_other_poses_of_a_contradicted_loop_are_named_once_each() -> None:
-    neighbours = [*told(2, 0.2), *told(2, 32.0), *told(1, 32.4), *told(1, -32.0)]
-    assert [pose[0, 3] for pose in other_poses(HERE, neighbours, CONFIG)] == [32.0, -32.0]
