@@ -11,16 +11,18 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from revisit.core import place as place_module
 from revisit.core import place_second_form
 from revisit.core.container import Container
 from revisit.core.errors import DataLoss
 from revisit.core.geometry import se3
 from revisit.core.geometry.level_frame import LevelFrame
+from revisit.core.kernels.octree_coder import ranks_of
 from revisit.core.place import CONTAINER, Place
 from revisit.core.place_keypoints import read_keypoints, write_keypoints
-from revisit.core.place_surface import read_surface, write_surface
+from revisit.core.place_surface import CORNER, read_surface, write_surface
 from revisit.core.scan_disagreement import ScanDisagreement
-from tests.support.old_places import SECOND_FORM
+from tests.support.old_places import SECOND_FORM, THIRD_FORM
 from tests.support.yards import CONFIG, recognised, yard
 
 
@@ -174,6 +176,24 @@ def test_a_place_of_the_second_form_is_read_and_written_again_in_the_form_of_tod
         new = Place.from_blob(old.to_blob())
         np.testing.assert_array_equal(new.points, old.points)
         np.testing.assert_array_equal(new.normals, old.normals)
+
+
+def test_what_the_form_of_today_wrote_once_is_read_for_good() -> None:
+    read, second = Place.from_blob(THIRD_FORM), Place.from_blob(SECOND_FORM)
+    np.testing.assert_array_equal(read.points, second.points)
+    np.testing.assert_array_equal(read.normals, second.normals)
+    assert read.to_blob() == THIRD_FORM
+
+
+def test_of_too_many_cubes_those_of_least_rank_are_kept_evenly_over_the_surface() -> None:
+    grid = np.stack(np.meshgrid(np.arange(60), np.arange(60), indexing="ij"), axis=-1).reshape(-1, 2)
+    points = np.column_stack([0.8 * (grid - 30) + 0.4, np.zeros(len(grid))]).astype(np.float32)
+    kept = place_module._spread_rows(points, np.ones(len(points), dtype=bool), 0.8, 1200)
+    ranks = ranks_of(np.floor(points / 0.8 + CORNER).astype(np.int64))
+    assert len(kept) == 1200 and np.array_equal(kept, np.sort(kept))
+    assert ranks[kept].max() <= np.delete(ranks, kept).min()
+    counts = np.histogram2d(*points[kept, :2].T, bins=10, range=[[-24, 24], [-24, 24]])[0]
+    assert counts.min() >= 9 and counts.max() <= 15  # 12 of 36 each
 
 
 @pytest.mark.parametrize("kept", [2500, 400, 1])
