@@ -1,4 +1,4 @@
-"""Place: what is kept of a submap for verification, in about ten kilobytes."""
+"""Place: what is kept of a submap for verification, in about nine kilobytes."""
 
 from __future__ import annotations
 

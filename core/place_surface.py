@@ -185,7 +185,10 @@ def _vectors() -> NDArray[np.int32]:
 def _learned() -> dict[str, Models]:
     """The models that `evaluation.training.place_chances` has learned, by kind of surface."""
     found = {}
-    with resources.files("revisit.core").joinpath("weights", LEARNED).open("rb") as file, np.load(file) as stored:
+    with (
+        resources.files("revisit.core").joinpath("weights", LEARNED).open("rb") as file,
+        np.load(file, allow_pickle=False) as stored,
+    ):
         for kind in ("standing", "ground"):
             found[kind] = np.stack([stored[f"{kind}_chances"], stored[f"{kind}_seen"]], axis=1).astype(np.int64)
     return found
