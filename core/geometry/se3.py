@@ -163,7 +163,7 @@ def _hat(vector: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def pose_row(T_target_source: Matrix4) -> tuple[float, ...]:
     """A (4, 4) transform as a row of a database holds it: 16 floats, row by row."""
-    return tuple(float(value) for value in T_target_source.ravel())
+    return tuple(np.asarray(T_target_source, dtype=np.float64).ravel().tolist())
 
 
 def pose_matrix(row: Sequence[float]) -> Matrix4:

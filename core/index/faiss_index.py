@@ -32,7 +32,7 @@ Indices = NDArray[np.intp]
 CODED_FROM = 4096
 """Places from which a map is searched by codes: below, comparing with all takes about a millisecond."""
 _CODES_ARE_LEARNED_ANEW_AFTER = 4
-_SHORTLIST = 300
+_SHORTLIST = 160
 _FEW = 2048
 _CODED_PER_SEARCH = 256
 

@@ -16,6 +16,7 @@ from google.protobuf.message import Message
 from revisit.sdk.clouds import Cloud
 from revisit.sdk.credentials import Credentials
 from revisit.sdk.errors import ApiError, ErrorDetails, FailedPrecondition, error_of, unreachable
+from revisit.sdk.json_answers import message_of
 from revisit.sdk.messages import COLLECTIONS, cloud_message, collection_of
 from revisit.sdk.resources import Json
 from revisit.sdk.retry import RetryPolicy
@@ -286,7 +287,7 @@ class RestTransport:
         """The answer, which is the JSON of a message; fields of a newer service are ignored."""
         answered = self._send(method, path, **request)
         try:
-            return ParseDict(answered.json(), kind(), ignore_unknown_fields=True)
+            return message_of(kind, answered.json())
         except (ValueError, ParseError) as error:
             details = ErrorDetails("UNKNOWN", "FOREIGN_ANSWER", f"{path} was not answered by this service")
             raise error_of(details) from error
@@ -363,7 +364,7 @@ def events_of(lines: Iterator[str]) -> Iterator[event_pb2.Event | None]:
         elif not line and data:
             if kind == "problem":
                 raise error_of(_problem_details(json.loads(data)))
-            yield ParseDict(json.loads(data), event_pb2.Event(), ignore_unknown_fields=True)
+            yield message_of(event_pb2.Event, json.loads(data))
             kind, data = "", ""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 
 import pytest
@@ -10,6 +11,7 @@ from revisit.service.application.contract.errors import AlreadyExists, NotFound
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.records import WorkerRecord
 from revisit.service.application.contract.repositories import FoundSubmap
+from revisit.service.application.contract.storage import require_map
 from tests.support.records import TENANT, a_loop, a_map, a_robot, a_scan, a_session, a_submap
 
 OTHER = TenantId("other")
@@ -60,6 +62,16 @@ def test_numbers_grow_and_are_never_used_again(write):
     assert 0 < first.number < second.number < third.number
 
 
+def test_a_thread_that_may_wait_reads_for_itself(transactions, write):
+    write(lambda uow: uow.maps.add(a_map()))
+    assert transactions.read_here(lambda uow: (uow.maps.count(TENANT), threading.get_ident())) == (
+        1,
+        threading.get_ident(),
+    )
+    with pytest.raises(NotFound):
+        transactions.read_here(lambda uow: require_map(uow, TENANT, "village"))
+
+
 def test_find_filters_pages_and_keeps_the_tenant(write, read):
     for map_id in "abcde":
         write(lambda uow, map_id=map_id: uow.maps.add(a_map(map_id)))
@@ -99,7 +111,7 @@ def test_records_are_found_by_their_numbers_within_the_tenant(write, read):
 def test_what_a_search_tells_of_submaps_is_read_by_number_within_a_tenant(write, read):
     *_, first, second, _ = write(fill)
     names = first.map_id, first.session_id, first.submap_id
-    told = FoundSubmap(first.number, *names, first.position_m, first.T_odom_submap)
+    told = FoundSubmap(first.number, *names, first.position_m)
     assert read(lambda uow: uow.submaps.found(TENANT, [first.number, 999])) == {first.number: told}
     assert read(lambda uow: uow.submaps.found(OTHER, [second.number])) == {}
 

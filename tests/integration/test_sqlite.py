@@ -18,7 +18,7 @@ from revisit.service.adapters.sql import tables
 from revisit.service.adapters.sqlite.connections import reader_engine, writer_engine
 from revisit.service.adapters.sqlite.migration import current_revision, migrate
 from revisit.service.adapters.sqlite.transactions import SqliteTransactions
-from revisit.service.application.contract.errors import StorageFull, StorageUncertain
+from revisit.service.application.contract.errors import NotFound, StorageFull, StorageUncertain
 from tests.contract.test_transactions import fill
 from tests.support.patience import PATIENCE_S
 from tests.support.records import TENANT, a_map, a_session, a_submap
@@ -97,6 +97,27 @@ def test_a_reader_cannot_write(database):
     with engine.begin() as connection, pytest.raises(OperationalError, match="readonly"):
         connection.exec_driver_sql("DELETE FROM maps")
     engine.dispose()
+
+
+def test_readers_keep_their_connections_and_let_go_of_one_that_failed(database):
+    store, opened = SqliteTransactions(database, checkpoints=True), []
+    event.listen(store._reader, "connect", lambda connection, _: opened.append(connection))
+
+    def missing(uow):
+        raise NotFound
+
+    for _ in range(3):
+        store.read_here(lambda uow: uow.maps.count(TENANT))
+        with pytest.raises(NotFound):
+            store.read_here(missing)
+    assert len(opened) == 1
+    store.read_here(lambda uow: store.read_here(lambda inner: inner.maps.count(TENANT)))
+    assert len(opened) == 2
+    with pytest.raises(StorageUncertain):
+        store.read_here(lambda uow: uow.connection.exec_driver_sql("SELECT nothing"))
+    assert len(store._idle) == 1
+    store.close()
+    assert not store._idle
 
 
 def test_two_hundred_read_modify_writes_from_four_connections_lose_nothing(database):

@@ -50,12 +50,16 @@ class PlainTransactions:
         """See `Transactions`."""
         future: Future = Future()
         try:
-            with self.transaction() as uow:
-                future.set_result(work(uow))
+            future.set_result(self.read_here(work))
         except Exception as error:  # noqa: BLE001  # a future carries whatever the work raised
             future = Future()
             future.set_exception(error)
         return future
+
+    def read_here(self, work):
+        """See `Transactions`."""
+        with self.transaction() as uow:
+            return work(uow)
 
     @contextmanager
     def transaction(self):

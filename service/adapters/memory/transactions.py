@@ -104,9 +104,13 @@ class MemoryTransactions:
 
     def read(self, work: Callable[[UnitOfWork], T]) -> Future[T]:
         """See `Transactions`."""
+        return _settled(lambda: self.read_here(work))
+
+    def read_here(self, work: Callable[[UnitOfWork], T]) -> T:
+        """See `Transactions`."""
         with self._lock:
             snapshot = self._copy()
-        return _settled(lambda: work(MemoryUnitOfWork(snapshot, self._lease_ms)))
+        return work(MemoryUnitOfWork(snapshot, self._lease_ms))
 
     def close(self) -> None:
         """See `Transactions`."""

@@ -120,8 +120,8 @@ class SqlRepository(Generic[R]):
 
     def distinct(self, tenant: TenantId, field: str, **equals: Scalar) -> set[Any]:
         """See `Repository`."""
-        column, asked = self._table.c[field], of_tenant(tenant, equals)
-        query = select(column).where(matches(self._table, asked), column.is_not(None)).distinct()
+        asked = of_tenant(tenant, equals)
+        query = _distinct_where(self._table, field, *_given_and_absent(asked))
         return set(self._connection.execute(query, asked).scalars())
 
     def count(self, tenant: TenantId, **equals: Scalar) -> int:
@@ -327,6 +327,13 @@ def _given_and_absent(asked: Asked) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """The columns that must equal the parameter of their name, and those that must be null."""
     given = tuple(name for name, value in asked.items() if value is not None)
     return given, tuple(name for name, value in asked.items() if value is None)
+
+
+@cache
+def _distinct_where(table: Table, field: str, given: tuple[str, ...], absent: tuple[str, ...]) -> Select[Any]:
+    """Each value of a column that is not null, once."""
+    column = table.c[field]
+    return select(column).where(_matches(table, given, absent), column.is_not(None)).distinct()
 
 
 @cache

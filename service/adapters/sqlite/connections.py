@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from sqlalchemy import Connection, Engine, create_engine, event
+from sqlalchemy.pool import NullPool
 
 DATABASE = "revisit.db"
 """The name of the database file in the data folder."""
 
 READERS = 2
+"""Threads that read for the event loop. Other threads read for themselves, each with a connection of its own."""
 
 WRITER_PRAGMAS: dict[str, str | int] = {
     "journal_mode": "wal",
@@ -39,7 +41,7 @@ def writer_engine(path: Path, *, checkpoints: bool) -> Engine:
 
 def reader_engine(path: Path) -> Engine:
     """An engine whose transactions see one snapshot and can change nothing."""
-    engine = create_engine(f"sqlite:///{path}", pool_size=READERS, max_overflow=0)
+    engine = create_engine(f"sqlite:///{path}", poolclass=NullPool)
     _prepare(engine, READER_PRAGMAS, "BEGIN")
     return engine
 

@@ -17,6 +17,7 @@ import os
 import queue
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack, contextmanager
@@ -83,6 +84,8 @@ class SqliteTransactions:
         """
         self._writer = writer_engine(path, checkpoints=checkpoints)
         self._reader = reader_engine(path)
+        self._idle: deque[Connection] = deque()
+        self._closed = False
         require_pragmas(self._writer, writer_pragmas(checkpoints=checkpoints))
         require_pragmas(self._reader, READER_PRAGMAS)
         self._engine = SqliteEngine()
@@ -99,12 +102,20 @@ class SqliteTransactions:
 
     def read(self, work: Callable[[UnitOfWork], T]) -> Future[T]:
         """See `Transactions`."""
-        return self._reading.submit(self._read, work)
+        return self._reading.submit(self.read_here, work)
+
+    def read_here(self, work: Callable[[UnitOfWork], T]) -> T:
+        """See `Transactions`."""
+        with self._failures.translated(), self._to_read() as connection, connection.begin():
+            return work(self._unit_of_work(connection))
 
     def close(self) -> None:
         """See `Transactions`."""
         self._writing.close()
         self._reading.shutdown(wait=True)
+        self._closed = True
+        while self._idle:
+            self._idle.pop().close()
         self._reader.dispose()
         self._writer.dispose()
         self._lock.close()
@@ -118,9 +129,24 @@ class SqliteTransactions:
                 failpoint("commit.before")
             failpoint("commit.after")
 
-    def _read(self, work: Callable[[UnitOfWork], T]) -> T:
-        with self._failures.translated(), self._reader.begin() as connection:
-            return work(self._unit_of_work(connection))
+    @contextmanager
+    def _to_read(self) -> Iterator[Connection]:
+        """A connection that nobody else has meanwhile. It stays open for the next read, unless the database failed."""
+        try:
+            connection = self._idle.pop()
+        except IndexError:
+            connection = self._reader.connect()
+        sound = True
+        try:
+            yield connection
+        except DatabaseError:
+            sound = False
+            raise
+        finally:
+            if sound and not self._closed:
+                self._idle.append(connection)
+            else:
+                connection.close()
 
     def _unit_of_work(self, connection: Connection) -> UnitOfWork:
         return SqlUnitOfWork(connection, self._engine, self._lease_ms)

@@ -110,14 +110,13 @@ class PlacedSubmap:
 
 @dataclass(frozen=True)
 class FoundSubmap:
-    """What a search tells of a submap: its number and names, and where it is in the odometry frame of its session."""
+    """What a search tells of a submap: its number and names, and its position in the odometry frame of its session."""
 
     number: int
     map_id: str
     session_id: str
     submap_id: str
     position_m: tuple[float, float, float]
-    T_odom_submap: Pose
 
 
 class FoundSubmaps(Protocol):

@@ -31,9 +31,9 @@ class PackedSubmaps:
 
     @classmethod
     def of(cls, data: bytes) -> PackedSubmaps:
-        """What `packed` has packed; views of `data`."""
+        """What `packed` has packed; views of `data`, but for the numbers, which are sought."""
         rows = np.frombuffer(data, _SUBMAP)
-        return cls(rows["number"], rows["T_map_submap"], rows["covariance"])
+        return cls(rows["number"].copy(), rows["T_map_submap"], rows["covariance"])
 
     def packed(self) -> bytes:
         """As bytes."""

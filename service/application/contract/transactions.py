@@ -167,6 +167,10 @@ class Transactions(Protocol):
         """Run `work` on a snapshot; it must not change anything."""
         ...
 
+    def read_here(self, work: Callable[[UnitOfWork], T]) -> T:
+        """As `read`, in the calling thread, which it blocks: never called on the event loop."""
+        ...
+
     def close(self) -> None:
         """Finish what is queued and release everything."""
         ...

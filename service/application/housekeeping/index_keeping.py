@@ -20,10 +20,10 @@ from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.query.place_memory import PlaceMemory
 from revisit.service.failpoints import failpoint
 
-WINDOW = 256
-"""Descriptors that one turn of the audit compares: a few milliseconds, for requests wait meanwhile."""
+WINDOW = 64
+"""Descriptors that one turn of the audit compares: two or three milliseconds, for requests wait meanwhile."""
 
-MAPS = 8
+MAPS = 2
 """Maps that one turn looks at, at most."""
 
 log = structlog.get_logger(__name__)

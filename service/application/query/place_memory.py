@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -12,7 +13,7 @@ from revisit.core.errors import BadField
 from revisit.service.application.contract.errors import NotFound
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.index import IndexChange, VectorFilter, VectorIndex, VectorMatch
-from revisit.service.application.contract.map_frames import MapFrames
+from revisit.service.application.contract.map_frames import KeptSessions, MapFrames
 from revisit.service.application.contract.records import MapRecord, SubmapRecord
 from revisit.service.application.contract.transactions import Transactions, UnitOfWork
 from revisit.service.application.contract.views import submap_key
@@ -39,6 +40,15 @@ class Recall:
     seq: int
 
 
+@dataclass(frozen=True)
+class Question:
+    """The descriptor (d,) that is searched for, the map, and which of its submaps may be hits."""
+
+    map_record: MapRecord
+    vector: NDArray[np.float32]
+    where: VectorFilter
+
+
 class PlaceMemory:
     """Searches that see every submap described before they began. Calls block: use them beside the event loop."""
 
@@ -46,11 +56,12 @@ class PlaceMemory:
         """`index` is this process's own cache."""
         self._transactions = transactions
         self._index = index
+        self._sessions = KeptSessions()
 
     def recall(self, map_record: MapRecord, vector: NDArray[np.float32], k: int, where: VectorFilter) -> Recall:
         """The k places most like `vector` (d,). Raises BadField for another dimension."""
         matches, seq = self._matches(map_record, vector, k, where)
-        return Recall(self._transactions.read(lambda uow: _places(uow, map_record.tenant, matches)).result(), seq)
+        return Recall(self._transactions.read_here(lambda uow: _places(uow, map_record.tenant, matches)), seq)
 
     def _matches(
         self, map_record: MapRecord, vector: NDArray[np.float32], k: int, where: VectorFilter
@@ -68,7 +79,7 @@ class PlaceMemory:
         """Apply what the database has and the index has not, in portions; the last change that was read."""
         while True:
             before = self._index.seq(number) or self._loaded(tenant, number)
-            changes = self._transactions.read(partial(_changes, tenant=tenant, number=number, seq=before)).result()
+            changes = self._transactions.read_here(partial(_changes, tenant=tenant, number=number, seq=before))
             failpoint("index.before_apply")
             self._index.apply(number, changes, before)
             failpoint("index.after_apply")
@@ -77,10 +88,15 @@ class PlaceMemory:
 
     def _loaded(self, tenant: TenantId, number: int) -> int:
         """Load the map from its file, if it has one; the last change that is in the index then."""
-        record = self._transactions.read(lambda uow: uow.maps.numbered(tenant, [number])).result().get(number)
+        record = self._transactions.read_here(lambda uow: uow.maps.numbered(tenant, [number])).get(number)
         if record is not None and record.index_file is not None:
             self._index.load(number, record.index_file)
         return self._index.seq(number)
+
+    def answer(self, question: Callable[[UnitOfWork], Question], criteria: SearchCriteria) -> SearchResult:
+        """The answer to the search for what `question` reads. Raises what that raises; BadField."""
+        asked = self._transactions.read_here(question)
+        return self.search(asked.map_record, asked.vector, criteria, asked.where)
 
     def search(
         self, map_record: MapRecord, vector: NDArray[np.float32], criteria: SearchCriteria, where: VectorFilter
@@ -89,7 +105,7 @@ class PlaceMemory:
         found, _ = self._matches(map_record, vector, criteria.k, where)
         floor = -1.0 if criteria.min_similarity is None else criteria.min_similarity
         matches = [match for match in found if match.similarity >= floor]
-        hits = self._transactions.read(partial(_hits, map_record=map_record, matches=matches)).result()
+        hits = self._transactions.read_here(partial(_hits, map_record=map_record, matches=matches, kept=self._sessions))
         return SearchResult(hits, self._index.size(map_record.number))
 
 
@@ -97,13 +113,15 @@ def _changes(uow: UnitOfWork, tenant: TenantId, number: int, seq: int) -> list[I
     return uow.changes.since(tenant, number, seq, PORTION)
 
 
-def _hits(uow: UnitOfWork, map_record: MapRecord, matches: list[VectorMatch]) -> tuple[SearchHit, ...]:
+def _hits(
+    uow: UnitOfWork, map_record: MapRecord, matches: list[VectorMatch], kept: KeptSessions
+) -> tuple[SearchHit, ...]:
     """The matches as a client sees them; a submap that was deleted a moment ago is left out."""
-    frames = MapFrames(uow, map_record.tenant, map_record.map_id)
     submaps = uow.submaps.found(map_record.tenant, [match.submap_number for match in matches])
+    poses = MapFrames(uow, map_record.tenant, map_record.map_id, kept).submaps(submaps)
     found = ((submaps[match.submap_number], match) for match in matches if match.submap_number in submaps)
     return tuple(
-        SearchHit(submap_key(submap), match.similarity, submap.position_m, frames.submap(submap))
+        SearchHit(submap_key(submap), match.similarity, submap.position_m, poses.get(submap.number))
         for submap, match in found
     )
 

@@ -21,8 +21,7 @@ from revisit.service.application.contract import limits
 from revisit.service.application.contract.blobs import QUERY_CLOUD_BLOB
 from revisit.service.application.contract.errors import NoAnswer, NotReady, error_of
 from revisit.service.application.contract.identity import SubmapKey, TenantId
-from revisit.service.application.contract.index import VectorFilter
-from revisit.service.application.contract.records import JobRecord, MapRecord, SubmapRecord
+from revisit.service.application.contract.records import JobRecord
 from revisit.service.application.contract.states import OperationKind, OperationState
 from revisit.service.application.contract.storage import Storage, require_map, require_submap
 from revisit.service.application.contract.transactions import UnitOfWork
@@ -37,7 +36,7 @@ from revisit.service.application.ingest.clouds import (
 )
 from revisit.service.application.query.freshness import Freshness, ReadYourWrites
 from revisit.service.application.query.operations import Operations
-from revisit.service.application.query.place_memory import PlaceMemory, vector_filter
+from revisit.service.application.query.place_memory import PlaceMemory, Question, vector_filter
 from revisit.service.application.query.search_answers import (
     Localization,
     SearchCriteria,
@@ -98,11 +97,8 @@ class Searches:
         """
         validated_criteria(criteria)
         await self._writes.reached(tenant, key.map_id, fresh)
-        map_record, record, where = await self._storage.read(
-            partial(_asked_by, tenant=tenant, key=key, criteria=criteria)
-        )
-        vector = np.frombuffer(record.descriptor or b"", dtype="<f4")
-        return await asyncio.to_thread(self._memory.search, map_record, vector, criteria, where)
+        question = partial(_asked_by, tenant=tenant, key=key, criteria=criteria)
+        return await asyncio.to_thread(self._memory.answer, question, criteria)
 
     async def by_descriptor(
         self,
@@ -117,12 +113,10 @@ class Searches:
         validated_criteria(criteria)
         unit = _unit(vector)
         await self._writes.reached(tenant, map_id, fresh)
-        map_record, where = await self._storage.read(
-            partial(_asked_in, tenant=tenant, map_id=map_id, criteria=criteria)
+        question = partial(
+            _asked_for, tenant=tenant, map_id=map_id, vector=unit, model_version=model_version, criteria=criteria
         )
-        if map_record.model_version not in (None, model_version):
-            raise DescriptorModelMismatch(f"map {map_id} was described by model {map_record.model_version}")
-        return await asyncio.to_thread(self._memory.search, map_record, unit, criteria, where)
+        return await asyncio.to_thread(self._memory.answer, question, criteria)
 
     async def by_cloud(
         self,
@@ -227,22 +221,29 @@ def _drop(uow: UnitOfWork, left: list[JobRecord]) -> None:
             uow.jobs.delete(job.tenant, operation_id=job.operation_id)
 
 
-def _asked_by(
-    uow: UnitOfWork, tenant: TenantId, key: SubmapKey, criteria: SearchCriteria
-) -> tuple[MapRecord, SubmapRecord, VectorFilter]:
-    """The map, the described submap that asks, and which submaps may be hits. Raises NotFound, NotReady."""
+def _asked_by(uow: UnitOfWork, tenant: TenantId, key: SubmapKey, criteria: SearchCriteria) -> Question:
+    """What a described submap asks. Raises NotFound, NotReady, BadField."""
     record = require_submap(uow, tenant, key)
     if record.descriptor is None:
         raise NotReady
     where = vector_filter(uow, tenant, key.map_id, criteria, record)
-    return require_map(uow, tenant, key.map_id), record, where
+    return Question(require_map(uow, tenant, key.map_id), np.frombuffer(record.descriptor, dtype="<f4"), where)
 
 
-def _asked_in(
-    uow: UnitOfWork, tenant: TenantId, map_id: str, criteria: SearchCriteria
-) -> tuple[MapRecord, VectorFilter]:
-    """The map, and which submaps may be hits. Raises NotFound."""
-    return require_map(uow, tenant, map_id), vector_filter(uow, tenant, map_id, criteria, None)
+def _asked_for(
+    uow: UnitOfWork,
+    tenant: TenantId,
+    map_id: str,
+    vector: NDArray[np.float32],
+    model_version: str,
+    criteria: SearchCriteria,
+) -> Question:
+    """What a descriptor (d,) of a model asks. Raises NotFound, BadField, DescriptorModelMismatch."""
+    map_record = require_map(uow, tenant, map_id)
+    where = vector_filter(uow, tenant, map_id, criteria, None)
+    if map_record.model_version not in (None, model_version):
+        raise DescriptorModelMismatch(f"map {map_id} was described by model {map_record.model_version}")
+    return Question(map_record, vector, where)
 
 
 def _accept(cloud: CloudInput) -> tuple[bytes, int]:

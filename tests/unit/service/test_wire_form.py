@@ -9,9 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from google.protobuf.json_format import MessageToDict, ParseDict
+from google.protobuf.struct_pb2 import Struct
 
 from revisit.core.geometry.se3 import pose_row
 from revisit.core.scan import CloudReport
+from revisit.sdk import json_answers
 from revisit.service.application.catalogue.maps import MapView
 from revisit.service.application.catalogue.paging import Page
 from revisit.service.application.catalogue.robots import RobotView
@@ -144,6 +146,19 @@ def test_the_json_of_an_answer_is_the_json_of_its_message(case):
     assert rendered == MessageToDict(
         message, preserving_proto_field_name=True, always_print_fields_with_no_presence=True
     )
+
+
+@pytest.mark.parametrize("case", ANSWERS)
+def test_the_client_reads_the_json_of_an_answer_as_the_reference_does(case, monkeypatch):
+    kind, fields = ANSWERS[case]
+    rendered = json.loads(json.dumps(json_form(kind, fields)))
+    monkeypatch.setattr(json_answers, "ParseDict", parse_of_struct_alone)
+    assert json_answers.message_of(kind, rendered) == ParseDict(rendered, kind())
+
+
+def parse_of_struct_alone(value, message):
+    assert isinstance(message, Struct), "read by the reference itself"
+    return ParseDict(value, message)
 
 
 @pytest.mark.parametrize("case", ANSWERS)
