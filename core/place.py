@@ -1,4 +1,4 @@
-"""Place: what is kept of a submap for verification, in about ten kilobytes."""
+"""Place: what is kept of a submap for verification, in about nine kilobytes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core import place_first_form
+from revisit.core import place_first_form, place_second_form
 from revisit.core.config import VerificationConfig
 from revisit.core.descriptor.vlad import Codebooks, project_locally
 from revisit.core.errors import BadTransform, DataLoss
@@ -31,6 +31,7 @@ if TYPE_CHECKING:  # a place is read where nothing is described, without the lib
 Array = NDArray[np.float32]
 
 CENTIMETRE = 0.01
+_FRAME_BYTES = 12 * 8
 CUBE_CORNER = 0.125
 """By how much of an edge the cubes begin before the origin that keep a surface point each: `place_surface.CORNER`."""
 
@@ -76,31 +77,38 @@ class Place(Keeping):
         Of several surface points in one cube, or of more numbers of a descriptor than are kept, the first are written.
         """
         header, body = write_form(self._contents(), self.spacing)
-        T_level_submap = np.linalg.inv(self.frame.similarity)[:3].tolist()
-        header = {**header, "model": self.model, "T_level_submap": T_level_submap}
+        header = {**header, "model": self.model}
         if self.scan_disagreement is not None:
             header["disagreement"] = list(dataclasses.astuple(self.scan_disagreement))
-        return CONTAINER.pack(header, body)
+        T_level_submap = np.linalg.inv(self.frame.similarity)[:3].astype("<f8")
+        return CONTAINER.pack(header, T_level_submap.tobytes() + body)
 
     @classmethod
     def from_blob(cls, blob: bytes, *, surface: bool = True) -> Place:
-        """The inverse of `to_blob`, or a place of the first form. Raises DataLoss for anything else.
+        """The inverse of `to_blob`, or a place of an older form. Raises DataLoss for anything else.
 
         Without `surface` its points are left out: then no compiled code is needed.
         """
         if blob.startswith(place_first_form.CONTAINER.magic):
             header, body = place_first_form.CONTAINER.unpack(blob)
-            return cls._of(place_first_form.read_first_form(header, body), header)
+            return cls._of(place_first_form.read_first_form(header, body), header, header.get("T_level_submap"))
+        if blob.startswith(place_second_form.CONTAINER.magic):
+            header, body = place_second_form.CONTAINER.unpack(blob)
+            contents = place_second_form.read_second_form(header, body, surface=surface)
+            return cls._of(contents, header, header.get("T_level_submap"))
         header, body = CONTAINER.unpack(blob)
-        return cls._of(read_form(header, body, surface=surface), header)
+        T_level_submap = np.frombuffer(body[:_FRAME_BYTES].ljust(_FRAME_BYTES, b"\0"), "<f8").reshape(3, 4)
+        return cls._of(read_form(header, body[_FRAME_BYTES:], surface=surface), header, T_level_submap)
 
     @classmethod
-    def _of(cls, contents: PlaceContents, header: dict[str, Any]) -> Place:
+    def _of(cls, contents: PlaceContents, header: dict[str, Any], T_level_submap: object) -> Place:
         model, spacing = header.get("model"), header.get("spacing", VerificationConfig().spacing)
         if not isinstance(model, str):
             raise DataLoss("the place names no model")
         disagreement = _disagreement(header)
-        return cls(**vars(contents), model=model, frame=_frame(header), spacing=spacing, scan_disagreement=disagreement)
+        return cls(
+            **vars(contents), model=model, frame=_frame(T_level_submap), spacing=spacing, scan_disagreement=disagreement
+        )
 
     def _contents(self) -> PlaceContents:
         return PlaceContents(**{field.name: getattr(self, field.name) for field in fields(PlaceContents)})
@@ -131,14 +139,20 @@ def patch_model(codebooks: Codebooks) -> str:
 
 
 def _spread_rows(points: Array, chosen: NDArray[np.bool_], spacing: float, limit: int) -> NDArray[np.int64]:
-    """One row for each cube of edge `spacing` among the chosen points; where still too many, every k-th of them."""
+    """One row for each cube of edge `spacing` among the chosen points; where still too many, those of least rank.
+
+    Cubes of the least ranks are spread evenly, and of which rank one is need not be written (docs/decisions/0218).
+    """
+    from revisit.core.kernels.octree_coder import ranks_of  # the gateway reads keypoints without compiled code
+
     x, y, z = np.abs(points).T
     near = np.flatnonzero(chosen & (x < 300.0) & (y < 300.0) & (z < 300.0))
     cubes = np.floor(points[near].T.astype(np.float64) / spacing + CUBE_CORNER).astype(np.int64).T
-    spread = near[first_rows(voxel_keys(cubes))]
+    first = first_rows(voxel_keys(cubes))
+    spread = near[first]
     if len(spread) <= limit:
         return np.asarray(spread)
-    return np.asarray(spread[np.linspace(0, len(spread) - 1, limit).astype(np.int64)])
+    return np.asarray(spread[np.sort(np.argsort(ranks_of(cubes[first]), kind="stable")[:limit])])
 
 
 def _centimetres(positions: Array) -> NDArray[np.int16]:
@@ -156,9 +170,9 @@ def _disagreement(header: dict[str, object]) -> ScanDisagreement | None:
     return ScanDisagreement(*stored)
 
 
-def _frame(header: dict[str, object]) -> LevelFrame:
+def _frame(T_level_submap: Any) -> LevelFrame:
     try:
-        level_submap = np.vstack([np.asarray(header.get("T_level_submap"), dtype=np.float64), [0.0, 0.0, 0.0, 1.0]])
+        level_submap = np.vstack([np.asarray(T_level_submap, dtype=np.float64), [0.0, 0.0, 0.0, 1.0]])
         return LevelFrame.from_similarity(np.linalg.inv(level_submap))
     except (BadTransform, TypeError, ValueError) as error:
         raise DataLoss("the level frame of the place is no similarity") from error

@@ -1,4 +1,4 @@
-"""The stored form of a place (docs/decisions/0155): keypoints in small whole numbers, the surface coded by context."""
+"""The stored form of a place (docs/decisions/0155, 0217): keypoints in small whole numbers, the surface by context."""
 
 from __future__ import annotations
 
@@ -10,19 +10,18 @@ from numpy.typing import NDArray
 
 from revisit.core.container import Container
 from revisit.core.errors import DataLoss
+from revisit.core.place_keypoints import ANGLE_BITS, read_keypoints, write_keypoints
 
 Array = NDArray[np.float32]
 
-CONTAINER = Container(b"RVPS\x02", "stored place", level=9, max_body_bytes=4_000_000, digest_bytes=16, body_length=True)
+CONTAINER = Container(b"RVPS\x03", "stored place", level=9, max_body_bytes=4_000_000, digest_bytes=16, body_length=True)
 DIMENSIONS = 32
 """Numbers of a keypoint's descriptor that are kept, those of most variance first."""
 MAX_ROWS = 100_000
+KEYPOINT_UNIT_M = np.float32(0.1)
+ANGLES = 1 << ANGLE_BITS
 
-_KEYPOINT_UNIT_M = np.float32(0.1)
-_ANGLES = 256
 _INNER = 1.02  # of the root mean square of a descriptor: below it a number counts a third of one above
-_STEPS = 32  # along an edge of a voxel, across a surface
-_GROUND = 2  # voxels of the ground have edges so many times as long
 
 
 @dataclass(frozen=True)
@@ -42,34 +41,45 @@ def write_form(contents: PlaceContents, spacing: float) -> tuple[dict[str, Any],
     """Header and body; `spacing` is the edge of the cubes of which the surface keeps a standing point each."""
     from revisit.core.place_surface import write_surface  # the gateway reads keypoints without compiled code
 
-    standing = contents.standing_count
-    streams = (
-        write_surface(contents.points[:standing], contents.normals[:standing], spacing, _STEPS),
-        write_surface(contents.points[standing:], contents.normals[standing:], _GROUND * spacing, _GROUND * _STEPS),
-    )
+    standing, points, normals = contents.standing_count, contents.points, contents.normals
     parity = contents.parity[:DIMENSIONS]
+    sections = (
+        np.packbits(parity > 0).tobytes(),
+        _keypoints_written(contents),
+        write_surface(points[:standing], normals[:standing], spacing, "standing"),
+        write_surface(points[standing:], normals[standing:], spacing, "ground"),
+    )
     header = {
         "keypoints": len(contents.keypoints), "size": len(parity), "spacing": float(spacing),
-        "standing": len(streams[0]), "ground": len(streams[1]),
+        "sections": [len(section) for section in sections],
     }  # fmt: skip
-    sections = (_keypoints_written(contents), np.packbits(parity > 0).tobytes(), _levels_written(contents.descriptors))
-    return header, b"".join([*sections, *streams])
+    return header, b"".join(sections)
 
 
 def read_form(header: dict[str, Any], body: bytes, *, surface: bool) -> PlaceContents:
     """The inverse of `write_form`; without `surface` its points are left out. Raises DataLoss for anything else."""
     count, size = bounded(header, "keypoints", MAX_ROWS), bounded(header, "size", DIMENSIONS)
-    standing, ground = (bounded(header, name, len(body)) for name in ("standing", "ground"))
-    ends = np.cumsum([5 * count, (size + 7) // 8, (2 * count * size + 7) // 8, standing, ground])
+    parity, keypoints, standing, ground = _sections(header, body)
+    if len(parity) != (size + 7) // 8:
+        raise DataLoss("the place's sections do not have the announced sizes")
+    signs = np.unpackbits(np.frombuffer(parity, np.uint8), count=size)
+    cells, angles, bits = read_keypoints(keypoints, count, 2 * size)
+    points, normals, standing_count = _surface_read((standing, ground) if surface else (b"", b""), spacing_of(header))
+    return PlaceContents(
+        np.asarray(cells * KEYPOINT_UNIT_M, dtype=np.float32), (angles * (np.pi / ANGLES)).astype(np.float32),
+        directions(levels_of(bits)), 2.0 * signs.astype(np.float32) - 1.0, points, normals, standing_count,
+    )  # fmt: skip
+
+
+def _sections(header: dict[str, Any], body: bytes) -> list[bytes]:
+    """The four parts of the body."""
+    sizes = header.get("sections")
+    if not isinstance(sizes, list) or len(sizes) != 4 or not all(type(n) is int and 0 <= n <= len(body) for n in sizes):
+        raise DataLoss("the place's sections are unusable")
+    ends = np.cumsum(sizes)
     if len(body) != ends[-1]:
         raise DataLoss("the place's sections do not have the announced sizes")
-    keypoints, orientations = _keypoints_read(body[: ends[0]], count)
-    signs = np.unpackbits(np.frombuffer(body[ends[0] : ends[1]], np.uint8), count=size)
-    levels = _levels_read(body[ends[1] : ends[2]], count, size)
-    streams = (body[ends[2] : ends[3]], body[ends[3] :]) if surface else (b"", b"")
-    points, normals, standing_count = _surface_read(streams, _spacing(header))
-    parity = 2.0 * signs.astype(np.float32) - 1.0
-    return PlaceContents(keypoints, orientations, directions(levels), parity, points, normals, standing_count)
+    return [body[end - size : end] for end, size in zip(ends, sizes, strict=True)]
 
 
 def bounded(header: dict[str, Any], name: str, most: int) -> int:
@@ -85,38 +95,27 @@ def directions(rows: Array) -> Array:
     return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-12), dtype=np.float32)
 
 
-def _spacing(header: dict[str, Any]) -> float:
+def spacing_of(header: dict[str, Any]) -> float:
+    """The edge of the cubes of which the surface keeps a standing point each. Raises DataLoss for no length."""
     spacing = header.get("spacing")
     if type(spacing) is not float or not 1e-3 <= spacing <= 1e3:
         raise DataLoss("the place's spacing is unusable")
     return spacing
 
 
+def levels_of(bits: NDArray[np.bool_]) -> Array:
+    """Descriptors (n, l), not normalised, of two bits a number (n, 2 * l): whether positive, and whether large."""
+    pairs = bits.reshape(len(bits), bits.shape[1] // 2, 2).astype(np.float32)
+    return np.asarray((2.0 * pairs[..., 0] - 1.0) * (1.0 + 2.0 * pairs[..., 1]), dtype=np.float32)
+
+
 def _keypoints_written(contents: PlaceContents) -> bytes:
-    cells = np.clip(np.rint(contents.keypoints / _KEYPOINT_UNIT_M), -32767, 32767).astype("<i2")
-    angles = np.rint(contents.orientations / np.pi * _ANGLES).astype(np.int64) % _ANGLES
-    # all low bytes, then all high ones, of which few differ
-    planes = np.ascontiguousarray(np.ascontiguousarray(cells.T).view(np.uint8).reshape(-1, 2).T)
-    return bytes(planes.tobytes() + angles.astype(np.uint8).tobytes())
-
-
-def _keypoints_read(data: bytes, count: int) -> tuple[Array, Array]:
-    planes = np.frombuffer(data, np.uint8, 4 * count).reshape(2, -1)
-    cells = np.ascontiguousarray(planes.T).view("<i2").reshape(2, count).T
-    angles = np.frombuffer(data, np.uint8, count, 4 * count)
-    return np.ascontiguousarray(cells * _KEYPOINT_UNIT_M), (angles * (np.pi / _ANGLES)).astype(np.float32)
-
-
-def _levels_written(descriptors: Array) -> bytes:
-    kept = directions(descriptors[:, :DIMENSIONS])
+    cells = np.clip(np.rint(contents.keypoints / KEYPOINT_UNIT_M), -32767, 32767).astype(np.int64)
+    angles = np.rint(contents.orientations / np.pi * ANGLES).astype(np.int64) % ANGLES
+    kept = directions(contents.descriptors[:, :DIMENSIONS])
     large = np.abs(kept) > _INNER / np.sqrt(max(kept.shape[1], 1))
-    return bytes(np.packbits(np.stack([kept >= 0.0, large], axis=-1)).tobytes())
-
-
-def _levels_read(data: bytes, count: int, size: int) -> Array:
-    bits = np.unpackbits(np.frombuffer(data, np.uint8), count=2 * count * size).reshape(count, size, 2)
-    positive, large = bits[..., 0].astype(np.float32), bits[..., 1].astype(np.float32)
-    return np.asarray((2.0 * positive - 1.0) * (1.0 + 2.0 * large), dtype=np.float32)
+    bits = np.stack([kept >= 0.0, large], axis=-1).reshape(len(kept), -1)
+    return write_keypoints(cells, angles, bits)
 
 
 def _surface_read(streams: tuple[bytes, bytes], spacing: float) -> tuple[Array, Array, int]:
@@ -124,9 +123,7 @@ def _surface_read(streams: tuple[bytes, bytes], spacing: float) -> tuple[Array, 
         return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32), 0
     from revisit.core.place_surface import read_surface
 
-    standing, ground = (
-        read_surface(stream, edges * spacing, edges * _STEPS, MAX_ROWS)
-        for stream, edges in zip(streams, (1, _GROUND), strict=True)
-    )
+    standing = read_surface(streams[0], spacing, MAX_ROWS, "standing")
+    ground = read_surface(streams[1], spacing, MAX_ROWS, "ground")
     points, normals = (np.concatenate(parts) for parts in zip(standing, ground, strict=True))
     return points, normals, len(standing[0])

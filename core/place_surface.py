@@ -1,83 +1,139 @@
-"""The surface of a place as stored: a point a voxel, coarse along its plane, fine across (docs/decisions/0155)."""
+"""The surface of a place as stored: a point a voxel, coarse along its plane, fine across (decisions 0155, 0217)."""
 
 from __future__ import annotations
 
+import struct
 from functools import lru_cache
+from importlib import resources
+from typing import Literal
 
 import numpy as np
-import zstandard
 from numpy.typing import NDArray
 
-from revisit.core.container import decompressed
 from revisit.core.errors import DataLoss
 from revisit.core.geometry import octahedral
 from revisit.core.geometry.voxel_keys import first_rows, voxel_keys
+from revisit.core.kernels.facet_coder import ACROSS, FACET_MODELS, NORMAL_CODES, code_facets
+from revisit.core.kernels.octree_coder import RANKS, THINNED_MODELS, Thinning, code_octree, ranks_of
+from revisit.core.kernels.range_coder import Coder, Models, finish, position, start
+from revisit.core.kernels.voxel_table import rows_of, table_of
 
 Array = NDArray[np.float32]
 Whole = NDArray[np.int64]
+Kind = Literal["standing", "ground"]
 
-ACROSS = 4
-"""Cells along an edge of a voxel, across the axis that a normal is nearest to."""
-NORMAL_STEPS = 7
+NORMAL_STEPS = NORMAL_CODES // 2
 CORNER = 0.5 / ACROSS
 """By how much of an edge voxels begin before the origin.
 
 The vertices of a surface lie on planes through the origin, two or four to a voxel: so they are in the middle of cells.
 """
 MAX_DEPTH = 16
+LEARNED = "place-1.npz"
+"""Where in core/weights the chances are with which the models of a surface begin."""
+MODELS = THINNED_MODELS + FACET_MODELS
 
 _FARTHEST_VOXEL = 1 << (MAX_DEPTH - 1)
 _LEAST_COMPONENT = 0.3
-_NORMAL_CODES = 2 * NORMAL_STEPS + 1
-_HEAD = np.dtype("<i4")
-_PARTS = 6  # numbers of the head: lowest voxel, depth, bytes of the tree and of the normals
-_ZSTD_LEVEL = 19
+_HEAD = struct.Struct("<3hBHI")  # lowest voxel, depth, least rank of seldom voxels in parts of _RANK, points
+_RANK = 256
+_BYTES_EACH = 4
+_FIXED = 1024
 
 
-def write_surface(points: Array, normals: Array, edge: float, steps: int) -> bytes:
-    """Points (n, 3) and unit normals (n, 3) in voxels of `edge`, of each voxel the first; their order is not kept.
+def kinds(spacing: float) -> dict[Kind, tuple[float, int]]:
+    """By kind of surface the edge of its voxels, and steps along one: a power of two up to 64."""
+    return {"standing": (spacing, 32), "ground": (2.0 * spacing, 64)}
 
-    Voxels as the masks of an octree from the root on, normals in a byte, places in their voxels bit by bit: one of
-    `steps`, a power of two, along the axis that the normal is nearest to, one of ACROSS cells along either other. What
-    is read again is written as the same bytes.
+
+def write_surface(points: Array, normals: Array, spacing: float, kind: Kind) -> bytes:
+    """Points (n, 3) and unit normals (n, 3) of one kind, of each voxel the first; their order is not kept.
+
+    Voxels as an octree, normals, and places in the voxels, all coded by context: one of so many steps along the axis
+    that the normal is nearest to, one of ACROSS cells along either other. What is read again is written as the same
+    bytes.
     """
+    edge, steps = kinds(spacing)[kind]
     if not len(points):
         return b""
-    voxels, places, codes = _rounded(points, normals, edge, steps)
+    return coded(*rounded(points, normals, edge, steps), steps, begun(kind))
+
+
+def coded(voxels: Whole, places: Whole, codes: Whole, steps: int, models: Models) -> bytes:
+    """The stream of voxels, places within them and codes of normals, as of `rounded`; the models learn of it."""
     low = voxels.min(axis=0)
-    depth = max(int((voxels - low).max()).bit_length(), 1)
-    morton = _interleaved(voxels - low, depth)
-    rows = np.argsort(morton)
-    compress = zstandard.ZstdCompressor(level=_ZSTD_LEVEL, write_content_size=True).compress
-    tree = compress(_masks(morton[rows], depth))
-    facing = compress((codes[rows, 0] * _NORMAL_CODES + codes[rows, 1]).astype(np.uint8).tobytes())
-    head = np.array([*low, depth, len(tree), len(facing)], dtype=_HEAD).tobytes()
-    return head + tree + facing + _packed_places(places[rows], _along(codes[rows]), steps)
+    inside = (voxels - low).astype(np.int32)
+    depth = max(int(inside.max()).bit_length(), 1)
+    thinning = Thinning((int(low[0]), int(low[1]), int(low[2])), _seldom_from(ranks_of(voxels)))
+    room, fresh = 1024 + _BYTES_EACH * len(voxels), models.copy()
+    while True:
+        data, models[:] = np.zeros(room, dtype=np.uint8), fresh
+        coder = start(data, False)
+        ordered = code_octree(coder, data, models[:THINNED_MODELS], inside, depth, len(inside), thinning)
+        rows = rows_of(table_of(inside), ordered)
+        along_steep = along(codes[rows])
+        level, cells = places[rows][along_steep], places[rows][~along_steep].reshape(-1, 2)
+        found = np.column_stack([level, cells]).astype(np.int32)
+        _code(coder, data, models, ordered, codes[rows].astype(np.int32), found, steps)
+        room = finish(coder, data)
+        if room <= len(data):
+            return _HEAD.pack(*thinning.low, depth, thinning.below // _RANK, len(inside)) + data[:room].tobytes()
 
 
-def read_surface(stream: bytes, edge: float, steps: int, limit: int) -> tuple[Array, Array]:
+def read_surface(stream: bytes, spacing: float, limit: int, kind: Kind) -> tuple[Array, Array]:
     """Points (n, 3) and normals (n, 3) of a stream. Raises DataLoss for what `write_surface` did not write."""
     if not stream:
         return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32)
-    start = _PARTS * _HEAD.itemsize
-    if len(stream) < start:
+    if len(stream) < _HEAD.size:
         raise DataLoss("the surface of the place is cut short")
-    *low, depth, tree, facing = (int(number) for number in np.frombuffer(stream, _HEAD, _PARTS))
-    if not (1 <= depth <= MAX_DEPTH and min(tree, facing) >= 0 and max(map(abs, low)) <= _FARTHEST_VOXEL):
+    x, y, z, depth, seldom, count = _HEAD.unpack_from(stream)
+    if not (1 <= depth <= MAX_DEPTH and 0 < count <= limit and seldom <= RANKS // _RANK):
         raise DataLoss("the surface of the place is unusable")
-    masks = decompressed(stream[start : start + tree], MAX_DEPTH * limit, "surface of the place")
-    morton = _unmasked(np.frombuffer(masks, np.uint8), depth, limit)
-    normals = decompressed(stream[start + tree : start + tree + facing], limit, "surface of the place")
-    codes = np.stack(np.divmod(np.frombuffer(normals, np.uint8).astype(np.int64), _NORMAL_CODES), axis=1)
-    packed = stream[start + tree + facing :]
-    if len(codes) != len(morton) or codes.max() >= _NORMAL_CODES or len(packed) != _packed_size(len(morton), steps):
+    data = np.frombuffer(stream, np.uint8, offset=_HEAD.size).copy()  # the compiled coder could also write
+    coder, models, thinning = start(data, True), begun(kind), Thinning((x, y, z), seldom * _RANK)
+    voxels = code_octree(
+        coder, data, models[:THINNED_MODELS], np.zeros((0, 3), np.int32), depth, count, thinning
+    )  # fmt: skip
+    if len(voxels) != count:
         raise DataLoss("the surface of the place does not hold what it says")
-    within = _unpacked_places(packed, _along(codes), steps)
-    positions = (_separated(morton, depth) + np.array(low) + within - CORNER) * edge
+    codes, places = np.zeros((count, 2), np.int32), np.zeros((count, 3), np.int32)
+    edge, steps = kinds(spacing)[kind]
+    _code(coder, data, models, voxels, codes, places, steps)
+    if position(coder) != len(data):
+        raise DataLoss("the surface of the place does not hold what it says")
+    positions = (voxels + np.array([x, y, z]) + _within(places, along(codes), steps) - CORNER) * edge
     return positions.astype(np.float32), octahedral.decode(codes, NORMAL_STEPS).astype(np.float32)
 
 
-def _rounded(points: Array, normals: Array, edge: float, steps: int) -> tuple[Whole, Whole, Whole]:
+def begun(kind: Kind) -> Models:
+    """The models (MODELS, 2) with which the stream of a surface begins."""
+    return _learned()[kind].copy()
+
+
+def _code(
+    coder: Coder, data: NDArray[np.uint8], models: Models, voxels: NDArray[np.int32], codes: NDArray[np.int32],
+    places: NDArray[np.int32], steps: int,
+) -> None:  # fmt: skip
+    """Write `codes` (n, 2) and `places` (n, 3), or read and fill them."""
+    code_facets(
+        coder, data, models[THINNED_MODELS:], table_of(voxels), codes, places, _vectors(),
+        octahedral.steepest_axes(NORMAL_STEPS), steps.bit_length() - 1, np.zeros(26, np.int32),
+    )  # fmt: skip
+
+
+def _seldom_from(ranks: Whole) -> int:
+    """From which rank on voxels are seldom, a multiple of _RANK: the split of the ranks (n,) that tells most."""
+    count, parts = len(ranks), RANKS // _RANK
+    below = np.cumsum(np.bincount(ranks // _RANK, minlength=parts))[:-1]
+    share = np.arange(1, parts) / parts
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gain = below * np.log(below / count / share)
+        gain += np.nan_to_num((count - below) * np.log((count - below) / count / (1.0 - share)))
+    best = int(np.argmax(np.nan_to_num(gain)))
+    return (best + 1) * _RANK if gain[best] > 0.05 * count else RANKS
+
+
+def rounded(points: Array, normals: Array, edge: float, steps: int) -> tuple[Whole, Whole, Whole]:
     """Voxels (n, 3), places within them (n, 3) and codes of normals (n, 2): one point a voxel.
 
     A point moves within its plane to the middle of its cell, so that it stays on the surface, but never into the voxel
@@ -86,7 +142,7 @@ def _rounded(points: Array, normals: Array, edge: float, steps: int) -> tuple[Wh
     codes = octahedral.encode(normals, NORMAL_STEPS)
     # a normal straight down or on a fold has several codes: the one that is found again
     codes = octahedral.encode(octahedral.decode(codes, NORMAL_STEPS), NORMAL_STEPS)
-    fine = _along(codes)
+    fine = along(codes)
     exact, facing = points.astype(np.float64) / edge + CORNER, normals.astype(np.float64)
     exact = np.clip(exact, 1 - _FARTHEST_VOXEL // 2, _FARTHEST_VOXEL // 2 - 1)
     cells = np.floor(exact * ACROSS)
@@ -103,83 +159,36 @@ def _rounded(points: Array, normals: Array, edge: float, steps: int) -> tuple[Wh
     return voxels.astype(np.int64), places.astype(np.int64), codes[rows].astype(np.int64)
 
 
-def _masks(morton: Whole, depth: int) -> bytes:
-    """Which of the eight children of each node of the octree are there, level by level; `morton` (n,) ascends."""
-    found = []
-    for level in range(depth):
-        children = morton >> (3 * (depth - 1 - level))
-        children = children[np.diff(children, prepend=-1) != 0]
-        first = np.flatnonzero(np.diff(children >> 3, prepend=-1))
-        found.append(np.add.reduceat(1 << (children & 7), first).astype(np.uint8).tobytes())
-    return b"".join(found)
-
-
-def _unmasked(masks: NDArray[np.uint8], depth: int, limit: int) -> Whole:
-    """The inverse of `_masks`. Raises DataLoss where there are too few or too many masks, or over `limit` voxels."""
-    nodes, at = np.zeros(1, dtype=np.int64), 0
-    for _ in range(depth):
-        here = masks[at : at + len(nodes)]
-        if len(here) != len(nodes) or len(nodes) > limit:
-            raise DataLoss("the octree of the place does not fit")
-        rows, children = np.nonzero(np.unpackbits(here, bitorder="little").reshape(-1, 8))
-        nodes, at = (nodes[rows] << 3) + children, at + len(here)
-    if at != len(masks) or not 0 < len(nodes) <= limit:
-        raise DataLoss("the octree of the place does not fit")
-    return nodes
-
-
-def _interleaved(voxels: Whole, depth: int) -> Whole:
-    """The bits of the coordinates (n, 3), from the highest on, by turns x, y, z."""
-    found = np.zeros(len(voxels), dtype=np.int64)
-    for bit in range(depth):
-        for axis in range(3):
-            found |= ((voxels[:, axis] >> bit) & 1) << (3 * bit + 2 - axis)
-    return found
-
-
-def _separated(morton: Whole, depth: int) -> Whole:
-    """The inverse of `_interleaved`."""
-    found = np.zeros((len(morton), 3), dtype=np.int64)
-    for bit in range(depth):
-        for axis in range(3):
-            found[:, axis] |= ((morton >> (3 * bit + 2 - axis)) & 1) << bit
-    return found
-
-
-def _bits(steps: int) -> int:
-    return steps.bit_length() - 1 + 4
-
-
-def _packed_size(count: int, steps: int) -> int:
-    return (_bits(steps) * count + 7) // 8
-
-
-def _packed_places(places: Whole, fine: NDArray[np.bool_], steps: int) -> bytes:
-    """The level along the steepest axis and the two cells in two bits each, bit by bit."""
-    level, cells = places[fine], places[~fine].reshape(-1, 2)
-    numbers = (level << 4) + (cells[:, 0] << 2) + cells[:, 1]
-    return np.packbits((numbers[:, None] >> np.arange(_bits(steps))[::-1]) & 1).tobytes()
-
-
-def _unpacked_places(packed: bytes, fine: NDArray[np.bool_], steps: int) -> NDArray[np.float64]:
+def _within(places: NDArray[np.int32], fine: NDArray[np.bool_], steps: int) -> NDArray[np.float64]:
     """Where in its voxel each point lies, (n, 3) in edges."""
-    bits = np.unpackbits(np.frombuffer(packed, np.uint8), count=_bits(steps) * len(fine)).reshape(len(fine), -1)
-    numbers = bits @ (1 << np.arange(_bits(steps))[::-1])
     within = np.empty((len(fine), 3))
-    within[fine] = ((numbers >> 4) + 0.5) / steps
-    within[~fine] = (np.stack([(numbers >> 2) & 3, numbers & 3], axis=1).ravel() + 0.5) / ACROSS
+    within[fine] = (places[:, 0] + 0.5) / steps
+    within[~fine] = (places[:, 1:].ravel() + 0.5) / ACROSS
     return within
 
 
-def _along(codes: NDArray[np.integer]) -> NDArray[np.bool_]:
+def along(codes: NDArray[np.integer]) -> NDArray[np.bool_]:
     """Which axis (n, 3) each normal is nearest to, one for each; of two alike the first."""
-    return np.asarray(_steepest()[codes[:, 0], codes[:, 1]][:, None] == np.arange(3))
+    return np.asarray(octahedral.steepest_axes(NORMAL_STEPS)[codes[:, 0], codes[:, 1]][:, None] == np.arange(3))
 
 
 @lru_cache(maxsize=1)
-def _steepest() -> NDArray[np.int64]:
-    """The axis that the normal of each octahedral code is nearest to."""
-    side = np.arange(_NORMAL_CODES)
+def _vectors() -> NDArray[np.int32]:
+    """The normal (n, n, 3) of each octahedral code in parts of _FIXED."""
+    side = np.arange(NORMAL_CODES)
     codes = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
-    parts = np.rint(np.abs(octahedral.decode(codes, NORMAL_STEPS)) * 1024)  # whole: alike on every machine
-    return np.asarray(parts.argmax(axis=1).reshape(_NORMAL_CODES, _NORMAL_CODES))
+    vectors = np.rint(octahedral.decode(codes, NORMAL_STEPS) * _FIXED)
+    return vectors.astype(np.int32).reshape(NORMAL_CODES, NORMAL_CODES, 3)
+
+
+@lru_cache(maxsize=1)
+def _learned() -> dict[str, Models]:
+    """The models that `evaluation.training.place_chances` has learned, by kind of surface."""
+    found = {}
+    with (
+        resources.files("revisit.core").joinpath("weights", LEARNED).open("rb") as file,
+        np.load(file, allow_pickle=False) as stored,
+    ):
+        for kind in ("standing", "ground"):
+            found[kind] = np.stack([stored[f"{kind}_chances"], stored[f"{kind}_seen"]], axis=1).astype(np.int64)
+    return found

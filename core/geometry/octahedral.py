@@ -43,3 +43,12 @@ def _decoded(codes: NDArray[np.integer], steps: int) -> NDArray[np.float64]:
     fold = np.maximum(-height, 0.0)[:, None]
     vectors = np.concatenate([flat - np.where(flat >= 0.0, fold, -fold), height[:, None]], axis=1)
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12))
+
+
+@lru_cache(maxsize=4)
+def steepest_axes(steps: int) -> NDArray[np.int32]:
+    """The axis (2 * steps + 1, the same) that the normal of each code is nearest to; of two alike the first."""
+    side = np.arange(2 * steps + 1)
+    codes = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
+    parts = np.rint(np.abs(decode(codes, steps)) * 1024)  # whole: alike on every machine
+    return np.asarray(parts.argmax(axis=1).reshape(len(side), len(side)), dtype=np.int32)

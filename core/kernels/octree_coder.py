@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 from numpy.typing import NDArray
@@ -13,17 +15,41 @@ from revisit.core.kernels.voxel_table import VoxelTable, add, find
 Voxels = NDArray[np.int32]
 
 OCTREE_MODELS = 3 * 8 * 64 * 8
+THINNED_MODELS = 4 * 8 * 64 * 8
+"""Models of an octree of which a `Thinning` leaves voxels out."""
+RANKS = 1 << 16
+_STEPS = (53685, 43977, 36025)  # of RANKS: powers of 1 / g, g^4 = g + 1, so that ranks are spread evenly
+
+
+class Thinning(NamedTuple):
+    """Which voxels are kept of a surface: those of a rank below `below`, seldom others; `low` is their lowest voxel.
+
+    Ranks are spread evenly over space, whatever part of them is kept.
+    """
+
+    low: tuple[int, int, int]
+    below: int
+
+
+_WHOLE = Thinning((0, 0, 0), RANKS)
+
+
+def ranks_of(voxels: NDArray[np.integer]) -> NDArray[np.int64]:
+    """The rank (n,) of each voxel (n, 3), 0 to RANKS - 1."""
+    return np.asarray(voxels.astype(np.int64) @ np.array(_STEPS) & (RANKS - 1))
 
 
 def code_octree(
-    coder: Coder, data: NDArray[np.uint8], models: Models, voxels: Voxels, depth: int, count: int
-) -> Voxels:
+    coder: Coder, data: NDArray[np.uint8], models: Models, voxels: Voxels, depth: int, count: int,
+    thinning: Thinning = _WHOLE,
+) -> Voxels:  # fmt: skip
     """Write `voxels` (count, 3), distinct and in 0..2^depth-1, or read `count` where none are given.
 
-    Returns them in the order of the tree.
+    Returns them in the order of the tree. With a `thinning` there are THINNED_MODELS models, else OCTREE_MODELS.
 
     A damaged stream gives fewer or other voxels, never more than `count`.
     """
+    corner = int(ranks_of(np.array([thinning.low]))[0])
     nodes = np.zeros((1, 3), dtype=np.int32)
     for level in range(depth):
         shift = depth - 1 - level
@@ -31,7 +57,7 @@ def code_octree(
         wanted = np.zeros(len(nodes), dtype=np.int64)
         _enter(parents, nodes)
         _mark_children(parents, voxels, shift, wanted)
-        size = _code_level(coder, data, models, nodes, parents, wanted, children, min(shift, 2))
+        size = _code_level(coder, data, models, nodes, parents, wanted, children, min(shift, 2), corner, thinning.below)
         nodes = children.voxels[:size].copy()
     return nodes
 
@@ -66,11 +92,12 @@ def _mark_children(parents: VoxelTable, voxels: Voxels, shift: int, wanted: NDAr
 @loop
 def _code_level(
     coder: Coder, data: NDArray[np.uint8], models: Models, nodes: Voxels, parents: VoxelTable,
-    wanted: NDArray[np.int64], children: VoxelTable, detail: int,
+    wanted: NDArray[np.int64], children: VoxelTable, detail: int, corner: int, below: int,
 ) -> int:  # fmt: skip
     """The occupied children of `nodes` (n, 3), which are `wanted` (n,) where the coder writes, a bit each.
 
-    `detail` is 0 for the finest level, 1 for the one above, else 2.
+    `detail` is 0 for the finest level, 1 for the one above, else 2. Voxels of the finest level with a rank of `below`
+    or more are seldom there; `corner` is the rank of voxel 0.
     """
     size = 0
     for row in range(len(nodes)):
@@ -86,13 +113,20 @@ def _code_level(
             if child < 7 or size > before:  # the last child of an otherwise empty node is certain
                 known = 4 * min(size - before, 1) + passed
                 around = _around(children, beside, coded, child, x, y, z)
-                model = ((detail * 8 + child) * 64 + around) * 8 + known
+                part = 3 if detail == 0 and _rank(corner, x, y, z) >= below else detail
+                model = ((part * 8 + child) * 64 + around) * 8 + known
                 bit = code_bit(coder, data, models, model, wanted[row] >> child & 1)
             if bit:
                 add(children, size, x, y, z)
                 size += 1
                 coded |= 1 << child
     return size
+
+
+@numba.njit(inline="always")
+def _rank(corner: int, x: int, y: int, z: int) -> int:
+    """As `ranks_of`, of a voxel `corner` away."""
+    return (corner + x * _STEPS[0] + y * _STEPS[1] + z * _STEPS[2]) & (RANKS - 1)
 
 
 @numba.njit(inline="always")

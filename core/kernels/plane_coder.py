@@ -41,7 +41,7 @@ def _code_all(
 ) -> None:  # fmt: skip
     """As `code_planes`; `near` (26,) is for its use."""
     for row in range(len(codes)):
-        count = _coded_neighbours(table, row, near)
+        count = coded_neighbours(table, row, near)
         a, b, spread = _guessed_normal(codes, near, count, steps)
         first = code_number(coder, data, models, _FIRST_NORMAL + spread * UNARY, codes[row, 0] - a)
         model = _SECOND_NORMAL + (3 * spread + min(abs(first), 2)) * UNARY
@@ -54,7 +54,7 @@ def _code_all(
 
 
 @loop
-def _coded_neighbours(table: VoxelTable, row: int, near: Whole) -> int:
+def coded_neighbours(table: VoxelTable, row: int, near: Whole) -> int:
     """Rows of the coded ones among the 26 voxels around a row's, those that share a face first; how many there are."""
     count = 0
     x, y, z = table.voxels[row]
@@ -75,17 +75,24 @@ def _guessed_normal(codes: Whole, near: Whole, count: int, steps: int) -> tuple[
     """The code whose distance to those of the neighbours is least on the whole, and a class of how far they spread."""
     if count == 0:
         return steps, steps, _SPREADS - 1
-    best, least = 0, 1 << 30
+    best, least = most_typical(codes, near, count)
+    # 63 steps of a code are about as wide as 16 steps of 4
+    mean = 16 * least // (count * steps)
+    spread = 1 + min(_size(mean), 5) if count > 1 else 0
+    return codes[best, 0], codes[best, 1], spread
+
+
+@loop
+def most_typical(codes: Whole, near: Whole, count: int) -> tuple[int, int]:
+    """The one of the `count` >= 1 rows `near` whose code is least far from those of all, and how far on the whole."""
+    best, least = near[0], 1 << 30
     for i in range(count):
         total = 0
         for j in range(count):
             total += abs(codes[near[i], 0] - codes[near[j], 0]) + abs(codes[near[i], 1] - codes[near[j], 1])
         if total < least:
             best, least = near[i], total
-    # 63 steps of a code are about as wide as 16 steps of 4
-    mean = 16 * least // (count * steps)
-    spread = 1 + min(_size(mean), 5) if count > 1 else 0
-    return codes[best, 0], codes[best, 1], spread
+    return best, least
 
 
 @loop

@@ -55,6 +55,11 @@ def finish(coder: Coder, data: NDArray[np.uint8]) -> int:
     return int(coder[_AT])
 
 
+def position(coder: Coder) -> int:
+    """How many bytes are written or read: after the last bit of what `finish` wrote, just as many as it holds."""
+    return int(coder[_AT])
+
+
 @loop
 def _put(coder: Coder, data: NDArray[np.uint8], byte: int) -> None:
     """Write a byte; behind the end it is only counted."""

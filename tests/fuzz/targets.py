@@ -11,7 +11,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from revisit.core import place_first_form, place_form
+from revisit.core import place_first_form, place_form, place_second_form
 from revisit.core.errors import DataLoss, RevisitError
 from revisit.core.implicit_map import blob
 from revisit.core.place import Place
@@ -100,13 +100,16 @@ TARGETS: dict[str, Target] = {
     "neural map behind its checksum": behind_checksum(blob.unpack, blob.CONTAINER.magic, 32),
     "place": refusing(Place.from_blob, DataLoss),
     "place behind its checksum": behind_checksum(Place.from_blob, place_form.CONTAINER.magic, DIGEST_BYTES),
+    "second form of a place behind its checksum": behind_checksum(
+        Place.from_blob, place_second_form.CONTAINER.magic, DIGEST_BYTES
+    ),
     "first form of a place behind its checksum": behind_checksum(
         Place.from_blob, place_first_form.CONTAINER.magic, DIGEST_BYTES
     ),
     "stored cloud": refusing(unpack_cloud, DataLoss),
     "stored mesh": refusing(unpack_mesh, DataLoss),
 }
-"""By name. The last six read what the service itself has stored: damage to them is DATA_LOSS, never a crash."""
+"""By name. The last seven read what the service itself has stored: damage to them is DATA_LOSS, never a crash."""
 
 
 def main() -> None:

@@ -44,15 +44,15 @@ def in_place_of(service, submap: str, place: Place) -> None:
 
 
 def places_of(service, loop, count: int, elsewhere: int) -> np.ndarray:
-    """Give both submaps of a loop places whose keypoints its pose joins, but for the first `elsewhere` of `count`.
+    """Give both submaps of a loop places whose keypoints its pose joins, but for the last `elsewhere` of `count`.
 
-    The keypoints (n, 2) of the query.
+    The keypoints (n, 2) of the query, in the order in which places keep them: by y.
     """
-    of_query = np.random.default_rng(5).uniform(-20, 20, (count, 2))
+    of_query = np.column_stack([np.random.default_rng(5).uniform(-20, 20, count), np.linspace(-20, 20, count)])
     # The pose is one of the submaps' frames: seen in the tilted frames of the plans it is nearly the same.
     T_level = se3.inverse(T_SUBMAP_LEVEL) @ loop.T_match_query @ T_SUBMAP_LEVEL
     of_match = of_query + T_level[:2, 3]
-    of_match[:elsewhere] += (0.0, 9.0)
+    of_match[count - elsewhere :] += (0.0, 9.0)
     in_place_of(service, loop.query, a_place(of_query))
     in_place_of(service, loop.match, a_place(of_match))
     return of_query

@@ -31,7 +31,7 @@ def test_keypoints_that_look_alike_are_paired_and_those_that_the_pose_joins_are_
     np.testing.assert_allclose(found.query.keypoints, of_query, atol=0.03)  # stored in tenths of a metre
     np.testing.assert_allclose(found.match.T_submap_level, T_SUBMAP_LEVEL, atol=1e-6)
     assert {tuple(pair) for pair in found.pairs} == {(k, k) for k in range(COUNT)}
-    assert {int(query) for query, _ in found.pairs[found.agrees]} == set(range(3, COUNT))
+    assert {int(query) for query, _ in found.pairs[found.agrees]} == set(range(COUNT - 3))
 
 
 def test_keypoints_of_two_models_are_not_compared(client, service, loop):
