@@ -23,11 +23,12 @@ from revisit.core.kernels.filter_layers import add_amplitudes, multiply_spectrum
 from revisit.core.kernels.gathered_returns import GatheredReturns
 from revisit.core.kernels.heading_profiles import face_profiles, plan_profiles
 from revisit.core.kernels.marching_cubes import polygonise
-from revisit.core.kernels.nearest_points import nearest_points
+from revisit.core.kernels.nearest_points import any_within, nearest_points
 from revisit.core.kernels.neighbour_blend import blend_normals
 from revisit.core.kernels.oriented_normals import oriented_normals
 from revisit.core.kernels.patch_histograms import disc_histograms, patch_histograms
 from revisit.core.kernels.plane_distance import plane_distance
+from revisit.core.kernels.point_columns import columns_of
 from revisit.core.kernels.surface_cells import enter_observed_corners, find_cells, list_corners
 from revisit.core.kernels.visibility import mark_seen_through, range_image
 from revisit.core.kernels.voxel_table import VoxelTable, empty_slots
@@ -93,6 +94,10 @@ class CompiledSurfaces:
     ) -> Mesh:
         """See `SurfaceKernels`."""
         return Mesh(*polygonise(cell_corners, corners, values, *cases, resolution))
+
+    def any_within(self, queries: Array, points: Array, distance: float) -> NDArray[np.bool_]:
+        """See `SurfaceKernels`."""
+        return any_within(queries, columns_of(points, distance), distance)
 
 
 class CompiledViews:

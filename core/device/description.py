@@ -131,6 +131,10 @@ class SurfaceKernels(Protocol):
         """Marching cubes of `values` (n,) at `corners` (n, 3) metres, as `kernels.marching_cubes.polygonise`."""
         ...
 
+    def any_within(self, queries: Array, points: Array, distance: float) -> NDArray[np.bool_]:
+        """Whether any of `points` (n, 3) lies within `distance` metres of each of `queries` (m, 3)."""
+        ...
+
 
 class ViewKernels(Protocol):
     """What is counted of a place and filtered in its plan (paper III-D, decisions 0015 and 0017)."""

@@ -65,6 +65,16 @@ class SortedPoints:
         there = best < _NOTHING
         return Near(torch.where(there, best & _ROW, 0), squared, there)
 
+    def any_within(self, queries: Tensor) -> Tensor:
+        """Whether any point lies within the edge of a voxel of each query (m, 3), as `kernels.nearest_points`."""
+        first, found = self._ranges(queries, 1)
+        owners, rows = ranges(first.reshape(-1), found.reshape(-1))
+        owners = owners // found.shape[1]
+        x, y, z = (self.positions[rows].double() - queries[owners].double()).unbind(1)
+        near = torch.zeros(len(queries), dtype=torch.bool, device=queries.device)
+        near[owners[x * x + y * y + z * z <= self.resolution * self.resolution]] = True
+        return near
+
     def _ranges(self, queries: Tensor, rings: int) -> tuple[Tensor, Tensor]:
         """For each query and each column within `rings` where its points begin, and how many: (m, (2 rings + 1)^2)."""
         low, (width, depth, height) = self.keys.low, self.keys.shape

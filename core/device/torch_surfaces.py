@@ -83,6 +83,15 @@ class TorchSurfaces:
         faces = numbers.reshape(-1, 3).int()
         return Mesh(vertices.cpu().numpy(), faces.cpu().numpy(), crossing.cpu().numpy())
 
+    def any_within(self, queries: Array, points: Array, distance: float) -> NDArray[np.bool_]:
+        """See `SurfaceKernels`."""
+        there = self._there(points)
+        known = SortedPoints.of(there, there, distance)
+        if known is None or len(queries) == 0:
+            return self._compiled.any_within(queries, points, distance)
+        near: NDArray[np.bool_] = known.any_within(self._there(queries)).cpu().numpy()
+        return near
+
     def _points_of(self, planes: Planes) -> SortedPoints | None:
         """The points of the planes, sorted once; None where they cannot be."""
         if planes not in self._sorted:

@@ -162,6 +162,19 @@ def test_the_field_around_planes_is_that_of_the_compiled_kernels(torches, power)
     assert np.isinf(nearest).any() and np.isfinite(nearest).sum() > 1_000
 
 
+def test_what_lies_near_is_what_the_compiled_kernel_finds(torches):
+    rng = np.random.default_rng(6)
+    queries = np.concatenate([rng.uniform(-8.0, 8.0, (2_000, 3)), [[900.0, 0.0, 0.0]]]).astype(np.float32)
+    for distance in (0.5, 1.2):
+        found, expected = (
+            one.surfaces.any_within(queries, planes().positions, distance) for one in (torches, COMPILED)
+        )
+        np.testing.assert_array_equal(found, expected)
+        assert 0 < expected.sum() < len(queries)
+    corner = np.zeros((1, 3), np.float32)  # exactly as far as asked for
+    assert torches.surfaces.any_within(corner, corner + np.array([0.5, 0.0, 0.0], np.float32), 0.5).all()
+
+
 @pytest.mark.parametrize("reach", [4e5, 1e7])
 def test_what_is_too_far_apart_for_keys_is_left_to_the_compiled_kernels(torches, reach):
     ends = np.array([[-1, -1, -1], [1, 1, 1], [1, -1, 1], [0.1, 0.1, 0.1]], np.float32) * np.float32(reach)
@@ -180,6 +193,7 @@ def test_nothing_has_no_surface_and_no_profile(torches):
     nowhere = Returns(np.zeros((0, 3), np.float32), np.zeros(2, np.int64), np.zeros((1, 3), np.float32))
     assert torches.maps.gather(nowhere, EDGE, 10).shape == (0, SCANS + 1)
     assert torches.surfaces.cells(none, 0.6).cell_corners.shape == (0, 8)
+    assert not torches.surfaces.any_within(planes().positions, none.positions, 0.5).any()
     assert not torches.views.plans(np.zeros((0, 2)), np.zeros(0), (12, 40), 1.0).any()
     assert not torches.views.faces(np.zeros((0, 2)), np.zeros(0), np.zeros(0), (12, 40), 1.0, 4.0).any()
 
