@@ -96,7 +96,7 @@ class Place(Keeping):
 
     @classmethod
     def _of(cls, contents: PlaceContents, header: dict[str, Any]) -> Place:
-        model, spacing = header.get("model"), header.get("spacing", VerificationConfig().spacing)
+        model, spacing = header.get("model"), header.get("spacing", cls.spacing)
         if not isinstance(model, str):
             raise DataLoss("the place names no model")
         disagreement = _disagreement(header)
