@@ -20,7 +20,7 @@ from revisit.core.geometry import se3
 class NeighbourLoop:
     """A loop between the same two drives, beside an ambiguous one.
 
-    poses: its hypotheses, each carried over by `carried_over` to a T_match_query (4, 4) of the ambiguous pair.
+    poses: its hypotheses, each carried over by odometry to a T_match_query (4, 4) of the ambiguous pair.
     accepted: and not for the sake of other loops. query_m and match_m: how far from the ends of the pair its own ends
     lie, metres ahead along either drive; way_m: the way of both drives together over which odometry carries its poses.
     """
@@ -52,15 +52,6 @@ class ToldPose:
 
     T_match_query: se3.Matrix4
     agreeing: int
-
-
-def carried_over(T_match_query: se3.Matrix4, T_match_other: se3.Matrix4, T_other_query: se3.Matrix4) -> se3.Matrix4:
-    """The pose of a neighbouring loop as one of the ambiguous pair.
-
-    T_match_query (4, 4) of the neighbour; T_match_other, from its match to that of the pair, and T_other_query, from
-    the query of the pair to its own, by the odometry of either drive.
-    """
-    return np.asarray(T_match_other @ T_match_query @ T_other_query)
 
 
 def find_support(
@@ -100,45 +91,9 @@ def told_pose(neighbours: Sequence[NeighbourLoop], config: VerificationConfig) -
     return ToldPose(T_match_query, sum(_agrees(T_match_query, one, config) for one in near))
 
 
-def is_contradicted(
-    T_match_query: se3.Matrix4, neighbours: Sequence[NeighbourLoop], config: VerificationConfig
-) -> bool:
-    """Whether the accepted loop `T_match_query` cannot be believed, for what other accepted loops say of its pair.
-
-    The first pose of each of the `neighbours` counts. Of two poses that lie apart by more than drift explains, one at
-    least is wrong. Which one is not known: the loop stands only where no more than one in five of those that speak of
-    the pair, itself included, contradict it (docs/decisions/0214).
-    """
-    near = _within_reach(neighbours, config)
-    against = sum(_contradicts(T_match_query, one, config) for one in near)
-    return against > _CONTRADICTING_SHARE * (1 + len(near))
-
-
-def other_poses(
-    T_match_query: se3.Matrix4, neighbours: Sequence[NeighbourLoop], config: VerificationConfig
-) -> list[se3.Matrix4]:
-    """What those within reach that contradict `T_match_query` say instead; poses that are one, once."""
-    found: list[se3.Matrix4] = []
-    for one in sorted(_within_reach(neighbours, config), key=lambda neighbour: neighbour.way_m):
-        if all(_contradicts(pose, one, config) for pose in (T_match_query, *found)):
-            found.append(one.poses[0])
-    return found
-
-
 def _within_reach(neighbours: Sequence[NeighbourLoop], config: VerificationConfig) -> list[NeighbourLoop]:
     """Those that odometry can speak of: no more than `support_reach` of way along both drives."""
     return [one for one in neighbours if one.way_m <= config.support_reach]
-
-
-def _contradicts(T_match_query: se3.Matrix4, neighbour: NeighbourLoop, config: VerificationConfig) -> bool:
-    apart_m = config.rival_distance + _CONTRADICTING_DRIFT * neighbour.way_m
-    pose = neighbour.poses[0]
-    return _shift(T_match_query, pose) > apart_m or _turn(T_match_query, pose) > _CONTRADICTING_TURN
-
-
-_CONTRADICTING_SHARE = 0.2
-_CONTRADICTING_DRIFT = 0.05  # a poor odometry; right loops must not contradict each other
-_CONTRADICTING_TURN = np.radians(10.0)
 
 
 def _tells_apart(

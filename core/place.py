@@ -149,10 +149,10 @@ def _disagreement(header: dict[str, object]) -> ScanDisagreement | None:
     stored = header.get("disagreement")
     if stored is None:
         return None
-    if not isinstance(stored, list) or len(stored) != 2:
-        raise DataLoss("the disagreement of the place's scans is not two numbers")
+    if not isinstance(stored, list) or len(stored) not in (2, 4):  # two of a place from before decision 0216
+        raise DataLoss("the disagreement of the place's scans is not two or four numbers")
     if not all(isinstance(value, float) and 0.0 <= value < math.inf for value in stored):
-        raise DataLoss("the disagreement of the place's scans is no length and angle")
+        raise DataLoss("the disagreement of the place's scans is no lengths and angles")
     return ScanDisagreement(*stored)
 
 

@@ -1,4 +1,4 @@
-"""How far the scans of a submap disagree on its planes: what no motion of them mends, and a sensor mounted askew.
+"""How far the scans of a submap disagree on its planes: what no motion mends, a sensor mounted askew, single poses.
 
 Loops between submaps whose scans disagree are off by more than their points say (docs/decisions/0194). What is left
 after each scan has been moved to where it fits best is no error of its pose: beams that are off, surfaces that no two
@@ -27,6 +27,8 @@ _OUTLIER_M = 0.05
 _RIDGE = 1e-2
 _OF_MENDED = 0.25  # a quarter of the variance of poses, decision 0194
 _SPARE = 60  # heights of scans over planes that must remain beyond the unknowns
+_LEAST_LEVER_M = 6.5  # scans that are thin share planes near the sensor alone, decision 0216
+_LIKELY_SHIFT, _LIKELY_TURN = 0.01, np.radians(0.05)  # of a good odometry; motions told less sharply than so count less
 
 
 @dataclass(frozen=True)
@@ -34,10 +36,14 @@ class ScanDisagreement:
     """surface: standard deviation across planes, in the submap's unit; askew: radians off the direction of travel.
 
     Of what motions of the scans mend, little counts as surface: errors of single poses average out over the scans.
+    shift and turn: what the recorded pose of one scan is off by itself, standard deviations along and about each axis,
+    in the submap's unit and radians; 0 where that is not told.
     """
 
     surface: float
     askew: float
+    shift: float = 0.0
+    turn: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -56,7 +62,7 @@ class _PlaneHeights:
 
 
 def scan_disagreement(submap: Submap) -> ScanDisagreement | None:
-    """How far the scans of a submap disagree; None where too few planes are seen by two of them to tell.
+    """How far the scans of a submap disagree; None where too few planes are seen by two of them, or near ones alone.
 
     The submap is level, its lengths divided by the scene scale.
     """
@@ -65,19 +71,27 @@ def scan_disagreement(submap: Submap) -> ScanDisagreement | None:
         return None
     starts = np.flatnonzero(np.diff(pairs.plane, prepend=-1))
     free, unknowns = len(pairs.height) - len(starts), 6 * (submap.scan_count - 1)
-    if free - unknowns < _SPARE:
+    if free - unknowns < _SPARE or _lever(pairs) < _LEAST_LEVER_M:
         return None
     of_plane = np.diff(np.append(starts, len(pairs.plane)))
     height, motions = _within_planes(pairs, starts, of_plane, submap.scan_count)
     weighed = motions / (1.0 + (height / _OUTLIER_M) ** 2)[:, None]
     normal, right = weighed.T @ motions + _RIDGE * np.eye(motions.shape[1]), weighed.T @ height
-    left = height - motions @ np.linalg.solve(normal, right)
+    moved = np.asarray(np.linalg.solve(normal, right), dtype=np.float64)
+    left = height - motions @ moved
     own_share = np.sqrt(1.0 - 1.0 / np.repeat(of_plane, of_plane))  # the mean of a plane takes the rest
     unmended = _variance(left / own_share) / (1.0 - unknowns / free)
     mended = max(_variance(height / own_share) - unmended, 0.0) / submap.scan_count
     surface = np.sqrt(max(unmended - float(np.median(pairs.variance)), 0.0) + _OF_MENDED * mended)
-    askew = _askew(normal, right, submap.origins.astype(np.float64))
-    return ScanDisagreement(round(float(surface), 5), round(askew, 5))
+    origins = submap.origins.astype(np.float64)
+    single = _single_poses(normal, moved.reshape(-1, 6), unmended, origins)
+    told = (float(surface), _askew(normal, right, origins), *single)
+    return ScanDisagreement(*(round(value, 5) for value in told))
+
+
+def _lever(pairs: _PlaneHeights) -> float:
+    """The lever at which heights over the planes tell turns, root mean square."""
+    return float(np.sqrt((np.cross(pairs.middles, pairs.normals) ** 2).sum(axis=1).mean()))
 
 
 def _variance(values: Array64) -> float:
@@ -98,6 +112,30 @@ def _askew(normal: Array64, right: Array64, origins: Array64) -> float:
     common = shifts.reshape(-1, 2)
     turn = np.linalg.solve(common.T @ normal @ common + _RIDGE * np.eye(2), common.T @ right)
     return float(np.linalg.norm(turn))
+
+
+def _single_poses(normal: Array64, moved: Array64, variance: float, origins: Array64) -> tuple[float, float]:
+    """How far the pose of a single scan is off, along and about each axis: how its motion differs from its neighbours'.
+
+    `moved` (s, 6): the motions that mend the scans, with their `normal` matrix; `variance` of a height. Of a drift,
+    which bends all scans alike, nothing counts. What the motions' own errors explain is taken off, and axes along which
+    they are told less sharply count less.
+    """
+    scans = len(origins)
+    if scans < 3:
+        return 0.0, 0.0
+    at_origins = np.tile(np.eye(6), (scans, 1, 1))
+    at_origins[:, :3, 3:] = -np.cross(origins[:, None, :], np.eye(3)[None]).transpose(0, 2, 1)
+    second = np.diff(np.eye(scans), 2, axis=0)  # six times the variance of one
+    of_all = np.eye(scans) - 1.0 / scans  # a motion of all scans is none
+    bends = np.einsum("ks,sij,st->kitj", second, at_origins, of_all).reshape(-1, 6 * scans)
+    bent = (bends @ moved.ravel()).reshape(-1, 6) ** 2
+    of_errors = variance * np.einsum("ij,ji->i", bends, np.linalg.solve(normal, bends.T)).reshape(-1, 6)
+    found = []
+    for axes, likely in ((slice(0, 3), _LIKELY_SHIFT), (slice(3, 6), _LIKELY_TURN)):
+        weights = (of_errors[:, axes] + 6.0 * likely**2) ** -2
+        found.append(np.sqrt(max(np.average((bent - of_errors)[:, axes], weights=weights), 0.0) / 6.0))
+    return float(found[0]), float(found[1])
 
 
 def _some_columns(submap: Submap) -> tuple[Array64, NDArray[np.int64], NDArray[np.int64]]:

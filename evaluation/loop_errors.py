@@ -1,7 +1,7 @@
 """How far accepted loops are off, and whether their covariances say so.
 
 `python -m revisit.evaluation.loop_errors OUT` prints the tables and draws the picture for a real street (where
-REVISIT_DATA names its folder) and made-up roads; truth is the recording's own pose, or exact.
+REVISIT_DATA names its folder) and made-up towns and roads; truth is the recording's own pose, or exact.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from revisit.core.verification import VerifiedLoop
 from revisit.evaluation.cutting import cut
 from revisit.evaluation.datasets import Recording
 from revisit.evaluation.described_submaps import DescribedSubmap, DescriptionWork, describe_submap
-from revisit.evaluation.domains.catalogue import DOMAINS, Setting
+from revisit.evaluation.domains.catalogue import DOMAINS, Domain, Setting
 from revisit.evaluation.domains.drives import DrivenWorld
 from revisit.evaluation.loop_closure_method import RevisitMethod
 from revisit.evaluation.perturbations import Perturbation
@@ -39,6 +39,9 @@ Array64 = NDArray[np.float64]
 WITHIN_M = 25.0
 """Pairs farther apart than this are not looked at."""
 
+MOST_PAIRS = 400
+"""Of more pairs of a recording, so many are looked at, evenly drawn."""
+
 BOUND = float(chi2.ppf(0.95, 6))
 """A right covariance has 95 of 100 squared errors below this."""
 
@@ -47,6 +50,7 @@ DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 
 ALL_SCANS = "frame of all scans"
 _ROADS = ("country-road", "row-houses", "canyon", "woods", "thin-block", "kitti05-way", "facades", "resimulated")
+_TOWNS = {"town": "town", "overgrown-town": "town"}  # and where the same drive has exact poses
 _SHARE = 0.5
 _APART_SCANS = 30
 
@@ -134,6 +138,16 @@ def near_pairs(
                 yield query, match
 
 
+def drawn_evenly(
+    pairs: Iterable[tuple[DescribedSubmap, DescribedSubmap]], most: int = MOST_PAIRS
+) -> list[tuple[DescribedSubmap, DescribedSubmap]]:
+    """At most so many of the pairs of described submaps, evenly drawn from all."""
+    described = [pair for pair in pairs if all(one.description is not None for one in pair)]
+    if len(described) <= most:
+        return described
+    return [described[row] for row in np.linspace(0, len(described) - 1, most).astype(np.int64)]
+
+
 def table(name: str, errors: Sequence[LoopError]) -> list[str]:
     """Lines of a Markdown table: all loops of a recording by bins of overlap, and together."""
     lines = []
@@ -164,15 +178,17 @@ def draw(errors: dict[str, Sequence[LoopError]], file: Path) -> None:
     plt.close(figure)
 
 
-def describe_truly(recording: Recording, perturbation: Perturbation) -> list[DescribedSubmap]:
-    """Submaps every 10 m; a made-up recording's poses are replaced by the true ones."""
-    config = SubmapConfig(stride=10.0)
+def describe_truly(recording: Recording, perturbation: Perturbation, config: SubmapConfig) -> list[DescribedSubmap]:
+    """Submaps of a recording; a made-up recording's poses are replaced by the true ones."""
     work = DescriptionWork(recording, config, perturbation, RevisitMethod(PipelineConfig(submap=config)), 0)
     described = [describe_submap(work, task) for task in enumerate(cut(recording, config))]
-    if not isinstance(recording, DrivenWorld):
-        return described
-    truth = recording.trajectory.T_world_sensor
-    return [replace(one, T_world_submap=truth[one.window[len(one.window) // 2]]) for one in described]
+    return in_true_frames(described, recording) if isinstance(recording, DrivenWorld) else described
+
+
+def in_true_frames(submaps: Sequence[DescribedSubmap], drive: Recording) -> list[DescribedSubmap]:
+    """The submaps with the exact pose of their middle scan on `drive`, a made-up one."""
+    exact = drive.trajectory.T_world_sensor.__getitem__ if isinstance(drive, DrivenWorld) else drive.pose
+    return [replace(one, T_world_submap=exact(one.window[len(one.window) // 2])) for one in submaps]
 
 
 def as_all_scans_carry(submaps: Sequence[DescribedSubmap], world: DrivenWorld) -> list[DescribedSubmap]:
@@ -188,12 +204,28 @@ def as_all_scans_carry(submaps: Sequence[DescribedSubmap], world: DrivenWorld) -
     return carried
 
 
+def _domain(name: str) -> Domain:
+    return next(domain for domain in DOMAINS if domain.name == name)
+
+
+def _of_drive(submaps: Sequence[DescribedSubmap]) -> list[LoopError]:
+    pairs = drawn_evenly(near_pairs(submaps, submaps, _APART_SCANS))
+    return loop_errors(pairs, PipelineConfig().verification)
+
+
+def _of_town(name: str, setting: Setting) -> list[LoopError]:
+    domain, exact = _domain(name), _domain(_TOWNS[name]).make(setting).queries
+    submaps = describe_truly(domain.make(setting).queries, Perturbation(rotate_seed=1), domain.submap)
+    return _of_drive(in_true_frames(submaps, exact))
+
+
 def _of_road(name: str, setting: Setting, *, by_all_scans: bool = False) -> list[LoopError]:
-    recording = next(domain for domain in DOMAINS if domain.name == name).make(setting).queries
-    submaps = describe_truly(recording, Perturbation(rotate_seed=1))
+    domain = _domain(name)
+    recording = domain.make(setting).queries
+    submaps = describe_truly(recording, Perturbation(rotate_seed=1), domain.submap)
     if by_all_scans and isinstance(recording, DrivenWorld):
         submaps = as_all_scans_carry(submaps, recording)
-    return loop_errors(near_pairs(submaps, submaps, _APART_SCANS), PipelineConfig().verification)
+    return _of_drive(submaps)
 
 
 def _of_all_scans(name: str, setting: Setting) -> list[LoopError]:
@@ -201,10 +233,11 @@ def _of_all_scans(name: str, setting: Setting) -> list[LoopError]:
 
 
 def _of_street(name: str, setting: Setting) -> list[LoopError]:
-    made = next(domain for domain in DOMAINS if domain.name == name).make(setting)
-    queries = describe_truly(made.queries, made.thinned_queries)
-    mapped = describe_truly(made.mapped or made.queries, made.thinned_map)
-    return loop_errors(near_pairs(queries, mapped), PipelineConfig().verification)
+    domain = _domain(name)
+    made = domain.make(setting)
+    queries = describe_truly(made.queries, made.thinned_queries, domain.submap)
+    mapped = describe_truly(made.mapped or made.queries, made.thinned_map, domain.submap)
+    return loop_errors(drawn_evenly(near_pairs(queries, mapped)), PipelineConfig().verification)
 
 
 def main(out: Path) -> None:
@@ -214,6 +247,7 @@ def main(out: Path) -> None:
     roads = [d.name for d in DOMAINS if d.name in _ROADS and not d.missing]
     makers: dict[str, Callable[[str, Setting], list[LoopError]]] = {
         **dict.fromkeys(street, _of_street),
+        **dict.fromkeys(_TOWNS, _of_town),
         **dict.fromkeys(roads, _of_road),
         **{f"{name}, {ALL_SCANS}": _of_all_scans for name in roads},
     }

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from revisit.core.config import BevConfig
-from revisit.core.kernels.filter_layers import add_amplitudes, multiply_spectrum, strongest_layer
+from revisit.core.device import device
 
 Array = NDArray[np.float32]
 
@@ -57,11 +57,4 @@ def maximum_index_map(image: Array, config: BevConfig) -> OrientationMap:
     bank = filter_bank(
         size, config.scales, config.orientations, config.wavelength, config.scale_factor, config.bandwidth
     )
-    spectrum = fft.fft2(image, s=(size, size))
-    amplitude = np.zeros((config.orientations, height, width), dtype=np.float32)
-    filtered = np.empty((config.scales, size, size), dtype=np.complex64)
-    for orientation in range(config.orientations):
-        multiply_spectrum(bank[orientation], spectrum, filtered)
-        rows = fft.ifft(filtered, axis=1, overwrite_x=True)[:, :height]
-        add_amplitudes(fft.ifft(rows, axis=2, overwrite_x=True), amplitude[orientation])
-    return OrientationMap(*strongest_layer(amplitude), config.orientations)
+    return OrientationMap(*device().description.views.strongest_orientations(image, bank), config.orientations)

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import TypeVar
 
 from revisit.core.device.contract import Kernels
+from revisit.core.device.description import DescriptionKernels
 from revisit.core.device.together import side_by_side
 from revisit.core.errors import BadField
 
@@ -23,17 +24,27 @@ TOGETHER = 32
 """Works that are done side by side on a GPU: each has a thread, and its jobs lie in the memory of the device."""
 
 
+def _compiled_description() -> DescriptionKernels:
+    from revisit.core.device.compiled_description import compiled_description  # and its compiler, as of _processor
+
+    return compiled_description()
+
+
 class MissingDevice(BadField):
     """The device is not there."""
 
 
 @dataclass(frozen=True)
 class Device:
-    """A device by the name it was chosen by, and its kernels; it does up to `together` works side by side."""
+    """A device by the name it was chosen by, and its kernels of verification and of description.
+
+    It does up to `together` works side by side.
+    """
 
     name: str
     kernels: Kernels
     together: int = 1
+    description: DescriptionKernels = field(default_factory=_compiled_description)
 
 
 _DEVICE: ContextVar[Device | None] = ContextVar("_DEVICE", default=None)
@@ -47,12 +58,14 @@ def open_device(name: str) -> Device:
     if name == CPU:
         return _processor()
     try:
+        from revisit.core.device.torch_description import torch_description
         from revisit.core.device.torch_kernels import open_torch_kernels
     except ImportError as missing:
         hint = f"device {name} needs torch, which is not installed: pip install 'revisit-loops[learned]'"
         raise MissingDevice(hint, field="device") from missing
     try:
-        return Device(name, open_torch_kernels("cpu" if name == TORCH_ON_CPU else name), TOGETHER)
+        kernels = open_torch_kernels("cpu" if name == TORCH_ON_CPU else name)
+        return Device(name, kernels, TOGETHER, torch_description(kernels.where))
     except ValueError as error:
         raise MissingDevice(f"device {name}: {error}", field="device") from error
 
@@ -114,5 +127,5 @@ def batched(items: Sequence[Item]) -> Iterator[Sequence[Item]]:
 
 def _seated(kernels: Kernels, work: Callable[[], Result]) -> Result:
     """Do a work with the kernels of its seat."""
-    with using(Device(device().name, kernels)):
+    with using(replace(device(), kernels=kernels, together=1)):
         return work()

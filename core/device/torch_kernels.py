@@ -26,6 +26,7 @@ from revisit.core.device.contract import (
     Correlation,
     Shifts,
 )
+from revisit.core.device.torch_arrays import moved_there
 from revisit.core.device.torch_patches import NOWHERE, Tables
 from revisit.core.device.torch_plans import agreements
 
@@ -56,8 +57,8 @@ class TorchKernels:
     """`Kernels` on a device of torch: the jobs of a call at once."""
 
     def __init__(self, where: torch.device) -> None:
-        """Everything is computed on `where`, but for surfaces whose points lie too far apart for a grid of columns."""
-        self._where = where
+        """Everything is computed on `where`, a device of torch, but for surfaces too wide for a grid of columns."""
+        self.where = where
         self._compiled = CompiledKernels()
 
     def align(self, jobs: Sequence[Alignment], rules: AlignmentRules) -> list[Array64]:
@@ -65,10 +66,10 @@ class TorchKernels:
         if not all(len(job.patches.grid) for job in jobs) or not jobs:
             return self._compiled.align(jobs, rules)
         poses = self._moved_there(np.stack([job.T_start for job in jobs]))
-        tables = Tables.of([job.patches for job in jobs], self._where)
+        tables = Tables.of([job.patches for job in jobs], self.where)
         points, there = self._padded([job.points for job in jobs])
         normals, _ = self._padded([job.normals for job in jobs])
-        under_way = torch.arange(len(jobs), device=self._where)
+        under_way = torch.arange(len(jobs), device=self.where)
         for _ in range(rules.rounds):
             some = tables.of_jobs(under_way)
             hessian, gradient, pairs = _normal_equations(
@@ -87,13 +88,13 @@ class TorchKernels:
         """See `Kernels`."""
         if not all(len(job.patches.grid) for job in jobs) or not jobs:
             return self._compiled.touch(jobs, rules)
-        tables = Tables.of([job.patches for job in jobs], self._where)
+        tables = Tables.of([job.patches for job in jobs], self.where)
         points, there = self._padded([job.points for job in jobs])
         normals, _ = self._padded([job.normals for job in jobs])
         poses = self._moved_there(np.stack([job.T_other_points for job in jobs]))
         moved, turned = _moved(poses, points, normals)
         standing = self._moved_there(np.array([job.standing for job in jobs]))
-        seen = there & (torch.arange(points.shape[1], device=self._where) < standing[:, None])
+        seen = there & (torch.arange(points.shape[1], device=self.where) < standing[:, None])
         seen &= self._in_seen_columns(moved, [job.slots for job in jobs], rules.column_edge)
         touching, distances, planes = _touching(moved, turned, there, tables, rules)
         counts = torch.stack([seen.sum(1), (seen & touching).sum(1), touching.sum(1)], dim=1)
@@ -118,10 +119,10 @@ class TorchKernels:
 
     def correlate(self, jobs: Sequence[Correlation], pixel: float) -> list[list[Agreement]]:
         """See `Kernels`."""
-        return agreements(jobs, pixel, self._where)
+        return agreements(jobs, pixel, self.where)
 
     def _moved_there(self, array: NDArray[np.generic]) -> Tensor:
-        return torch.as_tensor(np.ascontiguousarray(array), device=self._where)
+        return moved_there(array, self.where)
 
     def _padded(self, clouds: Sequence[Array64]) -> tuple[Tensor, Tensor]:
         """Clouds (n, 3) side by side (j, most, 3), and where there are points of them (j, most)."""
@@ -139,7 +140,7 @@ class TorchKernels:
             keys.append(_column_keys(used[:, 0], used[:, 1], np.int64(number)))
         known = torch.sort(self._moved_there(np.concatenate(keys))).values
         columns = torch.floor(points[..., :2] / edge).clamp(-_MOST_COLUMNS, _MOST_COLUMNS - 1).long()
-        numbers = torch.arange(len(slots), device=self._where)[:, None]
+        numbers = torch.arange(len(slots), device=self.where)[:, None]
         asked = _column_keys(columns[..., 0], columns[..., 1], numbers).contiguous()
         if not len(known):
             return torch.zeros_like(asked, dtype=torch.bool)

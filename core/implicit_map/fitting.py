@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.config import Field, ImplicitMapConfig
+from revisit.core.device import device
 from revisit.core.implicit_map.decoder import DecoderWeights
 from revisit.core.implicit_map.neighbourhood import find_neighbourhood
 from revisit.core.implicit_map.neural_map import NeuralMap
-from revisit.core.implicit_map.neural_points import ElasticAccumulator, NeuralPoints
+from revisit.core.implicit_map.neural_points import NeuralPoints, oriented
 from revisit.core.implicit_map.settled import settle
-from revisit.core.implicit_map.visibility import count_seen_through
+from revisit.core.implicit_map.visibility import count_seen_through, returns_of
 from revisit.core.kernels.point_columns import columns_of
 from revisit.core.stages import stage
 from revisit.core.submap import Submap
@@ -31,7 +32,8 @@ def fit_implicit_map(
     """The neural map of a submap: accumulate, remove what moved, fit features where the field is learned."""
     gathered = gather(submap, config)
     crowded = len(gathered) > config.max_points
-    points = without_dynamic_points(gathered.finish(config.max_points), submap, config)
+    points = oriented(gathered, config.resolution, config.max_points)
+    points = without_dynamic_points(points, submap, config)
     points = settle(points, config.resolution)
     if config.field is Field.PLANES:
         return dataclasses.replace(NeuralMap.of_planes(points, submap.stamps_ns, config), crowded=crowded)
@@ -43,16 +45,13 @@ def fit_implicit_map(
 
 def accumulate(submap: Submap, config: ImplicitMapConfig) -> NeuralPoints:
     """The elastic neural points of all scans, in time order (paper III-B 3)."""
-    return gather(submap, config).finish()
+    return oriented(gather(submap, config), config.resolution)
 
 
-def gather(submap: Submap, config: ImplicitMapConfig) -> ElasticAccumulator:
+def gather(submap: Submap, config: ImplicitMapConfig) -> NDArray[np.float64]:
     """The returns of all scans, gathered in time order: at most GATHERED_SHARE times the points of a map."""
-    accumulator = ElasticAccumulator(config.resolution, len(submap.points), GATHERED_SHARE * config.max_points)
-    bounds = np.searchsorted(submap.scan_index, np.arange(submap.scan_count + 1, dtype=np.int32))
-    for scan in range(submap.scan_count):
-        accumulator.insert(submap.points[bounds[scan] : bounds[scan + 1]], submap.origins[scan], scan)
-    return accumulator
+    returns = returns_of(submap.points, submap.scan_index, submap.origins)
+    return device().description.maps.gather(returns, config.resolution, GATHERED_SHARE * config.max_points)
 
 
 def without_dynamic_points(points: NeuralPoints, submap: Submap, config: ImplicitMapConfig) -> NeuralPoints:

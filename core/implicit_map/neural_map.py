@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from revisit.core.config import Field, ImplicitMapConfig
+from revisit.core.device import device
+from revisit.core.device.description import FieldRules, Planes
 from revisit.core.errors import BadField, BadTransform, DataLoss, DescriptorModelMismatch
 from revisit.core.geometry.level_frame import LevelFrame
 from revisit.core.implicit_map import blob, first_form
@@ -18,10 +20,7 @@ from revisit.core.implicit_map.decoder import DecoderWeights, decode
 from revisit.core.implicit_map.neighbourhood import Neighbourhood, find_neighbourhood
 from revisit.core.implicit_map.neural_points import NeuralPoints
 from revisit.core.implicit_map.settled import NORMAL_STEPS, OFFSET_UNIT, geometry, hits_of, plane_codes
-from revisit.core.kernels.nearest_points import nearest_points
-from revisit.core.kernels.neighbour_blend import blend_normals
-from revisit.core.kernels.plane_distance import plane_distance
-from revisit.core.kernels.point_columns import PointColumns, columns_of
+from revisit.core.kernels.point_columns import PointColumns
 
 Array = NDArray[np.float32]
 
@@ -89,7 +88,15 @@ class NeuralMap:
     @cached_property
     def columns(self) -> PointColumns:
         """The neural points by the column of voxels that they lie in."""
-        return columns_of(self.points.positions, self.config.resolution)
+        return self._planes.columns
+
+    @cached_property
+    def _planes(self) -> Planes:
+        return Planes(self.points.positions, self.points.normals, self.config.resolution)
+
+    @property
+    def _rules(self) -> FieldRules:
+        return FieldRules(self.config.neighbours, self.config.search_rings, self.config.weight_power)
 
     def neighbourhood(self, queries: Array) -> Neighbourhood:
         """The K nearest neural points of `queries` (m, 3) with their weights (paper Eq. 2-4)."""
@@ -124,12 +131,8 @@ class NeuralMap:
 
     def _plane_distance(self, queries: Array) -> tuple[Array, Array]:
         """Blended distances (m,) to the tangent planes, and distances (m,) to the nearest neural point."""
-        cloud, points, config = np.ascontiguousarray(queries, dtype=np.float32), self.points, self.config
-        indices, squared = nearest_points(
-            cloud, self.columns, config.resolution, config.neighbours, config.search_rings
-        )
-        distance = plane_distance(cloud, points.positions, points.normals, indices, squared, config.weight_power)
-        return distance, np.sqrt(squared[:, 0])
+        cloud = np.ascontiguousarray(queries, dtype=np.float32)
+        return device().description.surfaces.distances(cloud, self._planes, self._rules)
 
     def normals(self, queries: Array) -> Array:
         """Unit normals (m, 3) towards free space at `queries` (m, 3) near the surface.
@@ -137,9 +140,8 @@ class NeuralMap:
         The blend of the neural points' normals: the gradient of the tangent-plane part of the field, without the small
         correction of the decoder. Zero where no neural point is near.
         """
-        cloud, config = np.ascontiguousarray(queries, dtype=np.float32), self.config
-        near = nearest_points(cloud, self.columns, config.resolution, config.neighbours, config.search_rings)
-        return np.asarray(blend_normals(*near, self.points.normals, config.weight_power))
+        cloud = np.ascontiguousarray(queries, dtype=np.float32)
+        return device().description.surfaces.blended_normals(cloud, self._planes, self._rules)
 
 
 def _read(data: bytes, decoder: DecoderWeights, config: ImplicitMapConfig) -> NeuralMap:

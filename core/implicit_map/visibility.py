@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.visibility import mark_seen_through, range_image
+from revisit.core.device import device
+from revisit.core.device.description import Returns
 
 Array = NDArray[np.float32]
 
@@ -18,9 +19,10 @@ def count_seen_through(
     `points` (m, 3) were taken from `origins` (s, 3), in the order of their `scan_index` (m,) 0..s-1; everything in the
     frame of the map.
     """
-    counts = np.zeros(len(positions), dtype=np.int32)
+    return device().description.maps.see_through(positions, returns_of(points, scan_index, origins))
+
+
+def returns_of(points: Array, scan_index: NDArray[np.int32], origins: Array) -> Returns:
+    """The `points` (m, 3) by the scans that they belong to, as of `count_seen_through`."""
     bounds = np.searchsorted(scan_index, np.arange(len(origins) + 1, dtype=scan_index.dtype))
-    for scan, origin in enumerate(origins):
-        image = range_image(points[bounds[scan] : bounds[scan + 1]], origin)
-        mark_seen_through(positions, origin, image, counts)
-    return counts
+    return Returns(points, bounds, origins)

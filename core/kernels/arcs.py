@@ -22,7 +22,7 @@ def arc_tangent(y: float, x: float) -> float:
     return -angle if y < 0.0 else angle
 
 
-_SERIES = tuple(np.float32(value) for value in (_A2, _A4, _A6, _A8, _A10, _A12, _A14, _A16))
+SERIES_32 = tuple(np.float32(value) for value in (_A2, _A4, _A6, _A8, _A10, _A12, _A14, _A16))
 _TINY, _QUARTER, _HALF = np.float32(1e-30), np.float32(0.5 * np.pi), np.float32(np.pi)
 
 
@@ -32,8 +32,8 @@ def arc_tangent_32(y: np.float32, x: np.float32) -> np.float32:
     wide, high = abs(x), abs(y)
     ratio = (wide if wide < high else high) / ((high if wide < high else wide) + _TINY)
     z = ratio * ratio
-    series = _SERIES[4] + z * (_SERIES[5] + z * (_SERIES[6] + z * _SERIES[7]))
-    series = _SERIES[0] + z * (_SERIES[1] + z * (_SERIES[2] + z * (_SERIES[3] + z * series)))
+    series = SERIES_32[4] + z * (SERIES_32[5] + z * (SERIES_32[6] + z * SERIES_32[7]))
+    series = SERIES_32[0] + z * (SERIES_32[1] + z * (SERIES_32[2] + z * (SERIES_32[3] + z * series)))
     angle = ratio + ratio * z * series
     angle = _QUARTER - angle if high > wide else angle
     angle = _HALF - angle if x < np.float32(0.0) else angle

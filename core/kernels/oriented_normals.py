@@ -11,9 +11,9 @@ from revisit.core.kernels.loops import loop
 Array64 = NDArray[np.float64]
 
 NORMAL_PRIOR = 0.05
-_SWEEPS = 12
+SWEEPS = 12
 _LANES = 64
-_NEGLIGIBLE = 1e-18  # of what is squared: axes are right within a billionth
+NEGLIGIBLE = 1e-18  # of what is squared: axes are right within a billionth
 
 
 def oriented_normals(covariances: Array64, views: Array64) -> NDArray[np.float32]:
@@ -39,7 +39,7 @@ def _orient(
     for start in range(0, len(covariances), _LANES):
         count = np.uint64(min(_LANES, len(covariances) - start))
         _load(covariances, views, np.uint64(start), count, matrix, axes, view)
-        for _ in range(_SWEEPS):
+        for _ in range(SWEEPS):
             if _clear_diagonal(matrix, count) == count:
                 break
             _rotate(matrix, axes, count, 0, 1)
@@ -85,7 +85,7 @@ def _clear_diagonal(matrix: Array64, count: np.uint64) -> int:
     found = 0
     for k in range(count):
         aside = matrix[3, k] ** 2 + matrix[4, k] ** 2 + matrix[5, k] ** 2
-        diagonal = aside <= _NEGLIGIBLE * (matrix[0, k] ** 2 + matrix[1, k] ** 2 + matrix[2, k] ** 2)
+        diagonal = aside <= NEGLIGIBLE * (matrix[0, k] ** 2 + matrix[1, k] ** 2 + matrix[2, k] ** 2)
         found += 1 if diagonal else 0
         for a in range(3, 6):
             matrix[a, k] = 0.0 if diagonal else matrix[a, k]

@@ -10,11 +10,11 @@ from revisit.core.kernels.arcs import arc_tangent_32
 
 Array = NDArray[np.float32]
 
-_COLUMNS = 360
-_ROWS = 180
-_PIXELS_PER_RADIAN = np.float32(180.0 / np.pi)
+COLUMNS = 360
+ROWS = 180
+PIXELS_PER_RADIAN = np.float32(180.0 / np.pi)
 _HALF_TURN, _QUARTER_TURN = np.float32(np.pi), np.float32(0.5 * np.pi)
-_MARGIN_M, _FARTHER = np.float32(0.5), np.float32(1.02)
+MARGIN_M, FARTHER = np.float32(0.5), np.float32(1.02)
 _CHUNK = 1024
 
 
@@ -24,14 +24,14 @@ def range_image(points: Array, origin: Array) -> Array:
 
     A pixel is a degree wide and high. Infinite where nothing was measured.
     """
-    image = np.full(_ROWS * _COLUMNS, np.inf, dtype=np.float32)
+    image = np.full(ROWS * COLUMNS, np.inf, dtype=np.float32)
     rays, pixels, ranges = np.empty((3, _CHUNK), np.float32), np.empty(_CHUNK, np.int32), np.empty(_CHUNK, np.float32)
     for start in range(0, len(points), _CHUNK):
         count = min(_CHUNK, len(points) - start)
         _see(points, start, count, origin, rays, pixels, ranges)
         for k in range(count):
             image[pixels[k]] = min(image[pixels[k]], np.float32(ranges[k]))
-    return image.reshape(_ROWS, _COLUMNS)
+    return image.reshape(ROWS, COLUMNS)
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -43,7 +43,7 @@ def mark_seen_through(positions: Array, origin: Array, image: Array, counts: NDA
         count = min(_CHUNK, len(positions) - start)
         _see(positions, start, count, origin, rays, pixels, ranges)
         for k in range(count):
-            counts[start + k] += nearest[pixels[k]] > ranges[k] * _FARTHER + _MARGIN_M
+            counts[start + k] += nearest[pixels[k]] > ranges[k] * FARTHER + MARGIN_M
 
 
 @numba.njit(inline="always")
@@ -59,27 +59,27 @@ def _see(
         x, y, z = rays[0, k], rays[1, k], rays[2, k]
         level = x * x + y * y
         ranges[k] = np.sqrt(level + z * z)
-        column = np.int32((arc_tangent_32(y, x) + _HALF_TURN) * _PIXELS_PER_RADIAN)
-        row = np.int32((arc_tangent_32(z, np.sqrt(level)) + _QUARTER_TURN) * _PIXELS_PER_RADIAN)
-        row = row if row < _ROWS else np.int32(_ROWS - 1)
-        pixels[k] = row * np.int32(_COLUMNS) + (column if column < _COLUMNS else np.int32(0))
+        column = np.int32((arc_tangent_32(y, x) + _HALF_TURN) * PIXELS_PER_RADIAN)
+        row = np.int32((arc_tangent_32(z, np.sqrt(level)) + _QUARTER_TURN) * PIXELS_PER_RADIAN)
+        row = row if row < ROWS else np.int32(ROWS - 1)
+        pixels[k] = row * np.int32(COLUMNS) + (column if column < COLUMNS else np.int32(0))
 
 
 @numba.njit(cache=True, error_model="numpy")
 def _nearest_around(image: Array) -> Array:
     """The smallest range (rows * columns,) of each pixel and its neighbours; 0 where fewer than two have one."""
-    nearest = np.empty(_ROWS * _COLUMNS, dtype=np.float32)
-    least, measured = np.empty(_COLUMNS + 2, np.float32), np.empty(_COLUMNS + 2, np.int32)  # of three rows, and around
-    for row in range(_ROWS):
-        above, here, below = image[max(row - 1, 0)], image[row], image[min(row + 1, _ROWS - 1)]
-        inner, outer = 1 if row > 0 else 0, 1 if row < _ROWS - 1 else 0
-        for c in range(np.uint64(_COLUMNS)):
+    nearest = np.empty(ROWS * COLUMNS, dtype=np.float32)
+    least, measured = np.empty(COLUMNS + 2, np.float32), np.empty(COLUMNS + 2, np.int32)  # of three rows, and around
+    for row in range(ROWS):
+        above, here, below = image[max(row - 1, 0)], image[row], image[min(row + 1, ROWS - 1)]
+        inner, outer = 1 if row > 0 else 0, 1 if row < ROWS - 1 else 0
+        for c in range(np.uint64(COLUMNS)):
             least[c + np.uint64(1)] = min(above[c], here[c], below[c])
             found = inner * np.int32(above[c] < np.inf) + np.int32(here[c] < np.inf)
             measured[c + np.uint64(1)] = found + outer * np.int32(below[c] < np.inf)
         least[0], least[-1], measured[0], measured[-1] = least[-2], least[1], measured[-2], measured[1]
-        line = nearest[row * _COLUMNS : (row + 1) * _COLUMNS]
-        for c in range(np.uint64(_COLUMNS)):
+        line = nearest[row * COLUMNS : (row + 1) * COLUMNS]
+        for c in range(np.uint64(COLUMNS)):
             count = measured[c] + measured[c + np.uint64(1)] + measured[c + np.uint64(2)]
             value = min(least[c], least[c + np.uint64(1)], least[c + np.uint64(2)])
             line[c] = value if count >= 2 else np.float32(0.0)

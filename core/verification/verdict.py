@@ -209,6 +209,19 @@ def systematic_covariance(
     return np.asarray(np.diag(np.square(drift) + np.square(unshared)) + direction**2 * aside)
 
 
+def frames_covariance(
+    T_match_query: se3.Matrix4, query: ScanDisagreement, match: ScanDisagreement, scale: float
+) -> NDArray[np.float64]:
+    """The covariance (6, 6), in the frame of the match, of what the frames of two submaps are off by themselves.
+
+    T_match_query (4, 4) between the submap frames. A frame is the recorded pose of one scan; all scans together carry
+    the surfaces that are aligned, and that one pose is off from them (docs/decisions/0216).
+    """
+    adjoint = se3.adjoint(T_match_query)
+    of_query, of_match = (np.diag(np.square([scale * one.shift] * 3 + [one.turn] * 3)) for one in (query, match))
+    return np.asarray(of_match + adjoint @ of_query @ adjoint.T)
+
+
 def _systematic_share(surface: float, config: VerificationConfig) -> float:
     """Which share of the systematic deviations the disagreement of the scans on their surfaces makes likely."""
     beyond = np.sqrt(max(surface**2 - config.agreeing_surface**2, 0.0))
@@ -220,8 +233,7 @@ def common_disagreement(query: Place, match: Place) -> ScanDisagreement | None:
     first, second = query.scan_disagreement, match.scan_disagreement
     if first is None or second is None:
         return None
-    surface, askew = np.sqrt(0.5 * np.square(astuple(first)) + 0.5 * np.square(astuple(second)))
-    return ScanDisagreement(float(surface), float(askew))
+    return ScanDisagreement(*np.sqrt(0.5 * np.square(astuple(first)) + 0.5 * np.square(astuple(second))).tolist())
 
 
 def loop_score(contrast: float, seen_through: float, rmse_m: float) -> float:
@@ -260,14 +272,19 @@ def _unlevelled(
     measurement: LoopMeasurement, query: Place, match: Place, config: VerificationConfig
 ) -> LoopMeasurement:
     """The measurement between the submap frames instead of the levelled, scaled ones."""
+    scale, T_match_query = match.frame.scale, measurement.T_match_query
     covariance = measurement.covariance + systematic_covariance(
-        measurement.T_match_query, measurement.overlap, match.frame.scale, config, common_disagreement(query, match)
+        T_match_query, measurement.overlap, scale, config, common_disagreement(query, match)
     )
+    covariance = match.frame.covariance_to_submap(covariance)
+    T_match_query = motion_between_submaps(T_match_query, query.frame, match.frame)
+    if query.scan_disagreement and match.scan_disagreement:
+        covariance += frames_covariance(T_match_query, query.scan_disagreement, match.scan_disagreement, scale)
     return dataclasses.replace(
         measurement,
-        T_match_query=motion_between_submaps(measurement.T_match_query, query.frame, match.frame),
-        rmse_m=measurement.rmse_m * match.frame.scale,
-        covariance=match.frame.covariance_to_submap(covariance),
+        T_match_query=T_match_query,
+        rmse_m=measurement.rmse_m * scale,
+        covariance=covariance,
         rivals=tuple(
             Hypothesis(one.overlap, motion_between_submaps(one.T_match_query, query.frame, match.frame))
             for one in measurement.rivals

@@ -129,13 +129,13 @@ class StableTriangles:
             return None
         first, second = asked.reshape(-1, 3, 3), known.reshape(-1, 3, 3)
         tried = np.unique(np.linspace(0, len(first) - 1, self.poses).astype(np.int64))
-        turns, shifts = _fits(first[tried], second[tried])
+        turns, shifts = rigid_fits(first[tried], second[tried])
         moved = np.einsum("hij,pcj->hpci", turns, first) + shifts[:, None, None]
         agree = (np.linalg.norm(moved - second, axis=3) < self.inlier_m).all(axis=2)
         best = agree[int(agree.sum(axis=1).argmax())]
         if best.sum() < _FEWEST_PAIRS:
             return None
-        turn, shift = _fits(first[best].reshape(1, -1, 3), second[best].reshape(1, -1, 3))
+        turn, shift = rigid_fits(first[best].reshape(1, -1, 3), second[best].reshape(1, -1, 3))
         return turn[0], shift[0]
 
     def _overlap(self, pose: tuple[Floats, Floats], pieces: Floats, theirs: Floats) -> float:
@@ -164,7 +164,7 @@ def _present(rows: Descriptor) -> Floats:
     return rows[~np.isnan(rows[:, 0])].astype(np.float64)
 
 
-def _fits(first: Floats, second: Floats) -> tuple[Floats, Floats]:
+def rigid_fits(first: Floats, second: Floats) -> tuple[Floats, Floats]:
     """Rotations (h, 3, 3) and translations (h, 3) that carry points (h, n, 3) onto others with least squares."""
     middle_1, middle_2 = first.mean(axis=1), second.mean(axis=1)
     product = np.einsum("hni,hnj->hij", first - middle_1[:, None], second - middle_2[:, None])

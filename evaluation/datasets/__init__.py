@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from revisit.core.errors import BadField
-from revisit.evaluation.datasets.bag_files import is_bag
+from revisit.evaluation.datasets.bag_files import bags_out_of_sight, is_bag
 from revisit.evaluation.datasets.cloud_folder import open_cloud_folder
 from revisit.evaluation.datasets.kitti import KittiRecording, write_kitti
 from revisit.evaluation.datasets.kitti360 import open_kitti360
@@ -44,7 +44,7 @@ def open_recording(folder: Path, file_format: str = AUTO, wanted: WantedTopics =
     Raises BadField for an unknown format, or where topics are named and it is no bag, and what opening raises.
     """
     if file_format == AUTO:
-        file_format = _format_of(folder)
+        return _of_what_is_there(folder, wanted)
     if file_format not in FORMATS:
         raise BadField(f"the format is one of {', '.join((AUTO, *FORMATS))}, not {file_format[:40]!r}", field="format")
     if FORMATS[file_format] is open_bag:
@@ -57,6 +57,15 @@ def open_recording(folder: Path, file_format: str = AUTO, wanted: WantedTopics =
 def notes_of(recording: Recording) -> tuple[str, ...]:
     """Sentences on how the recording was read, where that was a choice."""
     return recording.notes if isinstance(recording, BagRecording) else ()
+
+
+def _of_what_is_there(folder: Path, wanted: WantedTopics) -> Recording:
+    try:
+        return open_recording(folder, _format_of(folder), wanted)
+    except FileNotFoundError as error:
+        if advice := bags_out_of_sight(folder):
+            raise FileNotFoundError(f"{error}; {advice}") from error
+        raise
 
 
 def _format_of(folder: Path) -> str:

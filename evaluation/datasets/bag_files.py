@@ -15,6 +15,7 @@ from revisit.evaluation.datasets.mcap import McapFile
 
 SUFFIXES = (".mcap", ".db3", ".bag")
 _METADATA = "metadata.yaml"
+_PACKED = (".zstd", ".zst", ".gz", ".bz2", ".lz4", ".xz")
 _LISTED = re.compile(r"^\s*-\s+['\"]?(?P<file>[^'\"]+?)['\"]?\s*$")
 
 
@@ -42,6 +43,18 @@ class SplitBag:
 def is_bag(path: Path) -> bool:
     """Whether a file is a bag by its name, or a folder holds one."""
     return path.suffix in SUFFIXES if path.is_file() else bool(_bags_in(path))
+
+
+def bags_out_of_sight(folder: Path) -> str:
+    """What to do about bags that lie deeper in a folder, or that are not finished or compressed as files; else ""."""
+    unfinished = sorted(folder.glob("*.bag.active"))
+    if unfinished:
+        return f"{unfinished[0].name} was not finished: rename it to .bag, then it is read as far as it goes"
+    packed = sorted(file for suffix in SUFFIXES for file in folder.glob(f"*{suffix}.*") if file.suffix in _PACKED)
+    if packed:
+        return f"{packed[0].name} is compressed as a file: unpack it first"
+    deeper = sorted({file.parent for suffix in SUFFIXES for file in folder.glob(f"*/**/*{suffix}")})
+    return f"there are bags in {', '.join(map(str, deeper[:3]))}: name one of them" if deeper else ""
 
 
 def open_files(files: Sequence[Path], types: tuple[str, ...]) -> SplitBag:

@@ -11,7 +11,14 @@ from revisit.core.errors import BadField, MalformedBody
 from revisit.core.geometry import se3
 from revisit.core.scan import Points
 from revisit.evaluation.datasets.number_rows import read_rows, read_words
-from revisit.evaluation.datasets.posed_clouds import PosedClouds, StampedPoses, Stamps, interpolated, posed
+from revisit.evaluation.datasets.posed_clouds import (
+    PosedClouds,
+    StampedPoses,
+    Stamps,
+    in_number_order,
+    interpolated,
+    posed,
+)
 from revisit.formats import decode_cloud, media_type_for_suffix
 
 SCAN_PERIOD_NS = 100_000_000
@@ -59,7 +66,7 @@ def _clouds(folder: Path) -> list[Path]:
     for name in _CLOUD_FOLDERS:
         found = [file for file in (folder / name).glob("*") if file.suffix.lower() in _SUFFIXES]
         if found:
-            return sorted(found)
+            return in_number_order(found)
     raise FileNotFoundError(f"no clouds ({', '.join(_SUFFIXES)}) in {folder}")
 
 

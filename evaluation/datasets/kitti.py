@@ -12,6 +12,7 @@ from revisit.core.errors import BadField, MalformedBody
 from revisit.core.geometry import se3
 from revisit.core.scan import Points, Scan
 from revisit.evaluation.datasets.number_rows import read_rows
+from revisit.evaluation.datasets.posed_clouds import in_number_order
 
 SCAN_PERIOD_S = 0.1
 _BYTES_PER_POINT = 16
@@ -32,7 +33,7 @@ class KittiRecording:
         of scans, poses and times differ, BadTransform for bad poses.
         """
         self._folder = Path(folder)
-        self._files = sorted((self._folder / "velodyne").glob("*.bin"))
+        self._files = in_number_order((self._folder / "velodyne").glob("*.bin"))
         if not self._files:
             raise FileNotFoundError(f"no scans in {self._folder / 'velodyne'}")
         T_camera_lidar = _calibration(self._folder / "calib.txt")

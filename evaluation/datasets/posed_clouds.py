@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +18,15 @@ from revisit.core.scan import Points, Scan
 
 Stamps = NDArray[np.int64]
 CloudReader = Callable[[Path], Points]
+
+GAP_NS = 1_000_000_000
+GAP_PERIODS = 5
+"""Poses farther apart than both, this time and so many usual distances, leave a gap..."""
+
+STILL_M, STILL_RAD = 1.0, np.radians(5.0)
+"""...where the body has moved by more than one of these: which way it took is not known."""
+
+_DECIMAL = re.compile(r"\d+(\.\d+)?")
 
 
 @dataclass(frozen=True)
@@ -32,8 +43,23 @@ class StampedPoses:
             raise BadField("the times of the poses must rise", field="poses")
 
     def covered(self, stamps_ns: Stamps) -> NDArray[np.bool_]:
-        """Which times lie within the first and the last pose."""
-        return np.asarray((stamps_ns >= self.stamps_ns[0]) & (stamps_ns <= self.stamps_ns[-1]))
+        """Which times lie within the first and the last pose, and in no gap in which the body moved."""
+        after = np.searchsorted(self.stamps_ns, stamps_ns)
+        within = (stamps_ns >= self.stamps_ns[0]) & (stamps_ns <= self.stamps_ns[-1])
+        given = self.stamps_ns[np.minimum(after, len(self.stamps_ns) - 1)] == stamps_ns
+        return np.asarray(within & (given | ~np.isin(after, self._gaps())))
+
+    def _gaps(self) -> NDArray[np.int64]:
+        """The poses before which there is a gap in which the body moved."""
+        apart = np.diff(self.stamps_ns)
+        if len(apart) == 0:
+            return np.zeros(0, dtype=np.int64)
+        long = np.flatnonzero(apart > max(GAP_NS, GAP_PERIODS * float(np.median(apart)))) + 1
+        moved = [se3.log(se3.inverse(self.T_world_body[after - 1]) @ self.T_world_body[after]) for after in long]
+        return np.array([
+            after for after, way in zip(long, moved, strict=True)
+            if np.linalg.norm(way[:3]) > STILL_M or np.linalg.norm(way[3:]) > STILL_RAD
+        ], dtype=np.int64)  # fmt: skip
 
     def at(self, stamp_ns: int) -> se3.Matrix4:
         """T_world_body at a covered time, between two poses on the screw motion from one to the other."""
@@ -104,9 +130,18 @@ def posed(
     return PosedClouds(name, files, poses, stamps_ns, read, (x, y, z))
 
 
+def in_number_order(files: Iterable[Path]) -> list[Path]:
+    """Files by the numbers in their names: 2.pcd before 10.pcd, and 1700000000.45 before 1700000000.5."""
+    found = list(files)
+    if all(_DECIMAL.fullmatch(file.stem) for file in found):
+        return sorted(found, key=lambda file: (Decimal(file.stem), file.name))
+    pieces = {file: re.split(r"(\d+)", file.name) for file in found}
+    return sorted(found, key=lambda file: [int(piece) if odd % 2 else piece for odd, piece in enumerate(pieces[file])])
+
+
 def named_scans(folder: Path, pattern: str, ns_per_unit: int) -> tuple[list[Path], Stamps]:
     """Files of a folder whose names are times, and these times in nanoseconds. Raises FileNotFoundError, BadField."""
-    files = sorted(folder.glob(pattern), key=lambda file: (len(file.stem), file.stem))
+    files = in_number_order(folder.glob(pattern))
     if not files:
         raise FileNotFoundError(f"no scans {pattern} in {folder}")
     unnamed = [file.name for file in files if not file.stem.isascii() or not file.stem.isdigit()]

@@ -74,7 +74,7 @@ def open_bag(path: Path, wanted: WantedTopics = WantedTopics()) -> BagRecording:
     name = files[0].stem if len(files) == 1 else path.resolve().name
     return BagRecording(
         name, bag, [pair.clouds.places[index] for index in kept], pair.clouds.encoding, T_world_sensor,
-        _into_sensor(pair, stamps[kept], T_world_sensor), stamps[kept], _notes(pair, found, len(kept), len(files)),
+        _into_sensor(pair, stamps[kept], T_world_sensor), stamps[kept], _notes(pair, found, stamps[kept], len(files)),
     )  # fmt: skip
 
 
@@ -85,10 +85,10 @@ def _into_sensor(pair: Pairing, stamps: Stamps, T_world_sensor: NDArray[np.float
     return np.stack([se3.inverse(pose) @ cloud for pose, cloud in zip(T_world_sensor, T_world_cloud, strict=True)])
 
 
-def _notes(pair: Pairing, found: BagTopics, kept: int, files: int) -> tuple[str, ...]:
+def _notes(pair: Pairing, found: BagTopics, stamps: Stamps, files: int) -> tuple[str, ...]:
     """What was taken, why, and what else there was."""
     clouds = pair.clouds
-    notes = [f"clouds of {clouds.name} (frame {clouds.frame}), {kept} of {len(clouds.stamps)} with a pose"]
+    notes = [f"clouds of {clouds.name} (frame {clouds.frame}), {len(stamps)} of {len(clouds.stamps)} with a pose"]
     if pair.poses in found.poses:
         topic = found.poses[pair.poses]
         notes.append(f"poses of {pair.poses} (frame {topic.frame}, following {topic.body or 'what it does not name'})")
@@ -101,6 +101,8 @@ def _notes(pair: Pairing, found: BagTopics, kept: int, files: int) -> tuple[str,
             notes.append(f"not used: {', '.join(names)}; {option} chooses")
     if files > 1:
         notes.append(f"{files} files read as one recording")
+    if missing := int(((clouds.stamps_ns >= stamps[0]) & (clouds.stamps_ns <= stamps[-1])).sum()) - len(stamps):
+        notes.append(f"warning: {missing} clouds lie in gaps of the poses, in which the robot moved, and were left out")
     if found.broken_poses:
         notes.append(f"warning: {found.broken_poses} messages with poses that are no rigid motions were left out")
     if found.unreadable:

@@ -7,4 +7,5 @@ experiment           the results of one protocol on one sequence, as numbers in 
 directions           in which direction a place is passed again
 benchmark_plan       which experiments make up the benchmark
 sequential_baseline  MapClosures, which needs the submaps of a drive in their order
+scan_baseline        BoW3D, which needs single scans and their lines
 """

@@ -14,6 +14,7 @@ from revisit.core.config import LoopConfig, PipelineConfig, SubmapConfig
 from revisit.core.descriptor.fusion import without_parts
 from revisit.core.model_bundle import load_packaged_models
 from revisit.evaluation.baselines import ALL_BASELINES, PlaceRecogniser, map_closures
+from revisit.evaluation.baselines.bow3d import Bow3d
 from revisit.evaluation.datasets import PosedClouds, Recording, open_recording
 from revisit.evaluation.loop_closure_method import LoopClosureMethod, RememberedVerdicts, RevisitMethod
 from revisit.evaluation.metrics import LoopProtocol
@@ -29,8 +30,9 @@ from revisit.evaluation.protocols.comparison import (
     verified_result,
 )
 from revisit.evaluation.protocols.experiment import Experiment
+from revisit.evaluation.protocols.scan_baseline import with_bow3d
 from revisit.evaluation.protocols.sequential_baseline import with_map_closures
-from revisit.evaluation.protocols.towns import DRIVES, SESSIONS
+from revisit.evaluation.protocols.towns import DRIVES, SESSIONS, SimulatedDrive
 from revisit.evaluation.scene import estimate_scene_scale
 
 ABLATIONS = ("no-implicit", "bev-only", "normals-only")
@@ -113,7 +115,7 @@ class BenchmarkPlan:
         if ablation != "none":
             return [(who, product)]
         peers = Comparison(None, submap, self.loops, self.baselines, 0, scene_scale, jobs=self.jobs)
-        about = repr((self.baselines, scene_scale, map_closures.is_installed()))
+        about = repr((self.baselines, scene_scale, map_closures.is_installed(), Bow3d()))
         if not self.verified_peers or product.method is None:
             return [(who, product), (about, peers)]
         method = RememberedVerdicts(product.method)
@@ -151,9 +153,14 @@ class _DriveExperiments:
         known = self._submaps(PerturbedRecording(recording), comparison) if protocol in HARDER else queries
         submaps = QueriesAndMap(recording.name, recording.name, queries, known)
         compared = compare(protocol, comparison, submaps, self._report)
-        if protocol != "online" or not comparison.baselines or not map_closures.is_installed():
+        if protocol != "online" or not comparison.baselines:
             return compared
         behind = partial(verified_result, comparison, submaps, self._report) if comparison.verified_peers else None
+        if isinstance(self._drive, SimulatedDrive):
+            beams = self._drive.sensor.elevations_deg
+            compared = with_bow3d(compared, recording, beams, behind, comparison.candidates)
+        if not map_closures.is_installed():
+            return compared
         return with_map_closures(compared, recording, comparison.submap, behind, comparison.candidates)
 
     def _submaps(self, source: PerturbedRecording, comparison: Comparison) -> list[ComparedSubmap]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -53,14 +53,19 @@ def with_map_closures(
         started = time.process_time()
         found = list(map_closures.find_closures(clouds))
         seconds = (time.process_time() - started) / max(len(found), 1)
-        ranked = matches_of(found, truth, max(candidates, KEPT_CANDIDATES))
-        results.append(result_of(ranked, seconds, name))
-        if verification is not None:
-            results.append(verification(ranked, verified_name(name)))
+        results += answers_of(matches_of(found, truth, max(candidates, KEPT_CANDIDATES)), seconds, name, verification)
     return dataclasses.replace(experiment, results=tuple(results))
 
 
-def matches_of(found: Sequence[dict[int, int]], ground_truth: GroundTruth, count: int) -> list[tuple[Match, ...]]:
+def answers_of(
+    ranked: list[tuple[Match, ...]], search_s: float, name: str, verification: Verification | None
+) -> list[MethodResult]:
+    """The result of a method, and that of the verification of its matches where there is one."""
+    bare = result_of(ranked, search_s, name)
+    return [bare] if verification is None else [bare, verification(ranked, verified_name(name))]
+
+
+def matches_of(found: Sequence[Mapping[int, float]], ground_truth: GroundTruth, count: int) -> list[tuple[Match, ...]]:
     """The closures in `found` (for each query, inliers by submap) that the ground truth allows, most inliers first.
 
     The similarity of n inliers is n / (n + 1): what verification rejects is ordered by it, below all that it accepts.

@@ -6,6 +6,7 @@ maps. Needs the extra `service`, which holds the method.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
@@ -14,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.config import PipelineConfig
+from revisit.core.drive_loops import DriveLoop, DriveLoops, DriveSubmap
 from revisit.core.errors import DescriptorModelMismatch
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.implicit_map import NeuralMap
 from revisit.core.index import FaissIndex, IndexEntry, Match, SearchFilter
 from revisit.core.model_bundle import ModelBundle, load_packaged_models
-from revisit.core.neighbour_support import NeighbourLoop, is_contradicted
 from revisit.core.pipeline import DescribedPlace, describe, describe_again, verify
 from revisit.core.place import Place
 from revisit.core.scan import Scan
@@ -160,26 +161,24 @@ class AreaMap:
 
     def _agreeing(self, judged: list[Candidate], rows: list[int]) -> list[Candidate]:
         """The candidates; accepted ones that put the cloud at different spots of a drive are ambiguous."""
-        submaps = [self.file.submaps[row] for row in rows]
-        agreeing = []
-        for one, match in zip(judged, submaps, strict=True):
-            others = [
-                self._claim(match, other, candidate.T_match_query)
-                for candidate, other in zip(judged, submaps, strict=True)
-                if candidate.accepted and candidate.T_match_query is not None
-                if other.session == match.session and other is not match
-            ]
-            pose = one.T_match_query if one.accepted else None
-            contradicted = pose is not None and is_contradicted(pose, others, self._config.verification)
-            agreeing.append(replace(one, accepted=False, reason="AMBIGUOUS") if contradicted else one)
+        drives = defaultdict[str, list[int]](list)
+        for number, (one, row) in enumerate(zip(judged, rows, strict=True)):
+            if one.accepted and one.T_match_query is not None:
+                drives[self.file.submaps[row].session].append(number)
+        agreeing = list(judged)
+        for numbers in drives.values():
+            claims = [self._claim(self.file.submaps[rows[number]], judged[number]) for number in numbers]
+            between = DriveLoops(claims, self._config.submap.stride, self._config.verification)
+            for claim in np.flatnonzero(between.contradicted()):
+                agreeing[numbers[claim]] = replace(judged[numbers[claim]], accepted=False, reason="AMBIGUOUS")
         return agreeing
 
-    def _claim(self, match: FiledSubmap, other: FiledSubmap, T_other_query: Matrix4) -> NeighbourLoop:
-        """Where a candidate `other` of the same drive puts the cloud, as seen from `match`."""
-        T_match_other = se3.inverse(match.T_odom_submap) @ other.T_odom_submap
-        apart_m = float(np.linalg.norm(T_match_other[:3, 3]))
-        way_m = max(apart_m, self._config.submap.stride * abs(match.ordinal - other.ordinal))
-        return NeighbourLoop(True, (T_match_other @ T_other_query,), 0.0, apart_m, way_m)
+    def _claim(self, match: FiledSubmap, one: Candidate) -> DriveLoop:
+        """Where a candidate puts the cloud; a cloud has no odometry, and is its own drive."""
+        poses = () if one.T_match_query is None else (one.T_match_query,)
+        return DriveLoop(
+            DriveSubmap(np.eye(4), 0), DriveSubmap(match.T_odom_submap, match.ordinal), poses, one.accepted
+        )
 
     def _place(self, row: int) -> Place:
         if row not in self._places:

@@ -88,9 +88,7 @@ def run() -> None:
     try:
         app()
     except (ApiError, RevisitError, OSError, TimeoutError) as error:
-        unreachable = isinstance(error, ApiError) and error.reason == "UNREACHABLE"
-        hint = " - is it running? `revisit serve` starts it" if unreachable else ""
-        typer.echo(f"revisit: {error}{hint}", err=True)
+        typer.echo(f"revisit: {error}", err=True)
         raise SystemExit(1) from error
     except Exception as error:
         broken = getattr(error, "orig", error)  # SQLAlchemy wraps it

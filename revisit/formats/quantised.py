@@ -66,15 +66,19 @@ def decode(data: bytes, limits: CloudLimits) -> DecodedCloud:
     content = memoryview(decompress_zstd(memoryview(data)[_HEADER.size :], size))
     if len(content) != size:
         raise MalformedBody(f"{count} quantised points need {size} bytes, the frame holds {len(content)}")
+    from revisit.formats import quantised_columns as columns  # numba takes long to import, and clients decode nothing
+
+    planes = np.frombuffer(content, dtype=np.uint8)
     # The header's step is float32; the grid is meant in exact steps such as 0.001.
-    exact = round(step, 9)
-    points = np.empty((count, 3), dtype=np.float32)
-    for axis in range(3):
-        points[:, axis] = _column(content[4 * count * axis :], count, "<u4") * exact
+    points = columns.coordinates(planes, count, round(step, 9))
     if not intensity_step:
         return DecodedCloud(points)
-    levels = _column(content[12 * count :], count, "<u2") & 0xFFFF
-    return DecodedCloud(points, (levels * intensity_step).astype(np.float32))
+    return DecodedCloud(points, columns.intensities(planes[12 * count :], count, intensity_step))
+
+
+def load_kernels() -> None:
+    """Load what `decode` runs, so that the first cloud does not wait for it."""
+    decode(encode(np.zeros((1, 3)), np.ones(1)), CloudLimits())
 
 
 def _quantise_intensity(intensity: NDArray[np.float32]) -> tuple[float, NDArray[np.int64]]:
@@ -92,16 +96,3 @@ def _zigzag(signed: NDArray[np.int64]) -> NDArray[np.int64]:
 def _planes(column: NDArray[Any]) -> bytes:
     """The bytes of `column`, all lowest bytes first."""
     return column.view(np.uint8).reshape(len(column), column.itemsize).T.tobytes()
-
-
-def _column(content: memoryview, count: int, dtype: str) -> NDArray[np.int64]:
-    """The running sum of the zigzag-coded column at the start of `content`: int64, so that nothing overflows."""
-    width = np.dtype(dtype).itemsize
-    planes = np.frombuffer(content, dtype=np.uint8, count=count * width).reshape(width, count)
-    coded = planes[width - 1].astype(np.uint32)
-    for plane in planes[: width - 1][::-1]:
-        coded <<= 8
-        coded |= plane
-    # Zigzag: 2 d for d >= 0, else -2 d - 1. Its lowest bit says whether all others are to be turned.
-    difference = (coded >> 1).view(np.int32) ^ -(coded & 1).view(np.int32)
-    return np.cumsum(difference, dtype=np.int64)

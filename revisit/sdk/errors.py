@@ -91,6 +91,15 @@ _CLASSES: dict[str, type[ApiError]] = {
     "DATA_LOSS": DataLoss,
 }
 
+_SIGNS = (
+    ("missing an 'http://'", "the address of REST begins with http:// or https://, e.g. http://127.0.0.1:8080"),
+    ("illegal request line", "is this the gRPC port? REST has another one, 8080 by default"),
+    ("Expected SETTINGS frame", "is this the REST port? gRPC has another one, 8090 by default"),
+    ("Misformatted domain name", "the address of gRPC is host:port, without http://, e.g. 127.0.0.1:8090"),
+    ("WRONG_VERSION_NUMBER", "no TLS is spoken there: write http:// for REST, and gRPC without grpcs://"),
+)
+"""What libraries say of an address that is not the service's, and what is to be done."""
+
 
 def error_of(details: ErrorDetails) -> ApiError:
     """The exception for an error answer."""
@@ -98,8 +107,10 @@ def error_of(details: ErrorDetails) -> ApiError:
 
 
 def unreachable(address: str, cause: object) -> Unavailable:
-    """The service did not answer at all."""
-    return Unavailable(ErrorDetails("UNAVAILABLE", "UNREACHABLE", f"no answer from {address}: {cause}", True))
+    """The service did not answer at all; the message says what to try."""
+    text = str(cause).rstrip(".")
+    advice = next((advice for sign, advice in _SIGNS if sign in text), "is it running? `revisit serve` starts it")
+    return Unavailable(ErrorDetails("UNAVAILABLE", "UNREACHABLE", f"no answer from {address}: {text} - {advice}", True))
 
 
 def closed() -> FailedPrecondition:

@@ -139,6 +139,28 @@ async def test_accepted_loops_that_contradict_each_other_are_ambiguous(world):
     assert measured and "loops beside it that say otherwise" in loops[0].evidence["contradicted"]["words"]
 
 
+class TwoEqualSpots(EqualBlocks):
+    """What lies at 0 m looks like what lies at 200 m, and nothing else like anything."""
+
+    def verify(self, query, match, similarity, config, near=None, *, near_decides=True, expected=None):
+        places = {float(np.frombuffer(one)[0]) for one in (query, match)}
+        if places == {0.0, 200.0}:
+            return super().verify(query, match, similarity, config, near)
+        return LoopVerdict(False, "LOW_OVERLAP", 0.1, None, {"measurement": {}})
+
+
+async def test_an_accepted_loop_that_the_odometry_of_its_own_drive_refutes_is_ambiguous(world):
+    await open_session(world)
+    for station in range(0, 220, 20):
+        await world.use_cases.posting.post(TENANT, submap(f"monday-{station}", station, SESSION))
+    world.work_off(TwoEqualSpots())
+    page = await world.use_cases.loops.list(TENANT, "town", PageRequest(500), session_id=SESSION.session_id)
+    (loop,) = [loop for loop in page.items if loop.T_match_query is not None]
+    assert (loop.state, loop.reason) == (LoopState.REJECTED, "AMBIGUOUS")
+    assert loop.evidence["refuted"]["words"].endswith("is 200 m off by the odometry of its own drive")
+    assert loop.evidence["measurement"]["rivals"][0]["T_match_query"][0][3] == pytest.approx(200.0)
+
+
 async def test_a_later_loop_that_contradicts_an_earlier_one_takes_its_acceptance_back(world):
     await open_session(world)
     await world.use_cases.sessions.create(TENANT, CreateSession(SECOND.map_id, SECOND.session_id))

@@ -32,7 +32,7 @@ MANY = 1000
 READ, READ_WRITE = frozenset({Scope.QUERY}), frozenset({Scope.QUERY, Scope.INGEST})
 SECONDS_FOR_MANY = 3.0
 
-EACH_BY_ITSELF = PipelineConfig(verification=VerificationConfig(support_reach=0.01))
+EACH_BY_ITSELF = PipelineConfig(verification=VerificationConfig(support_reach=0.01, rival_distance=50.0))
 """The fake puts every pair 1 m apart, whatever odometry says of it: no loop is held against those beside it."""
 
 

@@ -108,6 +108,7 @@ class CloudDecoder:
     def __init__(self, threads: int) -> None:
         """Clouds beyond `threads` wait for their turn."""
         self._pool = ThreadPoolExecutor(threads, "decode")
+        self._pool.submit(quantised.load_kernels)  # up to a second, which the first scan would wait for
         self._turns = Turns(threads, of_tenant=max(1, threads - 1))
 
     async def run(self, tenant: TenantId, work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:

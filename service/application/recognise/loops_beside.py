@@ -6,6 +6,7 @@ at together: an ambiguous one that they single out a hypothesis of is registered
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -13,17 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from revisit.core.config import VerificationConfig
-from revisit.core.geometry import se3
+from revisit.core.config import PipelineConfig, VerificationConfig
+from revisit.core.drive_loops import DriveLoop, DriveLoops, DriveSubmap
 from revisit.core.geometry.se3 import Matrix4, pose_matrix
-from revisit.core.neighbour_support import (
-    NeighbourLoop,
-    NeighbourSupport,
-    carried_over,
-    find_support,
-    is_contradicted,
-    other_poses,
-)
+from revisit.core.neighbour_support import NeighbourSupport, find_support
 from revisit.service.application.contract.events import AMBIGUOUS
 from revisit.service.application.contract.recogniser import LoopVerdict
 from revisit.service.application.contract.records import LoopRecord, SubmapRecord
@@ -35,6 +29,9 @@ SUPPORT = "support"
 
 CONTRADICTED = "contradicted"
 """The member of the evidence of a loop that passed every check, but not the comparison with the loops beside it."""
+
+REFUTED = "refuted"
+"""The member of the evidence of a loop that passed every check, but not the odometry of its own drive."""
 
 _BEFORE = 100
 """Submaps of any drive, described before one, among which those before it on its own drive are sought."""
@@ -87,8 +84,21 @@ class Beside:
         return (self.verdict.T_match_query, *(np.array(one["T_match_query"], dtype=np.float64) for one in rivals))
 
 
-def loops_before(uow: UnitOfWork, submap: SubmapRecord, most: int) -> list[Beside]:
-    """The stored loops of at most `most` submaps before `submap` on its drive that say anything of how drives lie."""
+@dataclass(frozen=True)
+class DriveBefore:
+    """What is stored of a drive before a submap of it.
+
+    loops: those that say anything of how drives lie; stride_m: how far apart its submaps were begun. A client that
+    posts submaps begins them where it likes.
+    """
+
+    loops: list[Beside]
+    stride_m: float
+
+
+def drive_before(uow: UnitOfWork, submap: SubmapRecord, config: PipelineConfig) -> DriveBefore:
+    """The drive of `submap` before it, as far as support reaches."""
+    most = math.ceil(config.verification.support_reach / config.submap.stride)
     numbers = range(max(1, submap.number - _BEFORE), submap.number)
     before = uow.submaps.numbered(submap.tenant, list(numbers))
     own = [
@@ -96,44 +106,51 @@ def loops_before(uow: UnitOfWork, submap: SubmapRecord, most: int) -> list[Besid
         for one in before.values()
         if one.session_number == submap.session_number and 0 < submap.ordinal - one.ordinal <= most
     ]
+    apart = [math.dist(one.position_m, submap.position_m) / (submap.ordinal - one.ordinal) for one in own]
     loops = [loop for one in own for loop in uow.loops.find(submap.tenant, query_number=one.number) if _says(loop)]
     matches = uow.submaps.numbered(submap.tenant, sorted({loop.match_number for loop in loops})[-1000:])
-    return [
+    beside = [
         Beside(before[loop.query_number], matches[loop.match_number], loop.similarity, _verdict(loop), loop)
         for loop in loops
         if loop.match_number in matches
     ]
+    return DriveBefore(beside, max([config.submap.stride, *apart]))
 
 
 def contradicted(loops: Sequence[Beside], config: VerificationConfig, stride_m: float) -> list[Beside]:
-    """Those of the accepted `loops` that others contradict, with the verdict that they have then: AMBIGUOUS.
+    """Those of the accepted `loops` that odometry or others contradict, with their verdict then: AMBIGUOUS.
 
-    The poses that the others say instead are their rivals. `stride_m`: how far apart neighbouring submaps of a drive
+    The poses that are said instead are their rivals. `stride_m`: how far apart neighbouring submaps of a drive
     were begun.
     """
     changed = []
     for drives in _by_drives(loops):
         speaking = [loop for loop in drives if loop.speaks]
-        for loop in speaking:
-            pose, others = loop.verdict.T_match_query, [one for one in speaking if one is not loop]
-            if loop.accepted_by_itself and not loop.by_hand and pose is not None:
-                told = [_neighbour(loop, other, stride_m) for other in others]
-                if is_contradicted(pose, told, config):
-                    changed.append(replace(loop, verdict=_contradicted(loop, told, others, config)))
+        between = _between_drives(speaking, config, stride_m)
+        refuted = between.refuted()
+        for row in np.flatnonzero(refuted | between.contradicted()).tolist():
+            loop, others = speaking[row], [*speaking[:row], *speaking[row + 1 :]]
+            if loop.accepted_by_itself and not loop.by_hand:
+                verdict = _contradicted(loop, between.other_poses(row), others, by_odometry=bool(refuted[row]))
+                changed.append(replace(loop, verdict=verdict))
     return changed
 
 
 def _contradicted(
-    loop: Beside, told: Sequence[NeighbourLoop], others: Sequence[Beside], config: VerificationConfig
+    loop: Beside, rivals: Sequence[Matrix4], others: Sequence[Beside], *, by_odometry: bool
 ) -> LoopVerdict:
-    """The verdict of a loop that `others` contradict, by what each of them has `told` of it."""
-    rivals = other_poses(loop.hypotheses[0], told, config)
+    """The verdict of a loop of which odometry of its own drive, or the `others`, say the `rivals`."""
     overlaps = [other.verdict.evidence.get("measurement", {}).get("overlap", 0.0) for other in others]
     overlap = max(overlaps, default=0.0)
     measured = dict(loop.verdict.evidence.get("measurement", {}))
     measured["rivals"] = [{"overlap": overlap, "T_match_query": pose.tolist()} for pose in rivals]
-    words = f"it passed every check, but so do loops beside it that say otherwise: {len(rivals)} other poses"
-    evidence = {**loop.verdict.evidence, "measurement": measured, CONTRADICTED: {"words": words}}
+    if by_odometry:
+        off_m = float(np.linalg.norm(rivals[0][:3, 3] - loop.hypotheses[0][:3, 3]))
+        told = {REFUTED: {"words": f"it passed every check, but is {off_m:.0f} m off by the odometry of its own drive"}}
+    else:
+        words = f"it passed every check, but so do loops beside it that say otherwise: {len(rivals)} other poses"
+        told = {CONTRADICTED: {"words": words}}
+    evidence = {**loop.verdict.evidence, "measurement": measured, **told}
     return replace(loop.verdict, accepted=False, reason=AMBIGUOUS, evidence=evidence)
 
 
@@ -146,8 +163,11 @@ def supported(
     """
     decided = []
     for drives in _by_drives(loops):
-        for loop in drives:
-            support = _support(loop, drives, config, stride_m) if loop.ambiguous else None
+        between = _between_drives(drives, config, stride_m)
+        for row, loop in enumerate(drives):
+            if not (loop.ambiguous and between.has_accepted_neighbour(row)):
+                continue
+            support = find_support(loop.hypotheses, between.neighbours(row), config)
             verdict = None if support is None else _registered(loop, support, config, register)
             if verdict is not None:
                 decided.append(replace(loop, verdict=verdict))
@@ -163,39 +183,23 @@ def _by_drives(loops: Iterable[Beside]) -> list[list[Beside]]:
     return list(groups.values())
 
 
-def _support(
-    loop: Beside, others: Sequence[Beside], config: VerificationConfig, stride_m: float
-) -> NeighbourSupport | None:
-    neighbours = [_neighbour(loop, other, stride_m) for other in others if other is not loop]
-    if not any(one.accepted for one in neighbours):
-        return None
-    return find_support(loop.hypotheses, neighbours, config)
+def _between_drives(loops: Sequence[Beside], config: VerificationConfig, stride_m: float) -> DriveLoops:
+    """Loops between the same two drives, for what they say of each other."""
+    told = [
+        DriveLoop(
+            _on_drive(loop.query),
+            _on_drive(loop.match),
+            loop.hypotheses,
+            loop.accepted_by_itself,
+            one_drive=loop.query.session_number == loop.match.session_number,
+        )
+        for loop in loops
+    ]
+    return DriveLoops(told, stride_m, config)
 
 
-def _neighbour(loop: Beside, other: Beside, stride_m: float) -> NeighbourLoop:
-    """What `other` says of `loop`, by the odometry of both drives."""
-    T_other_query = _between(other.query, loop.query)
-    T_match_other = _between(loop.match, other.match)
-    poses = tuple(carried_over(T, T_match_other, T_other_query) for T in other.hypotheses)
-    query_m, match_m = _ahead(loop.query, other.query), _ahead(loop.match, other.match)
-    way_m = way_between(loop.query, other.query, stride_m) + way_between(loop.match, other.match, stride_m)
-    return NeighbourLoop(other.accepted_by_itself, poses, query_m, match_m, way_m)
-
-
-def _between(first: SubmapRecord, second: SubmapRecord) -> Matrix4:
-    """T_first_second by odometry; both are of one drive."""
-    return np.asarray(se3.inverse(pose_matrix(first.T_odom_submap)) @ pose_matrix(second.T_odom_submap))
-
-
-def _ahead(submap: SubmapRecord, other: SubmapRecord) -> float:
-    """How far ahead `other` lies on the drive of `submap`, as the crow flies; behind it is negative."""
-    distance = float(np.linalg.norm(np.subtract(other.position_m, submap.position_m)))
-    return distance if other.ordinal > submap.ordinal else -distance
-
-
-def way_between(submap: SubmapRecord, other: SubmapRecord, stride_m: float) -> float:
-    """At least so many metres of way lie between two submaps of a drive that begins one every `stride_m`."""
-    return max(abs(_ahead(submap, other)), stride_m * abs(other.ordinal - submap.ordinal))
+def _on_drive(submap: SubmapRecord) -> DriveSubmap:
+    return DriveSubmap(pose_matrix(submap.T_odom_submap), submap.ordinal)
 
 
 def _registered(

@@ -7,7 +7,6 @@ workers describe at the same time is found by the one that commits second.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -72,7 +71,7 @@ from revisit.service.application.recognise.description_commit import (
     StoredDescription,
 )
 from revisit.service.application.recognise.distinctiveness import with_distinctiveness
-from revisit.service.application.recognise.loops_beside import Beside, contradicted, loops_before, supported
+from revisit.service.application.recognise.loops_beside import Beside, contradicted, drive_before, supported
 from revisit.service.application.recognise.proposed_loops import VerdictCommit, proposed_pair
 from revisit.service.application.recognise.recalled_loops import (
     RecallCommit,
@@ -313,20 +312,19 @@ class Recognition:
         new = [Beside(submap, one.place.submap, one.place.similarity, one.verdict) for one in judged]
         if not any(loop.hypotheses for loop in new):
             return judged, []
-        most = math.ceil(config.verification.support_reach / config.submap.stride)
-        before = self._transactions.read(partial(loops_before, submap=submap, most=most)).result()
+        before = self._transactions.read(partial(drive_before, submap=submap, config=config)).result()
 
         def register(query: SubmapRecord, match: SubmapRecord, similarity: float, near: Matrix4) -> LoopVerdict:
             asked = place if query is submap else self._stored_place(query)
             return LOST if asked is None else self._judge(asked, RecalledPlace(match, similarity), config, near).verdict
 
-        loops, revised = [*before, *new], list[Beside]()
+        loops, revised = [*before.loops, *new], list[Beside]()
         for stage in (contradicted, partial(supported, register=register)):
-            decided = stage(loops, config.verification, config.submap.stride)
+            decided = stage(loops, config.verification, before.stride_m)
             known = {loop.key: loop for loop in decided}
             loops = [known.get(loop.key, loop) for loop in loops]
             revised += decided
-        new = loops[len(before) :]
+        new = loops[len(before.loops) :]
         kept = [
             replace(one, verdict=with_distinctiveness(loop, new, config.submap.stride))
             for one, loop in zip(judged, new, strict=True)
@@ -454,8 +452,10 @@ def _loop_filter(submap: SubmapRecord, config: PipelineConfig) -> VectorFilter:
 
 def _agreeing(judged: list[JudgedPlace], config: PipelineConfig) -> list[JudgedPlace]:
     """The candidates of a cloud; where accepted ones put it at different spots of a drive, they are ambiguous."""
-    # Any submap stands for the cloud: it is the same one for all candidates.
-    loops = [Beside(judged[0].place.submap, one.place.submap, 0.0, one.verdict) for one in judged]
+    # Any submap stands for the cloud, the same one for all candidates, but is of no drive: there is no odometry.
+    loops = [
+        Beside(replace(judged[0].place.submap, session_number=0), one.place.submap, 0.0, one.verdict) for one in judged
+    ]
     changed = {loop.key: loop.verdict for loop in contradicted(loops, config.verification, config.submap.stride)}
     return [replace(one, verdict=changed.get(loop.key, one.verdict)) for one, loop in zip(judged, loops, strict=True)]
 

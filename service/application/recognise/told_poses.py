@@ -7,6 +7,7 @@ there would tell the map nothing new (docs/decisions/0205).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -21,7 +22,6 @@ from revisit.service.application.contract.map_frames import MapFrames, MapPose
 from revisit.service.application.contract.recogniser import LoopVerdict
 from revisit.service.application.contract.records import SubmapRecord
 from revisit.service.application.contract.transactions import Transactions, UnitOfWork
-from revisit.service.application.recognise.loops_beside import way_between
 
 _WINDOWS = 3.0
 """Windows between two submaps up to which they share about half of what they have seen. What repeats within that is
@@ -90,7 +90,7 @@ class ToldPoses:
         """What the loops with the same drive say that odometry carries so far."""
         T_match_odom, stride_m = se3.inverse(pose_matrix(match.T_odom_submap)), self._config.submap.stride
         return [
-            _said(T_match_odom @ one.T_odom_query, way_between(match, one.match, stride_m))
+            _said(T_match_odom @ one.T_odom_query, _way_between(match, one.match, stride_m))
             for one in self._stands
             if self._is_carried(match, one)
         ]
@@ -109,12 +109,17 @@ class ToldPoses:
 
     def _is_carried(self, match: SubmapRecord, stands: _Stands) -> bool:
         same_drive = match.session_number == stands.match.session_number
-        way_m = way_between(match, stands.match, self._config.submap.stride) if same_drive else np.inf
-        return way_m <= self._config.verification.support_reach
+        stride_m, reach_m = self._config.submap.stride, self._config.verification.support_reach
+        return same_drive and _way_between(match, stands.match, stride_m) <= reach_m
 
 
 def _child(parent: Sequence[float], T_parent_child: Matrix4) -> Matrix4:
     return np.asarray(pose_matrix(tuple(parent)) @ T_parent_child)
+
+
+def _way_between(submap: SubmapRecord, other: SubmapRecord, stride_m: float) -> float:
+    apart_m = math.dist(submap.position_m, other.position_m)
+    return max(apart_m, stride_m * abs(other.ordinal - submap.ordinal))
 
 
 def _said(T_match_query: Matrix4, way_m: float) -> NeighbourLoop:

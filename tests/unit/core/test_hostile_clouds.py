@@ -10,7 +10,7 @@ import pytest
 from revisit.core.config import ImplicitMapConfig, PipelineConfig
 from revisit.core.errors import DegenerateCloud
 from revisit.core.implicit_map.fitting import GATHERED_SHARE, accumulate, gather
-from revisit.core.implicit_map.neural_points import nearest_to_middle
+from revisit.core.implicit_map.neural_points import nearest_to_middle, oriented
 from revisit.core.model_bundle import load_packaged_models
 from revisit.core.pipeline import DescribedPlace, describe
 from revisit.core.scan import Scan
@@ -72,7 +72,7 @@ def test_no_more_voxels_are_gathered_than_some_budgets():
 def test_the_neural_points_nearest_to_the_middle_stay_in_their_order():
     submap = submap_of(noise_sphere(np.random.default_rng(2))[:2_000])
     every = accumulate(submap, ImplicitMapConfig())
-    kept = gather(submap, ImplicitMapConfig()).finish(500)
+    kept = oriented(gather(submap, ImplicitMapConfig()), ImplicitMapConfig().resolution, 500)
     ranges = np.linalg.norm(every.positions, axis=1)
     inside = ranges <= np.sort(ranges)[499]
     assert np.array_equal(kept.positions, every.positions[inside])

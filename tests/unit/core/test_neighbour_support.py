@@ -9,7 +9,7 @@ import pytest
 
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
-from revisit.core.neighbour_support import NeighbourLoop, carried_over, find_support, is_contradicted, other_poses
+from revisit.core.neighbour_support import NeighbourLoop, find_support
 
 CONFIG = VerificationConfig()
 
@@ -81,41 +81,3 @@ def test_an_accepted_loop_that_cannot_tell_twins_apart_may_not_contradict_either
     far = beside(28.0, poses=(shifted(-4.0),))
     assert find_support(twins, anchors, CONFIG) is not None
     assert find_support(twins, [*anchors, far], CONFIG) is None
-
-
-def test_a_pose_is_carried_over_by_the_odometry_of_both_drives() -> None:
-    T_world_query, T_world_match = se3.from_yaw(0.3, (5.0, 2.0, 0.0)), se3.from_yaw(-1.0, (4.0, 0.0, 0.0))
-    T_query_other, T_match_other = se3.from_yaw(0.2, (8.0, 0.0, 0.0)), se3.from_yaw(0.1, (-7.0, 1.0, 0.0))
-    T_neighbour = se3.inverse(T_world_match @ T_match_other) @ T_world_query @ T_query_other
-    expected = se3.inverse(T_world_match) @ T_world_query
-    np.testing.assert_allclose(
-        carried_over(T_neighbour, T_match_other, se3.inverse(T_query_other)), expected, atol=1e-12
-    )
-
-
-HERE = shifted(0.0)
-
-
-def told(count: int, x_m: float, way_m: float = 0.0) -> list[NeighbourLoop]:
-    return [NeighbourLoop(True, (shifted(x_m),), 0.0, way_m, way_m)] * count
-
-
-def test_an_accepted_loop_that_more_than_one_in_five_contradict_does_not_stand() -> None:
-    assert not is_contradicted(HERE, [], CONFIG)
-    assert not is_contradicted(HERE, [*told(3, 0.5), *told(1, 32.0)], CONFIG)
-    assert is_contradicted(HERE, [*told(2, 0.5), *told(1, 32.0)], CONFIG)
-    assert is_contradicted(HERE, told(1, 32.0), CONFIG)
-    turned = NeighbourLoop(True, (shifted(0.0, 12.0),), 0.0, 0.0, 0.0)
-    assert is_contradicted(HERE, [turned], CONFIG)
-
-
-def test_what_a_poor_odometry_may_have_drifted_contradicts_nothing() -> None:
-    assert not is_contradicted(HERE, told(5, 1.4), CONFIG)
-    assert is_contradicted(HERE, told(5, 3.0), CONFIG)
-    assert not is_contradicted(HERE, told(5, 3.0, way_m=40.0), CONFIG)
-    assert not is_contradicted(HERE, told(5, 32.0, way_m=61.0), CONFIG)
-
-
-def test_the_other_poses_of_a_contradicted_loop_are_named_once_each() -> None:
-    neighbours = [*told(2, 0.2), *told(2, 32.0), *told(1, 32.4), *told(1, -32.0)]
-    assert [pose[0, 3] for pose in other_poses(HERE, neighbours, CONFIG)] == [32.0, -32.0]

@@ -56,11 +56,13 @@ def test_a_stored_frame_that_is_no_similarity_is_refused(matrix: object) -> None
         Place.from_blob(CONTAINER.pack(header | {"T_level_submap": rows}, b""))
 
 
-@pytest.mark.parametrize("stated", [[0.01], [0.01, -1.0], ["a", 0.1], [0.01, float("inf")], 0.01])
+@pytest.mark.parametrize("stated", [[0.01], [0.01, -1.0], ["a", 0.1], [0.01] * 3, [0.01, float("inf")], 0.01])
 def test_what_scans_disagree_by_survives_the_blob_and_nonsense_is_refused(stated: object) -> None:
-    told = replace(stored(), scan_disagreement=ScanDisagreement(0.0123, 0.004))
+    told = replace(stored(), scan_disagreement=ScanDisagreement(0.0123, 0.004, 0.01, 0.0008))
     assert Place.from_blob(told.to_blob()).scan_disagreement == told.scan_disagreement
     header, body = CONTAINER.unpack(told.to_blob())
+    before = Place.from_blob(CONTAINER.pack({**header, "disagreement": [0.0123, 0.004]}, body))
+    assert before.scan_disagreement == ScanDisagreement(0.0123, 0.004)
     with pytest.raises(DataLoss):
         Place.from_blob(CONTAINER.pack({**header, "disagreement": stated}, body))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -24,7 +26,7 @@ def street(rng: np.random.Generator, count: int = 9_000) -> np.ndarray:
     return np.concatenate([ground, fronts, ends])
 
 
-def driven(askew_deg: float = 0.0, uneven_m: float = 0.0, jitter_m: float = 0.0) -> Submap:
+def driven(askew_deg: float = 0.0, uneven_m: float = 0.0, jitter_m: float = 0.0, jitter_deg: float = 0.0) -> Submap:
     """Five scans along x; the sensor is turned aside, its ranges are wrong by its own angles, its poses are jittery."""
     rng, scans = np.random.default_rng(4), []
     T_mount = se3.from_yaw(np.radians(askew_deg))
@@ -34,8 +36,9 @@ def driven(askew_deg: float = 0.0, uneven_m: float = 0.0, jitter_m: float = 0.0)
         distance = np.linalg.norm(seen, axis=1, keepdims=True)
         beam = np.sin(9.0 * np.arctan2(seen[:, 1:2], seen[:, :1]))
         points = se3.apply(se3.inverse(T_mount), seen * (1.0 + uneven_m * beam / distance))
-        aside = tuple(np.array([x, 0.0, 1.6]) + rng.normal(0.0, jitter_m, 3))
-        scans.append(Scan.validated(points.astype(np.float32), se3.from_yaw(0.0, aside), int(1e9 * (x + 9))))
+        off = se3.exp(np.concatenate([rng.normal(0.0, jitter_m, 3), np.radians(rng.normal(0.0, jitter_deg, 3))]))
+        pose = se3.from_yaw(0.0, (x, 0.0, 1.6)) @ off
+        scans.append(Scan.validated(points.astype(np.float32), pose, int(1e9 * (x + 9))))
     return Submap.from_scans(scans, SubmapConfig())
 
 
@@ -55,6 +58,20 @@ def test_little_counts_of_what_poses_are_off_by_and_more_where_they_are_off_by_m
     usual, bad = told(driven(jitter_m=0.01)), told(driven(jitter_m=0.06))
     assert usual.surface < 0.004
     assert bad.surface > 2.0 * usual.surface
+
+
+def test_what_the_pose_of_one_scan_is_off_by_is_told_along_and_about_the_axes() -> None:
+    exact, shifted, turned = told(driven()), told(driven(jitter_m=0.03)), told(driven(jitter_deg=0.3))
+    assert exact.shift < 0.001 and np.degrees(exact.turn) < 0.01
+    assert 0.01 < shifted.shift < 0.06 and np.degrees(shifted.turn) < 0.05
+    assert 0.1 < np.degrees(turned.turn) < 0.6 and turned.shift < 0.01
+
+
+def test_planes_near_the_sensor_alone_tell_nothing_of_a_place() -> None:
+    submap = driven()
+    near = np.linalg.norm(submap.points[:, :2], axis=1) < 7.0
+    assert near.sum() > 5_000
+    assert scan_disagreement(replace(submap, points=submap.points[near], scan_index=submap.scan_index[near])) is None
 
 
 def test_a_sensor_that_looks_beside_its_way_is_told_by_its_angle() -> None:

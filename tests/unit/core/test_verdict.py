@@ -19,7 +19,7 @@ from revisit.core.pipeline import describe
 from revisit.core.place import Place
 from revisit.core.scan_disagreement import ScanDisagreement
 from revisit.core.verification import RejectedLoop, RejectionReason, VerifiedLoop, loop_score, verify
-from revisit.core.verification.verdict import systematic_covariance
+from revisit.core.verification.verdict import frames_covariance, systematic_covariance
 from revisit.evaluation.cutting import cut, load_submap
 from revisit.evaluation.perturbations import Perturbation, turned
 from revisit.evaluation.real_data import real_recording
@@ -198,6 +198,23 @@ def test_what_the_scans_of_one_place_tell_is_not_taken_for_both() -> None:
     alone, both = (verify(agreeing, other, 1.0, VERIFICATION) for other in (place(1), agreeing))
     assert isinstance(alone, VerifiedLoop) and isinstance(both, VerifiedLoop)
     assert alone.measurement.covariance[0, 0] > 0.04**2 > 4.0 * both.measurement.covariance[0, 0]
+
+
+def test_what_frames_are_off_by_themselves_adds_to_a_loop_that_both_sides_tell_it_of() -> None:
+    T_match_query, turn = se3.from_yaw(0.5 * np.pi, (10.0, 0.0, 0.0)), np.radians(0.1)
+    off, exact = ScanDisagreement(0.0, 0.0, 0.02, turn), ScanDisagreement(0.0, 0.0)
+    of_match = np.sqrt(np.diag(frames_covariance(T_match_query, exact, off, 1.0)))
+    np.testing.assert_allclose(of_match, [0.02, 0.02, 0.02, turn, turn, turn])
+    of_query = np.sqrt(np.diag(frames_covariance(T_match_query, off, exact, 0.5)))
+    lever = np.hypot(0.01, 10.0 * turn)  # the query lies 10 m along x
+    np.testing.assert_allclose(of_query, [0.01, lever, lever, turn, turn, turn])
+    deviations = {}
+    for stated in (off, exact):
+        one = replace(place(1), scan_disagreement=stated)
+        verdict = verify(one, one, 1.0, VERIFICATION)
+        assert isinstance(verdict, VerifiedLoop)
+        deviations[stated] = np.diag(verdict.measurement.covariance)
+    np.testing.assert_allclose(deviations[off] - deviations[exact], 2.0 * np.square([0.02] * 3 + [turn] * 3), rtol=1e-6)
 
 
 def test_the_error_of_a_made_up_revisit_lies_within_what_the_covariance_says() -> None:

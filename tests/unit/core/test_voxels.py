@@ -12,8 +12,9 @@ from revisit.core.clusters import euclidean_clusters, find_ground
 from revisit.core.config import ClusterConfig, ImplicitMapConfig, PipelineConfig
 from revisit.core.errors import BadField
 from revisit.core.geometry.voxel_keys import first_rows, voxel_keys
-from revisit.core.implicit_map.neural_points import ElasticAccumulator
+from revisit.core.implicit_map.neural_points import MAX_NEURAL_POINTS, oriented
 from revisit.core.kernels.elastic_points import FIRST_SCAN, MOMENTS, RECORD, VIEW, insert_returns
+from revisit.core.kernels.gathered_returns import GatheredReturns
 from revisit.core.kernels.nearest_points import nearest_points
 from revisit.core.kernels.point_columns import MAX_GRID, columns_of
 from revisit.core.kernels.voxel_table import VoxelTable, find, slot_of, table_of, voxels_of
@@ -84,9 +85,9 @@ def test_voxels_that_share_a_slot_are_all_found():
 
 def test_no_occupied_voxel_is_dropped_where_voxels_share_a_slot():
     positions = ((colliding_voxels() + 0.5) * 0.4).astype(np.float32)
-    accumulator = ElasticAccumulator(0.4)
+    accumulator = GatheredReturns(0.4, 0, MAX_NEURAL_POINTS)
     accumulator.insert(positions, np.zeros(3, np.float32), 0)
-    assert len(accumulator.finish()) == 4
+    assert len(oriented(accumulator.records, 0.4)) == 4
     indices, squared = nearest_points(positions, columns_of(positions, 0.4), 0.4, 4, 2)
     assert indices[:, 0].tolist() == [0, 1, 2, 3]
     assert np.allclose(squared[:, 0], 0.0)
@@ -121,9 +122,9 @@ def test_no_points_have_no_neighbours():
 def test_as_many_neural_points_as_occupied_voxels_on_a_hundred_thousand_returns():
     rng = np.random.default_rng(1)
     points = rng.uniform(-60, 60, (100_000, 3)).astype(np.float32)
-    accumulator = ElasticAccumulator(0.4, len(points))
+    accumulator = GatheredReturns(0.4, len(points), MAX_NEURAL_POINTS)
     accumulator.insert(points, np.zeros(3, np.float32), 0)
-    assert len(accumulator.finish()) == len(np.unique(voxels_of(points, 0.4), axis=0))
+    assert len(oriented(accumulator.records, 0.4)) == len(np.unique(voxels_of(points, 0.4), axis=0))
 
 
 def test_the_insertion_kernel_sums_what_numpy_sums():
@@ -147,13 +148,13 @@ def test_the_insertion_kernel_sums_what_numpy_sums():
 
 def test_insertion_waits_for_room_and_goes_on_where_it_stopped():
     points = np.random.default_rng(8).uniform(-60, 60, (150_000, 3)).astype(np.float32)
-    accumulator = ElasticAccumulator(0.4, limit=70_000)
+    accumulator = GatheredReturns(0.4, 0, 70_000)
     accumulator.insert(points[:90_000], np.zeros(3, np.float32), 0)
     accumulator.insert(points[90_000:], np.zeros(3, np.float32), 1)
     voxels = voxels_of(points, 0.4)
     order = np.sort(np.unique(voxels, axis=0, return_index=True)[1])
     expected = {tuple(voxel) for voxel in voxels[order[:70_000]].tolist()}
-    assert {tuple(voxel) for voxel in voxels_of(accumulator.finish().positions, 0.4).tolist()} == expected
+    assert {tuple(voxel) for voxel in voxels_of(oriented(accumulator.records, 0.4).positions, 0.4).tolist()} == expected
 
 
 def plain_cells(
@@ -222,9 +223,9 @@ def test_clusters_and_ground_of_far_returns_take_little_memory_and_are_right():
 
 def test_neural_points_at_the_limits_of_coordinates_stay_apart():
     points = np.array([[FAR_M, FAR_M, -FAR_M], [-FAR_M, FAR_M, FAR_M], [0.1, 0.1, 0.1]], np.float32)
-    accumulator = ElasticAccumulator(0.4)
+    accumulator = GatheredReturns(0.4, 0, MAX_NEURAL_POINTS)
     accumulator.insert(points, np.zeros(3, np.float32), 0)
-    assert np.array_equal(accumulator.finish().positions, points)
+    assert np.array_equal(oriented(accumulator.records, 0.4).positions, points)
 
 
 def test_a_place_with_a_few_returns_at_the_limit_is_described_at_the_smallest_scale():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +45,19 @@ def livox_with_fast_lio() -> Layout:
 def late_odometry() -> Layout:
     layout = Layout().raw("/points", "lidar").odometry("/odom", "odom", "lidar")
     layout.rows = [row for row in layout.rows if row[1] != "/odom" or row[0] > START_NS + 3 * PERIOD_NS]
+    return layout
+
+
+def odometry_with_a_gap() -> Layout:
+    """From the fifth scan on all is three seconds later, and the odometry begins again only behind the seventh."""
+    layout, silent_from = Layout().raw("/points", "lidar").odometry("/odom", "odom", "lidar"), START_NS + 4 * PERIOD_NS
+    rows, layout.rows = layout.rows, []
+    for at, topic, kind, message in rows:
+        header = message.header
+        if at > silent_from:
+            header = replace(header, stamp=replace(header.stamp, sec=header.stamp.sec + 3))
+        if topic != "/odom" or not silent_from < at < silent_from + 2 * PERIOD_NS:
+            layout.rows.append((at, topic, kind, replace(message, header=header)))
     return layout
 
 
@@ -163,6 +176,8 @@ ROWS = [
         "poses of /kiss/odometry"),
     Row("Cut short, as by a loss of power", cut_short, "ends within a record, as after a loss of power", scans=3),
     Row("Odometry that began after the clouds", whole(late_odometry), "4 of 8 with a pose", scans=4),
+    Row("Odometry that pauses while the robot moves", whole(odometry_with_a_gap),
+        "warning: 3 clouds lie in gaps of the poses, in which the robot moved, and were left out", scans=5),
     Row("No static transform from the body to the LiDAR",
         whole(lambda: Layout().raw("/points", "lidar", MOUNTED).odometry("/odom", "odom", "base")),
         "warning: nothing tells where lidar is in base: taken as the same; else say it with --T-body-sensor",

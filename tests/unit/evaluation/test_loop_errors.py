@@ -10,7 +10,17 @@ import pytest
 from revisit.core.geometry import se3
 from revisit.evaluation.described_submaps import DescribedSubmap
 from revisit.evaluation.loop_closure_method import Description
-from revisit.evaluation.loop_errors import BOUND, ErrorRow, LoopError, draw, loop_errors, near_pairs, table
+from revisit.evaluation.loop_errors import (
+    BOUND,
+    ErrorRow,
+    LoopError,
+    draw,
+    drawn_evenly,
+    in_true_frames,
+    loop_errors,
+    near_pairs,
+    table,
+)
 from tests.support.yards import CONFIG, moved, recognised, thinned, yard
 
 COVARIANCE = np.diag(np.square([0.1, 0.1, 0.05, 0.01, 0.01, 0.02]))
@@ -56,3 +66,26 @@ def test_the_errors_of_turned_submaps_are_those_of_their_true_poses(tmp_path) ->
     assert error.nees < BOUND
     draw({"yards": [error]}, tmp_path / "nees.png")
     assert (tmp_path / "nees.png").stat().st_size > 5_000
+
+
+def test_of_many_pairs_some_are_drawn_evenly_and_what_was_not_described_is_left_out() -> None:
+    submaps = [
+        replace(undescribed(number), description=Description(np.zeros(1, np.float32), b"")) for number in range(9)
+    ]
+    pairs = [(one, submaps[0]) for one in submaps]
+    assert [query.id for query, _ in drawn_evenly([*pairs, (undescribed(9), submaps[0])], 5)] == [0, 2, 4, 6, 8]
+    assert drawn_evenly(pairs, 9) == pairs
+
+
+def test_the_true_frame_of_a_submap_is_that_of_its_middle_scan_on_the_exact_drive() -> None:
+    class Exact:
+        def pose(self, index: int) -> se3.Matrix4:
+            return se3.from_yaw(0.0, (float(index), 0.0, 0.0))
+
+    (found,) = in_true_frames([replace(undescribed(0), window=(4, 5, 7))], Exact())
+    assert found.T_world_submap[0, 3] == 5.0
+
+
+def undescribed(number: int) -> DescribedSubmap:
+    """A submap that could not be described."""
+    return DescribedSubmap(number, (number,), np.zeros(3), np.eye(4), 0.0, None, "why", 0)

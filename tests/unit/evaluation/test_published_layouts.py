@@ -11,6 +11,7 @@ import pytest
 from revisit.core.errors import BadField, BadTransform, MalformedBody
 from revisit.core.geometry import se3
 from revisit.evaluation.datasets import open_cloud_folder, open_kitti360, open_mulran, open_nclt, open_recording
+from revisit.evaluation.datasets.posed_clouds import StampedPoses
 from revisit.formats import pcd, ply
 
 COUNT = 150
@@ -210,6 +211,39 @@ def test_clouds_named_by_their_time_find_their_place_between_the_poses(tmp_path:
     recording = open_cloud_folder(tmp_path)
     assert len(recording) == 2
     np.testing.assert_allclose(recording.pose(1)[:3, 3], [1.75, 0.0, 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize("names", [("2", "10"), ("scan_9", "scan_10"), ("12.45", "12.5"), ("7", "000008")])
+def test_clouds_are_in_the_order_of_the_numbers_in_their_names(tmp_path: Path, names: tuple[str, str]) -> None:
+    for index, name in enumerate(names):
+        (tmp_path / f"{name}.pcd").write_bytes(pcd.encode(cloud(index)))
+    (tmp_path / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 9 0 1 0 0 0 0 1 0\n")
+    recording = open_cloud_folder(tmp_path)
+    for index in range(2):
+        np.testing.assert_allclose(recording.scan(index).points, cloud(index), atol=1e-3)
+
+
+def test_poses_are_not_made_up_for_a_pause_in_which_the_body_moved() -> None:
+    seconds = np.array([0, 1, 2, 3, 13, 14, 34, 35], dtype=np.int64) * 10**9
+    way = [0.0, 1.0, 2.0, 3.0, 13.0, 14.0, 14.0, 15.0]  # on while nothing is told until 13 s, at rest until 34 s
+    poses = StampedPoses(seconds, np.stack([se3.from_yaw(0.0, (x, 0.0, 0.0)) for x in way]))
+    asked = np.array([-1, 0, 3, 8, 13, 20, 35, 36], dtype=np.int64) * 10**9
+    assert poses.covered(asked).tolist() == [False, True, True, False, True, True, True, False]
+
+
+@pytest.mark.parametrize(
+    ("file", "advice"),
+    [
+        ("part1/drive/drive_0.mcap", "there are bags in .*drive: name one of them"),
+        ("drive.bag.active", "rename it to .bag"),
+        ("drive_0.db3.zstd", "unpack it first"),
+    ],
+)
+def test_a_folder_with_bags_out_of_sight_is_refused_with_what_to_do(tmp_path: Path, file: str, advice: str) -> None:
+    (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+    (tmp_path / file).touch()
+    with pytest.raises(FileNotFoundError, match=advice):
+        open_recording(tmp_path)
 
 
 @pytest.mark.parametrize(

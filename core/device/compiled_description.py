@@ -1,0 +1,137 @@
+"""The kernels of description of the processor: compiled."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from revisit.core.device.description import (
+    Array,
+    Array64,
+    Cases,
+    Cells,
+    DescriptionKernels,
+    FieldRules,
+    Mesh,
+    Patches,
+    Planes,
+    Returns,
+)
+from revisit.core.kernels.elastic_points import VIEW, pooled_covariances
+from revisit.core.kernels.filter_layers import add_amplitudes, multiply_spectrum, strongest_layer
+from revisit.core.kernels.gathered_returns import GatheredReturns
+from revisit.core.kernels.heading_profiles import face_profiles, plan_profiles
+from revisit.core.kernels.marching_cubes import polygonise
+from revisit.core.kernels.nearest_points import nearest_points
+from revisit.core.kernels.neighbour_blend import blend_normals
+from revisit.core.kernels.oriented_normals import oriented_normals
+from revisit.core.kernels.patch_histograms import disc_histograms, patch_histograms
+from revisit.core.kernels.plane_distance import plane_distance
+from revisit.core.kernels.surface_cells import enter_observed_corners, find_cells, list_corners
+from revisit.core.kernels.visibility import mark_seen_through, range_image
+from revisit.core.kernels.voxel_table import VoxelTable, empty_slots
+
+_PIECES_EACH = 2
+"""Pieces of corners that a neural point may add before the hash table becomes slow."""
+
+
+def compiled_description() -> DescriptionKernels:
+    """The kernels of description by the functions of `core.kernels`."""
+    return DescriptionKernels(CompiledMaps(), CompiledSurfaces(), CompiledViews())
+
+
+class CompiledMaps:
+    """`MapKernels` by the functions of `core.kernels`."""
+
+    def gather(self, returns: Returns, resolution: float, limit: int) -> Array64:
+        """See `MapKernels`."""
+        gathered = GatheredReturns(resolution, len(returns.points), limit)
+        for scan, origin in enumerate(returns.origins):
+            gathered.insert(returns.points[returns.bounds[scan] : returns.bounds[scan + 1]], origin, scan)
+        return gathered.records
+
+    def orient(self, positions: Array, records: Array64, everywhere: Planes, gathered: Array64) -> Array:
+        """See `MapKernels`."""
+        spreads = pooled_covariances(positions, gathered, everywhere.columns, everywhere.resolution)
+        return oriented_normals(spreads, records[:, VIEW])
+
+    def see_through(self, positions: Array, returns: Returns) -> NDArray[np.int32]:
+        """See `MapKernels`."""
+        counts = np.zeros(len(positions), dtype=np.int32)
+        for scan, origin in enumerate(returns.origins):
+            image = range_image(returns.points[returns.bounds[scan] : returns.bounds[scan + 1]], origin)
+            mark_seen_through(positions, origin, image, counts)
+        return counts
+
+
+class CompiledSurfaces:
+    """`SurfaceKernels` by the functions of `core.kernels`."""
+
+    def cells(self, planes: Planes, observed: float) -> Cells:
+        """See `SurfaceKernels`. Memory grows with the number of planes, not with the volume between them."""
+        positions, resolution = planes.positions, planes.resolution
+        room = 2 * (2 * int(np.ceil(observed / resolution))) ** 2 * len(positions)
+        pieces, bits = _room_for(room, _PIECES_EACH * len(positions)), np.empty(room, np.uint64)
+        count = enter_observed_corners(positions, resolution, observed, pieces, bits)
+        corners, first = list_corners(pieces, bits, count)
+        return Cells(corners, find_cells(positions, planes.normals, resolution, pieces, bits, first, len(corners)))
+
+    def distances(self, queries: Array, planes: Planes, rules: FieldRules) -> tuple[Array, Array]:
+        """See `SurfaceKernels`."""
+        indices, squared = nearest_points(queries, planes.columns, planes.resolution, rules.neighbours, rules.rings)
+        distance = plane_distance(queries, planes.positions, planes.normals, indices, squared, rules.power)
+        return distance, np.sqrt(squared[:, 0])
+
+    def blended_normals(self, queries: Array, planes: Planes, rules: FieldRules) -> Array:
+        """See `SurfaceKernels`."""
+        near = nearest_points(queries, planes.columns, planes.resolution, rules.neighbours, rules.rings)
+        return np.asarray(blend_normals(*near, planes.normals, rules.power))
+
+    def polygonise(
+        self, cell_corners: NDArray[np.int32], corners: Array, values: Array, cases: Cases, resolution: float
+    ) -> Mesh:
+        """See `SurfaceKernels`."""
+        return Mesh(*polygonise(cell_corners, corners, values, *cases, resolution))
+
+
+class CompiledViews:
+    """`ViewKernels` by the functions of `core.kernels`."""
+
+    def strongest_orientations(self, image: Array, bank: Array) -> tuple[NDArray[np.int8], Array]:
+        """See `ViewKernels`."""
+        (height, width), (orientations, scales, size, _) = image.shape, bank.shape
+        spectrum = fft.fft2(image, s=(size, size))
+        amplitude = np.zeros((orientations, height, width), dtype=np.float32)
+        filtered = np.empty((scales, size, size), dtype=np.complex64)
+        for filters, layer in zip(bank, amplitude, strict=True):
+            multiply_spectrum(filters, spectrum, filtered)
+            rows = fft.ifft(filtered, axis=1, overwrite_x=True)[:, :height]
+            add_amplitudes(fft.ifft(rows, axis=2, overwrite_x=True), layer)
+        return strongest_layer(amplitude)
+
+    def discs(self, layers: Array, pixels: NDArray[np.int64], disc: Array) -> Array:
+        """See `ViewKernels`."""
+        return np.asarray(disc_histograms(layers, pixels, disc))
+
+    def patches(
+        self, index: NDArray[np.int8], weights: Array, pixels: NDArray[np.int64], angles: Array, form: Patches
+    ) -> Array:
+        """See `ViewKernels`."""
+        return np.asarray(patch_histograms(index, weights, pixels, angles, *form))
+
+    def faces(
+        self, vertices: Array64, heading: Array64, weight: Array64, shape: tuple[int, int], spacing: float,
+        sharpness: float,
+    ) -> Array64:  # fmt: skip
+        """See `ViewKernels`."""
+        return np.asarray(face_profiles(vertices, heading, weight, *shape, spacing, sharpness))
+
+    def plans(self, places: Array64, weight: Array64, shape: tuple[int, int], spacing: float) -> Array64:
+        """See `ViewKernels`."""
+        return np.asarray(plan_profiles(places, weight, *shape, spacing))
+
+
+def _room_for(rows: int, expected: int) -> VoxelTable:
+    """An empty table for up to `rows` voxels, of which `expected` are usual. Unused rows take no memory."""
+    return VoxelTable(empty_slots(expected), np.empty(rows, np.int32), np.empty((rows, 3), np.int32))

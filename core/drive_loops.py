@@ -1,0 +1,196 @@
+"""What loops between the same two drives say of each other, by the odometry of both drives.
+
+Each loop puts the odometry frame of one drive beside that of the other. Held against each other all at once: a drive
+has hundreds of loops within reach of a submap, and every new one is held against all of them. A loop within one drive
+is held against the odometry of that drive, too (docs/decisions/0214, 0227).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.config import VerificationConfig
+from revisit.core.geometry import se3
+from revisit.core.neighbour_support import NeighbourLoop
+
+Array = NDArray[np.float64]
+Poses = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class DriveSubmap:
+    """Where a submap lies on its drive: T_odom_submap (4, 4), metres, and its number on the drive."""
+
+    T_odom_submap: se3.Matrix4
+    ordinal: int
+
+
+@dataclass(frozen=True)
+class DriveLoop:
+    """A loop between two drives. poses: its hypotheses, each T_match_query (4, 4), the best first, at least one.
+
+    accepted: and not for the sake of other loops. one_drive: both submaps are of the same drive.
+    """
+
+    query: DriveSubmap
+    match: DriveSubmap
+    poses: Sequence[se3.Matrix4]
+    accepted: bool
+    one_drive: bool = False
+
+
+class DriveLoops:
+    """All loops between the same two drives."""
+
+    def __init__(self, loops: Sequence[DriveLoop], stride_m: float, config: VerificationConfig) -> None:
+        """`stride_m`: how far apart neighbouring submaps of a drive were begun."""
+        self._loops, self._stride_m, self._config = loops, stride_m, config
+        self._T_odom_query = np.array([loop.query.T_odom_submap for loop in loops])
+        self._T_odom_match = np.array([loop.match.T_odom_submap for loop in loops])
+
+    def refuted(self) -> NDArray[np.bool_]:
+        """Which loops (n,) of one drive cannot be believed, for what its odometry says: however poor, it is no lie."""
+        if not self._loops:
+            return np.zeros(0, dtype=bool)
+        off_m = np.linalg.norm(self._at_query.diagonal(axis1=0, axis2=1).T - self._T_odom_query[:, :3, 3], axis=1)
+        of_one = np.array([loop.one_drive for loop in self._loops])
+        return np.asarray(of_one & (off_m > self._config.rival_distance + _LONG_DRIFT * self._own_way_m))
+
+    def contradicted(self) -> NDArray[np.bool_]:
+        """Which loops (n,) cannot be believed, for what the others say of their pairs.
+
+        The first pose of each loop counts. Of two poses that lie apart by more than drift explains, one at least is
+        wrong. Which one is not known: a loop stands only where no more than one in five of those that speak of its
+        pair, itself included, contradict it; asked once of those nearby, and once of those far along the drives, too.
+        """
+        if not self._loops:
+            return np.zeros(0, dtype=bool)
+        reach_m = self._config.support_reach
+        return np.asarray(self._outvoted(reach_m) | self._outvoted(_FAR_REACHES * reach_m))
+
+    def other_poses(self, row: int) -> list[se3.Matrix4]:
+        """What is said instead of the loop in `row`, T_match_query each: by its own odometry, by loops beside it.
+
+        Poses that are one, once.
+        """
+        T_match_odom, T_odom_query = se3.inverse(self._T_odom_match[row]), self._T_odom_query[row]
+        found = [T_match_odom @ T_odom_query] if self.refuted()[row] else []
+        against = np.flatnonzero(self._against[row] & self._speaks[row]).tolist()
+        for other in sorted(against, key=lambda one: float(self._way_m[row, one])):
+            pose, allowed_m = T_match_odom @ self._frames[other][0] @ T_odom_query, self._allowed_m[row, other]
+            if all(_differ(pose, one, allowed_m) for one in found):
+                found.append(pose)
+        return found
+
+    def neighbours(self, row: int) -> list[NeighbourLoop]:
+        """What the loops within reach of that in `row` say of its pair."""
+        near = np.flatnonzero(self._within_reach[row]).tolist()
+        return [self._neighbour(row, other) for other in near if other != row]
+
+    def has_accepted_neighbour(self, row: int) -> bool:
+        """Whether any of `neighbours` is accepted."""
+        near = np.flatnonzero(self._within_reach[row]).tolist()
+        return any(self._loops[other].accepted for other in near if other != row)
+
+    @cached_property
+    def _within_reach(self) -> NDArray[np.bool_]:
+        """Which loops odometry carries over to which pairs, (n, n)."""
+        return np.asarray(self._way_m <= self._config.support_reach)
+
+    def _outvoted(self, reach_m: float) -> NDArray[np.bool_]:
+        speaks = self._speaks & (self._way_m <= reach_m)
+        return np.asarray((self._against & speaks).sum(axis=1) > _CONTRADICTING_SHARE * speaks.sum(axis=1))
+
+    @cached_property
+    def _speaks(self) -> NDArray[np.bool_]:
+        """Which loop (second) says anything of the pair of which (first), itself included."""
+        speaks = (self._way_m <= _FAR_REACHES * self._config.support_reach) & ~self.refuted()
+        np.fill_diagonal(speaks, True)
+        return speaks
+
+    @cached_property
+    def _against(self) -> NDArray[np.bool_]:
+        """Which loop (second) says otherwise of the pair of which (first). Headings drift: far away none counts."""
+        rotations = self._first_frames[:, :3, :3]
+        traces = np.einsum("iab,jab->ij", rotations, rotations)
+        turned = (traces < 1.0 + 2.0 * np.cos(_CONTRADICTING_TURN)) & self._within_reach
+        own = self._at_query.diagonal(axis1=0, axis2=1).T
+        return np.asarray((np.linalg.norm(self._at_query - own[:, None], axis=2) > self._allowed_m) | turned)
+
+    @cached_property
+    def _allowed_m(self) -> Array:
+        """So far apart two right loops may put a query, (n, n) metres."""
+        near_m = np.minimum(self._way_m, self._config.support_reach)
+        drift_m = _CONTRADICTING_DRIFT * near_m + _LONG_DRIFT * (self._way_m - near_m)
+        return np.asarray(self._config.rival_distance + drift_m)
+
+    @cached_property
+    def _at_query(self) -> Array:
+        """Where each loop (second) puts the query of each (first) in the odometry frame of the matches, (n, n, 3)."""
+        frames = self._first_frames
+        turned = np.einsum("jab,ib->ija", frames[:, :3, :3], self._T_odom_query[:, :3, 3])
+        return np.asarray(turned + frames[:, :3, 3])
+
+    @cached_property
+    def _first_frames(self) -> Poses:
+        return np.array([said[0] for said in self._frames])
+
+    @cached_property
+    def _own_way_m(self) -> Array:
+        """The way (n,) between the two submaps of each loop, where they are of one drive."""
+        apart_m = np.linalg.norm(self._T_odom_query[:, :3, 3] - self._T_odom_match[:, :3, 3], axis=1)
+        ordinals = np.array([loop.query.ordinal - loop.match.ordinal for loop in self._loops])
+        return np.asarray(np.maximum(apart_m, self._stride_m * np.abs(ordinals)))
+
+    @cached_property
+    def _way_m(self) -> Array:
+        """The way of both drives together over which odometry carries each pose to each pair, (n, n) metres at least.
+
+        Submaps of a drive lie apart by the crow's flight, and by a stride for each that was begun between them.
+        """
+        queries = [loop.query.ordinal for loop in self._loops]
+        matches = [loop.match.ordinal for loop in self._loops]
+        return self._way_on(self._T_odom_query, queries) + self._way_on(self._T_odom_match, matches)
+
+    def _way_on(self, T_odom: Poses, ordinals: Sequence[int]) -> Array:
+        position_m, numbers = T_odom[:, :3, 3], np.array(ordinals)
+        apart_m = np.linalg.norm(position_m[:, None] - position_m[None], axis=2)
+        return np.asarray(np.maximum(apart_m, self._stride_m * np.abs(numbers[:, None] - numbers[None])))
+
+    @cached_property
+    def _frames(self) -> list[Poses]:
+        """T_odom_match_odom_query of each hypothesis, by loop."""
+        T_query_odom = np.linalg.inv(self._T_odom_query)
+        return [
+            np.array(self._T_odom_match[row] @ np.array(loop.poses) @ T_query_odom[row])
+            for row, loop in enumerate(self._loops)
+        ]
+
+    def _neighbour(self, row: int, other: int) -> NeighbourLoop:
+        poses = se3.inverse(self._T_odom_match[row]) @ self._frames[other] @ self._T_odom_query[row]
+        one, told = self._loops[row], self._loops[other]
+        query_m, match_m = _ahead_m(one.query, told.query), _ahead_m(one.match, told.match)
+        return NeighbourLoop(told.accepted, tuple(poses), query_m, match_m, float(self._way_m[row, other]))
+
+
+def _ahead_m(submap: DriveSubmap, other: DriveSubmap) -> float:
+    """How far ahead `other` lies on the drive of `submap`, as the crow flies; behind it is negative."""
+    distance = float(np.linalg.norm(other.T_odom_submap[:3, 3] - submap.T_odom_submap[:3, 3]))
+    return distance if other.ordinal > submap.ordinal else -distance
+
+
+def _differ(one: se3.Matrix4, other: se3.Matrix4, allowed_m: float) -> bool:
+    apart_m = float(np.linalg.norm(one[:3, 3] - other[:3, 3]))
+    return apart_m > allowed_m or se3.rotation_angle(se3.inverse(one) @ other) > _CONTRADICTING_TURN
+
+
+_CONTRADICTING_SHARE = 0.2
+_CONTRADICTING_DRIFT = 0.05  # a poor odometry; right loops must not contradict each other
+_CONTRADICTING_TURN = np.radians(10.0)
+_LONG_DRIFT = 0.1  # its heading drifts, too
+_FAR_REACHES = 6.0
