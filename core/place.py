@@ -102,7 +102,7 @@ class Place(Keeping):
 
     @classmethod
     def _of(cls, contents: PlaceContents, header: dict[str, Any], T_level_submap: object) -> Place:
-        model, spacing = header.get("model"), header.get("spacing", VerificationConfig().spacing)
+        model, spacing = header.get("model"), header.get("spacing", cls.spacing)
         if not isinstance(model, str):
             raise DataLoss("the place names no model")
         disagreement = _disagreement(header)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
-from scipy.ndimage import map_coordinates
 
 from revisit.core.config import VerificationConfig
 from revisit.core.correspondences import correspond
@@ -31,7 +31,6 @@ _HALF = IMAGE_SIZE // 2
 _ANGLES = 180  # steps of the polar amplitude, 1 degree each
 _RADII = (3.0, 45.0)  # of the polar amplitude: below is the mean density, above is noise
 _TURN_APART = 8  # degrees between two turns that are tried
-_MOST_TURNS = 6
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,7 @@ def correlate(query: Place, match: Place, config: VerificationConfig) -> list[Pl
     """
     pixel, points = config.correlation_pixel, query.kept(_standing_plan)
     of_query, of_match = query.kept(_seen_from_above, pixel), match.kept(_seen_from_above, pixel)
-    turns = _likely_turns(of_query.polar, of_match.polar)[: config.correlation_turns]
+    turns = _likely_turns(of_query.polar, of_match.polar, config.correlation_turns)
     (fits,) = device().kernels.correlate([Correlation(points, tuple(turns), of_match.spectrum)], pixel)
     fits = sorted(fits, key=lambda fit: -fit.peak)
     return [PlanarPose(fit.yaw, fit.shift * pixel) for fit in fits]
@@ -78,10 +77,9 @@ class SeenFromAbove:
 
 
 def _seen_from_above(place: Place, pixel: float) -> SeenFromAbove:
-    image = raster(place.kept(_standing_plan), pixel)
-    spectrum = fft.rfft2(image.astype(np.float32))
-    polar = fft.rfft(_polar_amplitude(fft.fft2(image)), axis=0)
-    return SeenFromAbove(spectrum, polar)
+    spectrum = fft.rfft2(raster(place.kept(_standing_plan), pixel))
+    polar = fft.rfft(polar_amplitude(spectrum), axis=0)
+    return SeenFromAbove(spectrum.astype(np.complex64), polar)
 
 
 def lift(pose: PlanarPose, query: Place, match: Place) -> se3.Matrix4:
@@ -108,25 +106,43 @@ def _standing_plan(place: Place) -> Array64:
     return np.ascontiguousarray(place.points[: place.standing_count, :2].astype(np.float64))
 
 
-def _polar_amplitude(spectrum: NDArray[np.complex128]) -> Array64:
-    """The amplitude of a spectrum over angle (rows of 1 degree) and radius, each ring free of its mean."""
-    amplitude = np.log1p(np.abs(fft.fftshift(spectrum)))
-    angle = np.radians(np.arange(float(_ANGLES)))[:, None]
-    radius = np.arange(*_RADII)[None, :]
-    polar = map_coordinates(amplitude, [_HALF + radius * np.sin(angle), _HALF + radius * np.cos(angle)], order=1)
+def polar_amplitude(spectrum: NDArray[np.complex128]) -> Array64:
+    """The amplitude over angle (rows of 1 degree) and radius, each ring free of its mean.
+
+    Takes the half of the spectrum of a real image in which columns count from 0: the other half mirrors it.
+    """
+    near, weights = _polar_pixels()
+    amplitude = np.log1p(np.abs(spectrum)).ravel()
+    polar = np.einsum("kar,kar->ar", amplitude[near], weights)
     return np.asarray(polar - polar.mean(axis=0))
 
 
-def _likely_turns(query: NDArray[np.complex128], match: NDArray[np.complex128]) -> list[float]:
-    """Yaws of T_match_query in [0, pi) radians where the polar amplitudes agree, best first, well apart.
+@cache
+def _polar_pixels() -> tuple[NDArray[np.intp], Array64]:
+    """The four pixels (4, angles, radii) of half a spectrum around each angle and radius, and their linear weights."""
+    angle = np.radians(np.arange(float(_ANGLES)))[:, None]
+    radius = np.arange(*_RADII)[None, :]
+    row, column = radius * np.sin(angle), radius * np.cos(angle)
+    first_row, first_column = np.floor(row), np.floor(column)
+    near, weights = [], []
+    for down, right in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        y, x = (first_row + down).astype(np.intp), (first_column + right).astype(np.intp)
+        mirrored = np.where(x < 0, -1, 1)
+        near.append((mirrored * y) % IMAGE_SIZE * (_HALF + 1) + mirrored * x)
+        weights.append((1.0 - np.abs(row - y)) * (1.0 - np.abs(column - x)))
+    return np.stack(near), np.stack(weights)
+
+
+def _likely_turns(query: NDArray[np.complex128], match: NDArray[np.complex128], most: int) -> list[float]:
+    """Yaws of T_match_query in [0, pi) radians where the polar amplitudes agree, well apart: the `most` best, in order.
 
     Takes the spectra of the amplitudes over angle.
     """
     agreement = fft.irfft((match * np.conj(query)).sum(axis=1), n=_ANGLES)
     turns: list[int] = []
-    for turn in np.argsort(-agreement, kind="stable"):
+    for turn in np.argsort(-agreement, kind="stable").tolist():
         if all(min(abs(turn - other), _ANGLES - abs(turn - other)) >= _TURN_APART for other in turns):
-            turns.append(int(turn))
-        if len(turns) == _MOST_TURNS:
+            turns.append(turn)
+        if len(turns) == most:
             break
     return [float(np.radians(turn)) for turn in turns]

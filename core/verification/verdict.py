@@ -173,8 +173,10 @@ def is_degenerate(place: Place, config: VerificationConfig) -> bool:
 
 def _narrowest_spread(place: Place) -> float:
     """The smallest horizontal standard deviation of what stands."""
-    standing = place.points[: place.standing_count].astype(np.float64)
-    return float(np.sqrt(np.clip(np.linalg.eigvalsh(np.cov(standing[:, :2].T)), 0.0, None))[0])
+    plan = place.points[: place.standing_count, :2].astype(np.float64)
+    plan -= plan.mean(axis=0)
+    covariance = plan.T @ plan / max(len(plan) - 1, 1)
+    return float(np.sqrt(np.clip(np.linalg.eigvalsh(covariance), 0.0, None))[0])
 
 
 def systematic_covariance(

@@ -34,9 +34,9 @@ SETTABLE = ("min_score", "min_overlap", "max_seen_through")
 
 VERSION_DIGITS = 12
 
-PLACES_KEPT = 48
-"""Places that a worker keeps unpacked, the last ones it used: candidates come again with a robot's next submap. With
-what verification has made of them about 0.75 MB each.
+PLACES_KEPT = 96
+"""Places that a worker keeps unpacked, the last ones it used: candidates come again with a robot's next submap, and a
+worker serves several robots by turns (docs/decisions/0222). With what verification has made of them 0.9 to 1.3 MB each.
 """
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import fft
+from scipy.ndimage import map_coordinates
 
 from revisit.core.config import VerificationConfig
 from revisit.core.device.compiled import _best_shift
@@ -14,7 +15,7 @@ from revisit.core.geometry import se3
 from revisit.core.geometry.se2 import PlanarPose, angle_between, turned
 from revisit.core.place import Place
 from revisit.core.verification.oriented_points import COLUMN_M
-from revisit.core.verification.start import IMAGE_SIZE, correlate, find_start, lift, raster
+from revisit.core.verification.start import IMAGE_SIZE, correlate, find_start, lift, polar_amplitude, raster
 from tests.support.yards import moved, place_of_points, recognised, thinned, yard
 
 CONFIG = VerificationConfig()
@@ -84,6 +85,16 @@ def test_phase_correlation_finds_a_known_turn_and_shift(yaw_deg):
     best = correlate(standing_place(plan()), standing_place(true.apply(plan())), CONFIG)[0]
     assert angle_between(np.array([best.yaw]), true.yaw)[0] <= np.radians(1.5)
     assert np.linalg.norm(best.translation - true.translation) < 2 * CONFIG.correlation_pixel
+
+
+def test_the_polar_amplitude_of_half_a_spectrum_is_that_of_the_whole_one():
+    image = raster(plan(), CONFIG.correlation_pixel)
+    amplitude = np.log1p(np.abs(np.fft.fftshift(np.fft.fft2(image))))
+    angle, radius = np.radians(np.arange(180.0))[:, None], np.arange(3.0, 45.0)[None, :]
+    middle = IMAGE_SIZE // 2
+    polar = map_coordinates(amplitude, [middle + radius * np.sin(angle), middle + radius * np.cos(angle)], order=1)
+    expected = polar - polar.mean(axis=0)
+    np.testing.assert_allclose(polar_amplitude(np.fft.rfft2(image)), expected, rtol=0, atol=1e-9)
 
 
 def test_phase_correlation_looks_only_at_what_stands():
