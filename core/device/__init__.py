@@ -1,9 +1,13 @@
-"""Where the kernels of verification run: on the processor, or on a device of torch (docs/decisions/0208).
+"""Where kernels run: on the processor, or on a device of torch (docs/decisions/0208, 0219).
 
-contract         what kernels are asked for, and the port `Kernels`
+contract         what the kernels of verification are asked for, and the port `Kernels`
 compiled         by the compiled functions of `core.kernels`
 torch_kernels, torch_patches, torch_plans    by torch, many jobs at once
 together         works side by side, whose calls are joined
+description      what the kernels of description are asked for, and their ports
+compiled_description                         by the compiled functions of `core.kernels`
+torch_description                            by torch: torch_maps (torch_normals, torch_visibility), torch_surfaces
+                                             (torch_neighbours), torch_views; torch_order, torch_arrays
 choice           which device is in use
 """
 

@@ -64,9 +64,10 @@ def shared_distances(first: Steps, second: Steps, steps: int) -> Integers:
     result = np.zeros((len(first), len(second)), dtype=np.int64)
     for i in range(len(first)):
         for j in range(len(second)):
-            count = 0
+            count = np.int16(0)  # as wide as the distances, so that many are compared at once
             for d in range(first.shape[1]):
                 one, other = first[i, d], second[j, d]
-                count += int(one > 0 and other > 0 and abs(one - other) <= steps)
+                near = (one > np.int16(0)) & (other > np.int16(0)) & (np.int16(abs(one - other)) <= np.int16(steps))
+                count = np.int16(count + np.int16(near))
             result[i, j] = count
     return result

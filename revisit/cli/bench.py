@@ -264,7 +264,7 @@ def _measure(check: bool, update: bool, as_json: bool) -> None:
 
 
 def _measure_device(name: str, as_json: bool) -> None:
-    """Measure a device beside the processor; exit with status 1 where a verdict differs, or it is not there."""
+    """Measure a device beside the processor; exit with status 1 where what they find differs, or it is not there."""
     from revisit.core.device import MissingDevice
     from revisit.evaluation.benchmark.device import beside_the_processor
 
@@ -273,7 +273,7 @@ def _measure_device(name: str, as_json: bool) -> None:
     except MissingDevice as missing:
         raise refuse(f"--device: {missing}") from missing
     _show(measured, as_json, {})
-    if measured[-1].value:
+    if any(metric.value for metric in measured if metric.key.endswith("_that_differ")):
         raise typer.Exit(1)
 
 

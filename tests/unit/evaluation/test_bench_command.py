@@ -13,6 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from revisit.cli.app import app
+from revisit.core.device import device as used_device
 from revisit.core.verification import RejectedLoop, RejectionReason, VerifiedLoop, verify
 from revisit.evaluation import benchmark, recognition_benchmark
 from revisit.evaluation.benchmark import Metric, device
@@ -68,14 +69,17 @@ def test_json_names_every_metric_and_holds_no_infinity(asked: list[bool]) -> Non
     assert document["metrics"][1]["tolerance"] is None and document["regressions"] == ["surface_error_median: worse"]
 
 
-def test_a_device_is_measured_beside_the_processor_and_a_verdict_that_differs_ends_with_status_1(monkeypatch):
+def test_a_device_is_measured_beside_the_processor_and_what_differs_ends_with_status_1(monkeypatch):
     rows = [shown("verify_20_on_cpu", 150.0, "wall ms"), shown("verdicts_that_differ", 0, "candidates")]
+    rows.append(shown("descriptions_that_differ", 0, "submaps"))
     monkeypatch.setattr(device, "beside_the_processor", lambda name: rows)
     result = CliRunner().invoke(app, ["bench", "--device", "torch-cpu"])
     assert result.exit_code == 0 and "verify_20_on_cpu" in result.stdout
     rows[1] = shown("verdicts_that_differ", 2, "candidates")
     result = CliRunner().invoke(app, ["bench", "--device", "torch-cpu", "--json"])
     assert result.exit_code == 1 and json.loads(result.stdout)["metrics"][1]["value"] == 2
+    rows[1:] = [shown("verdicts_that_differ", 0, "candidates"), shown("descriptions_that_differ", 1, "submaps")]
+    assert CliRunner().invoke(app, ["bench", "--device", "torch-cpu"]).exit_code == 1
 
 
 def test_a_device_that_is_not_there_is_not_measured():
@@ -83,16 +87,29 @@ def test_a_device_that_is_not_there_is_not_measured():
     assert result.exit_code == 1 and "device cuda:99" in result.stderr
 
 
-def test_the_candidates_of_a_query_are_compared_between_devices(monkeypatch):
+def test_submaps_and_the_candidates_of_a_query_are_compared_between_devices(monkeypatch):
     yards = {name: recognised(yard(seed, buildings=6))[1] for name, seed in (("place", 1), ("elsewhere", 2))}
+    points = np.zeros((5, 3), np.float32)
+
+    def described(name: str, *_: object) -> SimpleNamespace:
+        off = 2e-3 * (used_device().name == "torch-cpu" and name == "elsewhere")
+        neural_map = SimpleNamespace(points=SimpleNamespace(positions=points + np.float32(off)))
+        vector = np.array([np.cos(off), np.sin(off)])
+        return SimpleNamespace(place=yards[name], neural_map=neural_map, descriptor=SimpleNamespace(vector=vector))
+
     monkeypatch.setattr(
         device, "two_streets", lambda: SimpleNamespace(**{name: name for name in yards}, revisit="place")
     )
-    monkeypatch.setattr(device, "describe", lambda name, *_: SimpleNamespace(place=yards[name]))
+    monkeypatch.setattr(device, "describe", described)
     monkeypatch.setattr(device, "CANDIDATES", 2)
-    taken = device.beside_the_processor("torch-cpu", rounds=1)
-    assert [metric.key for metric in taken] == ["verify_2_on_cpu", "verify_2_on_torch-cpu", "verdicts_that_differ"]
-    assert taken[0].value > 0 and taken[2].value == 0
+    taken = {metric.key: metric.value for metric in device.beside_the_processor("torch-cpu", rounds=1)}
+    assert list(taken) == [
+        "describe_on_cpu", "describe_on_torch-cpu", "descriptors_apart", "descriptions_that_differ",
+        "verify_2_on_cpu", "verify_2_on_torch-cpu", "verdicts_that_differ",
+    ]  # fmt: skip
+    assert taken["describe_on_cpu"] >= 0 and taken["verify_2_on_cpu"] > 0
+    assert taken["descriptions_that_differ"] == 1 and taken["verdicts_that_differ"] == 0
+    assert taken["descriptors_apart"] == pytest.approx(2.0, rel=1e-3)
     wrong = RejectedLoop(RejectionReason.LOW_SCORE)
     assert device._different([wrong, wrong], [wrong, RejectedLoop(RejectionReason.LOW_OVERLAP)]) == 1
     verdict = verify(yards["place"], yards["place"], 1.0, CONFIG.verification)

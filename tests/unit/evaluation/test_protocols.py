@@ -149,6 +149,26 @@ def test_the_first_answers_of_every_peer_can_be_verified_too(
     assert compared.result(peers[3]).accepted and behind.recall_at_full_precision > bare.recall_at_full_precision
 
 
+def test_bow3d_is_asked_about_a_simulated_drive_with_the_beams_of_its_sensor(
+    plan: BenchmarkPlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def bow3d(experiment: Experiment, recording, beams, verification, candidates) -> Experiment:
+        asked.append((recording.name, beams, candidates))
+        return experiment
+
+    monkeypatch.setattr(benchmark_plan, "with_bow3d", bow3d)
+    (recorded,) = plan.drives
+    monkeypatch.setattr(SimulatedDrive, "recorded", lambda drive, folder, progress=None: recorded.recorded(folder))
+    drives = [SimulatedDrive("round", 8_092, VLP16, ((0, 0), (1, 0)))]
+    online = dataclasses.replace(
+        plan, folder=tmp_path, drives=drives, sessions=(), protocols=("online",), baselines=(Solid(),)
+    )
+    list(run_plan(online, lambda *_: None, Compass()))
+    assert asked == [("first", VLP16.elevations_deg, 0)]
+
+
 def test_turning_costs_a_baseline_that_is_blind_to_yaw_little(experiments: list[Experiment]) -> None:
     plain, turned = (
         scores(experiment.result("solid"), experiment.ground_truth()).recall_at_1
