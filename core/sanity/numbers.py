@@ -17,6 +17,8 @@ Stamps = NDArray[np.int64]
 MIN_SCENE_M = 1.0
 MAX_SPEED_M_PER_S = 70.0
 MIN_PERIOD_NS = 2_000_000
+EPOCH_NS = 10**16
+"""Times above are nanoseconds, of 1970 or later: in microseconds they would lie in the year 2286."""
 MIN_POINTS_A_SCAN = 1_000
 MAX_NON_FINITE = 0.4
 
@@ -42,14 +44,18 @@ def check_times(stamps_ns: Stamps) -> list[Finding]:
     steps = np.diff(stamps_ns)
     period = float(np.median(steps))
     found = []
-    if 0 <= period < MIN_PERIOD_NS:
+    twice = period == 0 and stamps_ns.min() > EPOCH_NS  # whole seconds, too, are mostly 0 apart
+    if 0 <= period < MIN_PERIOD_NS and not twice:
         unit = "seconds" if period < 20 else "milliseconds" if period < 20_000 else "microseconds"
         cause, advice = f"the times are in {unit}", "give nanoseconds (stamp_ns)"
         found.append(Finding("time_unit", f"scans are {period:g} ns apart", cause, advice))
     elif (steps <= 0).any():
         measured = f"{int((steps <= 0).sum())} of {len(steps)} scans are no later than the one before"
-        cause = "the clock was set, or two recordings are joined"
-        found.append(Finding("time_goes_back", measured, cause, "one session for each run of the clock"))
+        if twice:
+            cause, advice = "the scans are there twice", "send each scan once"
+        else:
+            cause, advice = "the clock was set, or two recordings are joined", "one session for each run of the clock"
+        found.append(Finding("time_goes_back", measured, cause, advice))
     return found
 
 

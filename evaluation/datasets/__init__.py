@@ -51,7 +51,14 @@ def open_recording(folder: Path, file_format: str = AUTO, wanted: WantedTopics =
         return open_bag(folder, wanted)
     if wanted != WantedTopics():
         raise BadField("topics and the mounting of the sensor are for bags", field="topic")
-    return FORMATS[file_format](folder)
+    try:
+        return FORMATS[file_format](folder)
+    except FileNotFoundError as error:
+        if error.filename is None:
+            raise
+        raise FileNotFoundError(
+            f"a recording laid out as {file_format} has {error.filename}: it is not there"
+        ) from error
 
 
 def notes_of(recording: Recording) -> tuple[str, ...]:

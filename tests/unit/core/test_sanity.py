@@ -155,6 +155,10 @@ MISTAKES = {
     "a clock set back": (
         lambda drive, _: replace(drive, stamps_ns=np.roll(drive.stamps_ns, 7)), "time_goes_back", "clock"
     ),
+    "scans sent twice": (
+        lambda drive, _: replace(drive, stamps_ns=10**18 + np.arange(len(drive.stamps_ns)) // 2 * 10**8),
+        "time_goes_back", "there twice",
+    ),
     "poses in centimetres": (
         poses(lambda pose: se3.from_rotation_translation(pose[:3, :3], 100 * pose[:3, 3])), "too_fast", "no metres"
     ),

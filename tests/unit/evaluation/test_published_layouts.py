@@ -263,6 +263,23 @@ def test_trajectories_that_do_not_fit_are_refused(tmp_path: Path, poses: str, er
         open_cloud_folder(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("layout", "file"),
+    [
+        ("mulran", "global_pose.csv"),
+        ("kitti360", "calib_cam_to_velo.txt"),
+        ("nclt", "groundtruth"),
+        ("kitti", "velodyne"),
+    ],
+)
+def test_a_layout_without_one_of_its_files_is_refused_by_the_name_of_the_file(
+    tmp_path: Path, layout: str, file: str
+) -> None:
+    with pytest.raises(FileNotFoundError, match=file) as refused:
+        open_recording(tmp_path, layout)
+    assert "Errno" not in str(refused.value)
+
+
 def test_an_unknown_format_is_refused_with_those_that_are_known(tmp_path: Path) -> None:
     with pytest.raises(BadField, match="kitti360, mulran, nclt, clouds, rosbag2"):
         open_recording(tmp_path, "bag")
