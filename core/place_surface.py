@@ -190,5 +190,5 @@ def _learned() -> dict[str, Models]:
         np.load(file, allow_pickle=False) as stored,
     ):
         for kind in ("standing", "ground"):
-            found[kind] = np.stack([stored[f"{kind}_chances"], stored[f"{kind}_seen"]], axis=1).astype(np.int64)
+            found[kind] = np.stack([stored[f"{kind}_chances"], stored[f"{kind}_seen"]], axis=1).astype(np.int32)
     return found

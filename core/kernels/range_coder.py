@@ -13,12 +13,16 @@ from revisit.core.kernels.loops import loop
 
 Coder = NDArray[np.int64]
 """Lower and upper end of the interval, the bytes read ahead, the position in the data, and 1 where it reads."""
-Models = NDArray[np.int64]
+Models = NDArray[np.int32]
 """Adaptive models (n, 2): the chance of a one out of 2^16, and how many bits each has seen."""
 
 _TOP = 0xFFFFFFFF
 _EVEN = 1 << 15
+_CERTAIN = 1 << 16
 _MOST_SEEN = 250
+_SHIFT = 40
+_SHARES = np.array([-(-(1 << _SHIFT) // (2 * seen + 3)) for seen in range(_MOST_SEEN + 1)])
+"""1 / (2 seen + 3), rounded up: of numbers below 2^18 the products are right to the last bit."""
 UNARY = 14
 """Models of one class of whole numbers: one for zero, one for the sign, twelve for the size."""
 
@@ -27,7 +31,7 @@ _LOW, _HIGH, _CODE, _AT, _READS = 0, 1, 2, 3, 4
 
 def fresh_models(count: int) -> Models:
     """So many models that have seen nothing."""
-    models = np.zeros((count, 2), dtype=np.int64)
+    models = np.zeros((count, 2), dtype=np.int32)
     models[:, 0] = _EVEN
     return models
 
@@ -79,7 +83,7 @@ def _next_byte(coder: Coder, data: NDArray[np.uint8]) -> None:
 @numba.njit(inline="always")
 def code_bit(coder: Coder, data: NDArray[np.uint8], models: Models, model: int, bit: int) -> int:
     """Write `bit` with the chance that models[model] gives it, or read and return the bit; the model learns of it."""
-    chance = models[model, 0]
+    chance = np.int64(models[model, 0])
     middle = coder[_LOW] + (((coder[_HIGH] - coder[_LOW]) * chance) >> 16)
     if coder[_READS] == 1:
         bit = 1 if coder[_CODE] <= middle else 0
@@ -87,8 +91,13 @@ def code_bit(coder: Coder, data: NDArray[np.uint8], models: Models, model: int, 
         coder[_HIGH] = middle
     else:
         coder[_LOW] = middle + 1
-    seen = models[model, 1]
-    models[model, 0] = min(max(chance + (((bit << 16) - chance) * 2) // (2 * seen + 3), 64), (1 << 16) - 64)
+    seen = np.int64(models[model, 1])
+    # 2 / (2 seen + 3) of the way to the bit, rounded down; a product and a shift, since a division takes ten times as long
+    if bit:
+        chance += (2 * (_CERTAIN - chance) * _SHARES[seen]) >> _SHIFT
+    else:
+        chance -= ((2 * chance + 2 * seen + 2) * _SHARES[seen]) >> _SHIFT
+    models[model, 0] = min(max(chance, 64), _CERTAIN - 64)
     if seen < _MOST_SEEN:
         models[model, 1] = seen + 1
     while ((coder[_LOW] ^ coder[_HIGH]) & 0xFF000000) == 0:
