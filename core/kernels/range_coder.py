@@ -92,7 +92,7 @@ def code_bit(coder: Coder, data: NDArray[np.uint8], models: Models, model: int, 
     else:
         coder[_LOW] = middle + 1
     seen = np.int64(models[model, 1])
-    # 2 / (2 seen + 3) of the way to the bit, rounded down; a product and a shift, since a division takes ten times as long
+    # 2 / (2 seen + 3) of the way to the bit, rounded down: by a product and a shift, faster than a division
     if bit:
         chance += (2 * (_CERTAIN - chance) * _SHARES[seen]) >> _SHIFT
     else:
