@@ -67,7 +67,7 @@ def _whole_lines(trace: str) -> Iterator[str]:
         thread, _, text = line.partition(" ")
         text = text.lstrip()
         if text.endswith("<unfinished ...>"):
-            begun[thread] = text.removesuffix("<unfinished ...>")
+            begun[thread] = text.removesuffix("<unfinished ...>").rstrip()
         elif text.startswith("<... "):
             yield begun.pop(thread) + text.partition(" resumed>")[2]
         else:

@@ -23,7 +23,7 @@ from tests.support.figures import publish
 from tests.support.patience import PATIENCE_S
 from tests.support.processes import ServiceProcess
 
-CEILING_MIB = 512.0
+CEILING_MIB = 768.0
 SEARCHES, LOCALIZES, DOWNLOADS = 8, 12, 8
 FULL = (60, 150, 100)
 POINTS = 1_900_000

@@ -63,7 +63,7 @@ def test_where_a_world_repeats_no_wrong_pose_is_accepted_and_the_true_one_is_tol
 def test_where_a_rack_repeats_within_a_period_the_poses_nearby_are_hypotheses_too() -> None:
     """Slots of a rack lie 1.35 m apart, half a period, and its two sides 1.1 m: less than what makes a rival."""
     warehouse = next(world for world in WORLDS if world.name == "warehouse")
-    (pair,) = repeating_pairs(warehouse, 1, 0, load_packaged_models().codebooks, CONFIG)
+    (pair,) = repeating_pairs(warehouse, 1, 5, load_packaged_models().codebooks, CONFIG)
     assert judge(pair, CONFIG) == Judgement(accepted=False, right=False, among=True)
     apart_alone = replace(CONFIG, verification=replace(CONFIG.verification, rival_near_share=2.0))
     assert judge(pair, apart_alone) == Judgement(accepted=False, right=False, among=False)
