@@ -13,7 +13,7 @@ from revisit.service.application.contract.identity import TenantId
 MIB = 2**20
 
 BUDGET_BYTES = 112 * MIB
-"""With what the process needs by itself, and what decoding takes for a moment, it stays below 512 MiB."""
+"""With what the process needs by itself, and what decoding takes for a moment, it stays below 768 MiB."""
 
 TENANT_SHARE = 0.75
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import re
 import struct
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import ParamSpec, TypeAlias, TypeVar
 
 import numpy as np
@@ -108,7 +109,6 @@ class CloudDecoder:
     def __init__(self, threads: int) -> None:
         """Clouds beyond `threads` wait for their turn."""
         self._pool = ThreadPoolExecutor(threads, "decode")
-        self._pool.submit(quantised.load_kernels)  # up to a second, which the first scan would wait for
         self._turns = Turns(threads, of_tenant=max(1, threads - 1))
 
     async def run(self, tenant: TenantId, work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
@@ -165,4 +165,14 @@ def _decoded(cloud: CloudInput) -> tuple[DecodedCloud, bytes | None]:
     data = decode_content(cloud.data, cloud.coding)
     if len(data) > limits.ASCII_CLOUD_BYTES and _ASCII_HEADER.search(data, 0, _HEADER_BYTES):
         raise TooLarge(f"an ASCII cloud may have {limits.ASCII_CLOUD_BYTES} bytes; send the binary form of the format")
-    return decode_cloud(data, cloud.content_type), data if data.startswith(quantised.MAGIC) else None
+    if not data.startswith(quantised.MAGIC):
+        return decode_cloud(data, cloud.content_type), None
+    _load_kernels()
+    return decode_cloud(data, cloud.content_type), data
+
+
+@cache
+def _load_kernels() -> None:
+    """With the first quantised cloud, which waits for up to a second; a start and its first searches would, too."""
+    quantised.load_kernels()
+    gc.freeze()  # a compiler's objects live on, and are many: see the gateway
