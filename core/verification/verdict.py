@@ -161,10 +161,8 @@ def _judged(
 ) -> tuple[LoopMeasurement, RejectionReason | None]:
     """What is measured of a registration, in the level frames, and the first gate that it does not pass."""
     evidence = gather_evidence(registration, OrientedPoints.of(query), OrientedPoints.of(match), config)
+    enough = max(config.min_common, config.min_common_share * min(query.standing_count, match.standing_count))
     measurement = _measure(fit, registration, evidence, similarity, config)
-    sure = evidence.overlap >= config.sure_overlap and measurement.score >= config.sure_score
-    share = min(config.min_common_share, config.min_common_share_sure) if sure else config.min_common_share
-    enough = max(config.min_common, share * min(query.standing_count, match.standing_count))
     return measurement, _rejection(registration, evidence, measurement.score, enough, config)
 
 
