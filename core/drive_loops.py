@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
@@ -53,6 +53,7 @@ class DriveLoops:
         self._T_odom_query = np.array([loop.query.T_odom_submap for loop in loops])
         self._T_odom_match = np.array([loop.match.T_odom_submap for loop in loops])
 
+    @cached_property
     def refuted(self) -> NDArray[np.bool_]:
         """Which loops (n,) of one drive cannot be believed, for what its odometry says: however poor, it is no lie."""
         if not self._loops:
@@ -79,7 +80,7 @@ class DriveLoops:
         Poses that are one, once.
         """
         T_match_odom, T_odom_query = se3.inverse(self._T_odom_match[row]), self._T_odom_query[row]
-        found = [T_match_odom @ T_odom_query] if self.refuted()[row] else []
+        found = [T_match_odom @ T_odom_query] if self.refuted[row] else []
         against = np.flatnonzero(self._against[row] & self._speaks[row]).tolist()
         for other in sorted(against, key=lambda one: float(self._way_m[row, one])):
             pose, allowed_m = T_match_odom @ self._frames[other][0] @ T_odom_query, self._allowed_m[row, other]
@@ -89,13 +90,14 @@ class DriveLoops:
 
     def neighbours(self, row: int) -> list[NeighbourLoop]:
         """What the loops within reach of that in `row` say of its pair."""
-        near = np.flatnonzero(self._within_reach[row]).tolist()
-        return [self._neighbour(row, other) for other in near if other != row]
+        return [self._neighbour(row, other) for other in self._near(row)]
 
     def has_accepted_neighbour(self, row: int) -> bool:
         """Whether any of `neighbours` is accepted."""
-        near = np.flatnonzero(self._within_reach[row]).tolist()
-        return any(self._loops[other].accepted for other in near if other != row)
+        return any(self._loops[other].accepted for other in self._near(row))
+
+    def _near(self, row: int) -> list[int]:
+        return [other for other in np.flatnonzero(self._within_reach[row]).tolist() if other != row]
 
     @cached_property
     def _within_reach(self) -> NDArray[np.bool_]:
@@ -109,7 +111,7 @@ class DriveLoops:
     @cached_property
     def _speaks(self) -> NDArray[np.bool_]:
         """Which loop (second) says anything of the pair of which (first), itself included."""
-        speaks = (self._way_m <= _FAR_REACHES * self._config.support_reach) & ~self.refuted()
+        speaks = (self._way_m <= _FAR_REACHES * self._config.support_reach) & ~self.refuted
         np.fill_diagonal(speaks, True)
         return speaks
 
@@ -145,14 +147,11 @@ class DriveLoops:
         """The way (n,) between the two submaps of each loop, where they are of one drive."""
         apart_m = np.linalg.norm(self._T_odom_query[:, :3, 3] - self._T_odom_match[:, :3, 3], axis=1)
         ordinals = np.array([loop.query.ordinal - loop.match.ordinal for loop in self._loops])
-        return np.asarray(np.maximum(apart_m, self._stride_m * np.abs(ordinals)))
+        return least_way_m(apart_m, ordinals, self._stride_m)
 
     @cached_property
     def _way_m(self) -> Array:
-        """The way of both drives together over which odometry carries each pose to each pair, (n, n) metres at least.
-
-        Submaps of a drive lie apart by the crow's flight, and by a stride for each that was begun between them.
-        """
+        """The way of both drives over which odometry carries each pose to each pair, (n, n) metres at least."""
         queries = [loop.query.ordinal for loop in self._loops]
         matches = [loop.match.ordinal for loop in self._loops]
         return self._way_on(self._T_odom_query, queries) + self._way_on(self._T_odom_match, matches)
@@ -160,7 +159,7 @@ class DriveLoops:
     def _way_on(self, T_odom: Poses, ordinals: Sequence[int]) -> Array:
         position_m, numbers = T_odom[:, :3, 3], np.array(ordinals)
         apart_m = np.linalg.norm(position_m[:, None] - position_m[None], axis=2)
-        return np.asarray(np.maximum(apart_m, self._stride_m * np.abs(numbers[:, None] - numbers[None])))
+        return least_way_m(apart_m, numbers[:, None] - numbers[None], self._stride_m)
 
     @cached_property
     def _frames(self) -> list[Poses]:
@@ -176,6 +175,14 @@ class DriveLoops:
         one, told = self._loops[row], self._loops[other]
         query_m, match_m = _ahead_m(one.query, told.query), _ahead_m(one.match, told.match)
         return NeighbourLoop(told.accepted, tuple(poses), query_m, match_m, float(self._way_m[row, other]))
+
+
+def least_way_m(apart_m: ArrayLike, ordinals_apart: ArrayLike, stride_m: float) -> Array:
+    """At least so many metres of way lie between submaps of a drive, all of one shape.
+
+    They lie apart by the crow's flight, and by a stride for each that was begun between them.
+    """
+    return np.maximum(apart_m, stride_m * np.abs(ordinals_apart))
 
 
 def _ahead_m(submap: DriveSubmap, other: DriveSubmap) -> float:

@@ -76,11 +76,6 @@ def decode(data: bytes, limits: CloudLimits) -> DecodedCloud:
     return DecodedCloud(points, columns.intensities(planes[12 * count :], count, intensity_step))
 
 
-def load_kernels() -> None:
-    """Load what `decode` runs, so that the first cloud does not wait for it."""
-    decode(encode(np.zeros((1, 3)), np.ones(1)), CloudLimits())
-
-
 def _quantise_intensity(intensity: NDArray[np.float32]) -> tuple[float, NDArray[np.int64]]:
     if not np.isfinite(intensity).all() or (intensity < 0).any():
         raise BadField("an intensity must be finite and not negative to be quantised", field="intensity")

@@ -167,12 +167,15 @@ def _decoded(cloud: CloudInput) -> tuple[DecodedCloud, bytes | None]:
         raise TooLarge(f"an ASCII cloud may have {limits.ASCII_CLOUD_BYTES} bytes; send the binary form of the format")
     if not data.startswith(quantised.MAGIC):
         return decode_cloud(data, cloud.content_type), None
-    _load_kernels()
-    return decode_cloud(data, cloud.content_type), data
+    decoded = decode_cloud(data, cloud.content_type)
+    _keep_compiler()
+    return decoded, data
 
 
 @cache
-def _load_kernels() -> None:
-    """With the first quantised cloud, which waits for up to a second; a start and its first searches would, too."""
-    quantised.load_kernels()
-    gc.freeze()  # a compiler's objects live on, and are many: see the gateway
+def _keep_compiler() -> None:
+    """The first quantised cloud has loaded a compiler, whose many objects live on: as the gateway does after its start.
+
+    That cloud waits for up to a second; loaded before, a start and its first searches would.
+    """
+    gc.freeze()

@@ -127,7 +127,7 @@ def contradicted(loops: Sequence[Beside], config: VerificationConfig, stride_m: 
     for drives in _by_drives(loops):
         speaking = [loop for loop in drives if loop.speaks]
         between = _between_drives(speaking, config, stride_m)
-        refuted = between.refuted()
+        refuted = between.refuted
         for row in np.flatnonzero(refuted | between.contradicted()).tolist():
             loop, others = speaking[row], [*speaking[:row], *speaking[row + 1 :]]
             if loop.accepted_by_itself and not loop.by_hand:

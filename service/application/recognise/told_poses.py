@@ -15,6 +15,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from revisit.core.config import PipelineConfig
+from revisit.core.drive_loops import least_way_m
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.core.neighbour_support import NeighbourLoop, told_pose
@@ -119,7 +120,7 @@ def _child(parent: Sequence[float], T_parent_child: Matrix4) -> Matrix4:
 
 def _way_between(submap: SubmapRecord, other: SubmapRecord, stride_m: float) -> float:
     apart_m = math.dist(submap.position_m, other.position_m)
-    return max(apart_m, stride_m * abs(other.ordinal - submap.ordinal))
+    return float(least_way_m(apart_m, other.ordinal - submap.ordinal, stride_m))
 
 
 def _said(T_match_query: Matrix4, way_m: float) -> NeighbourLoop:

@@ -89,16 +89,16 @@ def within_drive(off_m: float, ordinals_apart: int, yaw_rad: float = 0.0) -> Dri
 
 def test_a_loop_of_one_drive_is_refuted_by_what_its_odometry_cannot_have_drifted() -> None:
     for off_m, ordinals_apart, refuted in ((25.0, 50, False), (49.0, 50, True), (113.0, 78, True), (5.0, 50, False)):
-        (found,) = DriveLoops([within_drive(off_m, ordinals_apart)], STRIDE_M, CONFIG).refuted()
+        (found,) = DriveLoops([within_drive(off_m, ordinals_apart)], STRIDE_M, CONFIG).refuted
         assert found == refuted
     two_drives = within_drive(113.0, 78)
-    assert not DriveLoops([replace(two_drives, one_drive=False)], STRIDE_M, CONFIG).refuted().any()
+    assert not DriveLoops([replace(two_drives, one_drive=False)], STRIDE_M, CONFIG).refuted.any()
 
 
 def test_a_refuted_loop_says_nothing_of_others() -> None:
     false, right = within_drive(113.0, 78), within_drive(0.3, 79)
     between = DriveLoops([false, right], STRIDE_M, CONFIG)
-    assert list(between.refuted()) == [True, False] and not between.contradicted()[1]
+    assert list(between.refuted) == [True, False] and not between.contradicted()[1]
     np.testing.assert_allclose(between.other_poses(0)[0], false.query.T_odom_submap, atol=1e-9)
 
 
