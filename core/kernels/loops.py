@@ -20,3 +20,8 @@ def loop(function: Function) -> Function:
     compiled so cannot leak, because it owns nothing; one that makes an array is refused by the compiler.
     """
     return cast(Function, numba.njit(**_OPTIONS)(function))
+
+
+def sums(function: Function) -> Function:
+    """As `loop`; the order of sums is left to the compiler, so that it adds several numbers at once."""
+    return cast(Function, numba.njit(fastmath={"reassoc", "contract"}, **_OPTIONS)(function))

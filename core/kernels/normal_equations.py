@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from revisit.core.kernels.loops import sums
 
 Array64 = NDArray[np.float64]
 
@@ -12,22 +13,20 @@ CHUNK = 256
 """Pairs that are collected before they are summed up: as many as stay near the processor."""
 
 
-@numba.njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
+@sums
 def add_normal_equations(rows: Array64, count: int, hessian: Array64, gradient: Array64) -> None:
-    """Adds the first `count` columns of `rows` (8, k) to the lower half of `hessian` (6, 6) and to `gradient` (6,).
+    """Adds the first `count` columns of `rows` (9, k) to the lower half of `hessian` (6, 6) and to `gradient` (6,).
 
-    A column is the derivative (6,) of a residual, the residual and its weight. The order of the sums is left to the
-    compiler.
+    A column is the derivative (6,) of a residual, the residual and its weight; the last row is for use here.
     """
-    weighted = np.empty(count)
     for a in range(6):
         total = 0.0
         for k in range(count):
-            weighted[k] = rows[7, k] * rows[a, k]
-            total += weighted[k] * rows[6, k]
+            rows[8, k] = rows[7, k] * rows[a, k]
+            total += rows[8, k] * rows[6, k]
         gradient[a] += total
         for b in range(a + 1):
             total = 0.0
             for k in range(count):
-                total += weighted[k] * rows[b, k]
+                total += rows[8, k] * rows[b, k]
             hessian[a, b] += total

@@ -1,7 +1,10 @@
-"""Surface points with their normals, each in one record of half a cache line, sorted for searches in vertical columns.
+"""Surface points with their normals, sorted for searches in vertical columns (docs/decisions/0241).
 
-A search takes all points of the columns around without asking whether a column can still hold a nearer one: a step
-that a processor guesses wrong costs more than the few distances it saves.
+A search takes all points of the columns around, LANES at a time, without asking whether a column can still hold a
+nearer one: a step that a processor guesses wrong costs more than the few distances it saves. Where the points of the
+columns do not fill the last LANES, those that follow are looked at, too: they are points of the surface as well.
+
+Distance and row are compared as one whole number: the bits of a positive float are in the order of its value.
 """
 
 from __future__ import annotations
@@ -17,12 +20,18 @@ from revisit.core.kernels.point_columns import columns_of, span
 Array64 = NDArray[np.float64]
 Records = NDArray[np.float32]
 
+LANES = 16
+"""Points whose distances are computed at once."""
+
+_FAR = np.float32(1e9)  # where nothing is: its square is a float, too
+_ROW = np.int64(0xFFFFFFFF)  # the half of a rank that is the row
+
 
 class Patches(NamedTuple):
     """Small planes of a surface in the order of their columns.
 
     records (n, 8) float32: position, 0, unit normal, 0; rows (n,) int32, those before the sorting; keys, grid, low and
-    shape as in `PointColumns`.
+    shape as in `PointColumns`; places (3, n + LANES) float32, the positions, coordinates one after the other.
     """
 
     records: Records
@@ -31,6 +40,7 @@ class Patches(NamedTuple):
     grid: NDArray[np.int32]
     low: NDArray[np.int64]
     shape: NDArray[np.int64]
+    places: Records
 
 
 def patches_of(points: Array64, normals: Array64, edge: float) -> Patches:
@@ -38,33 +48,34 @@ def patches_of(points: Array64, normals: Array64, edge: float) -> Patches:
     columns = columns_of(points, edge)
     records = np.zeros((len(points), 8), dtype=np.float32)
     records[:, :3], records[:, 4:7] = columns.points, normals[columns.rows]
-    return Patches(records, columns.rows, columns.keys, columns.grid, columns.low, columns.shape)
+    places = np.full((3, len(points) + LANES), _FAR)
+    places[:, : len(points)] = records[:, :3].T
+    return Patches(records, columns.rows, columns.keys, columns.grid, columns.low, columns.shape, places)
 
 
 @numba.njit(inline="always")
 def nearest_patch(
-    records: Records, keys: NDArray[np.int64], grid: NDArray[np.int32], x_low: int, y_low: int, width: int, depth: int,
+    places: Records, keys: NDArray[np.int64], grid: NDArray[np.int32], x_low: int, y_low: int, width: int, depth: int,
     edge: float, reach: float, px: float, py: float, pz: float,
 ) -> int:  # fmt: skip
-    """The sorted row of the patch nearest to (px, py, pz) and nearer than `reach`, or -1."""
+    """The sorted row of the patch nearest to (px, py, pz) and nearer than `reach`, or -1. Of two the first."""
     qx, qy, qz, inverse = np.float32(px), np.float32(py), np.float32(pz), np.float32(1.0 / edge)
-    nearest, least, rings = -1, np.float32(reach * reach), int(np.ceil(reach / edge))
+    limit, rings = _ranked(np.float32(reach * reach), 0), int(np.ceil(reach / edge))
     x, y = int(np.floor(qx * inverse)) - x_low, int(np.floor(qy * inverse)) - y_low
     y_first, y_end = max(y - rings, 0), min(y + rings, depth - 1) + 1
-    if y_first >= y_end:
-        return -1
-    for column in range(max(x - rings, 0), min(x + rings, width - 1) + 1):
-        for i in range(*_between(keys, grid, column * depth + y_first, column * depth + y_end)):
-            dx, dy, dz = records[i, 0] - qx, records[i, 1] - qy, records[i, 2] - qz
-            squared = dx * dx + dy * dy + dz * dz
-            nearest = i if squared < least else nearest
-            least = min(least, squared)
-    return nearest
+    least = limit
+    if y_first < y_end:
+        for column in range(max(x - rings, 0), min(x + rings, width - 1) + 1):
+            first, end = _between(keys, grid, column * depth + y_first, column * depth + y_end)
+            for block in range(first, end, LANES):
+                for k in range(LANES):
+                    least = min(least, _rank(places, block + k, qx, qy, qz))
+    return int(least & _ROW) if least < limit else -1
 
 
 @numba.njit(inline="always")
 def two_nearest(
-    records: Records, keys: NDArray[np.int64], grid: NDArray[np.int32], x_low: int, y_low: int, width: int, depth: int,
+    places: Records, keys: NDArray[np.int64], grid: NDArray[np.int32], x_low: int, y_low: int, width: int, depth: int,
     edge: float, reach: float, px: float, py: float, pz: float,
 ) -> tuple[int, float, float]:  # fmt: skip
     """The sorted row of the patch nearest to (px, py, pz), or -1, and the distances of it and of the next one.
@@ -73,8 +84,8 @@ def two_nearest(
     those farther away only where they can hold one of the two.
     """
     qx, qy, qz = np.float32(px), np.float32(py), np.float32(pz)
-    nearest, least = -1, np.float32(reach * reach)
-    next_least = least
+    limit = _ranked(np.float32(reach * reach), 0)
+    least, next_least, home, home_end = limit, limit, 0, 0
     x_home, y_home = int(np.floor(px / edge)), int(np.floor(py / edge))
     aside = min(px - x_home * edge, py - y_home * edge)
     aside = edge + min(aside, min((x_home + 1) * edge - px, (y_home + 1) * edge - py))
@@ -87,16 +98,48 @@ def two_nearest(
                 if inside:
                     y_first, y_last = (y_first, y_home - 2) if part == 0 else (y_home + 2, y_last)
                 first, last = span(keys, grid, width, depth, x - x_low, y_first - y_low, y_last - y_low)
-                for i in range(first, last):
-                    dx, dy, dz = records[i, 0] - qx, records[i, 1] - qy, records[i, 2] - qz
-                    squared = dx * dx + dy * dy + dz * dz
-                    next_least = min(next_least, max(least, squared))
-                    nearest = i if squared < least else nearest
-                    least = min(least, squared)
-        if next_least <= aside * aside or turn == 1:
+                for block in range(first, last, LANES):
+                    here = _least_rank(places, block, last, -1, limit, qx, qy, qz)
+                    next_least = min(next_least, max(least, here))
+                    home, home_end = (block, last) if here < least else (home, home_end)
+                    least = min(least, here)
+        next_least = min(next_least, _least_rank(places, home, home_end, int(least & _ROW), limit, qx, qy, qz))
+        farthest = _squared(next_least)
+        if farthest <= aside * aside or turn == 1:
             break
-        rings = int(np.ceil(np.sqrt(next_least) / edge))
-    return nearest, float(np.sqrt(least)), float(np.sqrt(next_least))
+        rings = int(np.ceil(np.sqrt(farthest) / edge))
+    nearest = int(least & _ROW) if least < limit else -1
+    return nearest, float(np.sqrt(_squared(least))), float(np.sqrt(_squared(next_least)))
+
+
+@numba.njit(inline="always")
+def _least_rank(
+    places: Records, block: int, end: int, but: int, limit: int, qx: np.float32, qy: np.float32, qz: np.float32
+) -> int:
+    """The least rank, at most `limit`, of the LANES patches from `block` on that lie before `end` and are not `but`."""
+    least = limit
+    for k in range(LANES):
+        here = _rank(places, block + k, qx, qy, qz)
+        least = min(least, here if (block + k < end) & (block + k != but) else limit)
+    return least
+
+
+@numba.njit(inline="always")
+def _rank(places: Records, row: int, qx: np.float32, qy: np.float32, qz: np.float32) -> int:
+    """The squared distance of a patch and its row as one number, in the order of the distances."""
+    i = np.uint64(row)
+    dx, dy, dz = places[0, i] - qx, places[1, i] - qy, places[2, i] - qz
+    return _ranked(np.float32(dx * dx + dy * dy + dz * dz), row)
+
+
+@numba.njit(inline="always")
+def _ranked(squared: np.float32, row: int) -> int:
+    return int((np.int64(np.float32(squared).view(np.int32)) << 32) | np.int64(row))
+
+
+@numba.njit(inline="always")
+def _squared(rank: int) -> np.float32:
+    return np.int32(rank >> 32).view(np.float32)
 
 
 @numba.njit(inline="always")

@@ -6,6 +6,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.kernels.loops import loop
 from revisit.core.kernels.normal_equations import CHUNK, add_normal_equations
 from revisit.core.kernels.patches import Patches, two_nearest
 
@@ -16,7 +17,6 @@ _DAMPING = 1e-6
 _WIDER = 1.1  # how much farther ICP looks than it reaches, so that a point without a counterpart is not asked again
 
 
-@numba.njit(cache=True, error_model="numpy")
 def aligned(
     T_start: Array64, points: Array64, normals: Array64, patches: Patches, edge: float, reach: float, rounds: int,
     facing_alike: float, robust: float, fewest: int,
@@ -29,10 +29,25 @@ def aligned(
     A point that has moved by less than half the difference of the distances to its nearest and next point since it was
     looked for still has the same nearest one: later steps are small, and most points are not looked for again.
     """
-    records, keys, grid = patches.records, patches.keys, patches.grid
+    pose, found, known = T_start.copy(), np.full(len(points), -1, np.int32), np.full((len(points), 4), np.nan)
+    sums = np.empty((9, CHUNK)), np.empty((6, 6)), np.empty(6)
+    _align(points, normals, patches, edge, reach, rounds, facing_alike, robust, fewest, found, known, *sums, pose)
+    return pose
+
+
+@loop
+def _align(
+    points: Array64, normals: Array64, patches: Patches, edge: float, reach: float, rounds: int, facing_alike: float,
+    robust: float, fewest: int, found: NDArray[np.int32], known: Array64, rows: Array64, hessian: Array64,
+    gradient: Array64, pose: Array64,
+) -> None:  # fmt: skip
+    """Move `pose`. `rows` (9, CHUNK), `hessian` and `gradient` are for its use.
+
+    Of each point `found` (n,) is the row of its nearest patch, -1 for none, and `known` (n, 4) where it was when that
+    was looked for, and the square of how far it may go.
+    """
+    records, places, keys, grid = patches.records, patches.places, patches.keys, patches.grid
     x_low, y_low, width, depth = patches.low[0], patches.low[1], patches.shape[0], patches.shape[1]
-    pose, hessian, gradient, rows = T_start.copy(), np.empty((6, 6)), np.empty(6), np.empty((8, CHUNK))
-    found, known = np.full(len(points), -1, dtype=np.int32), np.full((len(points), 4), np.nan)
     for _ in range(rounds):
         hessian[:], gradient[:] = 0.0, 0.0
         pairs, filled = 0, 0
@@ -41,7 +56,7 @@ def aligned(
             moved = (x - known[n, 0]) ** 2 + (y - known[n, 1]) ** 2 + (z - known[n, 2]) ** 2
             if not moved < known[n, 3]:
                 found[n], nearest, following = two_nearest(
-                    records, keys, grid, x_low, y_low, width, depth, edge, _WIDER * reach, x, y, z
+                    places, keys, grid, x_low, y_low, width, depth, edge, _WIDER * reach, x, y, z
                 )
                 # where there is none, it may come as near as `reach` before it is looked for again
                 margin = 0.5 * (following - nearest) if found[n] >= 0 else (_WIDER - 1.0) * reach
@@ -66,10 +81,9 @@ def aligned(
         add_normal_equations(rows, filled, hessian, gradient)
         if pairs + filled < fewest or _stepped(pose, hessian, gradient):
             break
-    return pose
 
 
-@numba.njit(cache=True, error_model="numpy")
+@loop
 def _stepped(pose: Array64, hessian: Array64, gradient: Array64) -> bool:
     """Whether the step of the normal equations, by which `pose` (4, 4) moves, was a tiny one."""
     _solve(hessian, gradient)
@@ -88,7 +102,7 @@ def _moved(pose: Array64, x: float, y: float, z: float, shift: float) -> tuple[f
     )
 
 
-@numba.njit(cache=True, error_model="numpy")
+@loop
 def _solve(hessian: Array64, gradient: Array64) -> None:
     """The damped Gauss-Newton step in place of `gradient` (6,), from the lower half of `hessian` (6, 6): Cholesky."""
     damping = 0.0
@@ -113,26 +127,29 @@ def _solve(hessian: Array64, gradient: Array64) -> None:
         gradient[a] = -gradient[a]
 
 
-@numba.njit(cache=True, error_model="numpy")
+@loop
 def _step(pose: Array64, tangent: Array64) -> None:
     """`pose` (4, 4) becomes exp(tangent) pose, as `se3.exp` says, tangent (x, y, z, rx, ry, rz)."""
-    angle = np.sqrt(tangent[3] ** 2 + tangent[4] ** 2 + tangent[5] ** 2)
+    tx, ty, tz, rx, ry, rz = tangent[0], tangent[1], tangent[2], tangent[3], tangent[4], tangent[5]
+    angle = np.sqrt(rx * rx + ry * ry + rz * rz)
     a, b, c = 1.0, 0.5, 1.0 / 6.0
     if angle >= 1e-8:
         a, b = np.sin(angle) / angle, 2.0 * (np.sin(0.5 * angle) / angle) ** 2
         c = (angle - np.sin(angle)) / angle**3
-    hat, square = np.zeros((3, 3)), np.zeros((3, 3))
-    hat[0, 1], hat[0, 2], hat[1, 2] = -tangent[5], tangent[4], -tangent[3]
-    hat[1, 0], hat[2, 0], hat[2, 1] = tangent[5], -tangent[4], tangent[3]
-    moved = np.zeros((4, 4))
-    for i in range(3):
-        for j in range(3):
-            for k in range(3):
-                square[i, j] += hat[i, k] * hat[k, j]
-    for i in range(3):
-        for j in range(3):
-            one = 1.0 if i == j else 0.0
-            moved[i, 3] += (one + b * hat[i, j] + c * square[i, j]) * tangent[j]
-            for k in range(4):
-                moved[i, k] += (one + a * hat[i, j] + b * square[i, j]) * pose[j, k]
-    pose[:3] = moved[:3]
+    for j in range(4):  # the rotation of a vector: 1 + a hat + b hat^2, with hat v = r x v
+        x, y, z = pose[0, j], pose[1, j], pose[2, j]
+        pose[0, j], pose[1, j], pose[2, j] = _turned(rx, ry, rz, x, y, z, a, b)
+    x, y, z = _turned(rx, ry, rz, tx, ty, tz, b, c)
+    pose[0, 3] += x
+    pose[1, 3] += y
+    pose[2, 3] += z
+
+
+@numba.njit(inline="always")
+def _turned(
+    rx: float, ry: float, rz: float, x: float, y: float, z: float, once: float, twice: float
+) -> tuple[float, float, float]:
+    """v + once (r x v) + twice (r x (r x v))."""
+    hx, hy, hz = ry * z - rz * y, rz * x - rx * z, rx * y - ry * x
+    gx, gy, gz = ry * hz - rz * hy, rz * hx - rx * hz, rx * hy - ry * hx
+    return x + once * hx + twice * gx, y + once * hy + twice * gy, z + once * hz + twice * gz
