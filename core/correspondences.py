@@ -43,23 +43,31 @@ def correspond(query: Place, match: Place, limit: int) -> Correspondences:
     A patch may look alike directly or turned by 180 degrees. The better of the two decides about the yaw.
     """
     kept, changed = (
-        query.descriptors[:, side] @ match.descriptors[:, side].T for side in (query.parity > 0, query.parity <= 0)
+        one @ other.T for one, other in zip(query.kept(_by_parity), match.kept(_by_parity), strict=True)
     )
     likeness = kept + np.abs(changed)  # the larger one of kept + changed (direct) and kept - changed (turned)
     pairs = _mutual_best(likeness)
-    pairs = pairs[np.argsort(-likeness[pairs[:, 0], pairs[:, 1]], kind="stable")][:limit]
-    rows, columns = pairs[:, 0], pairs[:, 1]
+    pairs = pairs[np.argsort(-likeness.ravel()[pairs], kind="stable")][:limit]
+    rows, columns = np.divmod(pairs, likeness.shape[1])
     yaws = match.orientations[columns].astype(np.float64) - query.orientations[rows]
     yaws = yaws + np.pi * (changed[rows, columns] < 0)
     points = query.keypoints[rows].astype(np.float64), match.keypoints[columns].astype(np.float64)
-    return Correspondences(pairs, *points, yaws)
+    return Correspondences(np.stack([rows, columns], axis=1), *points, yaws)
+
+
+def _by_parity(place: Place) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """The descriptors in two parts: numbers that half a turn leaves as they are, and those that change their sign."""
+    return place.descriptors[:, place.parity > 0], place.descriptors[:, place.parity <= 0]
 
 
 def _mutual_best(likeness: NDArray[np.floating]) -> NDArray[np.int64]:
-    """The distinct pairs (p, 2) of each row with its best column and of each column with its best row."""
-    if likeness.size == 0:
-        return np.zeros((0, 2), np.int64)
+    """The distinct pairs (p,) of each row with its best column and of each column with its best row, in order.
+
+    A pair is its place in `likeness` (rows, columns), counted row by row.
+    """
     rows, columns = likeness.shape
-    forward = np.arange(rows) * columns + likeness.argmax(axis=1)
-    backward = likeness.argmax(axis=0) * columns + np.arange(columns)
-    return np.stack(np.divmod(np.unique(np.concatenate([forward, backward])), columns), axis=1)
+    chosen = np.zeros(likeness.size, dtype=np.bool_)
+    if likeness.size:
+        chosen[np.arange(rows) * columns + likeness.argmax(axis=1)] = True
+        chosen[likeness.argmax(axis=0) * columns + np.arange(columns)] = True
+    return np.flatnonzero(chosen)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from revisit.core.config import VerificationConfig
 from revisit.core.correspondences import Correspondences
 from revisit.core.geometry.se2 import PlanarPose, least_squares_pose
+from revisit.core.kernels.planar_refinement import refine_planar_pose
 from revisit.core.kernels.two_point_vote import best_two_point_pose
 
 _REFINEMENTS = 3
@@ -30,16 +31,23 @@ def fit_planar_pose(correspondences: Correspondences, config: VerificationConfig
     Every two correspondences propose a pose and all vote, so nothing is random. Least squares on those that agree then
     refine the winner. `inliers` counts distinct keypoints.
     """
-    source, target, yaws = correspondences.query_points, correspondences.match_points, correspondences.yaws
-    yaw_tolerance = np.radians(config.yaw_tolerance)
-    best = best_two_point_pose(source, target, yaws, config.keypoint_tolerance, yaw_tolerance)
-    pose = PlanarPose(float(best[0]), best[1:3])
+    yaw_tolerance, agree = np.radians(config.yaw_tolerance), np.zeros(len(correspondences), dtype=np.bool_)
+    given = correspondences.query_points, correspondences.match_points, correspondences.yaws
+    best = best_two_point_pose(*given, config.keypoint_tolerance, yaw_tolerance)[:3]
+    refine_planar_pose(*given, config.keypoint_tolerance, yaw_tolerance, _REFINEMENTS, best, agree)
+    return _fit_of(PlanarPose(float(best[0]), best[1:]), agree, correspondences)
+
+
+def plain_refined(
+    pose: PlanarPose, correspondences: Correspondences, config: VerificationConfig
+) -> tuple[PlanarPose, NDArray[np.bool_]]:
+    """The plain form of the compiled refinement: the pose, and which correspondences (n,) agreed with the one before."""
     for _ in range(_REFINEMENTS):
         agree = correspondences.agreeing(pose, config)
         if agree.sum() < 2:
-            return KeypointFit(pose, int(agree.sum()), len(correspondences))
-        pose = least_squares_pose(source[agree], target[agree])
-    return _fit_of(pose, agree, correspondences)
+            break
+        pose = least_squares_pose(correspondences.query_points[agree], correspondences.match_points[agree])
+    return pose, agree
 
 
 def fit_of_pose(pose: PlanarPose, correspondences: Correspondences, config: VerificationConfig) -> KeypointFit:
@@ -48,5 +56,5 @@ def fit_of_pose(pose: PlanarPose, correspondences: Correspondences, config: Veri
 
 
 def _fit_of(pose: PlanarPose, agree: NDArray[np.bool_], correspondences: Correspondences) -> KeypointFit:
-    distinct = min(len(np.unique(side)) for side in correspondences.pairs[agree].T)
+    distinct = min(len(set(side)) for side in correspondences.pairs[agree].T.tolist())
     return KeypointFit(pose, distinct, len(correspondences))

@@ -15,7 +15,7 @@ from revisit.core.correspondences import Correspondences, correspond
 from revisit.core.geometry.se2 import PlanarPose, angle_between
 from revisit.core.kernels.two_point_vote import SHORTEST_BASE, best_two_point_pose
 from revisit.core.place import Place
-from revisit.core.verification.keypoint_fit import fit_planar_pose
+from revisit.core.verification.keypoint_fit import fit_planar_pose, plain_refined
 
 CONFIG = VerificationConfig()
 TOLERANCE, YAW_TOLERANCE = CONFIG.keypoint_tolerance, np.radians(CONFIG.yaw_tolerance)
@@ -69,6 +69,20 @@ def test_the_compiled_vote_is_the_plain_one(seed, count, share_true):
     assert found[3] == votes
     np.testing.assert_allclose(np.cos(found[0] - expected[0]), 1.0, atol=1e-12)
     np.testing.assert_allclose(found[1:3], expected[1:], atol=1e-9)
+
+
+@pytest.mark.parametrize(("seed", "true"), [(0, 60), (1, 12), (2, 2), (3, 0)])
+def test_the_compiled_refinement_is_the_plain_one(seed, true):
+    rng = np.random.default_rng(seed)
+    pose, source = PlanarPose(3.1, np.array([4.0, -7.0])), rng.uniform(-40, 40, (80, 2))
+    target = np.where(np.arange(80)[:, None] < true, pose.apply(source), rng.uniform(-300, 300, (80, 2)))
+    target, yaws = target + rng.normal(0, 0.3, (80, 2)), pose.yaw + rng.normal(0, 0.3, 80)
+    given = Correspondences(np.stack([np.arange(80), np.arange(80) // 2], axis=1), source, target, yaws)
+    found = fit_planar_pose(given, CONFIG)
+    best = best_two_point_pose(source, target, yaws, TOLERANCE, YAW_TOLERANCE)
+    expected, agree = plain_refined(PlanarPose(best[0], best[1:3]), given, CONFIG)
+    assert found.inliers == len(set((np.flatnonzero(agree) // 2).tolist()))
+    np.testing.assert_allclose([found.pose.yaw, *found.pose.translation], [expected.yaw, *expected.translation])
 
 
 def test_two_points_that_lie_too_near_propose_no_yaw():
