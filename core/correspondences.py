@@ -42,9 +42,7 @@ def correspond(query: Place, match: Place, limit: int) -> Correspondences:
 
     A patch may look alike directly or turned by 180 degrees. The better of the two decides about the yaw.
     """
-    kept, changed = (
-        one @ other.T for one, other in zip(query.kept(_by_parity), match.kept(_by_parity), strict=True)
-    )
+    kept, changed = (one @ other.T for one, other in zip(query.kept(_by_parity), match.kept(_by_parity), strict=True))
     likeness = kept + np.abs(changed)  # the larger one of kept + changed (direct) and kept - changed (turned)
     pairs = _mutual_best(likeness)
     pairs = pairs[np.argsort(-likeness.ravel()[pairs], kind="stable")][:limit]

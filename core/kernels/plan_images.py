@@ -6,6 +6,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.kernels.loops import loop
+
 Array64 = NDArray[np.float64]
 Images = NDArray[np.float32]
 
@@ -52,63 +54,87 @@ def layer_counts(points: Array64, pixel: float, size: int, layers: int, lowest: 
     return counts
 
 
-@numba.njit(cache=True, error_model="numpy")
-def layer_products(
-    standing: NDArray[np.complex64], seen: NDArray[np.complex64], layers: NDArray[np.complex64]
-) -> NDArray[np.complex64]:
-    """Spectra (8, y, x) of what `layers` (l, y, x) hits over all shifts, and of where it is seen.
+def hit_products(
+    standing: NDArray[np.complex64], layers: NDArray[np.complex64]
+) -> tuple[NDArray[np.complex64], NDArray[np.complex64]]:
+    """Spectra (4, y, x) of what `layers` (l, y, x), turned by 0 to 3 quarters, hit of `standing` over all shifts.
 
-    Of each, for the layers turned by 0 to 3 quarters: hits, then seen. `standing` (l, y, x) and `seen` (y, x) are the
-    spectra of the other place; all are halves of spectra of square images of which x is halved. A quarter turn of the
-    image turns its spectrum, but for one pixel in x; a half turn makes it its conjugate, but for one pixel in both,
-    which is left to `plan_peaks`.
+    And the sums (2, y, x) over the layers of those of which the conjugate, times the spectrum of where the other place
+    has seen, is that of what is seen of them: turned by none and one quarter. Two quarters more leave the conjugate
+    out. `standing` (l, y, x) are the spectra of the other place; all are halves of spectra of square images of which x
+    is halved. A quarter turn of the image turns its spectrum, but for one pixel in x; a half turn makes it its
+    conjugate, but for one pixel in both, which is left to who reads the shifts.
     """
-    count, rows, columns = layers.shape
-    found = np.zeros((8, rows, columns), dtype=np.complex64)
+    rows, columns = layers.shape[1:]
+    hits, totals = np.zeros((4, rows, 2 * columns), np.float32), np.zeros((2, rows, 2 * columns), np.float32)
     by_pixel = np.exp(2j * np.pi * np.arange(columns) / rows).astype(np.complex64)
-    for y in range(rows):
-        for layer in range(count):
-            for x in range(columns):
-                value, other = layers[layer, y, x], standing[layer, y, x]
-                if y < columns:
-                    turned = by_pixel[x] * layers[layer, -x, y]  # -0 is 0, -1 the last one
-                else:
-                    turned = by_pixel[x] * np.conj(layers[layer, x, rows - y])
-                found[0, y, x] += other * np.conj(value)
-                found[1, y, x] += other * np.conj(turned)
-                found[2, y, x] += other * value
-                found[3, y, x] += other * turned
-                found[4, y, x] += seen[y, x] * np.conj(value)
-                found[5, y, x] += seen[y, x] * np.conj(turned)
-                found[6, y, x] += seen[y, x] * value
-                found[7, y, x] += seen[y, x] * turned
-    return found
+    given = (np.ascontiguousarray(one).view(np.float32) for one in (standing, layers, by_pixel))
+    _multiply_layers(*given, np.empty(2 * columns, np.float32), hits, totals)
+    return hits.view(np.complex64), totals.view(np.complex64)
 
 
-@numba.njit(cache=True, error_model="numpy")
-def plan_shares(images: Images) -> tuple[Images, Images]:
-    """Of hits and seen (8, y, x) as of `layer_products`: hits over at least 1 of seen, and seen, both (4, y, x)."""
-    rows, columns = images.shape[1:]
-    shape = (4, rows, columns)
-    share, common = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
-    for quarter in range(4):
-        step = quarter // 2  # after a half turn each moves on by one pixel
+@loop
+def _multiply_layers(
+    standing: Images, layers: Images, by_pixel: Images, turned: Images, hits: Images, totals: Images
+) -> None:
+    """Add up `hits` and `totals`. All numbers are complex: pairs of real ones along x; `turned` is for its use."""
+    count, rows, columns = layers.shape[0], layers.shape[1], layers.shape[2] // 2
+    for layer in range(count):
         for y in range(rows):
             for x in range(columns):
-                seen = images[4 + quarter, y - step, x - step]  # -1 is the last one
-                common[quarter, y, x] = seen
-                share[quarter, y, x] = images[quarter, y - step, x - step] / max(seen, np.float32(1.0))
-    return share, common
+                if y < columns:
+                    up, right, sign = rows - x if x else 0, 2 * y, np.float32(1.0)
+                else:  # the half that is not there is the conjugate
+                    up, right, sign = x, 2 * (rows - y), np.float32(-1.0)
+                real, imaginary = layers[layer, up, right], sign * layers[layer, up, right + 1]
+                c, s = by_pixel[2 * x], by_pixel[2 * x + 1]
+                turned[2 * x], turned[2 * x + 1] = c * real - s * imaginary, c * imaginary + s * real
+            _add_products(standing[layer, y], layers[layer, y], hits[0, y], hits[2, y], totals[0, y])
+            _add_products(standing[layer, y], turned, hits[1, y], hits[3, y], totals[1, y])
 
 
-@numba.njit(cache=True, error_model="numpy")
+@loop
+def _add_products(standing: Images, layer: Images, hits: Images, hits_behind: Images, total: Images) -> None:
+    """Add a row of `standing` times the conjugate of `layer`, and times it, to the hits, and `layer` to `total`."""
+    for x in range(np.uint64(len(layer) // 2)):
+        u, v = np.uint64(2 * x), np.uint64(2 * x + 1)
+        a, b, p, q = layer[u], layer[v], standing[u], standing[v]
+        hits[u] += p * a + q * b
+        hits[v] += q * a - p * b
+        hits_behind[u] += p * a - q * b
+        hits_behind[v] += q * a + p * b
+    for x in range(np.uint64(len(layer))):
+        total[x] += layer[x]
+
+
+def plan_shares(hits: Images, seen: Images, least: float) -> Images:
+    """Hits over at least 1 of seen, all (q, y, x); 0 where fewer than `least` are seen."""
+    shares = np.empty(hits.shape, dtype=np.float32)
+    _divide(hits.reshape(-1), seen.reshape(-1), np.float32(least), shares.reshape(-1))
+    return shares
+
+
+@loop
+def _divide(hits: Images, seen: Images, least: np.float32, shares: Images) -> None:
+    """Fill `shares` (n,)."""
+    for k in range(np.uint64(len(hits))):
+        common = seen[k]
+        shares[k] = hits[k] / max(common, np.float32(1.0)) if common >= least else np.float32(0.0)
+
+
 def plan_peaks(share: Images, least: float, apart: float) -> NDArray[np.int64]:
-    """Quarter, row and column (p, 3) of the local maxima of `share` (4, y, x) of at least `least`.
+    """Image, row and column (p, 3) of the local maxima of `share` (q, y, x) of at least `least`.
 
-    The edges go round. Where nothing is turned none counts within `apart` pixels of no shift.
+    The edges go round. In the first image none counts within `apart` pixels of no shift.
     """
+    found = np.empty((share.size, 3), dtype=np.int64)
+    return found[: _find_peaks(share, least, apart, found)]
+
+
+@loop
+def _find_peaks(share: Images, least: float, apart: float, found: NDArray[np.int64]) -> int:
+    """Fill the first rows of `found` (n, 3); returns how many there are."""
     count, rows, columns = share.shape
-    found = np.empty((count * rows * columns, 3), dtype=np.int64)
     peaks = 0
     for quarter in range(count):
         for y in range(rows):
@@ -121,6 +147,6 @@ def plan_peaks(share: Images, least: float, apart: float) -> NDArray[np.int64]:
                     for dx in range(-1, 2):
                         highest &= here >= share[quarter, (y + dy) % rows, (x + dx) % columns]
                 if highest:
-                    found[peaks] = quarter, y, x
+                    found[peaks, 0], found[peaks, 1], found[peaks, 2] = quarter, y, x
                     peaks += 1
-    return found[:peaks]
+    return peaks

@@ -41,7 +41,7 @@ def fit_planar_pose(correspondences: Correspondences, config: VerificationConfig
 def plain_refined(
     pose: PlanarPose, correspondences: Correspondences, config: VerificationConfig
 ) -> tuple[PlanarPose, NDArray[np.bool_]]:
-    """The plain form of the compiled refinement: the pose, and which correspondences (n,) agreed with the one before."""
+    """The plain form of the compiled refinement: the pose, and which (n,) agreed with the one before."""
     for _ in range(_REFINEMENTS):
         agree = correspondences.agreeing(pose, config)
         if agree.sum() < 2:

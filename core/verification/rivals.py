@@ -15,7 +15,7 @@ from scipy.ndimage import maximum_filter
 
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
-from revisit.core.kernels.plan_images import layer_counts, layer_products, plan_peaks, plan_shares
+from revisit.core.kernels.plan_images import hit_products, layer_counts, plan_peaks, plan_shares
 from revisit.core.verification.evidence import mutually_seen_through
 from revisit.core.verification.oriented_points import OrientedPoints, shared_shares
 from revisit.core.verification.registration import iterate_all
@@ -30,6 +30,7 @@ _NEAR_STEP_M = 0.4  # half of what stands across a rack, and half of a pixel of 
 _LAYERS = 4
 _LAYER_M = 1.5
 _LOWEST_M = -2.0
+_NEARLY = 0.99  # counts by correlation are a little off
 
 
 @dataclass(frozen=True)
@@ -131,10 +132,10 @@ def propose(
     """Poses at local maxima of the coarse overlap over shifts and quarter turns, best first; at most `rival_starts`."""
     pixel = config.correlation_pixel
     standing = se3.apply(T_match_query, query.standing.points)
-    share, common = _overlap_surfaces(standing, match.kept(_plan, pixel), pixel)
-    share[common < config.rival_common * common[0, 0, 0]] = 0.0
-    rows = _peaks(share, config.rival_plan_share * share[0, 0, 0], config.rival_distance / pixel)
-    return [_shifted(T_match_query, *row, pixel) for row in rows[: config.rival_starts]]
+    plans = _overlap_plans(standing, match.kept(_plan, pixel), config.rival_plan_share * config.rival_common, pixel)
+    shares = plan_shares(plans.hits, plans.seen, config.rival_common * plans.seen[0, 0, 0])
+    rows = _peaks(shares, config.rival_plan_share * shares[0, 0, 0], config.rival_distance / pixel)
+    return [_shifted(T_match_query, plans.quarters[row], y, x, pixel) for row, y, x in rows[: config.rival_starts]]
 
 
 def mean_overlap(
@@ -152,14 +153,29 @@ def mean_overlap(
     return 0.5 * (shares[0] + shares[1])
 
 
-def _overlap_surfaces(standing: Array64, against: Plan, pixel: float) -> tuple[Images, Images]:
-    """For every turn by quarters and shift in pixels (4, y, x), the share of the points `standing` (n, 3) that stand on
-    what stands there, and how many were seen there. Plazas and crossings repeat by quarters, streets by half a turn.
+@dataclass(frozen=True)
+class _OverlapPlans:
+    """For turns by `quarters` and every shift in pixels (q, y, x): how many points stand on what stands there, and how
+    many were seen there. After half a turn a shift is one pixel more in x and y.
     """
-    spectra = fft.rfft2(_layers(standing, pixel))
-    products = layer_products(against.standing, against.seen, spectra)
-    share, common = plan_shares(fft.irfft2(products, s=(PLAN_SIZE, PLAN_SIZE)))
-    return np.asarray(share), np.asarray(common)
+
+    quarters: list[int]
+    hits: Images
+    seen: Images
+
+
+def _overlap_plans(standing: Array64, against: Plan, least: float, pixel: float) -> _OverlapPlans:
+    """The points `standing` (n, 3) on a plan. Plazas and crossings repeat by quarters, streets by half a turn.
+
+    Turns in which no shift puts `least` times as many on what stands as no shift does are left out: a rival needs a
+    share of the overlap and one of the common region, and so their product of what is hit.
+    """
+    spectra, totals = hit_products(against.standing, fft.rfft2(_layers(standing, pixel)))
+    hits = fft.irfft2(spectra, s=(PLAN_SIZE, PLAN_SIZE))
+    enough = _NEARLY * least * hits[0, 0, 0]
+    quarters = [quarter for quarter in range(4) if quarter == 0 or hits[quarter].max() >= enough]
+    seen = [against.seen * (totals[q % 2] if q >= 2 else np.conj(totals[q % 2])) for q in quarters]
+    return _OverlapPlans(quarters, hits[quarters], fft.irfft2(np.stack(seen), s=(PLAN_SIZE, PLAN_SIZE)))
 
 
 def _plan(surface: OrientedPoints, pixel: float) -> Plan:
@@ -182,14 +198,16 @@ def _wider(images: Images) -> Images:
 
 
 def _peaks(share: Images, least: float, apart: float) -> list[tuple[int, int, int]]:
-    """Quarter, row and column of the local maxima of at least `least`, best first; none within `apart` of no shift."""
+    """Image, row and column of the local maxima of at least `least`, best first; in the first image, which is not
+    turned, none within `apart` of no shift.
+    """
     rows = plan_peaks(share, least, apart)
     order = np.argsort(-share[tuple(rows.T)], kind="stable")
     return [(int(q), int(y), int(x)) for q, y, x in rows[order]]
 
 
 def _shifted(T_match_query: se3.Matrix4, quarter: int, row: int, column: int, pixel: float) -> se3.Matrix4:
-    y, x = ((step + PLAN_SIZE // 2) % PLAN_SIZE - PLAN_SIZE // 2 for step in (row, column))
+    y, x = ((step + quarter // 2 + PLAN_SIZE // 2) % PLAN_SIZE - PLAN_SIZE // 2 for step in (row, column))
     return se3.from_yaw(quarter * np.pi / 2, (x * pixel, y * pixel, 0.0)) @ T_match_query
 
 

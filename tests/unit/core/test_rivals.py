@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from revisit.core.kernels.plan_images import plan_peaks
+from revisit.core.kernels.plan_images import plan_peaks, plan_shares
 from revisit.core.verification.oriented_points import OrientedPoints
-from revisit.core.verification.rivals import PLAN_SIZE, _layers, _overlap_surfaces, _plan, _wider
+from revisit.core.verification.rivals import PLAN_SIZE, _layers, _overlap_plans, _plan, _wider
 
 PIXEL_M = 0.8
 
@@ -32,15 +32,32 @@ def counted(query: np.ndarray, match: np.ndarray, shift: tuple[int, int]) -> tup
 def test_shares_of_all_turns_and_shifts_are_those_of_counting(quarters: int) -> None:
     query, match = scene(1), scene(2)
     against = _plan(OrientedPoints(match, np.zeros_like(match), len(match)), PIXEL_M)
-    shares, commons = _overlap_surfaces(query, against, PIXEL_M)
+    plans = _overlap_plans(query, against, 0.0, PIXEL_M)
+    shares = plan_shares(plans.hits, plans.seen, 0.0)
     turned = query.copy()
     for _ in range(quarters):
         turned[:, :2] = np.c_[-turned[:, 1], turned[:, 0]]
     for shift in ((0, 0), (5, -3), (-17, 22), (1, 1)):
         share, common = counted(turned, match, shift)
-        row, column = shift[1] % PLAN_SIZE, shift[0] % PLAN_SIZE
+        row, column = ((step - quarters // 2) % PLAN_SIZE for step in shift[::-1])
         assert shares[quarters, row, column] == pytest.approx(share, abs=1e-4)
-        assert commons[quarters, row, column] == pytest.approx(common, abs=1e-2)
+        assert plans.seen[quarters, row, column] == pytest.approx(common, abs=1e-2)
+
+
+def test_turns_in_which_too_little_is_hit_are_left_out():
+    street = np.c_[np.linspace(-40, 40, 200), np.full(200, 3.3), np.full(200, 1.0)]
+    against = _plan(OrientedPoints(street, np.zeros_like(street), len(street)), PIXEL_M)
+    some, every = (_overlap_plans(street, against, least, PIXEL_M) for least in (0.5, 0.0))
+    assert (some.quarters, every.quarters) == ([0, 2], [0, 1, 2, 3])
+    assert every.hits[1].max() < 0.5 * every.hits[0, 0, 0] < every.hits[2].max()
+    np.testing.assert_array_equal(some.hits, every.hits[::2])
+    np.testing.assert_array_equal(some.seen, every.seen[::2])
+
+
+def test_too_small_a_common_region_has_no_share():
+    shares = plan_shares(np.float32([[[3.0, 0.5, 8.0]]]), np.float32([[[6.0, 0.5, 4.0]]]), 5.0)
+    assert shares.tolist() == [[[0.5, 0.0, 0.0]]]
+    assert plan_shares(np.float32([[[0.5]]]), np.float32([[[0.2]]]), 0.0).tolist() == [[[0.5]]]
 
 
 def test_peaks_are_the_local_maxima_away_from_no_shift():
