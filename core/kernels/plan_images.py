@@ -68,8 +68,8 @@ def hit_products(
     rows, columns = layers.shape[1:]
     hits, totals = np.zeros((4, rows, 2 * columns), np.float32), np.zeros((2, rows, 2 * columns), np.float32)
     by_pixel = np.exp(2j * np.pi * np.arange(columns) / rows).astype(np.complex64)
-    given = (np.ascontiguousarray(one).view(np.float32) for one in (standing, layers, by_pixel))
-    _multiply_layers(*given, np.empty(2 * columns, np.float32), hits, totals)
+    real, other = np.ascontiguousarray(layers).view(np.float32), np.ascontiguousarray(standing).view(np.float32)
+    _multiply_layers(other, real, by_pixel.view(np.float32), np.empty(2 * columns, np.float32), hits, totals)
     return hits.view(np.complex64), totals.view(np.complex64)
 
 
