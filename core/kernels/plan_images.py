@@ -54,6 +54,33 @@ def layer_counts(points: Array64, pixel: float, size: int, layers: int, lowest: 
     return counts
 
 
+def occupied_around(
+    points: Array64, pixel: float, size: int, layers: int, lowest: float, layer: float, reach: int
+) -> Images:
+    """1 in each pixel within `reach` pixels, in rows and columns, of one in which a point lies, by layers; else 0.
+
+    Pixels and layers as in `layer_counts`; the edges go round.
+    """
+    images = np.zeros((layers, size, size), dtype=np.float32)
+    _mark_around(points, pixel, lowest, layer, reach, images)
+    return images
+
+
+@loop
+def _mark_around(points: Array64, pixel: float, lowest: float, layer: float, reach: int, images: Images) -> None:
+    """Mark `images`, which are 0."""
+    layers, size, half = images.shape[0], images.shape[1], images.shape[1] // 2
+    for n in range(len(points)):
+        x, y = int(np.floor(points[n, 0] / pixel)) + half, int(np.floor(points[n, 1] / pixel)) + half
+        if not (0 <= x < size and 0 <= y < size):
+            continue
+        z = int(min(max((points[n, 2] - lowest) / layer, 0.0), layers - 1.0))
+        for down in range(y - reach, y + reach + 1):
+            row = down - size if down >= size else down  # -1 is the last one
+            for right in range(x - reach, x + reach + 1):
+                images[z, row, right - size if right >= size else right] = np.float32(1.0)
+
+
 def hit_products(
     standing: NDArray[np.complex64], layers: NDArray[np.complex64]
 ) -> tuple[NDArray[np.complex64], NDArray[np.complex64]]:

@@ -6,36 +6,50 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.kernels.loops import loop
+
 Array64 = NDArray[np.float64]
 
 LOWEST_DEG = -60.0
 ROWS = 40
 
 
-@numba.njit(cache=True, error_model="numpy")
 def nearest_ranges(points: Array64, angle_deg: float, columns: int) -> Array64:
     """The nearest range (columns, ROWS) in metres of `points` (n, 3) by azimuth and elevation; infinite for none."""
     image = np.full((columns, ROWS), np.inf)
-    for n in range(len(points)):
-        column, row = _direction(points[n, 0], points[n, 1], points[n, 2], angle_deg, columns)
-        image[column, row] = min(image[column, row], np.sqrt(_squared(points[n])))
+    _draw(points, angle_deg, image)
     return image
 
 
-@numba.njit(cache=True, error_model="numpy")
+@loop
+def _draw(points: Array64, angle_deg: float, image: Array64) -> None:
+    """Lower `image` to the ranges of `points`."""
+    for n in range(len(points)):
+        column, row = _direction(points[n, 0], points[n, 1], points[n, 2], angle_deg, len(image))
+        image[column, row] = min(image[column, row], np.sqrt(_squared(points[n])))
+
+
 def nearest_around(image: Array64) -> Array64:
     """The smallest value of each pixel and its eight neighbours; azimuth (rows of the array) goes round."""
-    columns, rows = image.shape
-    found = image.copy()
-    for i in range(columns):
-        for j in range(rows):
-            for di in range(-1, 2):
-                for dj in range(max(j - 1, 0), min(j + 2, rows)):
-                    found[i, j] = min(found[i, j], image[(i + di) % columns, dj])
+    along, found = np.empty_like(image), np.empty_like(image)
+    _lower_around(image, along, found)
     return found
 
 
-@numba.njit(cache=True, error_model="numpy")
+@loop
+def _lower_around(image: Array64, along: Array64, found: Array64) -> None:
+    """Fill `found`; `along` is for its use."""
+    columns, rows = image.shape
+    for i in range(columns):
+        for j in range(np.uint64(rows)):
+            along[i, j] = min(min(image[i - 1, j], image[i, j]), image[i + 1 if i + 1 < columns else 0, j])
+    for i in range(columns):
+        for j in range(rows):
+            lower, higher = max(j - 1, 0), min(j + 1, rows - 1)
+            found[i, j] = min(min(along[i, lower], along[i, j]), along[i, higher])
+
+
+@loop
 def looked_through(
     points: Array64, image: Array64, around: Array64, angle_deg: float, near: float, far: float, margin: float
 ) -> tuple[int, int]:
@@ -60,10 +74,30 @@ def looked_through(
 
 @numba.njit(inline="always")
 def _direction(x: float, y: float, z: float, angle_deg: float, columns: int) -> tuple[int, int]:
-    azimuth = np.degrees(np.arctan2(y, x)) + 180.0
-    elevation = np.degrees(np.arctan2(z, np.hypot(x, y)))
-    row = int(np.floor((elevation - LOWEST_DEG) / angle_deg))
-    return int(azimuth / angle_deg) % columns, min(max(row, 0), ROWS - 1)
+    """Column and row of a direction. An arcus tangent that is a little off tells, but near the edge of a pixel."""
+    level, slack = np.sqrt(x * x + y * y), _ABOUT_DEG / angle_deg
+    azimuth, elevation = _about_deg(y, x) + 180.0, _about_deg(z, level)
+    along, up = azimuth / angle_deg, (elevation - LOWEST_DEG) / angle_deg
+    if abs(along - np.rint(along)) < slack or abs(up - np.rint(up)) < slack:
+        along = (np.degrees(np.arctan2(y, x)) + 180.0) / angle_deg
+        up = (np.degrees(np.arctan2(z, np.hypot(x, y))) - LOWEST_DEG) / angle_deg
+    return int(along) % columns, min(max(int(np.floor(up)), 0), ROWS - 1)
+
+
+_ABOUT_DEG = 2e-3  # more than `_about_deg` is off
+
+
+@numba.njit(inline="always")
+def _about_deg(y: float, x: float) -> float:
+    """The angle of (x, y) in degrees within 0.0006: a polynomial of the arcus tangent (Abramowitz and Stegun 4.4.49)."""
+    across, along = abs(y), abs(x)
+    ratio = min(across, along) / max(max(across, along), 1e-300)
+    square = ratio * ratio
+    angle = 0.9998660 + square * (-0.3302995 + square * (0.1801410 + square * (-0.0851330 + square * 0.0208351)))
+    angle = np.degrees(angle * ratio)
+    angle = 90.0 - angle if across > along else angle
+    angle = 180.0 - angle if x < 0.0 else angle
+    return float(-angle if y < 0.0 else angle)
 
 
 @numba.njit(inline="always")

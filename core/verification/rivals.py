@@ -15,7 +15,7 @@ from scipy.ndimage import maximum_filter
 
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
-from revisit.core.kernels.plan_images import hit_products, layer_counts, plan_peaks, plan_shares
+from revisit.core.kernels.plan_images import hit_products, layer_counts, occupied_around, plan_peaks, plan_shares
 from revisit.core.verification.evidence import mutually_seen_through
 from revisit.core.verification.oriented_points import OrientedPoints, shared_shares
 from revisit.core.verification.registration import iterate_all
@@ -179,22 +179,17 @@ def _overlap_plans(standing: Array64, against: Plan, least: float, pixel: float)
 
 
 def _plan(surface: OrientedPoints, pixel: float) -> Plan:
-    """The spectra of a place: its layers, one pixel wider so that close counts, and where it has seen."""
-    standing = _wider((_layers(surface.standing.points, pixel) > 0).astype(np.float32))
-    seen = (_layers(surface.points, pixel).sum(axis=0, keepdims=True) > 0).astype(np.float32)
-    return Plan(fft.rfft2(standing), fft.rfft2(_wider(_wider(seen)))[0])
+    """The spectra of a place: its layers, one pixel wider so that close counts, and where it has seen, two wider."""
+    points, standing = np.ascontiguousarray(surface.points), np.ascontiguousarray(surface.standing.points)
+    layers = occupied_around(standing, pixel, PLAN_SIZE, _LAYERS, _LOWEST_M, _LAYER_M, 1)
+    seen = occupied_around(points, pixel, PLAN_SIZE, 1, _LOWEST_M, _LAYER_M, 2)
+    return Plan(fft.rfft2(layers), fft.rfft2(seen[0]))
 
 
 def _layers(points: Array64, pixel: float) -> Images:
     """How many of `points` (n, 3) lie in each layer, row (y) and column (x) of a square around the origin."""
     points = np.ascontiguousarray(points)
     return np.asarray(layer_counts(points, pixel, PLAN_SIZE, _LAYERS, _LOWEST_M, _LAYER_M))
-
-
-def _wider(images: Images) -> Images:
-    """The largest value of each pixel and its eight neighbours; the edges go round."""
-    along = np.maximum(np.maximum(np.roll(images, 1, -1), images), np.roll(images, -1, -1))
-    return np.asarray(np.maximum(np.maximum(np.roll(along, 1, -2), along), np.roll(along, -1, -2)))
 
 
 def _peaks(share: Images, least: float, apart: float) -> list[tuple[int, int, int]]:

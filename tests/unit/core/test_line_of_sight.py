@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from revisit.core.config import VerificationConfig
-from revisit.core.verification.line_of_sight import plain_seen_through, view_of
+from revisit.core.verification.line_of_sight import _range_image, _with_neighbours, plain_seen_through, view_of
 from revisit.core.verification.line_of_sight import seen_through as seen_through_of
 
 CONFIG = VerificationConfig()
@@ -58,6 +58,19 @@ def test_azimuth_goes_round() -> None:
     behind = wall(10.0, (175.0, 185.0))
     through, judged = seen_through(behind, wall(20.0, (150.0, 210.0)), CONFIG)
     assert through == judged > 0
+
+
+def test_directions_are_those_of_the_arcus_tangent_next_to_the_edges_of_pixels_too() -> None:
+    rng = np.random.default_rng(4)
+    azimuth, elevation = (3.0 * rng.integers(*ends, 4000) for ends in ((-60, 61), (-20, 20)))
+    beside = rng.choice([-1.0, 1.0], (2, 4000)) * 10.0 ** rng.uniform(-9, 0, (2, 4000))
+    azimuth, elevation = np.radians(azimuth + beside[0]), np.radians(elevation + beside[1])
+    level = np.cos(elevation)
+    points = 20.0 * np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
+    view = view_of(points, CONFIG.sight_angle)
+    expected = _range_image(points, CONFIG)
+    np.testing.assert_array_equal(np.isfinite(view.ranges), np.isfinite(expected))
+    np.testing.assert_array_equal(view.around, _with_neighbours(view.ranges))
 
 
 def test_the_compiled_view_counts_what_the_plain_one_counts() -> None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from revisit.core.kernels.plan_images import plan_peaks, plan_shares
+from revisit.core.kernels.plan_images import occupied_around, plan_peaks, plan_shares
 from revisit.core.verification.oriented_points import OrientedPoints
-from revisit.core.verification.rivals import PLAN_SIZE, _layers, _overlap_plans, _plan, _wider
+from revisit.core.verification.rivals import PLAN_SIZE, _layers, _overlap_plans, _plan
 
 PIXEL_M = 0.8
 
@@ -17,6 +17,12 @@ def scene(seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
     cells = rng.integers(-30, 30, (300, 2)) + rng.uniform(0.1, 0.9, (300, 2))
     return np.c_[cells * PIXEL_M, rng.uniform(-3, 6, 300)]
+
+
+def _wider(images: np.ndarray) -> np.ndarray:
+    """The largest value of each pixel and its eight neighbours; the edges go round."""
+    along = np.maximum(np.maximum(np.roll(images, 1, -1), images), np.roll(images, -1, -1))
+    return np.maximum(np.maximum(np.roll(along, 1, -2), along), np.roll(along, -1, -2))
 
 
 def counted(query: np.ndarray, match: np.ndarray, shift: tuple[int, int]) -> tuple[float, float]:
@@ -58,6 +64,14 @@ def test_too_small_a_common_region_has_no_share():
     shares = plan_shares(np.float32([[[3.0, 0.5, 8.0]]]), np.float32([[[6.0, 0.5, 4.0]]]), 5.0)
     assert shares.tolist() == [[[0.5, 0.0, 0.0]]]
     assert plan_shares(np.float32([[[0.5]]]), np.float32([[[0.2]]]), 0.0).tolist() == [[[0.5]]]
+
+
+def test_what_is_occupied_is_widened_as_by_the_largest_of_neighbours():
+    points = np.random.default_rng(3).uniform((-52, -52, -4), (52, 52, 8), (400, 3))
+    counts = (_layers(points, PIXEL_M) > 0).astype(np.float32)
+    found = [occupied_around(points, PIXEL_M, PLAN_SIZE, 4, -2.0, 1.5, reach) for reach in (0, 1, 2)]
+    for one, expected in zip(found, (counts, _wider(counts), _wider(_wider(counts))), strict=True):
+        np.testing.assert_array_equal(one, expected)
 
 
 def test_peaks_are_the_local_maxima_away_from_no_shift():
