@@ -12,31 +12,38 @@ Array64 = NDArray[np.float64]
 Images = NDArray[np.float32]
 
 
-@numba.njit(cache=True, error_model="numpy")
 def plan_density(points: Array64, yaw: float, pixel: float, size: int) -> Array64:
     """log(1 + count) of `points` (n, 2), turned by `yaw`, in each pixel, smoothed by a cross and free of its mean.
 
     (size, size) around the origin, rows are y; points outside are left out; the edges go round.
     """
-    counts, half = np.zeros((size, size)), size // 2
+    image, counts = np.zeros((size, size)), np.zeros((size, size), dtype=np.int32)
+    _draw_density(points, yaw, pixel, counts, np.log1p(np.arange(len(points) + 1.0)), image)
+    image -= image.sum() / (size * size)
+    return image
+
+
+@loop
+def _draw_density(
+    points: Array64, yaw: float, pixel: float, counts: NDArray[np.int32], logarithms: Array64, image: Array64
+) -> None:
+    """Add up `counts` and draw `image`; both are 0. `logarithms` are those of 1, 2 and so on."""
+    size, half = len(counts), len(counts) // 2
     cosine, sine = np.cos(yaw), np.sin(yaw)
     for n in range(len(points)):
         x = int(np.floor((points[n, 0] * cosine - points[n, 1] * sine) / pixel)) + half
         y = int(np.floor((points[n, 0] * sine + points[n, 1] * cosine) / pixel)) + half
         if 0 <= x < size and 0 <= y < size:
-            counts[y, x] += 1.0
-    image = np.zeros((size, size))
+            counts[y, x] += 1
     for y in range(size):
         for x in range(size):
-            if counts[y, x] > 0.0:
-                here = np.log1p(counts[y, x])
+            if counts[y, x]:
+                here = logarithms[counts[y, x]]
                 image[y, x] += here
                 image[y - 1, x] += 0.5 * here
-                image[(y + 1) % size, x] += 0.5 * here
+                image[y + 1 if y + 1 < size else 0, x] += 0.5 * here
                 image[y, x - 1] += 0.5 * here
-                image[y, (x + 1) % size] += 0.5 * here
-    image -= image.sum() / (size * size)
-    return image
+                image[y, x + 1 if x + 1 < size else 0] += 0.5 * here
 
 
 @numba.njit(cache=True, error_model="numpy")

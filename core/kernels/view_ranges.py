@@ -89,7 +89,7 @@ _ABOUT_DEG = 2e-3  # more than `_about_deg` is off
 
 @numba.njit(inline="always")
 def _about_deg(y: float, x: float) -> float:
-    """The angle of (x, y) in degrees within 0.0006: a polynomial of the arcus tangent (Abramowitz and Stegun 4.4.49)."""
+    """The angle of (x, y) in degrees within 0.0006: a polynomial of the arcus tangent (Abramowitz, Stegun 4.4.49)."""
     across, along = abs(y), abs(x)
     ratio = min(across, along) / max(max(across, along), 1e-300)
     square = ratio * ratio
