@@ -8,6 +8,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.kernels.loops import loop
+
 Array64 = NDArray[np.float64]
 
 _NOWHERE = -(2**31)
@@ -44,27 +46,38 @@ def in_seen_columns(points: Array64, slots: NDArray[np.int32], edge: float) -> N
     return found
 
 
-@numba.njit(cache=True, error_model="numpy")
 def heights_above(points: Array64, T_columns_points: Array64, columns: SeenColumns, edge: float) -> Array64:
     """By how much the lowest point of each column lies above the lowest one of `points` (n, 3) moved into it.
 
     Of the columns that both have, in no order. `T_columns_points` is (4, 4).
     """
-    T, slots = T_columns_points, columns.slots
-    lowest = np.full(len(slots), np.inf)
+    lowest, entered = np.full(len(columns.slots), np.inf), np.empty(len(columns.slots), dtype=np.int64)
+    gaps = np.empty(len(columns.slots))
+    return gaps[: _measure_heights(points, T_columns_points, columns, edge, lowest, entered, gaps)]
+
+
+@loop
+def _measure_heights(
+    points: Array64, T_columns_points: Array64, columns: SeenColumns, edge: float, lowest: Array64,
+    entered: NDArray[np.int64], gaps: Array64,
+) -> int:  # fmt: skip
+    """Fill the first of `gaps`; returns how many. `lowest` (s,), infinite, and `entered` (s,) are for its use."""
+    T, slots, heights = T_columns_points, columns.slots, columns.lowest
+    count = 0
     for n in range(len(points)):
         px, py, pz = points[n, 0], points[n, 1], points[n, 2]
         x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
         y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
         slot = slot_of(slots, int(np.floor(x / edge)), int(np.floor(y / edge)))
-        if slots[slot, 0] != _NOWHERE:
-            lowest[slot] = min(lowest[slot], T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3])
-    gaps, count = np.empty(len(slots)), 0
-    for slot in range(len(slots)):
-        if lowest[slot] < np.inf:
-            gaps[count] = columns.lowest[slot] - lowest[slot]
+        if slots[slot, 0] == _NOWHERE:
+            continue
+        if lowest[slot] == np.inf:
+            entered[count] = slot
             count += 1
-    return gaps[:count]
+        lowest[slot] = min(lowest[slot], T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3])
+    for k in range(count):
+        gaps[k] = heights[entered[k]] - lowest[entered[k]]
+    return count
 
 
 @numba.njit(inline="always")

@@ -111,15 +111,17 @@ def polar_amplitude(spectrum: NDArray[np.complex128]) -> Array64:
 
     Takes the half of the spectrum of a real image in which columns count from 0: the other half mirrors it.
     """
-    near, weights = _polar_pixels()
-    amplitude = np.log1p(np.abs(spectrum)).ravel()
+    pixels, near, weights = _polar_pixels()
+    amplitude = np.log1p(np.abs(spectrum.ravel()[pixels]))
     polar = np.einsum("kar,kar->ar", amplitude[near], weights)
     return np.asarray(polar - polar.mean(axis=0))
 
 
 @cache
-def _polar_pixels() -> tuple[NDArray[np.intp], Array64]:
-    """The four pixels (4, angles, radii) of half a spectrum around each angle and radius, and their linear weights."""
+def _polar_pixels() -> tuple[NDArray[np.intp], NDArray[np.intp], Array64]:
+    """The pixels (p,) of half a spectrum that the polar amplitude is made of; which four of them lie around each angle
+    and radius (4, angles, radii), and their linear weights.
+    """
     angle = np.radians(np.arange(float(_ANGLES)))[:, None]
     radius = np.arange(*_RADII)[None, :]
     row, column = radius * np.sin(angle), radius * np.cos(angle)
@@ -130,7 +132,8 @@ def _polar_pixels() -> tuple[NDArray[np.intp], Array64]:
         mirrored = np.where(x < 0, -1, 1)
         near.append((mirrored * y) % IMAGE_SIZE * (_HALF + 1) + mirrored * x)
         weights.append((1.0 - np.abs(row - y)) * (1.0 - np.abs(column - x)))
-    return np.stack(near), np.stack(weights)
+    pixels, places = np.unique(np.stack(near), return_inverse=True)
+    return pixels, places.reshape(4, _ANGLES, -1), np.stack(weights)
 
 
 def _likely_turns(query: NDArray[np.complex128], match: NDArray[np.complex128], most: int) -> list[float]:
