@@ -236,15 +236,15 @@ def common_disagreement(query: Place, match: Place) -> ScanDisagreement | None:
     return ScanDisagreement(*np.sqrt(0.5 * np.square(astuple(first)) + 0.5 * np.square(astuple(second))).tolist())
 
 
-def loop_score(contrast: float, seen_through: float, rmse_m: float) -> float:
-    """Evidence to 0..1 by logistic regression on real and simulated submaps (docs/decisions/0018)."""
-    features = (1.0, contrast, seen_through, max(rmse_m, _SHARPEST_RMSE_M))
+def loop_score(overlap: float, contrast: float, seen_through: float, rmse_m: float) -> float:
+    """Evidence to 0..1, with weights from real and simulated pairs of submaps (docs/decisions/0229)."""
+    features = (1.0, overlap, contrast, seen_through, max(rmse_m, _SHARPEST_RMSE_M))
     logit = float(np.dot(_SCORE_WEIGHTS, features))
     return float(1.0 / (1.0 + np.exp(-np.clip(logit, -30.0, 30.0))))
 
 
 _LEAST_OVERLAP = 0.05  # less is no loop
-_SCORE_WEIGHTS = (16.7, 19.2, -29.7, -150.0)
+_SCORE_WEIGHTS = (17.7, -8.0, 40.0, -65.0, -150.0)
 _SHARPEST_RMSE_M = 0.09  # cleaner surfaces, such as simulated ones, are no better evidence
 
 
@@ -262,7 +262,7 @@ def _measure(
         contrast=evidence.contrast,
         seen_through=evidence.seen_through,
         rmse_m=evidence.rmse_m,
-        score=loop_score(evidence.contrast, evidence.seen_through, evidence.rmse_m),
+        score=loop_score(evidence.overlap, evidence.contrast, evidence.seen_through, evidence.rmse_m),
         T_match_query=registration.T_match_query,
         covariance=0.5 * (covariance + covariance.T),
     )

@@ -298,9 +298,9 @@ def test_each_gate_rejects_with_its_own_reason_and_keeps_the_evidence(
 
 
 def test_contrast_raises_the_score_and_contradictions_and_residuals_lower_it() -> None:
-    assert loop_score(0.3, 0.05, 0.1) > loop_score(0.2, 0.05, 0.1)
-    assert loop_score(0.3, 0.05, 0.1) > loop_score(0.3, 0.15, 0.1)
-    assert loop_score(0.3, 0.05, 0.1) > loop_score(0.3, 0.05, 0.12)
+    assert loop_score(0.5, 0.3, 0.05, 0.1) > loop_score(0.5, 0.2, 0.05, 0.1)
+    assert loop_score(0.5, 0.3, 0.05, 0.1) > loop_score(0.5, 0.3, 0.15, 0.1)
+    assert loop_score(0.5, 0.3, 0.05, 0.1) > loop_score(0.5, 0.3, 0.05, 0.12)
 
 
 def test_a_place_and_itself_see_nothing_through_each_other() -> None:
