@@ -297,10 +297,20 @@ def test_each_gate_rejects_with_its_own_reason_and_keeps_the_evidence(
     assert verdict.measurement is not None
 
 
+@pytest.mark.parametrize("change", [{"sure_overlap": 1.0}, {"sure_score": 1.0}, {"min_common_share_sure": 1.0}])
+def test_less_of_a_place_need_be_common_only_where_overlap_and_score_leave_no_doubt(change: dict[str, float]) -> None:
+    """As of two sensors that look at unlike parts of a place."""
+    revisit = recognised(thinned(yard(1), 0.7, seed=3))[1]
+    strict = replace(VERIFICATION, min_common_share=1.0)
+    assert isinstance(verify(revisit, place(1), 1.0, replace(strict, sure_score=0.5)), VerifiedLoop)
+    verdict = verify(revisit, place(1), 1.0, replace(strict, **{"sure_score": 0.5, **change}))
+    assert isinstance(verdict, RejectedLoop) and verdict.reason is RejectionReason.NO_COMMON_REGION
+
+
 def test_contrast_raises_the_score_and_contradictions_and_residuals_lower_it() -> None:
-    assert loop_score(0.3, 0.05, 0.1) > loop_score(0.2, 0.05, 0.1)
-    assert loop_score(0.3, 0.05, 0.1) > loop_score(0.3, 0.15, 0.1)
-    assert loop_score(0.3, 0.05, 0.1) > loop_score(0.3, 0.05, 0.12)
+    assert loop_score(0.5, 0.3, 0.05, 0.1) > loop_score(0.5, 0.2, 0.05, 0.1)
+    assert loop_score(0.5, 0.3, 0.05, 0.1) > loop_score(0.5, 0.3, 0.15, 0.1)
+    assert loop_score(0.5, 0.3, 0.05, 0.1) > loop_score(0.5, 0.3, 0.05, 0.12)
 
 
 def test_a_place_and_itself_see_nothing_through_each_other() -> None:
