@@ -24,7 +24,7 @@ class Keeping:
         **named: Arguments.kwargs,
     ) -> Result:
         """`function(self, *arguments)`, computed at the first call; the arguments are hashable."""
-        key = (function, arguments, *sorted(named.items()))
+        key = (function, arguments, *sorted(named.items())) if named else (function, arguments)
         if key not in self._kept:
             self._kept[key] = function(self, *arguments, **named)
         result: Result = self._kept[key]

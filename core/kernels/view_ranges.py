@@ -51,19 +51,25 @@ def _lower_around(image: Array64, along: Array64, found: Array64) -> None:
 
 @loop
 def looked_through(
-    points: Array64, image: Array64, around: Array64, angle_deg: float, near: float, far: float, margin: float
-) -> tuple[int, int]:
-    """How many of `points` (n, 3) were looked through, and of how many a place tells anything.
+    points: Array64, T_view_points: Array64, image: Array64, around: Array64, angle_deg: float, near: float,
+    far: float, margin: float,
+) -> tuple[int, int]:  # fmt: skip
+    """How many of `points` (n, 3), moved by `T_view_points` (4, 4), were looked through, and of how many a place tells
+    anything.
 
     `image` is that of `nearest_ranges`, `around` that of `nearest_around`. Points nearer than `near` or farther than
     `far` do not count; behind a point by more than `margin` lies what was seen through it.
     """
-    through, confirmed = 0, 0
+    through, confirmed, T = 0, 0, T_view_points
     for n in range(len(points)):
-        distance = np.sqrt(_squared(points[n]))
+        px, py, pz = points[n, 0], points[n, 1], points[n, 2]
+        x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
+        y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
+        z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
+        distance = np.sqrt(x * x + y * y + z * z)
         if distance <= near or distance >= far:
             continue
-        column, row = _direction(points[n, 0], points[n, 1], points[n, 2], angle_deg, len(image))
+        column, row = _direction(x, y, z, angle_deg, len(image))
         if not np.isfinite(image[column, row]):
             continue
         behind = around[column, row] - distance

@@ -92,8 +92,8 @@ def mutually_seen_through(
 ) -> float:
     """The share of what stands in either place, where the other tells anything of it, that the other looked through."""
     views = query.kept(_view, config.sight_angle), match.kept(_view, config.sight_angle)
-    of_query = seen_through(se3.apply(T_match_query, query.standing.points), views[1], config)
-    of_match = seen_through(se3.apply(se3.inverse(T_match_query), match.standing.points), views[0], config)
+    of_query = seen_through(query.standing.points, T_match_query, views[1], config)
+    of_match = seen_through(match.standing.points, se3.inverse(T_match_query), views[0], config)
     return (of_query[0] + of_match[0]) / max(of_query[1] + of_match[1], 1)
 
 

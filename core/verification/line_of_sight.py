@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.config import VerificationConfig
+from revisit.core.geometry import se3
 from revisit.core.kernels.view_ranges import LOWEST_DEG, ROWS, looked_through, nearest_around, nearest_ranges
 
 Array64 = NDArray[np.float64]
@@ -31,16 +32,19 @@ def view_of(seen: Array64, angle_deg: float) -> View:
     return View(ranges, nearest_around(ranges))
 
 
-def seen_through(points: Array64, view: View, config: VerificationConfig) -> tuple[int, int]:
+def seen_through(
+    points: Array64, T_view_points: se3.Matrix4, view: View, config: VerificationConfig
+) -> tuple[int, int]:
     """How many of `points` (n, 3) a view contradicts, and of how many it tells anything.
 
-    The points are in the frame of the place that has the view, whose origin is where it was seen from. A point is
-    contradicted where everything seen in its direction and next to it lies farther by more than `sight_margin`; it is
-    confirmed where that lies at its range, and hidden, which tells nothing, where something stands before it.
+    `T_view_points` (4, 4) moves them into the frame of the place that has the view, whose origin is where it was seen
+    from. A point is contradicted where everything seen in its direction and next to it lies farther by more than
+    `sight_margin`; it is confirmed where that lies at its range, and hidden, which tells nothing, where something
+    stands before it.
     """
     through, judged = looked_through(
-        np.ascontiguousarray(points), view.ranges, view.around, config.sight_angle, config.sight_near,
-        config.sight_far, config.sight_margin,
+        np.ascontiguousarray(points), np.ascontiguousarray(T_view_points), view.ranges, view.around,
+        config.sight_angle, config.sight_near, config.sight_far, config.sight_margin,
     )  # fmt: skip
     return int(through), int(judged)
 

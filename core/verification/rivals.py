@@ -208,10 +208,15 @@ def _shifted(T_match_query: se3.Matrix4, quarter: int, row: int, column: int, pi
 
 def _apart(one: se3.Matrix4, other: se3.Matrix4, query: OrientedPoints, distance_m: float) -> bool:
     """Whether two poses differ: in where they put the middle of the query, or in their turn."""
-    middle = query.standing.points.mean(axis=0)[None]
-    if np.linalg.norm(se3.apply(one, middle) - se3.apply(other, middle)) > distance_m:
+    middle = query.kept(_middle)
+    if np.linalg.norm((one[:3, :3] - other[:3, :3]) @ middle + one[:3, 3] - other[:3, 3]) > distance_m:
         return True
     return float(np.degrees(se3.rotation_angle(se3.inverse(one) @ other))) > _TURN_APART_DEG
+
+
+def _middle(query: OrientedPoints) -> Array64:
+    """The mean (3,) of what stands."""
+    return np.asarray(query.standing.points.mean(axis=0))
 
 
 _TURN_APART_DEG = 10.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from revisit.core.config import VerificationConfig
+from revisit.core.geometry import se3
 from revisit.core.verification.line_of_sight import _range_image, _with_neighbours, plain_seen_through, view_of
 from revisit.core.verification.line_of_sight import seen_through as seen_through_of
 
@@ -13,7 +14,7 @@ CONFIG = VerificationConfig()
 
 def seen_through(points: np.ndarray, seen: np.ndarray, config: VerificationConfig) -> tuple[int, int]:
     """What the view of `seen` says about `points`."""
-    return seen_through_of(points, view_of(seen, config.sight_angle), config)
+    return seen_through_of(points, np.eye(4), view_of(seen, config.sight_angle), config)
 
 
 def wall(distance_m: float, azimuth_deg: tuple[float, float] = (-30.0, 30.0)) -> np.ndarray:
@@ -79,3 +80,6 @@ def test_the_compiled_view_counts_what_the_plain_one_counts() -> None:
     through, judged = plain_seen_through(points, seen, CONFIG)
     assert 0 < through < judged
     assert seen_through(points, seen, CONFIG) == (through, judged)
+    T_view_points = se3.exp([4.0, -2.0, 0.3, 0.01, -0.02, 1.0])
+    expected = plain_seen_through(se3.apply(T_view_points, points), seen, CONFIG)
+    assert seen_through_of(points, T_view_points, view_of(seen, CONFIG.sight_angle), CONFIG) == expected
