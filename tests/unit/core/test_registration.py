@@ -9,6 +9,8 @@ import pytest
 
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
+from revisit.core.kernels.patches import patches_of
+from revisit.core.kernels.surface_contact import touching_rows
 from revisit.core.verification.oriented_points import OrientedPoints, contact
 from revisit.core.verification.registration import (
     MIN_COUNTERPARTS,
@@ -226,3 +228,14 @@ def test_the_compiled_contact_is_the_plain_one(seed):
     assert np.array_equal(found.touching, good)
     assert np.array_equal(found.rows, rows[good])
     np.testing.assert_allclose(found.residuals, residuals[good], atol=1e-12)
+
+
+@pytest.mark.parametrize(("spread", "count"), [(1.0, 500), (4e4, 500), (1.0, 17), (1.0, 1), (1.0, 0)])
+def test_each_patch_is_nearest_to_itself_on_a_grid_and_far_apart(spread, count):
+    points = spread * np.random.default_rng(count).uniform(-50, 50, (count, 3))
+    normals = np.tile([0.0, 0.0, 1.0], (count, 1))
+    patches = patches_of(points, normals, 1.0)
+    assert (len(patches.grid) == 0) == (spread > 1.0)
+    rows, distances = touching_rows(points, normals, patches, 1.0, 1.0, 0.25, 0.6)
+    assert np.array_equal(patches.rows[rows], np.arange(count))
+    np.testing.assert_allclose(distances, 0.0, atol=0.1)  # coordinates of single precision
