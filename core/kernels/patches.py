@@ -15,6 +15,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.kernels.loops import loop
 from revisit.core.kernels.point_columns import columns_of, span
 
 Array64 = NDArray[np.float64]
@@ -45,12 +46,20 @@ class Patches(NamedTuple):
 
 def patches_of(points: Array64, normals: Array64, edge: float) -> Patches:
     """The patches of `points` (n, 3) with unit `normals` (n, 3), in columns of `edge` metres."""
-    columns = columns_of(points, edge)
-    records = np.zeros((len(points), 8), dtype=np.float32)
-    records[:, :3], records[:, 4:7] = columns.points, normals[columns.rows]
-    places = np.full((3, len(points) + LANES), _FAR)
-    places[:, : len(points)] = records[:, :3].T
+    columns, count = columns_of(points, edge), len(points)
+    records, places = np.zeros((count, 8), dtype=np.float32), np.full((3, count + LANES), _FAR)
+    _fill(columns.points, columns.rows, normals, records, places)
     return Patches(records, columns.rows, columns.keys, columns.grid, columns.low, columns.shape, places)
+
+
+@loop
+def _fill(points: Array64, rows: NDArray[np.int32], normals: Array64, records: Records, places: Records) -> None:
+    """Fill `records` and `places` with sorted points and their normals, which are not sorted."""
+    for n in range(len(points)):
+        i = rows[n]
+        for a in range(3):
+            records[n, a] = places[a, n] = points[n, a]
+            records[n, 4 + a] = normals[i, a]
 
 
 @numba.njit(inline="always")
