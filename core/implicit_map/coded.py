@@ -16,6 +16,7 @@ from revisit.core.kernels.mixed_planes import code_mixed_planes
 from revisit.core.kernels.octree_coder import OCTREE_MODELS, code_octree
 from revisit.core.kernels.plane_coder import FIXED, PLANE_MODELS, code_planes
 from revisit.core.kernels.range_coder import finish, fresh_models, start
+from revisit.core.kernels.voxel_families import families_of
 from revisit.core.kernels.voxel_table import rows_of, table_of
 
 Codes = NDArray[np.int32]
@@ -113,11 +114,12 @@ def _code_rest(
     form: Form, coder: NDArray[np.int64], data: NDArray[np.uint8], voxels: Codes, planes: Codes, features: Codes
 ) -> None:
     """Write `planes` (n, 4) and `features` (n, F), or read and fill them."""
-    table, vectors, steps, unit = table_of(voxels), _vectors(form.normal_steps), form.normal_steps, form.offset_unit
+    families, steps, unit = families_of(voxels), form.normal_steps, form.offset_unit
+    vectors = _vectors(steps)
     if form.normal_unit == SECOND_FORM:
-        code_planes(coder, data, fresh_models(PLANE_MODELS), table, planes, vectors, steps, unit)
+        code_planes(coder, data, fresh_models(PLANE_MODELS), families, planes, vectors, steps, unit)
     else:
-        code_mixed_planes(coder, data, table, planes, vectors, steps, form.normal_unit, unit)
+        code_mixed_planes(coder, data, families, planes, vectors, steps, form.normal_unit, unit)
     if form.features:
         code_features(coder, data, fresh_models(feature_models(form.features)), features)
 

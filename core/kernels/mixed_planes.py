@@ -12,12 +12,11 @@ from revisit.core.kernels.plane_coder import (
     FIXED,
     HIT_CLASSES,
     SPREADS,
-    coded_neighbours,
     guessed_offset,
     typical_normal,
 )  # fmt: skip
 from revisit.core.kernels.range_coder import Coder
-from revisit.core.kernels.voxel_table import VoxelTable
+from revisit.core.kernels.voxel_families import VoxelFamilies, coded_neighbours
 
 _TURNS = 9  # differences of two codes: -4 to 4
 _SIDE = 256  # codes of normals
@@ -40,7 +39,7 @@ Whole = NDArray[np.int32]
 
 
 def code_mixed_planes(
-    coder: Coder, data: NDArray[np.uint8], table: VoxelTable, codes: Whole, vectors: Whole, steps: int,
+    coder: Coder, data: NDArray[np.uint8], families: VoxelFamilies, codes: Whole, vectors: Whole, steps: int,
     normal_unit: int, offset_unit: int,
 ) -> None:  # fmt: skip
     """Write `codes` (n, 4), or read and fill them: octahedral normal (2), offset along it, class of hits.
@@ -51,22 +50,23 @@ def code_mixed_planes(
     """
     units = np.array([steps, normal_unit, offset_unit])
     mixture = fresh_mixture(_MODELS, _SETS)
-    _code_all(coder, data, mixture, table, codes, vectors, units, np.zeros(26, dtype=np.int32), np.zeros(4, np.int64))
+    _code_all(coder, data, mixture, families, codes, vectors, units, np.zeros(4, np.int64))
 
 
 @loop
 def _code_all(
-    coder: Coder, data: NDArray[np.uint8], mixture: Mixture, table: VoxelTable, codes: Whole, vectors: Whole,
-    units: NDArray[np.int64], near: Whole, known: NDArray[np.int64],
+    coder: Coder, data: NDArray[np.uint8], mixture: Mixture, families: VoxelFamilies, codes: Whole, vectors: Whole,
+    units: NDArray[np.int64], known: NDArray[np.int64],
 ) -> None:  # fmt: skip
-    """As `code_mixed_planes`; `near` (26,) and `known` (4,) are for use here."""
+    """As `code_mixed_planes`; `known` (4,) is for use here."""
+    near = families.near
     for row in range(len(codes)):
-        count = coded_neighbours(table, row, near)
+        count = coded_neighbours(families, row)
         a, b = codes[row, 0], codes[row, 1]
         spread = _code_normal(coder, data, mixture, codes, units, near, count, row, known)
         if a != codes[row, 0] or b != codes[row, 1]:
             codes[row, 2] = _turned(codes[row, 2], vectors[a, b], vectors[codes[row, 0], codes[row, 1]])
-        _code_offset(coder, data, mixture, table, codes, vectors, units[2], near, count, row, known)
+        _code_offset(coder, data, mixture, families, codes, vectors, units[2], count, row, known)
         _code_hits(coder, data, mixture, codes, near, count, row, spread)
 
 
@@ -111,11 +111,11 @@ def _code_normal(
 
 @loop
 def _code_offset(
-    coder: Coder, data: NDArray[np.uint8], mixture: Mixture, table: VoxelTable, codes: Whole, vectors: Whole,
-    unit: int, near: Whole, count: int, row: int, known: NDArray[np.int64],
+    coder: Coder, data: NDArray[np.uint8], mixture: Mixture, families: VoxelFamilies, codes: Whole, vectors: Whole,
+    unit: int, count: int, row: int, known: NDArray[np.int64],
 ) -> None:  # fmt: skip
     """Code the offset; `known` is that of `_code_normal`."""
-    parts, spread, weights = guessed_offset(table, codes, vectors, row, near, count, unit)
+    parts, spread, weights = guessed_offset(families, codes, vectors, row, count, unit)
     guess, at = (parts + unit // 2) // unit, mixture.at
     at[0] = _OFFSET[0] + spread
     at[1] = _OFFSET[1] + (spread * SPREADS + known[0]) * 4 + known[1]
