@@ -128,7 +128,7 @@ class _String:
     """A string of bits that is read from its beginning on. All raise DataLoss behind its end."""
 
     def __init__(self, bits: Bits) -> None:
-        self._bits, self._at = bits, 0
+        self._bits, self._at, self._ones = bits, 0, np.flatnonzero(bits)
 
     def take(self, length: int) -> Bits:
         """The next bits."""
@@ -145,11 +145,13 @@ class _String:
 
     def unary(self, count: int) -> Whole:
         """The inverse of `_unary`."""
-        ends = np.flatnonzero(self._bits[self._at :])[:count]
+        first = int(np.searchsorted(self._ones, self._at))
+        ends = self._ones[first : first + count]
         if len(ends) != count:
             raise DataLoss("the keypoints of the place are cut short")
-        self._at += int(ends[-1]) + 1 if count else 0
-        return np.asarray(np.diff(ends, prepend=-1) - 1)
+        numbers = np.diff(ends, prepend=self._at - 1) - 1
+        self._at = int(ends[-1]) + 1 if count else self._at
+        return np.asarray(numbers)
 
     def finish(self) -> None:
         """Raises DataLoss where more than the zeros that fill the last byte are left."""

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from revisit.core.errors import DataLoss
 from revisit.core.geometry import octahedral
 from revisit.core.geometry.voxel_keys import first_rows, voxel_keys
-from revisit.core.kernels.facet_coder import ACROSS, FACET_MODELS, NORMAL_CODES, code_facets
+from revisit.core.kernels.facet_coder import ACROSS, FACET_MODELS, NORMAL_CODES, code_facets, spread_out
 from revisit.core.kernels.octree_coder import RANKS, THINNED_MODELS, Thinning, code_octree, ranks_of
 from revisit.core.kernels.range_coder import Coder, Models, finish, position, start
+from revisit.core.kernels.voxel_families import families_of
 from revisit.core.kernels.voxel_table import rows_of, table_of
 
 Array = NDArray[np.float32]
@@ -101,8 +102,10 @@ def read_surface(stream: bytes, spacing: float, limit: int, kind: Kind) -> tuple
     _code(coder, data, models, voxels, codes, places, steps)
     if position(coder) != len(data):
         raise DataLoss("the surface of the place does not hold what it says")
-    positions = (voxels + np.array([x, y, z]) + _within(places, along(codes), steps) - CORNER) * edge
-    return positions.astype(np.float32), octahedral.decode(codes, NORMAL_STEPS).astype(np.float32)
+    points = np.empty((2, count, 3), dtype=np.float32)
+    listed = octahedral.listed(NORMAL_STEPS), octahedral.steepest_axes(NORMAL_STEPS)
+    spread_out(voxels, codes, places, *listed, np.array([x, y, z]), steps, CORNER, edge, points)
+    return points[0], points[1]
 
 
 def begun(kind: Kind) -> Models:
@@ -116,8 +119,8 @@ def _code(
 ) -> None:  # fmt: skip
     """Write `codes` (n, 2) and `places` (n, 3), or read and fill them."""
     code_facets(
-        coder, data, models[THINNED_MODELS:], table_of(voxels), codes, places, _vectors(),
-        octahedral.steepest_axes(NORMAL_STEPS), steps.bit_length() - 1, np.zeros(26, np.int32),
+        coder, data, models[THINNED_MODELS:], families_of(voxels), codes, places, _vectors(),
+        octahedral.steepest_axes(NORMAL_STEPS), steps.bit_length() - 1,
     )  # fmt: skip
 
 
@@ -157,14 +160,6 @@ def rounded(points: Array, normals: Array, edge: float, steps: int) -> tuple[Who
     rows = np.sort(first_rows(np.where(taken, keys[:count], keys[count:])))
     voxels, places = np.divmod(np.where(fine, levels, cells)[rows], np.where(fine, steps, ACROSS)[rows])
     return voxels.astype(np.int64), places.astype(np.int64), codes[rows].astype(np.int64)
-
-
-def _within(places: NDArray[np.int32], fine: NDArray[np.bool_], steps: int) -> NDArray[np.float64]:
-    """Where in its voxel each point lies, (n, 3) in edges."""
-    within = np.empty((len(fine), 3))
-    within[fine] = (places[:, 0] + 0.5) / steps
-    within[~fine] = (places[:, 1:].ravel() + 0.5) / ACROSS
-    return within
 
 
 def along(codes: NDArray[np.integer]) -> NDArray[np.bool_]:

@@ -26,12 +26,12 @@ def decode(codes: NDArray[np.integer], steps: int) -> NDArray[np.float64]:
     """The unit vectors (n, 3) of codes (n, 2): within about 2 / steps radians of what was encoded."""
     if steps > _LISTED_STEPS:
         return _decoded(codes, steps)
-    return _listed(steps).take(codes[:, 0].astype(np.int64) * (2 * steps + 1) + codes[:, 1], axis=0)
+    return listed(steps).take(codes[:, 0].astype(np.int64) * (2 * steps + 1) + codes[:, 1], axis=0)
 
 
 @lru_cache(maxsize=4)
-def _listed(steps: int) -> NDArray[np.float64]:
-    """The unit vector of each code, ((2 * steps + 1)^2, 3)."""
+def listed(steps: int) -> NDArray[np.float64]:
+    """The unit vector of each code, ((2 * steps + 1)^2, 3), for up to 31 steps: not to be written to."""
     side = np.arange(2 * steps + 1)
     codes = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1)
     return _decoded(codes.reshape(-1, 2), steps)

@@ -8,7 +8,7 @@ samples          labelled samples along the rays
 gradient_steps   fitting the features of a learned field
 neural_map       the field and its queries
 fitting          all of it, for one submap
-settled, coded, blob, first_form    the compact stored form, and the one before it
+settled, coded, blob, first_form    the compact stored form, and the ones before it
 """
 
 from revisit.core.implicit_map.decoder import DecoderWeights

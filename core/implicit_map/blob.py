@@ -1,4 +1,4 @@
-"""The stored form of a neural map: sections of bytes in a checked container, and the form before it."""
+"""The stored form of a neural map: sections of bytes in a checked container, and of the forms before it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from revisit.core.container import Container
 from revisit.core.errors import DataLoss
 
-CONTAINER = Container(b"RVNM\x02", "stored neural map", level=12, max_body_bytes=256_000_000)
+CONTAINER = Container(b"RVNM\x03", "stored neural map", level=12, max_body_bytes=256_000_000)
+SECOND_CONTAINER = Container(b"RVNM\x02", "stored neural map", level=12, max_body_bytes=256_000_000)
+"""The form of decision 0116: the same sections, planes coded by one model a bit."""
 FIRST_CONTAINER = Container(b"RVNM\x01", "stored neural map", level=12, max_body_bytes=256_000_000)
 """The form until version 0.1: voxels, normals, offsets, hits and features side by side under zstd."""
 
@@ -34,6 +36,11 @@ def unpack(blob: bytes, container: Container = CONTAINER) -> tuple[dict[str, Any
 def is_first_form(blob: bytes) -> bool:
     """Whether a blob is of the form until version 0.1."""
     return blob.startswith(FIRST_CONTAINER.magic)
+
+
+def container_of(blob: bytes) -> Container:
+    """The container of a blob of the second form or of this one."""
+    return SECOND_CONTAINER if blob.startswith(SECOND_CONTAINER.magic) else CONTAINER
 
 
 def from_varint(data: bytes, count: int) -> NDArray[np.int64]:

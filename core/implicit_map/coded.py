@@ -1,4 +1,4 @@
-"""Neural points and their features as a stream of bits, and back (docs/decisions/0116)."""
+"""Neural points and their features as a stream of bits, and back (docs/decisions/0116, 0235)."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from revisit.core.errors import DataLoss
 from revisit.core.geometry import octahedral
 from revisit.core.implicit_map.settled import PlaneCodes, distinct_rows
 from revisit.core.kernels.feature_coder import code_features, feature_models
+from revisit.core.kernels.mixed_planes import code_mixed_planes
 from revisit.core.kernels.octree_coder import OCTREE_MODELS, code_octree
 from revisit.core.kernels.plane_coder import FIXED, PLANE_MODELS, code_planes
 from revisit.core.kernels.range_coder import finish, fresh_models, start
+from revisit.core.kernels.voxel_families import families_of
 from revisit.core.kernels.voxel_table import rows_of, table_of
 
 Codes = NDArray[np.int32]
@@ -23,12 +25,15 @@ _BYTES_EACH = 16
 _MAX_POINTS = 1 << 24
 _MAX_DEPTH = 30
 _MAX_FEATURES = 256
+_COARSEST = 16
+SECOND_FORM = 0
+"""The `normal_unit` of a stream of the form before (0116), whose planes are guessed by one model a bit."""
 
 
 @dataclass(frozen=True)
 class Form:
     """What a reader must know before the bits: number of points and of features, the lowest voxel (3,), the depth of
-    the octree above it, and the steps in which normals and offsets are given.
+    the octree above it, the steps in which normals and offsets are given, and by how many steps normals are written.
     """
 
     count: int
@@ -37,12 +42,14 @@ class Form:
     depth: int
     normal_steps: int
     offset_unit: int
+    normal_unit: int = SECOND_FORM
 
     def checked(self) -> Form:
         """Itself. Raises DataLoss for numbers that no writer writes."""
-        numbers = (self.count, self.features, *self.low, self.depth, self.normal_steps, self.offset_unit)
-        bounds = (_MAX_POINTS, _MAX_FEATURES, *[1 << 30] * 3, _MAX_DEPTH, 127, FIXED)
-        least = (0, 0, *[-(1 << 30)] * 3, 0, 1, 1)
+        steps = (self.normal_steps, self.offset_unit, self.normal_unit)
+        numbers = (self.count, self.features, *self.low, self.depth, *steps)
+        bounds = (_MAX_POINTS, _MAX_FEATURES, *[1 << 30] * 3, _MAX_DEPTH, 127, FIXED, _COARSEST)
+        least = (0, 0, *[-(1 << 30)] * 3, 0, 1, 1, SECOND_FORM)
         if len(numbers) != len(bounds) or not all(
             type(n) is int and a <= n <= b for n, a, b in zip(numbers, least, bounds, strict=True)
         ):
@@ -50,17 +57,23 @@ class Form:
         return self
 
 
-def write_points(codes: PlaneCodes, features: Codes, normal_steps: int, offset_unit: int) -> tuple[Form, bytes]:
+def write_points(
+    codes: PlaneCodes, features: Codes, normal_steps: int, offset_unit: int, normal_unit: int = 1
+) -> tuple[Form, bytes]:
     """The stream of n points with `features` (n, F) int32, and its form.
 
-    Their order is not kept; of several points in one voxel the first is written.
+    Their order is not kept; of several points in one voxel the first is written. With a `normal_unit` above 1 normals
+    are rounded to so many steps from a neighbour's; what is read is written again as the same bytes.
     """
     rows = distinct_rows(codes.voxels)
     codes, features = codes[rows], features[rows]
     low = codes.voxels.min(axis=0, initial=1 << 30) if len(codes.voxels) else np.zeros(3, np.int32)
     voxels = np.asarray(codes.voxels - low, dtype=np.int32)
     depth = int(voxels.max(initial=0)).bit_length()
-    form = Form(len(voxels), features.shape[1], tuple(int(v) for v in low), depth, normal_steps, offset_unit).checked()
+    low_voxel = tuple(int(v) for v in low)
+    form = Form(
+        len(voxels), features.shape[1], low_voxel, depth, normal_steps, offset_unit, normal_unit
+    ).checked()  # fmt: skip
     room = 1024 + _BYTES_EACH * len(voxels) * (1 + features.shape[1] // 4)
     while True:
         data = np.zeros(room, dtype=np.uint8)
@@ -101,10 +114,12 @@ def _code_rest(
     form: Form, coder: NDArray[np.int64], data: NDArray[np.uint8], voxels: Codes, planes: Codes, features: Codes
 ) -> None:
     """Write `planes` (n, 4) and `features` (n, F), or read and fill them."""
-    table, vectors = table_of(voxels), _vectors(form.normal_steps)
-    code_planes(
-        coder, data, fresh_models(PLANE_MODELS), table, planes, vectors, form.normal_steps, form.offset_unit
-    )  # fmt: skip
+    families, steps, unit = families_of(voxels), form.normal_steps, form.offset_unit
+    vectors = _vectors(steps)
+    if form.normal_unit == SECOND_FORM:
+        code_planes(coder, data, fresh_models(PLANE_MODELS), families, planes, vectors, steps, unit)
+    else:
+        code_mixed_planes(coder, data, families, planes, vectors, steps, form.normal_unit, unit)
     if form.features:
         code_features(coder, data, fresh_models(feature_models(form.features)), features)
 

@@ -15,11 +15,18 @@ from revisit.core.device.description import FieldRules, Planes
 from revisit.core.errors import BadField, BadTransform, DataLoss, DescriptorModelMismatch
 from revisit.core.geometry.level_frame import LevelFrame
 from revisit.core.implicit_map import blob, first_form
-from revisit.core.implicit_map.coded import Form, read_points, write_points
+from revisit.core.implicit_map.coded import SECOND_FORM, Form, read_points, write_points
 from revisit.core.implicit_map.decoder import DecoderWeights, decode
 from revisit.core.implicit_map.neighbourhood import Neighbourhood, find_neighbourhood
 from revisit.core.implicit_map.neural_points import NeuralPoints
-from revisit.core.implicit_map.settled import NORMAL_STEPS, OFFSET_UNIT, geometry, hits_of, plane_codes
+from revisit.core.implicit_map.settled import (
+    NORMAL_STEPS,
+    OFFSET_UNIT,
+    STORED_NORMAL_UNIT,
+    geometry,
+    hits_of,
+    plane_codes,
+)
 from revisit.core.kernels.point_columns import PointColumns
 
 Array = NDArray[np.float32]
@@ -59,10 +66,13 @@ class NeuralMap:
         return cls(points, np.zeros((len(points), 0), np.float32), stamps_ns, None, config, frame)
 
     def to_blob(self) -> bytes:
-        """The compact stored form (docs/decisions/0116): features rounded to multiples of FEATURE_STEP."""
+        """The compact stored form (docs/decisions/0116, 0235): features rounded to multiples of FEATURE_STEP, normals
+        of a map without features to STORED_NORMAL_UNIT steps from their neighbours'.
+        """
         codes = plane_codes(self.points, self.config.resolution)
         features = np.clip(np.rint(self.features / FEATURE_STEP), -127, 127).astype(np.int32)
-        form, stream = write_points(codes, features, NORMAL_STEPS, OFFSET_UNIT)
+        unit = STORED_NORMAL_UNIT if self.decoder is None else 1  # features were fitted to the planes as they are
+        form, stream = write_points(codes, features, NORMAL_STEPS, OFFSET_UNIT, unit)
         header: dict[str, Any] = {
             **asdict(form), "resolution": self.config.resolution, "weight_power": self.config.weight_power,
             "decoder": None if self.decoder is None else self.decoder.digest,
@@ -145,7 +155,10 @@ class NeuralMap:
 
 
 def _read(data: bytes, decoder: DecoderWeights, config: ImplicitMapConfig) -> NeuralMap:
-    header, parts = blob.unpack(data)
+    container = blob.container_of(data)
+    header, parts = blob.unpack(data, container)
+    if container is blob.SECOND_CONTAINER:
+        header["normal_unit"] = SECOND_FORM
     form = Form(**{one.name: header[one.name] for one in fields(Form)})
     codes, features = read_points(form, parts[2])
     power, resolution = float(header["weight_power"]), float(header["resolution"])

@@ -23,6 +23,9 @@ NORMAL_STEPS = 15
 OFFSET_UNIT = 48
 """Parts of FIXED of a voxel's edge: 1.9 cm in voxels of 0.4 m."""
 
+STORED_NORMAL_UNIT = 2
+"""Steps of a normal by which it is stored: where none is learned on top, twelve degrees are as good as six (0235)."""
+
 
 @dataclass(frozen=True)
 class PlaneCodes:

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.kernels.loops import loop
-from revisit.core.kernels.plane_coder import coded_neighbours, most_typical
+from revisit.core.kernels.plane_coder import most_typical
 from revisit.core.kernels.range_coder import Coder, Models, code_bit
-from revisit.core.kernels.voxel_table import VoxelTable, find
+from revisit.core.kernels.voxel_families import VoxelFamilies, beside, coded_neighbours
 
 NORMAL_CODES = 15
 """Octahedral codes of a normal, along either axis of the square."""
@@ -32,24 +32,47 @@ Whole = NDArray[np.int32]
 
 @loop
 def code_facets(
-    coder: Coder, data: NDArray[np.uint8], models: Models, table: VoxelTable, codes: Whole, places: Whole,
-    vectors: Whole, steepest: Whole, bits: int, near: Whole,
+    coder: Coder, data: NDArray[np.uint8], models: Models, families: VoxelFamilies, codes: Whole,
+    places: Whole, vectors: Whole, steepest: Whole, bits: int,
 ) -> None:  # fmt: skip
     """Write `codes` (n, 2) and `places` (n, 3), or read and fill them: octahedral normal; level along the axis that it
     is nearest to, one of 2^`bits`, at most _LEVELS; cells along the other two.
 
-    `table` holds the voxels, in the order of coding. vectors[i, j] (3,) is the normal of codes i, j in parts of 1024,
-    steepest[i, j] the axis that it is nearest to; `near` (26,) is for use here.
+    `families` are those of the voxels, which are coded in their order. vectors[i, j] (3,) is the normal of codes i, j
+    in parts of 1024, steepest[i, j] the axis that it is nearest to.
     """
+    near, voxels = families.near, families.voxels
     for row in range(len(codes)):
-        count = coded_neighbours(table, row, near)
+        count = coded_neighbours(families, row)
         _code_normal(coder, data, models, codes, row, near, count)
         axis = steepest[codes[row, 0], codes[row, 1]]
-        _code_cells(coder, data, models, table, codes, places, vectors, row, axis)
-        guess, spread = _guessed_level(table, codes, places, vectors, steepest, row, axis, 1 << bits, near, count)
+        _code_cells(coder, data, models, beside(families), codes, places, vectors, row, axis)
+        guess, spread = _guessed_level(voxels, codes, places, vectors, steepest, row, axis, 1 << bits, near, count)
         middle = 1 if (places[row, 1] | places[row, 2]) & 1 else 0  # vertices lie on planes, not between two
         first = _LEVEL + ((spread * _GUESSES + guess) * 2 + middle) * _LEVELS
         places[row, 0] = _code_choice(coder, data, models, first, bits, places[row, 0])
+
+
+@loop
+def spread_out(
+    voxels: Whole, codes: Whole, places: Whole, normals: NDArray[np.float64], steepest: Whole, low: NDArray[np.int64],
+    steps: int, corner: float, edge: float, points: NDArray[np.float32],
+) -> None:  # fmt: skip
+    """Fill `points` (2, n, 3) with where the facets lie, in metres, and their normals.
+
+    `low` (3,) is voxel 0, `normals` those of all codes, one row behind the other; voxels of so many `steps` and of
+    `edge` metres begin `corner` of an edge before the origin.
+    """
+    for row in range(len(voxels)):
+        axis, taken = steepest[codes[row, 0], codes[row, 1]], 1
+        for k in range(3):
+            if k == axis:
+                within = (places[row, 0] + 0.5) / steps
+            else:
+                within = (places[row, taken] + 0.5) / ACROSS
+                taken += 1
+            points[0, row, k] = (voxels[row, k] + low[k] + within - corner) * edge
+            points[1, row, k] = normals[codes[row, 0] * NORMAL_CODES + codes[row, 1], k]
 
 
 @numba.njit(inline="always")
@@ -80,26 +103,23 @@ def _code_normal(
 
 @loop
 def _code_cells(
-    coder: Coder, data: NDArray[np.uint8], models: Models, table: VoxelTable, codes: Whole, places: Whole,
+    coder: Coder, data: NDArray[np.uint8], models: Models, around: int, codes: Whole, places: Whole,
     vectors: Whole, row: int, axis: int,
 ) -> None:  # fmt: skip
     """The two cells, guessed from which voxels beside are occupied and which way the plane is inclined."""
     u, v = 0 if axis != 0 else 1, 2 if axis != 2 else 1
-    beside = (axis * 4 + _beside(table, row, u)) * 4 + _beside(table, row, v)
+    sides = (axis * 4 + _both_sides(around, u)) * 4 + _both_sides(around, v)
     normal = vectors[codes[row, 0], codes[row, 1]]
-    model = _FIRST_CELL + (beside * _SLOPES + _slope(normal[axis], normal[u])) * ACROSS
+    model = _FIRST_CELL + (sides * _SLOPES + _slope(normal[axis], normal[u])) * ACROSS
     places[row, 1] = _code_choice(coder, data, models, model, 2, places[row, 1])
-    model = _SECOND_CELL + ((beside * _SLOPES + _slope(normal[axis], normal[v])) * ACROSS + places[row, 1]) * ACROSS
+    model = _SECOND_CELL + ((sides * _SLOPES + _slope(normal[axis], normal[v])) * ACROSS + places[row, 1]) * ACROSS
     places[row, 2] = _code_choice(coder, data, models, model, 2, places[row, 2])
 
 
 @numba.njit(inline="always")
-def _beside(table: VoxelTable, row: int, axis: int) -> int:
+def _both_sides(around: int, axis: int) -> int:
     """Whether the voxels before and behind one along `axis` are occupied, a bit each."""
-    x, y, z = table.voxels[row, 0], table.voxels[row, 1], table.voxels[row, 2]
-    dx, dy, dz = 1 if axis == 0 else 0, 1 if axis == 1 else 0, 1 if axis == 2 else 0
-    before = 1 if find(table, x - dx, y - dy, z - dz) >= 0 else 0
-    return before + (2 if find(table, x + dx, y + dy, z + dz) >= 0 else 0)
+    return (around >> axis & 1) + (2 if around >> (axis + 3) & 1 else 0)
 
 
 @numba.njit(inline="always")
@@ -111,7 +131,7 @@ def _slope(up: int, aside: int) -> int:
 
 @loop
 def _guessed_level(
-    table: VoxelTable, codes: Whole, places: Whole, vectors: Whole, steepest: Whole, row: int, axis: int, steps: int,
+    voxels: Whole, codes: Whole, places: Whole, vectors: Whole, steepest: Whole, row: int, axis: int, steps: int,
     near: Whole, count: int,
 ) -> tuple[int, int]:  # fmt: skip
     """Classes of the level that continues the neighbours' planes, and of how well these agree.
@@ -129,9 +149,9 @@ def _guessed_level(
         if agreement < 307 or abs(up) < 300:
             continue
         their_axis = steepest[codes[other, 0], codes[other, 1]]
-        aside = (normal[u] + theirs[u]) * _apart(table, places, row, axis, other, their_axis, u, steps)
-        aside += (normal[v] + theirs[v]) * _apart(table, places, row, axis, other, their_axis, v, steps)
-        above = 2 * steps * (table.voxels[other, axis] - table.voxels[row, axis])
+        aside = (normal[u] + theirs[u]) * _apart(voxels, places, row, axis, other, their_axis, u, steps)
+        aside += (normal[v] + theirs[v]) * _apart(voxels, places, row, axis, other, their_axis, v, steps)
+        above = 2 * steps * (voxels[other, axis] - voxels[row, axis])
         level = above + _within(places, other, their_axis, axis, steps) - aside // up
         weight = 8 if agreement > 921 else 3 if agreement > 716 else 1
         total += weight * level
@@ -162,8 +182,8 @@ def _within(places: Whole, row: int, own_axis: int, axis: int, steps: int) -> in
 
 @numba.njit(inline="always")
 def _apart(
-    table: VoxelTable, places: Whole, row: int, axis: int, other: int, their_axis: int, along: int, steps: int
+    voxels: Whole, places: Whole, row: int, axis: int, other: int, their_axis: int, along: int, steps: int
 ) -> int:
     """How far the point of `row` lies from that of `other` along an axis across its own."""
-    voxels = 2 * steps * (table.voxels[row, along] - table.voxels[other, along])
-    return int(voxels + _within(places, row, axis, along, steps) - _within(places, other, their_axis, along, steps))
+    between = 2 * steps * (voxels[row, along] - voxels[other, along])
+    return int(between + _within(places, row, axis, along, steps) - _within(places, other, their_axis, along, steps))

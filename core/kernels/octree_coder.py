@@ -50,16 +50,15 @@ def code_octree(
     A damaged stream gives fewer or other voxels, never more than `count`.
     """
     corner = int(ranks_of(np.array([thinning.low]))[0])
-    nodes = np.zeros((1, 3), dtype=np.int32)
+    parents, size = _table(1), 1
+    _enter_root(parents)
     for level in range(depth):
         shift = depth - 1 - level
-        parents, children = _table(len(nodes)), _table(min(8 * len(nodes), count))
-        wanted = np.zeros(len(nodes), dtype=np.int64)
-        _enter(parents, nodes)
-        _mark_children(parents, voxels, shift, wanted)
-        size = _code_level(coder, data, models, nodes, parents, wanted, children, min(shift, 2), corner, thinning.below)
-        nodes = children.voxels[:size].copy()
-    return nodes
+        children, masks = _table(min(8 * size, count)), np.zeros(size, dtype=np.int64)
+        _mark_children(parents, voxels, shift, masks)
+        size = _code_level(coder, data, models, parents, masks, children, min(shift, 2), corner, thinning.below)
+        parents = VoxelTable(children.slots, children.following, children.voxels[:size])
+    return parents.voxels.copy()
 
 
 def _table(rows: int) -> VoxelTable:
@@ -71,55 +70,63 @@ def _table(rows: int) -> VoxelTable:
 
 
 @loop
-def _enter(table: VoxelTable, nodes: Voxels) -> None:
-    """Enter the distinct `nodes` (n, 3), each as its row."""
-    for row in range(len(nodes)):
-        add(table, row, nodes[row, 0], nodes[row, 1], nodes[row, 2])
+def _enter_root(table: VoxelTable) -> None:
+    """Enter voxel (0, 0, 0) as row 0."""
+    add(table, 0, 0, 0, 0)
 
 
 @loop
-def _mark_children(parents: VoxelTable, voxels: Voxels, shift: int, wanted: NDArray[np.int64]) -> None:
-    """Set a bit in `wanted` (n,) for each child of the n `parents` that any of `voxels` lies in.
+def _mark_children(parents: VoxelTable, voxels: Voxels, shift: int, masks: NDArray[np.int64]) -> None:
+    """Set a bit in `masks` (n,) for each child of the n `parents` that any of `voxels` lies in.
 
     The edge of a child is 2^shift voxels.
     """
     for row in range(len(voxels)):
         x, y, z = voxels[row, 0] >> shift, voxels[row, 1] >> shift, voxels[row, 2] >> shift
         node = find(parents, x >> 1, y >> 1, z >> 1)
-        wanted[node] |= 1 << (4 * (x & 1) + 2 * (y & 1) + (z & 1))
+        masks[node] |= 1 << (4 * (x & 1) + 2 * (y & 1) + (z & 1))
 
 
 @loop
 def _code_level(
-    coder: Coder, data: NDArray[np.uint8], models: Models, nodes: Voxels, parents: VoxelTable,
-    wanted: NDArray[np.int64], children: VoxelTable, detail: int, corner: int, below: int,
+    coder: Coder, data: NDArray[np.uint8], models: Models, parents: VoxelTable, masks: NDArray[np.int64],
+    children: VoxelTable, detail: int, corner: int, below: int,
 ) -> int:  # fmt: skip
-    """The occupied children of `nodes` (n, 3), which are `wanted` (n,) where the coder writes, a bit each.
+    """Enter the occupied children of the n `parents`; how many. `masks` (n,) say which these are, a bit each, or are 0
+    and become that where the coder reads.
 
     `detail` is 0 for the finest level, 1 for the one above, else 2. Voxels of the finest level with a rank of `below`
     or more are seldom there; `corner` is the rank of voxel 0.
     """
-    size = 0
+    size, nodes = 0, parents.voxels
     for row in range(len(nodes)):
         px, py, pz = nodes[row, 0], nodes[row, 1], nodes[row, 2]
-        beside, before, coded = _beside(parents, px, py, pz), size, 0
+        left = find(parents, px - 1, py, pz)
+        front = find(parents, px, py - 1, pz)
+        under = find(parents, px, py, pz - 1)
+        right = 8 if find(parents, px + 1, py, pz) >= 0 else 0
+        behind = 8 if find(parents, px, py + 1, pz) >= 0 else 0
+        above = 8 if find(parents, px, py, pz + 1) >= 0 else 0
         # below, above, and at the two sides already passed, how many are occupied
-        passed = (beside >> 2 & 1) + (beside >> 5 & 1) + (1 if beside & 3 else 0)
+        passed = (1 if under >= 0 else 0) + above // 8 + (1 if left >= 0 or front >= 0 else 0)
+        before, wanted, coded = size, masks[row], 0
         for child in range(8):
             if size == len(children.voxels):
                 return size
             x, y, z = 2 * px + (child >> 2), 2 * py + (child >> 1 & 1), 2 * pz + (child & 1)
             bit = 1
             if child < 7 or size > before:  # the last child of an otherwise empty node is certain
-                known = 4 * min(size - before, 1) + passed
-                around = _around(children, beside, coded, child, x, y, z)
+                around = _known(masks, left, row, coded, child, 4, right)
+                around |= _known(masks, front, row, coded, child, 2, behind) << 1
+                around |= _known(masks, under, row, coded, child, 1, above) << 2
                 part = 3 if detail == 0 and _rank(corner, x, y, z) >= below else detail
-                model = ((part * 8 + child) * 64 + around) * 8 + known
-                bit = code_bit(coder, data, models, model, wanted[row] >> child & 1)
+                model = ((part * 8 + child) * 64 + around) * 8 + 4 * min(size - before, 1) + passed
+                bit = code_bit(coder, data, models, model, wanted >> child & 1)
             if bit:
                 add(children, size, x, y, z)
                 size += 1
                 coded |= 1 << child
+        masks[row] = coded
     return size
 
 
@@ -130,38 +137,13 @@ def _rank(corner: int, x: int, y: int, z: int) -> int:
 
 
 @numba.njit(inline="always")
-def _beside(parents: VoxelTable, x: int, y: int, z: int) -> int:
-    """Which of the six neighbours of a node are occupied, one bit each: below along x, y, z, then above."""
-    beside = 1 if find(parents, x - 1, y, z) >= 0 else 0
-    beside |= 2 if find(parents, x, y - 1, z) >= 0 else 0
-    beside |= 4 if find(parents, x, y, z - 1) >= 0 else 0
-    beside |= 8 if find(parents, x + 1, y, z) >= 0 else 0
-    beside |= 16 if find(parents, x, y + 1, z) >= 0 else 0
-    beside |= 32 if find(parents, x, y, z + 1) >= 0 else 0
-    return beside
+def _known(masks: NDArray[np.int64], node: int, row: int, coded: int, child: int, side: int, beyond: int) -> int:
+    """Along one axis: 1 where the child before is occupied, and 8 where there may be one behind.
 
-
-@numba.njit(inline="always")
-def _around(children: VoxelTable, beside: int, coded: int, child: int, x: int, y: int, z: int) -> int:
-    """What is known of the six neighbours of a child, one bit each: itself where it is coded, else its parent.
-
-    A neighbour within the node is one of the `coded` children or has the node itself as its parent. One in a node
-    `beside` that is empty is empty too, so that it is not sought.
+    `side` is the bit of `child` that tells the two of a node apart. Before the second lies the first, which is one of
+    the `coded` or not, and there may be one behind where `beyond` is 8. Before the first lies a child of `node`, if
+    there is one and it comes before `row`; behind it its own node goes on.
     """
-    known = 0
-    if child & 4:
-        known |= coded >> (child - 4) & 1
-        known |= beside & 8
-    else:
-        known |= 8 if beside & 1 == 0 or find(children, x - 1, y, z) < 0 else 9
-    if child & 2:
-        known |= (coded >> (child - 2) & 1) << 1
-        known |= beside & 16
-    else:
-        known |= 16 if beside & 2 == 0 or find(children, x, y - 1, z) < 0 else 18
-    if child & 1:
-        known |= (coded >> (child - 1) & 1) << 2
-        known |= beside & 32
-    else:
-        known |= 32 if beside & 4 == 0 or find(children, x, y, z - 1) < 0 else 36
-    return known
+    if child & side:
+        return (coded >> (child - side) & 1) | beyond
+    return 8 | (masks[node] >> (child + side) & 1 if 0 <= node < row else 0)

@@ -7,79 +7,58 @@ from numpy.typing import NDArray
 
 from revisit.core.kernels.loops import loop
 from revisit.core.kernels.range_coder import UNARY, Coder, Models, code_bit, code_number
-from revisit.core.kernels.voxel_table import VoxelTable, find
+from revisit.core.kernels.voxel_families import VoxelFamilies, coded_neighbours
 
 FIXED = 1024
 """Parts of a voxel's edge, and of a unit vector, in which guesses are computed: whole numbers on every machine."""
 HIT_CLASSES = 4
-_SPREADS = 8
+SPREADS = 8
+"""Classes of how far guesses spread; the last is for no guess."""
 _FIRST_NORMAL = 0
-_SECOND_NORMAL = _FIRST_NORMAL + _SPREADS * UNARY
-_OFFSET = _SECOND_NORMAL + _SPREADS * 3 * UNARY
-_HITS = _OFFSET + 2 * _SPREADS * UNARY
+_SECOND_NORMAL = _FIRST_NORMAL + SPREADS * UNARY
+_OFFSET = _SECOND_NORMAL + SPREADS * 3 * UNARY
+_HITS = _OFFSET + 2 * SPREADS * UNARY
 PLANE_MODELS = _HITS + 64 * HIT_CLASSES
 
 Whole = NDArray[np.int32]
 
 
+@loop
 def code_planes(
-    coder: Coder, data: NDArray[np.uint8], models: Models, table: VoxelTable, codes: Whole, vectors: Whole,
+    coder: Coder, data: NDArray[np.uint8], models: Models, families: VoxelFamilies, codes: Whole, vectors: Whole,
     steps: int, offset_unit: int,
 ) -> None:  # fmt: skip
     """Write `codes` (n, 4), or read and fill them: octahedral normal (2), offset along it, class of hits.
 
-    `table` holds the voxels, in the order of coding. vectors[i, j] (3,) is the normal of codes i, j in parts of FIXED;
-    codes run to 2 * `steps`. An offset counts units of `offset_unit` parts of FIXED of a voxel's edge.
+    `families` are those of the voxels, which are coded in their order. vectors[i, j] (3,) is the normal of codes i, j
+    in parts of FIXED; codes run to 2 * `steps`. An offset counts units of `offset_unit` parts of FIXED of a
+    voxel's edge.
     """
-    _code_all(coder, data, models, table, codes, vectors, steps, offset_unit, np.zeros(26, dtype=np.int32))
-
-
-@loop
-def _code_all(
-    coder: Coder, data: NDArray[np.uint8], models: Models, table: VoxelTable, codes: Whole, vectors: Whole,
-    steps: int, offset_unit: int, near: Whole,
-) -> None:  # fmt: skip
-    """As `code_planes`; `near` (26,) is for its use."""
+    near = families.near
     for row in range(len(codes)):
-        count = coded_neighbours(table, row, near)
-        a, b, spread = _guessed_normal(codes, near, count, steps)
+        count = coded_neighbours(families, row)
+        a, b, spread = steps, steps, SPREADS - 1
+        if count > 0:
+            guess, spread = typical_normal(codes, near, count, steps)
+            a, b = codes[guess, 0], codes[guess, 1]
         first = code_number(coder, data, models, _FIRST_NORMAL + spread * UNARY, codes[row, 0] - a)
         model = _SECOND_NORMAL + (3 * spread + min(abs(first), 2)) * UNARY
         codes[row, 0] = min(max(a + first, 0), 2 * steps)
         codes[row, 1] = min(max(b + code_number(coder, data, models, model, codes[row, 1] - b), 0), 2 * steps)
-        guess, spread = _guessed_offset(table, codes, vectors, row, near, count, offset_unit)
+        parts, spread, _ = guessed_offset(families, codes, vectors, row, count, offset_unit)
+        guess = (parts + offset_unit // 2) // offset_unit
         model = _OFFSET + spread * UNARY
         codes[row, 2] = guess + code_number(coder, data, models, model, codes[row, 2] - guess)
         _code_hits(coder, data, models, codes, row, near, count)
 
 
 @loop
-def coded_neighbours(table: VoxelTable, row: int, near: Whole) -> int:
-    """Rows of the coded ones among the 26 voxels around a row's, those that share a face first; how many there are."""
-    count = 0
-    x, y, z = table.voxels[row]
-    for order in range(1, 4):
-        for dx in range(-1, 2):
-            for dy in range(-1, 2):
-                for dz in range(-1, 2):
-                    if abs(dx) + abs(dy) + abs(dz) == order:
-                        other = find(table, x + dx, y + dy, z + dz)
-                        if 0 <= other < row:
-                            near[count] = other
-                            count += 1
-    return count
-
-
-@loop
-def _guessed_normal(codes: Whole, near: Whole, count: int, steps: int) -> tuple[int, int, int]:
-    """The code whose distance to those of the neighbours is least on the whole, and a class of how far they spread."""
-    if count == 0:
-        return steps, steps, _SPREADS - 1
+def typical_normal(codes: Whole, near: Whole, count: int, steps: int) -> tuple[int, int]:
+    """The row of `near` whose normal is least far from those of all, and a class of how far they spread; count >= 1."""
     best, least = most_typical(codes, near, count)
     # 63 steps of a code are about as wide as 16 steps of 4
     mean = 16 * least // (count * steps)
-    spread = 1 + min(_size(mean), 5) if count > 1 else 0
-    return codes[best, 0], codes[best, 1], spread
+    return best, 1 + min(_size(mean), 5) if count > 1 else 0
 
 
 @loop
@@ -106,18 +85,20 @@ def _size(value: int) -> int:
 
 
 @loop
-def _guessed_offset(
-    table: VoxelTable, codes: Whole, vectors: Whole, row: int, near: Whole, count: int, unit: int
-) -> tuple[int, int]:
-    """The offset that continues the neighbours' planes, and a class of how well they agree with the row's normal."""
-    normal = vectors[codes[row, 0], codes[row, 1]]
+def guessed_offset(
+    families: VoxelFamilies, codes: Whole, vectors: Whole, row: int, count: int, unit: int
+) -> tuple[int, int, int]:
+    """The offset that continues the neighbours' planes, in parts of FIXED, a class of how well they agree with each
+    other, and how much they weigh: the more, the better they agree with the row's normal.
+    """
+    normal, voxels, near = vectors[codes[row, 0], codes[row, 1]], families.voxels, families.near
     total, weights, first, last = 0, 0, 1 << 30, -(1 << 30)
     for k in range(count):
         other = near[k]
         theirs = vectors[codes[other, 0], codes[other, 1]]
         agreement, mine, their = 0, 0, 0
         for axis in range(3):
-            step = table.voxels[other, axis] - table.voxels[row, axis]
+            step = voxels[other, axis] - voxels[row, axis]
             agreement += normal[axis] * theirs[axis]
             mine += normal[axis] * step
             their += theirs[axis] * step
@@ -132,11 +113,9 @@ def _guessed_offset(
         weights += weight
         first, last = min(first, guess), max(last, guess)
     if weights == 0:
-        return 0, _SPREADS - 1
-    guess = total // weights
-    guess = (guess + unit // 2) // unit
+        return 0, SPREADS - 1, 0
     spread = min(_size((last - first) // 32), 4) + 1 if count > 1 else 0
-    return guess, spread
+    return total // weights, spread, weights
 
 
 @loop

@@ -83,23 +83,21 @@ def _next_byte(coder: Coder, data: NDArray[np.uint8]) -> None:
 @numba.njit(inline="always")
 def code_bit(coder: Coder, data: NDArray[np.uint8], models: Models, model: int, bit: int) -> int:
     """Write `bit` with the chance that models[model] gives it, or read and return the bit; the model learns of it."""
-    chance = np.int64(models[model, 0])
-    middle = coder[_LOW] + (((coder[_HIGH] - coder[_LOW]) * chance) >> 16)
+    bit = narrow(coder, data, models[model, 0], bit)
+    learn(models, model, bit)
+    return bit
+
+
+@numba.njit(inline="always")
+def narrow(coder: Coder, data: NDArray[np.uint8], chance: int, bit: int) -> int:
+    """Write `bit`, which is a one with a `chance` out of 2^16, or read and return it."""
+    middle = coder[_LOW] + (((coder[_HIGH] - coder[_LOW]) * np.int64(chance)) >> 16)
     if coder[_READS] == 1:
         bit = 1 if coder[_CODE] <= middle else 0
     if bit:
         coder[_HIGH] = middle
     else:
         coder[_LOW] = middle + 1
-    seen = np.int64(models[model, 1])
-    # 2 / (2 seen + 3) of the way to the bit, rounded down: by a product and a shift, faster than a division
-    if bit:
-        chance += (2 * (_CERTAIN - chance) * _SHARES[seen]) >> _SHIFT
-    else:
-        chance -= ((2 * chance + 2 * seen + 2) * _SHARES[seen]) >> _SHIFT
-    models[model, 0] = min(max(chance, 64), _CERTAIN - 64)
-    if seen < _MOST_SEEN:
-        models[model, 1] = seen + 1
     while ((coder[_LOW] ^ coder[_HIGH]) & 0xFF000000) == 0:
         if coder[_READS] == 1:
             _next_byte(coder, data)
@@ -108,6 +106,20 @@ def code_bit(coder: Coder, data: NDArray[np.uint8], models: Models, model: int, 
         coder[_LOW] = (coder[_LOW] << 8) & _TOP
         coder[_HIGH] = ((coder[_HIGH] << 8) & _TOP) | 0xFF
     return bit
+
+
+@numba.njit(inline="always")
+def learn(models: Models, model: int, bit: int) -> None:
+    """Move the chance of models[model] towards a bit."""
+    chance, seen = np.int64(models[model, 0]), np.int64(models[model, 1])
+    # 2 / (2 seen + 3) of the way to the bit, rounded down: by a product and a shift, faster than a division
+    if bit:
+        chance += (2 * (_CERTAIN - chance) * _SHARES[seen]) >> _SHIFT
+    else:
+        chance -= ((2 * chance + 2 * seen + 2) * _SHARES[seen]) >> _SHIFT
+    models[model, 0] = min(max(chance, 64), _CERTAIN - 64)
+    if seen < _MOST_SEEN:
+        models[model, 1] = seen + 1
 
 
 @loop
@@ -121,11 +133,11 @@ def code_number(coder: Coder, data: NDArray[np.uint8], models: Models, first: in
         if code_bit(coder, data, models, first + 1 + size, 1 if rest == size else 0):
             return -size if negative else size
         size += 1
-    return _code_large(coder, data, models, first + 1 + size, rest - size, size, negative)
+    return code_large(coder, data, models, first + 1 + size, rest - size, size, negative)
 
 
 @loop
-def _code_large(
+def code_large(
     coder: Coder, data: NDArray[np.uint8], models: Models, model: int, rest: int, size: int, negative: int
 ) -> int:
     """The part of a large number above `size`: sixteen bits with one model."""

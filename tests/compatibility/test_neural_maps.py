@@ -12,6 +12,7 @@ from revisit.core.errors import DataLoss, DescriptorModelMismatch
 from revisit.core.implicit_map import DecoderWeights, NeuralMap
 
 KEPT = Path(__file__).parent / "neural_maps"
+SECOND = (KEPT / "second-form.bin").read_bytes()
 STORED = (KEPT / "first-form.bin").read_bytes()
 
 
@@ -43,3 +44,17 @@ def test_a_map_of_version_0_1_needs_its_decoder_and_all_of_its_bytes(decoder):
     for damaged in (STORED[:-1], STORED[:200] + b"?" + STORED[201:], b""):
         with pytest.raises(DataLoss):
             NeuralMap.from_blob(damaged, decoder, ImplicitMapConfig())
+
+
+def test_a_map_of_the_second_form_answers_as_it_did_and_is_stored_again_in_fewer_bytes(decoder):
+    known = np.load(KEPT / "second-form-distances.npy")
+    field = NeuralMap.from_blob(SECOND, decoder, ImplicitMapConfig())
+    distance, _ = field.sdf(known[:, :3])
+    assert len(known) == 300 and np.ptp(known[:, 3]) > 0.4
+    assert np.abs(distance - known[:, 3]).max() < 1e-4
+    again = field.to_blob()
+    assert again[:4] == SECOND[:4] and again[4] == SECOND[4] + 1
+    assert len(again) < 0.9 * len(SECOND)
+    renewed = NeuralMap.from_blob(again, decoder, ImplicitMapConfig())
+    assert len(renewed.points) == len(field.points)
+    assert np.median(np.abs(renewed.sdf(known[:, :3])[0] - distance)) < 0.01

@@ -1,16 +1,21 @@
-"""Neural points as a stream of bits (docs/decisions/0116)."""
+"""Neural points as a stream of bits (docs/decisions/0116, 0235)."""
 
 from __future__ import annotations
 
 import dataclasses
+import zlib
 
 import numpy as np
 import pytest
 
 from revisit.core.errors import DataLoss
+from revisit.core.geometry import octahedral
 from revisit.core.implicit_map.coded import Form, read_points, write_points
 from revisit.core.implicit_map.settled import PlaneCodes
+from revisit.core.kernels import mixed_coder
 from revisit.core.kernels.range_coder import code_number, finish, fresh_models, start
+
+CRC_OF_TABLES = 0x1179398D
 
 
 def random_codes(rng: np.random.Generator, count: int, reach: int) -> PlaneCodes:
@@ -46,6 +51,25 @@ def test_what_is_written_is_read_whatever_it_is(count, reach, features):
     form, stream = write_points(codes, values, 15, 48)
     read, found = read_points(form, stream)
     assert np.array_equal(in_order(read, found), in_order(codes, values))
+
+
+def test_normals_are_rounded_to_two_steps_and_planes_keep_their_foot():
+    codes = random_codes(np.random.default_rng(6), 2000, 9)
+    nothing = np.zeros((len(codes.voxels), 0), np.int32)
+    form, stream = write_points(codes, nothing, 15, 48, 2)
+    read, _ = read_points(form, stream)
+    before, after = in_order(codes, nothing), in_order(read, nothing)
+    assert np.array_equal(before[:, [0, 1, 2, 6]], after[:, [0, 1, 2, 6]])
+    assert np.abs(after[:, 3:5] - before[:, 3:5]).max() == 1
+    alike = np.einsum("ij,ij->i", octahedral.decode(before[:, 3:5], 15), octahedral.decode(after[:, 3:5], 15))
+    assert np.abs(after[:, 5] - alike * before[:, 5]).max() < 0.51
+    assert write_points(read, nothing, 15, 48, 2) == (form, stream)
+    assert len(stream) < len(write_points(codes, nothing, 15, 48)[1])
+
+
+def test_the_tables_of_the_mixture_are_the_same_on_every_machine():
+    tables = mixed_coder._STRETCH.astype("<i8").tobytes() + mixed_coder._SQUASH.astype("<i8").tobytes()
+    assert zlib.crc32(tables) == CRC_OF_TABLES, "what other machines have written could not be read"
 
 
 def test_of_two_points_in_one_voxel_the_first_is_written():
@@ -91,7 +115,7 @@ def test_a_stream_cut_short_is_read_within_bounds_or_refused():
 
 @pytest.mark.parametrize(
     "damage", [{"count": -1}, {"count": 1 << 40}, {"depth": 99}, {"low": (0, 0)}, {"features": 1 << 20},
-               {"normal_steps": 0}, {"offset_unit": 2.5}, {"count": True}],
+               {"normal_steps": 0}, {"offset_unit": 2.5}, {"count": True}, {"normal_unit": 99}],
 )  # fmt: skip
 def test_a_form_that_no_writer_writes_is_refused(damage):
     form = dataclasses.replace(Form(4, 0, (0, 0, 0), 3, 15, 48), **damage)

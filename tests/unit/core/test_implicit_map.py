@@ -184,14 +184,15 @@ def test_a_stored_map_answers_as_the_fitted_one_within_two_centimetres(make_driv
     assert np.percentile(np.abs(stored.sdf(queries)[0] - field.sdf(queries)[0]), 95) < 0.02
 
 
-def test_a_stored_map_of_planes_answers_exactly_as_the_fitted_one(make_drive, shapes):
+def test_a_stored_map_of_planes_has_the_fitted_ones_surface_with_rounder_normals(make_drive, shapes):
     field = fit(make_drive(lambda _: [shapes["ground"](), shapes["box"]((10, -6, 0), (12, 6, 5))]))
     shipped = load_packaged_models().decoder
     stored = NeuralMap.from_blob(field.to_blob(), shipped, dataclasses.replace(LEARNED, weight_power=3.0))
     queries, _ = near_wall(np.random.default_rng(7))
     assert stored.decoder is None and stored.config == CONFIG
     assert np.array_equal(stored.stamps_ns, field.stamps_ns)
-    assert np.allclose(stored.sdf(queries)[0], field.sdf(queries)[0], atol=1e-5)
+    off = np.abs(stored.sdf(queries)[0] - field.sdf(queries)[0])
+    assert np.median(off) < 0.005 and np.percentile(off, 95) < 0.02
 
 
 def test_planes_need_no_torch():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tracemalloc
 from contextlib import contextmanager
+from itertools import product
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from revisit.core.kernels.elastic_points import FIRST_SCAN, MOMENTS, RECORD, VIE
 from revisit.core.kernels.gathered_returns import GatheredReturns
 from revisit.core.kernels.nearest_points import nearest_points
 from revisit.core.kernels.point_columns import MAX_GRID, columns_of
+from revisit.core.kernels.voxel_families import beside, coded_neighbours, families_of
 from revisit.core.kernels.voxel_table import VoxelTable, find, slot_of, table_of, voxels_of
 from revisit.core.model_bundle import load_packaged_models
 from revisit.core.pipeline import describe
@@ -260,3 +262,21 @@ def test_a_submap_whose_points_are_not_in_the_order_of_their_scans_is_refused(sc
 
 def test_the_default_map_evicts_nothing_because_it_has_nothing_to_evict():
     assert "eviction_distance" not in ImplicitMapConfig.__dataclass_fields__
+
+
+def test_neighbours_coded_before_a_voxel_are_those_of_the_plain_search():
+    rng = np.random.default_rng(4)
+    spread = np.unique(rng.integers(0, 12, (500, 3)), axis=0)
+    nodes, child = spread >> 1, (spread & 1) @ [4, 2, 1]
+    voxels = spread[np.lexsort([child, *nodes.T])].astype(np.int32)
+    row_of = {tuple(voxel): row for row, voxel in enumerate(voxels.tolist())}
+    side = [step for step in product((-1, 0, 1), repeat=3) if any(step)]
+    side.sort(key=lambda step: sum(map(abs, step)))
+    families = families_of(voxels)
+    for row, (x, y, z) in enumerate(voxels.tolist()):
+        around = [row_of.get((x + dx, y + dy, z + dz), len(voxels)) for dx, dy, dz in side]
+        count = coded_neighbours(families, row)
+        assert families.near[:count].tolist() == [other for other in around if other < row]
+        found = {side[k] for k in range(6) if around[k] < len(voxels)}
+        bits = [(-1, 0, 0), (0, -1, 0), (0, 0, -1), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+        assert beside(families) == sum(1 << bit for bit, step in enumerate(bits) if step in found)
