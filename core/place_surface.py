@@ -101,8 +101,27 @@ def read_surface(stream: bytes, spacing: float, limit: int, kind: Kind) -> tuple
     _code(coder, data, models, voxels, codes, places, steps)
     if position(coder) != len(data):
         raise DataLoss("the surface of the place does not hold what it says")
-    positions = (voxels + np.array([x, y, z]) + _within(places, along(codes), steps) - CORNER) * edge
-    return positions.astype(np.float32), octahedral.decode(codes, NORMAL_STEPS).astype(np.float32)
+    return _geometry(voxels + np.array([x, y, z]), places, codes, edge, steps)
+
+
+def settled_surface(points: Array, normals: Array, spacing: float, kind: Kind) -> tuple[Array, Array]:
+    """What `read_surface` reads of what `write_surface` writes of them, without writing it."""
+    edge, steps = kinds(spacing)[kind]
+    if not len(points):
+        return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32)
+    voxels, places, codes = rounded(points, normals, edge, steps)
+    order = np.argsort(_tree_keys(voxels - voxels.min(axis=0)))
+    along_steep, places = along(codes[order]), places[order]
+    found = np.column_stack([places[along_steep], places[~along_steep].reshape(-1, 2)])
+    return _geometry(voxels[order], found, codes[order], edge, steps)
+
+
+def _tree_keys(voxels: Whole) -> Whole:
+    """Numbers (n,) in the order in which an octree lists `voxels` (n, 3): bits of x, y and z by turns."""
+    spread = voxels.astype(np.int64)
+    for shift, mask in ((16, 0x0000FF0000FF), (8, 0x00F00F00F00F), (4, 0x0C30C30C30C3), (2, 0x249249249249)):
+        spread = (spread | spread << shift) & mask
+    return np.asarray(spread @ np.array([4, 2, 1]))
 
 
 def begun(kind: Kind) -> Models:
@@ -159,7 +178,15 @@ def rounded(points: Array, normals: Array, edge: float, steps: int) -> tuple[Who
     return voxels.astype(np.int64), places.astype(np.int64), codes[rows].astype(np.int64)
 
 
-def _within(places: NDArray[np.int32], fine: NDArray[np.bool_], steps: int) -> NDArray[np.float64]:
+def _geometry(
+    voxels: Whole, places: NDArray[np.integer], codes: NDArray[np.integer], edge: float, steps: int
+) -> tuple[Array, Array]:
+    """Points (n, 3) and normals (n, 3) of what is coded."""
+    positions = (voxels + _within(places, along(codes), steps) - CORNER) * edge
+    return positions.astype(np.float32), octahedral.decode(codes, NORMAL_STEPS).astype(np.float32)
+
+
+def _within(places: NDArray[np.integer], fine: NDArray[np.bool_], steps: int) -> NDArray[np.float64]:
     """Where in its voxel each point lies, (n, 3) in edges."""
     within = np.empty((len(fine), 3))
     within[fine] = (places[:, 0] + 0.5) / steps

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
@@ -106,13 +107,15 @@ class CompiledViews:
     def strongest_orientations(self, image: Array, bank: Array) -> tuple[NDArray[np.int8], Array]:
         """See `ViewKernels`."""
         (height, width), (orientations, scales, size, _) = image.shape, bank.shape
-        spectrum = fft.fft2(image, s=(size, size))
+        spectrum = fft.fft2(image, s=(size, size)) / np.float32(size * size)  # the transforms back do not divide
         amplitude = np.zeros((orientations, height, width), dtype=np.float32)
-        filtered = np.empty((scales, size, size), dtype=np.complex64)
+        response = np.empty((1, size, size), dtype=np.complex64)
+        parts = response.view(np.float32).reshape(size, size, 2)
         for filters, layer in zip(bank, amplitude, strict=True):
-            multiply_spectrum(filters, spectrum, filtered)
-            rows = fft.ifft(filtered, axis=1, overwrite_x=True)[:, :height]
-            add_amplitudes(fft.ifft(rows, axis=2, overwrite_x=True), layer)
+            for scale in range(scales):  # one at a time stays in the cache
+                multiply_spectrum(filters[scale : scale + 1], spectrum, response)
+                cv2.dft(parts, parts, flags=cv2.DFT_INVERSE | cv2.DFT_COMPLEX_OUTPUT)
+                add_amplitudes(response, layer)
         return strongest_layer(amplitude)
 
     def discs(self, layers: Array, pixels: NDArray[np.int64], disc: Array) -> Array:
