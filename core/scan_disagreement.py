@@ -143,9 +143,9 @@ def _some_columns(submap: Submap) -> tuple[Array64, NDArray[np.int64], NDArray[n
     from revisit.core.kernels.drawn_columns import points_of_drawn_columns  # compiled: the gateway needs none of it
 
     rows = points_of_drawn_columns(submap.points, _REACH_M, _POINTS)
-    points = submap.points[rows].astype(np.float64)
-    cubes = np.clip(np.floor(points).astype(np.int64) + 1024, 0, 2047)
-    return points, submap.scan_index[rows].astype(np.int64), (cubes[:, 0] * 2048 + cubes[:, 1]) * 2048 + cubes[:, 2]
+    points = submap.points.take(rows, axis=0)
+    x, y, z = np.clip(np.floor(points.T).astype(np.int64) + 1024, 0, 2047)
+    return points.astype(np.float64), submap.scan_index.take(rows).astype(np.int64), (x * 2048 + y) * 2048 + z
 
 
 def _plane_heights(points: Array64, scan: NDArray[np.int64], cube: NDArray[np.int64]) -> _PlaneHeights | None:
