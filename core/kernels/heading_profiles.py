@@ -38,10 +38,8 @@ def face_profiles(
             column = int(np.floor((x * cosine + y * sine) / spacing)) + bins // 2
             if 0 <= column < bins:
                 fourth = facing * facing * facing * facing
-                turned = row if row >= 0 else row + headings
-                found[turned if turned < headings else turned - headings, column] += share * (
-                    fourth if sharpness == 4.0 else facing**sharpness
-                )
+                share_there = share * (fourth if sharpness == 4.0 else facing**sharpness)
+                found[row if row >= 0 else row + headings, column] += share_there
     return found
 
 

@@ -134,11 +134,11 @@ def list_corners(pieces: Pieces, count: int) -> tuple[NDArray[np.int32], NDArray
     for row in range(count):
         left, z = bits[row], pieces.voxels[row, 2] * PIECE
         while left:
-            if left & np.uint64(1):
-                corners[n, 0], corners[n, 1], corners[n, 2] = pieces.voxels[row, 0], pieces.voxels[row, 1], z
-                n += 1
-            left >>= np.uint64(1)
-            z += 1
+            lowest = left & (~left + np.uint64(1))
+            corners[n, 0], corners[n, 1] = pieces.voxels[row, 0], pieces.voxels[row, 1]
+            corners[n, 2] = z + _ones(lowest - np.uint64(1))
+            n += 1
+            left ^= lowest
     return corners, first
 
 
