@@ -22,7 +22,7 @@ _WINDOW = 4  # corners along each edge of the 27 voxels around a point
 
 _PIECES_EACH = 2
 """Pieces of corners that a neural point may add before the hash table becomes slow."""
-_PLACES_EACH = 128
+_PLACES_EACH = 48
 """Places of the grid for each neural point, at most."""
 
 Bits = NDArray[np.uint64]
