@@ -19,7 +19,7 @@ from revisit.core.errors import BadTransform, DataLoss
 from revisit.core.geometry.level_frame import LevelFrame
 from revisit.core.geometry.voxel_keys import first_rows, voxel_keys
 from revisit.core.kept import Keeping
-from revisit.core.place_form import CONTAINER, PlaceContents, read_form, write_form
+from revisit.core.place_form import CONTAINER, PlaceContents, read_form, settled_form, write_form
 from revisit.core.scan_disagreement import ScanDisagreement
 from revisit.core.stages import stage
 
@@ -126,11 +126,12 @@ def extract_place(
     standing = _spread_rows(surface.vertices, ~clusters.ground, config.spacing, config.standing_points)
     ground = _spread_rows(surface.vertices, clusters.ground, 2.0 * config.spacing, config.ground_points)
     rows = np.concatenate([standing, ground])
-    place = Place(
+    contents = PlaceContents(
         bev.keypoints, bev.orientations, project_locally(bev.descriptors, codebooks), codebooks.local_parity,
-        surface.vertices[rows], surface.normals[rows], len(standing), patch_model(codebooks), spacing=config.spacing,
+        surface.vertices[rows], surface.normals[rows], len(standing),
     )  # fmt: skip
-    return Place.from_blob(place.to_blob())
+    stored = settled_form(contents, float(config.spacing))
+    return Place(**vars(stored), model=patch_model(codebooks), spacing=float(config.spacing))
 
 
 def patch_model(codebooks: Codebooks) -> str:

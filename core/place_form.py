@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from revisit.core.container import Container
 from revisit.core.errors import DataLoss
-from revisit.core.place_keypoints import ANGLE_BITS, read_keypoints, write_keypoints
+from revisit.core.place_keypoints import ANGLE_BITS, in_stored_order, read_keypoints, write_keypoints
 
 Array = NDArray[np.float32]
 
@@ -45,7 +45,7 @@ def write_form(contents: PlaceContents, spacing: float) -> tuple[dict[str, Any],
     parity = contents.parity[:DIMENSIONS]
     sections = (
         np.packbits(parity > 0).tobytes(),
-        _keypoints_written(contents),
+        write_keypoints(*_coded_keypoints(contents)),
         write_surface(points[:standing], normals[:standing], spacing, "standing"),
         write_surface(points[standing:], normals[standing:], spacing, "ground"),
     )
@@ -54,6 +54,23 @@ def write_form(contents: PlaceContents, spacing: float) -> tuple[dict[str, Any],
         "sections": [len(section) for section in sections],
     }  # fmt: skip
     return header, b"".join(sections)
+
+
+def settled_form(contents: PlaceContents, spacing: float) -> PlaceContents:
+    """What `read_form` reads of what `write_form` writes of `contents`, without writing it."""
+    from revisit.core.place_surface import settled_surface
+
+    standing, points, normals = contents.standing_count, contents.points, contents.normals
+    standing_points, standing_normals = settled_surface(points[:standing], normals[:standing], spacing, "standing")
+    ground_points, ground_normals = settled_surface(points[standing:], normals[standing:], spacing, "ground")
+    cells, angles, bits = _coded_keypoints(contents)
+    rows = in_stored_order(cells)
+    parity = np.where(contents.parity[:DIMENSIONS] > 0, np.float32(1.0), np.float32(-1.0))
+    return PlaceContents(
+        *_keypoints_of(cells[rows], angles[rows], bits[rows]), parity,
+        np.concatenate([standing_points, ground_points]), np.concatenate([standing_normals, ground_normals]),
+        len(standing_points),
+    )  # fmt: skip
 
 
 def read_form(header: dict[str, Any], body: bytes, *, surface: bool) -> PlaceContents:
@@ -65,10 +82,8 @@ def read_form(header: dict[str, Any], body: bytes, *, surface: bool) -> PlaceCon
     signs = np.unpackbits(np.frombuffer(parity, np.uint8), count=size)
     cells, angles, bits = read_keypoints(keypoints, count, 2 * size)
     points, normals, standing_count = _surface_read((standing, ground) if surface else (b"", b""), spacing_of(header))
-    return PlaceContents(
-        np.asarray(cells * KEYPOINT_UNIT_M, dtype=np.float32), (angles * (np.pi / ANGLES)).astype(np.float32),
-        directions(levels_of(bits)), 2.0 * signs.astype(np.float32) - 1.0, points, normals, standing_count,
-    )  # fmt: skip
+    signed = 2.0 * signs.astype(np.float32) - 1.0
+    return PlaceContents(*_keypoints_of(cells, angles, bits), signed, points, normals, standing_count)
 
 
 def _sections(header: dict[str, Any], body: bytes) -> list[bytes]:
@@ -109,13 +124,24 @@ def levels_of(bits: NDArray[np.bool_]) -> Array:
     return np.asarray((2.0 * pairs[..., 0] - 1.0) * (1.0 + 2.0 * pairs[..., 1]), dtype=np.float32)
 
 
-def _keypoints_written(contents: PlaceContents) -> bytes:
+def _keypoints_of(
+    cells: NDArray[np.int64], angles: NDArray[np.int64], bits: NDArray[np.bool_]
+) -> tuple[Array, Array, Array]:
+    """Keypoints (n, 2), orientations (n,) and descriptors (n, l) of what is coded."""
+    turned = (angles * (np.pi / ANGLES)).astype(np.float32)
+    return np.asarray(cells * KEYPOINT_UNIT_M, dtype=np.float32), turned, directions(levels_of(bits))
+
+
+def _coded_keypoints(
+    contents: PlaceContents,
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
+    """Cells (n, 2), angles (n,) and bits of the descriptors (n, 2 l), as they are written."""
     cells = np.clip(np.rint(contents.keypoints / KEYPOINT_UNIT_M), -32767, 32767).astype(np.int64)
     angles = np.rint(contents.orientations / np.pi * ANGLES).astype(np.int64) % ANGLES
     kept = directions(contents.descriptors[:, :DIMENSIONS])
     large = np.abs(kept) > _INNER / np.sqrt(max(kept.shape[1], 1))
     bits = np.stack([kept >= 0.0, large], axis=-1).reshape(len(kept), -1)
-    return write_keypoints(cells, angles, bits)
+    return cells, angles, bits
 
 
 def _surface_read(streams: tuple[bytes, bytes], spacing: float) -> tuple[Array, Array, int]:

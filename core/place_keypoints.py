@@ -28,7 +28,7 @@ def write_keypoints(cells: Whole, angles: Whole, bits: NDArray[np.bool_]) -> byt
     A y is written as the zeros between it and the one before. Of the descriptors each column is written whole; one with
     few ones as the gaps between them, all columns of the same width one behind the other (Golomb and Rice).
     """
-    rows = np.lexsort((cells[:, 0], cells[:, 1]))
+    rows = in_stored_order(cells)
     cells, angles, bits = cells[rows], angles[rows], bits[rows]
     low = cells.min(axis=0, initial=32767)
     step = max(int(np.gcd.reduce((cells - low).ravel(), initial=0)), 1)
@@ -36,6 +36,11 @@ def write_keypoints(cells: Whole, angles: Whole, bits: NDArray[np.bool_]) -> byt
     wide = int(x.max(initial=0)).bit_length()
     strings = [_unary(np.diff(y, prepend=0)), _fixed(x, wide), _fixed(angles, ANGLE_BITS), *_columns(bits)]
     return _HEAD.pack(*low, step, wide) + np.packbits(np.concatenate(strings)).tobytes()
+
+
+def in_stored_order(cells: Whole) -> Whole:
+    """The rows (n,) of cells (n, 2) as they are written: by y, then x."""
+    return np.asarray(np.lexsort((cells[:, 0], cells[:, 1])))
 
 
 def read_keypoints(data: bytes, count: int, columns: int) -> tuple[Whole, Whole, NDArray[np.bool_]]:

@@ -102,9 +102,38 @@ def read_surface(stream: bytes, spacing: float, limit: int, kind: Kind) -> tuple
     _code(coder, data, models, voxels, codes, places, steps)
     if position(coder) != len(data):
         raise DataLoss("the surface of the place does not hold what it says")
-    points = np.empty((2, count, 3), dtype=np.float32)
+    return _geometry(voxels, np.array([x, y, z]), codes, places, edge, steps)
+
+
+def settled_surface(points: Array, normals: Array, spacing: float, kind: Kind) -> tuple[Array, Array]:
+    """What `read_surface` reads of what `write_surface` writes of them, without writing it."""
+    edge, steps = kinds(spacing)[kind]
+    if not len(points):
+        return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32)
+    voxels, places, codes = rounded(points, normals, edge, steps)
+    order = np.argsort(_tree_keys(voxels - voxels.min(axis=0)))
+    along_steep, places = along(codes[order]), places[order]
+    found = np.column_stack([places[along_steep], places[~along_steep].reshape(-1, 2)]).astype(np.int32)
+    return _geometry(
+        voxels[order].astype(np.int32), np.zeros(3, np.int64), codes[order].astype(np.int32), found, edge, steps
+    )
+
+
+def _tree_keys(voxels: Whole) -> Whole:
+    """Numbers (n,) in the order in which an octree lists `voxels` (n, 3): bits of x, y and z by turns."""
+    spread = voxels.astype(np.int64)
+    for shift, mask in ((16, 0x0000FF0000FF), (8, 0x00F00F00F00F), (4, 0x0C30C30C30C3), (2, 0x249249249249)):
+        spread = (spread | spread << shift) & mask
+    return np.asarray(spread @ np.array([4, 2, 1]))
+
+
+def _geometry(
+    voxels: NDArray[np.int32], low: Whole, codes: NDArray[np.int32], places: NDArray[np.int32], edge: float, steps: int
+) -> tuple[Array, Array]:
+    """Points (n, 3) and normals (n, 3) of what is coded, voxels counted from `low` on."""
+    points = np.empty((2, len(voxels), 3), dtype=np.float32)
     listed = octahedral.listed(NORMAL_STEPS), octahedral.steepest_axes(NORMAL_STEPS)
-    spread_out(voxels, codes, places, *listed, np.array([x, y, z]), steps, CORNER, edge, points)
+    spread_out(voxels, codes, places, *listed, low, steps, CORNER, edge, points)
     return points[0], points[1]
 
 

@@ -143,9 +143,9 @@ def _some_columns(submap: Submap) -> tuple[Array64, NDArray[np.int64], NDArray[n
     from revisit.core.kernels.drawn_columns import points_of_drawn_columns  # compiled: the gateway needs none of it
 
     rows = points_of_drawn_columns(submap.points, _REACH_M, _POINTS)
-    points = submap.points[rows].astype(np.float64)
-    cubes = np.clip(np.floor(points).astype(np.int64) + 1024, 0, 2047)
-    return points, submap.scan_index[rows].astype(np.int64), (cubes[:, 0] * 2048 + cubes[:, 1]) * 2048 + cubes[:, 2]
+    points = submap.points.take(rows, axis=0)
+    x, y, z = np.clip(np.floor(points.T).astype(np.int64) + 1024, 0, 2047)
+    return points.astype(np.float64), submap.scan_index.take(rows).astype(np.int64), (x * 2048 + y) * 2048 + z
 
 
 def _plane_heights(points: Array64, scan: NDArray[np.int64], cube: NDArray[np.int64]) -> _PlaneHeights | None:
@@ -158,10 +158,9 @@ def _plane_heights(points: Array64, scan: NDArray[np.int64], cube: NDArray[np.in
     seen = ((counts >= _LEAST_OF_SCAN).sum(axis=1) >= 2) & (counts.sum(axis=1) >= _LEAST_OF_CUBE)
     if not seen.any():
         return None
-    kept = seen[cube]
-    points, scan, cube, counts = points[kept], scan[kept], (np.cumsum(seen) - 1)[cube[kept]], counts[seen]
-    middles, normals, flat = _planes(points, cube, counts.sum(axis=1))
-    above = np.einsum("ij,ij->i", points - middles[cube], normals[cube])
+    kept = np.flatnonzero(seen[cube])
+    scan, cube, counts = scan[kept], (np.cumsum(seen) - 1)[cube[kept]], counts[seen]
+    middles, normals, flat, above = _planes(points.take(kept, axis=0).T.copy(), cube, counts.sum(axis=1))
     first, second = (
         np.bincount(cube * scans + scan, power, counts.size).reshape(counts.shape) / np.maximum(counts, 1)
         for power in (above, above**2)
@@ -176,18 +175,22 @@ def _plane_heights(points: Array64, scan: NDArray[np.int64], cube: NDArray[np.in
 
 def _planes(
     points: Array64, cube: NDArray[np.int64], counts: NDArray[np.int64]
-) -> tuple[Array64, Array64, NDArray[np.bool_]]:
-    """The mean (m, 3) and the normal (m, 3) of the points of each cube, and which of them lie on a plane."""
+) -> tuple[Array64, Array64, NDArray[np.bool_], Array64]:
+    """The mean (m, 3) and the normal (m, 3) of the points (3, n) of each cube, and which of them lie on a plane; and
+    how high each point (n,) lies over that of its cube.
+    """
     size = len(counts)
-    middles = np.stack([np.bincount(cube, points[:, axis], size) for axis in range(3)], axis=1) / counts[:, None]
-    away, spread = points - middles[cube], np.empty((size, 3, 3))
+    middles = np.stack([np.bincount(cube, side, size) for side in points], axis=1) / counts[:, None]
+    away, spread = points - middles.T.take(cube, axis=1), np.empty((size, 3, 3))
     for row in range(3):
         for column in range(row, 3):
-            moment = np.bincount(cube, away[:, row] * away[:, column], size) / counts
+            moment = np.bincount(cube, away[row] * away[column], size) / counts
             spread[:, row, column] = spread[:, column, row] = moment
     values, vectors = np.linalg.eigh(spread)
     thin = (values[:, 0] < _THICKEST_M**2) & (values[:, 0] < _FLAT * values[:, 1])
-    return middles, vectors[:, :, 0], thin & (values[:, 1] > _FLATTEST_SPREAD_M2)
+    normals = vectors[:, :, 0]
+    above = np.sum(away * normals.T.take(cube, axis=1), axis=0)
+    return middles, normals, thin & (values[:, 1] > _FLATTEST_SPREAD_M2), above
 
 
 def _within_planes(

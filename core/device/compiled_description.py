@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
@@ -29,12 +30,8 @@ from revisit.core.kernels.oriented_normals import oriented_normals
 from revisit.core.kernels.patch_histograms import disc_histograms, patch_histograms
 from revisit.core.kernels.plane_distance import plane_distance
 from revisit.core.kernels.point_columns import columns_of
-from revisit.core.kernels.surface_cells import enter_observed_corners, find_cells, list_corners
+from revisit.core.kernels.surface_cells import enter_observed_corners, find_cells, list_corners, pieces_around
 from revisit.core.kernels.visibility import mark_seen_through, range_image
-from revisit.core.kernels.voxel_table import VoxelTable, empty_slots
-
-_PIECES_EACH = 2
-"""Pieces of corners that a neural point may add before the hash table becomes slow."""
 
 
 def compiled_description() -> DescriptionKernels:
@@ -72,11 +69,10 @@ class CompiledSurfaces:
     def cells(self, planes: Planes, observed: float) -> Cells:
         """See `SurfaceKernels`. Memory grows with the number of planes, not with the volume between them."""
         positions, resolution = planes.positions, planes.resolution
-        room = 2 * (2 * int(np.ceil(observed / resolution))) ** 2 * len(positions)
-        pieces, bits = _room_for(room, _PIECES_EACH * len(positions)), np.empty(room, np.uint64)
-        count = enter_observed_corners(positions, resolution, observed, pieces, bits)
-        corners, first = list_corners(pieces, bits, count)
-        return Cells(corners, find_cells(positions, planes.normals, resolution, pieces, bits, first, len(corners)))
+        pieces = pieces_around(positions, resolution, observed)
+        count = enter_observed_corners(positions, resolution, observed, pieces)
+        corners, first = list_corners(pieces, count)
+        return Cells(corners, find_cells(positions, planes.normals, resolution, pieces, first, len(corners)))
 
     def distances(self, queries: Array, planes: Planes, rules: FieldRules) -> tuple[Array, Array]:
         """See `SurfaceKernels`."""
@@ -106,13 +102,15 @@ class CompiledViews:
     def strongest_orientations(self, image: Array, bank: Array) -> tuple[NDArray[np.int8], Array]:
         """See `ViewKernels`."""
         (height, width), (orientations, scales, size, _) = image.shape, bank.shape
-        spectrum = fft.fft2(image, s=(size, size))
+        spectrum = fft.fft2(image, s=(size, size)) / np.float32(size * size)  # the transforms back do not divide
         amplitude = np.zeros((orientations, height, width), dtype=np.float32)
-        filtered = np.empty((scales, size, size), dtype=np.complex64)
+        response = np.empty((1, size, size), dtype=np.complex64)
+        parts = response.view(np.float32).reshape(size, size, 2)
         for filters, layer in zip(bank, amplitude, strict=True):
-            multiply_spectrum(filters, spectrum, filtered)
-            rows = fft.ifft(filtered, axis=1, overwrite_x=True)[:, :height]
-            add_amplitudes(fft.ifft(rows, axis=2, overwrite_x=True), layer)
+            for scale in range(scales):  # one at a time stays in the cache
+                multiply_spectrum(filters[scale : scale + 1], spectrum, response)
+                cv2.dft(parts, parts, flags=cv2.DFT_INVERSE | cv2.DFT_COMPLEX_OUTPUT)
+                add_amplitudes(response, layer)
         return strongest_layer(amplitude)
 
     def discs(self, layers: Array, pixels: NDArray[np.int64], disc: Array) -> Array:
@@ -135,8 +133,3 @@ class CompiledViews:
     def plans(self, places: Array64, weight: Array64, shape: tuple[int, int], spacing: float) -> Array64:
         """See `ViewKernels`."""
         return np.asarray(plan_profiles(places, weight, *shape, spacing))
-
-
-def _room_for(rows: int, expected: int) -> VoxelTable:
-    """An empty table for up to `rows` voxels, of which `expected` are usual. Unused rows take no memory."""
-    return VoxelTable(empty_slots(expected), np.empty(rows, np.int32), np.empty((rows, 3), np.int32))

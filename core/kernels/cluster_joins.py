@@ -34,6 +34,7 @@ def _join(
     for cell in range(len(heights)):
         x = int(np.floor(points[starts[cell], 0] / edge)) - x_low
         y = int(np.floor(points[starts[cell], 1] / edge)) - y_low
+        a = _root(parent, cell)
         for column in range(13):
             dx, dy = (column + 2) // 5, (column + 2) % 5 - 2  # (0, 0), (0, 1), (0, 2), (1, -2) ... (2, 2)
             first, last = span(keys, grid, width, depth, x + dx, y + dy, y + dy)
@@ -44,9 +45,10 @@ def _join(
             while other < end and heights[other] < heights[cell] - 2:
                 other += 1
             while other < end and heights[other] <= heights[cell] + 2:
-                a, b = _root(parent, cell), _root(parent, other)
+                b = _root(parent, other)
                 if a != b and _touch(points, starts, cell, other, limit):
                     parent[max(a, b)] = min(a, b)
+                    a = min(a, b)
                 other += 1
     for i in range(len(points)):
         cell_of[i] = _root(parent, cell_of[i])

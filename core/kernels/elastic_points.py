@@ -163,8 +163,9 @@ def pooled_covariances(
     """
     spreads = np.empty((len(columns.points), 1 + _SPREAD), dtype=np.float32)
     _own_spreads(columns.points, columns.rows, records, spreads)
-    out = np.empty((len(positions), 3, 3))
-    _pool(positions, columns, spreads, resolution, out)
+    out, levels = np.empty((len(positions), 3, 3)), np.floor(columns.points[:, 2] / resolution).astype(np.int32)
+    near, gaps = np.empty(len(levels) + 1, dtype=np.int64), np.empty((4, len(levels) + 1), dtype=np.float32)
+    _pool(positions, columns, spreads, levels, resolution, near, gaps, out)
     return out
 
 
@@ -190,33 +191,35 @@ def _own_spreads(
 
 @loop
 def _pool(
-    positions: NDArray[np.float32], columns: PointColumns, spreads: NDArray[np.float32], resolution: float,
-    out: NDArray[np.float64],
+    positions: NDArray[np.float32], columns: PointColumns, spreads: NDArray[np.float32], levels: NDArray[np.int32],
+    resolution: float, near: Rows, gaps: NDArray[np.float32], out: NDArray[np.float64],
 ) -> None:  # fmt: skip
-    """Fill `out` (m, 3, 3): the returns of a neighbour spread around its mean, and with it around the query."""
-    points, keys, grid = columns.points, columns.keys, columns.grid
+    """Fill `out` (m, 3, 3): the returns of a neighbour spread around its mean, and with it around the query.
+
+    `levels` (n,) are the heights of the neighbours' voxels; `near` and `gaps` (4, ...), of one more, are for its use.
+    """
+    keys, grid = columns.keys, columns.grid
     x_low, y_low, width, depth = columns.low[0], columns.low[1], columns.shape[0], columns.shape[1]
     farthest, scale = np.float32(4.0 * resolution**2), np.float32(-0.5 / (0.7 * resolution) ** 2)
     for i in range(len(positions)):
         px, py, pz = positions[i, 0], positions[i, 1], positions[i, 2]
         cx, cy, cz = int(np.floor(px / resolution)), int(np.floor(py / resolution)), int(np.floor(pz / resolution))
-        total, sx, sy, sz = 0.0, 0.0, 0.0, 0.0
-        xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        found = 0
         for x in range(cx - 1 - x_low, cx + 2 - x_low):
             first, last = span(keys, grid, width, depth, x, cy - 1 - y_low, cy + 1 - y_low)
-            for k in range(first, last):
-                dx, dy, dz = points[k, 0] - px, points[k, 1] - py, points[k, 2] - pz
-                gap = dx * dx + dy * dy + dz * dz
-                if gap > farthest or abs(int(np.floor(points[k, 2] / resolution)) - cz) > 1:
-                    continue
-                weight = np.exp(scale * gap) * spreads[k, 0]
-                total, sx, sy, sz = total + weight, sx + weight * dx, sy + weight * dy, sz + weight * dz
-                xx += weight * (spreads[k, 1] + dx * dx)
-                xy += weight * (spreads[k, 2] + dx * dy)
-                xz += weight * (spreads[k, 3] + dx * dz)
-                yy += weight * (spreads[k, 4] + dy * dy)
-                yz += weight * (spreads[k, 5] + dy * dz)
-                zz += weight * (spreads[k, 6] + dz * dz)
+            found = _list_pooled(columns.points, levels, first, last, px, py, pz, cz, farthest, near, gaps, found)
+        total, sx, sy, sz = 0.0, 0.0, 0.0, 0.0
+        xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for n in range(np.uint64(found)):
+            k, dx, dy, dz = np.uint64(near[n]), gaps[0, n], gaps[1, n], gaps[2, n]
+            weight = np.exp(scale * gaps[3, n]) * spreads[k, 0]
+            total, sx, sy, sz = total + weight, sx + weight * dx, sy + weight * dy, sz + weight * dz
+            xx += weight * (spreads[k, 1] + dx * dx)
+            xy += weight * (spreads[k, 2] + dx * dy)
+            xz += weight * (spreads[k, 3] + dx * dz)
+            yy += weight * (spreads[k, 4] + dy * dy)
+            yz += weight * (spreads[k, 5] + dy * dz)
+            zz += weight * (spreads[k, 6] + dz * dz)
         sx, sy, sz = sx / total, sy / total, sz / total
         out[i, 0, 0] = xx / total - sx * sx
         out[i, 0, 1] = out[i, 1, 0] = xy / total - sx * sy
@@ -224,3 +227,21 @@ def _pool(
         out[i, 1, 1] = yy / total - sy * sy
         out[i, 1, 2] = out[i, 2, 1] = yz / total - sy * sz
         out[i, 2, 2] = zz / total - sz * sz
+
+
+@numba.njit(inline="always")
+def _list_pooled(
+    points: NDArray[np.float32], levels: NDArray[np.int32], first: int, last: int, px: np.float32, py: np.float32,
+    pz: np.float32, cz: int, farthest: np.float32, near: Rows, gaps: NDArray[np.float32], found: int,
+) -> int:  # fmt: skip
+    """Add the points from `first` to before `last` that count at (px, py, pz) to the first `found` in `near`.
+
+    `gaps` gets their differences and squared distances. Without a branch that depends on the data. Returns how many
+    there are then.
+    """
+    for k in range(np.uint64(first), np.uint64(last)):
+        dx, dy, dz, at = points[k, 0] - px, points[k, 1] - py, points[k, 2] - pz, np.uint64(found)
+        gap = dx * dx + dy * dy + dz * dz
+        near[at], gaps[0, at], gaps[1, at], gaps[2, at], gaps[3, at] = k, dx, dy, dz, gap
+        found += 1 if (gap <= farthest) & (abs(levels[k] - cz) <= 1) else 0
+    return found

@@ -13,6 +13,7 @@ Keys = NDArray[np.int64]
 
 _NOTHING = np.int64(0x7F800000 << 32)  # infinitely far
 _ROW = np.int64(0xFFFFFFFF)
+_FAR, _NONE = np.float32(np.inf), np.int32(-1)
 _SIX = 6  # neighbours of a query in the map of a submap
 
 
@@ -24,8 +25,10 @@ def nearest_points(
     Returns rows (m, count) int32 of the points before they were sorted, -1 where fewer are nearer than `rings` voxel
     edges, and squared distances (m, count) float32, inf there. Of points equally far the one of the lower voxel counts.
     """
-    found = np.full((len(queries), count), -1, dtype=np.int32)
-    squared = np.full((len(queries), count), np.inf, dtype=np.float32)
+    found, squared = np.empty((len(queries), count), np.int32), np.empty((len(queries), count), np.float32)
+    if len(columns.points) == 0:
+        found[:], squared[:] = _NONE, _FAR
+        return found, squared
     near, best = np.empty(len(columns.points) + 1, dtype=np.int64), np.empty(count, dtype=np.int64)
     held = np.empty(len(near), np.int64), np.empty((2, len(near)), columns.points.dtype)
     _find_nearest(queries, columns, resolution, rings, near, best, best.view(np.float32), *held, found, squared)
@@ -69,10 +72,9 @@ def _find_nearest(
                 if gap * gap <= farthest:
                     first, last = span(keys, grid, width, depth, x, cy - rings, cy + rings)
                     _keep_nearest(queries, q, points, first, last, farthest, near, best)
-            for k in range(count):
-                if halves[2 * k + 1] >= reach:
-                    break
-                squared[q, k], found[q, k] = halves[2 * k + 1], rows[best[k] & _ROW]
+            for k in range(np.uint64(count)):  # without a branch: nothing has a row too, which is not taken
+                gap, row = halves[np.uint64(2) * k + np.uint64(1)], rows[np.uint64(best[k] & _ROW)]
+                squared[q, k], found[q, k] = gap if gap < reach else _FAR, row if gap < reach else _NONE
         begin = end
 
 

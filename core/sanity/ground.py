@@ -74,8 +74,8 @@ def place_flags(
     `points` (n, 3) in its level frame, whose lengths are divided by `scene_scale`. A scene that is too large does not
     come so far: its points lie beyond the sensor's range.
     """
-    plane = ground_plane(points, scores_of=scores_of)
-    sample = sample_of(points)
+    sample = np.ascontiguousarray(sample_of(points))  # a sample of it is itself
+    plane = ground_plane(sample, scores_of=scores_of)
     size_m = scene_scale * float(np.sqrt(np.percentile(np.einsum("ij,ij->i", sample, sample), 95.0)))
     tilted = plane is not None and not plane.upright
     return ("ground_tilted",) * tilted + ("scene_too_small",) * (size_m < MIN_SCENE_M)

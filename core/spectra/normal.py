@@ -22,9 +22,9 @@ def normal_spectrum(surface: Surface, clusters: Clusters, config: SpectrumConfig
 
     A vertex counts by how steep its face is and by its nearness.
     """
-    chosen = clusters.labels >= 0
-    vertices = surface.vertices[chosen, :2].astype(np.float64)
-    normals = surface.normals[chosen, :2].astype(np.float64)
+    chosen = np.flatnonzero(clusters.labels >= 0)
+    vertices = surface.vertices.take(chosen, axis=0)[:, :2].astype(np.float64)
+    normals = surface.normals.take(chosen, axis=0)[:, :2].astype(np.float64)
     weight = np.einsum("ij,ij->i", normals, normals) * nearness(vertices, config)
     heading = np.arctan2(normals[:, 1], normals[:, 0])
     shape = config.headings, bin_count(config)

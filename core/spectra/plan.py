@@ -20,7 +20,8 @@ Array = NDArray[np.float32]
 
 def plan_spectrum(surface: Surface, clusters: Clusters, config: SpectrumConfig) -> Array:
     """The spectrum (`spectrum_size(config)`,) of the plan; zeros where there is no cluster within reach."""
-    places = surface.vertices[clusters.labels >= 0, :2].astype(np.float64)
+    chosen = np.flatnonzero(clusters.labels >= 0)
+    places = surface.vertices.take(chosen, axis=0)[:, :2].astype(np.float64)
     shape = config.headings, bin_count(config)
     profiles = device().description.views.plans(places, nearness(places, config), shape, config.spacing)
     return profile_spectrum(profiles, config)

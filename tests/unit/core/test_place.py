@@ -20,7 +20,7 @@ from revisit.core.geometry.level_frame import LevelFrame
 from revisit.core.kernels.octree_coder import ranks_of
 from revisit.core.place import CONTAINER, Place
 from revisit.core.place_keypoints import read_keypoints, write_keypoints
-from revisit.core.place_surface import CORNER, read_surface, write_surface
+from revisit.core.place_surface import CORNER, read_surface, settled_surface, write_surface
 from revisit.core.scan_disagreement import ScanDisagreement
 from tests.support.old_places import SECOND_FORM, THIRD_FORM
 from tests.support.yards import CONFIG, recognised, yard
@@ -107,6 +107,8 @@ def test_any_surface_is_read_as_it_was_rounded(seed: int) -> None:
     stream = write_surface(points.astype(np.float32), normals.astype(np.float32), 0.8, "standing")
     read, facing = read_surface(stream, 0.8, 400, "standing")
     assert write_surface(read, facing, 0.8, "standing") == stream
+    settled = settled_surface(points.astype(np.float32), normals.astype(np.float32), 0.8, "standing")
+    np.testing.assert_array_equal(settled, (read, facing))
     gaps, rows = cKDTree(read).query(points)
     assert gaps.max() < 0.8 and np.percentile(gaps, 95) < 0.3
     assert np.degrees(np.arccos(np.clip(np.einsum("ij,ij->i", facing[rows], normals), -1, 1)))[gaps < 0.2].mean() < 8.0
@@ -117,7 +119,9 @@ def test_a_surface_of_one_point_and_of_none_survive() -> None:
     points, normals = read_surface(write_surface(-3.3 * up, up, 0.8, "standing"), 0.8, 10, "standing")
     np.testing.assert_allclose(points, [[0.0, 0.0, -3.3]], atol=0.02)
     np.testing.assert_allclose(normals, up)
-    assert read_surface(write_surface(up[:0], up[:0], 0.8, "standing"), 0.8, 10, "standing")[0].shape == (0, 3)
+    for kept in (up, up[:0]):
+        read = read_surface(write_surface(kept, kept, 0.8, "ground"), 0.8, 10, "ground")
+        np.testing.assert_array_equal(settled_surface(kept, kept, 0.8, "ground"), read)
 
 
 def test_a_damaged_surface_is_refused_wherever_it_is_cut_or_changed() -> None:

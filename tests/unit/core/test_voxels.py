@@ -18,6 +18,7 @@ from revisit.core.kernels.elastic_points import FIRST_SCAN, MOMENTS, RECORD, VIE
 from revisit.core.kernels.gathered_returns import GatheredReturns
 from revisit.core.kernels.nearest_points import nearest_points
 from revisit.core.kernels.point_columns import MAX_GRID, columns_of
+from revisit.core.kernels.surface_cells import enter_observed_corners, find_cells, list_corners, pieces_around
 from revisit.core.kernels.voxel_families import beside, coded_neighbours, families_of
 from revisit.core.kernels.voxel_table import VoxelTable, find, slot_of, table_of, voxels_of
 from revisit.core.model_bundle import load_packaged_models
@@ -194,6 +195,19 @@ def test_cells_near_planes_are_those_of_the_plain_formula_in_its_order():
     assert gaps.max() <= 0.6 + 1e-6
     lattice = np.array(list(np.ndindex(12, 12, 12))) - 6
     assert len(near.corners) == (np.linalg.norm(lattice[:, None] * 0.4 - positions, axis=2).min(axis=1) <= 0.6).sum()
+
+
+def test_pieces_of_corners_are_found_alike_in_a_grid_and_in_a_table():
+    positions, normals = random_surface(300, 3.0)
+    found = []
+    for each in (0, 1_000):
+        pieces = pieces_around(positions, 0.4, 0.6, each)
+        corners, first = list_corners(pieces, enter_observed_corners(positions, 0.4, 0.6, pieces))
+        found.append((corners, first, find_cells(positions, normals, 0.4, pieces, first, len(corners))))
+        assert bool(len(pieces.grid)) == (each > 0)
+    for one, other in zip(*found, strict=True):
+        assert len(one) > 20
+        np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize("reach", [600.0, FAR_M])
