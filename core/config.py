@@ -475,6 +475,16 @@ class VerificationConfig(Section):
     min_common_share: float = parameter(
         0.35, "1", "own", "of the smaller place must stand in that region", low=0, high=1
     )
+    min_common_share_sure: float = parameter(
+        0.2,
+        "1",
+        "own, decision 0228",
+        "the same where overlap and score are beyond doubt: sensors that see unlike parts of a place",
+        low=0,
+        high=1,
+    )
+    sure_overlap: float = parameter(0.4, "1", "own, decision 0228", "overlap beyond doubt", low=0, high=1)
+    sure_score: float = parameter(0.95, "1", "own, decision 0228", "score beyond doubt", low=0, high=1)
     max_tilt: float = parameter(15.0, "deg", "own", "largest tilt between two gravity-aligned submaps", low=0, high=180)
     min_overlap: float = parameter(0.2, "1", "own, decision 0163", "smallest share of common surface", low=0, high=1)
     min_observability: float = parameter(0.002, "1", "own", "smallest eigenvalue share of the ICP information", low=0)

@@ -45,7 +45,7 @@ class LoopMeasurement:
     place the other has looked through; rmse_m of the point-to-plane residuals; score 0..1 (`loop_score`);
     T_match_query (4, 4) maps points of the query submap's frame into the match submap's frame; covariance (6, 6) of its
     tangent (x, y, z, rx, ry, rz), metres and radians, in the match frame; rivals, other poses that fit about as well,
-    best first, sought only where nothing else speaks against the loop.
+    best first, sought only where no more than a low score speaks against the loop.
     """
 
     similarity: float
@@ -134,10 +134,10 @@ def _verify_in_order(
     other = reconsider(registration, *surfaces, config) if reason in _OF_A_POSE else None
     if other is not None:
         measurement, reason = _judged(other, start.fit, query, match, similarity, config)
-    if reason is None and not (near is not None and near_decides):
+    if reason in _WITH_RIVALS and not (near is not None and near_decides):
         rivals = find_rivals(measurement.T_match_query, *surfaces, config)
         measurement = dataclasses.replace(measurement, rivals=rivals)
-        reason = RejectionReason.AMBIGUOUS if rivals else None
+        reason = RejectionReason.AMBIGUOUS if rivals else reason
     measurement = _unlevelled(measurement, query, match, config)
     return VerifiedLoop(measurement) if reason is None else RejectedLoop(reason, measurement)
 
@@ -150,6 +150,9 @@ _OF_A_POSE = (
 )
 """Reasons that a wrong pose has which shares much surface: then the starts that were left out are asked."""
 
+_WITH_RIVALS = (None, RejectionReason.LOW_SCORE)
+"""Verdicts after which other poses that fit are sought. Where a place repeats, little is lost aside: a low score."""
+
 
 def _judged(
     registration: Registration,
@@ -161,8 +164,10 @@ def _judged(
 ) -> tuple[LoopMeasurement, RejectionReason | None]:
     """What is measured of a registration, in the level frames, and the first gate that it does not pass."""
     evidence = gather_evidence(registration, OrientedPoints.of(query), OrientedPoints.of(match), config)
-    enough = max(config.min_common, config.min_common_share * min(query.standing_count, match.standing_count))
     measurement = _measure(fit, registration, evidence, similarity, config)
+    sure = evidence.overlap >= config.sure_overlap and measurement.score >= config.sure_score
+    share = min(config.min_common_share, config.min_common_share_sure) if sure else config.min_common_share
+    enough = max(config.min_common, share * min(query.standing_count, match.standing_count))
     return measurement, _rejection(registration, evidence, measurement.score, enough, config)
 
 
@@ -236,16 +241,16 @@ def common_disagreement(query: Place, match: Place) -> ScanDisagreement | None:
     return ScanDisagreement(*np.sqrt(0.5 * np.square(astuple(first)) + 0.5 * np.square(astuple(second))).tolist())
 
 
-def loop_score(contrast: float, seen_through: float, rmse_m: float) -> float:
-    """Evidence to 0..1 by logistic regression on real and simulated submaps (docs/decisions/0018)."""
-    features = (1.0, contrast, seen_through, max(rmse_m, _SHARPEST_RMSE_M))
+def loop_score(overlap: float, contrast: float, seen_through: float, rmse_m: float) -> float:
+    """Evidence to 0..1, with weights from real and simulated pairs of submaps (docs/decisions/0229)."""
+    features = (1.0, overlap, contrast, seen_through, max(rmse_m, _SHARPEST_RMSE_M))
     logit = float(np.dot(_SCORE_WEIGHTS, features))
     return float(1.0 / (1.0 + np.exp(-np.clip(logit, -30.0, 30.0))))
 
 
 _LEAST_OVERLAP = 0.05  # less is no loop
-_SCORE_WEIGHTS = (16.7, 19.2, -29.7, -150.0)
-_SHARPEST_RMSE_M = 0.09  # cleaner surfaces, such as simulated ones, are no better evidence
+_SCORE_WEIGHTS = (17.7, -8.0, 40.0, -65.0, -150.0)
+_SHARPEST_RMSE_M = 0.04  # cleaner surfaces, such as simulated ones, are no better evidence
 
 
 def _measure(
@@ -262,7 +267,7 @@ def _measure(
         contrast=evidence.contrast,
         seen_through=evidence.seen_through,
         rmse_m=evidence.rmse_m,
-        score=loop_score(evidence.contrast, evidence.seen_through, evidence.rmse_m),
+        score=loop_score(evidence.overlap, evidence.contrast, evidence.seen_through, evidence.rmse_m),
         T_match_query=registration.T_match_query,
         covariance=0.5 * (covariance + covariance.T),
     )

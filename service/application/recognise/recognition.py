@@ -71,6 +71,7 @@ from revisit.service.application.recognise.description_commit import (
     StoredDescription,
 )
 from revisit.service.application.recognise.distinctiveness import with_distinctiveness
+from revisit.service.application.recognise.look_alikes import not_standing_out
 from revisit.service.application.recognise.loops_beside import Beside, contradicted, drive_before, supported
 from revisit.service.application.recognise.proposed_loops import VerdictCommit, proposed_pair
 from revisit.service.application.recognise.recalled_loops import (
@@ -315,7 +316,9 @@ class Recognition:
 
         Of the earlier loops only those that are decided now.
         """
-        new = [Beside(submap, one.place.submap, one.place.similarity, one.verdict) for one in judged]
+        new = _standing_out(
+            [Beside(submap, one.place.submap, one.place.similarity, one.verdict) for one in judged], config
+        )
         if not any(loop.hypotheses for loop in new):
             return judged, []
         before = self._transactions.read(partial(drive_before, submap=submap, config=config)).result()
@@ -462,8 +465,15 @@ def _agreeing(judged: list[JudgedPlace], config: PipelineConfig) -> list[JudgedP
     loops = [
         Beside(replace(judged[0].place.submap, session_number=0), one.place.submap, 0.0, one.verdict) for one in judged
     ]
-    changed = {loop.key: loop.verdict for loop in contradicted(loops, config.verification, config.submap.stride)}
-    return [replace(one, verdict=changed.get(loop.key, one.verdict)) for one, loop in zip(judged, loops, strict=True)]
+    loops = _standing_out(loops, config)
+    changed = {loop.key: loop for loop in contradicted(loops, config.verification, config.submap.stride)}
+    return [replace(one, verdict=changed.get(loop.key, loop).verdict) for one, loop in zip(judged, loops, strict=True)]
+
+
+def _standing_out(loops: list[Beside], config: PipelineConfig) -> list[Beside]:
+    """The loops of one query, those ambiguous that stand out from no other place."""
+    changed = {loop.key: loop for loop in not_standing_out(loops, config)}
+    return [changed.get(loop.key, loop) for loop in loops]
 
 
 def _is_known(told: Told | None) -> bool:
