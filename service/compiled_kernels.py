@@ -1,13 +1,21 @@
-"""Where numba keeps compiled kernels: beside the code where that can be written to, else in the service's home."""
+"""Where numba keeps compiled kernels: beside the code where that can be written to, else in the service's home.
+
+A process that has compiled keeps what the compiler took, some 350 MB, for as long as it lives. So it starts anew.
+"""
 
 from __future__ import annotations
 
+import gc
 import os
+import sys
 from pathlib import Path
 
 from revisit import core
 
 CACHE_VARIABLE = "NUMBA_CACHE_DIR"
+
+STARTED_ANEW = "REVISIT_KERNELS_COMPILED"
+"""The environment of a process that has started anew: where nothing can be kept, it compiles and goes on."""
 
 
 def choose_cache(home: Path) -> Path | None:
@@ -28,3 +36,20 @@ def _writable(code: Path) -> bool:
     """Whether numba can write where it does first: into `__pycache__` beside the code."""
     cached = code / "__pycache__"
     return os.access(cached if cached.exists() else code, os.W_OK | os.X_OK)
+
+
+def begin_anew_if_compiled() -> None:
+    """Replace this process by a fresh one of the same command, once, where it has compiled kernels itself.
+
+    Those that it has loaded do not count. The process keeps its id and its parent.
+    """
+    if STARTED_ANEW not in os.environ and _has_compiled():
+        os.execve(sys.executable, sys.orig_argv, {**os.environ, STARTED_ANEW: "1"})
+
+
+def _has_compiled() -> bool:
+    numba = sys.modules.get("numba.core.dispatcher")
+    if numba is None:
+        return False
+    kernels = (one for one in gc.get_objects() if issubclass(type(one), numba.Dispatcher))
+    return any(kernel.stats.cache_misses for kernel in kernels)

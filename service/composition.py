@@ -32,7 +32,6 @@ from revisit.service.adapters.sqlite.checkpoints import Checkpoints
 from revisit.service.adapters.sqlite.connections import write_ahead_log
 from revisit.service.adapters.sqlite.transactions import SqliteTransactions, StorageFailures
 from revisit.service.adapters.vector_index import SAVED_FROM, PlaceVectorIndex
-from revisit.service.adapters.webhook_sender import HttpWebhookSender
 from revisit.service.application import Installation, UseCases
 from revisit.service.application.access.callers import current_actor
 from revisit.service.application.capacity.call_pace import CallPace
@@ -45,8 +44,8 @@ from revisit.service.application.housekeeping.system import WORKER_SEEN_WITHIN_M
 from revisit.service.application.housekeeping.upkeep import Chore
 from revisit.service.application.push.deliveries import Deliveries
 from revisit.service.application.recognise.reembedding import Reembedding
+from revisit.service.compiled_kernels import begin_anew_if_compiled
 from revisit.service.settings import Settings
-from revisit.service.wire.webhook_body import webhook_body
 from revisit.service.worker.confinement import confine
 from revisit.service.worker.ends import STORAGE_FAILED
 from revisit.service.worker.heartbeat import WorkerIdentity
@@ -59,7 +58,7 @@ TEND_DISK_EVERY_S = 0.5
 FOLD_LOG_BACK_EVERY_S = 1.0
 SWEEP_EVERY_S = 6 * 3600.0
 LOAD_INDEX_EVERY_S = 1.0
-AUDIT_INDEX_EVERY_S = 0.5
+AUDIT_INDEX_EVERY_S = 1.0
 TEND_INDEX_FILES_EVERY_S = 2.0
 FORGET_ANSWERS_EVERY_S = 60.0
 FORGET_EVENTS_EVERY_S = 60.0
@@ -160,6 +159,9 @@ def chores(settings: Settings, installation: Installation, fail_stop: FailStop) 
 
 def build_deliveries(settings: Settings, installation: Installation) -> Deliveries:
     """What sends events to webhooks."""
+    from revisit.service.adapters.webhook_sender import HttpWebhookSender  # workers need none of what these bring
+    from revisit.service.wire.webhook_body import webhook_body
+
     sender = HttpWebhookSender(private_networks=settings.webhook_private_networks)
     return Deliveries(installation.storage, sender, installation.clock, webhook_body)
 
@@ -208,6 +210,7 @@ def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None
     log.info("worker_loading", device=settings.device)
     use(open_device(settings.device))
     recogniser = load_recogniser(settings.recogniser)
+    begin_anew_if_compiled()
     stopping = threading.Event()
     for number in STOP_SIGNALS:
         signal.signal(number, lambda *_: stopping.set())

@@ -1,4 +1,4 @@
-"""Memory of large blocks goes back to the system as soon as it is free."""
+"""Memory that is free goes back to the system: of large blocks at once, of everything when asked."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ LARGE_BYTES = 4 * 2**20
 
 KEPT_BYTES = 8 * 2**20
 """So much free memory at the end of a heap is kept: what a scan took serves the next, without page faults."""
+
+SPARE_BYTES = 32 * 2**20
+"""So much at the end of the heap is kept between two jobs of a worker: any description takes more."""
 
 _M_MMAP_THRESHOLD = -3
 _M_TRIM_THRESHOLD = -1
@@ -23,3 +26,13 @@ def return_large_blocks() -> None:
     if mallopt is not None:
         mallopt(_M_MMAP_THRESHOLD, LARGE_BYTES)
         mallopt(_M_TRIM_THRESHOLD, KEPT_BYTES)
+
+
+def return_free_memory() -> None:
+    """Give back the pages that nothing lies in, also those between blocks that are in use; `SPARE_BYTES` are kept.
+
+    What goes is faulted in again when it is next needed. Another C library has no such function.
+    """
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim is not None:
+        trim(ctypes.c_size_t(SPARE_BYTES))

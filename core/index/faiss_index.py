@@ -33,6 +33,8 @@ CODED_FROM = 4096
 """Places from which a map is searched by codes: below, comparing with all takes about a millisecond."""
 _CODES_ARE_LEARNED_ANEW_AFTER = 4
 _SHORTLIST = 160
+_PLACES_PER_PROPOSED = 3000
+"""Of more than 480,000 places more are proposed than `_SHORTLIST`: one for so many (docs/decisions/0239)."""
 _FEW = 2048
 _CODED_PER_SEARCH = 256
 
@@ -107,8 +109,8 @@ class FaissIndex:
     def ids(self) -> NDArray[np.int64]:
         """See PlaceIndex."""
         self._learn()
-        live = self._rows.live()
-        return self._rows.ids[live[live < self._compared()]]
+        ids, alive = self._rows.ids[: self._compared()], self._rows.alive[: self._compared()]
+        return ids if alive.all() else ids[alive]
 
     def differing(self, entries: Sequence[IndexEntry], vectors: Array) -> list[int]:
         """See PlaceIndex."""
@@ -187,8 +189,8 @@ class FaissIndex:
         """Rows that pass the filter, the k most similar among them."""
         if self._flat is not None:
             return self._flat.nearest(asked(self._learner.site, query, only), k, passing)
-        passed = int(passing.sum())
-        wanted = max(_SHORTLIST, 4 * k)
+        passed = int(np.count_nonzero(passing))
+        wanted = max(_SHORTLIST, 4 * k, self._rows.count // _PLACES_PER_PROPOSED)
         fetched = wanted * self._rows.count // passed + min(_FEW, self._rows.count - passed)
         while self._codes is not None and passed > _FEW and fetched < self._rows.count // 2:
             rows = self._codes.nearest(query, only, fetched)

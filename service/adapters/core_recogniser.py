@@ -34,10 +34,13 @@ SETTABLE = ("min_score", "min_overlap", "max_seen_through")
 
 VERSION_DIGITS = 12
 
-PLACES_KEPT = 96
+PLACES_READ = 128
 """Places that a worker keeps unpacked, the last ones it used: candidates come again with a robot's next submap, and a
-worker serves several robots by turns (docs/decisions/0222). With what verification has made of them 0.9 to 1.3 MB each.
+worker serves several robots by turns (docs/decisions/0222). 0.1 MB each.
 """
+
+PLACES_PREPARED = 48
+"""Places of these that are kept with what verification has made of them, 1.1 MB each (docs/decisions/0238)."""
 
 
 class CoreRecogniser:
@@ -46,7 +49,8 @@ class CoreRecogniser:
     def __init__(self, models: ModelBundle) -> None:
         """`models` are loaded once per process."""
         self._models = models
-        self._place = lru_cache(maxsize=PLACES_KEPT)(Place.from_blob)
+        self._read = lru_cache(maxsize=PLACES_READ)(Place.from_blob)
+        self._place = lru_cache(maxsize=PLACES_PREPARED)(self._unprepared)
 
     @property
     def model_version(self) -> str:
@@ -100,6 +104,10 @@ class CoreRecogniser:
             return LoopVerdict(False, verdict.reason.value, 0.0, None, evidence)
         score = float(measured_anyway.score)
         return LoopVerdict(False, verdict.reason.value, score, measured_anyway.T_match_query, evidence)
+
+    def _unprepared(self, blob: bytes) -> Place:
+        """A place of its own over the arrays of the one that was read: what is computed of it goes with it."""
+        return dataclasses.replace(self._read(blob))
 
 
 def load_recogniser() -> CoreRecogniser:

@@ -16,6 +16,7 @@ from revisit.service.application.contract.tracing import NoTracer, RequestContex
 from revisit.service.application.installation import Installation
 from revisit.service.application.recognise.claiming import JobClaims
 from revisit.service.application.recognise.recognition import Recognition
+from revisit.service.large_blocks import return_free_memory
 from revisit.service.worker.confinement import resident_bytes
 from revisit.service.worker.heartbeat import Heartbeat, WorkerIdentity
 
@@ -96,6 +97,7 @@ class Worker:
                 log.warning("job_end_not_stored", reason=error.message)
             finally:
                 self._heartbeat.let_go()
+                return_free_memory()
             log.info("job_ended", kind=lease.job.kind, subject=lease.job.subject)
 
     @contextmanager

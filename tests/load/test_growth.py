@@ -1,7 +1,10 @@
 """How a service becomes slower, and its files larger, as one map grows: posts, answers, starts, deletion, database.
 
 REVISIT_GROWTH_SUBMAPS (1000,10000,100000): submaps of the map, in sessions of a thousand. REVISIT_GROWTH_PICTURE names
-the PNG that the curves are drawn into. No time is asserted, for a curve has no bound: every size must answer.
+the PNG that the curves are drawn into. REVISIT_GROWTH_POOL names .npz files (with colons between) whose "vectors" are
+descriptors of places, as `revisit bench domains` keeps them: the map's are then made up from these, alike to real ones,
+and the answers are compared with those of a search that looks at all of them. No time is asserted, for a curve has no
+bound: every size must answer.
 """
 
 from __future__ import annotations
@@ -15,6 +18,9 @@ import numpy as np
 import pytest
 
 from revisit import Client
+from revisit.core.index.learning import site_of_arrays
+from revisit.service.adapters.files.index_files import IndexFiles
+from revisit.service.adapters.sqlite.transactions import SqliteTransactions
 from revisit.service.adapters.vector_index import SAVED_FROM
 from tests.support.figures import publish
 from tests.support.filled_store import fill_sessions
@@ -28,6 +34,8 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(3600)]
 SIZES = [int(size) for size in os.environ.get("REVISIT_GROWTH_SUBMAPS", "1000,10000,100000").split(",")]
 SESSION = 1000
 DIMENSION = 1024
+COMPARED = 40
+"""Searches of which the answers are compared with the exact ones."""
 CALLS = 100
 OWN_RECOGNISER = "revisit.service.adapters.core_recogniser:load_recogniser"
 TIMES = {
@@ -63,10 +71,49 @@ def a_yard() -> np.ndarray:
     return np.vstack([ground, *(rng.uniform((*low, -1.7), (*high, 4.0), (6000, 3)) for low, high in walls)])
 
 
+def pool() -> np.ndarray | None:
+    """The descriptors (n, d) that those of the map are made from."""
+    files = [Path(name) for name in os.environ.get("REVISIT_GROWTH_POOL", "").split(":") if name]
+    return np.concatenate([np.load(file)["vectors"] for file in files]) if files else None
+
+
+def exact_answers(home: Path, numbers: list[int]) -> list[set[str]]:
+    """The ids of the 20 submaps that are most similar to each of those, of all in the file of the index."""
+    store = SqliteTransactions(home / "revisit.db", checkpoints=False)
+    name = store.read(lambda uow: uow.maps.of_all_tenants()[0].index_file).result()
+    store.close()
+    opened = IndexFiles(home / "index").open(name)
+    ids, sessions, site = opened.arrays["ids"], opened.arrays["sessions"], site_of_arrays(opened.arrays, "site_")
+    rows = np.searchsorted(ids, numbers)
+    queries = site.adapted(opened.vectors[rows], sessions[rows])
+    alike = np.empty((len(ids), len(rows)), np.float32)
+    for start in range(0, len(ids), 10_000):
+        part = slice(start, start + 10_000)
+        alike[part] = site.adapted(opened.vectors[part], sessions[part]) @ queries.T
+    alike[rows, np.arange(len(rows))] = -np.inf
+    return [{f"s{number}" for number in ids[np.argpartition(-column, 20)[:20]]} for column in alike.T]
+
+
+def recall_at_20(home: Path, service: ServiceProcess, submaps: int) -> float:
+    """The share of the 20 most similar submaps that a search finds."""
+    numbers = np.random.default_rng(3).integers(1, submaps + 1, COMPARED).tolist()
+    found = []
+    with Client(service.url) as client:
+        for number, exact in zip(numbers, exact_answers(home, numbers), strict=True):
+            hits = client.search("maps/town", submap=name_of(number), k=20)
+            found.append(len(exact & {hit.submap.rpartition("/")[2] for hit in hits}) / 20)
+    return float(np.mean(found))
+
+
+def name_of(number: int) -> str:
+    """The resource name of submap `number`."""
+    return f"maps/town/sessions/d{(number - 1) // SESSION}/submaps/s{number}"
+
+
 def of_the_service(service: ServiceProcess, submaps: int) -> dict[str, float]:
     """What clients see of a map of this size, without workers."""
     rng = np.random.default_rng(2)
-    names = [f"maps/town/sessions/d{(n - 1) // SESSION}/submaps/s{n}" for n in rng.integers(1, submaps + 1, CALLS)]
+    names = [name_of(number) for number in rng.integers(1, submaps + 1, CALLS)]
     with Client(service.url) as client:
         client.search("maps/town", submap=names[0])  # learns the statistics of the map
         searches = timed_ms(lambda name: client.search("maps/town", submap=name), names)
@@ -110,19 +157,21 @@ def of_a_worker(home: Path, service: ServiceProcess) -> dict[str, float]:
 def measured(home: Path, submaps: int) -> dict[str, float]:
     """The figures of a map of this size."""
     sizes = {f"d{n}": min(SESSION, submaps - n * SESSION) for n in range(-(-submaps // SESSION))}
-    fill_sessions(home, sizes, DIMENSION, loops=True)
+    known = pool()
+    fill_sessions(home, sizes, DIMENSION, loops=True, pool=known)
     database = (home / "revisit.db").stat().st_size
     service = ServiceProcess(home, workers=0)
     try:
-        service.wait_for("index_loaded")
+        service.wait_for("index_loaded", timeout_s=1800)
         if submaps >= SAVED_FROM:
-            service.wait_for("index_file_written")
+            service.wait_for("index_file_written", timeout_s=1800)
         service.kill()
         began, seen = time.perf_counter(), len(service.events)
         service.start()
         service.wait_for("index_loaded", after=seen)
         ready_s = time.perf_counter() - began
-        figures = of_the_service(service, submaps) | {"ready_ms": 1000 * ready_s}
+        recall = {} if known is None or submaps < SAVED_FROM else {"recall_at_20": recall_at_20(home, service, submaps)}
+        figures = recall | of_the_service(service, submaps) | {"ready_ms": 1000 * ready_s}
         return (
             figures
             | of_a_worker(home, service)
@@ -152,7 +201,7 @@ def test_a_map_grows(tmp_path):
     rows = {}
     for submaps in SIZES:
         rows[submaps] = measured(tmp_path / str(submaps), submaps)
-        publish("growth", submaps=submaps, **{key: round(value, 2) for key, value in rows[submaps].items()})
+        publish("growth", submaps=submaps, **{key: round(value, 3) for key, value in rows[submaps].items()})
     if picture := os.environ.get("REVISIT_GROWTH_PICTURE"):
         draw(rows, Path(picture))
     assert all(min(row.values()) > 0 for row in rows.values())

@@ -102,6 +102,7 @@ def figures(robots: list[Robot], watch: MachineWatch, submaps: int, home: Path) 
         "worker_cpu_ms_a_submap": round(1e3 * watch.workers_s / max(1, submaps - watch.queued[-1])),
         "robots_cpu_ms_a_scan": round(1e3 * watch.own_s / scans, 1),
         "gateway_and_worker_mib": [round(watch.gateway_mib), round(watch.worker_mib)],
+        "worker_own_mib": round(watch.worker_own_mib),
         "other_work_cores": round(watch.other_cores(), 2),
         "load": os.getloadavg()[0],
     }

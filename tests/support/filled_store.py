@@ -7,8 +7,10 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from sqlalchemy import insert
 
+from revisit.evaluation.distractors import made_up_places
 from revisit.service.adapters.files.blobs import FileBlobStore
 from revisit.service.adapters.sql import tables
 from revisit.service.adapters.sqlite.migration import migrate
@@ -16,7 +18,10 @@ from revisit.service.adapters.sqlite.transactions import SqliteTransactions
 from revisit.service.application.contract.blobs import CLOUD_BLOB
 from tests.support.records import TENANT, a_loop, a_map, a_session, a_submap
 
+Vectors = NDArray[np.float32]
+
 PORTION = 2000
+SPACING_M = 5.0
 
 
 def fill(home: Path, submaps: int, dimension: int) -> None:
@@ -24,10 +29,13 @@ def fill(home: Path, submaps: int, dimension: int) -> None:
     fill_sessions(home, {"monday": submaps}, dimension)
 
 
-def fill_sessions(home: Path, sizes: dict[str, int], dimension: int, *, loops: bool = False) -> None:
+def fill_sessions(
+    home: Path, sizes: dict[str, int], dimension: int, *, loops: bool = False, pool: Vectors | None = None
+) -> None:
     """A home with these sessions of maps/town, so many submaps in each; s1, s2, ... counts through all of them.
 
-    With `loops`, each submap has an accepted loop closure with the one before it in its session.
+    With `loops`, each submap has an accepted loop closure with the one before it in its session. Descriptors are
+    random; or made up from those of a `pool` (n, d) of real places, and places of a session then lie 5 m apart.
     """
     home.mkdir(exist_ok=True)
     migrate(home / "revisit.db")
@@ -39,18 +47,26 @@ def fill_sessions(home: Path, sizes: dict[str, int], dimension: int, *, loops: b
     for session_id, count in sizes.items():
         for start in range(0, count, PORTION):
             ordinals = range(start, min(start + PORTION, count))
-            vectors = rng.normal(size=(len(ordinals), dimension)).astype("<f4")
-            vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
+            vectors = (
+                _random(len(ordinals), dimension, rng) if pool is None else made_up_places(pool, len(ordinals), rng)
+            )
             described = {"state": "DESCRIBED", "cloud_sha256": cloud_sha256, "session_id": session_id}
             described["session_number"] = numbers[session_id]
             records = [
                 a_submap(f"s{first + n}", number=first + n, ordinal=n, descriptor=vector.tobytes(), **described)
                 for n, vector in zip(ordinals, vectors, strict=True)
             ]
+            if pool is not None:
+                records = [replace(one, position_m=(SPACING_M * one.ordinal, 0.0, 0.0)) for one in records]
             found = _chained(records) if loops else []
             store.write(lambda uow, records=records, found=found: _add(uow, numbers["map"], records, found)).result()
         first += count
     store.close()
+
+
+def _random(count: int, dimension: int, rng: np.random.Generator) -> Vectors:
+    vectors = rng.normal(size=(count, dimension)).astype("<f4")
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
 def _add_map(uow, session_ids: list[str]) -> dict[str, int]:

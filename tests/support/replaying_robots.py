@@ -18,7 +18,7 @@ from revisit.sdk.grpc_transport import GrpcTransport
 from revisit.sdk.resources import pose_json
 from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.transport import Forgetful
-from tests.support.load import processor_s, rss_mib
+from tests.support.load import own_mib, processor_s, rss_mib
 from tests.support.patience import PATIENCE_S
 from tests.support.processes import ServiceProcess
 from tests.support.recorded_drive import SCANS_PER_S, Lap
@@ -80,7 +80,7 @@ class MachineWatch(threading.Thread):
         self._service, self._stopped = service, stop
         self.queued: list[int] = []
         self.gateway_s, self.workers_s, self.own_s, self._machine_s, self._took_s = 0.0, 0.0, 0.0, 0.0, 1.0
-        self.gateway_mib, self.worker_mib = 0.0, 0.0
+        self.gateway_mib, self.worker_mib, self.worker_own_mib = 0.0, 0.0, 0.0
 
     def run(self) -> None:
         """Counts what is used between the first look and the last; a worker that is replaced counts, too."""
@@ -95,6 +95,7 @@ class MachineWatch(threading.Thread):
                     with contextlib.suppress(FileNotFoundError, ProcessLookupError, StopIteration):
                         cpu_s.setdefault(pid, []).append(processor_s(pid))
                         self.worker_mib = max(self.worker_mib, rss_mib(pid))
+                        self.worker_own_mib = max(self.worker_own_mib, own_mib(pid))
                 self.gateway_mib = max(self.gateway_mib, rss_mib(self._service.pid))
         self.gateway_s = processor_s(self._service.pid) - first_s
         self.workers_s = sum(seconds[-1] - seconds[0] for seconds in cpu_s.values())

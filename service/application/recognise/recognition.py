@@ -191,11 +191,17 @@ class Recognition:
             return
         self._require_same_model(task.map)
         config = self._policy.for_map(task.map)
-        scans = load_scans(self._blobs, task.submap, task.source)
-        noticed = self._recogniser.inspect(scans) if _is_inspected(task.submap) else ()
-        description = self._recogniser.describe(submap_of(scans, task.source), config)
+        submap, noticed = self._loaded(task)
+        description = self._recogniser.describe(submap, config)
+        del submap
         described = self._store(task, replace(description, flags=(*noticed, *description.flags)))
         self._close_loops(lease, task, described, config)
+
+    def _loaded(self, task: DescriptionTask) -> tuple[Submap, tuple[str, ...]]:
+        """The submap and what was noticed about its scans, which need no room any more while it is described."""
+        scans = load_scans(self._blobs, task.submap, task.source)
+        noticed = self._recogniser.inspect(scans) if _is_inspected(task.submap) else ()
+        return submap_of(scans, task.source), noticed
 
     def _task(self, uow: UnitOfWork, job: JobRecord) -> DescriptionTask | None:
         key = SubmapKey(**job.payload)

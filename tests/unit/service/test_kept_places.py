@@ -7,8 +7,13 @@ import numpy as np
 from revisit.core.config import PipelineConfig
 from revisit.core.model_bundle import load_packaged_models
 from revisit.core.place import Place
-from revisit.service.adapters.core_recogniser import PLACES_KEPT, CoreRecogniser
+from revisit.core.verification import RejectedLoop
+from revisit.core.verification.verdict import RejectionReason
+from revisit.service.adapters import core_recogniser
+from revisit.service.adapters.core_recogniser import PLACES_PREPARED, CoreRecogniser
 from tests.support.places import a_place
+
+REJECTED = RejectedLoop(RejectionReason.DEGENERATE_PLACE)
 
 
 def test_a_place_that_is_compared_again_is_not_unpacked_again(monkeypatch) -> None:
@@ -23,4 +28,16 @@ def test_a_place_that_is_compared_again_is_not_unpacked_again(monkeypatch) -> No
 
 
 def test_a_query_with_twice_the_candidates_of_today_fits() -> None:
-    assert 2 * PipelineConfig().loop.candidates + 1 <= PLACES_KEPT
+    assert 2 * PipelineConfig().loop.candidates + 1 <= PLACES_PREPARED
+
+
+def test_a_place_that_was_prepared_long_ago_is_prepared_anew_from_what_was_read(monkeypatch) -> None:
+    prepared: list[Place] = []
+    monkeypatch.setattr(core_recogniser, "PLACES_PREPARED", 2)
+    monkeypatch.setattr(core_recogniser, "verify", lambda query, match, *_, **__: prepared.append(match) or REJECTED)
+    recogniser, config = CoreRecogniser(load_packaged_models()), PipelineConfig()
+    blobs = [a_place(np.full((2, 2), float(n))).to_blob() for n in range(3)]
+    for match in (1, 2, 1):
+        recogniser.verify(blobs[0], blobs[match], 0.5, config)
+    assert prepared[0] is not prepared[2]
+    assert prepared[0].points is prepared[2].points

@@ -85,6 +85,44 @@ except MemoryError:
     assert ran.stdout.strip() == f"refused (0, 0) 500 {max(5, os.nice(0))}"
 
 
+KERNEL = """
+import os
+from numba import njit
+from revisit.service.compiled_kernels import STARTED_ANEW, begin_anew_if_compiled
+
+@njit(cache=True)
+def double(number):
+    return 2 * number
+
+double(1)
+print(os.getpid(), os.environ.pop(STARTED_ANEW, "first"), flush=True)
+begin_anew_if_compiled()
+"""
+
+
+def test_a_worker_that_has_compiled_begins_anew_once_and_one_that_has_loaded_its_kernels_does_not(tmp_path):
+    (tmp_path / "kernel.py").write_text(KERNEL)
+    environment = {**os.environ, **ONE_THREAD, "PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path)}
+    command = [sys.executable, str(tmp_path / "kernel.py")]
+    ran = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=PATIENCE_S)
+    (pid, first), (same_pid, again) = (line.split() for line in ran.stdout.splitlines())
+    assert (pid, first, again) == (same_pid, "first", "1")
+
+
+def test_memory_that_a_job_has_left_goes_back_while_some_of_its_blocks_are_kept():
+    script = """
+from revisit.service.large_blocks import SPARE_BYTES, return_free_memory
+from revisit.service.worker.confinement import resident_bytes
+blocks = [bytearray(60_000) for _ in range(4000)]  # 229 MiB, too small to be mapped by themselves
+held, kept = resident_bytes(), blocks[::20]
+del blocks
+return_free_memory()
+print(held - resident_bytes() > 150 * 2**20)
+"""
+    ran = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert ran.stdout.strip() == "True"
+
+
 def test_a_process_of_the_service_starts_others_afresh_and_never_forks_itself():
     script = (
         "from revisit.service.__main__ import main\n"
