@@ -26,8 +26,8 @@ LOOK_ALIKES = "look_alikes"
 _LEAST, _SHARE = 4, 0.75
 """So many candidates elsewhere, and so large a share of them, must look alike."""
 
-_STANDS_OUT = 2.5
-"""A loop whose contrast is so many times the median of theirs stands out from them."""
+_STANDS_OUT = 2.0
+"""A loop whose contrast is so many times the least that is needed stands out."""
 
 _WINDOWS = 3.0
 """Submaps of a drive farther apart than this many window lengths are elsewhere."""
@@ -39,14 +39,14 @@ def not_standing_out(judged: Sequence[Beside], config: PipelineConfig) -> list[B
     for loop in judged:
         if loop.accepted_by_itself and not loop.by_hand:
             elsewhere = [one for one in judged if _is_elsewhere(one, loop, config)]
-            alike = [_measured(one)["contrast"] for one in elsewhere if _looks_alike(one, config)]
-            if len(alike) >= max(_LEAST, _SHARE * len(elsewhere)) and not _stands_out(loop, alike):
-                changed.append(replace(loop, verdict=_as_ambiguous(loop.verdict, len(alike), len(elsewhere))))
+            alike = sum(_looks_alike(one, config) for one in elsewhere)
+            if alike >= max(_LEAST, _SHARE * len(elsewhere)) and not _stands_out(loop, config):
+                changed.append(replace(loop, verdict=_as_ambiguous(loop.verdict, alike, len(elsewhere))))
     return changed
 
 
-def _stands_out(loop: Beside, contrasts: Sequence[float]) -> bool:
-    return bool(_measured(loop).get("contrast", 1.0) > _STANDS_OUT * float(np.median(contrasts)))
+def _stands_out(loop: Beside, config: PipelineConfig) -> bool:
+    return bool(_measured(loop).get("contrast", 1.0) >= _STANDS_OUT * config.verification.min_contrast)
 
 
 def _is_elsewhere(one: Beside, loop: Beside, config: PipelineConfig) -> bool:
