@@ -1,8 +1,9 @@
 """Loops of submaps that nearly every place of a drive looks like (docs/decisions/0246).
 
 In a field of equal rows any two submaps overlap well and lose little aside, for want of anything that ends: contrast is
-too low, and nothing is accepted. One pair of hundreds passes by a hair, at a wrong place. What tells it from a
-right one is what the other candidates of its query say: elsewhere on that drive they fit as well, but for contrast.
+too low, and nothing is accepted. One pair of hundreds passes, at a wrong place. What tells it from a right one is what
+the other candidates of its query say: elsewhere on that drive they fit as well, but for contrast. Several such loops
+that agree support each other.
 """
 
 from __future__ import annotations
@@ -18,16 +19,10 @@ from revisit.core.config import PipelineConfig
 from revisit.core.geometry.se3 import pose_matrix
 from revisit.service.application.contract.events import AMBIGUOUS
 from revisit.service.application.contract.recogniser import LoopVerdict
-from revisit.service.application.recognise.loops_beside import Beside
-
-LOOK_ALIKES = "look_alikes"
-"""The member of the evidence of a loop that passed every check, but stands out from no other place."""
+from revisit.service.application.recognise.loops_beside import LOOK_ALIKES, Beside
 
 _LEAST, _SHARE = 4, 0.75
 """So many candidates elsewhere, and so large a share of them, must look alike."""
-
-_STANDS_OUT = 2.0
-"""A loop whose contrast is so many times the least that is needed stands out."""
 
 _WINDOWS = 3.0
 """Submaps of a drive farther apart than this many window lengths are elsewhere."""
@@ -40,13 +35,9 @@ def not_standing_out(judged: Sequence[Beside], config: PipelineConfig) -> list[B
         if loop.accepted_by_itself and not loop.by_hand:
             elsewhere = [one for one in judged if _is_elsewhere(one, loop, config)]
             alike = sum(_looks_alike(one, config) for one in elsewhere)
-            if alike >= max(_LEAST, _SHARE * len(elsewhere)) and not _stands_out(loop, config):
+            if alike >= max(_LEAST, _SHARE * len(elsewhere)):
                 changed.append(replace(loop, verdict=_as_ambiguous(loop.verdict, alike, len(elsewhere))))
     return changed
-
-
-def _stands_out(loop: Beside, config: PipelineConfig) -> bool:
-    return bool(_measured(loop).get("contrast", 1.0) >= _STANDS_OUT * config.verification.min_contrast)
 
 
 def _is_elsewhere(one: Beside, loop: Beside, config: PipelineConfig) -> bool:

@@ -33,6 +33,9 @@ CONTRADICTED = "contradicted"
 REFUTED = "refuted"
 """The member of the evidence of a loop that passed every check, but not the odometry of its own drive."""
 
+LOOK_ALIKES = "look_alikes"
+"""The member of the evidence of a loop that passed every check, but stands out from no other place."""
+
 _BEFORE = 100
 """Submaps of any drive, described before one, among which those before it on its own drive are sought."""
 
@@ -73,7 +76,12 @@ class Beside:
     @property
     def speaks(self) -> bool:
         """Whether geometry alone has accepted it: then it may contradict others."""
-        return self.accepted_by_itself or (self.ambiguous and CONTRADICTED in self.verdict.evidence)
+        return self.may_support or (self.ambiguous and CONTRADICTED in self.verdict.evidence)
+
+    @property
+    def may_support(self) -> bool:
+        """Whether its pair passed every check: several that agree count, though none of them stands out."""
+        return self.accepted_by_itself or (self.ambiguous and LOOK_ALIKES in self.verdict.evidence)
 
     @property
     def hypotheses(self) -> tuple[Matrix4, ...]:
@@ -190,7 +198,7 @@ def _between_drives(loops: Sequence[Beside], config: VerificationConfig, stride_
             _on_drive(loop.query),
             _on_drive(loop.match),
             loop.hypotheses,
-            loop.accepted_by_itself,
+            loop.may_support,
             one_drive=loop.query.session_number == loop.match.session_number,
         )
         for loop in loops
