@@ -406,8 +406,8 @@ class VerificationConfig(Section):
     section: ClassVar[str] = "verification"
 
     spacing: float = parameter(0.8, "m", "own", "edge of the cubes of which a place keeps one surface point each")
-    standing_points: int = parameter(2250, "points", "own", "most surface points off the ground in a place")
-    ground_points: int = parameter(720, "points", "own", "most ground points in a place")
+    standing_points: int = parameter(2500, "points", "own", "most surface points off the ground in a place")
+    ground_points: int = parameter(800, "points", "own", "most ground points in a place")
     min_standing: int = parameter(100, "points", "own", "a place with fewer points off the ground is degenerate", low=0)
     min_spread: float = parameter(
         0.5, "m", "own", "smallest horizontal standard deviation of a place that is no line", low=0

@@ -241,15 +241,17 @@ def common_disagreement(query: Place, match: Place) -> ScanDisagreement | None:
     return ScanDisagreement(*np.sqrt(0.5 * np.square(astuple(first)) + 0.5 * np.square(astuple(second))).tolist())
 
 
-def loop_score(overlap: float, contrast: float, seen_through: float, rmse_m: float) -> float:
+def loop_score(overlap: float, contrast: float, seen_through: float, rmse_m: float, inliers: int) -> float:
     """Evidence to 0..1, with weights from real and simulated pairs of submaps (docs/decisions/0229)."""
-    features = (1.0, overlap, contrast, seen_through, max(rmse_m, _SHARPEST_RMSE_M))
+    few = min(np.log(max(inliers, 1) / _ENOUGH_INLIERS), 0.0)
+    features = (1.0, overlap, contrast, seen_through, max(rmse_m, _SHARPEST_RMSE_M), few)
     logit = float(np.dot(_SCORE_WEIGHTS, features))
     return float(1.0 / (1.0 + np.exp(-np.clip(logit, -30.0, 30.0))))
 
 
 _LEAST_OVERLAP = 0.05  # less is no loop
-_SCORE_WEIGHTS = (17.7, -8.0, 40.0, -65.0, -150.0)
+_SCORE_WEIGHTS = (17.7, -8.0, 40.0, -65.0, -150.0, 1.0)
+_ENOUGH_INLIERS = 12  # keypoints that agree; more are no better evidence
 _SHARPEST_RMSE_M = 0.04  # cleaner surfaces, such as simulated ones, are no better evidence
 
 
@@ -267,7 +269,7 @@ def _measure(
         contrast=evidence.contrast,
         seen_through=evidence.seen_through,
         rmse_m=evidence.rmse_m,
-        score=loop_score(evidence.overlap, evidence.contrast, evidence.seen_through, evidence.rmse_m),
+        score=loop_score(evidence.overlap, evidence.contrast, evidence.seen_through, evidence.rmse_m, fit.inliers),
         T_match_query=registration.T_match_query,
         covariance=0.5 * (covariance + covariance.T),
     )

@@ -308,18 +308,26 @@ def test_less_of_a_place_need_be_common_only_where_overlap_and_score_leave_no_do
 
 
 def test_contrast_raises_the_score_and_contradictions_and_residuals_lower_it() -> None:
-    assert loop_score(0.5, 0.3, 0.05, 0.1) > loop_score(0.5, 0.2, 0.05, 0.1)
-    assert loop_score(0.5, 0.3, 0.05, 0.1) > loop_score(0.5, 0.3, 0.15, 0.1)
-    assert loop_score(0.5, 0.3, 0.05, 0.1) > loop_score(0.5, 0.3, 0.05, 0.12)
+    assert loop_score(0.5, 0.3, 0.05, 0.1, 20) > loop_score(0.5, 0.2, 0.05, 0.1, 20)
+    assert loop_score(0.5, 0.3, 0.05, 0.1, 20) > loop_score(0.5, 0.3, 0.15, 0.1, 20)
+    assert loop_score(0.5, 0.3, 0.05, 0.1, 20) > loop_score(0.5, 0.3, 0.05, 0.12, 20)
 
 
 def test_contrast_counts_by_the_overlap_of_which_it_is_a_part() -> None:
-    assert loop_score(0.3, 0.15, 0.02, 0.12) > loop_score(0.6, 0.15, 0.02, 0.12)
+    assert loop_score(0.3, 0.15, 0.02, 0.12, 20) > loop_score(0.6, 0.15, 0.02, 0.12, 20)
+
+
+def test_few_keypoints_that_agree_lower_the_score_and_many_do_not_raise_it() -> None:
+    assert loop_score(0.3, 0.15, 0.02, 0.12, 5) < loop_score(0.3, 0.15, 0.02, 0.12, 12)
+    assert loop_score(0.3, 0.15, 0.02, 0.12, 0) > 0.0
+    assert loop_score(0.3, 0.15, 0.02, 0.12, 12) == loop_score(0.3, 0.15, 0.02, 0.12, 60)
 
 
 def test_two_bends_of_a_street_canyon_score_too_low_and_two_visits_to_a_wood_do_not() -> None:
     """As measured on simulated drives: the best wrong pair, and a right one that scored as little before (0229)."""
-    assert loop_score(0.281, 0.102, 0.038, 0.117) < VERIFICATION.min_score < loop_score(0.245, 0.119, 0.026, 0.121)
+    assert (
+        loop_score(0.285, 0.111, 0.035, 0.116, 6) < VERIFICATION.min_score < loop_score(0.245, 0.119, 0.026, 0.121, 10)
+    )
 
 
 def test_a_place_and_itself_see_nothing_through_each_other() -> None:
