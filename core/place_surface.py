@@ -72,9 +72,7 @@ def coded(voxels: Whole, places: Whole, codes: Whole, steps: int, models: Models
         coder = start(data, False)
         ordered = code_octree(coder, data, models[:THINNED_MODELS], inside, depth, len(inside), thinning)
         rows = rows_of(table_of(inside), ordered)
-        along_steep = along(codes[rows])
-        level, cells = places[rows][along_steep], places[rows][~along_steep].reshape(-1, 2)
-        found = np.column_stack([level, cells]).astype(np.int32)
+        found = _steepest_first(places[rows], codes[rows])
         _code(coder, data, models, ordered, codes[rows].astype(np.int32), found, steps)
         room = finish(coder, data)
         if room <= len(data):
@@ -112,11 +110,16 @@ def settled_surface(points: Array, normals: Array, spacing: float, kind: Kind) -
         return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32)
     voxels, places, codes = rounded(points, normals, edge, steps)
     order = np.argsort(_tree_keys(voxels - voxels.min(axis=0)))
-    along_steep, places = along(codes[order]), places[order]
-    found = np.column_stack([places[along_steep], places[~along_steep].reshape(-1, 2)]).astype(np.int32)
+    found = _steepest_first(places[order], codes[order])
     return _geometry(
         voxels[order].astype(np.int32), np.zeros(3, np.int64), codes[order].astype(np.int32), found, edge, steps
     )
+
+
+def _steepest_first(places: Whole, codes: Whole) -> NDArray[np.int32]:
+    """Places in voxels (n, 3) as they are coded: along the axis nearest to the normal first, then along the others."""
+    steepest = along(codes)
+    return np.column_stack([places[steepest], places[~steepest].reshape(-1, 2)]).astype(np.int32)
 
 
 def _tree_keys(voxels: Whole) -> Whole:
