@@ -9,7 +9,7 @@ from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import pose_row
 from revisit.service.application.contract.recogniser import LoopVerdict
 from revisit.service.application.contract.records import SubmapRecord
-from revisit.service.application.recognise.loops_beside import Beside, revised_evidence, unsupported
+from revisit.service.application.recognise.loops_beside import Beside, revised_evidence, supported, unsupported
 from tests.support.records import a_loop, a_submap
 
 CONFIG = VerificationConfig()
@@ -62,6 +62,20 @@ def test_what_a_person_has_made_stays_and_what_stands_by_itself_needs_no_support
     assert lost([*FALLEN, loop(3)]) == []
     by_hand = replace(DECIDED, record=replace(a_loop(203, 103), manual=True))
     assert lost([*FALLEN, by_hand]) == []
+
+
+def test_loops_that_stand_out_from_no_other_place_support_none() -> None:
+    rivals = [{"overlap": 0.5, "T_match_query": PERIOD.tolist()}]
+    asked = loop(3, False, measurement={"rivals": rivals})
+    alike = [loop(place, False, look_alikes=WORDS) for place in range(3)]
+    by_themselves = [loop(place) for place in range(3)]
+
+    def register(*pair: object) -> LoopVerdict:
+        return loop(3).verdict
+
+    assert supported([*alike, asked], CONFIG, STRIDE_M, register) == []
+    (decided,) = supported([*by_themselves, asked], CONFIG, STRIDE_M, register)
+    assert decided.verdict.accepted and decided.verdict.evidence["support"]["anchors"] == 3
 
 
 def test_stored_evidence_says_of_support_what_the_last_verdict_says() -> None:
