@@ -517,8 +517,9 @@ async function refreshStatus() {
 
 async function chooseMap() {
   const select = byId("map");
-  // A link may name the map (`/#maps/town`); else the newest one is shown.
-  const wished = [decodeURIComponent(location.hash.slice(1)), model.map, model.maps.at(-1)?.name];
+  // A link may name the map (`/#maps/town`, `/?map=town`); else the newest one is shown.
+  const asked = new URLSearchParams(location.search).get("map");
+  const wished = [decodeURIComponent(location.hash.slice(1)), model.map, asked, `maps/${asked}`, model.maps.at(-1)?.name];
   const chosen = wished.find((name) => model.maps.some((map) => map.name === name));
   select.replaceChildren(
     ...model.maps.map((map) => {

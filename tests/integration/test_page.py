@@ -123,7 +123,7 @@ def test_a_map_is_drawn_in_its_own_frame_and_as_odometry_has_it(chromium, servic
     with Client(service.http) as client:
         client.wait(client.optimise_map(f"maps/{made.map_id}"))
         last = client.list_submaps(client.list_sessions(f"maps/{made.map_id}")[0])[-1].name
-    shown = Page(chromium, service.http, f"/#maps/{made.map_id}")
+    shown = Page(chromium, service.http, f"/?map={made.map_id}")
     shown.drawn()
     told = re.compile(r"in the frame of the map, version 1; odometry alone is up to [0-9.]+ m off")
     shown.tab.get_by_text(told).wait_for()
