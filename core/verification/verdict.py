@@ -45,7 +45,8 @@ class LoopMeasurement:
     place the other has looked through; rmse_m of the point-to-plane residuals; score 0..1 (`loop_score`);
     T_match_query (4, 4) maps points of the query submap's frame into the match submap's frame; covariance (6, 6) of its
     tangent (x, y, z, rx, ry, rz), metres and radians, in the match frame; rivals, other poses that fit about as well,
-    best first, sought only where no more than a low score speaks against the loop.
+    best first, sought only where no more than a low score speaks against the loop; common_share, how much of what
+    stands in the place with less of it lies where the other has seen, and enough_share, how much was asked for.
     """
 
     similarity: float
@@ -59,6 +60,8 @@ class LoopMeasurement:
     T_match_query: se3.Matrix4
     covariance: NDArray[np.float64]
     rivals: tuple[Hypothesis, ...] = ()
+    common_share: float = 0.0
+    enough_share: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -167,7 +170,11 @@ def _judged(
     measurement = _measure(fit, registration, evidence, similarity, config)
     sure = evidence.overlap >= config.sure_overlap and measurement.score >= config.sure_score
     share = min(config.min_common_share, config.min_common_share_sure) if sure else config.min_common_share
-    enough = max(config.min_common, share * min(query.standing_count, match.standing_count))
+    standing = min(query.standing_count, match.standing_count)
+    enough = max(config.min_common, share * standing)
+    measurement = dataclasses.replace(
+        measurement, common_share=evidence.common / max(standing, 1), enough_share=enough / max(standing, 1)
+    )
     return measurement, _rejection(registration, evidence, measurement.score, enough, config)
 
 

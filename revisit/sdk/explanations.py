@@ -14,7 +14,9 @@ if TYPE_CHECKING:
 RULES = {"LOW_SCORE": "min_score", "LOW_OVERLAP": "min_overlap", "SEEN_THROUGH": "max_seen_through"}
 """The rule of a loop policy behind each gate that has one."""
 
-_MEASURED = {"LOW_SCORE": "score", "LOW_OVERLAP": "overlap", "SEEN_THROUGH": "seen_through"}
+_MEASURED = {
+    "LOW_SCORE": "score", "LOW_OVERLAP": "overlap", "SEEN_THROUGH": "seen_through", "NO_COMMON_REGION": "common_share"
+}  # fmt: skip
 
 TOO_NEAR = "TOO_NEAR"
 """The other submap is of the same session, and nearer in its order than `min_index_gap`."""
@@ -33,8 +35,9 @@ class NearMiss:
 
     `gate` stopped it: a reason for a rejection, SET_ASIDE by the pose graph, TOO_NEAR, NOT_VERIFIED or KNOWN_ALREADY,
     where it is among as many submaps as are verified and the submap has accepted loops. Where the gate
-    is a number, `measured` did not reach `threshold`, and `rule` names the setting: with `measured` in its place the
-    pair would have passed this gate, maybe not those behind it. `loop` is None where geometry was never asked.
+    is a number, `measured` did not reach `threshold`, and `rule` names the setting, if there is one: with `measured` in
+    its place the pair would have passed this gate, maybe not those behind it. `loop` is None where geometry was never
+    asked.
     """
 
     submap: str
@@ -94,8 +97,10 @@ def _near_miss(
 def _rejected(hit: SearchHit, loop: LoopClosure) -> NearMiss:
     gate = loop.reason or "REJECTED"
     rule = RULES.get(gate)
-    measured = loop.evidence.get("measurement", {}).get(_MEASURED.get(gate, ""))
-    threshold = loop.evidence.get("thresholds", {}).get(rule or "")
+    evidence = loop.evidence.get("measurement", {})
+    measured = evidence.get(_MEASURED.get(gate, ""))
+    asked = evidence.get("enough_share") if gate == "NO_COMMON_REGION" else None
+    threshold = asked if rule is None else loop.evidence.get("thresholds", {}).get(rule)
     return NearMiss(hit.submap, hit.similarity, gate, measured, threshold, rule, loop.name)
 
 

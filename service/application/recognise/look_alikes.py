@@ -57,15 +57,12 @@ def _outdone(loop: Beside, judged: Sequence[Beside], config: PipelineConfig) -> 
 
     Of the spot of `loop` the best candidate counts, of others those that look alike.
     """
-    own, best = _overlap(loop), 0.0
-    for one in judged:
-        if one is loop or one.verdict.T_match_query is None:
-            continue
-        if _is_there(one, loop, config):
-            own = max(own, _overlap(one))
-        elif _looks_alike(one, config):
-            best = max(best, _overlap(one))
-    if best < own:
+    others = [one for one in judged if one is not loop and one.verdict.T_match_query is not None]
+    there = [_is_there(one, loop, config) for one in others]
+    own = max([_overlap(loop), *(_overlap(one) for one, is_there in zip(others, there, strict=True) if is_there)])
+    elsewhere = [one for one, is_there in zip(others, there, strict=True) if not is_there and _looks_alike(one, config)]
+    best = max((_overlap(one) for one in elsewhere), default=None)
+    if best is None or best < own:
         return {}
     words = f"it passed every check, but explains {own:.2f} of the submap, and an ambiguous place elsewhere {best:.2f}"
     return {OUTDONE: {"overlap": own, "elsewhere": best, "words": words}}

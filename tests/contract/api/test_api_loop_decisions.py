@@ -167,6 +167,10 @@ def test_what_would_have_passed_a_gate_is_the_value_that_was_measured():
     loop = LoopClosure("loop", 1, "query", "match", "REJECTED", "LOW_SCORE", 0.9, 0.41, **shape)
     miss = explanations._rejected(SearchHit("match", 0.9, (0.0, 0.0, 0.0)), loop)
     assert (miss.gate, miss.measured, miss.threshold, miss.remedy) == ("LOW_SCORE", 0.41, 0.5, "min_score = 0.41")
+    aside = {"common_share": 0.12, "enough_share": 0.35}
+    apart = replace(loop, reason="NO_COMMON_REGION", evidence={**evidence, "measurement": {**measured, **aside}})
+    miss = explanations._rejected(SearchHit("match", 0.9, (0.0, 0.0, 0.0)), apart)
+    assert (miss.measured, miss.threshold, miss.remedy) == (0.12, 0.35, "no setting passes it")
     tilted = replace(loop, reason="IMPLAUSIBLE_TILT")
     miss = explanations._rejected(SearchHit("match", 0.9, (0.0, 0.0, 0.0)), tilted)
     assert (miss.measured, miss.rule, miss.remedy) == (None, None, "no setting passes it")

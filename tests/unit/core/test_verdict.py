@@ -305,6 +305,8 @@ def test_less_of_a_place_need_be_common_only_where_overlap_and_score_leave_no_do
     assert isinstance(verify(revisit, place(1), 1.0, replace(strict, sure_score=0.5)), VerifiedLoop)
     verdict = verify(revisit, place(1), 1.0, replace(strict, **{"sure_score": 0.5, **change}))
     assert isinstance(verdict, RejectedLoop) and verdict.reason is RejectionReason.NO_COMMON_REGION
+    told = verdict.measurement
+    assert told is not None and VERIFICATION.min_common_share < told.common_share < told.enough_share == 1.0
 
 
 def test_contrast_raises_the_score_and_contradictions_and_residuals_lower_it() -> None:
