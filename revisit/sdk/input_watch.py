@@ -8,6 +8,7 @@ from collections import deque
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from revisit.core.errors import RevisitError
 from revisit.core.sanity.finding import Finding
@@ -41,15 +42,25 @@ class InputWatch:
         self._told: set[str] = set()
 
     def look(self, points: PointsLike, T_odom_sensor: Any, stamp_ns: int) -> None:
-        """Take notice of a scan. Raises nothing: what cannot be used is for the service to refuse."""
+        """Take notice of a scan. Raises nothing: what cannot be used is for the service to refuse, and is told of."""
         self._count += 1
         due = self._count in FIRST_LOOKS or self._count % LOOK_EVERY == 0
         with contextlib.suppress(RevisitError, ValueError, TypeError, IndexError):
             self._poses.append((np.asarray(T_odom_sensor, dtype=np.float64)[:3, :4], int(stamp_ns)))
             if not isinstance(points, Cloud) and (due or self._count <= KEPT_CLOUDS):
-                self._scans.append(Scan.validated(np.asarray(points)[:, :3], T_odom_sensor, stamp_ns))
+                self._keep(np.asarray(points)[:, :3], T_odom_sensor, stamp_ns)
             if due:
                 self._tell(self._findings())
+
+    def _keep(self, points: NDArray[Any], T_odom_sensor: Any, stamp_ns: int) -> None:
+        """Keep a scan to look at; one that the service will refuse is told of at once."""
+        try:
+            self._scans.append(Scan.validated(points, T_odom_sensor, stamp_ns))
+        except RevisitError as error:
+            if error.code not in self._told:
+                self._told.add(error.code)
+                words = f"{error.code}: the service refuses scan {self._count}: {error.message}"
+                warnings.warn(words, SuspiciousInput, stacklevel=4)
 
     def _findings(self) -> list[Finding]:
         poses = np.stack([pose for pose, _ in self._poses])

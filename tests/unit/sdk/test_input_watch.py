@@ -75,3 +75,9 @@ def test_what_the_service_will_refuse_raises_nothing_here(points, pose) -> None:
     watch = InputWatch()
     for index in range(20):
         watch.look(points, pose, index)
+
+
+def test_scans_that_the_service_will_refuse_are_told_of_once_before_they_are_sent() -> None:
+    (millimetres,) = told(3, scale=1000.0)
+    assert "OUT_OF_RANGE" in millimetres
+    assert "metres, not millimetres" in millimetres
