@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
-from revisit.core.neighbour_support import NeighbourLoop
+from revisit.core.neighbour_support import NeighbourLoop, agrees
 
 Array = NDArray[np.float64]
 Poses = NDArray[np.float64]
@@ -91,6 +91,12 @@ class DriveLoops:
     def neighbours(self, row: int) -> list[NeighbourLoop]:
         """What the loops within reach of that in `row` say of its pair."""
         return [self._neighbour(row, other) for other in self._near(row)]
+
+    def agrees_with_any(self, row: int, which: Sequence[bool]) -> bool:
+        """Whether the first pose of the loop in `row` is that of any of its neighbours of `which` (n,)."""
+        T_match_query = self._loops[row].poses[0]
+        firsts = (self._neighbour(row, other).with_first() for other in self._near(row) if which[other])
+        return any(agrees(T_match_query, one, self._config) for one in firsts)
 
     def has_accepted_neighbour(self, row: int) -> bool:
         """Whether any of `neighbours` is accepted."""

@@ -8,7 +8,7 @@ row. Odometry of both drives carries its pose over, and its error grows by far l
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,6 +30,10 @@ class NeighbourLoop:
     query_m: float
     match_m: float
     way_m: float
+
+    def with_first(self) -> NeighbourLoop:
+        """With its best hypothesis alone."""
+        return replace(self, poses=self.poses[:1])
 
 
 @dataclass(frozen=True)
@@ -69,10 +73,10 @@ def find_support(
         others = [*hypotheses[:row], *hypotheses[row + 1 :]]
         telling = [one for one in near if _tells_apart(T_match_query, others, one, config)]
         anchors = len({one.query_m for one in telling if one.accepted})
-        contradicted = any(one.accepted and not _agrees(T_match_query, one, config) for one in near)
+        contradicted = any(one.accepted and not agrees(T_match_query, one, config) for one in near)
         if anchors < config.support_anchors or contradicted:
             continue
-        agreeing = [one for one in telling if _agrees(T_match_query, one, config)]
+        agreeing = [one for one in telling if agrees(T_match_query, one, config)]
         along_m = min(_reach([one.query_m for one in agreeing]), _reach([one.match_m for one in agreeing]))
         if along_m >= config.support_length and 2 * len(agreeing) >= len(telling):
             return NeighbourSupport(row, anchors, len(agreeing), along_m)
@@ -88,7 +92,7 @@ def told_pose(neighbours: Sequence[NeighbourLoop], config: VerificationConfig) -
     if not near:
         return None
     T_match_query = min(near, key=lambda one: one.way_m).poses[0]
-    return ToldPose(T_match_query, sum(_agrees(T_match_query, one, config) for one in near))
+    return ToldPose(T_match_query, sum(agrees(T_match_query, one, config) for one in near))
 
 
 def _within_reach(neighbours: Sequence[NeighbourLoop], config: VerificationConfig) -> list[NeighbourLoop]:
@@ -107,7 +111,8 @@ def _tells_apart(
     )
 
 
-def _agrees(T_match_query: se3.Matrix4, neighbour: NeighbourLoop, config: VerificationConfig) -> bool:
+def agrees(T_match_query: se3.Matrix4, neighbour: NeighbourLoop, config: VerificationConfig) -> bool:
+    """Whether a pose is one of the neighbour's hypotheses, as near as odometry can tell."""
     tolerance_m, tolerance_rad = _tolerance(neighbour, config)
     return any(
         _shift(T_match_query, pose) < tolerance_m and _turn(T_match_query, pose) < tolerance_rad

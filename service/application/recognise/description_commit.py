@@ -30,7 +30,7 @@ from revisit.service.application.mapping.loop_events import (
 )
 from revisit.service.application.mapping.optimisation import optimise_soon
 from revisit.service.application.query.place_memory import RecalledPlace
-from revisit.service.application.recognise.loops_beside import Beside
+from revisit.service.application.recognise.loops_beside import Beside, revised_evidence
 from revisit.service.application.recognise.proposed_loops import rules_of
 from revisit.service.failpoints import failpoint
 
@@ -140,7 +140,7 @@ class DescriptionCommit:
             reason=verdict.reason,
             score=verdict.score,
             T_match_query=pose_row(verdict.T_match_query),
-            evidence={**loop.evidence, **verdict.evidence},
+            evidence=revised_evidence(loop.evidence, verdict.evidence),
             graph_state=loop.graph_state if verdict.accepted else None,
         )
         return True

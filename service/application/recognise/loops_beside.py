@@ -39,6 +39,9 @@ LOOK_ALIKES = "look_alikes"
 OUTDONE = "outdone"
 """The member of the evidence of a loop that passed every check, but explains less of its submap than another place."""
 
+SUPPORT_LOST = "support_lost"
+"""The member of the evidence of a loop that others had decided, until these were contradicted themselves."""
+
 _BEFORE = 100
 """Submaps of any drive, described before one, among which those before it on its own drive are sought."""
 
@@ -75,6 +78,11 @@ class Beside:
     def accepted_by_itself(self) -> bool:
         """Whether it was accepted, and not for the sake of other loops."""
         return self.verdict.accepted and SUPPORT not in self.verdict.evidence
+
+    @property
+    def decided_by_others(self) -> bool:
+        """Whether it was accepted for the sake of other loops."""
+        return self.verdict.accepted and SUPPORT in self.verdict.evidence
 
     @property
     def speaks(self) -> bool:
@@ -161,6 +169,44 @@ def _contradicted(
     return replace(loop.verdict, accepted=False, reason=AMBIGUOUS, evidence=evidence)
 
 
+def unsupported(loops: Sequence[Beside], config: VerificationConfig, stride_m: float) -> list[Beside]:
+    """Those of the `loops` accepted for the sake of others that have lost these, with their verdict: AMBIGUOUS.
+
+    One that agrees must have been contradicted since, and those that are left must not support the pose any more.
+    """
+    lost = []
+    for drives in _by_drives(loops):
+        if not any(CONTRADICTED in loop.verdict.evidence for loop in drives):
+            continue
+        between = _between_drives(drives, config, stride_m)
+        gone = [loop.ambiguous and CONTRADICTED in loop.verdict.evidence for loop in drives]
+        for row, loop in enumerate(drives):
+            if not loop.decided_by_others or loop.by_hand or not between.agrees_with_any(row, gone):
+                continue
+            poses = (loop.hypotheses[0], *_ruled_out(loop))
+            support = find_support(poses, between.neighbours(row), config)
+            if support is None or support.hypothesis != 0:
+                lost.append(replace(loop, verdict=_without_support(loop)))
+    return lost
+
+
+def _ruled_out(loop: Beside) -> list[Matrix4]:
+    """The poses T_match_query that its support had ruled out."""
+    poses = loop.verdict.evidence[SUPPORT].get("ruled_out", ())
+    return [np.array(pose, dtype=np.float64) for pose in poses]
+
+
+def _without_support(loop: Beside) -> LoopVerdict:
+    """The verdict of a loop that has lost its support: what was ruled out are its rivals again."""
+    measured = dict(loop.verdict.evidence.get("measurement", {}))
+    overlap = measured.get("overlap", 0.0)
+    measured["rivals"] = [{"overlap": overlap, "T_match_query": pose.tolist()} for pose in _ruled_out(loop)]
+    words = "loops beside it had decided it, and were contradicted since"
+    kept = {name: value for name, value in loop.verdict.evidence.items() if name != SUPPORT}
+    evidence = {**kept, "measurement": measured, SUPPORT_LOST: {"words": words}}
+    return replace(loop.verdict, accepted=False, reason=AMBIGUOUS, evidence=evidence)
+
+
 def supported(
     loops: Sequence[Beside], config: VerificationConfig, stride_m: float, register: Registered
 ) -> list[Beside]:
@@ -234,6 +280,11 @@ def _told(support: NeighbourSupport, others: list[Any]) -> dict[str, Any]:
         "anchors": support.anchors, "agreeing": support.agreeing, "along_m": round(support.along_m, 3),
         "ruled_out": others, "words": words,
     }  # fmt: skip
+
+
+def revised_evidence(stored: dict[str, Any], told: dict[str, Any]) -> dict[str, Any]:
+    """The evidence of a stored loop with a new verdict; of support it has what the new one says alone."""
+    return {**{name: value for name, value in stored.items() if name not in (SUPPORT, SUPPORT_LOST)}, **told}
 
 
 def _says(loop: LoopRecord) -> bool:

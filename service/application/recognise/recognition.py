@@ -72,7 +72,13 @@ from revisit.service.application.recognise.description_commit import (
 )
 from revisit.service.application.recognise.distinctiveness import with_distinctiveness
 from revisit.service.application.recognise.look_alikes import not_standing_out
-from revisit.service.application.recognise.loops_beside import Beside, contradicted, drive_before, supported
+from revisit.service.application.recognise.loops_beside import (
+    Beside,
+    contradicted,
+    drive_before,
+    supported,
+    unsupported,
+)
 from revisit.service.application.recognise.proposed_loops import VerdictCommit, proposed_pair
 from revisit.service.application.recognise.recalled_loops import (
     RecallCommit,
@@ -328,7 +334,7 @@ class Recognition:
             return LOST if asked is None else self._judge(asked, RecalledPlace(match, similarity), config, near).verdict
 
         loops, revised = [*before.loops, *new], list[Beside]()
-        for stage in (contradicted, partial(supported, register=register)):
+        for stage in (contradicted, unsupported, partial(supported, register=register)):
             decided = stage(loops, config.verification, before.stride_m)
             known = {loop.key: loop for loop in decided}
             loops = [known.get(loop.key, loop) for loop in loops]
