@@ -8,6 +8,7 @@ from collections import deque
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from revisit.core.errors import RevisitError
 from revisit.core.sanity.finding import Finding
@@ -51,7 +52,7 @@ class InputWatch:
             if due:
                 self._tell(self._findings())
 
-    def _keep(self, points: PointsLike, T_odom_sensor: Any, stamp_ns: int) -> None:
+    def _keep(self, points: NDArray[Any], T_odom_sensor: Any, stamp_ns: int) -> None:
         """Keep a scan to look at; one that the service will refuse is told of at once."""
         try:
             self._scans.append(Scan.validated(points, T_odom_sensor, stamp_ns))
