@@ -1,15 +1,23 @@
-"""Quantised clouds, `application/vnd.revisit.quantised`: 1 mm integers, differences, byte planes, zstd.
+"""Quantised clouds, `application/vnd.revisit.quantised`: 1 mm integers, differences along rays, byte planes, zstd.
 
     offset  type   meaning (little-endian)
-    0       4s     magic "RVQ1"
+    0       4s     magic "RVQ2"
     4       u32    number of points n
-    8       f32    step of a coordinate in metres (0.001)
+    8       f32    step of a coordinate in metres: 0.001, or a multiple of it where all are multiples of that
     12      f32    step of an intensity; 0 where the cloud has none
-    16             one zstd frame of n x 12 bytes, or n x 14 with intensity
+    16      u8     how b is expected: 0, 1 or 2 (`revisit.formats.ray_prediction`)
+    17      u8     how z is expected
+    18      u16    zero
+    20             one zstd frame of n x 12 bytes, or n x 14 with intensity
 
-The frame holds the x column, then y, then z, then intensity. A column is the zigzag-coded difference to the point
-before (uint32; uint16 for intensity, modulo 2^16), stored as byte planes: all lowest bytes first, all highest last.
-Coordinates are round(value / step) in int32. Lossy: half a step, 0.5 mm. Non-finite points cannot be written.
+The frame holds three columns of coordinates, then intensity. The first is the difference of the coordinate a to the
+point before, where a is x if |x| >= |y| at the point before, else y; the second is what b, the other one of x and y,
+differs from what is expected, the third z. A column is zigzag-coded (uint32; uint16 for intensity, the difference
+modulo 2^16) and stored as byte planes: all lowest bytes first, all highest last. Coordinates are round(value / step),
+at most 2^24. Lossy: half a step, 0.5 mm. Non-finite points cannot be written.
+
+Magic "RVQ1" is the form of former clients, and is read: its frame begins at 16, and its columns are differences of x, y
+and z to the point before.
 """
 
 from __future__ import annotations
@@ -24,13 +32,17 @@ from numpy.typing import NDArray
 
 from revisit.core.errors import BadField, MalformedBody, OutOfRange
 from revisit.formats.cloud import CloudLimits, DecodedCloud, checked_for_writing, decompress_zstd, require_point_count
+from revisit.formats.ray_prediction import Prediction, residuals
 
-MAGIC = b"RVQ1"
+MAGIC = b"RVQ2"
+FORMER_MAGIC = b"RVQ1"
 STEP_M = 0.001
 MAX_COORDINATE_M = 10_000.0
+_MAX_STEP = 1_000  # a step has a metre at most
 ZSTD_LEVEL = 3
 
-_HEADER = struct.Struct("<4sIff")
+_FORMER_HEADER = struct.Struct("<4sIff")
+_HEADER = struct.Struct("<4sIffBBH")
 
 
 def encode(points: NDArray[np.floating], intensity: NDArray[np.floating] | None = None) -> bytes:
@@ -43,37 +55,66 @@ def encode(points: NDArray[np.floating], intensity: NDArray[np.floating] | None 
         raise BadField("non-finite points cannot be quantised", field="points")
     if cloud.points.size and float(np.abs(cloud.points).max()) > MAX_COORDINATE_M:
         raise OutOfRange(field="points")
-    grid = np.rint(cloud.points.astype(np.float64) / STEP_M).astype(np.int64)
-    columns = [_planes(_zigzag(np.diff(column, prepend=0)).astype("<u4")) for column in grid.T]
+    grid, step = _coarsest(np.rint(cloud.points.astype(np.float64) / STEP_M))
+    coordinates, of_side, of_height = residuals(grid)
+    columns = [_planes(_zigzag(column.astype(np.int64)).astype("<u4")) for column in coordinates]
     intensity_step = 0.0
     if cloud.intensity is not None:
         intensity_step, levels = _quantise_intensity(cloud.intensity)
         difference = np.diff(levels, prepend=0).astype(np.int16).astype(np.int64)
         columns.append(_planes(_zigzag(difference).astype("<u2")))
-    header = _HEADER.pack(MAGIC, len(grid), STEP_M, intensity_step)
+    header = _HEADER.pack(MAGIC, len(grid), step, intensity_step, of_side, of_height, 0)
     return header + zstandard.ZstdCompressor(ZSTD_LEVEL, write_checksum=True).compress(b"".join(columns))
 
 
 def decode(data: bytes, limits: CloudLimits) -> DecodedCloud:
     """The points on their grid. Raises MalformedBody, TooLarge."""
-    if len(data) < _HEADER.size or not data.startswith(MAGIC):
-        raise MalformedBody("the body is not a quantised cloud")
-    _, count, step, intensity_step = _HEADER.unpack_from(data)
+    head, predictions = _head(data)
+    _, count, step, intensity_step = _FORMER_HEADER.unpack_from(data)
     if not 0.0 < step <= 1.0 or not (math.isfinite(intensity_step) and intensity_step >= 0.0):
         raise MalformedBody("a quantised cloud has an impossible step")
     require_point_count(count, limits)
     size = count * (14 if intensity_step else 12)
-    content = memoryview(decompress_zstd(memoryview(data)[_HEADER.size :], size))
+    content = memoryview(decompress_zstd(memoryview(data)[head:], size))
     if len(content) != size:
         raise MalformedBody(f"{count} quantised points need {size} bytes, the frame holds {len(content)}")
     from revisit.formats import quantised_columns as columns  # numba takes long to import, and clients decode nothing
 
     planes = np.frombuffer(content, dtype=np.uint8)
     # The header's step is float32; the grid is meant in exact steps such as 0.001.
-    points = columns.coordinates(planes, count, round(step, 9))
+    step = round(step, 9)
+    if predictions is None:
+        points = columns.coordinates(planes, count, step)
+    else:
+        points, right = columns.coordinates_on_rays(planes, count, step, *predictions)
+        if not right:
+            raise MalformedBody("a quantised cloud has a coordinate beyond 2^24 steps")
     if not intensity_step:
         return DecodedCloud(points)
     return DecodedCloud(points, columns.intensities(planes[12 * count :], count, intensity_step))
+
+
+def _head(data: bytes) -> tuple[int, tuple[Prediction, Prediction] | None]:
+    """Bytes of the header, and how b and z are expected: None in the former form. Raises MalformedBody."""
+    if data.startswith(FORMER_MAGIC) and len(data) >= _FORMER_HEADER.size:
+        return _FORMER_HEADER.size, None
+    if not data.startswith(MAGIC) or len(data) < _HEADER.size:
+        raise MalformedBody("the body is not a quantised cloud")
+    *_, of_side, of_height, rest = _HEADER.unpack_from(data)
+    if rest or max(of_side, of_height) > max(Prediction):
+        raise MalformedBody("a quantised cloud has a prediction that is not known")
+    return _HEADER.size, (Prediction(of_side), Prediction(of_height))
+
+
+def _coarsest(millimetres: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """Points (n, 3) in whole steps, and the step in metres: the largest of which all coordinates are multiples."""
+    whole = np.ravel(millimetres[:: max(1, len(millimetres) // 64)]).astype(np.int64)
+    times = int(np.gcd.reduce(whole))
+    if times > 1:
+        times = int(np.gcd.reduce(np.ravel(millimetres).astype(np.int64)))
+    if not 1 < times <= _MAX_STEP:
+        return millimetres, STEP_M
+    return millimetres / times, STEP_M * times
 
 
 def _quantise_intensity(intensity: NDArray[np.float32]) -> tuple[float, NDArray[np.int64]]:

@@ -134,7 +134,7 @@ def pack_cloud(cloud: StoredCloud) -> bytes:
 
 def unpack_cloud(blob: bytes) -> StoredCloud:
     """The cloud of `pack_cloud`. Raises DataLoss for anything else."""
-    if blob.startswith(quantised.MAGIC):
+    if blob.startswith((quantised.MAGIC, quantised.FORMER_MAGIC)):
         return _dequantised(blob)
     try:
         magic, count, width = _HEADER.unpack_from(blob)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.geometry.se3 import pose_matrix
+from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.service.application.contract.recogniser import LoopVerdict
 from revisit.service.application.recognise.loops_beside import Beside
 
@@ -45,12 +45,18 @@ def distinctiveness(loop: Beside, judged: Sequence[Beside], stride_m: float) -> 
     for one in sorted(passing, key=lambda other: (other is not loop, -other.verdict.score)):
         if one.match.session_number == loop.match.session_number:
             for pose in one.hypotheses:
-                stands = (pose_matrix(one.match.T_odom_submap) @ pose)[:3, 3], one.match.ordinal
-                if not any(_one_spot(stands, spot, stride_m) for spot in spots):
+                stands = spot_of(one, pose)
+                if not any(are_one(stands, spot, stride_m) for spot in spots):
                     spots.append(stands)
     return {"compared": len(judged), "passing": len(passing), "other_spots": max(len(spots) - 1, 0)}
 
 
-def _one_spot(first: Spot, second: Spot, stride_m: float) -> bool:
+def spot_of(loop: Beside, T_match_query: Matrix4) -> Spot:
+    """Where the query of `loop` stands by a pose."""
+    return (pose_matrix(loop.match.T_odom_submap) @ T_match_query)[:3, 3], loop.match.ordinal
+
+
+def are_one(first: Spot, second: Spot, stride_m: float) -> bool:
+    """Whether two spots of one drive are the same, as far as its odometry can tell."""
     drift_m = _DRIFT * stride_m * abs(first[1] - second[1])
     return float(np.linalg.norm(first[0] - second[0])) < SPOT_M + drift_m

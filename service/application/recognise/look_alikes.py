@@ -1,9 +1,10 @@
-"""Loops of submaps that nearly every place of a drive looks like (docs/decisions/0246).
+"""Loops of submaps that other places look like as much, or more (docs/decisions/0246, 0267).
 
 In a field of equal rows any two submaps overlap well and lose little aside, for want of anything that ends: contrast is
 too low, and nothing is accepted. One pair of hundreds passes, at a wrong place. What tells it from a right one is what
-the other candidates of its query say: elsewhere on that drive they fit as well, but for contrast. Several such loops
-that agree support each other.
+the other candidates of its query say: elsewhere on that drive they fit as well, but for contrast. In a street of equal
+houses a wrong pair passes now and then that explains less of the submap than a house elsewhere, which is turned down
+because two of its neighbours fit as well.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ from numpy.typing import NDArray
 from revisit.core.config import PipelineConfig
 from revisit.core.geometry.se3 import pose_matrix
 from revisit.service.application.contract.events import AMBIGUOUS
-from revisit.service.application.contract.recogniser import LoopVerdict
-from revisit.service.application.recognise.loops_beside import LOOK_ALIKES, Beside
+from revisit.service.application.recognise.distinctiveness import are_one, spot_of
+from revisit.service.application.recognise.loops_beside import LOOK_ALIKES, OUTDONE, Beside
 
 _LEAST, _SHARE = 4, 0.75
 """So many candidates elsewhere, and so large a share of them, must look alike."""
@@ -33,11 +34,50 @@ def not_standing_out(judged: Sequence[Beside], config: PipelineConfig) -> list[B
     changed = []
     for loop in judged:
         if loop.accepted_by_itself and not loop.by_hand:
-            elsewhere = [one for one in judged if _is_elsewhere(one, loop, config)]
-            alike = sum(_looks_alike(one, config) for one in elsewhere)
-            if alike >= max(_LEAST, _SHARE * len(elsewhere)):
-                changed.append(replace(loop, verdict=_as_ambiguous(loop.verdict, alike, len(elsewhere))))
+            doubt = _look_alikes(loop, judged, config) or _outdone(loop, judged, config)
+            if doubt:
+                evidence = {**loop.verdict.evidence, **doubt}
+                verdict = replace(loop.verdict, accepted=False, reason=AMBIGUOUS, evidence=evidence)
+                changed.append(replace(loop, verdict=verdict))
     return changed
+
+
+def _look_alikes(loop: Beside, judged: Sequence[Beside], config: PipelineConfig) -> dict[str, Any]:
+    """What the evidence says where nearly every other place of the drive looks like the submap; else nothing."""
+    elsewhere = [one for one in judged if _is_elsewhere(one, loop, config)]
+    alike = sum(_looks_alike(one, config) for one in elsewhere)
+    if alike < max(_LEAST, _SHARE * len(elsewhere)):
+        return {}
+    words = f"it passed every check, but {alike} of {len(elsewhere)} other places of that drive look like it"
+    return {LOOK_ALIKES: {"alike": alike, "elsewhere": len(elsewhere), "words": words}}
+
+
+def _outdone(loop: Beside, judged: Sequence[Beside], config: PipelineConfig) -> dict[str, Any]:
+    """What the evidence says where a place elsewhere, on any drive, explains more of the submap; else nothing.
+
+    Of the spot of `loop` the best candidate counts, of others those that look alike.
+    """
+    own, best = _overlap(loop), 0.0
+    for one in judged:
+        if one is loop or one.verdict.T_match_query is None:
+            continue
+        if _is_there(one, loop, config):
+            own = max(own, _overlap(one))
+        elif _looks_alike(one, config):
+            best = max(best, _overlap(one))
+    if best < own:
+        return {}
+    words = f"it passed every check, but explains {own:.2f} of the submap, and an ambiguous place elsewhere {best:.2f}"
+    return {OUTDONE: {"overlap": own, "elsewhere": best, "words": words}}
+
+
+def _is_there(one: Beside, loop: Beside, config: PipelineConfig) -> bool:
+    """Whether a candidate may say the same spot as `loop`, by any of its poses."""
+    if one.match.session_number != loop.match.session_number:
+        return False
+    poses = one.hypotheses or (one.verdict.T_match_query,)
+    spot = spot_of(loop, loop.hypotheses[0])
+    return any(pose is not None and are_one(spot_of(one, pose), spot, config.submap.stride) for pose in poses)
 
 
 def _is_elsewhere(one: Beside, loop: Beside, config: PipelineConfig) -> bool:
@@ -48,19 +88,17 @@ def _is_elsewhere(one: Beside, loop: Beside, config: PipelineConfig) -> bool:
 
 def _looks_alike(one: Beside, config: PipelineConfig) -> bool:
     """Whether a candidate passes but for its contrast, or for other poses that fit as well."""
-    measured, rules = _measured(one), config.verification
+    rules = config.verification
     return (
         not one.verdict.accepted
         and one.verdict.reason in (AMBIGUOUS, "DEGENERATE_ALIGNMENT")
-        and measured.get("overlap", 0.0) >= rules.min_overlap
+        and _overlap(one) >= rules.min_overlap
         and one.verdict.score >= rules.min_score
     )
 
 
-def _as_ambiguous(verdict: LoopVerdict, alike: int, elsewhere: int) -> LoopVerdict:
-    words = f"it passed every check, but {alike} of {elsewhere} other places of that drive look like it"
-    evidence = {**verdict.evidence, LOOK_ALIKES: {"alike": alike, "elsewhere": elsewhere, "words": words}}
-    return replace(verdict, accepted=False, reason=AMBIGUOUS, evidence=evidence)
+def _overlap(loop: Beside) -> float:
+    return float(_measured(loop).get("overlap", 0.0))
 
 
 def _measured(loop: Beside) -> dict[str, Any]:

@@ -36,6 +36,9 @@ REFUTED = "refuted"
 LOOK_ALIKES = "look_alikes"
 """The member of the evidence of a loop that passed every check, but stands out from no other place."""
 
+OUTDONE = "outdone"
+"""The member of the evidence of a loop that passed every check, but explains less of its submap than another place."""
+
 _BEFORE = 100
 """Submaps of any drive, described before one, among which those before it on its own drive are sought."""
 
@@ -75,13 +78,9 @@ class Beside:
 
     @property
     def speaks(self) -> bool:
-        """Whether geometry alone has accepted it: then it may contradict others."""
-        return self.may_support or (self.ambiguous and CONTRADICTED in self.verdict.evidence)
-
-    @property
-    def may_support(self) -> bool:
-        """Whether its pair passed every check: several that agree count, though none of them stands out."""
-        return self.accepted_by_itself or (self.ambiguous and LOOK_ALIKES in self.verdict.evidence)
+        """Whether its pair passed every check by itself: then it may contradict others, though it is not believed."""
+        doubted = CONTRADICTED, LOOK_ALIKES, OUTDONE
+        return self.accepted_by_itself or (self.ambiguous and any(name in self.verdict.evidence for name in doubted))
 
     @property
     def hypotheses(self) -> tuple[Matrix4, ...]:
@@ -198,7 +197,7 @@ def _between_drives(loops: Sequence[Beside], config: VerificationConfig, stride_
             _on_drive(loop.query),
             _on_drive(loop.match),
             loop.hypotheses,
-            loop.may_support,
+            loop.accepted_by_itself,
             one_drive=loop.query.session_number == loop.match.session_number,
         )
         for loop in loops
