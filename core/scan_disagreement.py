@@ -115,26 +115,28 @@ def _askew(normal: Array64, right: Array64, origins: Array64) -> float:
 
 
 def _single_poses(normal: Array64, moved: Array64, variance: float, origins: Array64) -> tuple[float, float]:
-    """How far the pose of a single scan is off, along and about each axis: how its motion differs from its neighbours'.
+    """How far the pose of a single scan is off, along and about each axis: what a line through all motions leaves.
 
-    `moved` (s, 6): the motions that mend the scans, with their `normal` matrix; `variance` of a height. Of a drift,
-    which bends all scans alike, nothing counts. What the motions' own errors explain is taken off, and axes along which
-    they are told less sharply count less.
+    `moved` (s, 6): the motions that mend the scans, with their `normal` matrix; `variance` of a height. Of a steady
+    drift, as of a sensor askew, nothing counts; of a heading that walks, its bends do (docs/decisions/0259). What the
+    motions' own errors explain is taken off, and axes along which they are told less sharply count less.
     """
     scans = len(origins)
     if scans < 3:
         return 0.0, 0.0
     at_origins = np.tile(np.eye(6), (scans, 1, 1))
     at_origins[:, :3, 3:] = -np.cross(origins[:, None, :], np.eye(3)[None]).transpose(0, 2, 1)
-    second = np.diff(np.eye(scans), 2, axis=0)  # six times the variance of one
+    line = np.vander(np.arange(scans) - 0.5 * (scans - 1), 2)
+    off_line = np.eye(scans) - line @ np.linalg.pinv(line)
+    off_line /= np.sqrt(np.diagonal(off_line))[:, None]  # each row has the variance of one scan
     of_all = np.eye(scans) - 1.0 / scans  # a motion of all scans is none
-    bends = np.einsum("ks,sij,st->kitj", second, at_origins, of_all).reshape(-1, 6 * scans)
+    bends = np.einsum("ks,sij,st->kitj", off_line, at_origins, of_all).reshape(-1, 6 * scans)
     bent = (bends @ moved.ravel()).reshape(-1, 6) ** 2
     of_errors = variance * np.einsum("ij,ji->i", bends, np.linalg.solve(normal, bends.T)).reshape(-1, 6)
     found = []
     for axes, likely in ((slice(0, 3), _LIKELY_SHIFT), (slice(3, 6), _LIKELY_TURN)):
-        weights = (of_errors[:, axes] + 6.0 * likely**2) ** -2
-        found.append(np.sqrt(max(np.average((bent - of_errors)[:, axes], weights=weights), 0.0) / 6.0))
+        weights = (of_errors[:, axes] + likely**2) ** -2
+        found.append(np.sqrt(max(np.average((bent - of_errors)[:, axes], weights=weights), 0.0)))
     return float(found[0]), float(found[1])
 
 

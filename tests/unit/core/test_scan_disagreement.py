@@ -26,18 +26,31 @@ def street(rng: np.random.Generator, count: int = 9_000) -> np.ndarray:
     return np.concatenate([ground, fronts, ends])
 
 
-def driven(askew_deg: float = 0.0, uneven_m: float = 0.0, jitter_m: float = 0.0, jitter_deg: float = 0.0) -> Submap:
-    """Five scans along x; the sensor is turned aside, its ranges are wrong by its own angles, its poses are jittery."""
+def driven(
+    askew_deg: float = 0.0,
+    uneven_m: float = 0.0,
+    jitter_m: float = 0.0,
+    jitter_deg: float = 0.0,
+    *,
+    step_m: float = 2.0,
+    bow_deg: float = 0.0,
+    veer_deg: float = 0.0,
+) -> Submap:
+    """Scans over 8 m along x: the sensor is turned aside, ranges are wrong by its own angles, poses are jittery.
+
+    The recorded heading bows by `bow_deg` to one side in the middle, and veers by `veer_deg` from start to end.
+    """  # fmt: skip
     rng, scans = np.random.default_rng(4), []
     T_mount = se3.from_yaw(np.radians(askew_deg))
-    for x in (-4.0, -2.0, 0.0, 2.0, 4.0):
+    for x in np.arange(-4.0, 4.1, step_m).tolist():
         seen = street(rng) - [x, 0.0, 1.6]
         seen += rng.normal(0.0, NOISE_M, seen.shape)
         distance = np.linalg.norm(seen, axis=1, keepdims=True)
         beam = np.sin(9.0 * np.arctan2(seen[:, 1:2], seen[:, :1]))
         points = se3.apply(se3.inverse(T_mount), seen * (1.0 + uneven_m * beam / distance))
         off = se3.exp(np.concatenate([rng.normal(0.0, jitter_m, 3), np.radians(rng.normal(0.0, jitter_deg, 3))]))
-        pose = se3.from_yaw(0.0, (x, 0.0, 1.6)) @ off
+        heading = bow_deg * np.cos(np.pi * x / 8.0) + veer_deg * x / 8.0
+        pose = se3.from_yaw(np.radians(heading), (x, 0.0, 1.6)) @ off
         scans.append(Scan.validated(points.astype(np.float32), pose, int(1e9 * (x + 9))))
     return Submap.from_scans(scans, SubmapConfig())
 
@@ -65,6 +78,13 @@ def test_what_the_pose_of_one_scan_is_off_by_is_told_along_and_about_the_axes() 
     assert exact.shift < 0.001 and np.degrees(exact.turn) < 0.01
     assert 0.01 < shifted.shift < 0.06 and np.degrees(shifted.turn) < 0.05
     assert 0.1 < np.degrees(turned.turn) < 0.6 and turned.shift < 0.01
+
+
+def test_a_heading_that_bends_along_many_scans_counts_and_a_steady_drift_does_not() -> None:
+    exact, bent, veering = (told(driven(step_m=0.5, **how)) for how in ({}, {"bow_deg": 0.3}, {"veer_deg": 0.3}))
+    off = 0.3 * np.std(np.cos(np.pi * np.arange(-4.0, 4.1, 0.5) / 8.0)) / np.sqrt(3.0)  # of three axes one bends
+    assert np.degrees(exact.turn) < 0.01 and np.degrees(veering.turn) < 0.3 * off
+    assert np.degrees(bent.turn) == pytest.approx(off, rel=0.3)
 
 
 def test_planes_near_the_sensor_alone_tell_nothing_of_a_place() -> None:
