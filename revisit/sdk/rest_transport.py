@@ -16,6 +16,7 @@ from google.protobuf.message import Message
 from revisit.sdk.clouds import Cloud
 from revisit.sdk.credentials import Credentials
 from revisit.sdk.errors import ApiError, ErrorDetails, FailedPrecondition, error_of, unreachable
+from revisit.sdk.http_calls import HttpCalls
 from revisit.sdk.json_answers import message_of
 from revisit.sdk.messages import COLLECTIONS, cloud_message, collection_of
 from revisit.sdk.resources import Json
@@ -52,14 +53,8 @@ class RestTransport:
 
     def __init__(self, base_url: str, retry: RetryPolicy, credentials: Credentials = Credentials()) -> None:
         timeout = httpx.Timeout(ANSWER_TIMEOUT_S, connect=CONNECT_TIMEOUT_S)
-        # trust_env: a robot's proxy settings must not send its clouds elsewhere.
-        self._http = httpx.Client(
-            base_url=base_url,
-            timeout=timeout,
-            trust_env=False,
-            headers=credentials.authorization(),
-            verify=credentials.ssl_context() if base_url.startswith("https:") else True,
-        )
+        verify = credentials.ssl_context() if base_url.startswith("https:") else True
+        self._http = HttpCalls(base_url, timeout, credentials.authorization(), verify)
         self._base_url = base_url
         self._retry = retry
 
@@ -159,7 +154,7 @@ class RestTransport:
         """See Transport."""
         headers = {"range": f"bytes={offset}-"} if offset else {}
         try:
-            with self._http.stream("GET", f"{_path(name)}:download", headers=headers) as answered:
+            with self._http.client.stream("GET", f"{_path(name)}:download", headers=headers) as answered:
                 if not answered.is_success:
                     answered.read()
                     raise error_of(_details(answered))
@@ -230,7 +225,7 @@ class RestTransport:
             params["after"] = request.after
         path, timeout = _path(request.parent, "events"), httpx.Timeout(SILENT_S, connect=CONNECT_TIMEOUT_S)
         try:
-            with self._http.stream("GET", path, params=params, timeout=timeout) as answered:
+            with self._http.client.stream("GET", path, params=params, timeout=timeout) as answered:
                 if not answered.is_success:
                     answered.read()
                     raise error_of(_details(answered))

@@ -49,7 +49,10 @@ async def _page(
     return PageRequest(page_size, page_token)
 
 
-Id: TypeAlias = Annotated[str, Path(max_length=200)]
+PATH_ID_CHARACTERS = 200
+"""Characters of an id in a path, which may be no id."""
+
+Id: TypeAlias = Annotated[str, Path(max_length=PATH_ID_CHARACTERS)]
 Cases: TypeAlias = Annotated[UseCases, Depends(_use_cases)]
 Tenant: TypeAlias = Annotated[TenantId, Depends(_tenant)]
 Paging: TypeAlias = Annotated[PageRequest, Depends(_page)]

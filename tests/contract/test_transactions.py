@@ -47,6 +47,18 @@ def test_an_exception_undoes_the_whole_transaction(write, read):
     assert read(lambda uow: uow.maps.count(TENANT)) == 0
 
 
+def test_the_version_is_another_one_after_every_commit_and_after_nothing_else(transactions, write, read):
+    if transactions.version() is None:
+        pytest.skip("these transactions do not tell")
+    seen = [transactions.version()]
+    for name in ("a", "b"):
+        write(lambda uow, name=name: uow.maps.add(a_map(name)))
+        assert transactions.version() not in seen
+        seen.append(transactions.version())
+    assert read(lambda uow: uow.maps.count(TENANT)) == 2
+    assert transactions.version() == seen[-1]
+
+
 def test_a_taken_key_is_refused_and_another_tenant_may_take_it(write):
     write(lambda uow: uow.maps.add(a_map()))
     with pytest.raises(AlreadyExists):

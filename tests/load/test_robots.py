@@ -1,7 +1,8 @@
 """Robots with a LiDAR of 64 beams at 1.5 m/s, ten scans a second each, on one machine with the whole service.
 
 REVISIT_ROBOTS (2) drive for REVISIT_ROBOTS_MINUTES (a third); REVISIT_ROBOTS_WORKERS (2) describe and verify with the
-real method. Full size is 8 robots for 10 minutes on two cores that do nothing else:
+real method. Scans come over REVISIT_ROBOTS_TRANSPORT: grpc, or rest with a request each. Full size is 8 robots for 10
+minutes on two cores that do nothing else:
 
     export REVISIT_TEST_TIMES=1 REVISIT_ROBOTS=8 REVISIT_ROBOTS_MINUTES=10
     python -m pytest tests/load/test_robots.py -s
@@ -32,6 +33,7 @@ from tests.support.replaying_robots import MachineWatch, Robot, stored_bytes
 
 ROBOTS = int(os.environ.get("REVISIT_ROBOTS", "2"))
 SECONDS = 60 * float(os.environ.get("REVISIT_ROBOTS_MINUTES", "0.3333"))
+TRANSPORT = os.environ.get("REVISIT_ROBOTS_TRANSPORT", "grpc")
 WORKERS = int(os.environ.get("REVISIT_ROBOTS_WORKERS", "2"))
 SCANS = round(SECONDS * SCANS_PER_S)
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(int(3 * SECONDS) + 1800)]
@@ -64,7 +66,13 @@ def driven(service: ServiceProcess, laps: list[Lap]) -> tuple[list[Robot], Machi
         sessions = [client.create_session(town, f"robot{number}").name for number in range(len(laps))]
     stop, begins_s = threading.Event(), time.monotonic() + 1.0
     robots = [
-        Robot(service.grpc_target, session, lap, SCANS, begins_s + number / len(laps) / SCANS_PER_S)
+        Robot(
+            service.url if TRANSPORT == "rest" else service.grpc_target,
+            session,
+            lap,
+            SCANS,
+            begins_s + number / len(laps) / SCANS_PER_S,
+        )
         for number, (session, lap) in enumerate(zip(sessions, laps, strict=True))
     ]
     watch = MachineWatch(service, stop)
@@ -90,6 +98,7 @@ def figures(robots: list[Robot], watch: MachineWatch, submaps: int, home: Path) 
     scans, first, last = ROBOTS * SCANS, *watch.queue_of_thirds()
     return {
         "robots": ROBOTS,
+        "transport": TRANSPORT,
         "minutes": round(SECONDS / 60, 2),
         "ack_p50_p99_ms": [quantile(0.5, took_ms), quantile(0.99, took_ms)],
         "late_at_the_end_s": round(max(robot.late_s[-1] for robot in robots), 2),

@@ -67,6 +67,10 @@ class PlainTransactions:
         with self._lock, self.database.begin() as connection:
             yield SqlUnitOfWork(connection, self.engine, self._lease_ms)
 
+    def version(self) -> int | None:
+        """It does not count its commits."""
+        return None
+
     def close(self) -> None:
         """See `Transactions`."""
         self.database.dispose()

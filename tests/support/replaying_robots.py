@@ -16,6 +16,7 @@ import numpy as np
 from revisit.sdk.credentials import Credentials
 from revisit.sdk.grpc_transport import GrpcTransport
 from revisit.sdk.resources import pose_json
+from revisit.sdk.rest_transport import RestTransport
 from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.transport import Forgetful
 from tests.support.load import own_mib, processor_s, rss_mib
@@ -48,7 +49,7 @@ class Robot(threading.Thread):
     """Streams `scans` scans, ten a second from its own moment on; one that is late hurries, and leaves none out."""
 
     def __init__(self, target: str, session: str, lap: Lap, scans: int, begins_s: float) -> None:
-        """`begins_s` is a time of the monotonic clock."""
+        """`target` is host:port for gRPC or a URL for REST; `begins_s` is a time of the monotonic clock."""
         super().__init__(name=session, daemon=True)
         self._target, self._session, self._lap, self._scans, self._begins_s = target, session, lap, scans, begins_s
         self.acknowledgements = Acknowledgements()
@@ -57,7 +58,8 @@ class Robot(threading.Thread):
 
     def run(self) -> None:
         """Until every scan was answered."""
-        transport = GrpcTransport(self._target, RetryPolicy(), Credentials.given(None, None))
+        kind = RestTransport if self._target.startswith("http") else GrpcTransport
+        transport = kind(self._target, RetryPolicy(), Credentials.given(None, None))
         sink = transport.open_stream(self._session, self.acknowledgements)
         for number in range(self._scans):
             due_s = self._begins_s + number / SCANS_PER_S

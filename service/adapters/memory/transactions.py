@@ -97,6 +97,7 @@ class MemoryTransactions:
         self._tables = {name: Rows() for name in _TABLES}
         self._lease_ms = lease_ms
         self._lock = threading.Lock()
+        self._commits = 0
 
     def write(self, work: Callable[[UnitOfWork], T], *, alone: bool = False) -> Future[T]:
         """See `Transactions`."""
@@ -112,6 +113,10 @@ class MemoryTransactions:
             snapshot = self._copy()
         return work(MemoryUnitOfWork(snapshot, self._lease_ms))
 
+    def version(self) -> int | None:
+        """See `Transactions`."""
+        return self._commits
+
     def close(self) -> None:
         """See `Transactions`."""
 
@@ -120,6 +125,7 @@ class MemoryTransactions:
             tables = self._copy()
             result = work(MemoryUnitOfWork(tables, self._lease_ms))
             self._tables = tables
+            self._commits += 1
             return result
 
     def _copy(self) -> dict[str, Rows]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+import threading
 from contextlib import closing
 from functools import partial
 from pathlib import Path
@@ -67,6 +68,31 @@ def open_to_read(database: Path, *, at_rest: bool = False) -> sqlite3.Connection
     """
     options = "mode=ro&immutable=1" if at_rest else "mode=ro"
     return sqlite3.connect(f"{database.absolute().as_uri()}?{options}", uri=True, timeout=5.0)
+
+
+class DataVersion:
+    """Whether anything was committed to a database, asked of SQLite's own counter on a connection that never writes."""
+
+    def __init__(self, database: Path) -> None:
+        """Beside the service, whose files are there. Raises sqlite3.Error."""
+        self._connection = sqlite3.connect(
+            database, isolation_level=None, timeout=0.0, check_same_thread=False, cached_statements=1
+        )
+        self._connection.execute("PRAGMA query_only=1")
+        self._asking = threading.Lock()
+
+    def now(self) -> int | None:
+        """A number that is another one after a commit of any other connection; None where it cannot be had at once."""
+        try:
+            # All of it, so that the statement ends, and with it the snapshot that it reads.
+            with self._asking:
+                return int(self._connection.execute("PRAGMA data_version").fetchall()[0][0])
+        except sqlite3.Error:
+            return None
+
+    def close(self) -> None:
+        """Close the connection; from here on the number is not known."""
+        self._connection.close()
 
 
 def unreadable(database: Path) -> str:

@@ -34,6 +34,7 @@ from revisit.service.adapters.sql.unit_of_work import SqlUnitOfWork
 from revisit.service.adapters.sqlite.connections import (
     READER_PRAGMAS,
     READERS,
+    DataVersion,
     reader_engine,
     require_pragmas,
     write_ahead_log,
@@ -84,6 +85,7 @@ class SqliteTransactions:
         """
         self._writer = writer_engine(path, checkpoints=checkpoints)
         self._reader = reader_engine(path)
+        self._version = DataVersion(path)
         self._idle: deque[Connection] = deque()
         self._closed = False
         require_pragmas(self._writer, writer_pragmas(checkpoints=checkpoints))
@@ -109,8 +111,13 @@ class SqliteTransactions:
         with self._failures.translated(), self._to_read() as connection, connection.begin():
             return work(self._unit_of_work(connection))
 
+    def version(self) -> int | None:
+        """See `Transactions`."""
+        return self._version.now()
+
     def close(self) -> None:
         """See `Transactions`."""
+        self._version.close()
         self._writing.close()
         self._reading.shutdown(wait=True)
         self._closed = True

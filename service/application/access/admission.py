@@ -21,6 +21,7 @@ from revisit.service.application.access.callers import (
     current_tenant_or_none,
 )
 from revisit.service.application.access.failed_attempts import FailedAttempts
+from revisit.service.application.access.known_keys import KnownKeys
 from revisit.service.application.capacity.call_pace import CallPace
 from revisit.service.application.contract.access_ports import TokenVerifier
 from revisit.service.application.contract.clock import Clock
@@ -71,12 +72,12 @@ class Access:
 
     def __init__(self, storage: Storage, audit_log: AuditLog, clock: Clock, rules: AccessRules, pace: CallPace) -> None:
         """Keys are looked up in `storage`; `pace` holds back whoever begins too many calls."""
-        self._storage = storage
         self._audit = audit_log
         self._clock = clock
         self._rules = rules
         self._pace = pace
         self._failed = FailedAttempts()
+        self._keys = KnownKeys(storage)
 
     async def admit_call(
         self, credential: Credential, scopes: frozenset[Scope], call: str, path: str | None = None
@@ -142,13 +143,12 @@ class Access:
         rules = self._rules
         if rules.required or rules.tokens is not None or rules.certificates:
             return False
-        return await self._storage.read(lambda uow: uow.keys.is_empty())
+        return await self._keys.is_empty()
 
     async def _of_bearer(self, text: str) -> Caller:
         shown = parse_key(text)
         if shown is not None:
-            record = await self._storage.read(lambda uow: uow.keys.get(shown.key_id))
-            return caller_of_key(record, shown, self._clock.wall_ns())
+            return caller_of_key(await self._keys.get(shown.key_id), shown, self._clock.wall_ns())
         if self._rules.tokens is None or len(text) > MAX_CREDENTIAL_CHARACTERS:
             raise Unauthenticated
         now_s = self._clock.wall_ns() / 1e9

@@ -52,7 +52,7 @@ class SubmapKey:
     @property
     def name(self) -> str:
         """The resource name."""
-        return f"{self.session.name}/submaps/{self.submap_id}"
+        return f"maps/{self.map_id}/sessions/{self.session_id}/submaps/{self.submap_id}"
 
 
 def validated_id(value: str, field: str) -> str:

@@ -171,6 +171,14 @@ class Transactions(Protocol):
         """As `read`, in the calling thread, which it blocks: never called on the event loop."""
         ...
 
+    def version(self) -> int | None:
+        """A number that is another one once anything was committed, by whichever process; None where it is not known.
+
+        What was read after this number was asked for still holds while the number is the same. Takes microseconds and
+        waits for nobody: may be called on the event loop.
+        """
+        ...
+
     def close(self) -> None:
         """Finish what is queued and release everything."""
         ...

@@ -49,6 +49,19 @@ class Question:
     where: VectorFilter
 
 
+@dataclass(frozen=True)
+class _News:
+    """The changes of a map's index that follow change `after`."""
+
+    after: int
+    changes: list[IndexChange]
+
+    @property
+    def seq(self) -> int:
+        """The last of them."""
+        return self.changes[-1].seq if self.changes else self.after
+
+
 class PlaceMemory:
     """Searches that see every submap described before they began. Calls block: use them beside the event loop."""
 
@@ -57,6 +70,7 @@ class PlaceMemory:
         self._transactions = transactions
         self._index = index
         self._sessions = KeptSessions()
+        self._caught_up: dict[int, tuple[int, int]] = {}
 
     def recall(self, map_record: MapRecord, vector: NDArray[np.float32], k: int, where: VectorFilter) -> Recall:
         """The k places most like `vector` (d,). Raises BadField for another dimension."""
@@ -64,12 +78,13 @@ class PlaceMemory:
         return Recall(self._transactions.read_here(lambda uow: _places(uow, map_record.tenant, matches)), seq)
 
     def _matches(
-        self, map_record: MapRecord, vector: NDArray[np.float32], k: int, where: VectorFilter
+        self, map_record: MapRecord, vector: NDArray[np.float32], k: int, where: VectorFilter, news: _News | None = None
     ) -> tuple[list[VectorMatch], int]:
-        """What the index finds, and the change as of which it knows everything."""
+        """What the index finds, and the change as of which it knows everything; `news` of it may have been read."""
         tenant, number = map_record.tenant, map_record.number
         while True:
-            seq = self.catch_up(tenant, number)
+            seq = self.catch_up(tenant, number) if news is None else self._apply(number, news)
+            news = None
             matches = self._index.search(number, vector, k, where) if self._index.size(number) else []
             if self._index.seq(number) >= seq:
                 return matches, seq
@@ -80,11 +95,16 @@ class PlaceMemory:
         while True:
             before = self._index.seq(number) or self._loaded(tenant, number)
             changes = self._transactions.read_here(partial(_changes, tenant=tenant, number=number, seq=before))
-            failpoint("index.before_apply")
-            self._index.apply(number, changes, before)
-            failpoint("index.after_apply")
+            seq = self._apply(number, _News(before, changes))
             if len(changes) < PORTION:
-                return changes[-1].seq if changes else before
+                return seq
+
+    def _apply(self, number: int, news: _News) -> int:
+        """Apply changes that were read; the last of them."""
+        failpoint("index.before_apply")
+        self._index.apply(number, news.changes, news.after)
+        failpoint("index.after_apply")
+        return news.seq
 
     def _loaded(self, tenant: TenantId, number: int) -> int:
         """Load the map from its file, if it has one; the last change that is in the index then."""
@@ -95,14 +115,41 @@ class PlaceMemory:
 
     def answer(self, question: Callable[[UnitOfWork], Question], criteria: SearchCriteria) -> SearchResult:
         """The answer to the search for what `question` reads. Raises what that raises; BadField."""
-        asked = self._transactions.read_here(question)
-        return self.search(asked.map_record, asked.vector, criteria, asked.where)
+        version = self._transactions.version()
+        asked, news = self._transactions.read_here(lambda uow: self._asked(uow, question, version))
+        found = self.search(asked.map_record, asked.vector, criteria, asked.where, news)
+        if news is not None and version is not None:
+            self._caught_up[asked.map_record.number] = version, news.seq
+        return found
+
+    def _asked(
+        self, uow: UnitOfWork, question: Callable[[UnitOfWork], Question], version: int | None
+    ) -> tuple[Question, _News | None]:
+        """What is searched for, and in the same snapshot what the index of the map has yet to learn.
+
+        Nothing where it knew everything as of `version`, and nothing was committed since. No news of an index that is
+        still to be loaded, or that lacks more than a portion.
+        """
+        asked = question(uow)
+        record = asked.map_record
+        before = self._index.seq(record.number)
+        if not before:
+            return asked, None
+        if version is not None and self._caught_up.get(record.number) == (version, before):
+            return asked, _News(before, [])
+        changes = _changes(uow, record.tenant, record.number, before)
+        return asked, _News(before, changes) if len(changes) < PORTION else None
 
     def search(
-        self, map_record: MapRecord, vector: NDArray[np.float32], criteria: SearchCriteria, where: VectorFilter
+        self,
+        map_record: MapRecord,
+        vector: NDArray[np.float32],
+        criteria: SearchCriteria,
+        where: VectorFilter,
+        news: _News | None = None,
     ) -> SearchResult:
-        """The answer to a client's search."""
-        found, _ = self._matches(map_record, vector, criteria.k, where)
+        """The answer to a client's search; `news` of the map's index may have been read since it was asked."""
+        found, _ = self._matches(map_record, vector, criteria.k, where, news)
         floor = -1.0 if criteria.min_similarity is None else criteria.min_similarity
         matches = [match for match in found if match.similarity >= floor]
         hits = self._transactions.read_here(partial(_hits, map_record=map_record, matches=matches, kept=self._sessions))

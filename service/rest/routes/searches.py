@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Callable, Coroutine
+from typing import Annotated, Any
 
 import numpy as np
 from fastapi import APIRouter, Depends, Query, Response
+from fastapi.routing import APIRoute
+from fastapi.security import SecurityScopes
 from starlette.requests import Request
 
 from revisit.core.errors import BadField
 from revisit.service.application import UseCases
-from revisit.service.application.access.callers import Scope
+from revisit.service.application.access.callers import Scope, current_tenant
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.query.freshness import Freshness
 from revisit.service.application.query.search_answers import SearchCriteria, SearchResult
 from revisit.service.application.query.searches import LocalizeQuery
-from revisit.service.rest.access import allows
+from revisit.service.rest.access import admitted, allows, scopes_of
 from revisit.service.rest.answers import LocalizeAnswer, SearchAnswer, answer, answers
 from revisit.service.rest.bodies import (
     CLOUD_BODY,
@@ -26,6 +29,7 @@ from revisit.service.rest.bodies import (
     read_json,
 )
 from revisit.service.rest.parameters import (
+    PATH_ID_CHARACTERS,
     Cases,
     Cloud,
     Fresh,
@@ -41,7 +45,33 @@ from revisit.service.rest.schemas import IN_DIGITS, SearchRequest, bounds
 from revisit.service.wire import names
 from revisit.service.wire.answers import of_localization, of_search
 
-router = APIRouter(prefix="/v1/maps", tags=["searches"])
+
+class _SearchRoute(APIRoute):
+    """A search by JSON is answered without the parameters that a search by cloud has in its query string.
+
+    FastAPI would make them from defaults for each call, which takes as long as the search in the index.
+    """
+
+    def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
+        """What answers a request of this route."""
+        by_parameters = super().get_route_handler()
+        if not self.path.endswith("/submaps:search"):
+            return by_parameters
+        scopes = SecurityScopes(scopes_of(self))
+
+        async def answer_search(request: Request) -> Response:
+            map_id = request.path_params["map_id"]
+            # Whatever else is sent is FastAPI's to judge.
+            plain = media_type(request) == "application/json" and not request.scope["query_string"]
+            if not plain or len(map_id) > PATH_ID_CHARACTERS:
+                return await by_parameters(request)
+            await admitted(request, scopes)
+            return await _answer_by_json(request, request.app.state.use_cases, current_tenant(), map_id)
+
+        return answer_search
+
+
+router = APIRouter(prefix="/v1/maps", tags=["searches"], route_class=_SearchRoute)
 
 _SEARCH_BODY = {
     "requestBody": {
@@ -72,8 +102,7 @@ async def search_submaps(
 ) -> Response:
     """The submaps most like a submap, a descriptor or a cloud."""
     if media_type(request) == "application/json":
-        body = await read_json(request, SearchRequest)
-        return answer(SearchAnswer, of_search(await _search_by_json(cases, tenant, map_id, body)))
+        return await _answer_by_json(request, cases, tenant, map_id)
     cloud = await cloud_body(request)
     found = await cases.searches.by_cloud(tenant, map_id, cloud, criteria, fresh, T_level_query=level)
     return answer(SearchAnswer, of_search(found))
@@ -98,6 +127,11 @@ async def localize(
     """Where in the map was this cloud taken? No match is an answer, not an error."""
     query = LocalizeQuery(map_id, cloud, prior, radius_m, candidates, exclude_session, only_session, level)
     return answer(LocalizeAnswer, of_localization(await cases.searches.localize(tenant, query, fresh)))
+
+
+async def _answer_by_json(request: Request, cases: UseCases, tenant: TenantId, map_id: str) -> Response:
+    body = await read_json(request, SearchRequest)
+    return answer(SearchAnswer, of_search(await _search_by_json(cases, tenant, map_id, body)))
 
 
 async def _search_by_json(cases: UseCases, tenant: TenantId, map_id: str, body: SearchRequest) -> SearchResult:

@@ -1,0 +1,83 @@
+"""A call of the SDK sends what httpx's own client would send, and reads the same answer."""
+
+from __future__ import annotations
+
+import gzip
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from threading import Thread
+
+import httpx
+import pytest
+
+from revisit.sdk.http_calls import HttpCalls
+
+TIMEOUT = httpx.Timeout(5.0)
+
+CALLS = {
+    "get": ("GET", "/v1/maps/a", {}),
+    "an empty query": ("GET", "/v1/maps/a", {"params": {}}),
+    "a query": ("GET", "/v1/maps", {"params": {"page_size": 3, "view": "FULL", "flag": True, "kinds": ["a", "b"]}}),
+    "json": ("POST", "/v1/maps/a/submaps:search", {"json": {"submap": "maps/a/sessions/\u00e4/submaps/b", "k": 20}}),
+    "a cloud": ("POST", "/v1/x", {"content": b"\x00\x01", "params": {"seq": 1}, "headers": {"content-type": "x/y"}}),
+    "nothing": ("DELETE", "/v1/maps/a", {}),
+    "what must be escaped": ("GET", "/v1/maps/\u00e4 b%2Fc", {}),
+}
+
+
+class Echo(BaseHTTPRequestHandler):
+    """Answers with a compressed body and notes what it was sent."""
+
+    protocol_version = "HTTP/1.1"
+    sent: list = []
+
+    def handle_any(self):
+        """Note the request and answer it."""
+        body = self.rfile.read(int(self.headers.get("content-length", "0")))
+        self.sent.append((self.requestline, self.headers.items(), body))
+        answer = gzip.compress(b'{"name": "maps/a"}')
+        self.send_response(404 if "nowhere" in self.path else 200)
+        self.send_header("content-encoding", "gzip")
+        self.send_header("content-length", str(len(answer)))
+        self.end_headers()
+        self.wfile.write(answer)
+
+    do_GET = do_POST = do_DELETE = handle_any
+
+    def log_message(self, *_):
+        """Say nothing."""
+
+
+@pytest.fixture(scope="module")
+def address():
+    with HTTPServer(("127.0.0.1", 0), Echo) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
+
+
+@pytest.mark.parametrize("base", ["{}", "{}/behind/a/proxy/", "http://me:secret@{}"])
+@pytest.mark.parametrize("case", CALLS)
+def test_what_is_sent_is_what_httpx_sends(address, case, base):
+    method, path, given = CALLS[case]
+    base = base.format(address.removeprefix("http://") if "@" in base else address)
+    headers = {"authorization": "Bearer rv_x"} if "@" not in base else {}
+    Echo.sent.clear()
+    with httpx.Client(base_url=base, timeout=TIMEOUT, trust_env=False, headers=headers) as reference:
+        expected = reference.request(method, path, **given)
+    calls = HttpCalls(base, TIMEOUT, headers, True)
+    answers = [calls.request(method, path, **given) for _ in range(2)]
+    calls.close()
+    assert Echo.sent[0] == Echo.sent[1] == Echo.sent[2]
+    for answer in answers:
+        assert (answer.status_code, answer.json()) == (expected.status_code, expected.json())
+        assert (answer.url, answer.request.method, answer.is_closed) == (expected.url, method, True)
+
+
+def test_a_refusal_is_an_answer_and_no_service_is_an_error(address):
+    calls = HttpCalls(address, TIMEOUT, {}, True)
+    assert calls.request("GET", "/nowhere").status_code == 404
+    calls.close()
+    gone = HttpCalls("http://127.0.0.1:1", TIMEOUT, {}, True)
+    with pytest.raises(httpx.ConnectError):
+        gone.request("GET", "/")
+    gone.close()
