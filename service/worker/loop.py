@@ -16,8 +16,8 @@ from revisit.service.application.contract.tracing import NoTracer, RequestContex
 from revisit.service.application.installation import Installation
 from revisit.service.application.recognise.claiming import JobClaims
 from revisit.service.application.recognise.recognition import Recognition
-from revisit.service.large_blocks import return_free_memory
 from revisit.service.worker.confinement import resident_bytes
+from revisit.service.worker.free_memory import FreeMemory
 from revisit.service.worker.heartbeat import Heartbeat, WorkerIdentity
 
 IDLE_POLL_S = 0.1
@@ -56,6 +56,7 @@ class Worker:
         self._stopping = stopping
         self._limits = limits
         self._tracer = tracer
+        self._memory = FreeMemory()
         self._heartbeat = Heartbeat(
             installation.transactions,
             installation.clock,
@@ -74,6 +75,7 @@ class Worker:
                 lease = self._claim()
                 if lease is None:
                     self._stopping.wait(IDLE_POLL_S)
+                    self._memory.after_waiting(IDLE_POLL_S)
                     continue
                 self._run(lease)
                 done += 1
@@ -97,7 +99,7 @@ class Worker:
                 log.warning("job_end_not_stored", reason=error.message)
             finally:
                 self._heartbeat.let_go()
-                return_free_memory()
+                self._memory.after_job()
             log.info("job_ended", kind=lease.job.kind, subject=lease.job.subject)
 
     @contextmanager

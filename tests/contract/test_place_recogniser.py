@@ -103,6 +103,20 @@ def test_a_place_matches_itself_and_the_evidence_is_json(recogniser, described):
     assert json.loads(json.dumps(verdict.evidence, allow_nan=False)) == verdict.evidence
 
 
+def test_what_was_let_go_of_is_made_again_with_the_same_verdict(recogniser, described):
+    other = recogniser.describe(seen_from(np.eye(4), 1), CONFIG).place
+    before = recogniser.verify(described.place, other, 0.9, CONFIG)
+    recogniser.let_go()
+    after = recogniser.verify(described.place, other, 0.9, CONFIG)
+    assert (after.accepted, after.reason, after.score, after.evidence) == (
+        before.accepted,
+        before.reason,
+        before.score,
+        before.evidence,
+    )
+    np.testing.assert_array_equal(after.T_match_query, before.T_match_query)
+
+
 def test_the_verdict_names_its_rules_and_tells_other_rules_apart():
     method = load_recogniser()
     place = method.describe(seen_from(np.eye(4), 1), CONFIG).place

@@ -128,6 +128,32 @@ def test_what_a_search_tells_of_submaps_is_read_by_number_within_a_tenant(write,
     assert read(lambda uow: uow.submaps.found(OTHER, [second.number])) == {}
 
 
+def test_the_loops_of_some_queries_that_tell_anything_are_read_at_once(write, read):
+    *_, first, second, _ = write(fill)
+
+    def more(uow):
+        third = uow.submaps.add(a_submap("c", ordinal=2))
+        rejected = replace(a_loop(first.number, third.number), state="REJECTED", reason="AMBIGUOUS")
+        uow.loops.add(a_loop(third.number, first.number))
+        uow.loops.add(rejected)
+        uow.loops.add(replace(rejected, loop_id="other", reason="LOW_OVERLAP"))
+        return third
+
+    third = write(more)
+    asked = [third.number, first.number]
+    told = read(lambda uow: uow.loops.telling(TENANT, asked, "AMBIGUOUS"))
+    assert [(one.query_number, one.match_number, one.reason) for one in told] == [
+        (first.number, third.number, "AMBIGUOUS"),
+        (third.number, first.number, None),
+    ]
+    assert told[1].evidence == {"inliers": 12, "rmse_m": 0.1}
+    assert read(lambda uow: uow.loops.telling(OTHER, asked, "AMBIGUOUS")) == []
+    assert [one.query_number for one in read(lambda uow: uow.loops.telling(TENANT, [second.number], "X"))] == [
+        second.number
+    ]
+    assert read(lambda uow: uow.loops.telling(TENANT, [], "AMBIGUOUS")) == []
+
+
 def test_replace_changes_one_record_and_needs_it_to_exist(write, read):
     record = write(lambda uow: uow.maps.add(a_map()))
     write(lambda uow: uow.maps.replace(replace(record, model_version="m-1")))

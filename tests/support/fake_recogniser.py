@@ -102,6 +102,9 @@ class FakeRecogniser:
         neural_map = b"neural " + descriptor.tobytes()
         return SubmapDescription(descriptor, descriptor.tobytes(), neural_map, mesh, (), {"all": 0.0})
 
+    def let_go(self) -> None:
+        """See `PlaceRecogniser`; it keeps nothing."""
+
     def describe_again(self, neural_map: bytes, place: bytes | None, config: PipelineConfig) -> Redescription:
         """The same descriptor, reversed: that of another model."""
         if not neural_map.startswith(b"neural "):

@@ -15,13 +15,14 @@ from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.index import IndexChange
 from revisit.service.application.contract.records import (
     JobRecord,
+    LoopRecord,
     ScanRecord,
     SubmapRecord,
     TurnRecord,
     WorkerRecord,
 )
 from revisit.service.application.contract.repositories import FoundSubmap, PlacedSubmap
-from revisit.service.application.contract.states import EventKind, OperationState, SubmapState
+from revisit.service.application.contract.states import EventKind, LoopState, OperationState, SubmapState
 
 R = TypeVar("R")
 
@@ -184,6 +185,15 @@ class MemorySubmaps(MemoryRepository[SubmapRecord]):
         rows = self.find(tenant, map_id=map_id, session_id=session_id)
         failures = [row.failure_code for row in rows if row.failure_code is not None]
         return dict(Counter([flag for row in rows for flag in row.flags] + failures))
+
+
+class MemoryLoops(MemoryRepository[LoopRecord]):
+    """`LoopRepository`."""
+
+    def telling(self, tenant: TenantId, query_numbers: Sequence[int], reason: str) -> list[LoopRecord]:
+        """See `LoopRepository`."""
+        found = [loop for number in sorted(set(query_numbers)) for loop in self.find(tenant, query_number=number)]
+        return [loop for loop in found if loop.state == LoopState.ACCEPTED or loop.reason == reason]
 
 
 class MemoryJobs(MemoryRepository[JobRecord]):

@@ -14,6 +14,7 @@ from revisit.service.adapters.memory.repositories import (
     MemoryChangeLog,
     MemoryEventLog,
     MemoryJobs,
+    MemoryLoops,
     MemoryRepository,
     MemoryScans,
     MemorySubmaps,
@@ -25,7 +26,6 @@ from revisit.service.application.contract.events import on_job_change, on_loop_c
 from revisit.service.application.contract.records import (
     EarlyCorrectionRecord,
     LoopEventRecord,
-    LoopRecord,
     MapFileRecord,
     MapMergeRecord,
     MapRecord,
@@ -63,7 +63,7 @@ class MemoryUnitOfWork:
             tables["webhook_deliveries"], ("number",)
         )
         told = on_loop_change(self.events)
-        self.loops: MemoryRepository[LoopRecord] = MemoryRepository(tables["loops"], ("map_id", "loop_id"), told)
+        self.loops = MemoryLoops(tables["loops"], ("map_id", "loop_id"), told)
         self.jobs = MemoryJobs(tables["jobs"], ("operation_id",), on_job_change(self.events))
         self.loop_events: MemoryRepository[LoopEventRecord] = MemoryRepository(tables["loop_events"], ("number",))
         self.map_versions: MemoryRepository[MapVersionRecord] = MemoryRepository(

@@ -15,6 +15,7 @@ from revisit.service.adapters.sql.change_log import SqlChangeLog
 from revisit.service.adapters.sql.engine import DatabaseEngine
 from revisit.service.adapters.sql.event_log import SqlEventLog
 from revisit.service.adapters.sql.jobs import SqlJobs
+from revisit.service.adapters.sql.loops import SqlLoops
 from revisit.service.adapters.sql.repositories import SqlScans, SqlSubmaps, Stored, stored
 from revisit.service.adapters.sql.turns import SqlTenantTurns
 from revisit.service.adapters.sql.worker_log import SqlWorkerLog
@@ -56,7 +57,7 @@ class SqlUnitOfWork:
     """Scans by (map_id, session_id, seq)."""
     submaps = Stored(SqlSubmaps, tables.submaps, SubmapRecord)
     """Submaps by (map_id, session_id, submap_id)."""
-    loops = stored(tables.loops, LoopRecord, on_loop_change)
+    loops = Stored(SqlLoops, tables.loops, LoopRecord, on_loop_change)
     """Loop closures by (map_id, loop_id)."""
     loop_events = stored(tables.loop_events, LoopEventRecord)
     """Changes of loop closures by (number)."""

@@ -55,7 +55,15 @@ class Redescription:
     place: bytes
 
 
-class PlaceRecogniser(Protocol):
+class PlaceKeeper(Protocol):
+    """Keeps what it has made of places, as long as there is room."""
+
+    def let_go(self) -> None:
+        """Keep nothing of what verification has made of places: a job that needs much memory follows."""
+        ...
+
+
+class PlaceRecogniser(PlaceKeeper, Protocol):
     """The method, as the workers call it."""
 
     @property

@@ -8,7 +8,7 @@ from typing import Any, Protocol, TypeVar
 
 from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.records import JobRecord, Pose, ScanRecord, SubmapRecord
+from revisit.service.application.contract.records import JobRecord, LoopRecord, Pose, ScanRecord, SubmapRecord
 
 R = TypeVar("R")
 
@@ -150,6 +150,14 @@ class SubmapRepository(Repository[SubmapRecord], FoundSubmaps, Protocol):
 
     def flag_counts(self, tenant: TenantId, map_id: str, session_id: str) -> dict[str, int]:
         """Flag -> how many submaps of a session have it; of failed ones also the code of the failure."""
+        ...
+
+
+class LoopRepository(Repository[LoopRecord], Protocol):
+    """Loop closures, also those of several submaps."""
+
+    def telling(self, tenant: TenantId, query_numbers: Sequence[int], reason: str) -> list[LoopRecord]:
+        """Those of these queries (at most 1000) that were accepted, or rejected for `reason`: by query and number."""
         ...
 
 

@@ -13,7 +13,6 @@ from revisit.service.application.contract.job_queue import JobQueue, WorkerLog
 from revisit.service.application.contract.records import (
     EarlyCorrectionRecord,
     LoopEventRecord,
-    LoopRecord,
     MapFileRecord,
     MapMergeRecord,
     MapRecord,
@@ -25,6 +24,7 @@ from revisit.service.application.contract.records import (
 )
 from revisit.service.application.contract.repositories import (
     JobRepository,
+    LoopRepository,
     Repository,
     ScanRepository,
     SubmapRepository,
@@ -66,7 +66,7 @@ class UnitOfWork(Protocol):
         ...
 
     @property
-    def loops(self) -> Repository[LoopRecord]:
+    def loops(self) -> LoopRepository:
         """Loop closures by (map_id, loop_id)."""
         ...
 

@@ -76,6 +76,7 @@ class _News:
 class _Held:
     """A map as this worker keeps it: what it is of, the corrections of its version, and what it has taken in."""
 
+    map: tuple[TenantId, str]
     key: tuple[int, int, int]
     solved: SolvedMap
     before: dict[int, SessionPosesRecord]
@@ -97,6 +98,11 @@ class EarlyCorrections:
         self._optimiser = optimiser
         self._held: _Held | None = None
 
+    def let_go(self, tenant: TenantId, map_id: str) -> None:
+        """Keep this map no longer: an optimisation begins that makes its solution void."""
+        if self._held is not None and self._held.map == (tenant, map_id):
+            self._held = None
+
     def take_in(self, tenant: TenantId, map_id: str) -> None:
         """Take in the accepted loops of a map that its version has not seen, and store what they correct.
 
@@ -116,6 +122,7 @@ class EarlyCorrections:
         if news is None:
             return
         if news.task is not None:
+            self._held = None  # what it takes is needed for the next one
             self._held = self._solved(news.map, news.task)
         held = self._held
         if held is None or not _added(held, news):
@@ -132,7 +139,8 @@ class EarlyCorrections:
         loops = tuple(loop for loop in task.graph.loops if loop.number in seen)
         graph = MapGraph(tuple(track for track, _ in tracks), loops, task.graph.window_m)
         in_version = frozenset(number for track in graph.tracks for number in track.submaps)
-        return _Held(_key(record), self._optimiser.solved(graph, [one for _, one in tracks]), before, in_version)
+        solved = self._optimiser.solved(graph, [one for _, one in tracks])
+        return _Held((record.tenant, record.map_id), _key(record), solved, before, in_version)
 
 
 def _key(record: MapRecord) -> tuple[int, int, int]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Any
 
@@ -17,12 +18,16 @@ from revisit.service.application.contract.records import LoopRecord, MapRecord, 
 from revisit.service.application.contract.states import LoopState
 from revisit.service.application.contract.transactions import UnitOfWork
 
+_PAGE = 500
+
+_NO_EVIDENCE: dict[str, Any] = {}
+
 
 @dataclass(frozen=True)
 class MapTask:
     """A map to optimise: its pose graph, its loops in the order of the graph's, and its poses by the version in force.
 
-    `session_ids` are those of the tracks.
+    `session_ids` are those of the tracks. The loops have no evidence: that is five sixths of what they take.
     """
 
     map: MapRecord
@@ -39,11 +44,35 @@ def read_task(uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str) ->
         return None
     ids = {session.number: session.session_id for session in uow.sessions.find(tenant, map_id=map_id)}
     tracks = _tracks(uow, tenant, map_id)
-    accepted = uow.loops.find(tenant, map_id=map_id, state=LoopState.ACCEPTED.value)
-    loops = tuple(loop for loop in accepted if loop.T_match_query is not None)
-    graph = MapGraph(tracks, tuple(track_loop(loop) for loop in loops), policy.for_map(record).submap.tau)
+    loops, of_graph = _accepted(uow, tenant, map_id)
+    graph = MapGraph(tracks, of_graph, policy.for_map(record).submap.tau)
     before = uow.session_poses.find(tenant, map_id=map_id, version=record.map_version)
     return MapTask(record, graph, tuple(ids[track.session_number] for track in tracks), loops, tuple(before))
+
+
+def _accepted(uow: UnitOfWork, tenant: TenantId, map_id: str) -> tuple[tuple[LoopRecord, ...], tuple[TrackLoop, ...]]:
+    """The accepted loops of a map, without their evidence, and as a pose graph has them.
+
+    Read page by page: the evidence of a whole map would take more memory than the solution.
+    """
+    records: list[LoopRecord] = []
+    of_graph: list[TrackLoop] = []
+    after: int | None = 0
+    while after is not None:
+        page = uow.loops.find(tenant, after=after, limit=_PAGE, map_id=map_id, state=LoopState.ACCEPTED.value)
+        known = [loop for loop in page if loop.T_match_query is not None]
+        records += [replace(loop, evidence=_NO_EVIDENCE) for loop in known]
+        of_graph += [track_loop(loop) for loop in known]
+        after = page[-1].number if len(page) == _PAGE else None
+    return tuple(records), tuple(of_graph)
+
+
+def with_evidence(uow: UnitOfWork, loops: Sequence[LoopRecord]) -> Iterator[LoopRecord]:
+    """The loops of a task with the evidence that they have now, read page by page. All of them must be there still."""
+    for start in range(0, len(loops), _PAGE):
+        some = loops[start : start + _PAGE]
+        stored = uow.loops.numbered(some[0].tenant, [loop.number for loop in some])
+        yield from (replace(loop, evidence=stored[loop.number].evidence) for loop in some)
 
 
 def _tracks(uow: UnitOfWork, tenant: TenantId, map_id: str) -> tuple[SessionTrack, ...]:

@@ -21,7 +21,7 @@ from revisit.service.application.contract.map_optimiser import OptimisedMap, Opt
 from revisit.service.application.contract.records import LoopRecord, MapMergeRecord, MapRecord, SessionRecord
 from revisit.service.application.contract.states import LoopEventKind, LoopState, MergeVerdict, SessionState
 from revisit.service.application.contract.transactions import UnitOfWork
-from revisit.service.application.mapping.graph_reading import MapTask
+from revisit.service.application.mapping.graph_reading import MapTask, with_evidence
 from revisit.service.application.mapping.loop_events import Change, add_loop
 from revisit.service.application.mapping.merge_proposal import MergeProposal
 from revisit.service.application.mapping.version_commit import add_version, forget_versions, summary_of
@@ -93,7 +93,7 @@ class MergeCommit:
             copies.sessions[number] = uow.sessions.add(self._session(uow, target, session))
             self._copy_scans(uow, session, copies.sessions[number])
         self._copy_submaps(uow, target, copies)
-        for loop in self.proposal.task.source.task.loops:
+        for loop in with_evidence(uow, self.proposal.task.source.task.loops):
             copies.loops[loop.number] = self._copy_loop(uow, target, loop, copies)
         for number, record in self._crossing(target, copies):
             change = Change(LoopEventKind.VERIFIED, self.now_ns, details=self._origin())

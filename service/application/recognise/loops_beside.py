@@ -114,15 +114,9 @@ class DriveBefore:
 def drive_before(uow: UnitOfWork, submap: SubmapRecord, config: PipelineConfig) -> DriveBefore:
     """The drive of `submap` before it, as far as support reaches."""
     most = math.ceil(config.verification.support_reach / config.submap.stride)
-    numbers = range(max(1, submap.number - _BEFORE), submap.number)
-    before = uow.submaps.numbered(submap.tenant, list(numbers))
-    own = [
-        one
-        for one in before.values()
-        if one.session_number == submap.session_number and 0 < submap.ordinal - one.ordinal <= most
-    ]
-    apart = [math.dist(one.position_m, submap.position_m) / (submap.ordinal - one.ordinal) for one in own]
-    loops = [loop for one in own for loop in uow.loops.find(submap.tenant, query_number=one.number) if _says(loop)]
+    before = {one.number: one for one in _drive_before(uow, submap) if 0 < submap.ordinal - one.ordinal <= most}
+    apart = [math.dist(one.position_m, submap.position_m) / (submap.ordinal - one.ordinal) for one in before.values()]
+    loops = [loop for loop in uow.loops.telling(submap.tenant, sorted(before), AMBIGUOUS) if _says(loop)]
     matches = uow.submaps.numbered(submap.tenant, sorted({loop.match_number for loop in loops})[-1000:])
     beside = [
         Beside(before[loop.query_number], matches[loop.match_number], loop.similarity, _verdict(loop), loop)
@@ -130,6 +124,14 @@ def drive_before(uow: UnitOfWork, submap: SubmapRecord, config: PipelineConfig) 
         if loop.match_number in matches
     ]
     return DriveBefore(beside, max([config.submap.stride, *apart]))
+
+
+def _drive_before(uow: UnitOfWork, submap: SubmapRecord) -> Iterable[SubmapRecord]:
+    """The submaps of the drive of `submap` among the _BEFORE before it; of all others only their names are read."""
+    numbers = range(max(1, submap.number - _BEFORE), submap.number)
+    found = uow.submaps.found(submap.tenant, list(numbers)).values()
+    own = [one.number for one in found if (one.map_id, one.session_id) == (submap.map_id, submap.session_id)]
+    return uow.submaps.numbered(submap.tenant, own).values()
 
 
 def contradicted(loops: Sequence[Beside], config: VerificationConfig, stride_m: float) -> list[Beside]:

@@ -42,7 +42,7 @@ from revisit.service.application.contract.map_frames import MapPose, submap_in_m
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.recogniser import LoopVerdict, PlaceRecogniser, SubmapDescription
 from revisit.service.application.contract.records import JobRecord, MapRecord, SubmapRecord
-from revisit.service.application.contract.states import OperationKind, SubmapState
+from revisit.service.application.contract.states import LoopState, OperationKind, SubmapState
 from revisit.service.application.contract.storage import require_map
 from revisit.service.application.contract.tracing import current_request
 from revisit.service.application.contract.transactions import Transactions, UnitOfWork
@@ -95,6 +95,8 @@ INSPECTED_FIRST = 3
 INSPECTED_EVERY = 20
 """Mistakes about units, frames and times run through a session: its first submaps are inspected, then some."""
 
+LARGE_MAP_LOOPS = 2000
+"""Accepted loops from which on optimising a map takes so much memory, and so long, that room is made for it."""
 
 LOST = LoopVerdict(False, "PLACE_LOST", 0.0, None, {})
 """The verdict on a pair of which a place is damaged."""
@@ -355,8 +357,13 @@ class Recognition:
 
     def _optimise_map(self, lease: Lease) -> None:
         """Optimise a map; the loops that came in meanwhile correct the version that is in force now."""
+        tenant, map_id = lease.job.tenant, str(lease.job.payload["map_id"])
+        self._maps.early.let_go(tenant, map_id)
+        accepted = {"map_id": map_id, "state": LoopState.ACCEPTED.value}
+        if self._transactions.read(lambda uow: uow.loops.count(tenant, **accepted)).result() >= LARGE_MAP_LOOPS:
+            self._recogniser.let_go()
         self._maps.mapping.run(lease)
-        self._maps.early.take_in(lease.job.tenant, str(lease.job.payload["map_id"]))
+        self._maps.early.take_in(tenant, map_id)
 
     def _verify_loop(self, lease: Lease) -> None:
         """Register the two submaps of a loop that a person has made."""

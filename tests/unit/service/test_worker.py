@@ -10,13 +10,14 @@ import threading
 import pytest
 
 from revisit.service import ONE_THREAD
-from revisit.service.worker import heartbeat
+from revisit.service.worker import free_memory, heartbeat
 from revisit.service.worker.heartbeat import WorkerIdentity
 from revisit.service.worker.loop import Worker, WorkerLimits
 from tests.support.patience import PATIENCE_S
 from tests.support.processes import ROOT
 from tests.support.service_world import TENANT, memory_world, open_session, submap
 
+MIB = 2**20
 GIB = 2**30
 
 
@@ -121,6 +122,21 @@ print(held - resident_bytes() > 150 * 2**20)
 """
     ran = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True)
     assert ran.stdout.strip() == "True"
+
+
+def test_free_memory_is_given_back_once_it_has_grown_and_once_nothing_is_to_do(monkeypatch):
+    held, returned = [100 * MIB], []
+    monkeypatch.setattr(free_memory, "resident_bytes", lambda: held[0])
+    monkeypatch.setattr(free_memory, "return_free_memory", lambda: returned.append(held[0]))
+    memory = free_memory.FreeMemory()
+    memory.after_waiting(10.0)  # before the first job there is nothing to return
+    assert returned == []
+    for held[0] in (100 * MIB, 131 * MIB, 132 * MIB, 150 * MIB):
+        memory.after_job()
+    assert returned == [100 * MIB, 132 * MIB]
+    for _ in range(40):
+        memory.after_waiting(0.1)
+    assert returned == [100 * MIB, 132 * MIB, 150 * MIB]
 
 
 def test_a_process_of_the_service_starts_others_afresh_and_never_forks_itself():

@@ -1,0 +1,37 @@
+"""Loop closures in SQL, also those of several submaps at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from typing import Any
+
+from sqlalchemy import BindParameter, Select, and_, bindparam, or_, select
+
+from revisit.service.adapters.sql import tables
+from revisit.service.adapters.sql.repositories import SqlRepository
+from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.records import LoopRecord
+from revisit.service.application.contract.states import LoopState
+
+
+class SqlLoops(SqlRepository[LoopRecord]):
+    """`LoopRepository`."""
+
+    def telling(self, tenant: TenantId, query_numbers: Sequence[int], reason: str) -> list[LoopRecord]:
+        """See `LoopRepository`."""
+        asked = {"queries": query_numbers, "its_tenant": tenant, "its_reason": reason}
+        return [self._of(row) for row in self._connection.execute(_telling(), asked)]
+
+
+@cache
+def _telling() -> Select[Any]:
+    """Accepted loops of the `queries`, and those rejected for `its_reason`.
+
+    The tenant is made an expression, which no index holds: else the engine looks through all loops of the tenant.
+    """
+    loops, queries = tables.loops.c, BindParameter[Any]("queries", expanding=True)
+    rejected = and_(loops.state == LoopState.REJECTED.value, loops.reason == bindparam("its_reason"))
+    of_tenant = loops.tenant.concat("") == bindparam("its_tenant")
+    where = and_(loops.query_number.in_(queries), of_tenant, or_(loops.state == LoopState.ACCEPTED.value, rejected))
+    return select(tables.loops).where(where).order_by(loops.query_number, loops.number)
