@@ -4,12 +4,12 @@ In a field of equal rows any two submaps overlap well and lose little aside, for
 too low, and nothing is accepted. One pair of hundreds passes, at a wrong place. What tells it from a right one is what
 the other candidates of its query say: elsewhere on that drive they fit as well, but for contrast. In a street of equal
 houses a wrong pair passes now and then that explains less of the submap than a house elsewhere, which is turned down
-because two of its neighbours fit as well.
+because two of its neighbours fit as well. Between drives of which nothing is known yet, any place elsewhere counts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -34,11 +34,23 @@ def not_standing_out(judged: Sequence[Beside], config: PipelineConfig) -> list[B
     changed = []
     for loop in judged:
         if loop.accepted_by_itself and not loop.by_hand:
-            doubt = _look_alikes(loop, judged, config) or _outdone(loop, judged, config)
+            doubt = _look_alikes(loop, judged, config) or _outdone(loop, judged, config, _looks_alike)
             if doubt:
-                evidence = {**loop.verdict.evidence, **doubt}
-                verdict = replace(loop.verdict, accepted=False, reason=AMBIGUOUS, evidence=evidence)
-                changed.append(replace(loop, verdict=verdict))
+                changed.append(_ambiguous(loop, doubt))
+    return changed
+
+
+def outdone_contacts(judged: Sequence[Beside], before: Sequence[Beside], config: PipelineConfig) -> list[Beside]:
+    """Those of the accepted loops `judged`, all of one query, that no loop `before` on its drive prepares, and that a
+    place elsewhere outdoes, whatever it was turned down for; with their verdict: AMBIGUOUS.
+    """
+    met = {one.match.session_number for one in before if one.verdict.accepted}
+    changed = []
+    for loop in judged:
+        if loop.accepted_by_itself and not loop.by_hand and loop.match.session_number not in met:
+            doubt = _outdone(loop, judged, config, _overlaps)
+            if doubt:
+                changed.append(_ambiguous(loop, doubt))
     return changed
 
 
@@ -52,19 +64,21 @@ def _look_alikes(loop: Beside, judged: Sequence[Beside], config: PipelineConfig)
     return {LOOK_ALIKES: {"alike": alike, "elsewhere": len(elsewhere), "words": words}}
 
 
-def _outdone(loop: Beside, judged: Sequence[Beside], config: PipelineConfig) -> dict[str, Any]:
+def _outdone(
+    loop: Beside, judged: Sequence[Beside], config: PipelineConfig, counts: Callable[[Beside, PipelineConfig], bool]
+) -> dict[str, Any]:
     """What the evidence says where a place elsewhere, on any drive, explains more of the submap; else nothing.
 
-    Of the spot of `loop` the best candidate counts, of others those that look alike.
+    Of the spot of `loop` the best candidate counts, of others each that `counts`.
     """
     others = [one for one in judged if one is not loop and one.verdict.T_match_query is not None]
     there = [_is_there(one, loop, config) for one in others]
     own = max([_overlap(loop), *(_overlap(one) for one, is_there in zip(others, there, strict=True) if is_there)])
-    elsewhere = [one for one, is_there in zip(others, there, strict=True) if not is_there and _looks_alike(one, config)]
+    elsewhere = [one for one, is_there in zip(others, there, strict=True) if not is_there and counts(one, config)]
     best = max((_overlap(one) for one in elsewhere), default=None)
     if best is None or best < own:
         return {}
-    words = f"it passed every check, but explains {own:.2f} of the submap, and an ambiguous place elsewhere {best:.2f}"
+    words = f"it passed every check, but explains {own:.2f} of the submap, and a place elsewhere {best:.2f}"
     return {OUTDONE: {"overlap": own, "elsewhere": best, "words": words}}
 
 
@@ -92,6 +106,17 @@ def _looks_alike(one: Beside, config: PipelineConfig) -> bool:
         and _overlap(one) >= rules.min_overlap
         and one.verdict.score >= rules.min_score
     )
+
+
+def _overlaps(one: Beside, config: PipelineConfig) -> bool:
+    """Whether a candidate was aligned and overlaps enough, but fails."""
+    aligned = one.verdict.reason in (AMBIGUOUS, "DEGENERATE_ALIGNMENT", "LOW_SCORE")
+    return not one.verdict.accepted and aligned and _overlap(one) >= config.verification.min_overlap
+
+
+def _ambiguous(loop: Beside, doubt: dict[str, Any]) -> Beside:
+    evidence = {**loop.verdict.evidence, **doubt}
+    return replace(loop, verdict=replace(loop.verdict, accepted=False, reason=AMBIGUOUS, evidence=evidence))
 
 
 def _overlap(loop: Beside) -> float:

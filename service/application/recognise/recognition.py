@@ -71,7 +71,7 @@ from revisit.service.application.recognise.description_commit import (
     StoredDescription,
 )
 from revisit.service.application.recognise.distinctiveness import with_distinctiveness
-from revisit.service.application.recognise.look_alikes import not_standing_out
+from revisit.service.application.recognise.look_alikes import not_standing_out, outdone_contacts
 from revisit.service.application.recognise.loops_beside import (
     Beside,
     contradicted,
@@ -324,12 +324,12 @@ class Recognition:
 
         Of the earlier loops only those that are decided now.
         """
-        new = _standing_out(
-            [Beside(submap, one.place.submap, one.place.similarity, one.verdict) for one in judged], config
-        )
+        new = [Beside(submap, one.place.submap, one.place.similarity, one.verdict) for one in judged]
         if not any(loop.hypotheses for loop in new):
             return judged, []
         before = self._transactions.read(partial(drive_before, submap=submap, config=config)).result()
+        new = _standing_out(new, config)
+        new = _replaced(new, outdone_contacts(new, before.loops, config))
 
         def register(query: SubmapRecord, match: SubmapRecord, similarity: float, near: Matrix4) -> LoopVerdict:
             asked = place if query is submap else self._stored_place(query)
@@ -338,8 +338,7 @@ class Recognition:
         loops, revised = [*before.loops, *new], list[Beside]()
         for stage in (contradicted, unsupported, partial(supported, register=register)):
             decided = stage(loops, config.verification, before.stride_m)
-            known = {loop.key: loop for loop in decided}
-            loops = [known.get(loop.key, loop) for loop in loops]
+            loops = _replaced(loops, decided)
             revised += decided
         new = loops[len(before.loops) :]
         kept = [
@@ -485,8 +484,13 @@ def _agreeing(judged: list[JudgedPlace], config: PipelineConfig) -> list[JudgedP
 
 def _standing_out(loops: list[Beside], config: PipelineConfig) -> list[Beside]:
     """The loops of one query, those ambiguous that stand out from no other place."""
-    changed = {loop.key: loop for loop in not_standing_out(loops, config)}
-    return [changed.get(loop.key, loop) for loop in loops]
+    return _replaced(loops, not_standing_out(loops, config))
+
+
+def _replaced(loops: list[Beside], changed: Iterable[Beside]) -> list[Beside]:
+    """The loops, each of the changed ones with its new verdict."""
+    known = {loop.key: loop for loop in changed}
+    return [known.get(loop.key, loop) for loop in loops]
 
 
 def _is_known(told: Told | None) -> bool:

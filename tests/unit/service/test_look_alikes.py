@@ -11,7 +11,7 @@ from revisit.core.config import PipelineConfig
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import pose_row
 from revisit.service.application.contract.recogniser import LoopVerdict
-from revisit.service.application.recognise.look_alikes import not_standing_out
+from revisit.service.application.recognise.look_alikes import not_standing_out, outdone_contacts
 from revisit.service.application.recognise.loops_beside import Beside, contradicted, supported
 from tests.support.records import a_submap
 
@@ -82,7 +82,7 @@ def test_a_loop_is_ambiguous_where_an_ambiguous_place_of_any_drive_explains_more
     assert (changed.verdict.accepted, changed.verdict.reason) == (False, "AMBIGUOUS")
     told = changed.verdict.evidence["outdone"]
     assert (told["overlap"], told["elsewhere"]) == (0.35, 0.45)
-    assert "explains 0.35 of the submap, and an ambiguous place elsewhere 0.45" in told["words"]
+    assert "explains 0.35 of the submap, and a place elsewhere 0.45" in told["words"]
 
 
 @pytest.mark.parametrize("other", [
@@ -94,6 +94,17 @@ def test_a_loop_is_ambiguous_where_an_ambiguous_place_of_any_drive_explains_more
 def test_a_loop_is_not_outdone_by_others(other: Beside) -> None:
     changed = not_standing_out([explaining(0.35, 0.0, None), other], CONFIG)
     assert all(one.match.ordinal != 0 for one in changed)
+
+
+@pytest.mark.parametrize(("reason", "outdone"), [("LOW_SCORE", 1), ("DEGENERATE_ALIGNMENT", 1), ("SEEN_THROUGH", 0)])
+def test_where_two_drives_meet_first_any_place_elsewhere_that_was_aligned_counts(reason: str, outdone: int) -> None:
+    met = [explaining(0.35, 0.0, None), explaining(0.45, 80.0, reason)]
+    low = [met[0], replace(met[1], verdict=replace(met[1].verdict, score=0.1))]
+    assert not_standing_out(low, CONFIG) == []
+    assert len(outdone_contacts(low, [], CONFIG)) == outdone
+    known_drive, other_drive = explaining(0.5, 30.0, None), explaining(0.5, 30.0, None, session=4)
+    assert outdone_contacts(low, [known_drive], CONFIG) == []
+    assert len(outdone_contacts(low, [other_drive], CONFIG)) == outdone
 
 
 def test_the_best_candidate_of_a_spot_speaks_for_it() -> None:
