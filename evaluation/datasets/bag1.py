@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from revisit.core.errors import MalformedBody
-from revisit.evaluation.datasets.bag_message import MAX_CHUNK_BYTES, Message, Place, unpacked_chunk
+from revisit.evaluation.datasets.bag_message import MAX_CHUNK_BYTES, DamagedChunk, Message, Place, unpacked_chunk
 
 MAGIC = b"#ROSBAG V2.0\n"
 MAX_HEADER_BYTES = 1 << 20
@@ -25,6 +25,7 @@ class Bag1File:
         """Raises MalformedBody where the file is no bag of format 2.0."""
         self.topics: dict[str, str] = {}
         self.cut = ""
+        self.damaged = 0
         self._file = file
         self._connections: dict[bytes, tuple[str, str]] = {}
         self._last: tuple[int, bytes] | None = None
@@ -47,7 +48,10 @@ class Bag1File:
                     return
                 at = start + size
                 if _operation(header) == _CHUNK:
-                    yield from self._of_chunk(record)
+                    try:
+                        yield from self._of_chunk(record)
+                    except DamagedChunk:
+                        self.damaged += 1
                 elif _operation(header) in (_MESSAGE, _CONNECTION):
                     stream.seek(start)
                     yield from self._told(header, stream.read(size), Place(None, start, size))
@@ -75,9 +79,12 @@ class Bag1File:
     def _of_chunk(self, start: int) -> Iterator[Message]:
         chunk, at = self._chunk(start), 0
         while at < len(chunk):
-            header, at = _part(chunk, at)
-            content, after = _part(chunk, at)
-            fields = _fields(header)
+            try:
+                header, at = _part(chunk, at)
+                content, after = _part(chunk, at)
+                fields = _fields(header)
+            except MalformedBody as error:
+                raise DamagedChunk("a chunk does not hold whole records") from error
             if _operation(fields) in (_MESSAGE, _CONNECTION):
                 yield from self._told(fields, content, Place(start, at + _LENGTH.size, len(content)))
             at = after

@@ -25,6 +25,7 @@ class SplitBag:
     def __init__(self, bags: Sequence[Bag]) -> None:
         self.topics: dict[str, str] = {}
         self.cut = ""
+        self.damaged = 0
         self._bags = bags
 
     def messages(self) -> Iterator[Message]:
@@ -34,6 +35,7 @@ class SplitBag:
                 yield replace(message, place=replace(message.place, file=number))
             self.topics.update(bag.topics)
             self.cut = self.cut or bag.cut
+            self.damaged += bag.damaged
 
     def data(self, place: Place) -> bytes:
         """The bytes of a message."""

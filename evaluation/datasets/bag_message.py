@@ -7,12 +7,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from revisit.core.errors import MalformedBody, UnsupportedEncoding
+from revisit.core.errors import MalformedBody, TooLarge, UnsupportedEncoding
 from revisit.formats.cloud import decompress_zstd
 
 MAX_CHUNK_BYTES = 1 << 30
 
 Encoding = Literal["cdr", "ros1"]
+
+
+class DamagedChunk(MalformedBody):
+    """A chunk is not what was written: the messages in it are lost, and no others."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,8 @@ class Bag(Protocol):
     """Topic -> type of all that `messages` came across, wanted or not."""
     cut: str
     """The file that `messages` found to end within a record, as after a loss of power; "" where none does."""
+    damaged: int
+    """Chunks that `messages` found damaged and left out."""
 
     def messages(self) -> Iterator[Message]:
         """All messages, each with its place."""
@@ -57,7 +63,8 @@ class Bag(Protocol):
 def unpacked_chunk(content: bytes, compression: str, size: int) -> bytes:
     """The `size` bytes that a chunk says it holds; never more is unpacked.
 
-    Raises MalformedBody for damaged data or another size, UnsupportedEncoding for an unknown compression.
+    Raises DamagedChunk for damaged data or another size, MalformedBody for a size beyond what is read,
+    UnsupportedEncoding for an unknown compression.
     """
     if size > MAX_CHUNK_BYTES:
         raise MalformedBody(f"a chunk of {size} bytes")
@@ -65,7 +72,7 @@ def unpacked_chunk(content: bytes, compression: str, size: int) -> bytes:
         case "" | "none":
             unpacked = content
         case "zstd":
-            unpacked = decompress_zstd(content, size)
+            unpacked = _zstd(content, size)
         case "lz4":
             unpacked = _lz4(content, size)
         case "bz2":
@@ -73,8 +80,15 @@ def unpacked_chunk(content: bytes, compression: str, size: int) -> bytes:
         case _:
             raise UnsupportedEncoding(f"chunks compressed with {compression[:40]!r}: rewrite the bag with zstd")
     if len(unpacked) != size:
-        raise MalformedBody("a chunk is damaged")
+        raise DamagedChunk("a chunk is damaged")
     return unpacked
+
+
+def _zstd(content: bytes, size: int) -> bytes:
+    try:
+        return decompress_zstd(content, size)
+    except (MalformedBody, TooLarge) as error:
+        raise DamagedChunk("a chunk's zstd data is damaged") from error
 
 
 def _lz4(content: bytes, size: int) -> bytes:
@@ -83,11 +97,11 @@ def _lz4(content: bytes, size: int) -> bytes:
     try:
         return bytes(LZ4FrameDecompressor().decompress(content, max_length=size))
     except RuntimeError as error:
-        raise MalformedBody("a chunk's LZ4 data is damaged") from error
+        raise DamagedChunk("a chunk's LZ4 data is damaged") from error
 
 
 def _bz2(content: bytes, size: int) -> bytes:
     try:
         return bz2.BZ2Decompressor().decompress(content, max_length=size)
     except OSError as error:
-        raise MalformedBody("a chunk's bzip2 data is damaged") from error
+        raise DamagedChunk("a chunk's bzip2 data is damaged") from error

@@ -69,7 +69,8 @@ class PoseTopic:
 class BagTopics:
     """All that was found, with every topic's type and how many poses were no rigid motions and were left out.
 
-    `cut` is the file that ends within a record, "" where none does; `unreadable` messages were left out, too.
+    `cut` is the file that ends within a record, "" where none does; `unreadable` messages were left out, too, and
+    `damaged` chunks.
     """
 
     clouds: dict[str, CloudTopic]
@@ -79,6 +80,7 @@ class BagTopics:
     broken_poses: int
     cut: str = ""
     unreadable: int = 0
+    damaged: int = 0
 
 
 @dataclass
@@ -148,8 +150,12 @@ def read_topics(bag: Bag) -> BagTopics:
     gathered.finish()
     if bag.cut and not gathered.clouds:
         raise MalformedBody(f"{bag.cut} ends within a record, before the first cloud")
+    if bag.damaged and not gathered.clouds:
+        raise MalformedBody(f"{bag.damaged} chunks of the bag are damaged, and there is no cloud in the others")
     lost = gathered.unreadable
     if lost and not (gathered.clouds and (gathered.poses or gathered.moving)):
         raise MalformedBody(f"{len(lost)} messages cannot be read, the first of {lost[0]}")
     tree = TransformTree(gathered.moving, gathered.fixed)
-    return BagTopics(gathered.clouds, gathered.poses, tree, dict(bag.topics), gathered.broken, bag.cut, len(lost))
+    return BagTopics(
+        gathered.clouds, gathered.poses, tree, dict(bag.topics), gathered.broken, bag.cut, len(lost), bag.damaged
+    )

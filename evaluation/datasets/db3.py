@@ -25,6 +25,7 @@ class Db3File:
         """Only messages of the given types are read. Raises MalformedBody where the file is no SQLite database."""
         self.topics: dict[str, str] = {}
         self.cut = ""
+        self.damaged = 0
         self._file, self._types = file, types
         with file.open("rb") as stream:
             if stream.read(len(_MAGIC)) != _MAGIC:

@@ -6,11 +6,12 @@ Chunks may be stored plainly or compressed with zstd or LZ4.
 from __future__ import annotations
 
 import struct
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
 from revisit.core.errors import MalformedBody
-from revisit.evaluation.datasets.bag_message import MAX_CHUNK_BYTES, Message, Place, unpacked_chunk
+from revisit.evaluation.datasets.bag_message import MAX_CHUNK_BYTES, DamagedChunk, Message, Place, unpacked_chunk
 
 MAGIC = b"\x89MCAP0\r\n"
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 3, 4, 5, 6
@@ -24,6 +25,7 @@ class McapFile:
         """Raises MalformedBody where the file is no MCAP."""
         self.topics: dict[str, str] = {}
         self.cut = ""
+        self.damaged = 0
         self._file = file
         self._last: tuple[int, bytes] | None = None
         with file.open("rb") as stream:
@@ -71,7 +73,10 @@ class McapFile:
                     self.cut = self._file.name
                     return
                 if record == _CHUNK:
-                    yield from _split(self._chunk(start), start)
+                    try:
+                        yield from _split(self._chunk(start), start)
+                    except DamagedChunk:
+                        self.damaged += 1
                 elif record in (_SCHEMA, _CHANNEL, _MESSAGE):
                     yield record, stream.read(size), Place(None, start, size)
 
@@ -84,13 +89,16 @@ class McapFile:
     def _unpacked(self, start: int) -> bytes:
         with self._file.open("rb") as stream:
             stream.seek(start)
-            _, _, size, _, name_size = struct.unpack("<QQQII", stream.read(32))
+            _, _, size, checksum, name_size = struct.unpack("<QQQII", stream.read(32))
             compression = stream.read(min(name_size, 64)).decode("ascii", errors="replace")
             (stored,) = struct.unpack("<Q", stream.read(8))
             if max(size, stored) > MAX_CHUNK_BYTES:
                 raise MalformedBody(f"{self._file.name} has a chunk of {max(size, stored)} bytes")
             content = stream.read(stored)
-        return unpacked_chunk(content, compression, size)
+        unpacked = unpacked_chunk(content, compression, size)
+        if checksum and zlib.crc32(unpacked) != checksum:  # 0: the writer made none
+            raise DamagedChunk("the checksum of a chunk does not fit")
+        return unpacked
 
 
 def _split(chunk: bytes, start: int) -> Iterator[tuple[int, bytes, Place]]:
@@ -99,7 +107,7 @@ def _split(chunk: bytes, start: int) -> Iterator[tuple[int, bytes, Place]]:
         record, size = _RECORD.unpack_from(chunk, at)
         offset, at = at + _RECORD.size, at + _RECORD.size + size
         if at > len(chunk):
-            raise MalformedBody("a chunk ends within a record")
+            raise DamagedChunk("a chunk ends within a record")
         yield record, chunk[offset:at], Place(start, offset, size)
 
 

@@ -107,6 +107,8 @@ def _notes(pair: Pairing, found: BagTopics, stamps: Stamps, files: int) -> tuple
         notes.append(f"warning: {found.broken_poses} messages with poses that are no rigid motions were left out")
     if found.unreadable:
         notes.append(f"warning: {found.unreadable} messages cannot be read and were left out")
+    if found.damaged:
+        notes.append(f"warning: {found.damaged} chunks are damaged, and what was in them is left out")
     if found.cut:
         notes.append(f"warning: {found.cut} ends within a record, as after a loss of power: read as far as it goes")
     return tuple(notes)

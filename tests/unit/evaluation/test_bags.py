@@ -6,6 +6,7 @@ import bz2
 import sqlite3
 import struct
 import tracemalloc
+import zlib
 from contextlib import suppress
 from pathlib import Path
 
@@ -83,13 +84,13 @@ def message(number: int, data: bytes) -> bytes:
     return record(5, struct.pack("<HIQQ", number, 0, 1, 1) + data)
 
 
-def chunk(records: bytes, compression: str) -> bytes:
+def chunk(records: bytes, compression: str, checksum: int = 0) -> bytes:
     if compression == "lz4":
         from lz4.frame import compress
     else:
         compress = zstandard.compress if compression == "zstd" else bytes
     stored = compress(records)
-    head = struct.pack("<QQQI", 0, 0, len(records), 0) + text(compression)
+    head = struct.pack("<QQQI", 0, 0, len(records), checksum) + text(compression)
     return record(6, head + struct.pack("<Q", len(stored)) + stored)
 
 
@@ -175,6 +176,36 @@ def test_an_mcap_file_that_was_cut_is_read_as_far_as_it_goes(tmp_path: Path) -> 
     recording = open_bag(file)
     assert len(recording) == 1
     assert "drive.mcap ends within a record" in recording.notes[-1]
+
+
+def chunk_of_a_cloud(compression: str, *, damaged: bool, with_checksum: bool = True) -> bytes:
+    """A cloud and a pose at 3 s in a chunk of their own, perhaps with damage among the points of the cloud."""
+    stamp_ns = 1_700_000_003 * 10**9
+    records = message(1, point_cloud(stamp_ns, cloud(3))) + message(2, odometry(stamp_ns + 250_000_000, 3.0))
+    found = chunk(records, compression, zlib.crc32(records) if with_checksum else 0)
+    return found[:500] + bytes(byte ^ 0x55 for byte in found[500:560]) + found[560:] if damaged else found
+
+
+@pytest.mark.parametrize("compression", ["", "zstd"])
+def test_a_damaged_chunk_does_not_cost_the_drive(tmp_path: Path, compression: str) -> None:
+    whole = open_bag(with_chunk(tmp_path / "whole.mcap", chunk_of_a_cloud(compression, damaged=False)))
+    recording = open_bag(with_chunk(tmp_path / "drive.mcap", chunk_of_a_cloud(compression, damaged=True)))
+    assert (len(whole), len(recording)) == (3, 2)
+    assert "warning: 1 chunks are damaged, and what was in them is left out" in recording.notes
+    assert not any("damaged" in note for note in whole.notes)
+
+
+def test_a_chunk_without_a_checksum_is_taken_as_it_is(tmp_path: Path) -> None:
+    file = with_chunk(tmp_path / "drive.mcap", chunk_of_a_cloud("", damaged=True, with_checksum=False))
+    assert len(open_bag(file)) == 3
+
+
+def with_chunk(file: Path, more: bytes) -> Path:
+    """The bag of `bag`, with a chunk behind its own."""
+    tail = len(record(2, bytes(20)) + MAGIC)
+    content = bag(file).read_bytes()
+    file.write_bytes(content[:-tail] + more + content[-tail:])
+    return file
 
 
 @pytest.mark.parametrize("number", [1, 2])
