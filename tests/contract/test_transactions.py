@@ -168,7 +168,8 @@ def test_many_records_are_stored_and_revised_at_once(write, read):
     write(lambda uow: uow.loops.add_all(others))
     stored = read(lambda uow: uow.loops.find(TENANT, map_id="town"))
     assert [one.loop_id for one in stored] == [loop.loop_id, "loop-0", "loop-1", "loop-2"]
-    write(lambda uow: uow.loops.revise(stored[1:], graph_state="IN_MAP"))
+    told = [replace(one, evidence={"told": "by its number"}) for one in stored[1:]]
+    write(lambda uow: uow.loops.revise(told, graph_state="IN_MAP"))
     revised = read(lambda uow: uow.loops.find(TENANT, map_id="town"))
     assert revised == [stored[0], *(replace(one, graph_state="IN_MAP") for one in stored[1:])]
     write(lambda uow: uow.loops.add_all([]))

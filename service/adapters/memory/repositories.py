@@ -109,7 +109,11 @@ class MemoryRepository(Generic[R]):
     def revise(self, records: Sequence[R], **fields: Scalar) -> None:
         """See `Repository`."""
         for record in records:
-            self.replace(dataclasses.replace(record, **fields))  # type: ignore[type-var]  # as in `add`
+            told: Any = record
+            stored = self._rows.by_number.get(told.number)
+            if stored is None or stored.tenant != told.tenant:
+                raise NotFound
+            self.replace(dataclasses.replace(stored, **fields))
 
     def delete(self, tenant: TenantId, **equals: Scalar) -> int:
         """See `Repository`."""

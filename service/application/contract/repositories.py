@@ -55,9 +55,9 @@ class RowWriter(Protocol[R]):
         ...
 
     def revise(self, records: Sequence[R], **fields: str | int | None) -> None:
-        """Give records of one tenant, as they are stored, the same values of some fields, in few statements.
+        """Give records of one tenant, told by their numbers, the same values of some fields, in few statements.
 
-        Raises NotFound where one is gone.
+        What else is stored stays, whatever `records` hold of it. Raises NotFound where one is gone.
         """
         ...
 
