@@ -62,7 +62,9 @@ def ground_plane(
     if scores[best] < 0.15 or not _surrounds(inliers, normals[best], offsets[best]):
         return None
     level = scores[normals[:, 2] > MAX_TILT_COSINE]
-    upright = len(level) > 0 and float(level.max()) >= 0.5 * scores[best]
+    # a ceiling is seen better than the floor under the sensor, which then is there as well
+    share = 0.5 if normals[best, 2] > -MAX_TILT_COSINE else 0.15
+    upright = len(level) > 0 and float(level.max()) >= share * scores[best]
     return GroundPlane(normals[best], float(offsets[best]), upright)
 
 

@@ -141,17 +141,17 @@ def test_the_loops_of_some_queries_that_tell_anything_are_read_at_once(write, re
 
     third = write(more)
     asked = [third.number, first.number]
-    told = read(lambda uow: uow.loops.telling(TENANT, asked, "AMBIGUOUS"))
+    told = read(lambda uow: uow.loops.telling(TENANT, asked, ["AMBIGUOUS"]))
     assert [(one.query_number, one.match_number, one.reason) for one in told] == [
         (first.number, third.number, "AMBIGUOUS"),
         (third.number, first.number, None),
     ]
     assert told[1].evidence == {"inliers": 12, "rmse_m": 0.1}
-    assert read(lambda uow: uow.loops.telling(OTHER, asked, "AMBIGUOUS")) == []
-    assert [one.query_number for one in read(lambda uow: uow.loops.telling(TENANT, [second.number], "X"))] == [
+    assert read(lambda uow: uow.loops.telling(OTHER, asked, ["AMBIGUOUS"])) == []
+    assert [one.query_number for one in read(lambda uow: uow.loops.telling(TENANT, [second.number], ["X"]))] == [
         second.number
     ]
-    assert read(lambda uow: uow.loops.telling(TENANT, [], "AMBIGUOUS")) == []
+    assert read(lambda uow: uow.loops.telling(TENANT, [], ["AMBIGUOUS"])) == []
 
 
 def test_replace_changes_one_record_and_needs_it_to_exist(write, read):

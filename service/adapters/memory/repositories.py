@@ -194,10 +194,10 @@ class MemorySubmaps(MemoryRepository[SubmapRecord]):
 class MemoryLoops(MemoryRepository[LoopRecord]):
     """`LoopRepository`."""
 
-    def telling(self, tenant: TenantId, query_numbers: Sequence[int], reason: str) -> list[LoopRecord]:
+    def telling(self, tenant: TenantId, query_numbers: Sequence[int], reasons: Sequence[str]) -> list[LoopRecord]:
         """See `LoopRepository`."""
         found = [loop for number in sorted(set(query_numbers)) for loop in self.find(tenant, query_number=number)]
-        return [loop for loop in found if loop.state == LoopState.ACCEPTED or loop.reason == reason]
+        return [loop for loop in found if loop.state == LoopState.ACCEPTED or loop.reason in reasons]
 
 
 class MemoryJobs(MemoryRepository[JobRecord]):

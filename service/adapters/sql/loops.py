@@ -18,20 +18,21 @@ from revisit.service.application.contract.states import LoopState
 class SqlLoops(SqlRepository[LoopRecord]):
     """`LoopRepository`."""
 
-    def telling(self, tenant: TenantId, query_numbers: Sequence[int], reason: str) -> list[LoopRecord]:
+    def telling(self, tenant: TenantId, query_numbers: Sequence[int], reasons: Sequence[str]) -> list[LoopRecord]:
         """See `LoopRepository`."""
-        asked = {"queries": query_numbers, "its_tenant": tenant, "its_reason": reason}
+        asked = {"queries": query_numbers, "its_tenant": tenant, "its_reasons": reasons}
         return [self._of(row) for row in self._connection.execute(_telling(), asked)]
 
 
 @cache
 def _telling() -> Select[Any]:
-    """Accepted loops of the `queries`, and those rejected for `its_reason`.
+    """Accepted loops of the `queries`, and those rejected for one of `its_reasons`.
 
     The tenant is made an expression, which no index holds: else the engine looks through all loops of the tenant.
     """
     loops, queries = tables.loops.c, BindParameter[Any]("queries", expanding=True)
-    rejected = and_(loops.state == LoopState.REJECTED.value, loops.reason == bindparam("its_reason"))
+    reasons = BindParameter[Any]("its_reasons", expanding=True)
+    rejected = and_(loops.state == LoopState.REJECTED.value, loops.reason.in_(reasons))
     of_tenant = loops.tenant.concat("") == bindparam("its_tenant")
     where = and_(loops.query_number.in_(queries), of_tenant, or_(loops.state == LoopState.ACCEPTED.value, rejected))
     return select(tables.loops).where(where).order_by(loops.query_number, loops.number)

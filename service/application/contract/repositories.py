@@ -156,8 +156,8 @@ class SubmapRepository(Repository[SubmapRecord], FoundSubmaps, Protocol):
 class LoopRepository(Repository[LoopRecord], Protocol):
     """Loop closures, also those of several submaps."""
 
-    def telling(self, tenant: TenantId, query_numbers: Sequence[int], reason: str) -> list[LoopRecord]:
-        """Those of these queries (at most 1000) that were accepted, or rejected for `reason`: by query and number."""
+    def telling(self, tenant: TenantId, query_numbers: Sequence[int], reasons: Sequence[str]) -> list[LoopRecord]:
+        """Those of these queries (at most 1000) that were accepted, or have one of `reasons`: by query and number."""
         ...
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from revisit.core.config import PipelineConfig, VerificationConfig
 from revisit.core.drive_loops import DriveLoop, DriveLoops, DriveSubmap
+from revisit.core.evident_share import REACH_M
 from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.core.neighbour_support import NeighbourSupport, find_support
 from revisit.service.application.contract.events import AMBIGUOUS
@@ -39,8 +40,17 @@ LOOK_ALIKES = "look_alikes"
 OUTDONE = "outdone"
 """The member of the evidence of a loop that passed every check, but explains less of its submap than another place."""
 
+OUTNUMBERED = "outnumbered"
+"""The member of the evidence of a loop that passed every check, but most pairs that its pose explains did not."""
+
 SUPPORT_LOST = "support_lost"
 """The member of the evidence of a loop that others had decided, until these were contradicted themselves."""
+
+LOW_SCORE = "LOW_SCORE"
+"""The reason of a pair that was aligned, and for which too little speaks there."""
+
+TELLING = AMBIGUOUS, LOW_SCORE
+"""Reasons of rejected loops that say of a pose whether pairs pass at it."""
 
 _BEFORE = 100
 """Submaps of any drive, described before one, among which those before it on its own drive are sought."""
@@ -87,7 +97,7 @@ class Beside:
     @property
     def speaks(self) -> bool:
         """Whether its pair passed every check by itself: then it may contradict others, though it is not believed."""
-        doubted = CONTRADICTED, LOOK_ALIKES, OUTDONE
+        doubted = CONTRADICTED, LOOK_ALIKES, OUTDONE, OUTNUMBERED
         return self.accepted_by_itself or (self.ambiguous and any(name in self.verdict.evidence for name in doubted))
 
     @property
@@ -103,8 +113,8 @@ class Beside:
 class DriveBefore:
     """What is stored of a drive before a submap of it.
 
-    loops: those that say anything of how drives lie; stride_m: how far apart its submaps were begun. A client that
-    posts submaps begins them where it likes.
+    loops: those that say anything of how drives lie, and those whose pose had too low a score; stride_m: how far apart
+    its submaps were begun. A client that posts submaps begins them where it likes.
     """
 
     loops: list[Beside]
@@ -112,11 +122,11 @@ class DriveBefore:
 
 
 def drive_before(uow: UnitOfWork, submap: SubmapRecord, config: PipelineConfig) -> DriveBefore:
-    """The drive of `submap` before it, as far as support reaches."""
-    most = math.ceil(config.verification.support_reach / config.submap.stride)
+    """The drive of `submap` before it, as far as loops beside one are asked."""
+    most = math.ceil(REACH_M / config.submap.stride)
     before = {one.number: one for one in _drive_before(uow, submap) if 0 < submap.ordinal - one.ordinal <= most}
     apart = [math.dist(one.position_m, submap.position_m) / (submap.ordinal - one.ordinal) for one in before.values()]
-    loops = [loop for loop in uow.loops.telling(submap.tenant, sorted(before), AMBIGUOUS) if _says(loop)]
+    loops = [loop for loop in uow.loops.telling(submap.tenant, sorted(before), TELLING) if _says(loop)]
     matches = uow.submaps.numbered(submap.tenant, sorted({loop.match_number for loop in loops})[-1000:])
     beside = [
         Beside(before[loop.query_number], matches[loop.match_number], loop.similarity, _verdict(loop), loop)
@@ -178,10 +188,10 @@ def unsupported(loops: Sequence[Beside], config: VerificationConfig, stride_m: f
     """
     lost = []
     for drives in _by_drives(loops):
-        if not any(CONTRADICTED in loop.verdict.evidence for loop in drives):
+        if not any(_is_withdrawn(loop) for loop in drives):
             continue
         between = _between_drives(drives, config, stride_m)
-        gone = [loop.ambiguous and CONTRADICTED in loop.verdict.evidence for loop in drives]
+        gone = [_is_withdrawn(loop) for loop in drives]
         for row, loop in enumerate(drives):
             if not loop.decided_by_others or loop.by_hand or not between.agrees_with_any(row, gone):
                 continue
@@ -190,6 +200,11 @@ def unsupported(loops: Sequence[Beside], config: VerificationConfig, stride_m: f
             if support is None or support.hypothesis != 0:
                 lost.append(replace(loop, verdict=_without_support(loop)))
     return lost
+
+
+def _is_withdrawn(loop: Beside) -> bool:
+    """Whether a loop that was accepted by itself is so no more."""
+    return loop.ambiguous and any(name in loop.verdict.evidence for name in (CONTRADICTED, OUTNUMBERED))
 
 
 def _ruled_out(loop: Beside) -> list[Matrix4]:
@@ -242,8 +257,8 @@ def _between_drives(loops: Sequence[Beside], config: VerificationConfig, stride_
     """Loops between the same two drives, for what they say of each other."""
     told = [
         DriveLoop(
-            _on_drive(loop.query),
-            _on_drive(loop.match),
+            on_drive(loop.query),
+            on_drive(loop.match),
             loop.hypotheses,
             loop.accepted_by_itself,
             one_drive=loop.query.session_number == loop.match.session_number,
@@ -253,7 +268,8 @@ def _between_drives(loops: Sequence[Beside], config: VerificationConfig, stride_
     return DriveLoops(told, stride_m, config)
 
 
-def _on_drive(submap: SubmapRecord) -> DriveSubmap:
+def on_drive(submap: SubmapRecord) -> DriveSubmap:
+    """Where a submap lies on its drive."""
     return DriveSubmap(pose_matrix(submap.T_odom_submap), submap.ordinal)
 
 
@@ -285,15 +301,16 @@ def _told(support: NeighbourSupport, others: list[Any]) -> dict[str, Any]:
 
 
 def revised_evidence(stored: dict[str, Any], told: dict[str, Any]) -> dict[str, Any]:
-    """The evidence of a stored loop with a new verdict; of support it has what the new one says alone."""
-    return {**{name: value for name, value in stored.items() if name not in (SUPPORT, SUPPORT_LOST)}, **told}
+    """The evidence of a stored loop with a new verdict; of what loops beside it say it has what the new one says."""
+    asked_anew = SUPPORT, SUPPORT_LOST, OUTNUMBERED
+    return {**{name: value for name, value in stored.items() if name not in asked_anew}, **told}
 
 
 def _says(loop: LoopRecord) -> bool:
     """Whether a stored loop says anything of how its drives lie: accepted and not an outlier, or ambiguous."""
     if loop.state == LoopState.ACCEPTED:
         return loop.graph_state != GraphState.SET_ASIDE
-    return loop.state == LoopState.REJECTED and loop.reason == AMBIGUOUS
+    return loop.state == LoopState.REJECTED and loop.reason in TELLING
 
 
 def _verdict(loop: LoopRecord) -> LoopVerdict:

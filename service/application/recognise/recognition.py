@@ -71,13 +71,10 @@ from revisit.service.application.recognise.description_commit import (
     StoredDescription,
 )
 from revisit.service.application.recognise.distinctiveness import with_distinctiveness
-from revisit.service.application.recognise.look_alikes import not_standing_out, outdone_contacts
+from revisit.service.application.recognise.look_alikes import outdone_contacts
 from revisit.service.application.recognise.loops_beside import (
     Beside,
-    contradicted,
     drive_before,
-    supported,
-    unsupported,
 )
 from revisit.service.application.recognise.proposed_loops import VerdictCommit, proposed_pair
 from revisit.service.application.recognise.recalled_loops import (
@@ -86,6 +83,7 @@ from revisit.service.application.recognise.recalled_loops import (
     kept_near,
     loops_to_recall,
 )
+from revisit.service.application.recognise.rules_beside import agreeing, decided, replaced, standing_out
 from revisit.service.application.recognise.told_poses import Told, ToldPoses, poses_in_map
 from revisit.service.failpoints import failpoint
 
@@ -328,24 +326,20 @@ class Recognition:
         if not any(loop.hypotheses for loop in new):
             return judged, []
         before = self._transactions.read(partial(drive_before, submap=submap, config=config)).result()
-        new = _standing_out(new, config)
-        new = _replaced(new, outdone_contacts(new, before.loops, config))
+        new = standing_out(new, config)
+        new = replaced(new, outdone_contacts(new, before.loops, config))
 
         def register(query: SubmapRecord, match: SubmapRecord, similarity: float, near: Matrix4) -> LoopVerdict:
             asked = place if query is submap else self._stored_place(query)
             return LOST if asked is None else self._judge(asked, RecalledPlace(match, similarity), config, near).verdict
 
-        loops, revised = [*before.loops, *new], list[Beside]()
-        for stage in (contradicted, unsupported, partial(supported, register=register)):
-            decided = stage(loops, config.verification, before.stride_m)
-            loops = _replaced(loops, decided)
-            revised += decided
+        loops, revised = decided([*before.loops, *new], config.verification, before.stride_m, register)
         new = loops[len(before.loops) :]
         kept = [
             replace(one, verdict=with_distinctiveness(loop, new, config.submap.stride))
             for one, loop in zip(judged, new, strict=True)
         ]
-        return kept, list({loop.key: loop for loop in revised if loop.record is not None}.values())
+        return kept, [loop for loop in revised if loop.record is not None]
 
     def _require_same_model(self, record: MapRecord) -> None:
         own = model_for_map(record, self._recogniser.model_version)
@@ -477,20 +471,8 @@ def _agreeing(judged: list[JudgedPlace], config: PipelineConfig) -> list[JudgedP
     loops = [
         Beside(replace(judged[0].place.submap, session_number=0), one.place.submap, 0.0, one.verdict) for one in judged
     ]
-    loops = _standing_out(loops, config)
-    changed = {loop.key: loop for loop in contradicted(loops, config.verification, config.submap.stride)}
-    return [replace(one, verdict=changed.get(loop.key, loop).verdict) for one, loop in zip(judged, loops, strict=True)]
-
-
-def _standing_out(loops: list[Beside], config: PipelineConfig) -> list[Beside]:
-    """The loops of one query, those ambiguous that stand out from no other place."""
-    return _replaced(loops, not_standing_out(loops, config))
-
-
-def _replaced(loops: list[Beside], changed: Iterable[Beside]) -> list[Beside]:
-    """The loops, each of the changed ones with its new verdict."""
-    known = {loop.key: loop for loop in changed}
-    return [known.get(loop.key, loop) for loop in loops]
+    changed = agreeing(loops, config)
+    return [replace(one, verdict=loop.verdict) for one, loop in zip(judged, changed, strict=True)]
 
 
 def _is_known(told: Told | None) -> bool:
