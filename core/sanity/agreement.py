@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from revisit.core.geometry import se3
 from revisit.core.sanity.finding import Finding
-from revisit.core.sanity.ground import read_as_wxyz, sample_of, thinned_cloud
+from revisit.core.sanity.ground import ground_plane, read_as_wxyz, sample_of, thinned_cloud
 from revisit.core.scan import Scan
 
 AGREEMENT_MARGIN = 0.15
@@ -32,6 +33,14 @@ class _Comparison:
         self._first = cKDTree(sample_of(pair.first.points))
         self._second, self._scale = thinned_cloud(pair.second.points)
 
+    def without_ground(self) -> _Comparison:
+        """The same, without the points of the second scan that lie on the plane around its sensor."""
+        plane, standing = ground_plane(self._second), copy(self)
+        if plane is not None:
+            heights = self._second @ plane.normal + plane.height_m
+            standing._second = self._second[np.abs(heights) > 0.3 * self._scale]
+        return standing
+
     def agreement(self, T_first_second: se3.Matrix4) -> float:
         """The share of the second scan's points that lie near a point of the first one, once moved so."""
         if len(self._second) == 0:
@@ -42,10 +51,17 @@ class _Comparison:
 
 
 def check_agreement(pairs: Sequence[ScenePair]) -> list[Finding]:
-    """Whether scans lie on each other once moved by their poses, or would so if the poses meant something else."""
+    """Whether scans lie on each other once moved by their poses, or would so if the poses meant something else.
+
+    What stands on the ground must say so, too: the rings that few beams draw on a level ground go with the sensor.
+    """
     if not pairs:
         return []
     compared = [_Comparison(pair) for pair in pairs]
+    return _disagreement(compared) and _disagreement([pair.without_ground() for pair in compared])
+
+
+def _disagreement(compared: Sequence[_Comparison]) -> list[Finding]:
     as_given = _mean_agreement(compared, lambda one, other: se3.inverse(one) @ other)
     if as_given + AGREEMENT_MARGIN > 1.0:  # nothing agrees better by so much
         return []

@@ -246,3 +246,23 @@ def test_the_ground_is_found_without_a_compiler_as_with_one(monkeypatch):
     plain = ground_plane(np.vstack([floor, wall]))
     np.testing.assert_allclose(plain.normal, compiled.normal)
     assert (plain.height_m, plain.upright) == (pytest.approx(compiled.height_m), compiled.upright)
+
+
+def rings_and_poles(pose: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """What a sensor of few beams sees of a level ground with a pole every 9 m, in its frame."""
+    radii = 1.7 / np.tan(np.radians([7.0, 9.0, 11.0, 13.0, 15.0, 17.0, 20.0]))
+    turns = np.linspace(0, 2 * np.pi, 360, endpoint=False)
+    rings = [np.column_stack([r * np.cos(turns), r * np.sin(turns), np.full(360, -1.7)]) for r in radii]
+    feet = np.stack(np.meshgrid(np.arange(-27.0, 60.0, 9.0), [-6.0, 7.0]), axis=-1).reshape(-1, 2)
+    poles = np.column_stack([np.repeat(feet, 40, axis=0), np.tile(np.linspace(0, 4, 40), len(feet))])
+    seen = np.concatenate([*rings, se3.apply(se3.inverse(pose), poles)])
+    return (seen + random.normal(0, 0.01, seen.shape)).astype(np.float32)
+
+
+def test_rings_on_a_level_ground_that_go_with_the_sensor_are_no_clouds_in_the_frame_of_the_odometry() -> None:
+    random = np.random.default_rng(2)
+    moved = [se3.from_yaw(0.0, (1.3 * step, 0.0, 1.7)) for step in range(12)]
+    sound = [Scan.validated(rings_and_poles(pose, random), pose, START_NS + 10**8 * k) for k, pose in enumerate(moved)]
+    assert window_findings(sound) == []
+    wrong = [replace(scan, points=se3.apply(scan.T_odom_sensor, scan.points).astype(np.float32)) for scan in sound]
+    assert "registered" in {finding.code for finding in window_findings(wrong)}
