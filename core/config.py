@@ -423,6 +423,17 @@ class VerificationConfig(Section):
     correlation_turns: int = parameter(
         2, "yaws", "own, decision 0204", "yaws tried by phase correlation, each in both directions", low=0
     )
+    opposite_share: float = parameter(
+        0.95,
+        "1",
+        "own, decision 0277",
+        "share of the best correlation from which on the opposite direction is one more start",
+        low=0,
+        high=1,
+    )
+    opposite_clear: float = parameter(
+        0.6, "1", "own, decision 0277", "unless another turn reaches this share of it", low=0, high=1
+    )
     coarse_rounds: int = parameter(10, "steps", "own", "coarse ICP steps", low=0)
     first_rounds: int = parameter(
         2, "steps", "own, decision 0204", "coarse ICP steps from each start, then the best goes on alone", low=0

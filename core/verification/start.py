@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -12,7 +13,7 @@ from scipy import fft
 from revisit.core.config import VerificationConfig
 from revisit.core.correspondences import correspond
 from revisit.core.device import device
-from revisit.core.device.contract import Correlation
+from revisit.core.device.contract import Agreement, Correlation
 from revisit.core.geometry import se3
 from revisit.core.geometry.se2 import PlanarPose
 from revisit.core.kernels.plan_images import plan_density
@@ -31,6 +32,7 @@ _HALF = IMAGE_SIZE // 2
 _ANGLES = 180  # steps of the polar amplitude, 1 degree each
 _RADII = (3.0, 45.0)  # of the polar amplitude: below is the mean density, above is noise
 _TURN_APART = 8  # degrees between two turns that are tried
+_NEARLY_OPPOSITE = 0.999  # the two directions of a turn lie half a turn apart but for rounding
 
 
 @dataclass(frozen=True)
@@ -42,10 +44,17 @@ class Start:
 
 
 def find_start(query: Place, match: Place, config: VerificationConfig) -> Start:
-    """The pose of the keypoints and, where too few of them agree, those of phase correlation; at most `starts`."""
+    """The pose of the keypoints and, where too few of them agree, those of phase correlation; at most `starts`.
+
+    One more where two opposite directions fit alike: see `_undecided`.
+    """
     fit = fit_planar_pose(correspond(query, match, config.correspondences), config)
-    planar = [fit.pose] if fit.inliers >= config.sure_inliers else [fit.pose, *correlate(query, match, config)]
-    return Start(fit, tuple(lift(pose, query, match) for pose in planar[: config.starts]))
+    if fit.inliers >= config.sure_inliers:
+        return Start(fit, (lift(fit.pose, query, match),))
+    fits = _fits(query, match, config)
+    most = config.starts + int(config.starts > 1 and _undecided(fits, config))
+    planar = [fit.pose, *_planar(fits, config)][:most]
+    return Start(fit, tuple(lift(pose, query, match) for pose in planar))
 
 
 def start_at(T_match_query: se3.Matrix4, query: Place, match: Place, config: VerificationConfig) -> Start:
@@ -60,12 +69,36 @@ def correlate(query: Place, match: Place, config: VerificationConfig) -> list[Pl
     The amplitude spectra do not depend on the translation and give the yaw up to 180 degrees. For both directions the
     translation then follows by correlation.
     """
+    return _planar(_fits(query, match, config), config)
+
+
+def _planar(fits: Sequence[Agreement], config: VerificationConfig) -> list[PlanarPose]:
+    return [PlanarPose(fit.yaw, fit.shift * config.correlation_pixel) for fit in fits]
+
+
+def _fits(query: Place, match: Place, config: VerificationConfig) -> list[Agreement]:
+    """How well the images fit in either direction of each turn, best first."""
     pixel, points = config.correlation_pixel, query.kept(_standing_plan)
     of_query, of_match = query.kept(_seen_from_above, pixel), match.kept(_seen_from_above, pixel)
     turns = _likely_turns(of_query.polar, of_match.polar, config.correlation_turns)
     (fits,) = device().kernels.correlate([Correlation(points, tuple(turns), of_match.spectrum)], pixel)
-    fits = sorted(fits, key=lambda fit: -fit.peak)
-    return [PlanarPose(fit.yaw, fit.shift * pixel) for fit in fits]
+    return sorted(fits, key=lambda fit: -fit.peak)
+
+
+def _undecided(fits: Sequence[Agreement], config: VerificationConfig) -> bool:
+    """Whether the best two of `fits` are the two directions of one turn that nothing else comes near: rows of one kind.
+
+    Then the image tells the turn, but not which end is which (docs/decisions/0277).
+    """
+    if len(fits) < 3:
+        return False
+    first, second, third = fits[:3]
+    alike = second.peak >= config.opposite_share * first.peak
+    return alike and third.peak <= config.opposite_clear * first.peak and _are_opposite(first.yaw, second.yaw)
+
+
+def _are_opposite(one: float, other: float) -> bool:
+    return float(np.cos(one - other)) < -_NEARLY_OPPOSITE
 
 
 @dataclass(frozen=True)

@@ -157,3 +157,28 @@ def test_the_start_of_a_revisit_is_near_enough_for_icp():
     error = se3.inverse(T_match_query) @ start.poses[0]
     assert start.fit.inliers >= CONFIG.sure_inliers
     assert np.linalg.norm(error[:3, 3]) < 1.0 and se3.rotation_angle(error) < np.radians(3.0)
+
+
+def rows_of_tables(seed: int) -> np.ndarray:
+    """Points of four rows of tables every 12 m, seen from above (n, 2): half a turn makes nearly the same of them."""
+    rng = np.random.default_rng(seed)
+    along = np.concatenate([np.linspace(x, x + 9.0, 25) for x in np.arange(-36.0, 36.0, 12.0)])
+    rows = np.concatenate([np.c_[along, np.full_like(along, y)] for y in (-10.5, -3.5, 3.5, 10.5)])
+    return rows + rng.normal(0.0, 0.05, rows.shape)
+
+
+def test_where_the_two_directions_of_a_turn_fit_alike_both_are_starts():
+    true = PlanarPose(np.radians(140.0), np.array([1.0, -2.0]))
+    query, match = standing_place(rows_of_tables(1)), standing_place(true.apply(rows_of_tables(2)))
+    poses = find_start(query, match, CONFIG).poses
+    assert len(poses) == CONFIG.starts + 1
+    turns = [float(np.arctan2(pose[1, 0], pose[0, 0])) for pose in poses[1:]]
+    assert angle_between(np.array([turns[0]]), turns[1])[0] == pytest.approx(np.pi, abs=1e-6)
+    assert min(angle_between(np.array(turns), true.yaw)) <= np.radians(1.5)
+
+
+def test_where_one_direction_fits_best_or_other_turns_do_as_well_there_is_no_further_start():
+    irregular, rows = standing_place(plan()), standing_place(rows_of_tables(1))
+    assert len(find_start(irregular, standing_place(plan() + [3.0, 1.0]), CONFIG).poses) == CONFIG.starts
+    assert len(find_start(rows, rows, replace(CONFIG, opposite_clear=0.0)).poses) == CONFIG.starts
+    assert len(find_start(rows, rows, replace(CONFIG, starts=1)).poses) == 1

@@ -69,6 +69,15 @@ def test_where_a_rack_repeats_within_a_period_the_poses_nearby_are_hypotheses_to
     assert judge(pair, apart_alone) == Judgement(accepted=False, right=False, among=False)
 
 
+def test_where_rows_look_alike_from_either_end_both_directions_are_tried() -> None:
+    """The keypoints of this pair are wrong, and the plan is as like the opposite direction (docs/decisions/0277)."""
+    park = next(world for world in WORLDS if world.name == "solar park")
+    (pair,) = repeating_pairs(park, 1, 5, load_packaged_models().codebooks, CONFIG)
+    assert judge(pair, CONFIG) == Judgement(accepted=False, right=True, among=True)
+    one_alone = replace(CONFIG, verification=replace(CONFIG.verification, opposite_clear=0.0))
+    assert judge(pair, one_alone) == Judgement(accepted=False, right=False, among=False)
+
+
 @pytest.mark.parametrize("size", sizes("REPEATING_PAIRS", 8, 1_400))
 def test_of_random_pairs_in_worlds_that_repeat_none_is_accepted_with_a_wrong_pose(size: int) -> None:
     """P31. Half of the pairs are a period or an aisle apart; the others are of one place, and most are told apart."""
