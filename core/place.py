@@ -1,8 +1,7 @@
-"""Place: what is kept of a submap for verification, in about nine kilobytes."""
+"""Place: what is kept of a submap for verification, in about eight kilobytes."""
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import math
 from dataclasses import dataclass, field, fields
@@ -12,14 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core import place_first_form, place_second_form
+from revisit.core import place_first_form, place_second_form, place_third_form
 from revisit.core.config import VerificationConfig
 from revisit.core.descriptor.vlad import Codebooks, project_locally
 from revisit.core.errors import BadTransform, DataLoss
 from revisit.core.geometry.level_frame import LevelFrame
 from revisit.core.geometry.voxel_keys import first_rows, voxel_keys
 from revisit.core.kept import Keeping
-from revisit.core.place_form import CONTAINER, PlaceContents, read_form, settled_form, write_form
+from revisit.core.place_form import PlaceContents, read_form, settled_form, write_form
+from revisit.core.place_head import PlaceHead
 from revisit.core.scan_disagreement import ScanDisagreement
 from revisit.core.stages import stage
 
@@ -31,7 +31,6 @@ if TYPE_CHECKING:  # a place is read where nothing is described, without the lib
 Array = NDArray[np.float32]
 
 CENTIMETRE = 0.01
-_FRAME_BYTES = 12 * 8
 CUBE_CORNER = 0.125
 """By how much of an edge the cubes begin before the origin that keep a surface point each: `place_surface.CORNER`."""
 
@@ -72,16 +71,11 @@ class Place(Keeping):
         return hashlib.sha256(levels).digest()
 
     def to_blob(self) -> bytes:
-        """The place as bytes: magic, header, zstd body, truncated SHA-256 over all of it.
+        """The place as bytes: magic, head, coded arrays, truncated SHA-256 over all of it.
 
         Of several surface points in one cube, or of more numbers of a descriptor than are kept, the first are written.
         """
-        header, body = write_form(self._contents(), self.spacing)
-        header = {**header, "model": self.model}
-        if self.scan_disagreement is not None:
-            header["disagreement"] = list(dataclasses.astuple(self.scan_disagreement))
-        T_level_submap = np.linalg.inv(self.frame.similarity)[:3].astype("<f8")
-        return CONTAINER.pack(header, T_level_submap.tobytes() + body)
+        return write_form(self._contents(), PlaceHead(self.spacing, self.model, self.frame, self.scan_disagreement))
 
     @classmethod
     def from_blob(cls, blob: bytes, *, surface: bool = True) -> Place:
@@ -96,12 +90,20 @@ class Place(Keeping):
             header, body = place_second_form.CONTAINER.unpack(blob)
             contents = place_second_form.read_second_form(header, body, surface=surface)
             return cls._of(contents, header, header.get("T_level_submap"))
-        header, body = CONTAINER.unpack(blob)
-        T_level_submap = np.frombuffer(body[:_FRAME_BYTES].ljust(_FRAME_BYTES, b"\0"), "<f8").reshape(3, 4)
-        return cls._of(read_form(header, body[_FRAME_BYTES:], surface=surface), header, T_level_submap)
+        if blob.startswith(place_third_form.CONTAINER.magic):
+            header, body = place_third_form.CONTAINER.unpack(blob)
+            framed, rest = body[: place_third_form.FRAME_BYTES], body[place_third_form.FRAME_BYTES :]
+            T_level_submap = np.frombuffer(framed.ljust(place_third_form.FRAME_BYTES, b"\0"), "<f8").reshape(3, 4)
+            return cls._of(place_third_form.read_third_form(header, rest, surface=surface), header, T_level_submap)
+        head, contents = read_form(blob, surface=surface)
+        return cls(
+            **vars(contents), model=head.model, frame=head.frame, spacing=head.spacing,
+            scan_disagreement=head.scan_disagreement,
+        )  # fmt: skip
 
     @classmethod
     def _of(cls, contents: PlaceContents, header: dict[str, Any], T_level_submap: object) -> Place:
+        """The place of a form whose header is JSON."""
         model, spacing = header.get("model"), header.get("spacing", cls.spacing)
         if not isinstance(model, str):
             raise DataLoss("the place names no model")

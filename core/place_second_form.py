@@ -11,7 +11,6 @@ from revisit.core.container import Container, decompressed
 from revisit.core.errors import DataLoss
 from revisit.core.geometry import octahedral
 from revisit.core.place_form import (
-    ANGLES,
     DIMENSIONS,
     KEYPOINT_UNIT_M,
     MAX_ROWS,
@@ -21,6 +20,7 @@ from revisit.core.place_form import (
     levels_of,
     spacing_of,
 )
+from revisit.core.place_keypoints import ANGLES
 
 Array = NDArray[np.float32]
 Whole = NDArray[np.int64]

@@ -81,6 +81,12 @@ def _next_byte(coder: Coder, data: NDArray[np.uint8]) -> None:
 
 
 @numba.njit(inline="always")
+def past_end(coder: Coder, data: NDArray[np.uint8]) -> bool:
+    """Whether it reads and has read more than `data` holds: then it is damaged."""
+    return bool(coder[_READS] == 1 and coder[_AT] > len(data))
+
+
+@numba.njit(inline="always")
 def code_bit(coder: Coder, data: NDArray[np.uint8], models: Models, model: int, bit: int) -> int:
     """Write `bit` with the chance that models[model] gives it, or read and return the bit; the model learns of it."""
     bit = narrow(coder, data, models[model, 0], bit)

@@ -1,21 +1,24 @@
-"""The chances with which the models of a stored surface begin, counted in simulated towns (docs/decisions/0217)."""
+"""The chances with which the models of a stored place begin, counted in simulated towns (docs/decisions/0217, 0268)."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core import place_keypoints, place_surface
 from revisit.core.config import PipelineConfig
+from revisit.core.kernels.keypoint_models import KEYPOINT_MODELS
 from revisit.core.kernels.range_coder import Models, fresh_models
 from revisit.core.model_bundle import load_packaged_models
 from revisit.core.pipeline import describe
 from revisit.core.place import Place
-from revisit.core.place_surface import LEARNED, MODELS, coded, kinds, rounded
+from revisit.core.place_form import coded_form
+from revisit.core.place_surface import MODELS, coded, kinds, rounded
 from revisit.evaluation.training.corpus import training_places
 
 Counts = NDArray[np.float64]
@@ -26,21 +29,30 @@ _LEAST, _ALL = 64, 1 << 16
 
 
 def main() -> None:
-    """Describe places of the training towns and write the chances."""
+    """Describe places of the training towns and write the chances of surfaces and of keypoints where there are none."""
     parser = argparse.ArgumentParser(prog="python -m revisit.evaluation.training.place_chances", description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("core/weights") / LEARNED)
+    parser.add_argument("--out", type=Path, default=Path("core/weights"), help="folder")
     parser.add_argument("--districts", type=int, default=12, help="simulated towns")
     parser.add_argument("--places", type=int, default=4, help="places of each town, three views each")
     options = parser.parse_args()
     models, config = load_packaged_models(), PipelineConfig()
-    described = (
+    described = [
         describe(view, models, config).place
         for district in range(options.districts)
         for views in training_places(district, config.submap, options.places)
         for view in views
-    )
-    learned: dict[str, Any] = dict(learned_chances(described, config.verification.spacing))
-    np.savez_compressed(options.out, **learned)
+    ]
+    keep(options.out / place_surface.LEARNED, learned_chances(described, config.verification.spacing))
+    keep(options.out / place_keypoints.LEARNED, learned_keypoint_chances(described))
+
+
+def keep(file: Path, learned: Mapping[str, NDArray[np.unsignedinteger]]) -> None:
+    """Write the chances, unless the file is there: with others no stored place could be read."""
+    if file.exists():
+        print(f"{file} stays as it is")
+        return
+    arrays: dict[str, Any] = dict(learned)
+    np.savez_compressed(file, **arrays)
 
 
 def learned_chances(places: Iterable[Place], spacing: float) -> dict[str, NDArray[np.unsignedinteger]]:
@@ -64,6 +76,18 @@ def learned_chances(places: Iterable[Place], spacing: float) -> dict[str, NDArra
             (f"{kind}_seen", np.minimum(seen[kind], SURE).astype(np.uint8)),
         )
     }
+
+
+def learned_keypoint_chances(places: Iterable[Place]) -> dict[str, NDArray[np.unsignedinteger]]:
+    """Chance and how often it was seen, of each model of keypoints, as `core.place_keypoints` reads them."""
+    ones, seen = np.zeros(KEYPOINT_MODELS), np.zeros(KEYPOINT_MODELS)
+    for place in places:
+        if len(place.keypoints):
+            models = fresh_models(KEYPOINT_MODELS)
+            place_keypoints.coded_keypoints(*coded_form(place.keypoints, place.orientations, place.descriptors), models)
+            ones += _ones(models)
+            seen += models[:, 1]
+    return {"chances": _chances(ones, seen), "seen": np.minimum(seen, SURE).astype(np.uint8)}
 
 
 def _ones(models: Models) -> Counts:

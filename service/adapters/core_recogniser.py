@@ -152,7 +152,7 @@ def _disagreement_of(place: bytes | None) -> ScanDisagreement | None:
     if place is None:
         return None
     try:
-        return Place.from_blob(place, surface=False).scan_disagreement
+        return Place.from_blob(place).scan_disagreement
     except DataLoss:
         return None
 

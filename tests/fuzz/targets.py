@@ -11,7 +11,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from revisit.core import place_first_form, place_form, place_second_form
+from revisit.core import place_first_form, place_form, place_second_form, place_third_form
 from revisit.core.errors import DataLoss, RevisitError
 from revisit.core.implicit_map import blob
 from revisit.core.place import Place
@@ -99,7 +99,10 @@ TARGETS: dict[str, Target] = {
     "neural map": refusing(blob.unpack, DataLoss),
     "neural map behind its checksum": behind_checksum(blob.unpack, blob.CONTAINER.magic, 32),
     "place": refusing(Place.from_blob, DataLoss),
-    "place behind its checksum": behind_checksum(Place.from_blob, place_form.CONTAINER.magic, DIGEST_BYTES),
+    "place behind its checksum": behind_checksum(Place.from_blob, place_form.MAGIC, DIGEST_BYTES),
+    "third form of a place behind its checksum": behind_checksum(
+        Place.from_blob, place_third_form.CONTAINER.magic, DIGEST_BYTES
+    ),
     "second form of a place behind its checksum": behind_checksum(
         Place.from_blob, place_second_form.CONTAINER.magic, DIGEST_BYTES
     ),

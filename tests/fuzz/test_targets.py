@@ -23,7 +23,7 @@ from revisit.service.application.ingest.clouds import StoredCloud, pack_cloud
 from tests.fuzz.targets import DIGEST_BYTES, FILES, TARGETS, refusing
 from tests.support.campaigns import Campaign
 from tests.support.cloud_files import records, valid_files
-from tests.support.old_places import SECOND_FORM
+from tests.support.old_places import SECOND_FORM, THIRD_FORM_OF_A_YARD
 from tests.support.places import a_place
 
 EXAMPLES = int(os.environ.get("REVISIT_FUZZ_EXAMPLES", "40"))
@@ -56,8 +56,9 @@ def seeds() -> dict[str, list[bytes]]:
         "neural map": [neural_map],
         "neural map behind its checksum": [neural_map[len(blob.CONTAINER.magic) : -32]],
         "place": [stored],
-        "place behind its checksum": [stored[len(place_form.CONTAINER.magic) : -DIGEST_BYTES]],
-        "second form of a place behind its checksum": [SECOND_FORM[len(place_form.CONTAINER.magic) : -DIGEST_BYTES]],
+        "place behind its checksum": [stored[len(place_form.MAGIC) : -DIGEST_BYTES]],
+        "third form of a place behind its checksum": [THIRD_FORM_OF_A_YARD[len(place_form.MAGIC) : -DIGEST_BYTES]],
+        "second form of a place behind its checksum": [SECOND_FORM[len(place_form.MAGIC) : -DIGEST_BYTES]],
         "first form of a place behind its checksum": [sections],
         "stored cloud": [pack_cloud(StoredCloud(values[:, :3], values[:, 3])), *by_type[QUANTISED]],
         "stored mesh": [pack_mesh(triangle)],

@@ -3,26 +3,30 @@
 from __future__ import annotations
 
 import hashlib
+import struct
 from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
 from revisit.core import place as place_module
-from revisit.core import place_second_form
+from revisit.core import place_second_form, place_third_form
 from revisit.core.container import Container
 from revisit.core.errors import DataLoss
 from revisit.core.geometry import se3
 from revisit.core.geometry.level_frame import LevelFrame
 from revisit.core.kernels.octree_coder import ranks_of
-from revisit.core.place import CONTAINER, Place
+from revisit.core.place import Place
+from revisit.core.place_form import DIGEST_BYTES, MAGIC
+from revisit.core.place_head import pack_head, unpack_head
 from revisit.core.place_keypoints import read_keypoints, write_keypoints
 from revisit.core.place_surface import CORNER, read_surface, settled_surface, write_surface
 from revisit.core.scan_disagreement import ScanDisagreement
-from tests.support.old_places import SECOND_FORM, THIRD_FORM
+from tests.support.old_places import FOURTH_FORM, SECOND_FORM, THIRD_FORM, THIRD_FORM_OF_A_YARD
 from tests.support.yards import CONFIG, recognised, yard
 
 
@@ -41,44 +45,83 @@ def test_a_place_survives_its_blob_bit_by_bit() -> None:
     assert restored.to_blob() == blob
 
 
-def test_the_stored_frame_is_the_inverse_of_the_similarity_and_returns_within_rounding() -> None:
-    frame = LevelFrame.from_upright(se3.exp([1.0, 2.0, 3.0, 0.1, -0.2, 0.05]), 0.25)
+@pytest.mark.parametrize(
+    "motion", [[0, 0, 0, 0, 0, 0], [1.0, 2.0, 3.0, 0.1, -0.2, 0.05], [-5e5, 0, 7, 0, 0, 3.1], [0, 0, 0, 0, 3.14159, 0]]
+)
+@pytest.mark.parametrize("scale", [1.0, 0.25])
+def test_the_stored_frame_returns_within_rounding(motion: list[float], scale: float) -> None:
+    frame = LevelFrame.from_upright(se3.exp(motion), scale)
     blob = replace(stored(), frame=frame).to_blob()
-    _, body = CONTAINER.unpack(blob)
-    np.testing.assert_array_equal(np.frombuffer(body, "<f8", 12).reshape(3, 4), np.linalg.inv(frame.similarity)[:3])
     restored = Place.from_blob(blob).frame
-    np.testing.assert_allclose(restored.similarity, frame.similarity, atol=1e-12)
-    assert restored.scale == pytest.approx(0.25, rel=1e-12)
+    np.testing.assert_allclose(restored.rotation, frame.rotation, atol=6e-14)
+    np.testing.assert_array_equal(restored.translation, frame.translation)
+    assert restored.scale == frame.scale
+    assert replace(stored(), frame=restored).to_blob() == blob
 
 
 @pytest.mark.parametrize(
     "matrix", [np.zeros((3, 4)), np.diag([1.0, 2.0, 1.0, 0.0])[:3], 1e-200 * np.eye(3, 4), np.eye(2), "turned"]
 )
-def test_a_stored_frame_that_is_no_similarity_is_refused(matrix: object) -> None:
+def test_a_stored_frame_that_is_no_similarity_is_refused_in_older_forms(matrix: object) -> None:
     of_second = {"keypoints": 0, "size": 0, "spacing": 0.8, "standing": 0, "ground": 0, "model": "m"}
     rows = matrix.tolist() if isinstance(matrix, np.ndarray) else matrix
     with pytest.raises(DataLoss, match="level frame"):
         Place.from_blob(place_second_form.CONTAINER.pack(of_second | {"T_level_submap": rows}, b""))
     if isinstance(matrix, np.ndarray) and matrix.shape == (3, 4):
-        header, body = CONTAINER.unpack(stored().to_blob())
+        header, body = place_third_form.CONTAINER.unpack(THIRD_FORM)
         with pytest.raises(DataLoss, match="level frame"):
-            Place.from_blob(CONTAINER.pack(header, matrix.astype("<f8").tobytes() + body[96:]))
+            Place.from_blob(place_third_form.CONTAINER.pack(header, matrix.astype("<f8").tobytes() + body[96:]))
+
+
+@pytest.mark.parametrize(
+    "unusable",
+    [{"scale": 1e-7}, {"scale": 1e9}, {"translation": np.array([0.0, 0.0, np.inf])}],
+    ids=["small", "large", "far"],
+)
+def test_a_stored_frame_that_is_no_similarity_is_refused(unusable: dict[str, Any]) -> None:
+    frame = LevelFrame()
+    for name, value in unusable.items():
+        object.__setattr__(frame, name, value)
+    with pytest.raises(DataLoss, match="level frame"):
+        Place.from_blob(replace(stored(), frame=frame).to_blob())
+
+
+@pytest.mark.parametrize("model", ["0123456789abcdef", "0123456789ABCDEF", "", "m\u00fc", "x" * 255])
+def test_the_name_of_the_model_survives(model: str) -> None:
+    assert Place.from_blob(replace(stored(), model=model).to_blob()).model == model
+
+
+@pytest.mark.parametrize("told", [(0.0123, 0.004, 0.01, 0.0008), (0.65536, 0.0, 1.5, 0.2), (1 / 3, 0.0, 0.0, 0.0)])
+def test_what_scans_disagree_by_survives_the_blob(told: tuple[float, float, float, float]) -> None:
+    disagreement = ScanDisagreement(*told)
+    assert (
+        Place.from_blob(replace(stored(), scan_disagreement=disagreement).to_blob()).scan_disagreement == disagreement
+    )
+
+
+@pytest.mark.parametrize("told", [(-1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, float("nan")), (0.0, 1e400, 0.0, 0.0)])
+def test_scans_that_disagree_by_nonsense_are_refused(told: tuple[float, float, float, float]) -> None:
+    good = replace(stored(), scan_disagreement=ScanDisagreement(1 / 3, 0.0, 0.0, 0.0)).to_blob()
+    head, length = unpack_head(good[len(MAGIC) :])
+    ends = len(MAGIC) + length
+    assert pack_head(head) == good[len(MAGIC) : ends]
+    changed = good[: ends - 32] + struct.pack("<4d", *told) + good[ends:-DIGEST_BYTES]
+    with pytest.raises(DataLoss, match="disagreement"):
+        Place.from_blob(changed + hashlib.sha256(changed).digest()[:DIGEST_BYTES])
 
 
 @pytest.mark.parametrize("stated", [[0.01], [0.01, -1.0], ["a", 0.1], [0.01] * 3, [0.01, float("inf")], 0.01])
-def test_what_scans_disagree_by_survives_the_blob_and_nonsense_is_refused(stated: object) -> None:
-    told = replace(stored(), scan_disagreement=ScanDisagreement(0.0123, 0.004, 0.01, 0.0008))
-    assert Place.from_blob(told.to_blob()).scan_disagreement == told.scan_disagreement
-    header, body = CONTAINER.unpack(told.to_blob())
-    before = Place.from_blob(CONTAINER.pack({**header, "disagreement": [0.0123, 0.004]}, body))
+def test_what_scans_disagree_by_is_read_in_the_third_form_and_nonsense_is_refused(stated: object) -> None:
+    header, body = place_third_form.CONTAINER.unpack(THIRD_FORM)
+    before = Place.from_blob(place_third_form.CONTAINER.pack({**header, "disagreement": [0.0123, 0.004]}, body))
     assert before.scan_disagreement == ScanDisagreement(0.0123, 0.004)
     with pytest.raises(DataLoss):
-        Place.from_blob(CONTAINER.pack({**header, "disagreement": stated}, body))
+        Place.from_blob(place_third_form.CONTAINER.pack({**header, "disagreement": stated}, body))
 
 
-def test_a_place_fits_into_9_kilobytes() -> None:
+def test_a_place_fits_into_8_kilobytes() -> None:
     assert len(stored().points) > 2000
-    assert len(stored().to_blob()) <= 9_000
+    assert len(stored().to_blob()) <= 8_000
 
 
 def test_a_stored_point_lies_within_two_centimetres_of_its_plane_and_faces_alike() -> None:
@@ -184,11 +227,40 @@ def test_a_place_of_the_second_form_is_read_and_written_again_in_the_form_of_tod
         np.testing.assert_array_equal(new.normals, old.normals)
 
 
+@pytest.mark.parametrize("blob", [THIRD_FORM, THIRD_FORM_OF_A_YARD])
+@pytest.mark.parametrize("surface", [True, False])
+def test_a_place_of_the_third_form_is_read_and_written_again_as_the_same_place_in_fewer_bytes(
+    blob: bytes, surface: bool
+) -> None:
+    old = Place.from_blob(blob, surface=surface)
+    written = old.to_blob()
+    new = Place.from_blob(written, surface=surface)
+    for name in ("keypoints", "orientations", "descriptors", "parity", "points", "normals"):
+        assert getattr(new, name).tobytes() == getattr(old, name).tobytes(), name
+    assert (new.standing_count, new.model, new.spacing) == (old.standing_count, old.model, old.spacing)
+    assert new.scan_disagreement == old.scan_disagreement
+    np.testing.assert_allclose(new.frame.similarity, old.frame.similarity, atol=1e-12)
+    assert len(written) < 0.85 * len(blob)
+
+
+def test_a_place_of_a_yard_in_the_third_form_has_the_keypoints_and_points_of_the_yard() -> None:
+    old = Place.from_blob(THIRD_FORM_OF_A_YARD)
+    assert (len(old.keypoints), old.standing_count, len(old.points)) == (60, 240, 320)
+    gaps, rows = cKDTree(stored().points).query(old.points)
+    assert gaps.max() == 0.0
+    np.testing.assert_array_equal(old.normals, stored().normals[rows])
+    gaps, rows = cKDTree(stored().keypoints).query(old.keypoints)
+    assert gaps.max() == 0.0
+    np.testing.assert_array_equal(old.descriptors, stored().descriptors[rows])
+    np.testing.assert_array_equal(old.orientations, stored().orientations[rows])
+
+
 def test_what_the_form_of_today_wrote_once_is_read_for_good() -> None:
-    read, second = Place.from_blob(THIRD_FORM), Place.from_blob(SECOND_FORM)
+    read, second = Place.from_blob(FOURTH_FORM), Place.from_blob(SECOND_FORM)
     np.testing.assert_array_equal(read.points, second.points)
     np.testing.assert_array_equal(read.normals, second.normals)
-    assert read.to_blob() == THIRD_FORM
+    np.testing.assert_array_equal(read.keypoints, Place.from_blob(THIRD_FORM).keypoints)
+    assert read.to_blob() == FOURTH_FORM
 
 
 def test_of_too_many_cubes_those_of_least_rank_are_kept_evenly_over_the_surface() -> None:
@@ -202,22 +274,67 @@ def test_of_too_many_cubes_those_of_least_rank_are_kept_evenly_over_the_surface(
     assert counts.min() >= 9 and counts.max() <= 15  # 12 of 36 each
 
 
-@pytest.mark.parametrize("kept", [2500, 400, 1])
-def test_bits_of_keypoints_are_read_as_written_and_a_damaged_string_is_refused_or_other_keypoints(kept: int) -> None:
+def made_up_keypoints(kept: int, turns: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Cells, angles of so many directions, and bits of descriptors, some columns nearly always alike."""
     rng = np.random.default_rng(kept)
-    cells, angles = rng.integers(-90, 90, (kept, 2)) * 4 + 2, rng.integers(0, 256, kept)
-    bits = rng.random((kept, 20)) < np.linspace(0, 1, 20)
+    cells, angles = rng.integers(-90, 90, (kept, 2)) * 4 + 2, rng.integers(0, turns, kept)
+    return cells, angles, rng.random((kept, 20)) < np.linspace(0, 1, 20)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("turns", [256, 3])
+@pytest.mark.parametrize("kept", [400, 2, 1])
+def test_keypoints_are_read_as_written_with_and_without_compiled_code(kept: int, turns: int, compiled: bool) -> None:
+    cells, angles, bits = made_up_keypoints(kept, turns)
     string = write_keypoints(cells, angles, bits)
     rows = np.lexsort((cells[:, 0], cells[:, 1]))
-    for read, written in zip(read_keypoints(string, kept, 20), (cells, angles, bits), strict=True):
+    for read, written in zip(read_keypoints(string, kept, 10, compiled=compiled), (cells, angles, bits), strict=True):
         np.testing.assert_array_equal(read, written[rows])
-    for position in range(0, len(string), 1 + len(string) // 60):
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_keypoints_as_far_apart_as_can_be_written_are_read_as_written(compiled: bool) -> None:
+    cells = np.array([[-32767, -32767], [32767, -32767], [0, -32766], [-32767, 32767], [32767, 32767]])
+    angles, bits = np.array([0, 255, 128, 127, 1]), np.eye(5, 64, dtype=bool)
+    read = read_keypoints(write_keypoints(cells, angles, bits), 5, 32, compiled=compiled)
+    for part, written in zip(read, (cells, angles, bits), strict=True):
+        np.testing.assert_array_equal(part, written)
+
+
+def keypoints_or_refusal(data: bytes, kept: int, compiled: bool) -> list[list[int]] | str:
+    """What a string of keypoints is read as."""
+    try:
+        return [part.tolist() for part in read_keypoints(data, kept, 10, compiled=compiled)]
+    except DataLoss as refusal:
+        return str(refusal)
+
+
+def test_a_damaged_string_of_keypoints_is_refused_or_other_keypoints_the_same_without_compiled_code() -> None:
+    string = write_keypoints(*made_up_keypoints(60, 5))
+    for length in range(0, len(string), 9):
+        with pytest.raises(DataLoss):
+            read_keypoints(string[:length], 60, 10)
+    outcomes = set()
+    for position in range(0, len(string), 2):
         changed = bytearray(string)
         changed[position] ^= 0xFF
+        read = keypoints_or_refusal(bytes(changed), 60, True)
+        assert keypoints_or_refusal(bytes(changed), 60, False) == read
+        outcomes.add(type(read))
+    assert outcomes == {list, str}
+    for count in (0, 59, 61):
         with pytest.raises(DataLoss):
-            read_keypoints(string[:position], kept, 20)
-        with suppress(DataLoss):
-            read_keypoints(bytes(changed), kept, 20)
+            read_keypoints(string, count, 10)
+    assert [len(part) for part in read_keypoints(b"", 0, 10)] == [0, 0, 0]
+
+
+def test_keypoints_that_take_more_bytes_than_expected_are_written_whole() -> None:
+    cells, angles, _ = made_up_keypoints(600, 256)
+    bits = np.random.default_rng(1).random((600, 64)) < 0.5
+    string = write_keypoints(cells, angles, bits)
+    assert len(string) > 256 + 8 * 600
+    rows = np.lexsort((cells[:, 0], cells[:, 1]))
+    np.testing.assert_array_equal(read_keypoints(string, 600, 32)[2], bits[rows])
 
 
 @pytest.mark.parametrize("position", [0, 4, 6, 20, 300, -20, -1])
@@ -234,10 +351,36 @@ def test_a_cut_blob_is_noticed(length: int) -> None:
         Place.from_blob(stored().to_blob()[:length])
 
 
-def test_a_header_that_promises_more_than_the_body_holds_is_refused_even_with_a_valid_checksum() -> None:
-    content = stored().to_blob()[:-16]
+@pytest.mark.parametrize(
+    "promised",
+    [{"keypoints": 10**6}, {"keypoints": 199}, {"numbers": 33}, {"keypoint_bytes": 10**6}, {"standing_bytes": 2**31},
+     {"spacing": float("nan")}, {"spacing": 1e4}],
+)  # fmt: skip
+def test_a_head_that_promises_what_the_body_does_not_hold_is_refused_even_with_a_valid_checksum(
+    promised: dict[str, Any],
+) -> None:
+    content = stored().to_blob()[:-DIGEST_BYTES]
+    head, length = unpack_head(content[len(MAGIC) :])
+    changed = MAGIC + pack_head(replace(head, **promised)) + content[len(MAGIC) + length :]
+    with pytest.raises(DataLoss):
+        Place.from_blob(changed + hashlib.sha256(changed).digest()[:DIGEST_BYTES])
+
+
+def test_a_third_form_that_promises_more_than_it_holds_is_refused_even_with_a_valid_checksum() -> None:
+    content = THIRD_FORM_OF_A_YARD[:-DIGEST_BYTES]
     changed = content.replace(b'"keypoints":', b'"keypoints":9', 1)
     head = int.from_bytes(changed[5:9], "little") + 1
     changed = changed[:5] + head.to_bytes(4, "little") + changed[9:]
     with pytest.raises(DataLoss, match="keypoints"):
-        Place.from_blob(changed + hashlib.sha256(changed).digest()[:16])
+        Place.from_blob(changed + hashlib.sha256(changed).digest()[:DIGEST_BYTES])
+
+
+def test_a_third_form_cut_or_changed_behind_its_checksum_is_refused_or_another_place() -> None:
+    header, body = place_third_form.CONTAINER.unpack(THIRD_FORM_OF_A_YARD)
+    for position in range(96, len(body), 5):
+        with pytest.raises(DataLoss):
+            Place.from_blob(place_third_form.CONTAINER.pack(header, body[:position]))
+        changed = bytearray(body)
+        changed[position] ^= 0xFF
+        with suppress(DataLoss):
+            Place.from_blob(place_third_form.CONTAINER.pack(header, bytes(changed)))
