@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from revisit.core.drive_loops import DriveSubmap, least_way_m
 from revisit.core.geometry import se3
 
-LEAST_EVIDENT = 0.34
+LEAST_EVIDENT = 0.36
 """A smaller share is what chance gives where places look alike."""
 
 REACH_M = 80.0
