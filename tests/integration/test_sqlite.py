@@ -87,7 +87,7 @@ def test_the_writer_is_durable_and_one_process_checkpoints(database):
     for engine in (gateway, worker):
         names = ("journal_mode", "synchronous", "foreign_keys")
         assert [pragma(engine, name) for name in names] == ["wal", 2, 1]
-    assert (pragma(gateway, "wal_autocheckpoint"), pragma(worker, "wal_autocheckpoint")) == (1000, 0)
+    assert (pragma(gateway, "wal_autocheckpoint"), pragma(worker, "wal_autocheckpoint")) == (4000, 0)
     gateway.dispose()
     worker.dispose()
 

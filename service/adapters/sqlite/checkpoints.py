@@ -1,6 +1,6 @@
 """Folding the write-ahead log back into the database by time and size, whoever wrote it.
 
-The gateway's own commits fold it back after every 1000 pages; what the workers commit (a heartbeat every 2 s, and their
+The gateway's own commits fold it back after every 4000 pages; what the workers commit (a heartbeat every 2 s, and their
 results) waited for the next of them, which in an idle or draining service never came.
 """
 
@@ -18,7 +18,7 @@ from sqlalchemy.exc import DatabaseError
 from revisit.service.adapters.sqlite.connections import write_ahead_log
 from revisit.service.adapters.sqlite.transactions import StorageFailures, WriterLock
 
-SMALL_BYTES = 4 * 2**20
+SMALL_BYTES = 16 * 2**20
 """A log beyond this is folded back at once."""
 
 OLD_S = 30.0

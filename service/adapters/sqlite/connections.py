@@ -49,7 +49,7 @@ def reader_engine(path: Path) -> Engine:
 
 def writer_pragmas(*, checkpoints: bool) -> dict[str, str | int]:
     """What a writer's connection must have."""
-    return WRITER_PRAGMAS | {"wal_autocheckpoint": 1000 if checkpoints else 0}
+    return WRITER_PRAGMAS | {"wal_autocheckpoint": 4000 if checkpoints else 0}
 
 
 def require_pragmas(engine: Engine, pragmas: dict[str, str | int]) -> None:
