@@ -19,7 +19,7 @@ from revisit.service.application.recognise.loops_beside import (
     on_drive,
 )
 
-_STAND_OUT = LOOK_ALIKES, OUTDONE
+_NOT_STANDING_OUT = LOOK_ALIKES, OUTDONE
 """Members of the evidence of a loop that stands out from no other place."""
 
 
@@ -60,7 +60,7 @@ def _poses(loop: Beside) -> tuple[Matrix4, ...]:
 def _is_evident(loop: Beside) -> bool:
     """Whether a pair passed every check by itself, and stood out from other places."""
     told = loop.verdict.evidence
-    if any(name in told for name in _STAND_OUT):
+    if any(name in told for name in _NOT_STANDING_OUT):
         return False
     return loop.accepted_by_itself or OUTNUMBERED in told or CONTRADICTED in told
 
@@ -68,7 +68,7 @@ def _is_evident(loop: Beside) -> bool:
 def _is_doubted(loop: Beside) -> bool:
     """Whether a loop is ambiguous for this rule alone."""
     told = loop.verdict.evidence
-    return loop.ambiguous and OUTNUMBERED in told and not any(name in told for name in (CONTRADICTED, *_STAND_OUT))
+    return loop.ambiguous and OUTNUMBERED in told and not any(name in told for name in (CONTRADICTED, *_NOT_STANDING_OUT))
 
 
 def _believed(loop: Beside) -> Beside:
