@@ -68,7 +68,9 @@ def _is_evident(loop: Beside) -> bool:
 def _is_doubted(loop: Beside) -> bool:
     """Whether a loop is ambiguous for this rule alone."""
     told = loop.verdict.evidence
-    return loop.ambiguous and OUTNUMBERED in told and not any(name in told for name in (CONTRADICTED, *_NOT_STANDING_OUT))
+    return (
+        loop.ambiguous and OUTNUMBERED in told and not any(name in told for name in (CONTRADICTED, *_NOT_STANDING_OUT))
+    )
 
 
 def _believed(loop: Beside) -> Beside:
