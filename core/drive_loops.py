@@ -31,15 +31,21 @@ class DriveSubmap:
 
 
 @dataclass(frozen=True)
-class DriveLoop:
-    """A loop between two drives. poses: its hypotheses, each T_match_query (4, 4), the best first, at least one.
-
-    accepted: and not for the sake of other loops. one_drive: both submaps are of the same drive.
-    """
+class DrivePair:
+    """A submap of a drive and one of another, and the poses T_match_query (4, 4) that fit: best first, one at least."""
 
     query: DriveSubmap
     match: DriveSubmap
     poses: Sequence[se3.Matrix4]
+
+
+@dataclass(frozen=True)
+class DriveLoop(DrivePair):
+    """A loop between two drives; its poses are its hypotheses.
+
+    accepted: and not for the sake of other loops. one_drive: both submaps are of the same drive.
+    """
+
     accepted: bool
     one_drive: bool = False
 
@@ -158,29 +164,35 @@ class DriveLoops:
     @cached_property
     def _way_m(self) -> Array:
         """The way of both drives over which odometry carries each pose to each pair, (n, n) metres at least."""
-        queries = [loop.query.ordinal for loop in self._loops]
-        matches = [loop.match.ordinal for loop in self._loops]
-        return self._way_on(self._T_odom_query, queries) + self._way_on(self._T_odom_match, matches)
-
-    def _way_on(self, T_odom: Poses, ordinals: Sequence[int]) -> Array:
-        position_m, numbers = T_odom[:, :3, 3], np.array(ordinals)
-        apart_m = np.linalg.norm(position_m[:, None] - position_m[None], axis=2)
-        return least_way_m(apart_m, numbers[:, None] - numbers[None], self._stride_m)
+        queries, matches = [loop.query for loop in self._loops], [loop.match for loop in self._loops]
+        return ways_m(queries, self._stride_m) + ways_m(matches, self._stride_m)
 
     @cached_property
     def _frames(self) -> list[Poses]:
         """T_odom_match_odom_query of each hypothesis, by loop."""
-        T_query_odom = np.linalg.inv(self._T_odom_query)
-        return [
-            np.array(self._T_odom_match[row] @ np.array(loop.poses) @ T_query_odom[row])
-            for row, loop in enumerate(self._loops)
-        ]
+        return frames_between(self._loops)
 
     def _neighbour(self, row: int, other: int) -> NeighbourLoop:
         poses = se3.inverse(self._T_odom_match[row]) @ self._frames[other] @ self._T_odom_query[row]
         one, told = self._loops[row], self._loops[other]
         query_m, match_m = _ahead_m(one.query, told.query), _ahead_m(one.match, told.match)
         return NeighbourLoop(told.accepted, tuple(poses), query_m, match_m, float(self._way_m[row, other]))
+
+
+def frames_between(pairs: Sequence[DrivePair]) -> list[Poses]:
+    """T_odom_match_odom_query (p, 4, 4) of each of the poses, by pair."""
+    T_query_odom = np.linalg.inv([pair.query.T_odom_submap for pair in pairs])
+    return [
+        np.array(pair.match.T_odom_submap @ np.array(pair.poses) @ T_query_odom[row]) for row, pair in enumerate(pairs)
+    ]
+
+
+def ways_m(submaps: Sequence[DriveSubmap], stride_m: float) -> Array:
+    """At least so many metres of way lie between each two of these submaps (n,) of a drive, (n, n)."""
+    position_m = np.array([one.T_odom_submap[:3, 3] for one in submaps])
+    ordinals = np.array([one.ordinal for one in submaps])
+    apart_m = np.linalg.norm(position_m[:, None] - position_m[None], axis=2)
+    return least_way_m(apart_m, ordinals[:, None] - ordinals[None], stride_m)
 
 
 def least_way_m(apart_m: ArrayLike, ordinals_apart: ArrayLike, stride_m: float) -> Array:

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.drive_loops import DriveSubmap, least_way_m
-from revisit.core.geometry import se3
+from revisit.core.drive_loops import DrivePair, frames_between, ways_m
 
 LEAST_EVIDENT = 0.36
 """A smaller share is what chance gives where places look alike."""
@@ -28,17 +27,11 @@ _TURN = np.radians(8.0)
 
 
 @dataclass(frozen=True)
-class TestedPair:
-    """A pair of submaps of the same two drives and the poses T_match_query (4, 4) that fit it, the best first.
-
-    evident: whether it passed every check by itself.
-    """
+class TestedPair(DrivePair):
+    """A pair of submaps of the same two drives that was tested. evident: whether it passed every check by itself."""
 
     __test__ = False  # no test, whatever pytest thinks of its name
 
-    query: DriveSubmap
-    match: DriveSubmap
-    poses: Sequence[se3.Matrix4]
     evident: bool
 
 
@@ -62,29 +55,17 @@ def evident_shares(pairs: Sequence[TestedPair], asked: Sequence[int], stride_m: 
     """
     if not asked:
         return []
-    T_odom_query = np.array([pair.query.T_odom_submap for pair in pairs])
-    frames, owners = _frames(pairs, T_odom_query)
-    first_of = np.searchsorted(owners, np.arange(len(pairs)))
-    evident, position_m = np.array([pair.evident for pair in pairs]), T_odom_query[:, :3, 3]
-    ordinals = np.array([pair.query.ordinal for pair in pairs])
+    by_pair = frames_between(pairs)
+    frames, owners = np.concatenate(by_pair), np.repeat(np.arange(len(pairs)), [len(said) for said in by_pair])
+    way_m, evident = ways_m([pair.query for pair in pairs], stride_m), np.array([pair.evident for pair in pairs])
+    position_m = np.array([pair.query.T_odom_submap[:3, 3] for pair in pairs])[owners]
     found = []
     for row in asked:
-        apart_m = np.linalg.norm(position_m - position_m[row], axis=1)
-        way_m = least_way_m(apart_m, ordinals - ordinals[row], stride_m)
         explained = np.zeros(len(pairs), dtype=bool)
-        explained[owners[_agree(frames, frames[first_of[row]], position_m[owners], way_m[owners])]] = True
-        explained &= way_m <= REACH_M
+        explained[owners[_agree(frames, by_pair[row][0], position_m, way_m[row, owners])]] = True
+        explained &= way_m[row] <= REACH_M
         found.append(EvidentShare(int((explained & evident).sum()), int(explained.sum())))
     return found
-
-
-def _frames(
-    pairs: Sequence[TestedPair], T_odom_query: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """T_odom_match_odom_query (h, 4, 4) of every pose of every pair, and the row (h,) of its pair."""
-    T_query_odom = np.linalg.inv(T_odom_query)
-    frames = [pair.match.T_odom_submap @ np.array(pair.poses) @ T_query_odom[row] for row, pair in enumerate(pairs)]
-    return np.concatenate(frames), np.repeat(np.arange(len(pairs)), [len(pair.poses) for pair in pairs])
 
 
 def _agree(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from revisit.core.errors import DataLoss
 from revisit.core.kernels.keypoint_models import MOST_NUMBERS
-from revisit.core.place_head import PlaceHead, pack_head, unpack_head
+from revisit.core.place_head import PlaceHead, checked_spacing, pack_head, unpack_head
 from revisit.core.place_keypoints import ANGLES, Coded, in_stored_order, read_keypoints, write_keypoints
 
 Array = NDArray[np.float32]
@@ -112,11 +112,8 @@ def directions(rows: Array) -> Array:
 
 
 def spacing_of(header: dict[str, Any]) -> float:
-    """The edge of the cubes of which the surface keeps a standing point each. Raises DataLoss for no length."""
-    spacing = header.get("spacing")
-    if type(spacing) is not float or not 1e-3 <= spacing <= 1e3:
-        raise DataLoss("the place's spacing is unusable")
-    return spacing
+    """The spacing that a header in JSON names. Raises DataLoss as `checked_spacing`."""
+    return checked_spacing(header.get("spacing"))
 
 
 def levels_of(bits: NDArray[np.bool_]) -> Array:

@@ -79,11 +79,17 @@ def unpack_head(content: bytes) -> tuple[PlaceHead, int]:
     translation = np.array(string.unpacked("<3d") if flags & _TRANSLATION else (0.0, 0.0, 0.0))
     (scale,) = string.unpacked("<d") if flags & _SCALE else (1.0,)
     disagreement = _disagreement(string, bool(flags & _IN_PARTS)) if flags & _DISAGREEMENT else None
-    if not 1e-3 <= spacing <= 1e3:
-        raise DataLoss("the place's spacing is unusable")
     if not (1e-6 < scale < 1e6 and np.abs(translation).max() <= se3.MAX_TRANSLATION_M):
         raise DataLoss("the level frame of the place is no similarity")
-    return PlaceHead(spacing, model, LevelFrame(rotation, translation, scale), disagreement, *counts), string.position
+    frame = LevelFrame(rotation, translation, scale)
+    return PlaceHead(checked_spacing(spacing), model, frame, disagreement, *counts), string.position
+
+
+def checked_spacing(spacing: object) -> float:
+    """The edge of the cubes of which a surface keeps a standing point each. Raises DataLoss for no such length."""
+    if type(spacing) is not float or not 1e-3 <= spacing <= 1e3:
+        raise DataLoss("the place's spacing is unusable")
+    return spacing
 
 
 class _Bytes:

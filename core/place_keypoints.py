@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import struct
 from functools import lru_cache
-from importlib import resources
 
 import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.errors import DataLoss
 from revisit.core.kernels.keypoint_models import ANGLE_BITS, HIGHEST, KEYPOINT_MODELS
+from revisit.core.learned_chances import learned_chances
 from revisit.core.plain_keypoints import PlainReader, plain_keypoints
 
 Whole = NDArray[np.int64]
@@ -109,12 +109,8 @@ def _plain(data: bytes, count: int, numbers: int, wide: int) -> tuple[Whole, Who
 
 @lru_cache(maxsize=1)
 def _learned() -> NDArray[np.int32]:
-    """The models that `evaluation.training.place_chances` has learned."""
-    with (
-        resources.files("revisit.core").joinpath("weights", LEARNED).open("rb") as file,
-        np.load(file, allow_pickle=False) as stored,
-    ):
-        models = np.stack([stored["chances"], stored["seen"]], axis=1).astype(np.int32)
+    """The learned models."""
+    models = learned_chances(LEARNED)
     if models.shape != (KEYPOINT_MODELS, 2):
         raise DataLoss(f"{LEARNED} does not fit this version")
     return models

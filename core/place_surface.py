@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import struct
 from functools import lru_cache
-from importlib import resources
 from typing import Literal
 
 import numpy as np
@@ -18,6 +17,7 @@ from revisit.core.kernels.octree_coder import RANKS, THINNED_MODELS, Thinning, c
 from revisit.core.kernels.range_coder import Coder, Models, finish, position, start
 from revisit.core.kernels.voxel_families import families_of
 from revisit.core.kernels.voxel_table import rows_of, table_of
+from revisit.core.learned_chances import learned_chances
 
 Array = NDArray[np.float32]
 Whole = NDArray[np.int64]
@@ -210,12 +210,5 @@ def _vectors() -> NDArray[np.int32]:
 
 @lru_cache(maxsize=1)
 def _learned() -> dict[str, Models]:
-    """The models that `evaluation.training.place_chances` has learned, by kind of surface."""
-    found = {}
-    with (
-        resources.files("revisit.core").joinpath("weights", LEARNED).open("rb") as file,
-        np.load(file, allow_pickle=False) as stored,
-    ):
-        for kind in ("standing", "ground"):
-            found[kind] = np.stack([stored[f"{kind}_chances"], stored[f"{kind}_seen"]], axis=1).astype(np.int32)
-    return found
+    """The learned models by kind of surface."""
+    return {kind: learned_chances(LEARNED, f"{kind}_") for kind in ("standing", "ground")}

@@ -20,7 +20,7 @@ from revisit.core.config import PipelineConfig
 from revisit.core.geometry.se3 import pose_matrix
 from revisit.service.application.contract.events import AMBIGUOUS
 from revisit.service.application.recognise.distinctiveness import are_one, spot_of
-from revisit.service.application.recognise.loops_beside import LOOK_ALIKES, OUTDONE, Beside
+from revisit.service.application.recognise.loops_beside import LOOK_ALIKES, LOW_SCORE, OUTDONE, Beside
 
 _LEAST, _SHARE = 4, 0.75
 """So many candidates elsewhere, and so large a share of them, must look alike."""
@@ -110,7 +110,7 @@ def _looks_alike(one: Beside, config: PipelineConfig) -> bool:
 
 def _overlaps(one: Beside, config: PipelineConfig) -> bool:
     """Whether a candidate was aligned and overlaps enough, but fails."""
-    aligned = one.verdict.reason in (AMBIGUOUS, "DEGENERATE_ALIGNMENT", "LOW_SCORE")
+    aligned = one.verdict.reason in (AMBIGUOUS, "DEGENERATE_ALIGNMENT", LOW_SCORE)
     return not one.verdict.accepted and aligned and _overlap(one) >= config.verification.min_overlap
 
 

@@ -246,10 +246,14 @@ def supported(
 
 def _by_drives(loops: Iterable[Beside]) -> list[list[Beside]]:
     """The loops that say anything, by the drive that was matched."""
+    return by_drives(loop for loop in loops if loop.hypotheses)
+
+
+def by_drives(loops: Iterable[Beside]) -> list[list[Beside]]:
+    """The loops by the drive that was matched."""
     groups: dict[int, list[Beside]] = defaultdict(list)
     for loop in loops:
-        if loop.hypotheses:
-            groups[loop.match.session_number].append(loop)
+        groups[loop.match.session_number].append(loop)
     return list(groups.values())
 
 
@@ -307,7 +311,7 @@ def revised_evidence(stored: dict[str, Any], told: dict[str, Any]) -> dict[str, 
 
 
 def _says(loop: LoopRecord) -> bool:
-    """Whether a stored loop says anything of how its drives lie: accepted and not an outlier, or ambiguous."""
+    """Whether a stored loop says anything of a pose: accepted and no outlier, ambiguous, or of a low score there."""
     if loop.state == LoopState.ACCEPTED:
         return loop.graph_state != GraphState.SET_ASIDE
     return loop.state == LoopState.REJECTED and loop.reason in TELLING

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 from revisit.core.evident_share import EvidentShare, TestedPair, evident_shares
@@ -16,6 +15,7 @@ from revisit.service.application.recognise.loops_beside import (
     OUTDONE,
     OUTNUMBERED,
     Beside,
+    by_drives,
     on_drive,
 )
 
@@ -30,9 +30,11 @@ def outnumbered(loops: Sequence[Beside], stride_m: float) -> list[Beside]:
     AMBIGUOUS, until more of them have. `stride_m`: how far apart neighbouring submaps of a drive were begun.
     """
     changed = []
-    for told in _by_drives(loops):
-        pairs = [TestedPair(on_drive(one.query), on_drive(one.match), _poses(one), _is_evident(one)) for one in told]
+    for told in by_drives(loop for loop in loops if _poses(loop)):
         asked = [row for row, one in enumerate(told) if one.accepted_by_itself or _is_doubted(one)]
+        if not asked:
+            continue
+        pairs = [TestedPair(on_drive(one.query), on_drive(one.match), _poses(one), _is_evident(one)) for one in told]
         for row, share in zip(asked, evident_shares(pairs, asked, stride_m), strict=True):
             loop = told[row]
             if share.is_enough and not loop.verdict.accepted:
@@ -40,14 +42,6 @@ def outnumbered(loops: Sequence[Beside], stride_m: float) -> list[Beside]:
             elif not share.is_enough and loop.verdict.accepted and not loop.by_hand:
                 changed.append(_doubted(loop, share))
     return changed
-
-
-def _by_drives(loops: Iterable[Beside]) -> list[list[Beside]]:
-    groups: dict[int, list[Beside]] = defaultdict(list)
-    for loop in loops:
-        if _poses(loop):
-            groups[loop.match.session_number].append(loop)
-    return list(groups.values())
 
 
 def _poses(loop: Beside) -> tuple[Matrix4, ...]:

@@ -72,10 +72,7 @@ from revisit.service.application.recognise.description_commit import (
 )
 from revisit.service.application.recognise.distinctiveness import with_distinctiveness
 from revisit.service.application.recognise.look_alikes import outdone_contacts
-from revisit.service.application.recognise.loops_beside import (
-    Beside,
-    drive_before,
-)
+from revisit.service.application.recognise.loops_beside import Beside, drive_before
 from revisit.service.application.recognise.proposed_loops import VerdictCommit, proposed_pair
 from revisit.service.application.recognise.recalled_loops import (
     RecallCommit,

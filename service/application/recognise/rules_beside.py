@@ -24,7 +24,7 @@ def standing_out(loops: list[Beside], config: PipelineConfig) -> list[Beside]:
 def decided(
     loops: list[Beside], rules: VerificationConfig, stride_m: float, register: Registered
 ) -> tuple[list[Beside], list[Beside]]:
-    """The loops of a drive with the verdicts that they have beside each other; and those of them that are new.
+    """The loops of a drive with the verdicts that they have beside each other; and those that have changed.
 
     `stride_m`: how far apart neighbouring submaps of the drive were begun.
     """
