@@ -2,7 +2,8 @@
 
 Each loop puts the odometry frame of one drive beside that of the other. Held against each other all at once: a drive
 has hundreds of loops within reach of a submap, and every new one is held against all of them. A loop within one drive
-is held against the odometry of that drive, too (docs/decisions/0214, 0227).
+is held against the odometry of that drive, too. Heights are held to what both odometries show of their own drift
+(docs/decisions/0214, 0227, 0285).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
+from revisit.core.height_drift import allowed_rises_m, height_drift
 from revisit.core.neighbour_support import NeighbourLoop, agrees
 
 Array = NDArray[np.float64]
@@ -64,9 +66,11 @@ class DriveLoops:
         """Which loops (n,) of one drive cannot be believed, for what its odometry says: however poor, it is no lie."""
         if not self._loops:
             return np.zeros(0, dtype=bool)
-        off_m = np.linalg.norm(self._at_query.diagonal(axis1=0, axis2=1).T - self._T_odom_query[:, :3, 3], axis=1)
+        off = self._at_query.diagonal(axis1=0, axis2=1).T - self._T_odom_query[:, :3, 3]
+        far = np.linalg.norm(off, axis=1) > self._config.rival_distance + _LONG_DRIFT * self._own_way_m
+        risen = np.abs(off[:, 2]) > allowed_rises_m(self._own_way_m, self._height_drift)
         of_one = np.array([loop.one_drive for loop in self._loops])
-        return np.asarray(of_one & (off_m > self._config.rival_distance + _LONG_DRIFT * self._own_way_m))
+        return np.asarray(of_one & (far | (risen & (self._own_way_m <= _FAR_HEIGHTS * self._config.support_reach))))
 
     def contradicted(self) -> NDArray[np.bool_]:
         """Which loops (n,) cannot be believed, for what the others say of their pairs.
@@ -86,13 +90,14 @@ class DriveLoops:
         Poses that are one, once.
         """
         T_match_odom, T_odom_query = se3.inverse(self._T_odom_match[row]), self._T_odom_query[row]
-        found = [T_match_odom @ T_odom_query] if self.refuted[row] else []
+        found = [(T_match_odom @ T_odom_query, np.inf)] if self.refuted[row] else []
         against = np.flatnonzero(self._against[row] & self._speaks[row]).tolist()
         for other in sorted(against, key=lambda one: float(self._way_m[row, one])):
-            pose, allowed_m = T_match_odom @ self._frames[other][0] @ T_odom_query, self._allowed_m[row, other]
-            if all(_differ(pose, one, allowed_m) for one in found):
-                found.append(pose)
-        return found
+            pose = T_match_odom @ self._frames[other][0] @ T_odom_query
+            allowed_m, rise_m = float(self._allowed_m[row, other]), float(self._allowed_rise_m[row, other])
+            if all(_differ(pose, one, allowed_m, min(rise_m, at_m)) for one, at_m in found):
+                found.append((pose, rise_m))
+        return [pose for pose, _ in found]
 
     def neighbours(self, row: int) -> list[NeighbourLoop]:
         """What the loops within reach of that in `row` say of its pair."""
@@ -134,7 +139,8 @@ class DriveLoops:
         traces = np.einsum("iab,jab->ij", rotations, rotations)
         turned = (traces < 1.0 + 2.0 * np.cos(_CONTRADICTING_TURN)) & self._within_reach
         own = self._at_query.diagonal(axis1=0, axis2=1).T
-        return np.asarray((np.linalg.norm(self._at_query - own[:, None], axis=2) > self._allowed_m) | turned)
+        shifted = np.linalg.norm(self._at_query - own[:, None], axis=2) > self._allowed_m
+        return np.asarray(shifted | (self._rise_m > self._allowed_rise_m) | turned)
 
     @cached_property
     def _allowed_m(self) -> Array:
@@ -142,6 +148,22 @@ class DriveLoops:
         near_m = np.minimum(self._way_m, self._config.support_reach)
         drift_m = _CONTRADICTING_DRIFT * near_m + _LONG_DRIFT * (self._way_m - near_m)
         return np.asarray(self._config.rival_distance + drift_m)
+
+    @cached_property
+    def _allowed_rise_m(self) -> Array:
+        """So far apart in height two right loops may put a query, (n, n) metres."""
+        return allowed_rises_m(self._way_m, self._height_drift)
+
+    @cached_property
+    def _height_drift(self) -> float:
+        """How far both odometries may drift apart in height, a metre of way."""
+        return height_drift(self._rise_m, self._way_m)
+
+    @cached_property
+    def _rise_m(self) -> Array:
+        """How far apart in height each loop (second) and its own (first) put the query of each, (n, n) metres."""
+        heights = self._at_query[..., 2]
+        return np.asarray(np.abs(heights - heights.diagonal()[:, None]))
 
     @cached_property
     def _at_query(self) -> Array:
@@ -209,9 +231,10 @@ def _ahead_m(submap: DriveSubmap, other: DriveSubmap) -> float:
     return distance if other.ordinal > submap.ordinal else -distance
 
 
-def _differ(one: se3.Matrix4, other: se3.Matrix4, allowed_m: float) -> bool:
-    apart_m = float(np.linalg.norm(one[:3, 3] - other[:3, 3]))
-    return apart_m > allowed_m or se3.rotation_angle(se3.inverse(one) @ other) > _CONTRADICTING_TURN
+def _differ(one: se3.Matrix4, other: se3.Matrix4, allowed_m: float, allowed_rise_m: float) -> bool:
+    apart = one[:3, 3] - other[:3, 3]
+    moved = float(np.linalg.norm(apart)) > allowed_m or abs(float(apart[2])) > allowed_rise_m
+    return moved or se3.rotation_angle(se3.inverse(one) @ other) > _CONTRADICTING_TURN
 
 
 _CONTRADICTING_SHARE = 0.2
@@ -219,3 +242,4 @@ _CONTRADICTING_DRIFT = 0.05  # a poor odometry; right loops must not contradict 
 _CONTRADICTING_TURN = np.radians(10.0)
 _LONG_DRIFT = 0.1  # its heading drifts, too
 _FAR_REACHES = 6.0
+_FAR_HEIGHTS = 2.0  # a pitch that walks without gravity bends a longer way

@@ -110,6 +110,55 @@ def test_what_is_said_instead_of_a_contradicted_loop_is_named_once_each() -> Non
     np.testing.assert_allclose(sorted(pose[0, 3] for pose in others), [-32.0, 32.0], atol=0.5)
 
 
+def ramp(turns: int, rise_m: float, turn_m: float = 75.0, drift: float = 0.0) -> list[DriveSubmap]:
+    """The submaps of a drive up a round ramp; odometry's height drifts by so many metres a metre."""
+    count = round(turns * turn_m / STRIDE_M)
+    turned, way_m = 2.0 * np.pi * STRIDE_M * np.arange(count) / turn_m, STRIDE_M * np.arange(count)
+    height_m, radius_m = (rise_m / turn_m + drift) * way_m, turn_m / (2.0 * np.pi)
+    at = np.stack([radius_m * np.cos(turned), radius_m * np.sin(turned), height_m], axis=1)
+    return [DriveSubmap(se3.from_yaw(turned[row] + np.pi / 2, at[row]), row) for row in range(count)]
+
+
+def loops_of_turns(
+    queries: list[DriveSubmap], matches: list[DriveSubmap], of_one_drive: bool = False
+) -> list[DriveLoop]:
+    """What geometry says where all turns of a ramp look alike: each submap lies where any turn of the other does."""
+    pose = se3.from_yaw(0.0, (0.3, 0.0, 0.0))
+    near = [(one, other) for one in queries for other in matches if (one.ordinal - other.ordinal) % 15 == 0]
+    near = [(one, other) for one, other in near if not of_one_drive or one.ordinal > other.ordinal]
+    return [DriveLoop(one, other, (pose,), True, of_one_drive) for one, other in near]
+
+
+def test_turns_of_a_ramp_contradict_each_other_by_their_height() -> None:
+    loops = loops_of_turns(ramp(1, 3.2), ramp(3, 3.2))
+    found = DriveLoops(loops, STRIDE_M, CONFIG)
+    assert len(loops) == 45 and found.contradicted().all()
+    heights = sorted(round(float(pose[2, 3]), 1) for pose in found.other_poses(0))
+    assert heights == [3.2, 6.4]
+
+
+def test_heights_contradict_nothing_that_odometry_shows_to_drift_as_far() -> None:
+    """A yard that is round and level, of which the heights drift apart by three metres a round."""
+    loops = loops_of_turns(ramp(1, 0.0, drift=-0.02), ramp(3, 0.0, drift=0.02))
+    between = DriveLoops(loops, STRIDE_M, CONFIG)
+    assert np.ptp([loop.match.T_odom_submap[2, 3] for loop in loops]) > 4.0
+    assert not between.contradicted().any()
+
+
+def test_too_few_loops_tell_nothing_of_heights() -> None:
+    loops = loops_of_turns(ramp(1, 3.2)[:1], ramp(3, 3.2))
+    assert len(loops) == 3 and not DriveLoops(loops, STRIDE_M, CONFIG).contradicted().any()
+
+
+def test_a_loop_of_one_drive_to_another_turn_is_refuted_by_its_height() -> None:
+    way = ramp(3, 3.2)
+    loops = loops_of_turns(way, way, of_one_drive=True)
+    refuted = DriveLoops(loops, STRIDE_M, CONFIG).refuted
+    assert [loop.query.ordinal - loop.match.ordinal <= 15 for loop in loops] == list(refuted)
+    level = ramp(3, 0.0, drift=0.005)
+    assert not DriveLoops(loops_of_turns(level, level, of_one_drive=True), STRIDE_M, CONFIG).refuted.any()
+
+
 def test_where_nothing_is_said_nothing_is_contradicted() -> None:
     assert list(DriveLoops([], STRIDE_M, CONFIG).contradicted()) == []
 
