@@ -16,6 +16,7 @@ from revisit.core.geometry.level_frame import motion_between_levels, motion_betw
 from revisit.core.place import Place
 from revisit.core.scan_disagreement import ScanDisagreement
 from revisit.core.verification.evidence import Evidence, gather_evidence
+from revisit.core.verification.height_doubt import height_doubt_m
 from revisit.core.verification.keypoint_fit import KeypointFit
 from revisit.core.verification.oriented_points import OrientedPoints
 from revisit.core.verification.registration import Registration, observability, reconsider, register
@@ -141,6 +142,8 @@ def _verify_in_order(
         rivals = find_rivals(measurement.T_match_query, *surfaces, config)
         measurement = dataclasses.replace(measurement, rivals=rivals)
         reason = RejectionReason.AMBIGUOUS if rivals else reason
+    if reason in _TOLD:
+        measurement = _doubted(measurement, *surfaces)
     measurement = _unlevelled(measurement, query, match, config)
     return VerifiedLoop(measurement) if reason is None else RejectedLoop(reason, measurement)
 
@@ -155,6 +158,16 @@ _OF_A_POSE = (
 
 _WITH_RIVALS = (None, RejectionReason.LOW_SCORE)
 """Verdicts after which other poses that fit are sought. Where a place repeats, little is lost aside: a low score."""
+
+_TOLD = (None, RejectionReason.AMBIGUOUS)
+"""Verdicts whose pose is told to others, with its covariance."""
+
+
+def _doubted(measurement: LoopMeasurement, query: OrientedPoints, match: OrientedPoints) -> LoopMeasurement:
+    """The measurement, between level frames, less sure of its height where other level surfaces could meet."""
+    doubt = height_doubt_m(query, match, measurement.T_match_query)
+    along_z = np.diag(np.square([0.0, 0.0, doubt, 0.0, 0.0, 0.0]))
+    return dataclasses.replace(measurement, covariance=measurement.covariance + along_z)
 
 
 def _judged(
