@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +45,10 @@ class ExactIndex:
         query, k = checked_query(vector, k, self._rows.vectors.dimension)
         rows = np.flatnonzero(self._rows.passing(only))
         return ranked(self._rows.ids[rows], similarities(self._rows, rows, self._learned(), query, only), k)
+
+    def count_of(self, sessions: Collection[int]) -> int:
+        """See PlaceIndex."""
+        return self._rows.count_of(sessions)
 
     def ids(self) -> NDArray[np.int64]:
         """See PlaceIndex."""

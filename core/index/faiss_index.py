@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -105,6 +105,10 @@ class FaissIndex:
         passing = self._rows.passing(only)
         rows = self._shortlisted(query, k, only, passing) if passing.any() else np.zeros(0, np.intp)
         return ranked(self._rows.ids[rows], similarities(self._rows, rows, self._learner.site, query, only), k)
+
+    def count_of(self, sessions: Collection[int]) -> int:
+        """See PlaceIndex."""
+        return self._rows.count_of(sessions)
 
     def ids(self) -> NDArray[np.int64]:
         """See PlaceIndex."""

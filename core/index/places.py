@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Sequence
+from collections.abc import Collection, Container, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -31,12 +31,14 @@ class IndexEntry:
 class SearchFilter:
     """Which places may be found; every condition that is given must hold.
 
-    near = (session, ordinal, min_gap): not the places of that session whose ordinals differ by less than min_gap.
-    position (3,) and radius_m: only places at most that far away. allowed: only these ids.
+    only_sessions: places of these sessions alone. near = (session, ordinal, min_gap): not the places of that session
+    whose ordinals differ by less than min_gap. position (3,) and radius_m: only places at most that far away. allowed:
+    only these ids.
     """
 
     exclude_session: int | None = None
     only_session: int | None = None
+    only_sessions: frozenset[int] | None = None
     near: tuple[int, int, int] | None = None
     position: NDArray[np.float64] | None = None
     radius_m: float | None = None
@@ -74,6 +76,9 @@ class PlaceIndex(Protocol):
 
     def __len__(self) -> int:
         """How many places are stored."""
+
+    def count_of(self, sessions: Collection[int]) -> int:
+        """How many of them are of these sessions."""
 
     def ids(self) -> NDArray[np.int64]:
         """The ids of the places that a search compares with."""

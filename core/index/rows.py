@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,6 +99,8 @@ class Rows:
             passes &= sessions != only.exclude_session
         if only.only_session is not None:
             passes &= sessions == only.only_session
+        if only.only_sessions is not None:
+            passes &= self._are_of(only.only_sessions)
         if only.near is not None:
             session, ordinal, min_gap = only.near
             own = np.flatnonzero(sessions == session) if min_gap > 0 else np.zeros(0, np.intp)
@@ -109,6 +111,14 @@ class Rows:
         if only.allowed is not None:
             passes &= np.isin(self.ids[: self.count], np.fromiter(only.allowed, np.int64, len(only.allowed)))
         return passes
+
+    def count_of(self, sessions: Collection[int]) -> int:
+        """How many places are of these sessions."""
+        return int(np.count_nonzero(self.alive[: self.count] & self._are_of(sessions)))
+
+    def _are_of(self, sessions: Collection[int]) -> Flags:
+        """Which rows (count,) are of these sessions."""
+        return np.isin(self.sessions[: self.count], np.fromiter(sessions, np.int64, len(sessions)))
 
     def differing(self, entries: Sequence[IndexEntry], vectors: Array) -> list[int]:
         """See PlaceIndex."""

@@ -30,12 +30,16 @@ POLL_S = 1.0
 
 @dataclass(frozen=True)
 class Target:
-    """Where scans go. A new map gets `scene_scale`, one that exists must have it; None takes any."""
+    """Where scans go. A new map gets `scene_scale`, one that exists must have it; None takes any.
+
+    So does a new session its `storey`.
+    """
 
     grpc: str
     map_id: str
     session_id: str
     scene_scale: float | None = None
+    storey: str | None = None
 
 
 @dataclass(frozen=True)
@@ -84,6 +88,9 @@ def ingest(
     scene_scale: Annotated[
         float | None, typer.Option(min=0.01, max=10.0, help="Size of a new map's scene compared with a street.")
     ] = None,
+    storey: Annotated[
+        str | None, typer.Option(help="Storey of a building, as B2: never compared with sessions on others.")
+    ] = None,
     grpc: Grpc = GRPC,
     limit: Annotated[int | None, typer.Option(min=1, help="Send at most so many scans.")] = None,
     spool: Annotated[
@@ -97,7 +104,7 @@ def ingest(
     _silence_the_sdk()
     recording = opened(folder, file_format, topic, odometry, mounting)
     warn(recording)
-    target = Target(grpc, map_id, session_id or recording.name, scene_scale)
+    target = Target(grpc, map_id, session_id or recording.name, scene_scale, storey)
     try:
         _transfer(recording, target, Extent(limit, spool, finish, wait), json)
     except KeyboardInterrupt as error:
@@ -154,7 +161,7 @@ def _transfer(recording: Recording, target: Target, extent: Extent, as_json: boo
 def _open_session(client: Client, target: Target) -> Session:
     """The session, created with its map where they do not exist.
 
-    Exits where the map has another scale than was asked for.
+    Exits where the map has another scale than was asked for, or the session another storey.
     """
     map_name = f"maps/{target.map_id}"
     try:
@@ -164,9 +171,12 @@ def _open_session(client: Client, target: Target) -> Session:
     if target.scene_scale not in (None, found.scene_scale):
         raise refuse(f"{map_name} has scene scale {found.scene_scale:g}; a map keeps the one it was created with")
     try:
-        return client.get_session(f"{map_name}/sessions/{target.session_id}")
+        session = client.get_session(f"{map_name}/sessions/{target.session_id}")
     except NotFound:
-        return client.create_session(map_name, target.session_id)
+        return client.create_session(map_name, target.session_id, storey=target.storey)
+    if target.storey not in (None, session.storey):
+        raise refuse(f"{session.name} has storey {session.storey}; a session keeps the one it was created with")
+    return session
 
 
 def _send(client: Client, session: Session, recording: Recording, count: int, spool: Path | None, quiet: bool) -> Sent:

@@ -30,6 +30,9 @@ def query(
     level: Annotated[
         str, typer.Option(help="Where z points up: qx,qy,qz,qw of the cloud in a level frame; else its own z is up.")
     ] = "",
+    storey: Annotated[
+        str, typer.Option(help="Storey that the cloud was taken on: sessions on another one are left out.")
+    ] = "",
     http: Http = HTTP,
     json: Json = False,
 ) -> None:
@@ -38,9 +41,12 @@ def query(
 
     if (cloud is None) == (not submap):
         raise refuse("give either a cloud file or --submap SESSION/SUBMAP")
+    if submap and storey:
+        raise refuse("--storey is that of a cloud: a submap is on the storey of its session")
     with Client(http) as client:
         if cloud is not None:
             where = {"exclude_session": exclude_session or None, "T_level_query": _level(level)}
+            where["storey"] = storey or None
             _localize(client, map_id, cloud, k, where, json)
         else:
             _search(client, map_id, submap, k, exclude_session or None, json)
@@ -96,7 +102,8 @@ def _localize(client: Client, map_id: str, cloud: Path, k: int, where: dict[str,
     rows = [(short_name(c.submap), c.accepted, c.reason, c.similarity, c.score) for c in found.candidates]
     emit_table("Compared", ("submap", "accepted", "reason", "similarity", "score"), rows)
     if found.best is None or found.T_odom_query is None:
-        say("This place is not in the map.")
+        left_out = f" ({found.on_other_storeys} submaps on other storeys were left out)" * bool(found.on_other_storeys)
+        say(f"This place is not in the map{left_out}.")
         return
     x, y, z = found.T_odom_query[:3, 3]
     say(f"Taken at x {x:.2f} m, y {y:.2f} m, z {z:.2f} m in the odometry frame of {short_name(found.session or '')}.")

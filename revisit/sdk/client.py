@@ -170,10 +170,16 @@ class Client:
         """All robots, oldest first."""
         return [Robot.of(item) for item in self._transport.list("robots", robot_pb2.ListRobotsRequest())]
 
-    def create_session(self, map_: str | Map, session_id: str, *, robot: str | Robot | None = None) -> Session:
-        """Create a session in a map."""
+    def create_session(
+        self, map_: str | Map, session_id: str, *, robot: str | Robot | None = None, storey: str | None = None
+    ) -> Session:
+        """Create a session in a map.
+
+        `storey` is the storey of a building that all of it is driven on, as B2: it is never compared with sessions on
+        storeys of another name. Without it, it is compared with all.
+        """
         of_robot = None if robot is None else _name(robot)
-        fields = {"parent": _name(map_), "session_id": session_id, "robot": of_robot}
+        fields = {"parent": _name(map_), "session_id": session_id, "robot": of_robot, "storey": storey}
         return Session.of(self._transport.create("sessions", request_of(session_pb2.CreateSessionRequest, fields)))
 
     def get_session(self, name: str) -> Session:
@@ -278,7 +284,8 @@ class Client:
         `T_level_query` (4, 4): the pose of `points` in a frame whose z points up; its rotation turns them upright.
 
         `criteria`: min_similarity, exclude_session, only_session (a session, its name or id), min_index_gap,
-        prior_position_m with radius_m (in the frame of only_session). `min_seq` (of an operation, a submap or a
+        prior_position_m with radius_m (in the frame of only_session), storey (where a cloud or descriptor was taken:
+        sessions on another one are left out). `min_seq` (of an operation, a submap or a
         stream): the answer sees every submap up to it, or `DeadlineExceeded` is raised after `min_seq_timeout_s` (10 by
         default).
         """
@@ -309,6 +316,7 @@ class Client:
         exclude_session: str | Session | None = None,
         only_session: str | Session | None = None,
         T_level_query: Any = None,
+        storey: str | None = None,
         **freshness: Any,
     ) -> Localization:
         """Where in the map a cloud was taken; `best` is None where the place is unknown.
@@ -317,10 +325,12 @@ class Client:
         turns the cloud upright. Without it the cloud's own surfaces tell the vertical, within 40 degrees of its z, or z
         does. `exclude_session` (a session, its name or id): a robot that asks with a place it has just posted finds its
         own submap else. `prior_position_m` is in the odometry frame of `only_session`, the only one that is searched.
-        `freshness`: min_seq with min_seq_timeout_s, as in `search`.
+        Sessions that are known to be on another `storey` are not compared. `freshness`: min_seq with min_seq_timeout_s,
+        as in `search`.
         """
         fields = {
             "parent": _name(map_),
+            "storey": storey,
             "prior_position_m": None if prior_position_m is None else vector(prior_position_m),
             "radius_m": radius_m,
             "candidates": candidates,

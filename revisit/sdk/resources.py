@@ -136,7 +136,8 @@ class Finding:
 class Session:
     """A session; `committed_seq` is the last scan that is stored durably, 0 for none, taken at `committed_stamp_ns`.
 
-    `findings` say what is unlikely to be meant about its scans so far; empty in lists of sessions.
+    `findings` say what is unlikely to be meant about its scans so far; empty in lists of sessions. `storey` is None
+    where nobody said it.
     """
 
     name: str
@@ -149,6 +150,7 @@ class Session:
     finished_at_ns: int | None
     committed_stamp_ns: int | None
     findings: tuple[Finding, ...] = ()
+    storey: str | None = None
 
     @classmethod
     def of(cls, message: session_pb2.Session) -> Self:
@@ -164,6 +166,7 @@ class Session:
             finished_at_ns=_optional(message, "finished_at_ns"),
             committed_stamp_ns=_optional(message, "committed_stamp_ns"),
             findings=tuple(Finding.of(finding) for finding in message.findings),
+            storey=message.storey or None,
         )
 
 
@@ -323,7 +326,8 @@ class Localization:
     """The best verified candidate, None where the place is unknown, and all that were compared.
 
     `T_odom_query` (4, 4) is the cloud's pose in the odometry frame of `session`, the session of the best candidate;
-    `in_map` is T_map_query where that session has a frame.
+    `in_map` is T_map_query where that session has a frame. `on_other_storeys` submaps were not compared, as their
+    sessions are on another storey than was said.
     """
 
     best: Candidate | None
@@ -331,6 +335,7 @@ class Localization:
     session: str | None
     candidates: tuple[Candidate, ...]
     in_map: MapPose | None = field(default=None, compare=False)
+    on_other_storeys: int = 0
 
     @classmethod
     def of(cls, message: loop_closure_pb2.LocalizeResponse) -> Self:
@@ -341,6 +346,7 @@ class Localization:
             session=message.session or None,
             candidates=tuple(Candidate.of(candidate) for candidate in message.candidates),
             in_map=_map_pose(message, "t_map_query"),
+            on_other_storeys=message.on_other_storeys,
         )
 
 

@@ -78,7 +78,7 @@ class Descriptor(_message.Message):
     def __init__(self, vector: _Optional[_Iterable[float]] = ..., model_version: _Optional[str] = ...) -> None: ...
 
 class SearchSubmapsRequest(_message.Message):
-    __slots__ = ("parent", "submap", "place_descriptor", "cloud", "k", "min_similarity", "exclude_session", "only_session", "min_index_gap", "prior_position_m", "radius_m", "min_seq", "min_seq_timeout_s", "t_level_query")
+    __slots__ = ("parent", "submap", "place_descriptor", "cloud", "k", "min_similarity", "exclude_session", "only_session", "min_index_gap", "prior_position_m", "radius_m", "min_seq", "min_seq_timeout_s", "t_level_query", "storey")
     PARENT_FIELD_NUMBER: _ClassVar[int]
     SUBMAP_FIELD_NUMBER: _ClassVar[int]
     PLACE_DESCRIPTOR_FIELD_NUMBER: _ClassVar[int]
@@ -93,6 +93,7 @@ class SearchSubmapsRequest(_message.Message):
     MIN_SEQ_FIELD_NUMBER: _ClassVar[int]
     MIN_SEQ_TIMEOUT_S_FIELD_NUMBER: _ClassVar[int]
     T_LEVEL_QUERY_FIELD_NUMBER: _ClassVar[int]
+    STOREY_FIELD_NUMBER: _ClassVar[int]
     parent: str
     submap: str
     place_descriptor: Descriptor
@@ -107,7 +108,8 @@ class SearchSubmapsRequest(_message.Message):
     min_seq: int
     min_seq_timeout_s: float
     t_level_query: _geometry_pb2.Transform
-    def __init__(self, parent: _Optional[str] = ..., submap: _Optional[str] = ..., place_descriptor: _Optional[_Union[Descriptor, _Mapping]] = ..., cloud: _Optional[_Union[_cloud_pb2.Cloud, _Mapping]] = ..., k: _Optional[int] = ..., min_similarity: _Optional[float] = ..., exclude_session: _Optional[str] = ..., only_session: _Optional[str] = ..., min_index_gap: _Optional[int] = ..., prior_position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., radius_m: _Optional[float] = ..., min_seq: _Optional[int] = ..., min_seq_timeout_s: _Optional[float] = ..., t_level_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ...) -> None: ...
+    storey: str
+    def __init__(self, parent: _Optional[str] = ..., submap: _Optional[str] = ..., place_descriptor: _Optional[_Union[Descriptor, _Mapping]] = ..., cloud: _Optional[_Union[_cloud_pb2.Cloud, _Mapping]] = ..., k: _Optional[int] = ..., min_similarity: _Optional[float] = ..., exclude_session: _Optional[str] = ..., only_session: _Optional[str] = ..., min_index_gap: _Optional[int] = ..., prior_position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., radius_m: _Optional[float] = ..., min_seq: _Optional[int] = ..., min_seq_timeout_s: _Optional[float] = ..., t_level_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., storey: _Optional[str] = ...) -> None: ...
 
 class SearchHit(_message.Message):
     __slots__ = ("submap", "similarity", "position_m", "t_map_submap", "frame", "map_version")
@@ -126,15 +128,17 @@ class SearchHit(_message.Message):
     def __init__(self, submap: _Optional[str] = ..., similarity: _Optional[float] = ..., position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., t_map_submap: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., frame: _Optional[str] = ..., map_version: _Optional[int] = ...) -> None: ...
 
 class SearchSubmapsResponse(_message.Message):
-    __slots__ = ("hits", "searched")
+    __slots__ = ("hits", "searched", "on_other_storeys")
     HITS_FIELD_NUMBER: _ClassVar[int]
     SEARCHED_FIELD_NUMBER: _ClassVar[int]
+    ON_OTHER_STOREYS_FIELD_NUMBER: _ClassVar[int]
     hits: _containers.RepeatedCompositeFieldContainer[SearchHit]
     searched: int
-    def __init__(self, hits: _Optional[_Iterable[_Union[SearchHit, _Mapping]]] = ..., searched: _Optional[int] = ...) -> None: ...
+    on_other_storeys: int
+    def __init__(self, hits: _Optional[_Iterable[_Union[SearchHit, _Mapping]]] = ..., searched: _Optional[int] = ..., on_other_storeys: _Optional[int] = ...) -> None: ...
 
 class LocalizeRequest(_message.Message):
-    __slots__ = ("parent", "cloud", "prior_position_m", "radius_m", "candidates", "min_seq", "min_seq_timeout_s", "exclude_session", "t_level_query", "only_session")
+    __slots__ = ("parent", "cloud", "prior_position_m", "radius_m", "candidates", "min_seq", "min_seq_timeout_s", "exclude_session", "t_level_query", "only_session", "storey")
     PARENT_FIELD_NUMBER: _ClassVar[int]
     CLOUD_FIELD_NUMBER: _ClassVar[int]
     PRIOR_POSITION_M_FIELD_NUMBER: _ClassVar[int]
@@ -145,6 +149,7 @@ class LocalizeRequest(_message.Message):
     EXCLUDE_SESSION_FIELD_NUMBER: _ClassVar[int]
     T_LEVEL_QUERY_FIELD_NUMBER: _ClassVar[int]
     ONLY_SESSION_FIELD_NUMBER: _ClassVar[int]
+    STOREY_FIELD_NUMBER: _ClassVar[int]
     parent: str
     cloud: _cloud_pb2.Cloud
     prior_position_m: _geometry_pb2.Vector3
@@ -155,7 +160,8 @@ class LocalizeRequest(_message.Message):
     exclude_session: str
     t_level_query: _geometry_pb2.Transform
     only_session: str
-    def __init__(self, parent: _Optional[str] = ..., cloud: _Optional[_Union[_cloud_pb2.Cloud, _Mapping]] = ..., prior_position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., radius_m: _Optional[float] = ..., candidates: _Optional[int] = ..., min_seq: _Optional[int] = ..., min_seq_timeout_s: _Optional[float] = ..., exclude_session: _Optional[str] = ..., t_level_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., only_session: _Optional[str] = ...) -> None: ...
+    storey: str
+    def __init__(self, parent: _Optional[str] = ..., cloud: _Optional[_Union[_cloud_pb2.Cloud, _Mapping]] = ..., prior_position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., radius_m: _Optional[float] = ..., candidates: _Optional[int] = ..., min_seq: _Optional[int] = ..., min_seq_timeout_s: _Optional[float] = ..., exclude_session: _Optional[str] = ..., t_level_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., only_session: _Optional[str] = ..., storey: _Optional[str] = ...) -> None: ...
 
 class LocalizedCandidate(_message.Message):
     __slots__ = ("submap", "accepted", "reason", "similarity", "score", "t_match_query", "evidence")
@@ -176,7 +182,7 @@ class LocalizedCandidate(_message.Message):
     def __init__(self, submap: _Optional[str] = ..., accepted: _Optional[bool] = ..., reason: _Optional[str] = ..., similarity: _Optional[float] = ..., score: _Optional[float] = ..., t_match_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., evidence: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ...) -> None: ...
 
 class LocalizeResponse(_message.Message):
-    __slots__ = ("best", "candidates", "t_odom_query", "session", "t_map_query", "frame", "map_version")
+    __slots__ = ("best", "candidates", "t_odom_query", "session", "t_map_query", "frame", "map_version", "on_other_storeys")
     BEST_FIELD_NUMBER: _ClassVar[int]
     CANDIDATES_FIELD_NUMBER: _ClassVar[int]
     T_ODOM_QUERY_FIELD_NUMBER: _ClassVar[int]
@@ -184,6 +190,7 @@ class LocalizeResponse(_message.Message):
     T_MAP_QUERY_FIELD_NUMBER: _ClassVar[int]
     FRAME_FIELD_NUMBER: _ClassVar[int]
     MAP_VERSION_FIELD_NUMBER: _ClassVar[int]
+    ON_OTHER_STOREYS_FIELD_NUMBER: _ClassVar[int]
     best: LocalizedCandidate
     candidates: _containers.RepeatedCompositeFieldContainer[LocalizedCandidate]
     t_odom_query: _geometry_pb2.Transform
@@ -191,7 +198,8 @@ class LocalizeResponse(_message.Message):
     t_map_query: _geometry_pb2.Transform
     frame: str
     map_version: int
-    def __init__(self, best: _Optional[_Union[LocalizedCandidate, _Mapping]] = ..., candidates: _Optional[_Iterable[_Union[LocalizedCandidate, _Mapping]]] = ..., t_odom_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., session: _Optional[str] = ..., t_map_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., frame: _Optional[str] = ..., map_version: _Optional[int] = ...) -> None: ...
+    on_other_storeys: int
+    def __init__(self, best: _Optional[_Union[LocalizedCandidate, _Mapping]] = ..., candidates: _Optional[_Iterable[_Union[LocalizedCandidate, _Mapping]]] = ..., t_odom_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., session: _Optional[str] = ..., t_map_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., frame: _Optional[str] = ..., map_version: _Optional[int] = ..., on_other_storeys: _Optional[int] = ...) -> None: ...
 
 class GetLoopClosureRequest(_message.Message):
     __slots__ = ("name",)

@@ -8,7 +8,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class Session(_message.Message):
-    __slots__ = ("name", "robot", "state", "committed_seq", "travelled_m", "submap_count", "created_at_ns", "finished_at_ns", "committed_stamp_ns", "findings")
+    __slots__ = ("name", "robot", "state", "committed_seq", "travelled_m", "submap_count", "created_at_ns", "finished_at_ns", "committed_stamp_ns", "findings", "storey")
     class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STATE_UNSPECIFIED: _ClassVar[Session.State]
@@ -27,6 +27,7 @@ class Session(_message.Message):
     FINISHED_AT_NS_FIELD_NUMBER: _ClassVar[int]
     COMMITTED_STAMP_NS_FIELD_NUMBER: _ClassVar[int]
     FINDINGS_FIELD_NUMBER: _ClassVar[int]
+    STOREY_FIELD_NUMBER: _ClassVar[int]
     name: str
     robot: str
     state: Session.State
@@ -37,7 +38,8 @@ class Session(_message.Message):
     finished_at_ns: int
     committed_stamp_ns: int
     findings: _containers.RepeatedCompositeFieldContainer[Finding]
-    def __init__(self, name: _Optional[str] = ..., robot: _Optional[str] = ..., state: _Optional[_Union[Session.State, str]] = ..., committed_seq: _Optional[int] = ..., travelled_m: _Optional[float] = ..., submap_count: _Optional[int] = ..., created_at_ns: _Optional[int] = ..., finished_at_ns: _Optional[int] = ..., committed_stamp_ns: _Optional[int] = ..., findings: _Optional[_Iterable[_Union[Finding, _Mapping]]] = ...) -> None: ...
+    storey: str
+    def __init__(self, name: _Optional[str] = ..., robot: _Optional[str] = ..., state: _Optional[_Union[Session.State, str]] = ..., committed_seq: _Optional[int] = ..., travelled_m: _Optional[float] = ..., submap_count: _Optional[int] = ..., created_at_ns: _Optional[int] = ..., finished_at_ns: _Optional[int] = ..., committed_stamp_ns: _Optional[int] = ..., findings: _Optional[_Iterable[_Union[Finding, _Mapping]]] = ..., storey: _Optional[str] = ...) -> None: ...
 
 class Finding(_message.Message):
     __slots__ = ("code", "submaps", "cause", "advice")
@@ -52,14 +54,16 @@ class Finding(_message.Message):
     def __init__(self, code: _Optional[str] = ..., submaps: _Optional[int] = ..., cause: _Optional[str] = ..., advice: _Optional[str] = ...) -> None: ...
 
 class CreateSessionRequest(_message.Message):
-    __slots__ = ("parent", "session_id", "robot")
+    __slots__ = ("parent", "session_id", "robot", "storey")
     PARENT_FIELD_NUMBER: _ClassVar[int]
     SESSION_ID_FIELD_NUMBER: _ClassVar[int]
     ROBOT_FIELD_NUMBER: _ClassVar[int]
+    STOREY_FIELD_NUMBER: _ClassVar[int]
     parent: str
     session_id: str
     robot: str
-    def __init__(self, parent: _Optional[str] = ..., session_id: _Optional[str] = ..., robot: _Optional[str] = ...) -> None: ...
+    storey: str
+    def __init__(self, parent: _Optional[str] = ..., session_id: _Optional[str] = ..., robot: _Optional[str] = ..., storey: _Optional[str] = ...) -> None: ...
 
 class CreateSessionResponse(_message.Message):
     __slots__ = ("session", "replay")

@@ -42,7 +42,11 @@ class CoreMapMerger:
         """See `MapMerger`."""
         from revisit.core.merge.candidates import joining_candidates
 
-        found = joining_candidates(first.descriptors, second.descriptors, (first.sessions, second.sessions), k)
+        names = sorted({*first.storeys, *second.storeys} - {None}, key=str)
+        numbered = {None: -1, **{name: number for number, name in enumerate(names)}}
+        storeys = tuple(np.array([numbered[its] for its in one.storeys], np.int64) for one in (first, second))
+        sessions = (first.sessions, second.sessions)
+        found = joining_candidates(first.descriptors, second.descriptors, sessions, k, (storeys[0], storeys[1]))
         rows = zip(found.pairs.tolist(), found.similarities.tolist(), strict=True)
         return [(one, other, cosine) for (one, other), cosine in rows]
 

@@ -111,9 +111,13 @@ class PlaceVectorIndex:
         others = (match for match in matches if match.id != where.exclude_submap)
         return [VectorMatch(match.id, match.similarity) for match in others][:k]
 
-    def size(self, map_number: int) -> int:
+    def size(self, map_number: int, sessions: Collection[int] | None = None) -> int:
         """See `VectorIndex`."""
-        return _size(self._of(map_number))
+        index = self._of(map_number)
+        if sessions is None:
+            return _size(index)
+        with index.lock:
+            return 0 if index.places is None else index.places.count_of(sessions)
 
     def drop(self, map_number: int) -> None:
         """See `VectorIndex`."""
@@ -298,6 +302,7 @@ def _search_filter(where: VectorFilter) -> SearchFilter:
     return SearchFilter(
         exclude_session=where.exclude_session,
         only_session=where.only_session,
+        only_sessions=where.only_sessions,
         near=near,
         position=None if where.position_m is None else np.asarray(where.position_m, dtype=np.float64),
         radius_m=where.radius_m,

@@ -18,7 +18,7 @@ from revisit.service.application.ingest.clouds import EncodedCloud
 from revisit.service.application.query.freshness import DEFAULT_WAIT_S, Freshness
 from revisit.service.application.query.search_answers import SearchCriteria
 from revisit.service.rest.bodies import cloud_body, parse_numbers
-from revisit.service.rest.schemas import IN_DIGITS, bounds
+from revisit.service.rest.schemas import IN_DIGITS, STOREY_LENGTH, bounds
 
 POSE_HELP = "x,y,z,qx,qy,qz,qw: translation in metres and unit quaternion."
 
@@ -30,6 +30,9 @@ LEVEL_HELP = (
 MIN_SEQ_HELP = (
     "The seq of a submap: the answer rests on every submap of the map up to it, or is a 504 (SEQ_NOT_REACHED)."
 )
+
+
+STOREY_HELP = "The storey that the cloud was taken on: submaps of sessions on another one are not compared."
 
 
 async def _use_cases(request: Request) -> UseCases:
@@ -135,6 +138,9 @@ LevelPose: TypeAlias = Annotated[Matrix4 | None, Depends(level_pose)]
 SessionId: TypeAlias = Annotated[str | None, Query(max_length=limits.ID_CHARACTERS)]
 
 
+StoreyName: TypeAlias = Annotated[str | None, Query(description=STOREY_HELP, **STOREY_LENGTH)]
+
+
 async def criteria_of_query(
     prior: Prior,
     k: Annotated[int, Query(**bounds(limits.K)), IN_DIGITS] = SearchCriteria().k,
@@ -142,9 +148,10 @@ async def criteria_of_query(
     exclude_session: SessionId = None,
     only_session: SessionId = None,
     radius_m: RadiusM = None,
+    storey: StoreyName = None,
 ) -> SearchCriteria:
     """The criteria of a search by cloud, from the query string."""
-    return SearchCriteria(k, min_similarity, exclude_session, only_session, None, prior, radius_m)
+    return SearchCriteria(k, min_similarity, exclude_session, only_session, None, prior, radius_m, storey)
 
 
 async def freshness_of_query(

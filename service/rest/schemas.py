@@ -12,6 +12,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from revisit.service.application.catalogue.maps import CreateMap
 from revisit.service.application.catalogue.robots import CreateRobot
+from revisit.service.application.catalogue.sessions import CreateSession
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.limits import Range
 from revisit.service.application.contract.loop_policy import LoopPolicy
@@ -36,8 +37,10 @@ def _in_digits(value: Any) -> Any:
 IN_DIGITS = BeforeValidator(_in_digits)
 """Of an integer of a query string."""
 
+STOREY_LENGTH: dict[str, Any] = {"min_length": 1, "max_length": limits.STOREY_CHARACTERS}
 Id = Annotated[str, Field(pattern=f"^{limits.ID_PATTERN}$", examples=["yard-3"])]
 DisplayName = Annotated[str, Field(max_length=limits.DISPLAY_NAME_CHARACTERS, pattern=r"^[^\x00-\x1f\x7f]*$")]
+Storey = Annotated[str, Field(**STOREY_LENGTH, examples=["B2"])]
 _DESCRIPTOR_LENGTH: dict[str, Any] = {
     "min_length": int(limits.DESCRIPTOR_LENGTH.least),
     "max_length": int(limits.DESCRIPTOR_LENGTH.most),
@@ -119,10 +122,19 @@ class CreateWebhookRequest(Request):
 
 
 class CreateSessionRequest(Request):
-    """A new session; `robot_id` names an existing robot."""
+    """A new session; `robot_id` names an existing robot.
+
+    `storey` is the storey (level, floor) of a building that all of the session is driven on, in your words. Submaps on
+    storeys of different names are never compared; without it, they are compared with all.
+    """
 
     session_id: Id
     robot_id: Id | None = None
+    storey: Storey | None = None
+
+    def command(self, map_id: str) -> CreateSession:
+        """What the use case takes."""
+        return CreateSession(map_id, self.session_id, self.robot_id, self.storey)
 
 
 class RevertMapRequest(Request):
@@ -191,6 +203,9 @@ class SearchRequest(Request):
 
     `min_seq`, the seq of a submap: the answer rests on every submap of the map up to it, or is a 504 (SEQ_NOT_REACHED)
     after `min_seq_timeout_s` seconds. A submap whose description failed is not waited for.
+
+    `storey`, with a descriptor: where it was taken; submaps of sessions on another storey are no hits. A submap is on
+    that of its session.
     """
 
     most_bytes: ClassVar[int] = 128 * 2**10
@@ -206,6 +221,7 @@ class SearchRequest(Request):
     min_index_gap: Annotated[int, Field(**bounds(limits.MIN_INDEX_GAP))] | None = None
     prior_position_m: Annotated[list[Coordinate], Field(min_length=3, max_length=3)] | None = None
     radius_m: Annotated[float, Field(**bounds(limits.RADIUS_M))] | None = None
+    storey: Storey | None = None
     min_seq: Annotated[int, Field(**bounds(limits.MIN_SEQ))] = 0
     min_seq_timeout_s: Annotated[float, Field(**bounds(limits.WAIT_S))] = DEFAULT_WAIT_S
 
@@ -220,6 +236,7 @@ class SearchRequest(Request):
             min_index_gap=self.min_index_gap,
             prior_position_m=None if position is None else (position[0], position[1], position[2]),
             radius_m=self.radius_m,
+            storey=self.storey,
         )
 
 

@@ -239,6 +239,7 @@ function renderSessions() {
     box.addEventListener("change", () => hideSession(session.name, !box.checked));
     const detail = [plural(session.submap_count, "submap")];
     if (session.travelled_m >= 1) detail.push(`${Math.round(session.travelled_m).toLocaleString("en")} m`);
+    if (session.storey) detail.push(`storey ${session.storey}`);
     if (session.state === "ACTIVE") detail.push("open");
     return element(
       "li",

@@ -79,6 +79,7 @@ def of_session(view: SessionView) -> Fields:
         "finished_at_ns": view.finished_at_ns,
         "committed_stamp_ns": view.committed_stamp_ns,
         "findings": [asdict(finding) for finding in view.findings],
+        "storey": view.storey,
     }
 
 
@@ -316,7 +317,8 @@ def of_delivery(record: DeliveryRecord) -> Fields:
 
 def of_search(result: SearchResult) -> Fields:
     """The fields of a SearchSubmapsResponse."""
-    return {"hits": [_hit(hit) for hit in result.hits], "searched": result.searched}
+    hits = [_hit(hit) for hit in result.hits]
+    return {"hits": hits, "searched": result.searched, "on_other_storeys": result.on_other_storeys}
 
 
 def of_localization(result: Localization) -> Fields:
@@ -327,6 +329,7 @@ def of_localization(result: Localization) -> Fields:
         "session": None if result.session is None else result.session.name,
         "candidates": [_candidate(candidate) for candidate in result.candidates],
         **_in_map("t_map_query", result.in_map),
+        "on_other_storeys": result.on_other_storeys,
     }
 
 

@@ -91,7 +91,8 @@ def create_map(request: map_pb2.CreateMapRequest) -> CreateMap:
 def create_session(request: session_pb2.CreateSessionRequest) -> CreateSession:
     """The new session. Raises BadField."""
     robot_id = names.robot_id(request.robot, "robot") if request.robot else None
-    return CreateSession(names.map_id(request.parent, "parent"), request.session_id, robot_id)
+    map_id = names.map_id(request.parent, "parent")
+    return CreateSession(map_id, request.session_id, robot_id, request.storey or None)
 
 
 def post_submap(request: submap_pb2.PostSubmapRequest) -> PostSubmap:
@@ -134,12 +135,12 @@ def criteria(request: loop_closure_pb2.SearchSubmapsRequest) -> SearchCriteria:
         min_index_gap=_optional(request, "min_index_gap"),
         prior_position_m=_position(request),
         radius_m=_optional(request, "radius_m"),
+        storey=request.storey or None,
     )
 
 
 def localize(request: loop_closure_pb2.LocalizeRequest) -> LocalizeQuery:
     """The cloud and where to look for it. Raises BadField, EmptyCloud, MalformedBody."""
-    given = {"candidates": request.candidates} if request.HasField("candidates") else {}
     return LocalizeQuery(
         map_id=names.map_id(request.parent, "parent"),
         cloud=cloud(request.cloud),
@@ -148,7 +149,8 @@ def localize(request: loop_closure_pb2.LocalizeRequest) -> LocalizeQuery:
         exclude_session=names.session_id_in(request.parent, request.exclude_session, "exclude_session"),
         only_session=names.session_id_in(request.parent, request.only_session, "only_session"),
         T_level_query=level_pose(request),
-        **given,
+        storey=request.storey or None,
+        candidates=request.candidates if request.HasField("candidates") else LocalizeQuery.candidates,
     )
 
 

@@ -104,6 +104,9 @@ def test_nothing_is_missed_under_a_filter_that_keeps_one_place_in_a_thousand(ind
     [
         (SearchFilter(exclude_session=0), {3}),
         (SearchFilter(only_session=0), {0, 1, 2}),
+        (SearchFilter(only_sessions=frozenset({1, 9})), {3}),
+        (SearchFilter(only_sessions=frozenset({0, 1}), exclude_session=1), {0, 1, 2}),
+        (SearchFilter(only_sessions=frozenset()), set()),
         (SearchFilter(near=(0, 2, 2)), {0, 3}),
         (SearchFilter(position=np.array([10.0, 0, 0]), radius_m=10.0), {0, 1, 2}),
         (SearchFilter(allowed=frozenset({1, 3, 99})), {1, 3}),
@@ -114,6 +117,12 @@ def test_a_filter_keeps_exactly_what_it_says(index: PlaceIndex, only: SearchFilt
     entries = [entry(0, 0, 0, 0), entry(1, 0, 1, 10), entry(2, 0, 2, 20), entry(3, 1, 2, 30)]
     index.add(entries, random_vectors(4))
     assert {match.id for match in index.search(random_vectors(1)[0], 10, only)} == expected
+
+
+def test_places_are_counted_by_session_without_those_that_were_removed(index: PlaceIndex) -> None:
+    index.add([entry(i, session=i % 3) for i in range(9)], random_vectors(9))
+    index.remove([0, 4])
+    assert [index.count_of({0}), index.count_of({0, 1}), index.count_of({7}), index.count_of(())] == [2, 4, 0, 0]
 
 
 def test_equally_similar_places_come_by_id(index: PlaceIndex) -> None:

@@ -103,6 +103,23 @@ def test_find_filters_pages_and_keeps_the_tenant(write, read):
     assert read(lambda uow: uow.maps.get(OTHER, "a")) is None
 
 
+def test_the_sessions_of_a_storey_are_told_and_those_of_none(write, read):
+    storeys = {"garage": "B1", "roof": "5", "garage-again": "B1", "ramp": None}
+    write(lambda uow: uow.maps.add(a_map()))
+    numbers = {
+        name: write(lambda uow, named=replace(a_session(name), storey=storey): uow.sessions.add(named).number)
+        for name, storey in storeys.items()
+    }
+
+    def told(storey):
+        return read(lambda uow: uow.sessions.distinct(TENANT, "number", map_id="town", storey=storey))
+
+    assert told("B1") == {numbers["garage"], numbers["garage-again"]}
+    assert told(None) == {numbers["ramp"]}
+    assert told("B2") == set()
+    assert read(lambda uow: uow.sessions.get(TENANT, "town", "roof")).storey == "5"
+
+
 def test_the_values_of_a_field_are_told_once_without_those_of_others(write, read):
     *_, first, second, _ = write(fill)
     write(lambda uow: uow.submaps.replace(replace(first, state="DESCRIBED", place_sha256="s" * 64)))

@@ -12,11 +12,11 @@ from revisit.core.index import FaissIndex, IndexEntry
 from revisit.service.adapters.vector_index import PlaceVectorIndex
 from revisit.service.application import UseCases
 from revisit.service.application.catalogue.maps import CreateMap
-from revisit.service.application.contract.index import VectorFilter
 from revisit.service.application.housekeeping import index_keeping
 from revisit.service.application.query import place_memory
 from revisit.service.application.query.place_memory import PlaceMemory
 from tests.support.campaigns import Campaign, sizes
+from tests.support.records import anywhere
 from tests.support.service_world import SESSION, TENANT, described_home, sqlite_world
 
 SUBMAPS = 12
@@ -53,7 +53,7 @@ def found(context) -> list[str]:
     memory, record = PlaceMemory(context.transactions, context.index), map_of(context)
     rows = context.transactions.read(lambda uow: uow.submaps.find(TENANT, map_id=SESSION.map_id)).result()
     vectors = [np.frombuffer(row.descriptor, dtype="<f4") for row in rows]
-    return [memory.recall(record, vector, 1, VectorFilter()).places[0].submap.submap_id for vector in vectors]
+    return [memory.recall(record, vector, 1, anywhere).places[0].submap.submap_id for vector in vectors]
 
 
 EVERY_ONE = [f"s{number}" for number in range(SUBMAPS)]

@@ -16,10 +16,10 @@ from revisit.service.adapters.files.file_drafts import FileDrafts
 from revisit.service.adapters.vector_index import PlaceVectorIndex
 from revisit.service.application.contract.blobs import NEURAL_MAP_BLOB, PLACE_BLOB
 from revisit.service.application.contract.identity import SubmapKey
-from revisit.service.application.contract.index import VectorFilter
 from revisit.service.application.query.place_memory import PlaceMemory
 from revisit.service.application.recognise.reembedding import Reembedding
 from tests.support.fake_recogniser import FakeRecogniser
+from tests.support.records import anywhere
 from tests.support.service_world import SESSION, TENANT, open_session, sqlite_world, submap
 
 IDS = ("a", "b", "c")
@@ -77,7 +77,7 @@ async def test_every_submap_gets_the_new_model_and_is_found_by_it(world, drafts)
     memory = PlaceMemory(world.context.transactions, PlaceVectorIndex(FaissIndex))
     before = rows_of(world)
     query = np.frombuffer(before[0].descriptor, "<f4")
-    assert memory.recall(map_of(world), query, 1, VectorFilter()).places[0].submap.submap_id == "a"
+    assert memory.recall(map_of(world), query, 1, anywhere).places[0].submap.submap_id == "a"
     newer, told = Newer(), []
     work = work_of(world, newer, drafts)
     (stale,) = work.stale_maps()
@@ -89,7 +89,7 @@ async def test_every_submap_gets_the_new_model_and_is_found_by_it(world, drafts)
         assert new.descriptor == np.frombuffer(old.descriptor, "<f4")[::-1].tobytes()
         assert (new.model_version, new.mesh_sha256) == ("fake-2", old.mesh_sha256)
         assert world.context.blobs.get(TENANT, PLACE_BLOB, new.place_sha256) == new.descriptor
-        found = memory.recall(map_of(world), np.frombuffer(new.descriptor, "<f4"), 1, VectorFilter())
+        found = memory.recall(map_of(world), np.frombuffer(new.descriptor, "<f4"), 1, anywhere)
         assert found.places[0].submap.submap_id == new.submap_id
     await world.use_cases.posting.post(TENANT, submap("d", 9))
     world.work_off(newer)
@@ -146,7 +146,7 @@ async def test_what_cannot_be_described_has_failed_with_the_reason_and_is_found_
     ]  # fmt: skip
     memory = PlaceMemory(world.context.transactions, PlaceVectorIndex(FaissIndex))
     query = np.frombuffer(rows_of(world)[0].descriptor, "<f4")
-    found = memory.recall(map_of(world), query, 5, VectorFilter()).places
+    found = memory.recall(map_of(world), query, 5, anywhere).places
     assert [place.submap.submap_id for place in found] == ["a"]
 
 

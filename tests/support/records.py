@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.index import VectorFilter
 from revisit.service.application.contract.records import (
     JobRecord,
     LoopRecord,
@@ -78,3 +79,8 @@ def a_job(operation_id="op-1", tenant=TENANT, **fields) -> JobRecord:
         "created_at_ns": 1,
     }
     return JobRecord(**{**values, **fields})
+
+
+def anywhere(uow) -> VectorFilter:
+    """A filter of the index, as it is read, that lets everything through."""
+    return VectorFilter()

@@ -49,9 +49,10 @@ class MemoryVectorIndex:
                 matches.append(VectorMatch(number, float(stored @ vector)))
         return sorted(matches, key=lambda match: (-match.similarity, match.submap_number))[:k]
 
-    def size(self, map_number: int) -> int:
+    def size(self, map_number: int, sessions: Collection[int] | None = None) -> int:
         """See `VectorIndex`."""
-        return len(self._places.get(map_number, {}))
+        places = self._places.get(map_number, {}).values()
+        return sum(sessions is None or change.session_number in sessions for change, _ in places)
 
     def drop(self, map_number: int) -> None:
         """See `VectorIndex`."""
@@ -95,6 +96,8 @@ def _passes(change: IndexChange, where: VectorFilter) -> bool:
     if change.submap_number == where.exclude_submap or change.session_number == where.exclude_session:
         return False
     if where.only_session is not None and change.session_number != where.only_session:
+        return False
+    if where.only_sessions is not None and change.session_number not in where.only_sessions:
         return False
     if change.session_number == where.near_session and abs(change.ordinal - where.near_ordinal) < where.min_gap:
         return False

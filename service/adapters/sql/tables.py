@@ -129,8 +129,10 @@ sessions = _numbered(
     _real("emitted_to_m", nullable=True),
     _integer("created_at_ns"),
     _integer("finished_at_ns", nullable=True),
+    _text("storey", nullable=True),
     ForeignKeyConstraint(["tenant", "map_id"], ["maps.tenant", "maps.map_id"]),
     ForeignKeyConstraint(["tenant", "robot_id"], ["robots.tenant", "robots.robot_id"]),
+    Index(None, "tenant", "map_id", "storey"),
 )
 
 scans = _numbered(

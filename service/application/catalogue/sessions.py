@@ -14,7 +14,13 @@ from revisit.service.application.catalogue.blob_references import Blob, BlobColl
 from revisit.service.application.catalogue.deletion import delete_session
 from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract.clock import Clock
-from revisit.service.application.contract.identity import SessionKey, TenantId, content_hash, validated_id
+from revisit.service.application.contract.identity import (
+    SessionKey,
+    TenantId,
+    content_hash,
+    validated_id,
+    validated_storey,
+)
 from revisit.service.application.contract.records import SessionRecord
 from revisit.service.application.contract.states import SessionState
 from revisit.service.application.contract.storage import (
@@ -32,11 +38,15 @@ from revisit.service.failpoints import failpoint
 
 @dataclass(frozen=True)
 class CreateSession:
-    """A new session in a map; `robot_id` is None or an existing robot."""
+    """A new session in a map; `robot_id` is None or an existing robot.
+
+    `storey` is the level of the building that all of it is driven on, as B2; None where that is unknown.
+    """
 
     map_id: str
     session_id: str
     robot_id: str | None = None
+    storey: str | None = None
 
 
 @dataclass(frozen=True)
@@ -54,6 +64,7 @@ class SessionView:
     """A session as clients see it.
 
     `committed_seq` is the last scan stored durably, 0 for none; `committed_stamp_ns` is when that one was taken.
+    `storey` is None where nobody said it.
     `findings` are those of its submaps so far, the most frequent first; empty in lists of sessions.
     """
 
@@ -66,6 +77,7 @@ class SessionView:
     created_at_ns: int
     finished_at_ns: int | None
     committed_stamp_ns: int | None
+    storey: str | None = None
     findings: tuple[SessionFinding, ...] = ()
 
 
@@ -150,11 +162,13 @@ class Sessions:
         await self._collector.collect(tenant, doomed)
 
     def _record(self, tenant: TenantId, command: CreateSession) -> SessionRecord:
+        storey = validated_storey(command.storey)
         return SessionRecord(
             tenant=tenant,
             map_id=command.map_id,
             session_id=validated_id(command.session_id, "session_id"),
-            content_hash=content_hash([command.robot_id]),
+            # Sessions of before there were storeys have the hash of their robot alone.
+            content_hash=content_hash([command.robot_id, *([] if storey is None else [storey])]),
             robot_id=command.robot_id,
             state=SessionState.ACTIVE.value,
             committed_seq=0,
@@ -165,6 +179,7 @@ class Sessions:
             emitted_to_m=None,
             created_at_ns=self._clock.wall_ns(),
             finished_at_ns=None,
+            storey=storey,
         )
 
 
@@ -212,4 +227,5 @@ def _view(uow: UnitOfWork, record: SessionRecord) -> SessionView:
         created_at_ns=record.created_at_ns,
         finished_at_ns=record.finished_at_ns,
         committed_stamp_ns=None if last is None else last.stamp_ns,
+        storey=record.storey,
     )

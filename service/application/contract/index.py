@@ -47,12 +47,14 @@ class ChangeLog(Protocol):
 class VectorFilter:
     """Which submaps may be hits. Sessions and submaps by number.
 
+    `only_sessions`: submaps of other sessions are no hits, as those on other storeys (`storeys.comparable_sessions`).
     `near_session`, `near_ordinal`, `min_gap`: submaps of that session nearer than `min_gap` ordinals are no hits.
     """
 
     exclude_submap: int | None = None
     exclude_session: int | None = None
     only_session: int | None = None
+    only_sessions: frozenset[int] | None = None
     near_session: int | None = None
     near_ordinal: int = 0
     min_gap: int = 0
@@ -121,8 +123,8 @@ class VectorIndex(IndexAudit, SharedIndex, Protocol):
         """The k nearest, most similar first, ties by number. Raises BadField for another dimension or NaN."""
         ...
 
-    def size(self, map_number: int) -> int:
-        """How many submaps it holds."""
+    def size(self, map_number: int, sessions: Collection[int] | None = None) -> int:
+        """How many submaps it holds, of these sessions where given."""
         ...
 
     def drop(self, map_number: int) -> None:

@@ -54,6 +54,8 @@ RESOURCE_NAME_CHARACTERS = 300
 DISPLAY_NAME_CHARACTERS = 256
 """Also of an API key's label."""
 MODEL_VERSION_CHARACTERS = 100
+STOREY_CHARACTERS = 64
+"""Of the storey of a session."""
 NOTE_CHARACTERS = 1000
 """Why a person decided what they decided."""
 

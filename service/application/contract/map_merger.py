@@ -16,10 +16,11 @@ from revisit.service.application.contract.states import ChangeKind
 
 @dataclass(frozen=True)
 class DescribedPlaces:
-    """The places of a map: descriptors (n, d), and the number of each one's session (n,)."""
+    """The places of a map: descriptors (n, d), the number of each one's session (n,), its storey or None if unknown."""
 
     descriptors: NDArray[np.float32]
     sessions: NDArray[np.int64]
+    storeys: tuple[str | None, ...]
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,7 @@ class MapMerger(Protocol):
     def candidates(self, first: DescribedPlaces, second: DescribedPlaces, k: int) -> list[tuple[int, int, float]]:
         """Rows of both that may show the same place, with the cosine of their descriptors, the likest first.
 
-        A pair is there whichever of the maps is the first.
+        A pair is there whichever of the maps is the first, unless its storeys are known and differ.
         """
         ...
 

@@ -58,7 +58,11 @@ class RobotRecord:
 
 @dataclass(frozen=True)
 class SessionRecord:
-    """A session and where its current window of scans stands (see `ingest.scans`)."""
+    """A session and where its current window of scans stands (see `ingest.scans`).
+
+    `storey` is the level of a building that it was driven on, in the client's words; None where nobody said. It never
+    changes.
+    """
 
     tenant: TenantId
     map_id: str
@@ -74,6 +78,7 @@ class SessionRecord:
     emitted_to_m: float | None
     created_at_ns: int
     finished_at_ns: int | None
+    storey: str | None = None
     number: int = 0
 
 

@@ -85,7 +85,8 @@ class MapSide:
         """The descriptors, for the search for candidates."""
         rows = [np.frombuffer(one.descriptor or b"", dtype="<f4") for one in self.submaps]
         numbers = np.array([one.session_number for one in self.submaps], dtype=np.int64)
-        return DescribedPlaces(np.stack(rows) if rows else np.zeros((0, 1), np.float32), numbers)
+        storeys = tuple(self.sessions[one.session_number].storey for one in self.submaps)
+        return DescribedPlaces(np.stack(rows) if rows else np.zeros((0, 1), np.float32), numbers, storeys)
 
 
 @dataclass(frozen=True)

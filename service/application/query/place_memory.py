@@ -15,10 +15,13 @@ from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.index import IndexChange, VectorFilter, VectorIndex, VectorMatch
 from revisit.service.application.contract.map_frames import KeptSessions, MapFrames
 from revisit.service.application.contract.records import MapRecord, SubmapRecord
+from revisit.service.application.contract.storeys import comparable_sessions, storey_of
 from revisit.service.application.contract.transactions import Transactions, UnitOfWork
 from revisit.service.application.contract.views import submap_key
 from revisit.service.application.query.search_answers import SearchCriteria, SearchHit, SearchResult
 from revisit.service.failpoints import failpoint
+
+ReadFilter = Callable[[UnitOfWork], VectorFilter]
 
 PORTION = 4096
 """Changes that are read at a time: a large map is loaded without holding all its descriptors twice."""
@@ -72,20 +75,28 @@ class PlaceMemory:
         self._sessions = KeptSessions()
         self._caught_up: dict[int, tuple[int, int]] = {}
 
-    def recall(self, map_record: MapRecord, vector: NDArray[np.float32], k: int, where: VectorFilter) -> Recall:
-        """The k places most like `vector` (d,). Raises BadField for another dimension."""
-        matches, seq = self._matches(map_record, vector, k, where)
+    def recall(self, map_record: MapRecord, vector: NDArray[np.float32], k: int, where: ReadFilter) -> Recall:
+        """The k places most like `vector` (d,). Raises BadField for another dimension.
+
+        `where` is read once the index has caught up, so that it knows every session that has a place there.
+        """
+        matches, seq = self._matches(map_record, vector, k, lambda: self._transactions.read_here(where))
         return Recall(self._transactions.read_here(lambda uow: _places(uow, map_record.tenant, matches)), seq)
 
     def _matches(
-        self, map_record: MapRecord, vector: NDArray[np.float32], k: int, where: VectorFilter, news: _News | None = None
+        self,
+        map_record: MapRecord,
+        vector: NDArray[np.float32],
+        k: int,
+        where: Callable[[], VectorFilter],
+        news: _News | None = None,
     ) -> tuple[list[VectorMatch], int]:
         """What the index finds, and the change as of which it knows everything; `news` of it may have been read."""
         tenant, number = map_record.tenant, map_record.number
         while True:
             seq = self.catch_up(tenant, number) if news is None else self._apply(number, news)
             news = None
-            matches = self._index.search(number, vector, k, where) if self._index.size(number) else []
+            matches = self._index.search(number, vector, k, where()) if self._index.size(number) else []
             if self._index.seq(number) >= seq:
                 return matches, seq
             # The map was forgotten in between, to be loaded again.
@@ -149,11 +160,16 @@ class PlaceMemory:
         news: _News | None = None,
     ) -> SearchResult:
         """The answer to a client's search; `news` of the map's index may have been read since it was asked."""
-        found, _ = self._matches(map_record, vector, criteria.k, where, news)
+        found, _ = self._matches(map_record, vector, criteria.k, lambda: where, news)
         floor = -1.0 if criteria.min_similarity is None else criteria.min_similarity
         matches = [match for match in found if match.similarity >= floor]
         hits = self._transactions.read_here(partial(_hits, map_record=map_record, matches=matches, kept=self._sessions))
-        return SearchResult(hits, self._index.size(map_record.number))
+        return SearchResult(hits, self._index.size(map_record.number), self.on_other_storeys(map_record, where))
+
+    def on_other_storeys(self, map_record: MapRecord, where: VectorFilter) -> int:
+        """How many submaps of the map's index were left out, as they are on another storey."""
+        number, comparable = map_record.number, where.only_sessions
+        return 0 if comparable is None else self._index.size(number) - self._index.size(number, comparable)
 
 
 def _changes(uow: UnitOfWork, tenant: TenantId, number: int, seq: int) -> list[IndexChange]:
@@ -176,16 +192,18 @@ def _hits(
 def vector_filter(
     uow: UnitOfWork, tenant: TenantId, map_id: str, criteria: SearchCriteria, query: SubmapRecord | None
 ) -> VectorFilter:
-    """The filter of a client's search; `query` is the stored submap that asks, if one does.
+    """The filter of a client's search; `query` is the stored submap that asks, if one does: its storey is known.
 
     Raises NotFound; BadField for a prior without the session in whose odometry frame it is, where there are several.
     """
+    storey = criteria.storey if query is None else storey_of(uow, tenant, map_id, query.session_id)
     if criteria.prior_position_m is not None and criteria.only_session is None and _has_sessions(uow, tenant, map_id):
         raise BadField("sessions have own frames: only_session says in which the prior is", field="only_session")
     return VectorFilter(
         exclude_submap=None if query is None else query.number,
         exclude_session=_session_number(uow, tenant, map_id, criteria.exclude_session),
         only_session=_session_number(uow, tenant, map_id, criteria.only_session),
+        only_sessions=comparable_sessions(uow, tenant, map_id, storey),
         near_session=None if query is None else query.session_number,
         near_ordinal=0 if query is None else query.ordinal,
         min_gap=criteria.min_index_gap or 0,

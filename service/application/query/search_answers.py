@@ -8,7 +8,7 @@ from typing import Any
 from revisit.core.errors import BadField
 from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
 from revisit.service.application.contract import limits
-from revisit.service.application.contract.identity import SessionKey, SubmapKey
+from revisit.service.application.contract.identity import SessionKey, SubmapKey, validated_storey
 from revisit.service.application.contract.map_frames import MapPose
 
 
@@ -17,7 +17,8 @@ class SearchCriteria:
     """What a hit must satisfy. All optional but `k` (1 to 100).
 
     `min_index_gap` applies to submaps of the query's own session; `prior_position_m` with `radius_m` keeps hits whose
-    position (in the odometry frame of `only_session`, or of the map's one session) is near.
+    position (in the odometry frame of `only_session`, or of the map's one session) is near. `storey`: where a cloud or
+    descriptor was taken; submaps of sessions on another one are no hits. A stored submap has that of its session.
     """
 
     k: int = 20
@@ -27,6 +28,7 @@ class SearchCriteria:
     min_index_gap: int | None = None
     prior_position_m: tuple[float, float, float] | None = None
     radius_m: float | None = None
+    storey: str | None = None
 
 
 @dataclass(frozen=True)
@@ -41,10 +43,14 @@ class SearchHit:
 
 @dataclass(frozen=True)
 class SearchResult:
-    """Hits, most similar first (ties: older submap first); `searched` is how many submaps the map's index held."""
+    """Hits, most similar first (ties: older submap first); `searched` is how many submaps the map's index held.
+
+    `on_other_storeys` of them could be no hits, as their sessions are on another storey than the query.
+    """
 
     hits: tuple[SearchHit, ...]
     searched: int
+    on_other_storeys: int = 0
 
 
 @dataclass(frozen=True)
@@ -65,13 +71,14 @@ class Localization:
     """The best verified candidate, if any, and all that were compared.
 
     `T_odom_query` (4, 4) maps points of the cloud into the odometry frame of `session`; `in_map` is T_map_query where
-    that session has a frame.
+    that session has a frame. `on_other_storeys` submaps could not be compared, for their storey is another.
     """
 
     best: LocalizedCandidate | None
     T_odom_query: Matrix4 | None
     candidates: tuple[LocalizedCandidate, ...]
     in_map: MapPose | None = None
+    on_other_storeys: int = 0
 
     @property
     def session(self) -> SessionKey | None:
@@ -90,6 +97,7 @@ def validated_criteria(criteria: SearchCriteria) -> SearchCriteria:
         limits.PRIOR_COORDINATE_M.validated(coordinate, "prior_position_m")
     if criteria.min_similarity is not None:
         limits.MIN_SIMILARITY.validated(criteria.min_similarity, "min_similarity")
+    validated_storey(criteria.storey)
     if criteria.min_index_gap is not None:
         limits.MIN_INDEX_GAP.validated(criteria.min_index_gap, "min_index_gap")
     return criteria
@@ -113,7 +121,8 @@ def search_result_to_json(result: SearchResult) -> dict[str, Any]:
 
 def search_result_from_json(data: dict[str, Any]) -> SearchResult:
     """The inverse of `search_result_to_json`."""
-    return SearchResult(tuple(_hit_from_json(hit) for hit in data["hits"]), data["searched"])
+    hits = tuple(_hit_from_json(hit) for hit in data["hits"])
+    return SearchResult(hits, data["searched"], data.get("on_other_storeys", 0))
 
 
 def localization_to_json(localization: Localization) -> dict[str, Any]:
@@ -124,6 +133,7 @@ def localization_to_json(localization: Localization) -> dict[str, Any]:
         "T_odom_query": None if localization.T_odom_query is None else pose_row(localization.T_odom_query),
         "candidates": [_candidate_to_json(candidate) for candidate in localization.candidates],
         "in_map": None if localization.in_map is None else asdict(localization.in_map),
+        "on_other_storeys": localization.on_other_storeys,
     }
 
 
@@ -135,6 +145,7 @@ def localization_from_json(data: dict[str, Any]) -> Localization:
         T_odom_query=None if data["T_odom_query"] is None else pose_matrix(tuple(data["T_odom_query"])),
         candidates=candidates,
         in_map=_map_pose_from_json(data),
+        on_other_storeys=data.get("on_other_storeys", 0),
     )
 
 

@@ -53,7 +53,8 @@ from revisit.service.application.query.search_answers import (
 class LocalizeQuery:
     """Where was this cloud taken? The prior (metres, in the frame of `only_session`) and the sessions narrow it down.
 
-    The rotation of `T_level_query` (4, 4) turns the cloud upright; without it the cloud's own surfaces do.
+    The rotation of `T_level_query` (4, 4) turns the cloud upright; without it the cloud's own surfaces do. Submaps that
+    are known to be on another `storey` are not compared.
     """
 
     map_id: str
@@ -64,6 +65,7 @@ class LocalizeQuery:
     exclude_session: str | None = None
     only_session: str | None = None
     T_level_query: Matrix4 | None = None
+    storey: str | None = None
 
 
 class Searches:
@@ -96,6 +98,8 @@ class Searches:
         Raises NotFound, NotReady, BadField, SeqNotReached where `fresh` was not reached.
         """
         validated_criteria(criteria)
+        if criteria.storey is not None:
+            raise BadField("a submap is on the storey of its session", field="storey")
         await self._writes.reached(tenant, key.map_id, fresh)
         question = partial(_asked_by, tenant=tenant, key=key, criteria=criteria)
         return await asyncio.to_thread(self._memory.answer, question, criteria)
@@ -148,6 +152,7 @@ class Searches:
             only_session=query.only_session,
             prior_position_m=query.prior_position_m,
             radius_m=query.radius_m,
+            storey=query.storey,
         )
         criteria = validated_criteria(narrowed)
         payload = _payload(query.map_id, criteria, query.T_level_query)

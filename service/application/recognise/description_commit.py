@@ -29,7 +29,7 @@ from revisit.service.application.mapping.loop_events import (
     decided_by_person,
 )
 from revisit.service.application.mapping.optimisation import optimise_soon
-from revisit.service.application.query.place_memory import RecalledPlace
+from revisit.service.application.query.place_memory import ReadFilter, RecalledPlace
 from revisit.service.application.recognise.loops_beside import Beside, revised_evidence
 from revisit.service.application.recognise.proposed_loops import rules_of
 from revisit.service.failpoints import failpoint
@@ -72,7 +72,7 @@ class DescriptionCommit:
     described: StoredDescription
     judged: list[JudgedPlace]
     decided: list[Beside]
-    where: VectorFilter
+    where: ReadFilter
     seq: int
     now: Instant
     now_ns: int
@@ -86,7 +86,8 @@ class DescriptionCommit:
         # A late run must not trip over the rows of the run that overtook it.
         uow.queue.require(self.lease)
         newer = uow.changes.since(tenant, map_record.number, self.seq)
-        if any(_may_match(change, self.where) for change in newer):
+        where = self.where(uow) if newer else VectorFilter()
+        if any(_may_match(change, where) for change in newer):
             return False
         if not uow.submaps.count(tenant, number=self.task.submap.number):
             self._end(uow, SUBMAP_DELETED)
@@ -168,6 +169,8 @@ class DescriptionCommit:
 def _may_match(change: IndexChange, where: VectorFilter) -> bool:
     """Whether a change brought in a submap that the loop filter lets through."""
     if change.vector is None or change.submap_number == where.exclude_submap:
+        return False
+    if where.only_sessions is not None and change.session_number not in where.only_sessions:
         return False
     near = abs(change.ordinal - where.near_ordinal) < where.min_gap
     return not (change.session_number == where.near_session and near)

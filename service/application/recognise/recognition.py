@@ -44,6 +44,7 @@ from revisit.service.application.contract.recogniser import LoopVerdict, PlaceRe
 from revisit.service.application.contract.records import JobRecord, MapRecord, SubmapRecord
 from revisit.service.application.contract.states import LoopState, OperationKind, SubmapState
 from revisit.service.application.contract.storage import require_map
+from revisit.service.application.contract.storeys import comparable_sessions, storey_of
 from revisit.service.application.contract.tracing import current_request
 from revisit.service.application.contract.transactions import Transactions, UnitOfWork
 from revisit.service.application.contract.views import submap_key
@@ -244,7 +245,7 @@ class Recognition:
 
         Every repetition means that another worker has committed, so together the workers always get on.
         """
-        where = _loop_filter(task.submap, config)
+        where = partial(_loop_filter, submap=task.submap, config=config)
         judged: dict[int, JudgedPlace] = {}
         while True:
             recall = self._memory.recall(task.map, described.description.descriptor, config.loop.candidates, where)
@@ -410,11 +411,12 @@ class Recognition:
         description = self._describe_query(lease, map_record)
         config = self._policy.for_map(map_record)
         k = criteria_from_json(lease.job.payload["criteria"]).k
-        recall = self._memory.recall(map_record, description.descriptor, k, where)
+        recall = self._memory.recall(map_record, description.descriptor, k, lambda _: where)
         judged = _agreeing(self._judge_all(description.place, recall.places, config), config)
         found = _localization(judged)
         in_map = self._transactions.read(partial(_in_map, found=found, judged=judged)).result()
-        self._complete(lease, localization_to_json(replace(found, in_map=in_map)))
+        left_out = self._memory.on_other_storeys(map_record, where)
+        self._complete(lease, localization_to_json(replace(found, in_map=in_map, on_other_storeys=left_out)))
 
     def _query(self, lease: Lease) -> tuple[MapRecord, VectorFilter]:
         return self._transactions.read(partial(_queried, job=lease.job)).result()
@@ -451,11 +453,13 @@ def _in_map(uow: UnitOfWork, found: Localization, judged: list[JudgedPlace]) -> 
     return None if T_map_match is None else T_map_match.of_child(best.T_match_query)
 
 
-def _loop_filter(submap: SubmapRecord, config: PipelineConfig) -> VectorFilter:
-    """Any submap of the map but itself and its neighbours in its own session (paper IV-B)."""
+def _loop_filter(uow: UnitOfWork, submap: SubmapRecord, config: PipelineConfig) -> VectorFilter:
+    """Any submap of the map but itself, its neighbours in its own session (paper IV-B), and those on other storeys."""
+    storey = storey_of(uow, submap.tenant, submap.map_id, submap.session_id)
     policy = candidate_policy(submap.session_number, submap.ordinal, config.loop)
     return VectorFilter(
         exclude_submap=submap.number,
+        only_sessions=comparable_sessions(uow, submap.tenant, submap.map_id, storey),
         near_session=policy.session,
         near_ordinal=policy.ordinal,
         min_gap=policy.min_gap,

@@ -38,6 +38,7 @@ from revisit.service.rest.parameters import (
     Prior,
     RadiusM,
     SessionId,
+    StoreyName,
     Tenant,
     criteria_of_query,
 )
@@ -123,9 +124,11 @@ async def localize(
     candidates: Annotated[int, Query(**bounds(limits.LOCALIZE_CANDIDATES)), IN_DIGITS] = 10,
     exclude_session: SessionId = None,
     only_session: SessionId = None,
+    storey: StoreyName = None,
 ) -> Response:
     """Where in the map was this cloud taken? No match is an answer, not an error."""
-    query = LocalizeQuery(map_id, cloud, prior, radius_m, candidates, exclude_session, only_session, level)
+    narrowed = (prior, radius_m, candidates, exclude_session, only_session, level, storey)
+    query = LocalizeQuery(map_id, cloud, *narrowed)
     return answer(LocalizeAnswer, of_localization(await cases.searches.localize(tenant, query, fresh)))
 
 

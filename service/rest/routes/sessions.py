@@ -7,7 +7,6 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Response
 
 from revisit.service.application.access.callers import Scope
-from revisit.service.application.catalogue.sessions import CreateSession
 from revisit.service.application.contract import limits
 from revisit.service.application.ingest.scans import AppendScan
 from revisit.service.rest.access import allows
@@ -30,7 +29,7 @@ async def create_session(
     tenant: Tenant,
 ) -> Response:
     """Create a session in a map; idempotent like a map."""
-    created = await cases.sessions.create(tenant, CreateSession(map_id, body.session_id, body.robot_id))
+    created = await cases.sessions.create(tenant, body.command(map_id))
     return answer(Session, of_session(created.session), 201, replay=created.replay)
 
 

@@ -25,6 +25,7 @@ CHARACTERS = {
     "display_name": limits.DISPLAY_NAME_CHARACTERS,
     "page_token": limits.PAGE_TOKEN_CHARACTERS,
     "model_version": limits.MODEL_VERSION_CHARACTERS,
+    "storey": limits.STOREY_CHARACTERS,
 }
 IDS = ["map_id", "robot_id", "session_id", "submap_id"]
 

@@ -111,6 +111,28 @@ def test_a_recording_is_ingested_in_two_goes_and_not_a_third_time(recording, ser
     assert (third["scans_sent"], third["submaps"]) == (0, second["submaps"])
 
 
+def test_drives_on_two_storeys_are_ingested_apart(recording, service, tmp_path):
+    where = ("--map", "storeys", "--grpc", service.grpc, "--json")
+    for session, storey in (("below", "B1"), ("above", "B2"), ("below-again", "B1")):
+        invoke("ingest", recording, *where, "--session", session, "--storey", storey)
+    at = ("--http", service.http, "--map", "storeys")
+    compared = json.loads(invoke("loops", *at, "--state", "all", "--json"))
+    pairs = {(loop["query"].split("/")[3], loop["match"].split("/")[3]) for loop in compared}
+    assert {pair for pair in pairs if pair[0] != pair[1]} == {("below-again", "below")}
+    assert json.loads(invoke("ingest", recording, *where, "--session", "below"))["scans_sent"] == 0
+    other = CliRunner().invoke(
+        app, ["ingest", str(recording), *where, "--session", "below", "--storey", "B2"], catch_exceptions=False
+    )
+    assert other.exit_code != 0 and "has storey B1" in other.stderr
+
+    cloud = tmp_path / "cloud.npy"
+    np.save(cloud, cloud_points(3, 500))
+    found = json.loads(invoke("query", cloud, *at, "--storey", "B2", "--json"))
+    assert {candidate["submap"].split("/")[3] for candidate in found["candidates"]} == {"above"}
+    assert found["on_other_storeys"] > 0
+    assert "submaps on other storeys were left out" in invoke("query", cloud, *at, "--storey", "B3")
+
+
 TURNED = "0 0 0.6 0.8"  # the quaternion of a turn about z
 
 
@@ -204,6 +226,8 @@ def test_loops_query_and_export_answer_for_an_ingested_recording(recording, serv
     without = json.loads(invoke("query", cloud, *at, "--exclude-session", "short", "--level", "0,0,0,1", "--json"))
     assert without["candidates"] == []
     assert "--level is" in CliRunner().invoke(app, ["query", str(cloud), *at, "--level", "1,2"]).stderr
+    elsewhere = CliRunner().invoke(app, ["query", "--submap", "short/scans-1-11", *at, "--storey", "B1"])
+    assert elsewhere.exit_code != 0 and "--storey is that of a cloud" in elsewhere.stderr
     submap = json.loads(invoke("query", "--submap", "short/scans-1-11", *at, "--k", 2, "--json"))
     assert len(submap) == 2
 

@@ -86,6 +86,21 @@ def test_a_pair_is_a_candidate_whichever_map_asks():
     assert len(joining_candidates(first[:0], second, (sessions[0][:0], sessions[1]), 2).pairs) == 0
 
 
+def test_places_on_different_storeys_are_no_pair_and_take_no_others_place():
+    """Two storeys that look the same, and a place of which nobody knows the storey."""
+    first = np.eye(4, dtype=np.float32)[[0, 0, 1]] + np.float32(0.01)
+    second = first.copy()
+    sessions = np.full(3, 1), np.full(3, 2)
+    storeys = np.array([0, 1, 1]), np.array([0, 1, -1])
+    asked = [joining_candidates(first, second, sessions, k, storeys) for k in (1, 3)]
+    apart = {(0, 1), (1, 0), (2, 0)}
+    pairs = [{tuple(pair) for pair in found.pairs.tolist()} for found in asked]
+    assert pairs[0] >= {(0, 0), (1, 1), (2, 2)} and not pairs[0] & apart
+    assert pairs[1] == {(row, column) for row in range(3) for column in range(3)} - apart
+    everywhere = joining_candidates(first, second, sessions, 3)
+    assert {tuple(pair) for pair in everywhere.pairs.tolist()} >= apart
+
+
 def test_submaps_are_compared_with_their_neighbours_over_the_whole_overlap():
     line = np.column_stack([np.arange(0.0, 500.0, 5.0), np.zeros((100, 2))])
     assert pairs_in_reach(line, line + [400.0, 0, 0], 3.0) == [(80 + n, n) for n in range(20)]
