@@ -45,11 +45,13 @@ class DrivePair:
 class DriveLoop(DrivePair):
     """A loop between two drives; its poses are its hypotheses.
 
-    accepted: and not for the sake of other loops. one_drive: both submaps are of the same drive.
+    accepted: and not for the sake of other loops. one_drive: both submaps are of the same drive. height_m: the standard
+    deviation of its height, metres.
     """
 
     accepted: bool
     one_drive: bool = False
+    height_m: float = 0.0
 
 
 class DriveLoops:
@@ -68,7 +70,7 @@ class DriveLoops:
             return np.zeros(0, dtype=bool)
         off = self._at_query.diagonal(axis1=0, axis2=1).T - self._T_odom_query[:, :3, 3]
         far = np.linalg.norm(off, axis=1) > self._config.rival_distance + _LONG_DRIFT * self._own_way_m
-        risen = np.abs(off[:, 2]) > allowed_rises_m(self._own_way_m, self._height_drift)
+        risen = np.abs(off[:, 2]) > allowed_rises_m(self._own_way_m, self._height_drift) + _SURE * self._height_m
         of_one = np.array([loop.one_drive for loop in self._loops])
         return np.asarray(of_one & (far | (risen & (self._own_way_m <= _FAR_HEIGHTS * self._config.support_reach))))
 
@@ -152,7 +154,12 @@ class DriveLoops:
     @cached_property
     def _allowed_rise_m(self) -> Array:
         """So far apart in height two right loops may put a query, (n, n) metres."""
-        return allowed_rises_m(self._way_m, self._height_drift)
+        unsure_m = np.hypot(self._height_m[:, None], self._height_m[None])
+        return allowed_rises_m(self._way_m, self._height_drift) + _SURE * unsure_m
+
+    @cached_property
+    def _height_m(self) -> Array:
+        return np.array([loop.height_m for loop in self._loops])
 
     @cached_property
     def _height_drift(self) -> float:
@@ -242,4 +249,5 @@ _CONTRADICTING_DRIFT = 0.05  # a poor odometry; right loops must not contradict 
 _CONTRADICTING_TURN = np.radians(10.0)
 _LONG_DRIFT = 0.1  # its heading drifts, too
 _FAR_REACHES = 6.0
+_SURE = 3.0  # standard deviations
 _FAR_HEIGHTS = 2.0  # a pitch that walks without gravity bends a longer way

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from revisit.service.adapters.memory import MemoryVectorIndex
-from revisit.service.application.contract.index import VectorFilter
 from revisit.service.application.query import place_memory
 from revisit.service.application.query.place_memory import PlaceMemory
+from tests.support.records import anywhere
 from tests.support.service_world import TENANT, open_session, sqlite_world, submap
 
 
@@ -28,7 +28,7 @@ async def test_portions_of_any_size_give_the_same_index(tmp_path, monkeypatch, p
         return uow.maps.get(TENANT, "town"), uow.submaps.get(TENANT, "town", "monday", "s1")
 
     map_record, record = world.context.transactions.read(load).result()
-    recall = memory.recall(map_record, np.frombuffer(record.descriptor, dtype="<f4"), 10, VectorFilter())
+    recall = memory.recall(map_record, np.frombuffer(record.descriptor, dtype="<f4"), 10, anywhere)
     assert {place.submap.submap_id for place in recall.places} == {"s0", "s1", "s2", "s4"}
     assert recall.places[0].submap.submap_id == "s1"
     assert (index.size(map_record.number), recall.seq) == (4, 6)

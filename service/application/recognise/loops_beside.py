@@ -24,6 +24,7 @@ from revisit.service.application.contract.recogniser import LoopVerdict
 from revisit.service.application.contract.records import LoopRecord, SubmapRecord
 from revisit.service.application.contract.states import GraphState, LoopState
 from revisit.service.application.contract.transactions import UnitOfWork
+from revisit.service.application.mapping.graph_reading import measured_covariance
 
 SUPPORT = "support"
 """The member of a loop's evidence that says which loops beside it have decided."""
@@ -266,10 +267,17 @@ def _between_drives(loops: Sequence[Beside], config: VerificationConfig, stride_
             loop.hypotheses,
             loop.accepted_by_itself,
             one_drive=loop.query.session_number == loop.match.session_number,
+            height_m=_height_m(loop.verdict),
         )
         for loop in loops
     ]
     return DriveLoops(told, stride_m, config)
+
+
+def _height_m(verdict: LoopVerdict) -> float:
+    """The standard deviation of the height that a verdict tells; 0 where it tells none."""
+    covariance = measured_covariance(verdict.evidence)
+    return 0.0 if covariance is None else float(np.sqrt(max(covariance[2, 2], 0.0)))
 
 
 def on_drive(submap: SubmapRecord) -> DriveSubmap:

@@ -145,6 +145,13 @@ def test_heights_contradict_nothing_that_odometry_shows_to_drift_as_far() -> Non
     assert not between.contradicted().any()
 
 
+def test_a_height_that_is_not_sure_contradicts_none() -> None:
+    loops = loops_of_turns(ramp(1, 3.2), ramp(2, 3.2))
+    unsure = [replace(loop, height_m=0.5) for loop in loops]
+    assert DriveLoops(loops, STRIDE_M, CONFIG).contradicted().all()
+    assert not DriveLoops(unsure, STRIDE_M, CONFIG).contradicted().any()
+
+
 def test_too_few_loops_tell_nothing_of_heights() -> None:
     loops = loops_of_turns(ramp(1, 3.2)[:1], ramp(3, 3.2))
     assert len(loops) == 3 and not DriveLoops(loops, STRIDE_M, CONFIG).contradicted().any()
