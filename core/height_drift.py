@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 _REGISTRATION_M = 1.0
 """So far apart in height two right loops may put one query where nothing has drifted."""
 
-_LEAST_DRIFT = 0.01
+_LEAST_DRIFT = 0.003
 _DRIFTS = 3.0  # times the median of what neighbouring loops show
 _NEIGHBOURS_M = 10.0, 30.0
 _ONE_STOREY_M = 1.5
