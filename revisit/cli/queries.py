@@ -45,8 +45,11 @@ def query(
         raise refuse("--storey is that of a cloud: a submap is on the storey of its session")
     with Client(http) as client:
         if cloud is not None:
-            where = {"exclude_session": exclude_session or None, "T_level_query": _level(level)}
-            where["storey"] = storey or None
+            where = {
+                "exclude_session": exclude_session or None,
+                "T_level_query": _level(level),
+                "storey": storey or None,
+            }
             _localize(client, map_id, cloud, k, where, json)
         else:
             _search(client, map_id, submap, k, exclude_session or None, json)
@@ -102,7 +105,8 @@ def _localize(client: Client, map_id: str, cloud: Path, k: int, where: dict[str,
     rows = [(short_name(c.submap), c.accepted, c.reason, c.similarity, c.score) for c in found.candidates]
     emit_table("Compared", ("submap", "accepted", "reason", "similarity", "score"), rows)
     if found.best is None or found.T_odom_query is None:
-        left_out = f" ({found.on_other_storeys} submaps on other storeys were left out)" * bool(found.on_other_storeys)
+        count = found.on_other_storeys
+        left_out = f" ({count} submaps on other storeys were left out)" if count else ""
         say(f"This place is not in the map{left_out}.")
         return
     x, y, z = found.T_odom_query[:3, 3]

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import sqlite3
-
 import pytest
 
 from revisit.service.adapters.sqlite.migration import migrate
+from tests.support.stored_rows import columns, run
 
 
 @pytest.fixture
@@ -19,20 +18,12 @@ def database(tmp_path):
     return tmp_path / "old.db"
 
 
-def run(path, statement):
-    connection = sqlite3.connect(path)
-    rows = connection.execute(statement).fetchall()
-    connection.commit()
-    connection.close()
-    return rows
-
-
 def test_maps_of_before_follow_the_service(database):
     migrate(database)
     rules = run(database, "SELECT loop_candidates, min_score, min_overlap, max_seen_through FROM maps")
     assert rules == [(None, None, None, None)]
     migrate(database, "0007")
-    assert "min_score" not in {row[1] for row in run(database, "PRAGMA table_info(maps)")}
+    assert "min_score" not in columns(database, "maps")
 
 
 def test_a_map_with_rules_of_its_own_is_not_given_those_of_the_service_by_going_back(database):

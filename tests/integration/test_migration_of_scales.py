@@ -2,32 +2,22 @@
 
 from __future__ import annotations
 
-import sqlite3
-
 import pytest
 
 from revisit.service.adapters.sqlite.migration import current_revision, migrate
 from revisit.service.adapters.sqlite.transactions import SqliteTransactions
 from tests.contract.test_transactions import fill
+from tests.support.stored_rows import columns, run
 
 
 @pytest.fixture
 def database(tmp_path):
     migrate(tmp_path / "old.db", "0001")
-    connection = sqlite3.connect(tmp_path / "old.db")
-    connection.execute(
-        "INSERT INTO maps (tenant, map_id, content_hash, display_name, created_at_ns) VALUES ('t', 'm', 'h', '', 7)"
+    run(
+        tmp_path / "old.db",
+        "INSERT INTO maps (tenant, map_id, content_hash, display_name, created_at_ns) VALUES ('t', 'm', 'h', '', 7)",
     )
-    connection.commit()
-    connection.close()
     return tmp_path / "old.db"
-
-
-def columns(path, table):
-    connection = sqlite3.connect(path)
-    names = {row[1] for row in connection.execute(f"PRAGMA table_info({table})")}
-    connection.close()
-    return names
 
 
 def test_maps_of_the_first_schema_become_maps_of_street_size(database):
@@ -46,10 +36,7 @@ def test_maps_of_the_first_schema_become_maps_of_street_size(database):
 
 def test_a_map_of_another_scale_is_not_taken_for_a_street_by_going_back(database):
     migrate(database)
-    connection = sqlite3.connect(database)
-    connection.execute("UPDATE maps SET scene_scale = 0.25")
-    connection.commit()
-    connection.close()
+    run(database, "UPDATE maps SET scene_scale = 0.25")
     with pytest.raises(RuntimeError, match="1 maps have a scene_scale"):
         migrate(database, "0001")
     assert "scene_scale" in columns(database, "maps")

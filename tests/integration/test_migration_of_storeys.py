@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import sqlite3
 
 import pytest
 
 from revisit.service.adapters.sqlite.migration import current_revision, migrate
 from revisit.service.application.catalogue.sessions import CreateSession
 from tests.support.service_world import SESSION, TENANT, open_session, sqlite_world
+from tests.support.stored_rows import columns, run
 
 
 @pytest.fixture
@@ -22,16 +22,8 @@ def database(tmp_path):
     return tmp_path / "revisit.db"
 
 
-def run(path, statement):
-    connection = sqlite3.connect(path)
-    rows = connection.execute(statement).fetchall()
-    connection.commit()
-    connection.close()
-    return rows
-
-
 def test_of_sessions_of_before_nobody_has_said_the_storey_and_they_are_created_again_as_then(database, tmp_path):
-    assert "storey" not in {row[1] for row in run(database, "PRAGMA table_info(sessions)")}
+    assert "storey" not in columns(database, "sessions")
     world = sqlite_world(tmp_path)
     again = asyncio.run(world.use_cases.sessions.create(TENANT, CreateSession(SESSION.map_id, SESSION.session_id)))
     world.context.transactions.close()

@@ -127,8 +127,7 @@ async def localize(
     storey: StoreyName = None,
 ) -> Response:
     """Where in the map was this cloud taken? No match is an answer, not an error."""
-    narrowed = (prior, radius_m, candidates, exclude_session, only_session, level, storey)
-    query = LocalizeQuery(map_id, cloud, *narrowed)
+    query = LocalizeQuery(map_id, cloud, prior, radius_m, candidates, exclude_session, only_session, level, storey)
     return answer(LocalizeAnswer, of_localization(await cases.searches.localize(tenant, query, fresh)))
 
 
