@@ -28,13 +28,28 @@ def seen_columns(points: Array64, edge: float) -> SeenColumns:
     size = 64
     while size < 2 * len(points):
         size *= 2
-    slots, lowest = np.full((size, 2), _NOWHERE, dtype=np.int32), np.full(size, np.inf)
+    slots, lowest, count = np.full((size, 2), _NOWHERE, dtype=np.int32), np.full(size, np.inf), 0
     for n in range(len(points)):
         x, y = int(np.floor(points[n, 0] / edge)), int(np.floor(points[n, 1] / edge))
         slot = slot_of(slots, x, y)
+        count += slots[slot, 0] == _NOWHERE
         slots[slot, 0], slots[slot, 1] = x, y
         lowest[slot] = min(lowest[slot], points[n, 2])
-    return SeenColumns(slots, lowest)
+    return _without_room(slots, lowest, count)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _without_room(slots: NDArray[np.int32], lowest: Array64, count: int) -> SeenColumns:
+    """The same `count` columns in a table of no more than eight slots for each: a place keeps it, a search reads it."""
+    size = 64
+    while size < 4 * count:
+        size *= 2
+    kept, kept_lowest = np.full((size, 2), _NOWHERE, dtype=np.int32), np.full(size, np.inf)
+    for n in range(len(slots)):
+        if slots[n, 0] != _NOWHERE:
+            slot = slot_of(kept, slots[n, 0], slots[n, 1])
+            kept[slot], kept_lowest[slot] = slots[n], lowest[n]
+    return SeenColumns(kept, kept_lowest)
 
 
 @numba.njit(cache=True, error_model="numpy")

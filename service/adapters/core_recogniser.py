@@ -16,6 +16,7 @@ from revisit.core.config import PipelineConfig, VerificationConfig
 from revisit.core.errors import DataLoss, RevisitError
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.implicit_map import NeuralMap
+from revisit.core.kernels.intermediate_code import pack_intermediate_code
 from revisit.core.kernels.plane_votes import plane_scores
 from revisit.core.model_bundle import ModelBundle, load_packaged_models
 from revisit.core.pipeline import DescribedPlace, describe, describe_again, verify
@@ -120,6 +121,7 @@ def load_recogniser() -> CoreRecogniser:
     """The recogniser that the workers use, warmed up: what is compiled at first use is compiled by now."""
     recogniser = CoreRecogniser(load_packaged_models())
     warm_up(recogniser)
+    pack_intermediate_code()
     return recogniser
 
 

@@ -105,6 +105,18 @@ def test_the_shared_region_is_that_of_the_columns_of_numpy():
     assert np.array_equal(in_region(*surfaces), expected)
 
 
+def test_a_place_keeps_no_more_than_eight_slots_for_a_column_and_its_lowest_point():
+    points = np.random.default_rng(5).uniform(-40, 40, (3000, 3))
+    seen = OrientedPoints(points, points, 3000).seen
+    lowest = {}
+    for x, y, z in points:
+        column = int(np.floor(x / 2.0)), int(np.floor(y / 2.0))
+        lowest[column] = min(z, lowest.get(column, np.inf))
+    entered = np.isfinite(seen.lowest)
+    assert dict(zip(map(tuple, seen.slots[entered].tolist()), seen.lowest[entered], strict=True)) == lowest
+    assert len(seen.slots) <= 8 * len(lowest)
+
+
 def test_the_compiled_shares_are_those_of_contact_in_the_common_region():
     rng = np.random.default_rng(4)
     surface = joined(wall(STREET), wall(STREET, axis=1, offset=-3.0))
