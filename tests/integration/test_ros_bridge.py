@@ -51,11 +51,13 @@ def impatient(monkeypatch):
 class Robot:
     """A robot with the bridge: odometry and clouds go in as ROS sends them."""
 
-    def __init__(self, ros: Messages, grpc: str, folder: Path, map_id: str, boot: str = "boot 1") -> None:
+    def __init__(
+        self, ros: Messages, grpc: str, folder: Path, map_id: str, boot: str = "boot 1", storey: str = ""
+    ) -> None:
         self.ros = ros
         self.client = Client.grpc(grpc, retry=QUICK)
-        own = Parameters(map_id=map_id, robot_id="spot", odometry_topic="odometry", poll_s=0.05)
-        outbox = Outbox(folder, map_id, ServiceSessions(self.client, "spot", 2**30), time.monotonic)
+        own = Parameters(map_id=map_id, robot_id="spot", odometry_topic="odometry", poll_s=0.05, storey=storey)
+        outbox = Outbox(folder, map_id, ServiceSessions(self.client, "spot", 2**30), time.monotonic, storey)
         answers = ServiceAnswers(self.client)
         unknown = lambda target, source, stamp: Unknown.NOT_YET  # noqa: E731
         self.bridge = Bridge(own, unknown, outbox, answers, boot, folder / "last_scan.json", time.monotonic)
@@ -86,8 +88,9 @@ def robot_in(ros, service, tmp_path, request):
     """Makes robots that share a disk and a map; they are switched off at the end."""
     made: list[Robot] = []
 
-    def make(grpc: str | None = None, boot: str = "boot 1") -> Robot:
-        made.append(Robot(ros, grpc or service.grpc, tmp_path, f"m{abs(hash(request.node.name))}", boot))
+    def make(grpc: str | None = None, boot: str = "boot 1", storey: str = "") -> Robot:
+        map_id = f"m{abs(hash(request.node.name))}"
+        made.append(Robot(ros, grpc or service.grpc, tmp_path, map_id, boot, storey))
         return made[-1]
 
     yield make
@@ -189,3 +192,23 @@ def test_registered_clouds_are_taken_back_to_the_sensor(robot_in) -> None:
     robot.bridge.take_odometry(robot.ros.odometry(pose, stamp))
     robot.bridge.take_cloud(robot.ros.cloud(registered, stamp, "odom"))
     assert np.allclose(sent[0], cloud_points(1), atol=1e-4)
+
+
+def test_a_session_is_created_with_the_storey_that_it_began_on_also_after_a_restart(robot_in) -> None:
+    robot = robot_in(NOWHERE, storey="B2")
+    robot.drive(0, 10)
+    first = robot.session
+    robot.off()
+
+    again = robot_in(storey="B2")
+    assert again.session == first  # the same storey: the session goes on
+    again.off()
+
+    upstairs = robot_in(storey="B1")
+    assert upstairs.session == ""
+    upstairs.drive(11, 20)
+    upstairs.until(lambda: upstairs.bridge.outbox.state.pending == 0 and stored(upstairs) == 10)
+    upstairs.until(lambda: upstairs.client.get_session(first).state == "FINISHED")
+    assert upstairs.client.get_session(first).storey == "B2"
+    assert upstairs.client.get_session(first).committed_seq == 11
+    assert upstairs.client.get_session(upstairs.session).storey == "B1"

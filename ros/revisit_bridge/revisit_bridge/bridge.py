@@ -18,7 +18,7 @@ from revisit_bridge.answers import Answers, News, Newsroom
 from revisit_bridge.messages import Points, points_of, pose_of
 from revisit_bridge.outbox import Outbox
 from revisit_bridge.pairing import Mountings, OdometryPoses, PosedCloud, TransformPoses, WaitingClouds
-from revisit_bridge.parameters import Parameters
+from revisit_bridge.parameters import Parameters, require_storey
 from revisit_bridge.session_rule import Begun, LastScan, Motion, Repeated, judge, new_session_id
 
 log = logging.getLogger("revisit_bridge")
@@ -64,8 +64,8 @@ class Bridge:
         source = self._odometry or TransformPoses(parameters.odom_frame, transforms)
         self._clouds = WaitingClouds(source, parameters.pose_wait_s, parameters.max_waiting_clouds, now_s)
         self._journey = Journey(LastScan.load(state_file))
-        if self._journey.last is not None:
-            outbox.resume(self._journey.last.session_id)
+        if self._journey.last is not None and not outbox.resume(self._journey.last.session_id):
+            self._journey = Journey()
         self._newsroom = Newsroom(answers)
         self._news: queue.SimpleQueue[News] = queue.SimpleQueue()
         self._refused: dict[str, int] = {}
@@ -129,6 +129,14 @@ class Bridge:
         self._outbox.end()
         self._journey = Journey()
         self._state_file.unlink(missing_ok=True)
+
+    def change_storey(self, storey: str) -> None:
+        """The robot is on another storey: the next scan begins a session there. Raises ValueError for no such name."""
+        require_storey(storey)
+        if storey != self._parameters.storey:
+            self._parameters = replace(self._parameters, storey=storey)
+            self._outbox.change_storey(storey)
+            self.end_session()
 
     def close(self) -> None:
         """Stop; what is not sent stays on the disk."""

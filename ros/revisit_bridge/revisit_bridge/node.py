@@ -20,6 +20,7 @@ from geometry_msgs.msg import (
     Vector3,
 )
 from nav_msgs.msg import Odometry
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
@@ -84,7 +85,7 @@ class BridgeNode(Node):
         folder = Path(own.spool_dir).expanduser() if own.spool_dir else Path.home() / ".revisit" / "spool"
         self._client = Client.grpc(own.service)
         sessions = ServiceSessions(self._client, own.robot_id, own.spool_max_mb * 2**20)
-        outbox = Outbox(folder, own.map_id, sessions, time.monotonic)
+        outbox = Outbox(folder, own.map_id, sessions, time.monotonic, own.storey)
         answers = ServiceAnswers(self._client)
         return Bridge(own, self._lookup, outbox, answers, boot_id(), folder / "last_scan.json", time.monotonic)
 
@@ -94,6 +95,7 @@ class BridgeNode(Node):
         if own.odometry_topic:
             self.create_subscription(Odometry, own.odometry_topic, self.bridge.take_odometry, qos_profile_sensor_data)
         self.create_service(Trigger, "~/end_session", self._end_session)
+        self.add_on_set_parameters_callback(self._set)
         self.create_timer(WORK_S, self.bridge.work)
         self.create_timer(PUBLISH_S, self._tell)
         self.create_timer(STATUS_S, self._tell_status)
@@ -145,6 +147,19 @@ class BridgeNode(Node):
         self.bridge.end_session()
         response.success, response.message = True, "the next scan begins a new session"
         return response
+
+    def _set(self, parameters: Any) -> Any:
+        """The storey can be set while the node runs, its other parameters are read when it starts."""
+        of_node = {item.name for item in Parameters.declared()}
+        for parameter in parameters:
+            if parameter.name == "storey":
+                try:
+                    self.bridge.change_storey(parameter.value)
+                except ValueError as error:
+                    return SetParametersResult(successful=False, reason=str(error))
+            elif parameter.name in of_node:
+                return SetParametersResult(successful=False, reason=f"{parameter.name} is read when the node starts")
+        return SetParametersResult(successful=True)
 
     def destroy_node(self) -> None:
         """Stop; scans that are not sent stay on the disk."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,6 +18,9 @@ from revisit.sdk.spool import Spool, SpoolState
 from revisit_bridge.messages import Points
 
 SUFFIX = ".spool"
+STOREY_SUFFIX = ".storey"
+"""Of the file beside a spool that holds the storey of its session: the session may be created after a restart."""
+
 RETRY_S = 30.0
 LOST_SESSION = frozenset({"SESSION_FINISHED", "NOT_FOUND", "SEQ_GAP", "ALREADY_EXISTS"})
 """Reasons after which a session cannot go on: only a new one helps. After others the stream is opened again."""
@@ -40,8 +44,8 @@ class Stream(Protocol):
 class Sessions(Protocol):
     """What is used of the service."""
 
-    def stream(self, session: str, spool: Path) -> contextlib.AbstractContextManager[Stream]:
-        """The stream of a session by way of a file; the session is created once there is a link."""
+    def stream(self, session: str, spool: Path, storey: str) -> contextlib.AbstractContextManager[Stream]:
+        """The stream of a session by way of a file; the session, on a storey or "", is created once there is a link."""
 
     def finish(self, session: str) -> None:
         """Finish a session. Raises ApiError."""
@@ -55,22 +59,23 @@ class ServiceSessions:
     robot_id: str
     max_bytes: int
 
-    def stream(self, session: str, spool: Path) -> contextlib.AbstractContextManager[Stream]:
+    def stream(self, session: str, spool: Path, storey: str) -> contextlib.AbstractContextManager[Stream]:
         """See Sessions."""
         return self.client.spooled_stream(
-            session, spool, max_bytes=self.max_bytes, prepare=lambda: self._create(session)
+            session, spool, max_bytes=self.max_bytes, prepare=lambda: self._create(session, storey)
         )
 
     def finish(self, session: str) -> None:
         """See Sessions."""
         self.client.finish_session(session)
 
-    def _create(self, session: str) -> None:
+    def _create(self, session: str, storey: str) -> None:
         _, map_id, _, session_id = session.split("/")
         with contextlib.suppress(ApiError):
             # A map that is there may have other settings than the service's defaults: that is no matter here.
             self.client.create_map(map_id)
-        self.client.create_session(f"maps/{map_id}", session_id, robot=self.client.create_robot(self.robot_id))
+        robot = self.client.create_robot(self.robot_id)
+        self.client.create_session(f"maps/{map_id}", session_id, robot=robot, storey=storey or None)
 
 
 @dataclass
@@ -99,28 +104,44 @@ class OutboxState:
 class Outbox:
     """Safe between the thread that sends and the one that tends."""
 
-    def __init__(self, folder: Path, map_id: str, sessions: Sessions, now_s: Callable[[], float]) -> None:
-        """Opens what earlier runs have left in `folder`, which is made where there is none. Raises SpoolUnusable."""
+    def __init__(
+        self, folder: Path, map_id: str, sessions: Sessions, now_s: Callable[[], float], storey: str = ""
+    ) -> None:
+        """Opens what earlier runs have left in `folder`, which is made where there is none. Raises SpoolUnusable.
+
+        Sessions that begin are on `storey`, "" where it is not known; those of earlier runs stay on theirs.
+        """
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         self._folder, self._map_id, self._sessions, self._now_s = folder, map_id, sessions, now_s
+        self._storey = storey
         self._lock = threading.RLock()
         self._current: _Open | None = None
         self._ending = [self._opened(_session_of(spool), spool) for spool in sorted(folder.glob(f"*{SUFFIX}"))]
         self._stuck: dict[str, str] = {}
 
-    def resume(self, session_id: str) -> None:
-        """Go on with a session of an earlier run, before anything is sent or tended."""
+    def resume(self, session_id: str) -> bool:
+        """Go on with a session of an earlier run, before anything is sent or tended. Not with one of another storey:
+        that ends, and the answer is False.
+        """
         with self._lock:
             mine = [left for left in self._ending if left.spool.stem == session_id]
+            if mine and _storey_of(mine[0].spool) != self._storey:
+                return False
             self._ending = [left for left in self._ending if left not in mine]
-            self._current = mine[0] if mine else self._opened(self._name(session_id), self._path(session_id))
+            self._current = mine[0] if mine else self._new(session_id)
+            return True
+
+    def change_storey(self, storey: str) -> None:
+        """Sessions that begin from now on are on another storey."""
+        with self._lock:
+            self._storey = storey
 
     def begin(self, session_id: str) -> None:
         """Scans go to a new session from now on; the one before is finished once its scans are sent."""
         with self._lock:
             if self._current is not None:
                 self._ending.append(self._current)
-            self._current = self._opened(self._name(session_id), self._path(session_id))
+            self._current = self._new(session_id)
 
     def end(self) -> None:
         """No session is current any more; see `begin`."""
@@ -221,9 +242,19 @@ class Outbox:
         """Ids of the sessions that have a spool here."""
         return {spool.stem for spool in self._folder.glob(f"*{SUFFIX}")}
 
+    def _new(self, session_id: str) -> _Open:
+        """A spool of its own for a session, and beside it the storey that it is on."""
+        spool = self._path(session_id)
+        if self._storey:
+            with _storey_file(spool).open("w", encoding="utf-8") as beside:
+                beside.write(self._storey)
+                beside.flush()
+                os.fsync(beside.fileno())
+        return self._opened(self._name(session_id), spool)
+
     def _opened(self, name: str, spool: Path) -> _Open:
         stack = contextlib.ExitStack()
-        stream = stack.enter_context(self._sessions.stream(name, spool))
+        stream = stack.enter_context(self._sessions.stream(name, spool, _storey_of(spool)))
         return _Open(name, spool, stream, stack.close)
 
     def _path(self, session_id: str) -> Path:
@@ -231,6 +262,16 @@ class Outbox:
 
     def _name(self, session_id: str) -> str:
         return f"maps/{self._map_id}/sessions/{session_id}"
+
+
+def _storey_file(spool: Path) -> Path:
+    return spool.with_name(spool.name + STOREY_SUFFIX)
+
+
+def _storey_of(spool: Path) -> str:
+    """The storey that the session of a spool is on, "" where none is known."""
+    beside = _storey_file(spool)
+    return beside.read_text(encoding="utf-8") if beside.is_file() else ""
 
 
 def _session_of(spool: Path) -> str:

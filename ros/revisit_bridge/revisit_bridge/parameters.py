@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import Field, dataclass, field, fields
 from typing import Any, Self
 
+LONGEST_STOREY = 64
+
 
 def _parameter(default: Any, meaning: str) -> Any:
     return field(default=default, metadata={"meaning": meaning})
@@ -18,6 +20,9 @@ class Parameters:
     service: str = _parameter("127.0.0.1:8090", "gRPC address of the service; `grpcs://host:port` for TLS")
     map_id: str = _parameter("default", "map that the sessions belong to; created where there is none")
     robot_id: str = _parameter("robot", "robot that the sessions belong to; created where there is none")
+    storey: str = _parameter(
+        "", "storey of a building that the robot is on, as B2; empty: not known. May be set anew in a lift"
+    )
     spool_dir: str = _parameter("", "folder for scans that wait for the service; empty: ~/.revisit/spool")
     spool_max_mb: int = _parameter(4096, "MB that the clouds of one session may take on this disk")
     cloud_topic: str = _parameter("points", "sensor_msgs/PointCloud2, deskewed, in the frame of the sensor")
@@ -45,6 +50,7 @@ class Parameters:
                 raise ValueError(f"{name} must not be empty")
         if self.map_frame == self.odom_frame:
             raise ValueError(f"map_frame and odom_frame are both {self.map_frame}")
+        require_storey(self.storey)
 
     @classmethod
     def declared(cls) -> tuple[Field[Any], ...]:
@@ -55,6 +61,12 @@ class Parameters:
     def of(cls, values: Mapping[str, Any]) -> Self:
         """From values by name; what is missing is as declared. Raises ValueError."""
         return cls(**values)
+
+
+def require_storey(storey: str) -> None:
+    """Raise ValueError where `storey` is no name of a storey, nor empty."""
+    if len(storey) > LONGEST_STOREY or not storey.isprintable():
+        raise ValueError(f"storey must have at most {LONGEST_STOREY} printable characters, got {storey!r}")
 
 
 def as_table() -> str:

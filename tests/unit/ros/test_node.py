@@ -47,6 +47,9 @@ class FakeNode:
     def create_service(self, kind, name, callback):
         self.services[name] = callback
 
+    def add_on_set_parameters_callback(self, callback):
+        self.set_parameters = callback
+
     def create_timer(self, period, callback):
         self.timers.append(callback)
 
@@ -95,6 +98,8 @@ def made(monkeypatch, tmp_path):
         module(package)
         module(f"{package}.msg", **kinds)
     module("std_srvs")
+    module("rcl_interfaces")
+    module("rcl_interfaces.msg", SetParametersResult=lambda successful, reason="": (successful, reason))
     module("std_srvs.srv", Trigger=object)
     module("rclpy", init=None, spin=None, try_shutdown=None)
     module("rclpy.duration", Duration=lambda seconds: seconds)
@@ -173,3 +178,29 @@ def test_a_session_is_ended_on_request(made) -> None:
         sessions.append(node.bridge.outbox.state.session)
         assert node.services["~/end_session"](None, SimpleNamespace()).success
     assert len(set(sessions)) == 2
+
+
+def test_a_robot_that_took_the_lift_goes_on_in_a_session_on_its_new_storey(made, tmp_path) -> None:
+    ros, node, _ = made
+    take_cloud, take_odometry = node.subscriptions_made["points"][1], node.subscriptions_made["odometry"][1]
+    sessions = []
+    for index, storey in enumerate(("", "B2", "B2")):
+        assert node.set_parameters([SimpleNamespace(name="storey", value=storey)]) == (True, "")
+        stamp = SECOND + index * SECOND // 10
+        take_cloud(ros.cloud(np.ones((50, 3)), stamp, "lidar"))
+        take_odometry(ros.odometry(se3.from_yaw(0.0, (0.2 * index, 0.0, 0.0)), stamp))
+        sessions.append(node.bridge.outbox.state.session.rpartition("/")[2])
+    assert sessions[0] != sessions[1] == sessions[2]
+    beside = {file.name: file.read_text() for file in tmp_path.glob("*.storey")}
+    assert beside == {f"{sessions[1]}.spool.storey": "B2"}
+
+
+@pytest.mark.parametrize(("name", "value", "reason"), [
+    ("storey", "a\nb", "at most 64 printable characters"), ("storey", "B" * 65, "at most 64 printable characters"),
+    ("map_id", "other", "map_id is read when the node starts"),
+])  # fmt: skip
+def test_what_cannot_be_set_while_the_node_runs_is_refused_with_the_reason(made, name, value, reason) -> None:
+    _, node, _ = made
+    successful, told = node.set_parameters([SimpleNamespace(name=name, value=value)])
+    assert not successful and reason in told
+    assert node.set_parameters([SimpleNamespace(name="use_sim_time", value=True)]) == (True, "")
