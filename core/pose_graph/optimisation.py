@@ -15,6 +15,7 @@ from revisit.core.geometry import se3
 from revisit.core.pose_graph.consistency import ConsistentSet, consistent_sets
 from revisit.core.pose_graph.graph import LoopEdge, Node, PoseGraph, Trajectory
 from revisit.core.pose_graph.least_squares import graduated, minimise
+from revisit.core.pose_graph.marginal_covariances import marginal_covariances
 from revisit.core.pose_graph.placement import Component, place_sessions
 from revisit.core.pose_graph.support import LoopsWithin
 from revisit.core.pose_graph.variance_factor import rescaled, variance_factor
@@ -223,11 +224,11 @@ class Problem:
 
     def covariances(self, values: gtsam.Values, kept: set[int]) -> dict[str, Array64]:
         """The marginal covariances (n, 6, 6) of the poses of each session, translations first."""
-        if (marginals := _marginals(self.graph(kept), values)) is None:
+        if (of_keys := marginal_covariances(self.graph(kept), values)) is None:
             return {one.session: np.full((len(one), 6, 6), np.nan) for one in self.trajectories}
         keys = {one.session: [self.keys[Node(one.session, i)] for i in range(len(one))] for one in self.trajectories}
         return {
-            session: np.stack([marginals.marginalCovariance(key)[_TRANSLATION_FIRST] for key in of_session])
+            session: np.stack([of_keys[key][_TRANSLATION_FIRST] for key in of_session])
             for session, of_session in keys.items()
         }
 
