@@ -97,8 +97,11 @@ def formed(described: DescribedDrive, form: str, fusion: FusionConfig) -> Descri
 def judged(queries: DescribedDrive, mapped: DescribedDrive, loops: LoopProtocol, *, own_map: bool) -> Outcomes:
     """The first answer of every query by the standardised similarity.
 
-    With `own_map` submap n of the map enters it after query n has asked; each query is known after it has asked.
+    With `own_map` submap n of the map enters it after query n has asked; each query is known after it has asked. Raises
+    ValueError where these are not the same submaps: one of them could not be described under every condition.
     """
+    if own_map and len(queries.vectors) != len(mapped.vectors):
+        raise ValueError(f"{len(queries.vectors)} queries are not the {len(mapped.vectors)} submaps of their own map")
     truth = (
         GroundTruth.within_session(queries.positions, loops)
         if own_map

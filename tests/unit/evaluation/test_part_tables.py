@@ -53,6 +53,13 @@ def test_drives_are_judged_as_the_search_of_a_recording_finds_their_submaps(own_
     assert outcomes.correct.sum() > 0
 
 
+def test_queries_that_are_not_the_submaps_of_their_map_are_refused():
+    whole = there_and_back(2)
+    fewer = DescribedDrive(whole.vectors[1:], whole.positions[1:])
+    with pytest.raises(ValueError, match="23 queries are not the 24 submaps"):
+        judged(fewer, whole, LOOPS, own_map=True)
+
+
 def test_only_parts_of_a_descriptor_are_taken_out_of_it():
     fusion = PipelineConfig().fusion
     size = fusion.macro_size + fusion.micro_size + fusion.spectrum_size + fusion.layout_size + fusion.plan_size
