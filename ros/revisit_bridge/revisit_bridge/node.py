@@ -150,15 +150,15 @@ class BridgeNode(Node):
 
     def _set(self, parameters: Any) -> Any:
         """The storey can be set while the node runs, its other parameters are read when it starts."""
-        of_node = {item.name for item in Parameters.declared()}
-        for parameter in parameters:
-            if parameter.name == "storey":
-                try:
-                    self.bridge.change_storey(parameter.value)
-                except ValueError as error:
-                    return SetParametersResult(successful=False, reason=str(error))
-            elif parameter.name in of_node:
-                return SetParametersResult(successful=False, reason=f"{parameter.name} is read when the node starts")
+        values = {parameter.name: parameter.value for parameter in parameters}
+        fixed = [item.name for item in Parameters.declared() if item.name in values and item.name != "storey"]
+        if fixed:
+            return SetParametersResult(successful=False, reason=f"{', '.join(fixed)}: read when the node starts")
+        try:
+            if "storey" in values:
+                self.bridge.change_storey(values["storey"])
+        except ValueError as error:
+            return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
     def destroy_node(self) -> None:
