@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 from revisit.core.config import FusionConfig, PipelineConfig
 from revisit.core.descriptor.fusion import without_parts
-from revisit.core.index import ExactIndex, IndexEntry, SearchFilter
 from revisit.core.model_bundle import load_packaged_models
 from revisit.evaluation.ablation import Ablation
 from revisit.evaluation.cutting import cut
-from revisit.evaluation.described_submaps import DescriptionWork, describe_submap
-from revisit.evaluation.loop_closure_method import RevisitMethod
+from revisit.evaluation.described_submaps import DescribedSubmap, DescriptionWork, describe_submap
+from revisit.evaluation.loop_closure_method import Description, RevisitMethod
+from revisit.evaluation.matching import search_map
 from revisit.evaluation.metrics import Interval, LoopProtocol, Outcomes, best_f1, mean_auc, precision_recall
 from revisit.evaluation.perturbations import Perturbation
 from revisit.evaluation.protocols.benchmark_plan import HARDER, PLAIN, TURNED, BenchmarkPlan
@@ -107,20 +107,12 @@ def judged(queries: DescribedDrive, mapped: DescribedDrive, loops: LoopProtocol,
         if own_map
         else GroundTruth.between_sessions(queries.positions, mapped.positions, loops.positive_radius_m)
     )
-    index, same = ExactIndex(mapped.vectors.shape[1]), queries is mapped
-    if not own_map:
-        _enter(index, mapped, range(len(mapped.vectors)), session=0, first=0)
-    score, right = np.full(len(queries.vectors), -np.inf), np.zeros(len(queries.vectors), dtype=bool)
-    for number, vector in enumerate(queries.vectors):
-        ids = frozenset(np.flatnonzero(truth.allowed[number]).tolist())
-        only = SearchFilter(only_session=0, near=(0 if same else 1, number, 0), allowed=ids)
-        for match in index.search(vector, 1, only):
-            score[number], right[number] = match.similarity, truth.positives[number, match.id]
-        if own_map:
-            _enter(index, mapped, range(number, number + 1), session=0, first=0)
-        if not same:
-            _enter(index, queries, range(number, number + 1), session=1, first=len(mapped.vectors))
-    return Outcomes(score, right, np.asarray(truth.positives.any(axis=1)))
+    known = _submaps(mapped)
+    asking = known if queries is mapped else _submaps(queries)
+    found = search_map(asking, known, 1, truth.allowed, own_map=own_map)
+    score = [one[0].similarity if one else -np.inf for one in found]
+    right = [bool(one and truth.positives[number, one[0].id]) for number, one in enumerate(found)]
+    return Outcomes(np.array(score), np.array(right, dtype=bool), np.asarray(truth.positives.any(axis=1)))
 
 
 def outcomes(study: PartStudy, drive: SimulatedDrive, condition: str, form: str) -> Outcomes:
@@ -162,10 +154,12 @@ def rows(study: PartStudy, drives: Sequence[SimulatedDrive]) -> Iterator[str]:
         yield f"| {condition} | {' | '.join((*cells, *others))} |"
 
 
-def _enter(index: ExactIndex, described: DescribedDrive, numbers: range, session: int, first: int) -> None:
-    for number in numbers:
-        entry = IndexEntry(first + number, session, first + number, described.positions[number])
-        index.add([entry], described.vectors[number][None])
+def _submaps(described: DescribedDrive) -> list[DescribedSubmap]:
+    """As the search of a recording takes them: all that it looks at is descriptors and positions."""
+    return [
+        DescribedSubmap(number, (number,), position, np.eye(4), 0.0, Description(vector, b"", 0, {}), None, 0)
+        for number, (vector, position) in enumerate(zip(described.vectors, described.positions, strict=True))
+    ]
 
 
 def _f1(one: Outcomes) -> float:

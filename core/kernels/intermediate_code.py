@@ -18,7 +18,8 @@ def pack_intermediate_code() -> int:
     this process compiled by itself stays as it is, and so does all where numba keeps it in another way.
     """
     kernels: list[Any] = [one for one in gc.get_objects() if isinstance(one, Dispatcher)]
-    return sum(_packed(compiled.library) for kernel in kernels for compiled in kernel.overloads.values())
+    compiled = [one._asdict() for kernel in kernels for one in kernel.overloads.values()]
+    return sum(_packed(one["library"]) for one in compiled)
 
 
 def _packed(library: Any) -> bool:

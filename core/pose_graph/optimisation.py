@@ -226,10 +226,11 @@ class Problem:
         """The marginal covariances (n, 6, 6) of the poses of each session, translations first."""
         if (of_keys := marginal_covariances(self.graph(kept), values)) is None:
             return {one.session: np.full((len(one), 6, 6), np.nan) for one in self.trajectories}
-        keys = {one.session: [self.keys[Node(one.session, i)] for i in range(len(one))] for one in self.trajectories}
         return {
-            session: np.stack([of_keys[key][_TRANSLATION_FIRST] for key in of_session])
-            for session, of_session in keys.items()
+            one.session: np.stack(
+                [of_keys[self.keys[Node(one.session, place)]][_TRANSLATION_FIRST] for place in range(len(one))]
+            )
+            for one in self.trajectories
         }
 
 

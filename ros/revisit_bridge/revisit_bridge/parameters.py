@@ -64,9 +64,11 @@ class Parameters:
 
 
 def require_storey(storey: str) -> None:
-    """Raise ValueError where `storey` is no name of a storey, nor empty."""
-    if len(storey) > LONGEST_STOREY or not storey.isprintable():
-        raise ValueError(f"storey must have at most {LONGEST_STOREY} printable characters, got {storey!r}")
+    """Raise ValueError where `storey` is no name of a storey, as the service takes them, nor empty."""
+    if len(storey) > LONGEST_STOREY or not storey.isprintable() or storey != storey.strip():
+        raise ValueError(
+            f"storey must have at most {LONGEST_STOREY} printable characters, no blank before or behind, got {storey!r}"
+        )
 
 
 def as_table() -> str:

@@ -197,7 +197,7 @@ def test_a_robot_that_took_the_lift_goes_on_in_a_session_on_its_new_storey(made,
 
 @pytest.mark.parametrize(("name", "value", "reason"), [
     ("storey", "a\nb", "at most 64 printable characters"), ("storey", "B" * 65, "at most 64 printable characters"),
-    ("map_id", "other", "map_id: read when the node starts"),
+    ("storey", "B2 ", "no blank before or behind"), ("map_id", "other", "map_id: read when the node starts"),
 ])  # fmt: skip
 def test_what_cannot_be_set_while_the_node_runs_is_refused_with_the_reason(made, name, value, reason) -> None:
     _, node, _ = made
