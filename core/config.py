@@ -97,6 +97,13 @@ class Field(StrEnum):
     LEARNED = "learned"
 
 
+class Fitting(StrEnum):
+    """When a learned field takes its gradient steps (paper III-B 5): at the end, or as each scan comes."""
+
+    AT_ONCE = "at once"
+    SCAN_BY_SCAN = "scan by scan"
+
+
 class Normalisation(StrEnum):
     """eta of Eq. 9: how the summed evidence of a column becomes intensity."""
 
@@ -178,7 +185,12 @@ class ImplicitMapConfig(Section):
     loss: Loss = parameter(Loss.BCE, "bce or l1", "PIN-SLAM", "loss on the signed distance")
     loss_scale: float = parameter(0.08, "m", "PIN-SLAM", "scale of the sigmoid of the bce loss")
     feature_decay: float = parameter(0.01, "1", "own", "weight of the squared latent features in the loss", low=0)
-    steps: int = parameter(10, "steps", "paper III-B 5", "gradient steps a submap, of a learned field", low=0)
+    fitting: Fitting = parameter(
+        Fitting.AT_ONCE, "at once or scan by scan", "own; paper III-B 5: scan by scan", "when a learned field is fitted"
+    )
+    steps: int = parameter(
+        10, "steps", "paper III-B 5", "gradient steps a submap, or a scan, of a learned field", low=0
+    )
     batch: int = parameter(16384, "samples", "PIN-SLAM", "samples a gradient step")
     learning_rate: float = parameter(0.01, "1", "PIN-SLAM", "Adam step size")
     update_decoder: bool = parameter(False, "", "paper III-B 5", "also adapt the decoder of a learned field")

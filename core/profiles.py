@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from enum import StrEnum
 
-from revisit.core.config import Evaluation, Field, KeypointSource, Loss, PipelineConfig
+from revisit.core.config import Evaluation, Field, Fitting, KeypointSource, Loss, PipelineConfig
 from revisit.core.kernels.column_histograms import ANGLE_BINS
 from revisit.core.model_bundle import PACKAGED_FILE, ModelBundle, load_packaged_models
 
@@ -27,9 +27,9 @@ def profile_models(profile: Profile) -> ModelBundle:
 def profile_config(profile: Profile, config: PipelineConfig = PipelineConfig()) -> PipelineConfig:
     """`config` with the parameters that make a profile; the product's are the defaults.
 
-    The paper's: a learned field with an updated decoder, trained with L1 (III-B, Eq. 2-5), inverse distances as weights
-    (Eq. 3), one histogram a cluster over random pairs (III-C), FAST on the MIM (III-D), saliency inside the VLAD
-    (Eq. 13), VLAD vectors of full size, and nothing but F^B and F^G in the descriptor (Eq. 14).
+    The paper's: a learned field with an updated decoder, trained with L1 as each scan comes (III-B, Eq. 2-5), inverse
+    distances as weights (Eq. 3), one histogram a cluster over random pairs (III-C), FAST on the MIM (III-D), saliency
+    inside the VLAD (Eq. 13), VLAD vectors of full size, and nothing but F^B and F^G in the descriptor (Eq. 14).
     """
     if profile is Profile.PRODUCT:
         return config
@@ -38,7 +38,8 @@ def profile_config(profile: Profile, config: PipelineConfig = PipelineConfig()) 
     return dataclasses.replace(
         config,
         implicit_map=dataclasses.replace(
-            config.implicit_map, field=Field.LEARNED, weight_power=1.0, loss=Loss.L1, update_decoder=True
+            config.implicit_map, field=Field.LEARNED, weight_power=1.0, loss=Loss.L1, fitting=Fitting.SCAN_BY_SCAN,
+            update_decoder=True,
         ),
         bev=dataclasses.replace(config.bev, keypoint_source=KeypointSource.MIM),
         micro=dataclasses.replace(config.micro, evaluation=Evaluation.CLUSTER, distance_bins=1),

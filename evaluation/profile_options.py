@@ -1,7 +1,7 @@
 """What the options that the paper's text leaves open are worth: the paper's form with one of them changed.
 
 `python -m revisit.evaluation.profile_options OUT DOMAIN [DOMAIN ...]` prints a row for each option, in the units of
-`profile_tables`. The surface of a submap is fitted once, and described with every option.
+`profile_tables`. The surface of a submap is fitted once for all options of its description.
 """
 
 from __future__ import annotations
@@ -9,18 +9,20 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from revisit.core.config import Evaluation, KeypointSource, PipelineConfig
+from revisit.core.config import Evaluation, Fitting, ImplicitMapConfig, KeypointSource, PipelineConfig, SurfaceConfig
 from revisit.core.errors import RevisitError
-from revisit.core.implicit_map import fit_implicit_map
+from revisit.core.implicit_map import DecoderWeights, fit_implicit_map
 from revisit.core.pipeline import describe_surface
 from revisit.core.profiles import Profile, profile_config, profile_models
-from revisit.core.surface import extract_surface
+from revisit.core.submap import Submap
+from revisit.core.surface import Surface, extract_surface
 from revisit.evaluation.cutting import Window, cut, load_submap
 from revisit.evaluation.datasets import Recording
 from revisit.evaluation.described_submaps import DescribedSubmap
@@ -33,6 +35,7 @@ Option = Callable[[PipelineConfig], PipelineConfig]
 
 OPTIONS: dict[str, Option] = {
     "as written": lambda config: config,
+    "fitted at once": lambda c: replace(c, implicit_map=replace(c.implicit_map, fitting=Fitting.AT_ONCE)),
     "FAST on the image": lambda c: replace(c, bev=replace(c.bev, keypoint_source=KeypointSource.IMAGE)),
     "saliency after the VLAD": lambda c: replace(c, fusion=replace(c.fusion, literal_saliency=False)),
     "psi around keypoints": lambda c: replace(c, micro=replace(c.micro, evaluation=Evaluation.KEYPOINT)),
@@ -63,18 +66,24 @@ def _described(
         try:
             submap = turned(load_submap(recording, window, config.submap, perturbation)[0], yaw)
             level, frame = submap.in_level_frame(config.scene_scale)
-            rng = np.random.default_rng(0)
-            surface = extract_surface(fit_implicit_map(level, models.decoder, config.implicit_map, rng), config.surface)
+            surface_by = cache(partial(_surface, level, models.decoder))
             vectors = {
-                name: describe_surface(surface, frame, models, option(config), np.random.default_rng(0))
+                name: describe_surface(
+                    surface_by(option(config).implicit_map, config.surface), frame, models, option(config),
+                    np.random.default_rng(0),
+                )
                 for name, option in options.items()
-            }
+            }  # fmt: skip
         except RevisitError:
             continue
         yield {
             name: _stored(index, window, recording, yaw, described.descriptor.vector)
             for name, described in vectors.items()
         }
+
+
+def _surface(level: Submap, decoder: DecoderWeights, field: ImplicitMapConfig, config: SurfaceConfig) -> Surface:
+    return extract_surface(fit_implicit_map(level, decoder, field, np.random.default_rng(0)), config)
 
 
 def _stored(

@@ -6,6 +6,7 @@ decoder          MLP from blended features to signed distance        Eq. 2-5
 neighbourhood    neighbours, weights and encodings of queries        Eq. 2-4
 samples          labelled samples along the rays
 gradient_steps   fitting the features of a learned field
+online_fitting   the same, one scan after the other
 neural_map       the field and its queries
 fitting          all of it, for one submap
 settled, coded, blob, first_form    the compact stored form, and the ones before it

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.config import Field, ImplicitMapConfig
+from revisit.core.config import Field, Fitting, ImplicitMapConfig
 from revisit.core.device import device
 from revisit.core.implicit_map.decoder import DecoderWeights
 from revisit.core.implicit_map.neighbourhood import find_neighbourhood
@@ -37,10 +37,23 @@ def fit_implicit_map(
     points = settle(points, config.resolution)
     if config.field is Field.PLANES:
         return dataclasses.replace(NeuralMap.of_planes(points, submap.stamps_ns, config), crowded=crowded)
-    from revisit.core.implicit_map.gradient_steps import learn_features  # torch, and only where it is needed
-
-    features, fitted = learn_features(submap, points, decoder, config, rng)
+    features, fitted = _learned(submap, points, decoder, config, rng)
     return NeuralMap(points, features, submap.stamps_ns, fitted, config, adapted=config.update_decoder, crowded=crowded)
+
+
+def _learned(
+    submap: Submap, points: NeuralPoints, decoder: DecoderWeights, config: ImplicitMapConfig, rng: np.random.Generator
+) -> tuple[Array, DecoderWeights]:
+    """Features (n, F) of `points`, and the decoder they are for; torch is imported, and only here."""
+    if config.fitting is Fitting.SCAN_BY_SCAN:
+        from revisit.core.implicit_map.online_fitting import learn_online
+
+        return learn_online(submap, points, GATHERED_SHARE * config.max_points, decoder, config, rng)
+    from revisit.core.implicit_map.gradient_steps import learn_features
+
+    origins = submap.origins[submap.scan_index]
+    features = np.zeros((len(points), decoder.feature_size), np.float32)
+    return learn_features(submap.points, origins, points, features, decoder, config, rng)
 
 
 def accumulate(submap: Submap, config: ImplicitMapConfig) -> NeuralPoints:

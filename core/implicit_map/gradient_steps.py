@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,20 +21,34 @@ from revisit.core.implicit_map.neural_points import NeuralPoints
 from revisit.core.implicit_map.samples import draw_samples
 from revisit.core.kernels.point_columns import columns_of
 from revisit.core.kernels.voxel_table import table_of, voxels_of
-from revisit.core.submap import Submap
 
 Array = NDArray[np.float32]
 
 
 def learn_features(
-    submap: Submap, points: NeuralPoints, decoder: DecoderWeights, config: ImplicitMapConfig, rng: np.random.Generator
+    returns: Array,
+    origins: Array,
+    points: NeuralPoints,
+    features: Array,
+    decoder: DecoderWeights,
+    config: ImplicitMapConfig,
+    rng: np.random.Generator,
 ) -> tuple[Array, DecoderWeights]:
-    """Features (n, F) of `points`, fitted to samples along the rays of `submap`, and the decoder they are for."""
+    """The `features` (n, F) of `points` after the steps, and the decoder they are for.
+
+    The training set is drawn along the rays to `returns` (m, 3) from `origins` (m, 3). Features of points that are no
+    neighbour of a sample stay as they are.
+    """
     table = table_of(voxels_of(points.positions, config.resolution))
-    samples = draw_samples(submap.points, submap.origins[submap.scan_index], points, table, config, rng)
+    samples = draw_samples(returns, origins, points, table, config, rng)
     columns = columns_of(points.positions, config.resolution)
     near = find_neighbourhood(samples.positions, points.positions, points.normals, columns, config)
-    return fit_features(near, samples.labels, len(points), decoder, config, rng)
+    involved = np.unique(near.indices[near.weights > 0])
+    place = np.zeros(len(points), np.int64)
+    place[involved] = np.arange(len(involved))
+    near, learned = replace(near, indices=place[near.indices]), features.copy()
+    learned[involved], decoder = fit_features(near, samples.labels, features[involved], decoder, config, rng)
+    return learned, decoder
 
 
 def tensors_of(decoder: DecoderWeights) -> list[Tensor]:
@@ -50,18 +66,18 @@ def decoder_of(tensors: list[Tensor]) -> DecoderWeights:
 def fit_features(
     near: Neighbourhood,
     labels: Array,
-    count: int,
+    start: Array,
     decoder: DecoderWeights,
     config: ImplicitMapConfig,
     rng: np.random.Generator,
 ) -> tuple[Array, DecoderWeights]:
-    """A fixed number of Adam steps on the latent features of `count` neural points (paper III-B 5).
+    """A fixed number of Adam steps from the latent features `start` (n, F) of neural points (paper III-B 5).
 
     `near` and `labels` (m,) metres are the training set. The decoder stays frozen unless `config.update_decoder`.
-    Returns features (count, F) float32 and the decoder.
+    Returns features (n, F) float32 and the decoder.
     """
     usable = np.flatnonzero(np.isfinite(near.nearest))
-    features = torch.zeros((count, decoder.feature_size), requires_grad=True)
+    features = torch.tensor(start, requires_grad=True)
     parameters = [tensor.requires_grad_(config.update_decoder) for tensor in tensors_of(decoder)]
     trained = [features, *(parameters if config.update_decoder else [])]
     optimiser = torch.optim.Adam(trained, lr=config.learning_rate)

@@ -45,12 +45,17 @@ def settle(points: NeuralPoints, resolution: float) -> NeuralPoints:
 
     Where the mean of returns was rounded over the edge of a voxel into an occupied one, one of the two stays.
     """
+    return settled_rows(points, resolution)[0]
+
+
+def settled_rows(points: NeuralPoints, resolution: float) -> tuple[NeuralPoints, NDArray[np.int64]]:
+    """As `settle`, and the rows (m,), ascending, of the `points` (n) that stayed."""
     codes = plane_codes(points, resolution)
     rows = distinct_rows(codes.voxels)
     if len(rows) < len(points):
         codes, points = codes[rows], points.subset(rows)
     positions, normals = geometry(codes, resolution)
-    return dataclasses.replace(points, positions=positions, normals=normals)
+    return dataclasses.replace(points, positions=positions, normals=normals), rows
 
 
 def distinct_rows(voxels: NDArray[np.int32]) -> NDArray[np.int64]:

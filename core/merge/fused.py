@@ -72,7 +72,7 @@ def _fitted(
     rng, scale, config = np.random.default_rng(seed), merged.frame.scale, merged.config
     positions, labels = _samples_of_sources(merged, owner, placed, scale, rng)
     near = merged.neighbourhood(positions)
-    features, _ = fit_features(near, labels, len(merged.points), decoder, replace(config, update_decoder=False), rng)
+    features, _ = fit_features(near, labels, merged.features, decoder, replace(config, update_decoder=False), rng)
     return replace(merged, features=features)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from revisit.core.config import Field, ImplicitMapConfig
 from revisit.core.implicit_map import NeuralMap, fit_implicit_map
 from revisit.core.model_bundle import load_packaged_models
+from revisit.core.profiles import Profile, profile_config
 from revisit.evaluation.surfaces.metrics import SurfaceError, mean_error, surface_error
 from revisit.evaluation.surfaces.scenes import Scene
 from revisit.evaluation.surfaces.zero_level import zero_level
@@ -26,6 +27,7 @@ KINDS = {
     "tangent planes, weights d^-1": dataclasses.replace(PLANES, weight_power=1.0),
     "learned, 10 steps": LEARNED,
     "learned, no step": dataclasses.replace(LEARNED, steps=0),
+    "as the paper: 10 steps a scan, decoder too": profile_config(Profile.PAPER).implicit_map,
 }
 SPACINGS_M = (0.3, 0.4, 0.5, 0.6, 0.8)
 LEARNED_SPACINGS_M = (0.4, 0.6, 0.8)

@@ -71,7 +71,8 @@ def train_decoder(
     for _ in range(episodes):
         chosen = sets[rng.integers(len(sets))]
         frozen = decoder_of(parameters)
-        features, _ = fit_features(chosen.near, chosen.labels, chosen.count, frozen, config, rng)
+        nothing = np.zeros((chosen.count, frozen.feature_size), np.float32)
+        features, _ = fit_features(chosen.near, chosen.labels, nothing, frozen, config, rng)
         batch = rng.integers(0, len(chosen.labels), config.batch)
         optimiser.zero_grad()
         predicted = predict(parameters, torch.from_numpy(features), chosen.near[batch])

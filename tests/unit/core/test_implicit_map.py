@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from revisit.core.config import Field, ImplicitMapConfig, SurfaceConfig
+from revisit.core.config import Field, Fitting, ImplicitMapConfig, Loss, SurfaceConfig
 from revisit.core.errors import DataLoss, DescriptorModelMismatch
 from revisit.core.implicit_map import DecoderWeights, NeuralMap, blob, fit_implicit_map
 from revisit.core.implicit_map.decoder import orientations
@@ -120,18 +120,19 @@ def test_the_field_turns_with_the_submap(make_drive, shapes):
     assert np.median(np.abs(difference)) < 0.03
 
 
-def test_gradient_steps_lower_the_loss_on_the_training_samples(make_drive, shapes):
+@pytest.mark.parametrize(("fitting", "loss"), [(Fitting.AT_ONCE, Loss.BCE), (Fitting.SCAN_BY_SCAN, Loss.L1)])
+def test_gradient_steps_lower_the_loss_on_the_training_samples(fitting, loss, make_drive, shapes):
     submap = make_drive(lambda _: [shapes["ground"](), shapes["sphere"]((0.0, 9.0, 2.0), 2.0)])
     losses = []
     for steps in (0, 10):
-        field = fit(submap, dataclasses.replace(LEARNED, steps=steps))
+        field = fit(submap, dataclasses.replace(LEARNED, steps=steps, fitting=fitting, loss=loss))
         origins = submap.origins[submap.scan_index]
         table = table_of(voxels_of(field.points.positions, CONFIG.resolution))
         samples = draw_samples(submap.points, origins, field.points, table, CONFIG, np.random.default_rng(9))
         distance, nearest = field.sdf(samples.positions)
         known = np.isfinite(nearest)
         predicted, labels = torch.from_numpy(distance[known]), torch.from_numpy(samples.labels[known])
-        losses.append(float(sdf_loss(predicted, labels, CONFIG)))
+        losses.append(float(sdf_loss(predicted, labels, field.config)))
     assert losses[1] < 0.99 * losses[0]
 
 
@@ -141,6 +142,48 @@ def test_the_decoder_adapts_only_when_asked_to(make_drive, shapes):
     assert fit(submap, LEARNED).decoder.digest == shipped.digest
     online = dataclasses.replace(LEARNED, update_decoder=True)
     assert fit(submap, online).decoder.digest != shipped.digest
+
+
+def scans_of(submap: Submap, scans: list[int]) -> Submap:
+    """The submap of only so many of its scans."""
+    kept = np.isin(submap.scan_index, scans)
+    index = np.searchsorted(scans, submap.scan_index[kept]).astype(np.int32)
+    return dataclasses.replace(
+        submap, points=submap.points[kept], scan_index=index, origins=submap.origins[scans],
+        stamps_ns=submap.stamps_ns[scans],
+    )  # fmt: skip
+
+
+def test_one_scan_is_fitted_online_as_at_once(make_drive, shapes):
+    submap = scans_of(make_drive(lambda _: [shapes["ground"](), shapes["box"]((10, -6, 0), (12, 6, 5))]), [0])
+    adapting = dataclasses.replace(LEARNED, update_decoder=True)
+    at_once, online = fit(submap, adapting), fit(submap, dataclasses.replace(adapting, fitting=Fitting.SCAN_BY_SCAN))
+    assert np.abs(at_once.features).max() > 0.01
+    assert np.array_equal(at_once.features, online.features)
+    assert at_once.decoder.digest == online.decoder.digest
+
+
+def test_a_scan_of_another_spot_leaves_the_features_of_the_first_alone(make_drive, shapes):
+    online = dataclasses.replace(LEARNED, fitting=Fitting.SCAN_BY_SCAN)
+    first = scans_of(make_drive(lambda _: [shapes["ground"](), shapes["box"]((10, -6, 0), (12, 6, 5))]), [0])
+    away = np.array([500, 0, 0], np.float32)
+    both = dataclasses.replace(
+        first, points=np.concatenate([first.points, first.points + away]),
+        scan_index=np.repeat(np.array([0, 1], np.int32), len(first.points)),
+        origins=np.concatenate([first.origins, first.origins + away]), stamps_ns=np.arange(2),
+    )  # fmt: skip
+    alone, among = fit(first, online), fit(both, online)
+    here = among.points.positions[:, 0] < 250
+    assert np.array_equal(among.points.positions[here], alone.points.positions)
+    assert np.array_equal(among.features[here], alone.features)
+    assert np.abs(among.features[~here]).max() > 0.01
+
+
+def test_every_scan_takes_its_steps_from_where_the_last_one_left(make_drive, shapes):
+    submap = make_drive(lambda _: [shapes["ground"](), shapes["sphere"]((0.0, 9.0, 2.0), 2.0)])
+    online = dataclasses.replace(LEARNED, fitting=Fitting.SCAN_BY_SCAN)
+    sizes = [np.abs(fit(scans_of(submap, list(range(count))), online).features).mean() for count in (1, 2, 4)]
+    assert sizes[0] < sizes[1] < sizes[2]
 
 
 def test_nearest_neural_points_agree_with_brute_force():

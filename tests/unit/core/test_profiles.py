@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from revisit.core.config import Evaluation, Field, KeypointSource, PipelineConfig
+from revisit.core.config import Evaluation, Field, Fitting, KeypointSource, Loss, PipelineConfig
 from revisit.core.errors import BadField, DescriptorModelMismatch
 from revisit.core.pipeline import describe, verify
 from revisit.core.profiles import Profile, profile_config, profile_models
@@ -27,6 +27,7 @@ def test_the_product_is_the_default() -> None:
 def test_the_paper_is_taken_by_the_letter() -> None:
     config = profile_config(Profile.PAPER)
     assert config.implicit_map.field is Field.LEARNED and config.implicit_map.update_decoder
+    assert config.implicit_map.fitting is Fitting.SCAN_BY_SCAN and config.implicit_map.loss is Loss.L1
     assert config.bev.keypoint_source is KeypointSource.MIM
     assert config.micro.evaluation is Evaluation.CLUSTER and config.micro.distance_bins == 1
     assert config.fusion.literal_saliency
