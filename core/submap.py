@@ -99,20 +99,19 @@ class Submap:
         Returns out of the sensor's range are left out, and so is what lies beyond range and tau from the frame's
         origin: odometry that jumped. Raises EmptyCloud where fewer than 100 points remain.
         """
-        from revisit.core.kernels.rigid_motion import placed_returns  # compiled: the gateway needs none of it
+        from revisit.core.kernels.rigid_motion import place_returns  # compiled: the gateway needs none of it
 
         T_submap_odom = se3.inverse(T_odom_submap)
-        clouds, indices, origins = [], [], []
-        for index, scan in enumerate(scans):
+        reach = config.min_range, config.max_range, config.max_range + config.tau
+        given = sum(len(scan.points) for scan in scans)
+        points, ends, origins = np.empty((given, 3), dtype=np.float32), [0], []
+        for scan in scans:
             T_submap_scan = T_submap_odom @ scan.T_odom_sensor
-            reach = config.min_range, config.max_range, config.max_range + config.tau
-            cloud = placed_returns(T_submap_scan, np.ascontiguousarray(scan.points), *reach)
-            clouds.append(cloud)
-            indices.append(np.full(len(cloud), index, dtype=np.int32))
+            ends.append(ends[-1] + place_returns(T_submap_scan, scan.points, *reach, points[ends[-1] :]))
             origins.append(T_submap_scan[:3, 3])
         return cls(
-            points=_enough(np.concatenate(clouds), sum(len(scan.points) for scan in scans)),
-            scan_index=np.concatenate(indices),
+            points=_enough(points[: ends[-1]], given),
+            scan_index=np.repeat(np.arange(len(scans), dtype=np.int32), np.diff(ends)),
             origins=np.asarray(origins, dtype=np.float32),
             stamps_ns=np.array([scan.stamp_ns for scan in scans], dtype=np.int64),
             T_odom_submap=T_odom_submap,

@@ -34,13 +34,17 @@ def _move(T_new_old: NDArray[np.float64], given: Array, moved: Array) -> None:
         moved[k] = zx * x + zy * y + zz * z + tz
 
 
-def placed_returns(T_new_scan: NDArray[np.float64], points: Array, least: float, most: float, farthest: float) -> Array:
-    """The returns (k, 3) of a scan in another frame: those whose range is from `least` to `most` metres.
+def place_returns(
+    T_new_scan: NDArray[np.float64], points: Array, least: float, most: float, farthest: float, placed: Array
+) -> int:
+    """Put the returns (n, 3) of a scan in another frame into `placed` (at least n, 3); returns how many there are.
 
-    Those that lie farther than `farthest` from the new origin are left out too.
+    Those whose range is not from `least` to `most` metres are left out, and so are those that lie farther than
+    `farthest` from the new origin.
     """
-    moved = moved_points(T_new_scan, points)
-    return moved[: _keep_near(points, moved, least, most, farthest)]
+    given, moved = np.ascontiguousarray(points), placed[: len(points)]
+    _move(T_new_scan, given.reshape(-1), moved.reshape(-1))
+    return _keep_near(given, moved, least, most, farthest)
 
 
 @loop

@@ -16,11 +16,19 @@ The order above is the order of the steps: find loops that agree, place the sess
 what does not fit, optimise what is left.
 """
 
-from revisit.core.pose_graph.graph import LoopEdge, Node, OdometryModel, PoseGraph, Trajectory, loop_covariance
+from revisit.core.pose_graph.graph import (
+    LoopEdge,
+    Node,
+    OdometryModel,
+    PoseGraph,
+    Trajectory,
+    loop_covariance,
+    loop_covariances,
+)
 from revisit.core.pose_graph.optimisation import LoopState, OptimisedGraph, Robustness, optimise
 from revisit.core.pose_graph.warm_start import SolvedComponent
 
 __all__ = [
     "LoopEdge", "LoopState", "Node", "OdometryModel", "OptimisedGraph", "PoseGraph", "Robustness",
-    "SolvedComponent", "Trajectory", "loop_covariance", "optimise",
+    "SolvedComponent", "Trajectory", "loop_covariance", "loop_covariances", "optimise",
 ]  # fmt: skip

@@ -26,6 +26,9 @@ a hundred loses one in four of 30 right loops.
 
 _SEEDS = 32
 
+_CIRCLES_AT_ONCE = 8192
+"""Some 1 kB each while they are computed."""
+
 
 @dataclass(frozen=True)
 class ConsistentSet:
@@ -69,8 +72,11 @@ def agreement(loops: list[LoopEdge], first: Trajectory, second: Trajectory) -> F
     circles = Circles.of(loops, first, second)
     agree = np.ones((len(loops), len(loops)), dtype=bool)
     others = np.arange(len(loops))
-    for row in range(len(loops)):
-        agree[row] = circles.errors(np.full(len(loops), row), others) < MAX_CLOSING_ERROR
+    at_once = max(1, _CIRCLES_AT_ONCE // max(len(loops), 1))
+    for start in range(0, len(loops), at_once):
+        rows = others[start : start + at_once]
+        errors = circles.errors(np.repeat(rows, len(loops)), np.tile(others, len(rows)))
+        agree[rows] = errors.reshape(len(rows), len(loops)) < MAX_CLOSING_ERROR
     return np.asarray(agree & agree.T)
 
 

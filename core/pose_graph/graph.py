@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -23,10 +24,15 @@ LEAST_VARIANCE = 1e-8
 
 def loop_covariance(measured: Array64 | None) -> Array64:
     """The covariance (6, 6) to weigh a loop with: what was measured with a floor, or an assumed one."""
-    if measured is None:
-        return ASSUMED_COVARIANCE
-    variances, axes = np.linalg.eigh(measured)
-    return np.asarray(axes * np.maximum(variances, LEAST_VARIANCE) @ axes.T)
+    return loop_covariances([measured])[0]
+
+
+def loop_covariances(measured: Sequence[Array64 | None]) -> list[Array64]:
+    """`loop_covariance` of each of some loops."""
+    stated = [ASSUMED_COVARIANCE if one is None else one for one in measured]
+    variances, axes = np.linalg.eigh(np.reshape(stated, (-1, 6, 6)))
+    floored = (axes * np.maximum(variances, LEAST_VARIANCE)[:, None, :]) @ axes.transpose(0, 2, 1)
+    return [ASSUMED_COVARIANCE if one is None else known for one, known in zip(measured, floored, strict=True)]
 
 
 class Node(NamedTuple):

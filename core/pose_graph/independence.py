@@ -6,10 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 
 from revisit.core.pose_graph.graph import LoopEdge, Node, PoseGraph
 
 Array64 = NDArray[np.float64]
+
+_PAIRS_AT_ONCE = 1 << 18
 
 
 def weighed(graph: PoseGraph, window_m: float) -> PoseGraph:
@@ -41,18 +44,20 @@ def _shares(graph: PoseGraph, loops: list[LoopEdge], window_m: float) -> Array64
     """The share (l,) of each of some loops between the same two sessions."""
     matches = np.stack([_position(graph, loop.match) for loop in loops])
     queries = np.stack([_position(graph, loop.query) for loop in loops])
-    return np.array([1.0 / _common(row, matches, queries, window_m) for row in range(len(loops))])
+    at_once = max(1, _PAIRS_AT_ONCE // len(loops))
+    starts = range(0, len(loops), at_once)
+    return np.concatenate([_of_rows(slice(start, start + at_once), matches, queries, window_m) for start in starts])
 
 
-def _common(row: int, matches: Array64, queries: Array64, window_m: float) -> float:
-    """How many loops say what loop `row` says, itself among them."""
-    common = _overlap(matches, row, window_m) * _overlap(queries, row, window_m)
-    return float(common.sum())
+def _of_rows(rows: slice, matches: Array64, queries: Array64, window_m: float) -> Array64:
+    """The shares of some of the loops: one by how many say what they say, themselves among them."""
+    common = _overlap(matches[rows], matches, window_m) * _overlap(queries[rows], queries, window_m)
+    return np.asarray(1.0 / common.sum(axis=1))
 
 
-def _overlap(positions: Array64, row: int, window_m: float) -> Array64:
-    distances = np.linalg.norm(positions - positions[row], axis=1)
-    return np.asarray(np.maximum(0.0, 1.0 - distances / window_m))
+def _overlap(positions: Array64, others: Array64, window_m: float) -> Array64:
+    """What windows at positions (n, 3) share with those at others (m, 3): 0 to 1, (n, m)."""
+    return np.asarray(np.maximum(0.0, 1.0 - cdist(positions, others) / window_m))
 
 
 def _position(graph: PoseGraph, node: Node) -> Array64:

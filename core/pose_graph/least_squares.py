@@ -19,7 +19,7 @@ TOLERANCE = 1e-9
 """Of the cost, relative and absolute."""
 
 ROUGHLY = 1e-4
-"""Of the cost, relative, in the rounds of graduated non-convexity: each is a start for the next."""
+"""Of the cost, relative, of what is a start for the next: Cauchy weights, rounds of graduated non-convexity."""
 
 INLIER = 0.5 * 16.81
 """Cost of a loop, half of its squared distance, that 99 % of right ones stay below (chi-square, 6 degrees)."""

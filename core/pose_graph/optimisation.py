@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from revisit.core.geometry import se3
 from revisit.core.pose_graph.consistency import ConsistentSet, consistent_sets
 from revisit.core.pose_graph.graph import LoopEdge, Node, PoseGraph, Trajectory
-from revisit.core.pose_graph.least_squares import graduated, minimise
+from revisit.core.pose_graph.least_squares import ROUGHLY, graduated, minimise
 from revisit.core.pose_graph.marginal_covariances import marginal_covariances
 from revisit.core.pose_graph.placement import Component, place_sessions
 from revisit.core.pose_graph.support import LoopsWithin
@@ -46,8 +46,8 @@ class Robustness(StrEnum):
     """How wrong loops are kept from bending the map.
 
     PLAIN, HUBER and GNC (graduated non-convexity, Yang et al. 2020, on all loops) are for comparison only. ONLINE:
-    Cauchy weights on the loops that others support, then gates. COMMIT: that, and graduated non-convexity beside it;
-    the answer that explains steps and loops better is taken.
+    Cauchy weights on the loops that others support, then gates. COMMIT: that, and where not everything fits, graduated
+    non-convexity beside it; the answer that explains steps and loops better is taken.
     """
 
     PLAIN = "plain"
@@ -115,7 +115,7 @@ def optimise(
         solution, kept = _solve(problem, robustness)
         covariances.update(problem.covariances(solution, kept))
         chi2 += 2.0 * problem.graph(kept).error(solution)
-        degrees_of_freedom += 6 * (len(kept) - len(problem.trajectories) + 1)
+        degrees_of_freedom += problem.degrees_of_freedom(kept)
         poses.update(poses_of(problem.trajectories, solution))
         for number, residual in zip(problem.loops, problem.residuals(solution), strict=True):
             residuals[number] = residual
@@ -222,6 +222,10 @@ class Problem:
         covariance = loop.covariance_in_query / (weight * loop.independent_share)
         return _between(*ends, loop.T_match_query, _noise(covariance))
 
+    def degrees_of_freedom(self, kept: set[int]) -> int:
+        """What the squared errors of the steps and the `kept` loops are to be compared with."""
+        return 6 * (len(kept) - len(self.trajectories) + 1)
+
     def covariances(self, values: gtsam.Values, kept: set[int]) -> dict[str, Array64]:
         """The marginal covariances (n, 6, 6) of the poses of each session, translations first."""
         if (of_keys := marginal_covariances(self.graph(kept), values)) is None:
@@ -248,10 +252,16 @@ def _solve(problem: Problem, robustness: Robustness) -> tuple[gtsam.Values, set[
     if robustness in (Robustness.PLAIN, Robustness.HUBER, Robustness.GNC):
         return _compared(problem, robustness)
     values, kept = _by_gates(problem)
-    answers = [values]
-    if robustness is Robustness.COMMIT:
-        answers.append(_graduated(problem, set(problem.trusted.first | kept)))
-    return min((_regated(problem, values) for values in answers), key=lambda answer: _cost(problem, *answer))
+    answers = [_regated(problem, values)]
+    if robustness is Robustness.COMMIT and not _fits_throughout(problem, *answers[0]):
+        answers.append(_regated(problem, _graduated(problem, set(problem.trusted.first | kept))))
+    return min(answers, key=lambda answer: _cost(problem, *answer))
+
+
+def _fits_throughout(problem: Problem, values: gtsam.Values, kept: set[int]) -> bool:
+    """Whether no loop is set aside, and all errors together are no larger than the graph states them."""
+    all_kept = len(kept) == len(problem.loops)
+    return all_kept and _cost(problem, values, kept) <= problem.degrees_of_freedom(kept)
 
 
 def _compared(problem: Problem, robustness: Robustness) -> tuple[gtsam.Values, set[int]]:
@@ -304,7 +314,7 @@ def _with_spoken_for(problem: Problem, values: gtsam.Values, kept: set[int]) -> 
 
 def _by_cauchy(problem: Problem, start: gtsam.Values, loops: set[int]) -> tuple[gtsam.Values, set[int]]:
     """The poses by some loops with Cauchy weights, then by those near these poses, exactly; and which those are."""
-    values = minimise(problem.graph(loops, gtsam.noiseModel.mEstimator.Cauchy.Create(1.0)), start)
+    values = minimise(problem.graph(loops, gtsam.noiseModel.mEstimator.Cauchy.Create(1.0)), start, ROUGHLY)
     return _gated(problem, values, loops, WIDE_GATE)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from revisit.core.geometry import se3, se3_rows
+from revisit.core.geometry import se3_rows
 from revisit.core.pose_graph.consistency import inverted, oriented
 from revisit.core.pose_graph.graph import LoopEdge, PoseGraph, Trajectory
 
@@ -128,5 +128,5 @@ def squared_errors(
     ):
         turns = se3_rows.adjoint(T_match_side)
         covariance += turns @ of_side @ turns.transpose(0, 2, 1)
-    errors = np.array([se3.log(gap) for gap in T_match_first @ first.poses[a]])
+    errors = se3_rows.log(T_match_first @ first.poses[a])
     return np.asarray(np.einsum("ij,ij->i", errors, np.linalg.solve(covariance, errors[..., None])[..., 0]))

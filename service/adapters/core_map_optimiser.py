@@ -77,12 +77,12 @@ class NamedGraph:
             for place, number in enumerate(track.submaps)
         }
         anchors = tuple(names[number] for number in graph.anchors or sorted(names))
-        posed = PoseGraph.of(trajectories, [_edge(loop, nodes) for loop in graph.loops], anchors)
+        posed = PoseGraph.of(trajectories, _edges(graph.loops, nodes), anchors)
         return cls(graph, names, weighed(posed, graph.window_m), nodes)
 
     def edges(self, loops: Sequence[TrackLoop]) -> list[LoopEdge]:
         """Further loops between its submaps."""
-        return [_edge(loop, self._nodes) for loop in loops]
+        return _edges(loops, self._nodes)
 
     def answer(self, optimised: OptimisedGraph) -> OptimisedMap:
         """What the port answers."""
@@ -121,8 +121,14 @@ def _digest(array: Array64) -> str:
     return hashlib.sha256(np.ascontiguousarray(array, dtype="<f8").tobytes()).hexdigest()
 
 
-def _edge(loop: TrackLoop, nodes: dict[int, Node]) -> LoopEdge:
-    from revisit.core.pose_graph import LoopEdge, loop_covariance
+def _edges(loops: Sequence[TrackLoop], nodes: dict[int, Node]) -> list[LoopEdge]:
+    from revisit.core.pose_graph import LoopEdge, loop_covariances
 
-    name, covariance = f"{_digest(loop.T_match_query)}:{loop.number}", loop_covariance(loop.covariance)
-    return LoopEdge(name, nodes[loop.match], nodes[loop.query], loop.T_match_query, covariance)
+    covariances = loop_covariances([loop.covariance for loop in loops])
+    return [
+        LoopEdge(
+            f"{_digest(loop.T_match_query)}:{loop.number}", nodes[loop.match], nodes[loop.query], loop.T_match_query,
+            covariance,
+        )
+        for loop, covariance in zip(loops, covariances, strict=True)
+    ]  # fmt: skip

@@ -41,7 +41,7 @@ worker serves several robots by turns (docs/decisions/0222). 0.1 MB each, and 5 
 """
 
 PLACES_PREPARED = 42
-"""Places of these that are kept with what verification has made of them: 0.9 MB more each, and 2 ms
+"""Places of these that are kept with what verification has made of them: 1.3 MB more each, and 2 ms
 (docs/decisions/0253).
 """
 

@@ -1,11 +1,11 @@
-"""When a worker gives free memory back: pages that the next job faults in again cost it CPU (docs/decisions/0254)."""
+"""When a worker gives free memory back: pages that are faulted in again cost CPU (docs/decisions/0254, 0273)."""
 
 from __future__ import annotations
 
 from revisit.service.large_blocks import return_free_memory
 from revisit.service.worker.confinement import resident_bytes
 
-GROWN_BYTES = 32 * 2**20
+GROWN_BYTES = 64 * 2**20
 """A job that leaves so much more than was held after the last return is followed by another one."""
 
 IDLE_S = 2.0

@@ -23,7 +23,7 @@ from revisit.core.kernels.oriented_normals import NORMAL_PRIOR, oriented_normals
 from revisit.core.kernels.patch_histograms import disc_histograms, patch_histograms
 from revisit.core.kernels.plane_votes import plane_scores
 from revisit.core.kernels.point_columns import MAX_GRID, columns_of
-from revisit.core.kernels.rigid_motion import moved_points, placed_returns
+from revisit.core.kernels.rigid_motion import moved_points, place_returns
 from revisit.core.kernels.settled_planes import spots_on_planes
 from revisit.core.kernels.visibility import range_image
 from revisit.core.kernels.voxel_table import VoxelTable, empty_slots, table_of, voxels_of
@@ -315,7 +315,10 @@ def test_returns_are_placed_as_by_the_plain_transform_without_those_out_of_range
     ranges, placed = np.linalg.norm(points, axis=1), np.linalg.norm(expected, axis=1)
     kept = (ranges >= 8.0) & (ranges <= 25.0) & (placed <= 20.0)
     assert 50 < kept.sum() < 450
-    np.testing.assert_allclose(placed_returns(pose, points, 8.0, 25.0, 20.0), expected[kept], atol=1e-5)
+    room = np.zeros((600, 3), np.float32)
+    assert place_returns(pose, points, 8.0, 25.0, 20.0, room[50:]) == kept.sum()
+    np.testing.assert_allclose(room[50 : 50 + kept.sum()], expected[kept], atol=1e-5)
+    assert not room[:50].any()
 
 
 def test_spots_on_planes_are_those_of_the_plain_projections():

@@ -18,6 +18,9 @@ from revisit.core.pose_graph import (
     PoseGraph,
     Robustness,
     Trajectory,
+    consistency,
+    independence,
+    optimisation,
     optimise,
 )
 from revisit.core.pose_graph.consistency import agreement, consistent_sets, largest_clique, oriented
@@ -47,6 +50,47 @@ def test_a_commit_keeps_right_loops_and_no_wrong_one(wrong_share: float) -> None
     assert len(result.components) == 1
     clean = optimise(PoseGraph.of(list(made.graph.trajectories), right), Robustness.PLAIN)
     assert made.error_m(result.T_map_submap) <= 1.1 * made.error_m(clean.T_map_submap)
+
+
+def test_a_second_answer_is_sought_where_not_every_loop_fits(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def watched(problem: optimisation.Problem, usable: set[int]) -> gtsam.Values:
+        asked.append(len(usable))
+        return graduated_answer(problem, usable)
+
+    graduated_answer = optimisation._graduated
+    monkeypatch.setattr(optimisation, "_graduated", watched)
+    fitting, spoilt = fleet(3, 0.0).graph, fleet(3, 0.5).graph
+    answer = optimise(fitting, Robustness.COMMIT)
+    assert set(answer.loops) == {LoopState.IN_MAP} and answer.chi2 <= answer.degrees_of_freedom
+    assert not asked
+    alone = optimise(fitting, Robustness.ONLINE)
+    assert all(np.array_equal(answer.T_map_submap[name], poses) for name, poses in alone.T_map_submap.items())
+    assert LoopState.SET_ASIDE in optimise(spoilt, Robustness.COMMIT).loops
+    assert len(asked) == 1
+    # loops that all lie within their gates, but err more than they state, may agree on something else
+    unsure = replace(fitting, loops=tuple(replace(one, covariance=one.covariance / 5.0) for one in fitting.loops))
+    worse = optimise(unsure, Robustness.COMMIT)
+    assert set(worse.loops) == {LoopState.IN_MAP} and worse.chi2 > worse.degrees_of_freedom
+    assert len(asked) == 2
+
+
+def test_circles_and_shares_are_the_same_however_many_are_computed_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = fleet(7, 0.5, sessions=2)
+    loops = [oriented(loop, "s0") for loop in made.graph.loops]
+    agree, shares = agreement(loops, *made.graph.trajectories), independence.weighed(made.graph, 30.0)
+    monkeypatch.setattr(consistency, "_CIRCLES_AT_ONCE", 3 * len(loops) + 1)
+    monkeypatch.setattr(independence, "_PAIRS_AT_ONCE", 1)
+    assert np.array_equal(agreement(loops, *made.graph.trajectories), agree)
+    assert independence.weighed(made.graph, 30.0).loops == shares.loops
+    beside = [one for one in made.graph.loops if one.match.session == "s0"]
+    ends = np.array([[made.graph.by_session[node.session].T_odom_submap[node.ordinal, :3, 3]
+                      for node in (one.match, one.query)] for one in beside])  # fmt: skip
+    told = {one.name: one.independent_share for one in shares.loops}
+    for row, one in enumerate(beside):
+        assert told[one.name] == pytest.approx(independence.share_beside(ends[row], np.delete(ends, row, 0), 30.0))
+    assert min(told.values()) < 0.9
 
 
 def test_wrong_loops_within_a_session_are_set_aside() -> None:

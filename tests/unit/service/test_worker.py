@@ -131,12 +131,12 @@ def test_free_memory_is_given_back_once_it_has_grown_and_once_nothing_is_to_do(m
     memory = free_memory.FreeMemory()
     memory.after_waiting(10.0)  # before the first job there is nothing to return
     assert returned == []
-    for held[0] in (100 * MIB, 131 * MIB, 132 * MIB, 150 * MIB):
+    for held[0] in (100 * MIB, 163 * MIB, 164 * MIB, 200 * MIB):
         memory.after_job()
-    assert returned == [100 * MIB, 132 * MIB]
+    assert returned == [100 * MIB, 164 * MIB]
     for _ in range(40):
         memory.after_waiting(0.1)
-    assert returned == [100 * MIB, 132 * MIB, 150 * MIB]
+    assert returned == [100 * MIB, 164 * MIB, 200 * MIB]
 
 
 def test_a_process_of_the_service_starts_others_afresh_and_never_forks_itself():
