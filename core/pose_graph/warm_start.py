@@ -153,6 +153,7 @@ class SolvedComponent:
                  for node, step in zip(tail, self._steps, strict=True)]  # fmt: skip
         loops = [_measured(one.loop) for one in self._taken]
         self._edges = self._edges.joined(_edges_of([*steps, *loops], self._rows))
+        del self._factors  # the next ones take as much room
         self._start(np.concatenate([self._state.poses, later]))
         gradient = self._edges.cost_and_gradient(self._state.poses)[1]
         self._state, _ = self._moved(self._state, -self._factors.solve(gradient.ravel()))

@@ -23,6 +23,7 @@ from revisit.service.application.contract.map_optimiser import (
     TrackLoop,
 )
 from revisit.service.application.contract.states import GraphState
+from revisit.service.large_blocks import return_free_memory
 
 if TYPE_CHECKING:
     from revisit.core.pose_graph import LoopEdge, Node, OptimisedGraph, PoseGraph
@@ -44,6 +45,7 @@ class CoreMapOptimiser:
         """See `MapOptimiser`."""
         from revisit.service.adapters.core_solved_map import CoreSolvedMap
 
+        return_free_memory()  # its equations lie beside what earlier work has left, not in it
         named = NamedGraph.of(graph)
         return CoreSolvedMap(graph, named.posed, named.names, tracks)
 
