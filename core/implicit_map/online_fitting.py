@@ -31,7 +31,7 @@ def learn_online(
     returns = returns_of(submap.points, submap.scan_index, submap.origins)
     grown = GatheredReturns(config.resolution, len(submap.points), most)
     features = np.zeros((0, decoder.feature_size), np.float32)
-    voxels, found = np.zeros((0, 3), np.int32), np.zeros(0, np.int64)
+    standing, found = points, np.zeros(0, np.int64)
     for scan, origin in enumerate(submap.origins):
         cloud = returns.points[returns.bounds[scan] : returns.bounds[scan + 1]]
         if not len(cloud):
@@ -41,8 +41,8 @@ def learn_online(
         standing, found = settled_rows(oriented(grown.records, config.resolution), config.resolution)
         origins = np.broadcast_to(origin, cloud.shape)
         features[found], decoder = learn_features(cloud, origins, standing, features[found], decoder, config, rng)
-        voxels = voxels_of(standing.positions, config.resolution)
-    rows = rows_of(table_of(voxels), voxels_of(points.positions, config.resolution))
+    table = table_of(voxels_of(standing.positions, config.resolution))
+    rows = rows_of(table, voxels_of(points.positions, config.resolution))
     known = rows >= 0  # all but those that another point of their voxel stood for
     learned = np.zeros((len(points), decoder.feature_size), np.float32)
     learned[known] = features[found[rows[known]]]
