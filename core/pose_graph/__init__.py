@@ -8,7 +8,7 @@ support        loops within a session that its odometry allows and that others s
 placement      where sessions lie to each other before optimisation
 least_squares  Levenberg and Marquardt, graduated non-convexity
 optimisation   the most likely poses, and which loops they rest on
-normal_equations  errors of many edges at once, and a factorisation that is kept
+normal_equations  errors and derivatives of many edges at once, and their factorisation
 warm_start     one loop more on poses that were found before
 g2o            graphs as text, for other tools
 

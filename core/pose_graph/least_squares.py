@@ -1,16 +1,18 @@
-"""Least squares by Levenberg and Marquardt, and graduated non-convexity around it, in short calls of gtsam.
+"""Least squares by Levenberg and Marquardt, and graduated non-convexity around it.
 
-A call of gtsam holds the interpreter's lock from its beginning to its end. Each step is a call of its own, so that the
-heartbeat of a worker goes on beside a map that takes a minute (docs/decisions/0099).
+The longest call is one factorisation, so that the heartbeat of a worker goes on beside a map that takes a minute
+(docs/decisions/0099).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-import gtsam
 import numpy as np
 from numpy.typing import NDArray
+
+from revisit.core.geometry import se3_rows
+from revisit.core.pose_graph.normal_equations import Edges, Equations
 
 Array64 = NDArray[np.float64]
 
@@ -21,48 +23,131 @@ TOLERANCE = 1e-9
 ROUGHLY = 1e-4
 """Of the cost, relative, of what is a start for the next: Cauchy weights, rounds of graduated non-convexity."""
 
+MAX_SETTLING = 6
+SETTLED_STEP = 1e-7
+"""Length of a step of all poses together, metres and radians, after which they are where they belong."""
+
 INLIER = 0.5 * 16.81
 """Cost of a loop, half of its squared distance, that 99 % of right ones stay below (chi-square, 6 degrees)."""
 
 _GROWTH, _MAX_ROUNDS, _SETTLED_WEIGHT = 1.4, 100, 1e-4
-"""As gtsam's optimiser of graduated non-convexity has them."""
+"""Of graduated non-convexity, as Yang et al. have them."""
+_DAMPING, _MOST_DAMPING, _DAMPING_FACTOR = 1e-5, 1e5, 10.0
+_LEAST_FIDELITY = 1e-3
+"""Of what a step should save, the share that it must."""
 
-Weighted = Callable[[Array64], gtsam.NonlinearFactorGraph]
-"""The factors of a graph whose loops have the weights (n,), 0 to 1."""
+Kernel = Callable[[Array64], tuple[Array64, Array64]]
+"""What edges cost (e,) that are squared distances (e,) away, and what weight (e,) they have there."""
 
 
-def minimise(factors: gtsam.NonlinearFactorGraph, start: gtsam.Values, tolerance: float = TOLERANCE) -> gtsam.Values:
-    """The values of least cost near `start`, by Levenberg and Marquardt; `tolerance` of the cost is relative."""
-    params = gtsam.LevenbergMarquardtParams()
-    params.setMaxIterations(MAX_STEPS)
-    optimiser = gtsam.LevenbergMarquardtOptimizer(factors, start, params)
+def squares(squared: Array64) -> tuple[Array64, Array64]:
+    """The kernel of plain least squares."""
+    return squared, np.ones_like(squared)
+
+
+def cauchy(squared: Array64) -> tuple[Array64, Array64]:
+    """Cauchy's kernel with its scale at a distance of 1: what is far off pulls little."""
+    return np.log1p(squared), 1.0 / (1.0 + squared)
+
+
+def huber(squared: Array64) -> tuple[Array64, Array64]:
+    """Huber's kernel: squares up to a distance of 1.345, then straight."""
+    distance, near = np.sqrt(squared), 1.345
+    inside = distance <= near
+    return (
+        np.where(inside, squared, near * (2.0 * distance - near)),
+        np.where(inside, 1.0, near / np.maximum(distance, near)),
+    )
+
+
+def minimise(
+    edges: Edges, anchor: int, start: Array64, tolerance: float = TOLERANCE, kernel: Kernel = squares
+) -> Array64:
+    """The poses (n, 4, 4) of least cost near `start`, by Levenberg and Marquardt; the one in row `anchor` stays.
+
+    `tolerance` of the cost is relative.
+    """
+    poses, damping = start, _DAMPING
+    cost, weights = _cost(edges, poses, kernel)
     for _ in range(MAX_STEPS):
-        before = optimiser.error()
-        optimiser.iterate()
-        saved = before - optimiser.error()
+        equations, before = edges.linearised(poses, weights), cost
+        while damping <= _MOST_DAMPING:
+            moved, expected = _step(equations, anchor, poses, damping)
+            new, new_weights = _cost(edges, moved, kernel)
+            if before - new > _LEAST_FIDELITY * expected:
+                poses, cost, weights, damping = moved, new, new_weights, damping / _DAMPING_FACTOR
+                break
+            if abs(before - new) <= TOLERANCE * before:  # nothing is left but rounding
+                break
+            damping *= _DAMPING_FACTOR
+        saved = before - cost
         if not saved > TOLERANCE or saved <= tolerance * before:
             break
-    return optimiser.values()
+    return poses
 
 
-def graduated(weighted: Weighted, costs: Callable[[gtsam.Values], Array64], start: gtsam.Values) -> gtsam.Values:
+def settled(edges: Edges, anchor: int, poses: Array64) -> Array64:
+    """The least cost itself, by Gauss-Newton steps from `poses` near it: where it lies does not depend on the way
+    there. `poses` where no step can be computed.
+    """
+    ones = np.ones(len(edges))
+    for _ in range(MAX_SETTLING):
+        equations = edges.linearised(poses, ones)
+        try:
+            step = _solved(equations, anchor, 0.0)
+        except RuntimeError:
+            return poses
+        poses = poses @ se3_rows.exp(step)
+        if np.linalg.norm(step) < SETTLED_STEP:
+            break
+    return poses
+
+
+def graduated(edges: Edges, known: int, anchor: int, start: Array64) -> Array64:
     """Graduated non-convexity with truncated least squares (Yang et al. 2020): loops end with weight 0 or 1.
 
-    `costs` are half the squared distances (n,) of the loops. From a convex cost towards the truncated one; each round
-    begins where the last one ended, the first one at `start`: poses that wrong loops with full weight have bent can
-    be too far from the right ones to come back.
+    The first `known` edges are steps, which are right; the others are loops. From a convex cost towards the truncated
+    one; each round begins where the last one ended, the first one at `start`: poses that wrong loops with full weight
+    have bent can be too far from the right ones to come back.
     """
-    values, found = start, costs(start)
-    if not len(found):
-        return minimise(weighted(found), start)
-    control = INLIER / max(2.0 * found.max() - INLIER, INLIER)
+    loops, poses = edges.chosen(np.arange(known, len(edges))), start
+    if not len(loops):
+        return minimise(edges, anchor, start)
+    control = INLIER / max(loops.squared_errors(start).max() - INLIER, INLIER)
     for _ in range(_MAX_ROUNDS):
-        weights = _truncated(costs(values), control)
-        values = minimise(weighted(weights), values, ROUGHLY)
+        weights = _truncated(0.5 * loops.squared_errors(poses), control)
+        heard = np.concatenate([np.ones(known), weights])
+        poses = minimise(edges.weighted(heard).chosen(heard > 0.0), anchor, poses, ROUGHLY)
         if not ((weights > 0.0) & (weights < 1.0 - _SETTLED_WEIGHT)).any():
             break
         control *= _GROWTH
-    return values
+    return poses
+
+
+def _cost(edges: Edges, poses: Array64, kernel: Kernel) -> tuple[float, Array64]:
+    """Half of what all edges cost, and their weights (e,)."""
+    costs, weights = kernel(edges.squared_errors(poses))
+    return 0.5 * float(costs.sum()), weights
+
+
+def _step(equations: Equations, anchor: int, poses: Array64, damping: float) -> tuple[Array64, float]:
+    """The poses after a damped step, and what it should save; the same poses where none can be computed."""
+    try:
+        step = _solved(equations, anchor, damping)
+    except RuntimeError:
+        return poses, np.inf
+    expected = 0.5 * float(damping * np.vdot(step, step) - np.vdot(equations.gradient, step))
+    return poses @ se3_rows.exp(step), expected
+
+
+def _solved(equations: Equations, anchor: int, damping: float) -> Array64:
+    """The step (n, 6) towards the least cost; the anchor stays where it is.
+
+    What pulls at the anchor counts: all pulls together are none, and a part of them would move the whole map.
+    """
+    step = equations.factorised(anchor, damping).solve(-equations.gradient)
+    step[anchor] = 0.0
+    return step
 
 
 def _truncated(costs: Array64, control: float) -> Array64:

@@ -1,13 +1,15 @@
-"""Steps and loops between poses as arrays: errors and gradients of all at once, and their equations, factorised.
+"""Steps and loops between poses as arrays: errors and derivatives of all at once, and their equations, factorised.
 
-gtsam does the same for whole optimisations; here a factorisation is kept, and asked again and again for little. That
-takes equations that hold while the poses move. So unknowns are tangents of the map (T becomes exp(tangent) T): what
-turns a whole stretch has no error in them wherever it lies. In the frames of the submaps, as gtsam has them, a bend of
-0.2 m was enough for old equations to lead away from the optimum.
+For a whole optimisation the unknowns are tangents of the poses (T becomes T exp(tangent)): numbers stay small however
+large the map is. For a factorisation that is kept and asked again while the poses move they are tangents of the map
+(T becomes exp(tangent) T): what turns a whole stretch has no error in them wherever it lies, where in the frames of the
+submaps a bend of 0.2 m was enough for old equations to lead away from the optimum.
 """
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +17,9 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
-from revisit.core.geometry import se3_rows
+from revisit.core.geometry import se3, se3_rows
+from revisit.core.kernels.block_cholesky import SIDE, BlockFactor, factorised, inverse_diagonal, solved
+from revisit.core.pose_graph.graph import LoopEdge, Node, Trajectory
 
 Array64 = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -37,6 +41,49 @@ class Edges:
     T_second_first: Array64
     information: Array64
 
+    @classmethod
+    def of_motions(
+        cls,
+        ends: Sequence[tuple[int, int]],
+        motions: Sequence[se3.Matrix4] | Array64,
+        covariances: Sequence[Array64] | Array64,
+    ) -> Edges:
+        """Motions T_first_second between the poses in two rows, with covariances in the frame of the second."""
+        rows = np.array(ends, dtype=np.int64).reshape(-1, 2)
+        return cls(
+            rows[:, 0],
+            rows[:, 1],
+            se3_rows.inverse(np.reshape(motions, (-1, 4, 4))),
+            _information(np.reshape(covariances, (-1, SIDE, SIDE))),
+        )
+
+    @classmethod
+    def of_steps(cls, trajectories: Iterable[Trajectory], rows: Mapping[Node, int]) -> Edges:
+        """The steps between those submaps of some trajectories that have a row: the first ones of each."""
+        ends: list[tuple[int, int]] = []
+        motions: list[se3.Matrix4] = []
+        covariances: list[Array64] = []
+        for one in trajectories:
+            known = [rows[node] for k in range(len(one)) if (node := Node(one.session, k)) in rows]
+            poses = one.T_odom_submap[: len(known)]
+            ends += itertools.pairwise(known)
+            motions += list(se3_rows.inverse(poses[:-1]) @ poses[1:])
+            covariances += list(one.step_covariances[: len(motions) - len(covariances)])
+        return cls.of_motions(ends, motions, covariances)
+
+    @classmethod
+    def of_loops(cls, loops: Sequence[LoopEdge], rows: Mapping[Node, int]) -> Edges:
+        """Some loops, in their order; each weighs what it adds on its own."""
+        poses = np.reshape([loop.T_match_query for loop in loops], (-1, 4, 4))
+        stated = np.reshape([loop.covariance for loop in loops], (-1, SIDE, SIDE))
+        shares = np.reshape([loop.independent_share for loop in loops], (-1, 1, 1))
+        turn = se3_rows.adjoint(se3_rows.inverse(poses))
+        in_query = turn @ (stated / shares) @ turn.transpose(0, 2, 1)
+        return cls.of_motions([(rows[loop.match], rows[loop.query]) for loop in loops], poses, in_query)
+
+    def __len__(self) -> int:
+        return len(self.first)
+
     def joined(self, other: Edges) -> Edges:
         """These, and others after them."""
         return Edges(
@@ -46,30 +93,128 @@ class Edges:
             np.concatenate([self.information, other.information]),
         )
 
+    def chosen(self, which: NDArray[np.bool_] | Rows) -> Edges:
+        """Some of them."""
+        return Edges(self.first[which], self.second[which], self.T_second_first[which], self.information[which])
+
+    def weighted(self, weights: Array64) -> Edges:
+        """The same with their information times `weights` (e,)."""
+        return Edges(self.first, self.second, self.T_second_first, self.information * weights[:, None, None])
+
+    def errors(self, poses: Array64) -> Array64:
+        """The tangents (e, 6), in the frames of the second poses, by which the poses (n, 4, 4) miss the motions."""
+        return se3_rows.log(self.T_second_first @ (se3_rows.inverse(poses[self.first]) @ poses[self.second]))
+
+    def squared_errors(self, poses: Array64) -> Array64:
+        """Squared Mahalanobis distances (e,) of the motions from the poses."""
+        return _squared(self.errors(poses), self.information)
+
+    def linearised(self, poses: Array64, weights: Array64) -> Equations:
+        """The normal equations at the poses (n, 4, 4), in tangents of the poses; each edge counts `weights` (e,)."""
+        T_second_first = se3_rows.inverse(poses[self.second]) @ poses[self.first]
+        errors = se3_rows.log(self.T_second_first @ se3_rows.inverse(T_second_first))
+        bends = se3_rows.inverse_right_jacobian(errors)
+        pulled = bends.transpose(0, 2, 1) @ (self.information * weights[:, None, None])
+        force = np.einsum("eij,ej->ei", pulled, errors)
+        of_second = pulled @ bends
+        turned = -se3_rows.adjoint(T_second_first)
+        links = turned.transpose(0, 2, 1) @ of_second
+        of_first = links @ turned
+        back = np.einsum("eji,ej->ei", turned, force)
+        count = len(poses)
+        return Equations(
+            self.first,
+            self.second,
+            links,
+            _added(of_first, self.first, count) + _added(of_second, self.second, count),
+            _added(back, self.first, count) + _added(force, self.second, count),
+        )
+
     def cost_and_gradient(self, poses: Array64) -> tuple[float, Array64]:
-        """Squared errors in variances, and half their gradient (n, 6) by the tangents of the poses (n, 4, 4).
+        """Squared errors in variances, and half their gradient (n, 6) by tangents of the map.
 
         To first order in the errors, as Gauss-Newton has it.
         """
         T_second_map = se3_rows.inverse(poses[self.second])
-        errors = se3_rows.log(self.T_second_first @ (se3_rows.inverse(poses[self.first]) @ poses[self.second]))
+        errors = self.errors(poses)
         weighted = np.einsum("eij,ej->ei", self.information, errors)
         pulls = _transposed_adjoint(T_second_map, weighted)
         gradient = _added(pulls, self.second, len(poses)) - _added(pulls, self.first, len(poses))
         return float(np.einsum("ei,ei->", errors, weighted)), gradient
 
-    def hessian(self, poses: Array64) -> sparse.csc_matrix:
-        """The matrix (6 n, 6 n) of the normal equations at the poses (n, 4, 4), singular without an anchor."""
+    def in_the_map(self, poses: Array64) -> Equations:
+        """The normal equations at the poses (n, 4, 4), in tangents of the map, of edges without errors."""
         turn = se3_rows.adjoint(se3_rows.inverse(poses[self.second]))
-        weights = turn.transpose(0, 2, 1) @ self.information @ turn
-        blocks = np.concatenate([weights, weights, -weights, -weights])
-        rows = np.concatenate([self.second, self.first, self.first, self.second])
-        columns = np.concatenate([self.second, self.first, self.second, self.first])
-        inner = np.arange(6)
-        i = np.broadcast_to(6 * rows[:, None, None] + inner[:, None], blocks.shape)
-        j = np.broadcast_to(6 * columns[:, None, None] + inner, blocks.shape)
-        size = 6 * len(poses)
-        return sparse.csc_matrix((blocks.ravel(), (i.ravel(), j.ravel())), shape=(size, size))
+        weights, count = turn.transpose(0, 2, 1) @ self.information @ turn, len(poses)
+        diagonal = _added(weights, self.first, count) + _added(weights, self.second, count)
+        return Equations(self.first, self.second, -weights, diagonal, np.zeros((count, SIDE)))
+
+
+@dataclass(frozen=True)
+class Equations:
+    """Normal equations of poses in blocks of six.
+
+    links (e, 6, 6): of the rows of pose `first` (e,) and the columns of pose `second` (e,); diagonal (n, 6, 6);
+    gradient (n, 6), half of that of the squared errors.
+    """
+
+    first: Rows
+    second: Rows
+    links: Array64
+    diagonal: Array64
+    gradient: Array64
+
+    def factorised(self, anchor: int, damping: float = 0.0) -> Factorisation:
+        """Their factorisation; the pose in row `anchor` is held fast, and `damping` is added to the diagonal.
+
+        Raises RuntimeError where a pose hangs on nothing.
+        """
+        places = elimination_order(self.first, self.second, len(self.diagonal))
+        diagonal = np.empty_like(self.diagonal)
+        diagonal[places] = self.diagonal + damping * np.eye(SIDE)
+        diagonal[places[anchor]] += ANCHOR_INFORMATION * np.eye(SIDE)
+        return Factorisation(places, factorised(places[self.first], places[self.second], self.links, diagonal))
+
+
+@dataclass(frozen=True)
+class Factorisation:
+    """Normal equations, factorised: what any right side would move. `places` (n,): of the poses, as eliminated."""
+
+    places: Rows
+    factor: BlockFactor
+
+    def solve(self, right: Array64) -> Array64:
+        """The tangents (6 n,) or (6 n, k) of `right`, of the same shape."""
+        ordered = np.empty((len(self.places), SIDE, right.size // (SIDE * len(self.places))))
+        ordered[self.places] = right.reshape(ordered.shape)
+        return np.asarray(solved(self.factor, ordered)[self.places].reshape(right.shape))
+
+    def covariances(self) -> Array64:
+        """The covariance (n, 6, 6) of the tangent of each pose; the factorisation is used up by it."""
+        return np.asarray(inverse_diagonal(self.factor)[self.places])
+
+
+def elimination_order(first: Rows, second: Rows, count: int) -> Rows:
+    """The places (n,) of `count` poses in an order in which few more of them come to depend on each other.
+
+    Of least degree, as SuperLU finds it: of a matrix with one number a pose.
+    """
+    links = np.concatenate([first, second]), np.concatenate([second, first])
+    beside = sparse.csc_matrix((np.full(2 * len(first), -1.0), links), shape=(count, count))
+    matrix = (beside + sparse.diags(1.0 - np.asarray(beside.sum(axis=0)).ravel())).tocsc()
+    options = {"SymmetricMode": True}  # positive definite: pivots stay on the diagonal
+    factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+    return np.asarray(factors.perm_c, dtype=np.int64)
+
+
+def _information(covariances: Array64) -> Array64:
+    """The inverses (e, 6, 6) of covariances, symmetric to the last digit."""
+    found = np.linalg.inv(covariances)
+    return np.asarray(0.5 * (found + found.transpose(0, 2, 1)))
+
+
+def _squared(errors: Array64, information: Array64) -> Array64:
+    return np.asarray(np.einsum("ei,ei->e", errors, np.einsum("eij,ej->ei", information, errors)))
 
 
 def _transposed_adjoint(transforms: Array64, vectors: Array64) -> Array64:
@@ -79,23 +224,8 @@ def _transposed_adjoint(transforms: Array64, vectors: Array64) -> Array64:
     return np.concatenate([np.einsum("eji,ej->ei", turns, force), np.einsum("eji,ej->ei", turns, torque)], axis=1)
 
 
-def _added(vectors: Array64, rows: Rows, count: int) -> Array64:
-    """Sums (count, 6) of vectors (e, 6) by row."""
+def _added(values: Array64, rows: Rows, count: int) -> Array64:
+    """Sums (count, ...) of values (e, ...) by row."""
     ones, at = np.ones(len(rows)), np.arange(len(rows))
-    return np.asarray(sparse.csr_matrix((ones, (rows, at)), shape=(count, len(rows))) @ vectors)
-
-
-class Factorisation:
-    """The normal equations at some poses, factorised: what any right side would move."""
-
-    def __init__(self, edges: Edges, poses: Array64, anchor: int) -> None:
-        """`anchor` is the row of the pose that is held fast. Raises RuntimeError where a pose hangs on nothing."""
-        held = np.zeros(6 * len(poses))
-        held[6 * anchor : 6 * anchor + 6] = ANCHOR_INFORMATION
-        matrix = (edges.hessian(poses) + sparse.diags(held)).tocsc()
-        options = {"SymmetricMode": True}  # positive definite: pivots stay on the diagonal
-        self._factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
-
-    def solve(self, right: Array64) -> Array64:
-        """The tangents (6 n,) or (6 n, k) of `right`, of the same shape."""
-        return np.asarray(self._factors.solve(right))
+    summed = sparse.csr_matrix((ones, (rows, at)), shape=(count, len(rows))) @ values.reshape(len(rows), -1)
+    return np.asarray(summed).reshape(count, *values.shape[1:])

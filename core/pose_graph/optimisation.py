@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
 from revisit.core.pose_graph.consistency import ConsistentSet, consistent_sets
-from revisit.core.pose_graph.graph import LoopEdge, Node, PoseGraph, Trajectory
-from revisit.core.pose_graph.least_squares import ROUGHLY, graduated, minimise
-from revisit.core.pose_graph.marginal_covariances import marginal_covariances
+from revisit.core.pose_graph.graph import Node, PoseGraph, Trajectory
+from revisit.core.pose_graph.least_squares import ROUGHLY, Kernel, cauchy, graduated, huber, minimise, settled
+from revisit.core.pose_graph.normal_equations import Edges, Factorisation
 from revisit.core.pose_graph.placement import Component, place_sessions
 from revisit.core.pose_graph.support import LoopsWithin
 from revisit.core.pose_graph.variance_factor import rescaled, variance_factor
@@ -30,16 +29,8 @@ WIDE_GATE = 100.0
 
 MAX_GATINGS = 5
 
-MAX_SETTLING = 6
-SETTLED_STEP = 1e-7
-"""Length of a step of all poses together, metres and radians, after which they are where they belong."""
-
 MAX_VOUCHED = 100
 """Loops, at most, that are held against the covariances of the poses."""
-
-_ROTATION_FIRST = [3, 4, 5, 0, 1, 2]
-_TRANSLATION_FIRST = np.ix_([3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2])
-_ANCHOR_SIGMA = 1e-4
 
 
 class Robustness(StrEnum):
@@ -113,10 +104,10 @@ def optimise(
         told(done, len(components))
         problem = Problem.of(graph, component, trusted)
         solution, kept = _solve(problem, robustness)
-        covariances.update(problem.covariances(solution, kept))
-        chi2 += 2.0 * problem.graph(kept).error(solution)
+        covariances.update(problem.by_session(problem.covariances(solution, kept)))
+        chi2 += problem.squared_errors(solution, kept)
         degrees_of_freedom += problem.degrees_of_freedom(kept)
-        poses.update(poses_of(problem.trajectories, solution))
+        poses.update(problem.by_session(solution))
         for number, residual in zip(problem.loops, problem.residuals(solution), strict=True):
             residuals[number] = residual
             states[number] = LoopState.IN_MAP if number in kept else LoopState.SET_ASIDE
@@ -158,287 +149,217 @@ class Trusted:
 
 @dataclass(frozen=True)
 class Problem:
-    """A component as gtsam sees it: keys of nodes, factors of steps, one factor a loop, and a start.
+    """A component as arrays: steps first, then loops, between poses in the order of the trajectories, and a start.
 
-    loops: numbers in the graph of the loops within the component; trusted: those of them that may be used.
+    loops: numbers in the graph of the loops within the component; trusted: those of them that may be used; edges: the
+    `steps` of odometry, then these loops; anchor: the row of the pose that is held fast; start (n, 4, 4).
     """
 
     trajectories: tuple[Trajectory, ...]
-    keys: dict[Node, int]
     loops: tuple[int, ...]
     trusted: Trusted
-    steps: gtsam.NonlinearFactorGraph
-    loop_factors: dict[int, gtsam.NoiseModelFactor]
-    loop_noises: dict[int, gtsam.noiseModel.Gaussian]
-    edges: dict[int, LoopEdge]
-    start: gtsam.Values
+    edges: Edges
+    steps: int
+    anchor: int
+    start: Array64
 
     @classmethod
     def of(cls, graph: PoseGraph, component: Component, trusted: Trusted) -> Problem:
         """The component's part of the graph, everything in canonical order: two runs are equal byte for byte."""
         trajectories = tuple(one for one in graph.trajectories if one.session in component.T_map_odom)
         nodes = [Node(one.session, ordinal) for one in trajectories for ordinal in range(len(one))]
-        keys = {node: key for key, node in enumerate(nodes)}
-        loops = {n: loop for n, loop in enumerate(graph.loops) if loop.match in keys and loop.query in keys}
-        noises = {n: _noise(loop.covariance_in_query / loop.independent_share) for n, loop in loops.items()}
-        factors = {n: _between(keys[loop.match], keys[loop.query], loop.T_match_query, noises[n])
-                   for n, loop in loops.items()}  # fmt: skip
+        rows = {node: row for row, node in enumerate(nodes)}
+        loops = {n: loop for n, loop in enumerate(graph.loops) if loop.match in rows and loop.query in rows}
+        steps = Edges.of_steps(trajectories, rows)
         return cls(
-            trajectories, keys, tuple(loops), trusted.among(loops), _step_factors(trajectories, keys, component.anchor),
-            factors, noises, loops, _start(trajectories, keys, component),
+            trajectories, tuple(loops), trusted.among(loops), steps.joined(Edges.of_loops(list(loops.values()), rows)),
+            len(steps), rows[Node(component.anchor, 0)],
+            np.concatenate([component.T_map_odom[one.session] @ one.T_odom_submap for one in trajectories]),
         )  # fmt: skip
 
-    def graph(
-        self, loops: Iterable[int], kernel: gtsam.noiseModel.mEstimator.Base | None = None
-    ) -> gtsam.NonlinearFactorGraph:
-        """The factors of the steps and of some loops, these under a robust kernel if one is given."""
-        factors = gtsam.NonlinearFactorGraph(self.steps)
-        for number in sorted(loops):
-            if kernel is None:
-                factors.add(self.loop_factors[number])
-                continue
-            noise = gtsam.noiseModel.Robust.Create(kernel, self.loop_noises[number])
-            loop = self.edges[number]
-            factors.add(_between(self.keys[loop.match], self.keys[loop.query], loop.T_match_query, noise))
-        return factors
+    def graph(self, loops: Iterable[int]) -> Edges:
+        """The steps and some loops, by number."""
+        return self.edges.chosen(self._chosen(loops))
 
-    def weighted(self, loops: Sequence[int], weights: Array64) -> gtsam.NonlinearFactorGraph:
-        """The factors of the steps and of some loops, which weigh so much (l,), 0 to 1."""
-        factors = gtsam.NonlinearFactorGraph(self.steps)
-        for number, weight in zip(loops, weights, strict=True):
-            if weight == 1.0:
-                factors.add(self.loop_factors[number])
-            elif weight > 0.0:
-                factors.add(self.factor(self.edges[number], float(weight)))
-        return factors
-
-    def residuals(self, values: gtsam.Values) -> Array64:
+    def residuals(self, poses: Array64) -> Array64:
         """Squared Mahalanobis distance of every loop of the component."""
-        return np.array([2.0 * self.loop_factors[number].error(values) for number in self.loops])
+        return self.edges.squared_errors(poses)[self.steps :]
 
-    def factor(self, loop: LoopEdge, weight: float = 1.0) -> gtsam.NoiseModelFactor:
-        """The factor of a loop between submaps of the component, which counts `weight` times."""
-        ends = self.keys[loop.match], self.keys[loop.query]
-        covariance = loop.covariance_in_query / (weight * loop.independent_share)
-        return _between(*ends, loop.T_match_query, _noise(covariance))
+    def squared_errors(self, poses: Array64, kept: set[int]) -> float:
+        """Those of the steps and the `kept` loops, summed."""
+        return float(self.edges.squared_errors(poses)[self._chosen(kept)].sum())
+
+    def with_kernel(self, of_loops: Kernel) -> Kernel:
+        """A kernel for loops behind the steps, which count as they are."""
+
+        def of_all(squared: Array64) -> tuple[Array64, Array64]:
+            costs, weights = of_loops(squared[self.steps :])
+            steps = squared[: self.steps]
+            return np.concatenate([steps, costs]), np.concatenate([np.ones_like(steps), weights])
+
+        return of_all
 
     def degrees_of_freedom(self, kept: set[int]) -> int:
         """What the squared errors of the steps and the `kept` loops are to be compared with."""
         return 6 * (len(kept) - len(self.trajectories) + 1)
 
-    def covariances(self, values: gtsam.Values, kept: set[int]) -> dict[str, Array64]:
-        """The marginal covariances (n, 6, 6) of the poses of each session, translations first."""
-        if (of_keys := marginal_covariances(self.graph(kept), values)) is None:
-            return {one.session: np.full((len(one), 6, 6), np.nan) for one in self.trajectories}
-        return {
-            one.session: np.stack(
-                [of_keys[self.keys[Node(one.session, place)]][_TRANSLATION_FIRST] for place in range(len(one))]
-            )
-            for one in self.trajectories
-        }
+    def factorised(self, poses: Array64, kept: set[int]) -> Factorisation:
+        """The equations of the steps and the `kept` loops at the poses. Raises RuntimeError where there is none."""
+        edges = self.graph(kept)
+        return edges.linearised(poses, np.ones(len(edges))).factorised(self.anchor)
+
+    def covariances(self, poses: Array64, kept: set[int]) -> Array64:
+        """The marginal covariances (n, 6, 6) of the poses; NaN where they are too large to be computed."""
+        try:
+            return self.factorised(poses, kept).covariances()
+        except RuntimeError:
+            return np.full((len(poses), 6, 6), np.nan)
+
+    def by_session(self, values: Array64) -> dict[str, Array64]:
+        """Values (n, ...) of all poses, by the session they belong to."""
+        ends = np.cumsum([len(one) for one in self.trajectories])
+        return {one.session: part for one, part in zip(self.trajectories, np.split(values, ends[:-1]), strict=True)}
+
+    def _chosen(self, loops: Iterable[int]) -> NDArray[np.int64]:
+        """The rows of the steps and of some loops."""
+        some = self.steps + np.flatnonzero(np.isin(self.loops, list(loops)))
+        return np.concatenate([np.arange(self.steps), some])
 
 
-def poses_of(trajectories: tuple[Trajectory, ...], values: gtsam.Values) -> dict[str, Array64]:
-    """T_map_submap (n, 4, 4) of each session; the keys of the values count the submaps in order."""
-    flat = gtsam.utilities.extractPose3(values)
-    poses = np.tile(np.eye(4), (len(flat), 1, 1))
-    poses[:, :3, :3], poses[:, :3, 3] = flat[:, :9].reshape(-1, 3, 3), flat[:, 9:]
-    ends = np.cumsum([len(one) for one in trajectories])
-    return {one.session: part for one, part in zip(trajectories, np.split(poses, ends[:-1]), strict=True)}
-
-
-def _solve(problem: Problem, robustness: Robustness) -> tuple[gtsam.Values, set[int]]:
+def _solve(problem: Problem, robustness: Robustness) -> tuple[Array64, set[int]]:
     """The poses and the loops they rest on."""
     if robustness in (Robustness.PLAIN, Robustness.HUBER, Robustness.GNC):
         return _compared(problem, robustness)
-    values, kept = _by_gates(problem)
-    answers = [_regated(problem, values)]
+    poses, kept = _by_gates(problem)
+    answers = [_regated(problem, poses)]
     if robustness is Robustness.COMMIT and not _fits_throughout(problem, *answers[0]):
         answers.append(_regated(problem, _graduated(problem, set(problem.trusted.first | kept))))
     return min(answers, key=lambda answer: _cost(problem, *answer))
 
 
-def _fits_throughout(problem: Problem, values: gtsam.Values, kept: set[int]) -> bool:
+def _fits_throughout(problem: Problem, poses: Array64, kept: set[int]) -> bool:
     """Whether no loop is set aside, and all errors together are no larger than the graph states them."""
     all_kept = len(kept) == len(problem.loops)
-    return all_kept and _cost(problem, values, kept) <= problem.degrees_of_freedom(kept)
+    return all_kept and _cost(problem, poses, kept) <= problem.degrees_of_freedom(kept)
 
 
-def _compared(problem: Problem, robustness: Robustness) -> tuple[gtsam.Values, set[int]]:
+def _compared(problem: Problem, robustness: Robustness) -> tuple[Array64, set[int]]:
     """The methods that are for comparison, on all loops."""
     possible = set(problem.trusted.possible)
     if robustness is Robustness.PLAIN:
-        return minimise(problem.graph(possible), problem.start), possible
+        return _minimised(problem, problem.start, possible), possible
     if robustness is Robustness.HUBER:
-        kernel = gtsam.noiseModel.mEstimator.Huber.Create(1.345)
-        return minimise(problem.graph(possible, kernel), problem.start), possible
-    values = _graduated(problem, possible)
-    return values, _within(problem, values, possible, GATE)
+        kernel = problem.with_kernel(huber)
+        return minimise(problem.graph(possible), problem.anchor, problem.start, kernel=kernel), possible
+    poses = _graduated(problem, possible)
+    return poses, _within(problem, poses, possible, GATE)
 
 
-def _cost(problem: Problem, values: gtsam.Values, kept: set[int]) -> float:
+def _minimised(problem: Problem, poses: Array64, loops: set[int]) -> Array64:
+    """The poses of least cost near `poses`, by the steps and some loops."""
+    return minimise(problem.graph(loops), problem.anchor, poses)
+
+
+def _cost(problem: Problem, poses: Array64, kept: set[int]) -> float:
     """Squared errors of the steps and the kept loops; a loop that is set aside costs as much as the gate."""
     set_aside = len(problem.loops) - len(kept)
-    return float(2.0 * problem.graph(kept).error(values) + GATE * set_aside)
+    return problem.squared_errors(poses, kept) + GATE * set_aside
 
 
-def _by_gates(problem: Problem) -> tuple[gtsam.Values, set[int]]:
+def _by_gates(problem: Problem) -> tuple[Array64, set[int]]:
     """Cauchy weights first, under which wrong loops pull little; then the loops near those poses, exactly; then those
     that lie where these poses expect them, also loops that nothing supports.
     """
     first = set(problem.trusted.first)
-    values, kept = _by_cauchy(problem, problem.start, first)
+    poses, kept = _by_cauchy(problem, problem.start, first)
     if problem.trusted.speakers:
-        values, kept = _with_spoken_for(problem, values, kept)
+        poses, kept = _with_spoken_for(problem, poses, kept)
     usable = problem.trusted.with_spoken_for(first | problem.trusted.waiting)
     for _ in range(MAX_GATINGS):
-        expected = _expected(problem, values, kept, usable - kept)
+        expected = _expected(problem, poses, kept, usable - kept)
         if not expected:
             break
-        values, kept = _gated(problem, values, usable, WIDE_GATE, kept | expected)
-    return values, kept
+        poses, kept = _gated(problem, poses, usable, WIDE_GATE, kept | expected)
+    return poses, kept
 
 
-def _with_spoken_for(problem: Problem, values: gtsam.Values, kept: set[int]) -> tuple[gtsam.Values, set[int]]:
+def _with_spoken_for(problem: Problem, poses: Array64, kept: set[int]) -> tuple[Array64, set[int]]:
     """The poses by the loops that the `kept` ones speak for, too; more speakers join where these expect them."""
     for _ in range(MAX_GATINGS):
-        believed = kept | _expected(problem, values, kept, set(problem.trusted.first) - kept)
+        believed = kept | _expected(problem, poses, kept, set(problem.trusted.first) - kept)
         heard = problem.trusted.with_spoken_for(believed)
         if heard <= kept:
             break
-        before, (values, kept) = kept, _by_cauchy(problem, values, heard)
+        before, (poses, kept) = kept, _by_cauchy(problem, poses, heard)
         if kept == before:
             break
-    return values, kept
+    return poses, kept
 
 
-def _by_cauchy(problem: Problem, start: gtsam.Values, loops: set[int]) -> tuple[gtsam.Values, set[int]]:
+def _by_cauchy(problem: Problem, start: Array64, loops: set[int]) -> tuple[Array64, set[int]]:
     """The poses by some loops with Cauchy weights, then by those near these poses, exactly; and which those are."""
-    values = minimise(problem.graph(loops, gtsam.noiseModel.mEstimator.Cauchy.Create(1.0)), start, ROUGHLY)
-    return _gated(problem, values, loops, WIDE_GATE)
+    roughly = minimise(problem.graph(loops), problem.anchor, start, ROUGHLY, problem.with_kernel(cauchy))
+    return _gated(problem, roughly, loops, WIDE_GATE)
 
 
 def _gated(
-    problem: Problem, values: gtsam.Values, usable: set[int], gate: float, kept: set[int] | None = None
-) -> tuple[gtsam.Values, set[int]]:
+    problem: Problem, poses: Array64, usable: set[int], gate: float, kept: set[int] | None = None
+) -> tuple[Array64, set[int]]:
     """The poses by the loops within a gate around them: loops return as the poses come nearer to them.
 
-    `kept` are the loops to begin with, instead of those within the gate around `values`.
+    `kept` are the loops to begin with, instead of those within the gate around `poses`.
     """
-    kept = _within(problem, values, usable, gate) if kept is None else kept
+    kept = _within(problem, poses, usable, gate) if kept is None else kept
     for _ in range(MAX_GATINGS):
-        values = minimise(problem.graph(kept), values)
-        before, kept = kept, _within(problem, values, usable, gate)
+        poses = _minimised(problem, poses, kept)
+        before, kept = kept, _within(problem, poses, usable, gate)
         if kept == before:
             break
-    return values, kept
+    return poses, kept
 
 
-def _expected(problem: Problem, values: gtsam.Values, kept: set[int], waiting: set[int]) -> set[int]:
+def _expected(problem: Problem, poses: Array64, kept: set[int], waiting: set[int]) -> set[int]:
     """The waiting loops within the gate around the poses; the uncertainty of the poses themselves is counted too where
     there are few. Where odometry allows many that do not fit, it is too unsure of itself to vouch for any.
     """
-    near = _within(problem, values, waiting, GATE)
+    near = _within(problem, poses, waiting, GATE)
     if not waiting - near or len(waiting) > MAX_VOUCHED:
         return near
-    if (marginals := _marginals(problem.graph(kept), values)) is None:
-        return near
-    return near | {n for n in sorted(waiting - near) if _distance(problem, values, marginals, n) < GATE}
-
-
-def _marginals(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Marginals | None:
-    """The covariances at `values`; None where they are too large to be computed: long chains that nothing ties."""
     try:
-        return gtsam.Marginals(factors, values)
-    except RuntimeError:
-        return None
+        known = problem.factorised(poses, kept)
+    except RuntimeError:  # too large to be computed: long chains that nothing ties
+        return near
+    return near | {n for n in sorted(waiting - near) if _distance(problem, poses, known, n) < GATE}
 
 
-def _distance(problem: Problem, values: gtsam.Values, marginals: gtsam.Marginals, number: int) -> float:
-    """Squared Mahalanobis distance of a loop that is not among the factors from poses with their covariances."""
-    first, second = (problem.keys[node] for node in (problem.edges[number].match, problem.edges[number].query))
-    joint = marginals.jointMarginalCovariance(gtsam.KeyVector([first, second]))
-    between = values.atPose3(first).between(values.atPose3(second))
-    back = between.inverse().AdjointMap()
-    of_first, of_second, both = joint.at(first, first), joint.at(second, second), joint.at(first, second)
-    relative = back @ of_first @ back.T + of_second - back @ both - both.T @ back.T
-    error = problem.loop_factors[number].unwhitenedError(values)
-    covariance = relative + problem.loop_noises[number].covariance()
+def _distance(problem: Problem, poses: Array64, known: Factorisation, number: int) -> float:
+    """Squared Mahalanobis distance of a loop that is not among the `known` edges from poses with their covariances."""
+    row = problem.steps + problem.loops.index(number)
+    edge = problem.edges.chosen(np.array([row]))
+    first, second = int(edge.first[0]), int(edge.second[0])
+    back = se3.adjoint(se3.inverse(poses[second]) @ poses[first])
+    moving = np.zeros((len(poses), 6, 6))  # what moves the second pose, as seen from the first
+    moving[first], moving[second] = -back.T, np.eye(6)
+    moved = known.solve(moving.reshape(-1, 6)).reshape(moving.shape)
+    covariance = moved[second] - back @ moved[first] + np.linalg.inv(edge.information[0])
+    error = edge.errors(poses)[0]
     return float(error @ np.linalg.solve(covariance, error))
 
 
-def _regated(problem: Problem, values: gtsam.Values) -> tuple[gtsam.Values, set[int]]:
+def _regated(problem: Problem, poses: Array64) -> tuple[Array64, set[int]]:
     """Whatever fits the poses by now is in the map, also loops that agreed with no others before."""
-    kept = _within(problem, values, set(problem.loops), GATE)
-    factors = problem.graph(kept)
-    return settled(factors, minimise(factors, values)), kept
+    kept = _within(problem, poses, set(problem.loops), GATE)
+    edges = problem.graph(kept)
+    return settled(edges, problem.anchor, minimise(edges, problem.anchor, poses)), kept
 
 
-def _within(problem: Problem, values: gtsam.Values, usable: set[int], gate: float) -> set[int]:
-    residuals = zip(problem.loops, problem.residuals(values), strict=True)
+def _within(problem: Problem, poses: Array64, usable: set[int], gate: float) -> set[int]:
+    residuals = zip(problem.loops, problem.residuals(poses), strict=True)
     return {number for number, residual in residuals if number in usable and residual < gate}
 
 
-def _graduated(problem: Problem, usable: set[int]) -> gtsam.Values:
+def _graduated(problem: Problem, usable: set[int]) -> Array64:
     """Graduated non-convexity on some loops: steps are known to be right."""
-    numbers = sorted(usable)
-    if not numbers:
+    if not usable:
         return problem.start
-    factors = [problem.loop_factors[number] for number in numbers]
-    return graduated(
-        lambda weights: problem.weighted(numbers, weights),
-        lambda values: np.array([factor.error(values) for factor in factors]),
-        problem.start,
-    )
-
-
-def settled(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
-    """The least cost itself, by Gauss-Newton steps from `values` near it: where it lies does not depend on the way
-    there. `values` where no step can be computed.
-    """
-    for _ in range(MAX_SETTLING):
-        try:
-            step = factors.linearize(values).optimize()
-        except RuntimeError:
-            return values
-        values = values.retract(step)
-        if step.norm() < SETTLED_STEP:
-            break
-    return values
-
-
-def _step_factors(
-    trajectories: tuple[Trajectory, ...], keys: dict[Node, int], anchor_session: str
-) -> gtsam.NonlinearFactorGraph:
-    """The first submap of one session held fast, and every step of the odometry."""
-    factors = gtsam.NonlinearFactorGraph()
-    first = next(one for one in trajectories if one.session == anchor_session)
-    anchor = gtsam.noiseModel.Isotropic.Sigma(6, _ANCHOR_SIGMA)
-    factors.add(gtsam.PriorFactorPose3(keys[Node(first.session, 0)], gtsam.Pose3(first.T_odom_submap[0]), anchor))
-    for one in trajectories:
-        for ordinal, covariance in enumerate(one.step_covariances):
-            T_step = se3.inverse(one.T_odom_submap[ordinal]) @ one.T_odom_submap[ordinal + 1]
-            ends = keys[Node(one.session, ordinal)], keys[Node(one.session, ordinal + 1)]
-            factors.add(_between(*ends, T_step, _noise(covariance)))
-    return factors
-
-
-def _start(trajectories: tuple[Trajectory, ...], keys: dict[Node, int], component: Component) -> gtsam.Values:
-    values = gtsam.Values()
-    for one in trajectories:
-        for ordinal, T_odom_submap in enumerate(one.T_odom_submap):
-            pose = gtsam.Pose3(component.T_map_odom[one.session] @ T_odom_submap)
-            values.insert(keys[Node(one.session, ordinal)], pose)
-    return values
-
-
-def _between(
-    first: int, second: int, T_first_second: se3.Matrix4, noise: gtsam.noiseModel.Base
-) -> gtsam.NoiseModelFactor:
-    return gtsam.BetweenFactorPose3(first, second, gtsam.Pose3(T_first_second), noise)
-
-
-def _noise(covariance: Array64) -> gtsam.noiseModel.Gaussian:
-    """A noise model for a covariance of (x, y, z, rx, ry, rz); gtsam has rotations first."""
-    ordered = covariance[np.ix_(_ROTATION_FIRST, _ROTATION_FIRST)]
-    return gtsam.noiseModel.Gaussian.Covariance(0.5 * (ordered + ordered.T))
+    return graduated(problem.graph(usable), problem.steps, problem.anchor, problem.start)

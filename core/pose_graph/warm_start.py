@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from revisit.core.geometry import se3, se3_rows
 from revisit.core.pose_graph.graph import LoopEdge, Node, PoseGraph
-from revisit.core.pose_graph.normal_equations import Edges, Factorisation
+from revisit.core.pose_graph.normal_equations import Edges
 from revisit.core.pose_graph.optimisation import GATE, WIDE_GATE, LoopState
 
 Array64 = NDArray[np.float64]
@@ -85,7 +85,9 @@ class SolvedComponent:
         self._rows = {node: row for row, node in enumerate(nodes)}
         self._ends = {session: len(poses) - 1 for session, poses in T_map_submap.items()}
         self._anchor = self._rows[Node(anchor, 0)]
-        self._edges = _edges(graph, self._ends, self._rows, loops)
+        tracks = [graph.by_session[session] for session in T_map_submap]
+        measured = Edges.of_loops([graph.loops[number] for number in loops], self._rows)
+        self._edges = Edges.of_steps(tracks, self._rows).joined(measured)
         poses = np.concatenate(list(T_map_submap.values()))
         # Tangents of the map are levers from its origin: the nearer that is, the fewer digits are lost.
         self._T_map_middle = se3.from_rotation_translation(np.eye(3), poses[:, :3, 3].mean(axis=0))
@@ -149,10 +151,13 @@ class SolvedComponent:
         later = np.array([self._pose(node, self._state) for node in tail]).reshape(-1, 4, 4)
         for node in tail:
             self._rows[node] = len(self._rows)
-        steps = [(step.before, node, step.T_before_end, step.covariance)
-                 for node, step in zip(tail, self._steps, strict=True)]  # fmt: skip
-        loops = [_measured(one.loop) for one in self._taken]
-        self._edges = self._edges.joined(_edges_of([*steps, *loops], self._rows))
+        steps = Edges.of_motions(
+            [(self._rows[step.before], self._rows[node]) for step, node in zip(self._steps, tail, strict=True)],
+            [step.T_before_end for step in self._steps],
+            [step.covariance for step in self._steps],
+        )
+        loops = Edges.of_loops([one.loop for one in self._taken], self._rows)
+        self._edges = self._edges.joined(steps).joined(loops)
         del self._factors  # the next ones take as much room
         self._start(np.concatenate([self._state.poses, later]))
         gradient = self._edges.cost_and_gradient(self._state.poses)[1]
@@ -164,7 +169,7 @@ class SolvedComponent:
         self._tail: dict[Node, int] = {}
         self._steps: list[_Step] = []
         self._taken = []
-        self._factors = Factorisation(self._edges, poses, self._anchor)
+        self._factors = self._edges.in_the_map(poses).factorised(self._anchor)
         self._cost = self._edges.cost_and_gradient(poses)[0]
 
     def _linearised(self, loop: LoopEdge) -> _Taken:
@@ -282,32 +287,3 @@ def _held_back(free: Array64, taken: list[_Taken], inverted: Array64) -> Array64
     for one, amount in zip(taken, back, strict=True):
         step[: len(one.moves)] -= one.moves @ amount
     return step
-
-
-_Measurement = tuple[Node, Node, se3.Matrix4, Array64]
-"""From a submap to another one: the motion, and its covariance (6, 6) in the frame of the second."""
-
-
-def _edges(graph: PoseGraph, ends: dict[str, int], rows: dict[Node, int], loops: Iterable[int]) -> Edges:
-    """The steps of the sessions up to their last ordinals, and some loops of the graph between them."""
-    measured: list[_Measurement] = []
-    for session, last in ends.items():
-        trajectory = graph.by_session[session]
-        poses = trajectory.T_odom_submap
-        for ordinal in range(last):
-            T_step = se3.inverse(poses[ordinal]) @ poses[ordinal + 1]
-            ends_of_step = Node(session, ordinal), Node(session, ordinal + 1)
-            measured.append((*ends_of_step, T_step, trajectory.step_covariances[ordinal]))
-    measured += [_measured(graph.loops[number]) for number in loops]
-    return _edges_of(measured, rows)
-
-
-def _measured(loop: LoopEdge) -> _Measurement:
-    return loop.match, loop.query, loop.T_match_query, loop.covariance_in_query / loop.independent_share
-
-
-def _edges_of(measured: list[_Measurement], rows: dict[Node, int]) -> Edges:
-    ends = np.array([(rows[first], rows[second]) for first, second, *_ in measured], dtype=np.int64).reshape(-1, 2)
-    motions = np.array([motion for _, _, motion, _ in measured]).reshape(-1, 4, 4)
-    covariances = np.array([covariance for *_, covariance in measured]).reshape(-1, 6, 6)
-    return Edges(ends[:, 0], ends[:, 1], se3_rows.inverse(motions), np.linalg.inv(covariances))

@@ -57,5 +57,4 @@ def test_the_walk_finds_what_dependencies_bring_with_them():
     # The SDK asks for numpy, the service for torch, the evaluation for matplotlib; certifi comes with httpx,
     # cryptography with the extra of pyjwt.
     assert {"numpy", "torch", "matplotlib", "certifi", "cryptography"} <= set(DISTRIBUTIONS)
-    # Not pytest: the wheel of gtsam asks for it.
-    assert {"hypothesis", "ruff", "mypy"}.isdisjoint(DISTRIBUTIONS)
+    assert {"hypothesis", "pytest", "ruff", "mypy"}.isdisjoint(DISTRIBUTIONS)

@@ -25,7 +25,8 @@ from revisit.core.pose_graph import (
 )
 from revisit.core.pose_graph.consistency import agreement, consistent_sets, largest_clique, oriented
 from revisit.core.pose_graph.g2o import read_g2o, write_g2o
-from revisit.core.pose_graph.least_squares import INLIER, graduated, minimise
+from revisit.core.pose_graph.least_squares import INLIER, cauchy, graduated, huber, minimise, settled
+from revisit.core.pose_graph.normal_equations import Edges
 from revisit.core.pose_graph.support import STRETCH, LoopsWithin
 from revisit.core.pose_graph.variance_factor import Side, rescaled, squared_errors, variance_factor
 from revisit.evaluation.pose_graph_benchmark import Case, Spoiling, measure
@@ -55,7 +56,7 @@ def test_a_commit_keeps_right_loops_and_no_wrong_one(wrong_share: float) -> None
 def test_a_second_answer_is_sought_where_not_every_loop_fits(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
 
-    def watched(problem: optimisation.Problem, usable: set[int]) -> gtsam.Values:
+    def watched(problem: optimisation.Problem, usable: set[int]) -> np.ndarray:
         asked.append(len(usable))
         return graduated_answer(problem, usable)
 
@@ -439,55 +440,59 @@ def test_errors_of_the_last_poses_are_as_large_as_their_covariances_say() -> Non
     assert np.mean(below) >= 0.9
 
 
-def test_short_steps_end_where_one_long_call_of_the_solver_ends() -> None:
-    factors, start = _ring()
-    params = gtsam.LevenbergMarquardtParams()
-    params.setRelativeErrorTol(1e-9)
-    params.setAbsoluteErrorTol(1e-9)
-    at_once = gtsam.LevenbergMarquardtOptimizer(factors, start, params).optimize()
-    in_steps = minimise(factors, start)
-    assert factors.error(in_steps) < 0.5 * factors.error(start)
-    for key in range(12):
-        assert np.array_equal(in_steps.atPose3(key).matrix(), at_once.atPose3(key).matrix())
+def test_the_solver_ends_where_gtsam_ends() -> None:
+    edges, start = _ring()
+    factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    factors.add(gtsam.PriorFactorPose3(0, gtsam.Pose3(start[0]), gtsam.noiseModel.Isotropic.Sigma(6, 1e-6)))
+    for row in range(len(edges)):
+        motion = gtsam.Pose3(se3.inverse(edges.T_second_first[row]))
+        noise = gtsam.noiseModel.Isotropic.Sigma(6, 0.1)
+        factors.add(gtsam.BetweenFactorPose3(int(edges.first[row]), int(edges.second[row]), motion, noise))
+    for key, pose in enumerate(start):
+        values.insert(key, gtsam.Pose3(pose))
+    theirs = gtsam.LevenbergMarquardtOptimizer(factors, values).optimize()
+    found = settled(edges, 0, minimise(edges, 0, start))
+    assert edges.squared_errors(found).sum() < 0.5 * edges.squared_errors(start).sum()
+    assert np.array_equal(found[0], start[0])
+    np.testing.assert_allclose(found, [theirs.atPose3(key).matrix() for key in range(12)], atol=1e-4)
+    assert edges.squared_errors(found).sum() <= 2.0 * factors.error(theirs) + 1e-9
+
+
+def test_kernels_cost_as_gtsams_do() -> None:
+    distances = np.array([0.0, 0.5, 1.345, 2.0, 30.0])
+    estimators = gtsam.noiseModel.mEstimator
+    for own, theirs in ((cauchy, estimators.Cauchy.Create(1.0)), (huber, estimators.Huber.Create(1.345))):
+        costs, weights = own(distances**2)
+        np.testing.assert_allclose(0.5 * costs, [theirs.loss(one) for one in distances], rtol=1e-12, atol=1e-15)
+        np.testing.assert_allclose(weights, [theirs.weight(one) for one in distances], rtol=1e-12)
+
+
+def test_poses_that_nothing_holds_together_stay_as_they_are() -> None:
+    edges, start = _ring()
+    apart = edges.chosen(np.arange(4))
+    assert np.array_equal(settled(apart, 0, start), start)
+    assert np.array_equal(minimise(edges.weighted(np.full(len(edges), np.nan)), 0, start), start)
 
 
 def test_graduated_non_convexity_gives_wrong_loops_no_weight() -> None:
-    factors, start = _ring()
-    noise = gtsam.noiseModel.Isotropic.Sigma(6, 0.05)
-    right = [gtsam.BetweenFactorPose3(n, n + 6, _ring_pose(n).inverse() * _ring_pose(n + 6), noise)
-             for n in range(6)]  # fmt: skip
-    wrong = [gtsam.BetweenFactorPose3(n, n + 5, gtsam.Pose3(gtsam.Rot3.Yaw(n), (9, n, 0)), noise) for n in (1, 4)]
-    rounds = []
-
-    def weighted(weights: np.ndarray) -> gtsam.NonlinearFactorGraph:
-        rounds.append(weights)
-        graph = gtsam.NonlinearFactorGraph(factors)
-        for factor, weight in zip(right + wrong, weights, strict=True):
-            if weight > 0.0:
-                scaled = gtsam.noiseModel.Isotropic.Sigma(6, 0.05 / np.sqrt(weight))
-                graph.add(gtsam.BetweenFactorPose3(*factor.keys(), factor.measured(), scaled))
-        return graph
-
-    def costs(values: gtsam.Values) -> np.ndarray:
-        return np.array([factor.error(values) for factor in right + wrong])
-
-    values = graduated(weighted, costs, start)
-    np.testing.assert_allclose(rounds[-1], [1.0] * 6 + [0.0] * 2, atol=1e-3)
-    assert (costs(values)[:6] < INLIER).all() and (costs(values)[6:] > INLIER).all()
+    steps, start = _ring()
+    right = [(n, n + 6, se3.inverse(_ring_pose(n)) @ _ring_pose(n + 6)) for n in range(6)]
+    wrong = [(n, n + 5, se3.from_yaw(float(n), (9.0, float(n), 0.0))) for n in (1, 4)]
+    ends, motions = [(a, b) for a, b, _ in right + wrong], [motion for *_, motion in right + wrong]
+    loops = Edges.of_motions(ends, motions, [0.05**2 * np.eye(6)] * 8)
+    costs = 0.5 * loops.squared_errors(graduated(steps.joined(loops), len(steps), 0, start))
+    assert (costs[:6] < INLIER).all() and (costs[6:] > INLIER).all()
 
 
-def _ring_pose(n: int) -> gtsam.Pose3:
+def _ring_pose(n: int) -> np.ndarray:
     angle = 2 * np.pi * n / 12
-    return gtsam.Pose3(gtsam.Rot3.Yaw(angle), (8 * np.cos(angle), 8 * np.sin(angle), 0.0))
+    return se3.from_yaw(angle, (8 * np.cos(angle), 8 * np.sin(angle), 0.0))
 
 
-def _ring() -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-    """Twelve poses on a ring, joined by steps and closed, and a start that is off."""
-    noise, factors, values = gtsam.noiseModel.Isotropic.Sigma(6, 0.1), gtsam.NonlinearFactorGraph(), gtsam.Values()
-    factors.add(gtsam.PriorFactorPose3(0, _ring_pose(0), noise))
+def _ring() -> tuple[Edges, np.ndarray]:
+    """The steps of twelve poses on a ring that closes, and a start that is off."""
     rng = np.random.default_rng(0)
-    for n in range(12):
-        values.insert(n, _ring_pose(n).retract(0.1 * rng.normal(size=6)))
-        measured = _ring_pose(n).inverse() * _ring_pose((n + 1) % 12) * gtsam.Pose3.Expmap(0.004 * rng.normal(size=6))
-        factors.add(gtsam.BetweenFactorPose3(n, (n + 1) % 12, measured, noise))
-    return factors, values
+    start = np.array([_ring_pose(n) @ se3.exp(0.1 * rng.normal(size=6)) for n in range(12)])
+    ends = [(n, (n + 1) % 12) for n in range(12)]
+    motions = [se3.inverse(_ring_pose(a)) @ _ring_pose(b) @ se3.exp(0.004 * rng.normal(size=6)) for a, b in ends]
+    return Edges.of_motions(ends, motions, [0.1**2 * np.eye(6)] * 12), start

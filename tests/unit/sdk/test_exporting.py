@@ -115,13 +115,13 @@ def test_optimise_says_where_sessions_lie_and_which_loops_that_rests_on(monkeypa
 
 
 @pytest.mark.parametrize("command", ["optimise", "export"])
-def test_without_gtsam_one_line_says_what_to_install(monkeypatch, command):
+def test_without_scipy_one_line_says_what_to_install(monkeypatch, command):
     for name in [name for name in sys.modules if name.startswith("revisit.core.pose_graph")]:
         monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "gtsam", None)
+    monkeypatch.setitem(sys.modules, "scipy.sparse", None)
     refused = shown(monkeypatch, two_days(), command)
     assert refused.exit_code != 0
-    assert "gtsam is not installed" in refused.stderr + str(refused.exception)
+    assert "scipy.sparse is not installed" in refused.stderr + str(refused.exception)
 
 
 def test_the_command_says_its_version_and_completes():

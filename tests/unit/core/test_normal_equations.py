@@ -1,0 +1,124 @@
+"""Derivatives, factors and covariances of pose graphs are those of their plain forms, and of gtsam."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+import pytest
+
+from revisit.core.geometry import se3, se3_rows
+from revisit.core.kernels import block_cholesky
+from revisit.core.pose_graph.normal_equations import Edges, Equations
+
+POSES = 60
+
+
+def made(seed: int, loops: int, parts: int = 1) -> tuple[Edges, np.ndarray]:
+    """Chains of poses with loops at random within them, which the poses miss; the parts hang together by one edge."""
+    rng = np.random.default_rng(seed)
+    poses = se3_rows.exp(rng.normal(size=(POSES, 6)))
+    each = POSES // parts
+    ends = [(n - 1, n) for n in range(1, POSES) if n % each]
+    ends += [(0, n) for n in range(each, POSES, each)]
+    while len(ends) < POSES - 1 + loops:
+        first, second = rng.integers(POSES, size=2).tolist()
+        if first != second:
+            ends.append((first, second))
+    motions = [se3.inverse(poses[a]) @ poses[b] @ se3.exp(0.2 * rng.normal(size=6)) for a, b in ends]
+    roots = rng.normal(size=(len(ends), 6, 6)) * 0.02 + rng.uniform(0.02, 0.2, (len(ends), 1, 6)) * np.eye(6)
+    return Edges.of_motions(ends, motions, list(roots @ roots.transpose(0, 2, 1))), poses
+
+
+def dense(equations: Equations, anchor: int) -> np.ndarray:
+    """The matrix (n, 6, n, 6) that a factorisation is of."""
+    count = len(equations.diagonal)
+    matrix = np.zeros((count, 6, count, 6))
+    for row in range(count):
+        matrix[row, :, row] += equations.diagonal[row]
+    for first, second, link in zip(equations.first, equations.second, equations.links, strict=True):
+        matrix[first, :, second] += link
+        matrix[second, :, first] += link.T
+    matrix[anchor, :, anchor] += 1e8 * np.eye(6)
+    return matrix
+
+
+def test_derivatives_are_those_of_the_squared_errors() -> None:
+    edges, poses = made(1, 20)
+    equations = edges.linearised(poses, np.ones(len(edges)))
+    rng = np.random.default_rng(2)
+    for _ in range(5):
+        way = 1e-5 * rng.normal(size=(POSES, 6))
+        ahead, behind = (edges.squared_errors(poses @ se3_rows.exp(sign * way)).sum() for sign in (1.0, -1.0))
+        assert 2.0 * np.vdot(equations.gradient, way) == pytest.approx(0.5 * (ahead - behind), rel=1e-5)
+
+
+@pytest.mark.parametrize("tangent", [0.0, 1e-6, 0.2, 1.0])
+def test_the_right_jacobian_is_the_derivative_of_the_logarithm(tangent: float) -> None:
+    at = tangent * np.random.default_rng(3).normal(size=(1, 6))
+    small = 1e-6 * np.eye(6)
+    ahead, behind = (se3_rows.log(se3_rows.exp(at) @ se3_rows.exp(sign * small)) for sign in (1.0, -1.0))
+    derivative = (ahead - behind).T / 2e-6
+    np.testing.assert_allclose(se3_rows.inverse_right_jacobian(at)[0], derivative, atol=1e-3 if tangent > 0.5 else 1e-7)
+
+
+def test_half_a_turn_has_an_axis() -> None:
+    for axis in np.eye(3):
+        for angle in (np.pi, np.pi - 1e-9, 3.13):
+            turn = se3.exp(np.concatenate([[1.0, 2.0, 3.0], angle * axis]))
+            found = se3_rows.log(turn[None])[0]
+            assert np.linalg.norm(found[3:]) == pytest.approx(angle, abs=1e-9)
+            np.testing.assert_allclose(se3.exp(found), turn, atol=1e-7)
+
+
+@pytest.mark.parametrize(("seed", "loops", "parts"), [(1, 0, 1), (2, 3, 1), (3, 40, 1), (4, 300, 1), (5, 30, 3)])
+def test_a_factorisation_solves_as_the_dense_matrix_does(seed: int, loops: int, parts: int) -> None:
+    edges, poses = made(seed, loops, parts)
+    equations = edges.linearised(poses, np.ones(len(edges)))
+    factorisation = equations.factorised(7)
+    matrix = dense(equations, 7).reshape(6 * POSES, -1)
+    for right in np.random.default_rng(6).normal(size=(2, 6 * POSES, 3)):
+        np.testing.assert_allclose(matrix @ factorisation.solve(right), right, atol=1e-5)
+        np.testing.assert_allclose(factorisation.solve(right[:, 0]), factorisation.solve(right)[:, 0], rtol=1e-9)
+    inverse = np.linalg.inv(matrix).reshape(POSES, 6, POSES, 6)
+    blocks = [inverse[row, :, row] for row in range(POSES)]
+    np.testing.assert_allclose(factorisation.covariances(), blocks, rtol=1e-5, atol=1e-7)
+
+
+@pytest.mark.parametrize(("seed", "loops"), [(1, 0), (3, 40)])
+def test_the_covariance_of_each_pose_is_that_of_gtsam(seed: int, loops: int) -> None:
+    edges, poses = made(seed, loops)
+    factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    factors.add(gtsam.PriorFactorPose3(0, gtsam.Pose3(poses[0]), gtsam.noiseModel.Isotropic.Sigma(6, 1e-4)))
+    rotation_first = np.ix_([3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2])
+    for row in range(len(edges)):
+        motion = gtsam.Pose3(se3.inverse(edges.T_second_first[row]))
+        noise = gtsam.noiseModel.Gaussian.Information(edges.information[row][rotation_first])
+        factors.add(gtsam.BetweenFactorPose3(int(edges.first[row]), int(edges.second[row]), motion, noise))
+    for key, pose in enumerate(poses):
+        values.insert(key, gtsam.Pose3(pose))
+    expected = gtsam.Marginals(factors, values)
+    found = edges.linearised(poses, np.ones(len(edges))).factorised(0).covariances()
+    for key in range(POSES):
+        np.testing.assert_allclose(found[key][rotation_first], expected.marginalCovariance(key), rtol=1e-3, atol=1e-8)
+
+
+def test_what_is_not_positive_definite_is_refused() -> None:
+    edges, poses = made(2, 3)
+    equations = edges.weighted(-np.ones(len(edges))).linearised(poses, np.ones(len(edges)))
+    with pytest.raises(RuntimeError, match="positive definite"):
+        equations.factorised(0)
+
+
+def test_the_factor_times_itself_is_the_matrix() -> None:
+    edges, poses = made(4, 30)
+    equations = edges.in_the_map(poses)
+    diagonal = equations.diagonal.copy()
+    diagonal[0] += 1e8 * np.eye(6)
+    factor = block_cholesky.factorised(equations.first, equations.second, equations.links, diagonal)
+    lower = np.zeros((POSES, 6, POSES, 6))
+    columns = np.repeat(np.arange(POSES), np.diff(factor.begins))
+    for row, column, block in zip(factor.rows, columns, factor.blocks, strict=True):
+        lower[row, :, column] = block
+    flat = lower.reshape(6 * POSES, -1)
+    np.testing.assert_allclose(flat @ flat.T, dense(equations, 0).reshape(6 * POSES, -1), rtol=1e-10, atol=1e-6)
+    np.testing.assert_allclose(flat, np.linalg.cholesky(flat @ flat.T), rtol=1e-6, atol=1e-6)
