@@ -65,7 +65,7 @@ def log(transforms: Array64) -> Array64:
 def inverse_right_jacobian(tangents: Array64) -> Array64:
     """The (n, 6, 6) matrices J with log(exp(tangent) exp(small)) = tangent + J small to first order.
 
-    By its series, which errs by 1e-3 at half a turn and by 1e-9 at a quarter of a radian.
+    By its series, which errs by 1e-9 at a rotation of a quarter of a radian, by 2e-5 at one, by 0.1 at half a turn.
     """
     brackets = np.zeros((len(tangents), 6, 6))
     brackets[:, :3, :3] = brackets[:, 3:, 3:] = _hat(tangents[:, 3:])

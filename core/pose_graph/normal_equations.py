@@ -207,6 +207,16 @@ def elimination_order(first: Rows, second: Rows, count: int) -> Rows:
     return np.asarray(factors.perm_c, dtype=np.int64)
 
 
+def rehearse() -> None:
+    """Solve two poses, for the compiler's sake alone."""
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    edges = Edges.of_motions([(0, 1)], [np.eye(4)], [np.eye(SIDE)])
+    for equations in (edges.linearised(poses, np.ones(1)), edges.in_the_map(poses)):
+        factorisation = equations.factorised(0)
+        factorisation.solve(np.zeros(2 * SIDE))
+        factorisation.covariances()
+
+
 def _information(covariances: Array64) -> Array64:
     """The inverses (e, 6, 6) of covariances, symmetric to the last digit."""
     found = np.linalg.inv(covariances)

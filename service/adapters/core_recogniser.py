@@ -21,6 +21,7 @@ from revisit.core.kernels.plane_votes import plane_scores
 from revisit.core.model_bundle import ModelBundle, load_packaged_models
 from revisit.core.pipeline import DescribedPlace, describe, describe_again, verify
 from revisit.core.place import Place
+from revisit.core.pose_graph.normal_equations import rehearse
 from revisit.core.sanity.window import window_findings
 from revisit.core.scan import Scan
 from revisit.core.scan_disagreement import ScanDisagreement
@@ -126,8 +127,9 @@ def load_recogniser() -> CoreRecogniser:
 
 
 def warm_up(recogniser: CoreRecogniser) -> None:
-    """Describe a made-up yard and compare it with itself, for the compilers' sake alone."""
+    """Describe a made-up yard, compare it with itself and solve two poses, for the compilers' sake alone."""
     config = PipelineConfig()
+    rehearse()  # maps are optimised in the same process
     # Whether this yard can be described does not matter; a fault that matters will show on a real submap.
     with suppress(RevisitError):
         yard = recogniser.describe(_made_up_yard(config), config)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import gtsam
+import numba
 import numpy as np
 import pytest
 
 from revisit.core.geometry import se3, se3_rows
 from revisit.core.kernels import block_cholesky
-from revisit.core.pose_graph.normal_equations import Edges, Equations
+from revisit.core.pose_graph.normal_equations import Edges, Equations, rehearse
 
 POSES = 60
 
@@ -122,3 +123,15 @@ def test_the_factor_times_itself_is_the_matrix() -> None:
     flat = lower.reshape(6 * POSES, -1)
     np.testing.assert_allclose(flat @ flat.T, dense(equations, 0).reshape(6 * POSES, -1), rtol=1e-10, atol=1e-6)
     np.testing.assert_allclose(flat, np.linalg.cholesky(flat @ flat.T), rtol=1e-6, atol=1e-6)
+
+
+def test_after_the_rehearsal_nothing_is_compiled() -> None:
+    rehearse()
+    kernels = [one for one in vars(block_cholesky).values() if isinstance(one, numba.core.dispatcher.Dispatcher)]
+    compiled = [len(kernel.signatures) for kernel in kernels]
+    edges, poses = made(3, 40)
+    for equations in (edges.linearised(poses, np.ones(len(edges))), edges.in_the_map(poses)):
+        factorisation = equations.factorised(3)
+        factorisation.solve(np.ones((6 * POSES, 6)))
+        factorisation.covariances()
+    assert [len(kernel.signatures) for kernel in kernels] == compiled and sum(compiled) > 3
