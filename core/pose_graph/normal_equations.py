@@ -9,6 +9,7 @@ submaps a bend of 0.2 m was enough for old equations to lead away from the optim
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -237,5 +238,6 @@ def _transposed_adjoint(transforms: Array64, vectors: Array64) -> Array64:
 def _added(values: Array64, rows: Rows, count: int) -> Array64:
     """Sums (count, ...) of values (e, ...) by row."""
     ones, at = np.ones(len(rows)), np.arange(len(rows))
-    summed = sparse.csr_matrix((ones, (rows, at)), shape=(count, len(rows))) @ values.reshape(len(rows), -1)
+    flat = values.reshape(len(rows), math.prod(values.shape[1:]))
+    summed = sparse.csr_matrix((ones, (rows, at)), shape=(count, len(rows))) @ flat
     return np.asarray(summed).reshape(count, *values.shape[1:])

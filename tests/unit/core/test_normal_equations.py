@@ -9,6 +9,7 @@ import pytest
 
 from revisit.core.geometry import se3, se3_rows
 from revisit.core.kernels import block_cholesky
+from revisit.core.pose_graph.least_squares import minimise, settled
 from revisit.core.pose_graph.normal_equations import Edges, Equations, rehearse
 
 POSES = 60
@@ -101,6 +102,13 @@ def test_the_covariance_of_each_pose_is_that_of_gtsam(seed: int, loops: int) -> 
     found = edges.linearised(poses, np.ones(len(edges))).factorised(0).covariances()
     for key in range(POSES):
         np.testing.assert_allclose(found[key][rotation_first], expected.marginalCovariance(key), rtol=1e-3, atol=1e-8)
+
+
+def test_a_pose_alone_stays_where_it_is_and_is_as_sure_as_it_is_held() -> None:
+    alone, pose = Edges.of_motions([], [], []), se3.exp(np.arange(6.0))[None]
+    assert np.array_equal(settled(alone, 0, minimise(alone, 0, pose)), pose)
+    for equations in (alone.linearised(pose, np.ones(0)), alone.in_the_map(pose)):
+        np.testing.assert_allclose(equations.factorised(0).covariances(), [1e-8 * np.eye(6)])
 
 
 def test_what_is_not_positive_definite_is_refused() -> None:
