@@ -458,6 +458,17 @@ def test_the_solver_ends_where_gtsam_ends() -> None:
     assert edges.squared_errors(found).sum() <= 2.0 * factors.error(theirs) + 1e-9
 
 
+def test_what_pulls_at_the_anchor_moves_no_map() -> None:
+    near, start = _ring()
+    motions, start = near.T_second_first.copy(), start.copy()
+    motions[:, :3, 3] *= 100.0  # a ring of 800 m whose steps are known to a millimetre and a milliradian
+    start[:, :3, 3] *= 100.0
+    edges = Edges(near.first, near.second, motions, 1e4 * near.information)
+    found = settled(edges, 0, minimise(edges, 0, start))
+    again = settled(edges, 0, found)
+    assert np.abs(again - found).max() < 1e-6
+
+
 def test_kernels_cost_as_gtsams_do() -> None:
     distances = np.array([0.0, 0.5, 1.345, 2.0, 30.0])
     estimators = gtsam.noiseModel.mEstimator
