@@ -56,7 +56,7 @@ def ground_plane(
     offsets = -np.einsum("ij,ij->i", normals, corners[:, 0])
     sign = np.where(offsets < 0.0, -1.0, 1.0)
     normals, offsets = normals * sign[:, None], offsets * sign
-    scores = scores_of(normals, offsets, thinned, 0.1 * scale, 0.3 * scale)
+    scores = scores_of(normals, offsets, np.ascontiguousarray(thinned), 0.1 * scale, 0.3 * scale)
     best = int(scores.argmax())
     inliers = thinned[np.abs(thinned @ normals[best] + offsets[best]) < 0.1 * scale]
     if scores[best] < 0.15 or not _surrounds(inliers, normals[best], offsets[best]):

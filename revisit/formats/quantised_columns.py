@@ -70,6 +70,14 @@ def intensities(planes: Bytes, count: int, step: float) -> NDArray[np.float32]:
     return found
 
 
+def rehearse() -> None:
+    """Sum up a point of either form, for the compiler's sake alone."""
+    planes = np.frombuffer(bytes(14), dtype=np.uint8)
+    coordinates(planes, 1, 1.0)
+    coordinates_on_rays(planes, 1, 1.0, Prediction.DIFFERENCE, Prediction.DIFFERENCE)
+    intensities(planes[12:], 1, 1.0)
+
+
 @njit(inline="always")
 def _coded(planes: Bytes, column: int, row: int, count: int) -> float:
     """The difference in a row of a column of four byte planes."""

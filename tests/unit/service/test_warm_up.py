@@ -30,14 +30,16 @@ class Rehearsed(FakeRecogniser):
         return super().verify(query, match, similarity, config, near)
 
 
-def test_the_rehearsal_describes_a_yard_with_walls_and_compares_it_with_itself():
+def test_the_rehearsal_describes_yards_with_walls_and_compares_equal_ones_and_different_ones():
     recogniser = Rehearsed()
     core_recogniser.warm_up(recogniser)
-    (_, submap), verified = recogniser.asked
-    assert verified == ("verify", True)
-    standing = submap.points[submap.points[:, 2] > -1.5]
+    (_, submap), (_, other), *verified = recogniser.asked
+    assert verified == [("verify", True), ("verify", False)]
+    assert submap.scan_count == 3 and submap.T_odom_submap[2, 2] < 1.0
+    standing = submap.points[submap.points[:, 2] > -1.2]
     assert len(standing) > 1000
-    assert np.ptp(submap.points[:, :2], axis=0) == pytest.approx((40, 40), abs=0.5)
+    assert np.ptp(submap.points[:, :2], axis=0) == pytest.approx((40, 40), abs=1.0)
+    assert not np.array_equal(submap.points, other.points)
 
 
 def test_a_yard_that_cannot_be_described_does_not_keep_a_worker_from_its_work():

@@ -1,0 +1,55 @@
+"""A worker that takes jobs has compiled, or loaded, whatever it will ask for: no job pays for that, nor its memory."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+from tests.support.patience import PATIENCE_S
+
+LIFE = """
+import asyncio, gc, json
+
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+
+from revisit.core.geometry import se3
+from revisit.formats import quantised
+from revisit.service.adapters.core_recogniser import load_recogniser
+from revisit.service.application.ingest.clouds import unpack_cloud
+from tests.support.block_worlds import along, seen, yard
+from tests.support.driven_maps import driven, merged, real_world
+
+
+def loaded():
+    kernels = [one for one in gc.get_objects() if isinstance(one, Dispatcher)]
+    return {f"{kernel.py_func.__name__}{signature}" for kernel in kernels for signature in kernel.overloads}
+
+
+async def life(recogniser):
+    world, blocks = real_world(), yard(1, False)
+    T_odom_world = se3.exp(np.array([3.0, -2.0, 0.5, 0.03, -0.02, 0.6]))
+    for name, seed in (("first", 1), ("second", 2)):
+        drive = seen(blocks, along((-20, 0), (15, 0)), seed)
+        await driven(world, name, drive, T_odom_world, recogniser, min_index_gap=0)
+    return (await merged(world, "first", "second", recogniser))["verdict"]
+
+
+recogniser = load_recogniser()
+ready = loaded()
+points = np.random.default_rng(0).uniform(-9.0, 9.0, (500, 3))
+for intensity in (None, np.ones(500)):
+    unpack_cloud(quantised.encode(points, intensity))
+verdict = asyncio.run(life(recogniser))
+print(json.dumps({"verdict": verdict, "ready": len(ready), "later": sorted(loaded() - ready)}))
+"""
+
+
+def test_no_job_asks_for_a_kernel_that_its_worker_has_not_loaded():
+    command = [sys.executable, "-c", LIFE]
+    ran = subprocess.run(command, capture_output=True, text=True, check=True, timeout=10 * PATIENCE_S, cwd=Path.cwd())
+    told = json.loads(ran.stdout.splitlines()[-1])
+    assert told["ready"] > 50
+    assert (told["verdict"], told["later"]) == ("MERGED", [])
