@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,8 @@ class Submap:
     origins (s, 3) float32, where each scan was taken from; stamps_ns (s,) int64;
     T_odom_submap the pose of the middle scan;
     position (3,) float64 the mean position of the scans in the odometry frame.
+    Once `levelled`, points, origins and T_odom_submap are those of the level frame, and T_scan_submap (4, 4) leads from
+    it back to that of the middle scan.
     Raises BadField where the arrays do not fit together.
     """
 
@@ -33,6 +35,7 @@ class Submap:
     stamps_ns: NDArray[np.int64]
     T_odom_submap: se3.Matrix4
     position: NDArray[np.float64]
+    T_scan_submap: se3.Matrix4 = field(default_factory=lambda: np.eye(4))
 
     def __post_init__(self) -> None:
         if len(self.scan_index) != len(self.points) or len(self.stamps_ns) != len(self.origins):
@@ -64,18 +67,21 @@ class Submap:
         # a sensor that hangs upside down may be turned about any horizontal axis
         direction = axis / sine if sine >= 1e-6 else np.array([1.0, 0.0, 0.0])
         T_upright_submap = se3.exp(np.concatenate([np.zeros(3), direction * np.arctan2(sine, cosine)]))
+        T_odom_upright = self.T_odom_submap @ se3.inverse(T_upright_submap)
         return replace(
             self,
             points=moved_points(T_upright_submap, np.ascontiguousarray(self.points)),
             origins=se3.apply(T_upright_submap, self.origins).astype(np.float32),
-            T_odom_submap=self.T_odom_submap @ se3.inverse(T_upright_submap),
+            T_odom_submap=T_odom_upright,
+            T_scan_submap=self.T_scan_submap @ (se3.inverse(self.T_odom_submap) @ T_odom_upright),
         )
 
     def in_level_frame(self, scene_scale: float) -> tuple[Submap, LevelFrame]:
-        """The submap turned upright and with every length divided by `scene_scale`, and the frame it is in then."""
+        """The submap turned upright and with every length divided by `scene_scale`, and the frame it is in then, of
+        that of the middle scan.
+        """
         upright = self.levelled()
-        T_submap_upright = se3.inverse(self.T_odom_submap) @ upright.T_odom_submap
-        frame = LevelFrame.from_upright(T_submap_upright, scene_scale)
+        frame = LevelFrame.from_upright(upright.T_scan_submap, scene_scale)
         if scene_scale == 1.0:
             return upright, frame
         factor = np.float32(1.0 / scene_scale)

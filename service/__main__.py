@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 
 from revisit.service import ONE_THREAD
+from revisit.service.worker.optional_libraries import leave_out_optional_libraries
 
 if TYPE_CHECKING:
     from revisit.service.settings import Settings
@@ -36,6 +37,8 @@ def main(arguments: list[str] | None = None) -> int:
     # Files are for this user only.
     os.umask(0o077)
     options = _parser().parse_args(arguments)
+    if options.command == "worker":
+        leave_out_optional_libraries()
     if options.command == "unit":
         print(_unit(), end="")
         return 0
@@ -59,14 +62,13 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _started(options: argparse.Namespace, settings: Settings) -> int:
     """Run the command; what it cannot run on is refused in a line."""
-    from alembic.util import CommandError
-
     from revisit.core.device import MissingDevice
     from revisit.service.adapters.files.filesystem import RemoteFileSystem
+    from revisit.service.adapters.sqlite.migration import ForeignSchema
 
     try:
         return _run(options, settings)
-    except CommandError as error:
+    except ForeignSchema as error:
         return _refuse(f"the database {settings.database} does not fit this version: {error}")
     except RemoteFileSystem as error:
         return _refuse(str(error))
@@ -77,7 +79,7 @@ def _started(options: argparse.Namespace, settings: Settings) -> int:
 def _run(options: argparse.Namespace, settings: Settings) -> int:
     """Run the command that was asked for; the exit status.
 
-    Raises CommandError for a database of another version, MissingDevice for a device that is not there.
+    Raises ForeignSchema for a database of another version, MissingDevice for a device that is not there.
     """
     from revisit.core.device import require_device
     from revisit.service.adapters.sqlite.connections import unreadable

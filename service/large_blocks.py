@@ -14,6 +14,7 @@ SPARE_BYTES = 32 * 2**20
 
 _M_MMAP_THRESHOLD = -3
 _M_TRIM_THRESHOLD = -1
+_M_ARENA_MAX = -8
 
 
 def return_large_blocks() -> None:
@@ -26,6 +27,17 @@ def return_large_blocks() -> None:
     if mallopt is not None:
         mallopt(_M_MMAP_THRESHOLD, LARGE_BYTES)
         mallopt(_M_TRIM_THRESHOLD, KEPT_BYTES)
+
+
+def share_one_heap() -> None:
+    """Let all threads of this process take memory from one heap, where each would get one of its own.
+
+    Those of a worker read, write and beat for the one that works, and what each had freed lay idle until the next
+    return. To be called before they begin. Another C library has no such function.
+    """
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is not None:
+        mallopt(_M_ARENA_MAX, 1)
 
 
 def return_free_memory() -> None:

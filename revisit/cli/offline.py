@@ -24,9 +24,7 @@ def data_folder(home: Path | None) -> Path:
 @contextmanager
 def use_cases_on(home: Path | None) -> Iterator[UseCases]:
     """The use cases on the database, which is made where it is missing. Raises typer.Exit where it does not fit."""
-    from alembic.util import CommandError
-
-    from revisit.service.adapters.sqlite.migration import migrate
+    from revisit.service.adapters.sqlite.migration import ForeignSchema, migrate
     from revisit.service.composition import offline_use_cases
     from revisit.service.settings import Settings
 
@@ -35,7 +33,7 @@ def use_cases_on(home: Path | None) -> Iterator[UseCases]:
     settings = Settings(home=home) if home else Settings()
     try:
         migrate(settings.database)
-    except CommandError as error:
+    except ForeignSchema as error:
         raise refuse(f"the database {settings.database} does not fit this version: {error}") from error
     with offline_use_cases(settings) as use_cases:
         yield use_cases

@@ -43,9 +43,9 @@ PLACES_READ = 192
 worker serves several robots by turns (docs/decisions/0222). 0.1 MB each, and 5 ms to read.
 """
 
-PLACES_PREPARED = 42
-"""Places of these that are kept with what verification has made of them: 1.3 MB more each, and 2 ms
-(docs/decisions/0253).
+PLACES_PREPARED = 24
+"""Places of these that are kept with what verification has made of them: 1.3 MB more each, and 2 ms. A job asks most of
+its candidates twice, and few that an earlier job had asked (docs/decisions/0288).
 """
 
 

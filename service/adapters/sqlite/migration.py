@@ -4,23 +4,30 @@ from __future__ import annotations
 
 import sqlite3
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from alembic import command
-from alembic.config import Config
-from alembic.script import ScriptDirectory
 from sqlalchemy import Connection
 
 from revisit.service.adapters.files.filesystem import require_local
 from revisit.service.adapters.sqlite.connections import writer_engine
 from revisit.service.adapters.sqlite.transactions import WriterLock
 
+if TYPE_CHECKING:  # imported where something is migrated: a worker only asks for the revision
+    from alembic.config import Config
+    from alembic.script import ScriptDirectory
+
 MIGRATIONS = Path(__file__).resolve().parents[3] / "migrations"
+
+
+class ForeignSchema(Exception):
+    """The database is of a version that this one does not know."""
 
 
 def migrate(database: Path, revision: str = "head") -> None:
     """Upgrade (or, to an older revision, downgrade) the SQLite file, which is made where it is missing.
 
-    Raises StorageUncertain while another process writes; RemoteFileSystem where the file would not be on this machine.
+    Raises ForeignSchema; StorageUncertain while another process writes; RemoteFileSystem where the file would not be on
+    this machine.
     """
     require_local(database.parent)
     database.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -34,13 +41,12 @@ def migrate(database: Path, revision: str = "head") -> None:
 
 def known_revisions() -> frozenset[str]:
     """The revisions that this version can open or upgrade."""
-    scripts = ScriptDirectory(str(MIGRATIONS))
-    return frozenset(script.revision for script in scripts.walk_revisions())
+    return frozenset(script.revision for script in _scripts().walk_revisions())
 
 
 def newest_revision() -> str:
     """The revision that this version brings a database to."""
-    return str(ScriptDirectory(str(MIGRATIONS)).get_current_head())
+    return str(_scripts().get_current_head())
 
 
 def current_revision(database: Path) -> str | None:
@@ -59,18 +65,31 @@ def current_revision(database: Path) -> str | None:
 
 def _migrate(database: Path, revision: str) -> None:
     """Run the migrations on a writer's connection, in one transaction: SQLite can roll back changes of the schema."""
+    from alembic import command
+    from alembic.util import CommandError
+
     upwards = revision == "head" or current_revision(database) is None
     engine = writer_engine(database, checkpoints=True)
     try:
         with engine.connect() as connection:
             config = _configuration(connection)
             (command.upgrade if upwards else command.downgrade)(config, revision)
+    except CommandError as error:
+        raise ForeignSchema(str(error)) from error
     finally:
         engine.dispose()
 
 
+def _scripts() -> ScriptDirectory:
+    from alembic.script import ScriptDirectory
+
+    return ScriptDirectory(str(MIGRATIONS))
+
+
 def _configuration(connection: Connection) -> Config:
     """Alembic's configuration, without an ini file."""
+    from alembic.config import Config
+
     # Batch mode: what SQLite's ALTER TABLE cannot change is changed in a copy of the table.
     options = {"connection": connection, "render_as_batch": True, "transactional_ddl": True}
     config = Config(attributes={"options": options})

@@ -36,6 +36,18 @@ def test_a_sensor_that_hangs_upside_down_is_turned_upright(roll):
     assert np.abs(moved).max() < 1e-4
 
 
+@pytest.mark.parametrize("scene_scale", [1.0, 0.25])
+def test_a_submap_that_was_turned_upright_before_still_knows_the_frame_of_its_scan(scene_scale):
+    points = np.random.default_rng(0).normal(size=(500, 3)) * [10, 10, 3]
+    T_odom_sensor = se3.from_yaw(0.7, (5, 6, 7)) @ se3.exp([0, 0, 0, 0.2, -0.3, 0])
+    submap = Submap.from_cloud(Scan.validated(points, T_odom_sensor, 0))
+    level, frame = submap.in_level_frame(scene_scale)
+    again, same = submap.levelled().in_level_frame(scene_scale)
+    assert np.array_equal(again.points, level.points) and np.array_equal(again.origins, level.origins)
+    assert np.array_equal(same.similarity, frame.similarity)
+    assert np.abs(frame.points_to_submap(level.points) - submap.points).max() < 1e-4
+
+
 def test_an_upright_submap_stays_as_it_is():
     points = np.random.default_rng(0).normal(size=(500, 3))
     submap = Submap.from_cloud(Scan.validated(points, se3.from_yaw(2.0, (1, 2, 3)), 0))

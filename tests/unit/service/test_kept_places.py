@@ -10,7 +10,7 @@ from revisit.core.place import Place
 from revisit.core.verification import RejectedLoop
 from revisit.core.verification.verdict import RejectionReason
 from revisit.service.adapters import core_recogniser
-from revisit.service.adapters.core_recogniser import PLACES_PREPARED, CoreRecogniser
+from revisit.service.adapters.core_recogniser import PLACES_PREPARED, PLACES_READ, CoreRecogniser
 from tests.support.places import a_place
 
 REJECTED = RejectedLoop(RejectionReason.DEGENERATE_PLACE)
@@ -27,8 +27,10 @@ def test_a_place_that_is_compared_again_is_not_unpacked_again(monkeypatch) -> No
     assert unpacked == blobs
 
 
-def test_a_query_with_twice_the_candidates_of_today_fits() -> None:
-    assert 2 * PipelineConfig().loop.candidates + 1 <= PLACES_PREPARED
+def test_a_query_fits_with_all_its_candidates_and_as_read_with_twice_those_of_today() -> None:
+    candidates = PipelineConfig().loop.candidates
+    assert candidates + 1 <= PLACES_PREPARED
+    assert 2 * candidates + 1 <= PLACES_READ
 
 
 def test_a_place_that_was_prepared_long_ago_is_prepared_anew_from_what_was_read(monkeypatch) -> None:
