@@ -6,15 +6,13 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Sequence
-from contextlib import suppress
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from revisit.core.config import PipelineConfig, VerificationConfig
-from revisit.core.errors import DataLoss, RevisitError
-from revisit.core.geometry import se3
+from revisit.core.errors import DataLoss
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.implicit_map import NeuralMap
 from revisit.core.kernels.intermediate_code import pack_intermediate_code
@@ -22,15 +20,13 @@ from revisit.core.kernels.plane_votes import plane_scores
 from revisit.core.model_bundle import ModelBundle, load_packaged_models
 from revisit.core.pipeline import DescribedPlace, describe, describe_again, verify
 from revisit.core.place import Place
-from revisit.core.pose_graph import normal_equations
 from revisit.core.sanity.window import window_findings
 from revisit.core.scan import Scan
 from revisit.core.scan_disagreement import ScanDisagreement
 from revisit.core.stages import stage_times
 from revisit.core.submap import Submap
 from revisit.core.verification import Hypothesis, LoopMeasurement, RejectedLoop, VerifiedLoop
-from revisit.formats import quantised_columns
-from revisit.formats.glb import encode_scene
+from revisit.service.adapters.rehearsal import rehearse
 from revisit.service.application.contract.recogniser import LoopVerdict, Mesh, Redescription, SubmapDescription
 
 SETTABLE = ("min_score", "min_overlap", "max_seen_through")
@@ -121,51 +117,11 @@ class CoreRecogniser:
 
 
 def load_recogniser() -> CoreRecogniser:
-    """The recogniser that the workers use, warmed up: what is compiled at first use is compiled by now."""
+    """The recogniser that the workers use: what is compiled at first use is compiled by now."""
     recogniser = CoreRecogniser(load_packaged_models())
-    warm_up(recogniser)
+    rehearse(recogniser)
     pack_intermediate_code()
     return recogniser
-
-
-def warm_up(recogniser: CoreRecogniser) -> None:
-    """Do once what a worker does with scans, submaps, pairs and poses, for the compilers' sake alone.
-
-    What it compiled in the middle of its life would cost a job some seconds, and the worker memory for good.
-    """
-    config = PipelineConfig()
-    quantised_columns.rehearse()  # first: the gateway decodes scans, too, and loads what was compiled here
-    normal_equations.rehearse()  # maps are optimised in the same process
-    # Whether these yards can be described does not matter; a fault that matters will show on a real submap.
-    with suppress(RevisitError):
-        scans = _made_up_scans(seed=0)
-        recogniser.inspect(scans)
-        yard, other = (
-            recogniser.describe(Submap.from_scans(some, config.submap), config)
-            for some in (scans, _made_up_scans(seed=1))
-        )
-        recogniser.verify(yard.place, yard.place, 1.0, config)
-        recogniser.verify(yard.place, other.place, 1.0, config)  # few keypoints agree: images are compared
-        encode_scene(yard.mesh.vertices, yard.mesh.faces)  # for the gateway again
-        if yard.neural_map is not None:  # fields are asked where maps are merged and drawn
-            field = NeuralMap.from_blob(yard.neural_map, load_packaged_models().decoder, config.implicit_map)
-            field.neighbourhood(yard.mesh.vertices)
-
-
-def _made_up_scans(seed: int) -> list[Scan]:
-    """A floor of 40 x 40 m with four walls, 4 points a square metre, from three spots by a sensor that leans."""
-    rng = np.random.default_rng(seed)
-    floor = np.column_stack([rng.uniform(-20, 20, (6400, 2)), np.full(6400, -1.7)])
-    walls = []
-    for along_x in (True, True, False, False):
-        along, up = rng.uniform(-6, 6, 600), rng.uniform(-1.7, 4, 600)
-        (x, y), across = rng.uniform(-14, 14, 2), np.zeros(600)
-        walls.append(np.column_stack([x + (along if along_x else across), y + (across if along_x else along), up]))
-    yard, scans = np.vstack([floor, *walls]), []
-    for stamp_s, x in enumerate((0.0, 2.5, 5.0)):
-        T_odom_sensor = se3.exp(np.array([x, 0.0, 0.0, 0.02, 0.01, 0.0]))
-        scans.append(Scan.validated(se3.apply(se3.inverse(T_odom_sensor), yard), T_odom_sensor, stamp_s * 10**9))
-    return scans
 
 
 def _disagreement_of(place: bytes | None) -> ScanDisagreement | None:

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+from revisit.core import kernels
 from tests.support.patience import PATIENCE_S
 
 LIFE = """
@@ -47,9 +52,14 @@ print(json.dumps({"verdict": verdict, "ready": len(ready), "later": sorted(loade
 """
 
 
-def test_no_job_asks_for_a_kernel_that_its_worker_has_not_loaded():
+@pytest.mark.parametrize("beside", [False, True])
+def test_no_job_asks_for_a_kernel_that_its_worker_has_not_loaded(beside):
+    folder = os.open(Path(kernels.__file__).parent, os.O_RDONLY)
+    if beside:  # as if another worker rehearsed just now
+        fcntl.flock(folder, fcntl.LOCK_SH)
     command = [sys.executable, "-c", LIFE]
     ran = subprocess.run(command, capture_output=True, text=True, check=True, timeout=10 * PATIENCE_S, cwd=Path.cwd())
+    os.close(folder)
     told = json.loads(ran.stdout.splitlines()[-1])
     assert told["ready"] > 50
     assert (told["verdict"], told["later"]) == ("MERGED", [])

@@ -1,0 +1,128 @@
+"""Everything that is compiled in a worker, done once before it takes jobs (docs/decisions/0289).
+
+What it compiled in the middle of its life would cost a job some seconds, and the worker memory for good. The compiler
+keeps what it has made: where several workers start and nothing is there yet, they begin at different ends, and each
+loads what the other has compiled.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core import kernels
+from revisit.core.config import PipelineConfig
+from revisit.core.errors import RevisitError
+from revisit.core.geometry import se3
+from revisit.core.implicit_map import NeuralMap
+from revisit.core.implicit_map.neural_points import NeuralPoints
+from revisit.core.model_bundle import load_packaged_models
+from revisit.core.place import Place
+from revisit.core.pose_graph import normal_equations
+from revisit.core.scan import Scan
+from revisit.core.submap import Submap
+from revisit.formats import quantised_columns
+from revisit.formats.glb import encode_scene
+from revisit.service.application.contract.recogniser import PlaceRecogniser
+
+Array64 = NDArray[np.float64]
+
+CONFIG = PipelineConfig()
+GROUND_M = -1.7
+
+
+def rehearse(recogniser: PlaceRecogniser) -> None:
+    """Do once what a worker does with scans, submaps, pairs, maps, meshes and poses: the last first, where another
+    process does so already.
+
+    Whether what is made up can be described does not matter. A fault that matters will show on a real submap.
+    """
+    steps = (
+        quantised_columns.rehearse,
+        partial(_describe, recogniser),
+        partial(_verify, recogniser),
+        _store_map,
+        _draw,
+        normal_equations.rehearse,
+    )
+    folder = os.open(Path(str(kernels.__file__)).parent, os.O_RDONLY)
+    try:
+        for step in steps if _is_first(folder) else reversed(steps):
+            with suppress(RevisitError):
+                step()
+    finally:
+        os.close(folder)
+
+
+def _is_first(folder: int) -> bool:
+    """Whether no other process has taken this open folder for itself, as this one does now until it closes it."""
+    try:
+        fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:  # or the file system knows no locks
+        return False
+    return True
+
+
+def _describe(recogniser: PlaceRecogniser) -> None:
+    """Look at the scans of a yard, by a sensor that leans, and describe them."""
+    yard, scans = _yard(0)[0], []
+    for stamp_s, x in enumerate((0.0, 2.5, 5.0)):
+        T_odom_sensor = se3.exp(np.array([x, 0.0, 0.0, 0.02, 0.01, 0.0]))
+        scans.append(Scan.validated(se3.apply(se3.inverse(T_odom_sensor), yard), T_odom_sensor, stamp_s * 10**9))
+    recogniser.inspect(scans)
+    recogniser.describe(Submap.from_scans(scans, CONFIG.submap), CONFIG)
+
+
+def _verify(recogniser: PlaceRecogniser) -> None:
+    """Compare a place with itself, and with another one: there few keypoints agree, so that images are compared."""
+    one, other = (_place(seed).to_blob() for seed in (0, 1))
+    recogniser.verify(one, one, 1.0, CONFIG)
+    recogniser.verify(one, other, 1.0, CONFIG)
+
+
+def _store_map() -> None:
+    """Write a neural map, read it and ask for its field, as where maps are merged."""
+    points, normals, _ = _yard(0)
+    positions, hits = points[::4].astype(np.float32), np.full(len(points[::4]), 2, np.int32)
+    known = NeuralPoints.remembered(positions, normals[::4].astype(np.float32), hits, 3)
+    stored = NeuralMap.of_planes(known, np.arange(3), CONFIG.implicit_map).to_blob()
+    NeuralMap.from_blob(stored, load_packaged_models().decoder, CONFIG.implicit_map).neighbourhood(positions)
+
+
+def _draw() -> None:
+    """Compress a mesh; the gateway, which does so for those who ask for one, loads what was compiled here."""
+    x, y = np.meshgrid(np.arange(20.0), np.arange(20.0))
+    vertices = np.column_stack([x.ravel(), y.ravel(), np.sin(x + y).ravel()]).astype(np.float32)
+    corners = np.arange(399).reshape(-1, 1) + np.array([0, 1, 20])
+    encode_scene(vertices, corners[(corners[:, 1] % 20 > 0) & (corners[:, 2] < 400)].astype(np.int32))
+
+
+def _place(seed: int) -> Place:
+    """A place that saw a yard, with keypoints that look like nothing elsewhere."""
+    rng, (points, normals, standing) = np.random.default_rng(seed), _yard(seed)
+    thinned, parity = slice(None, None, 3), load_packaged_models().codebooks.local_parity
+    descriptors = rng.normal(size=(60, len(parity)))
+    return Place(
+        rng.uniform(-20, 20, (60, 2)).astype(np.float32), rng.uniform(0, np.pi, 60).astype(np.float32),
+        (descriptors / np.linalg.norm(descriptors, axis=1, keepdims=True)).astype(np.float32), parity,
+        points[thinned].astype(np.float32), normals[thinned].astype(np.float32), len(range(0, standing, 3)), "made up",
+    )  # fmt: skip
+
+
+def _yard(seed: int) -> tuple[Array64, Array64, int]:
+    """Points (n, 3) and normals (n, 3) of four walls on a floor of 40 x 40 m, 4 a square metre; how many the walls
+    have, which come first.
+    """
+    rng, walls, normals = np.random.default_rng(seed), [], []
+    for along_x in (True, True, False, False):
+        along, up, (x, y) = rng.uniform(-6, 6, 600), rng.uniform(GROUND_M, 4, 600), rng.uniform(-14, 14, 2)
+        walls.append(np.column_stack([x + along_x * along, y + (not along_x) * along, up]))
+        normals.append(np.tile([not along_x, along_x, 0.0], (600, 1)))
+    floor = np.column_stack([rng.uniform(-20, 20, (6400, 2)), np.full(6400, GROUND_M)])
+    return np.vstack([*walls, floor]), np.vstack([*normals, np.tile([0.0, 0.0, 1.0], (6400, 1))]), 2400
