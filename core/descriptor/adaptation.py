@@ -103,7 +103,7 @@ def by_session(sessions: NDArray[np.int64]) -> Iterator[tuple[int, NDArray[np.in
     """Each of the `sessions` (n,) with its rows in order."""
     order = np.argsort(sessions, kind="stable")
     names, starts = np.unique(sessions[order], return_index=True)
-    return zip(names.tolist(), np.split(order, starts[1:]), strict=True)
+    return zip(names.tolist(), np.split(order, starts)[1:], strict=True)
 
 
 def learned_from(count: int, config: AdaptationConfig) -> int:

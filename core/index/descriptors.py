@@ -88,9 +88,9 @@ class Descriptors:
         self.own = larger
 
     def only(self, rows: Indices) -> Descriptors:
-        """Those rows as this process's own. Raises RowDiffers."""
-        kept = Descriptors(self.dimension)
-        kept.own = self[rows]
+        """The shared rows, with which `rows` begin, and of this process's own the others of `rows`."""
+        kept = Descriptors(self.dimension, self._shared)
+        kept.own = self.own[rows[self.shared_count :] - self.shared_count]
         return kept
 
     def frozen(self) -> Descriptors:

@@ -36,7 +36,7 @@ class ExactIndex:
 
     def remove(self, ids: Sequence[int]) -> None:
         """See PlaceIndex."""
-        if self._rows.drop(ids):
+        if len(self._rows.drop(ids)):
             self._known = None
             self._rows.compact()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import faiss
@@ -41,11 +42,23 @@ _CODED_PER_SEARCH = 256
 
 @dataclass(frozen=True)
 class StoredIndex:
-    """An index as arrays by name, and its descriptors, which are `rows` of `vectors`: nothing changes them any more."""
+    """An index as arrays by name, and its descriptors, which are `rows` of `vectors`: nothing changes them any more.
 
-    arrays: Mapping[str, NDArray[np.generic]]
+    `known` are the arrays without the codes, and `codes` those of all rows.
+    """
+
+    known: Mapping[str, NDArray[np.generic]]
     vectors: Descriptors
     rows: Indices
+    codes: CodedShortlist | None
+
+    @cached_property
+    def arrays(self) -> Mapping[str, NDArray[np.generic]]:
+        """All arrays. Taking removed places out of the codes takes long, so it is done here, where no search waits."""
+        if self.codes is None:
+            return self.known
+        self.codes.keep(self.rows)
+        return {**self.known, **self.codes.stored()}
 
     @property
     def size_bytes(self) -> int:
@@ -91,11 +104,12 @@ class FaissIndex:
 
     def remove(self, ids: Sequence[int]) -> None:
         """See PlaceIndex."""
-        if self._rows.drop(ids):
-            self._learner.forget()
+        gone = self._rows.drop(ids)
+        if len(gone):
+            self._learner.forget(self._rows, gone)
             self._flat = FlatShortlist(self._dimension) if self._flat is not None else None
-            if self._rows.compact():
-                self._flat, self._codes, self._next_codes = FlatShortlist(self._dimension), None, None
+            if (kept := self._rows.compact()) is not None:
+                self._renumber(kept)
 
     def search(self, vector: Array, k: int, only: SearchFilter = SearchFilter()) -> list[Match]:
         """See PlaceIndex."""
@@ -136,7 +150,7 @@ class FaissIndex:
 
     @property
     def codes_learned_at(self) -> int:
-        """Of how many rows the codes were learned by which it is searched, 0 for none."""
+        """Of how many places the codes were learned by which it is searched, 0 for none."""
         return 0 if self._codes is None else self._codes.learned_at
 
     def stored(self) -> StoredIndex:
@@ -148,10 +162,10 @@ class FaissIndex:
             "sessions": rows.sessions[live],
             "ordinals": rows.ordinals[live],
             "positions": rows.positions[live],
-            **self._learner.stored(live, rows.count),
-            **({} if self._codes is None else self._codes.stored(live)),
+            **self._learner.stored(live),
         }
-        return StoredIndex(arrays, rows.vectors.frozen(), live)
+        codes = None if self._codes is None else self._codes.copied()
+        return StoredIndex(arrays, rows.vectors.frozen(), live, codes)
 
     @classmethod
     def restored(
@@ -168,6 +182,13 @@ class FaissIndex:
         if "codes" in arrays:
             made._flat, made._codes = None, CodedShortlist.restored(made._dimension, arrays)
         return made
+
+    def _renumber(self, kept: Indices) -> None:
+        """Rows have other numbers now: row i is the one that was `kept[i]`."""
+        self._learner.renumber(self._rows, kept)
+        for codes in (self._codes, self._next_codes):
+            if codes is not None:
+                codes.keep(kept)
 
     @property
     def _dimension(self) -> int:
@@ -218,4 +239,4 @@ class FaissIndex:
     def _codes_are_due(self) -> bool:
         learned_at = 0 if self._codes is None else self._codes.learned_at
         due = max(self._coded_from, _CODES_ARE_LEARNED_ANEW_AFTER * learned_at)
-        return self._rows.count > due and CodedShortlist.fits(self._dimension)
+        return len(self) > due and CodedShortlist.fits(self._dimension)

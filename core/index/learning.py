@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from array import array
+from bisect import bisect_left
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -15,85 +16,116 @@ from revisit.core.index.rows import Rows
 
 Indices = NDArray[np.intp]
 
+_NOTHING_HOLDS = -1
+"""In place of a step: whatever it is, the map is learned anew."""
+
+_SUMS_STORED_FROM = 32
+"""Sums of fewer places of a session are not stored: they take as much room as 4 descriptors, and tell of few places."""
+
 
 class SiteLearner:
     """The statistics of the places in `Rows`, learned anew at steps of growth (docs/decisions/0120).
 
     Of places of a session that lie within one cell, the first counts. The map's statistics come from its first places
-    that count, as many as the last step asks for, and so does the mean of each session from the session's.
+    that count, as many as the last step asks for, and so does the mean of each session from the session's. What a
+    session teaches is kept until one of its places that count is removed (docs/decisions/0286).
     """
 
     def __init__(self, config: AdaptationConfig) -> None:
         self._config = config
-        # Rows as machine numbers: a million of them take 8 MB, in a list 40.
-        self._counted = array("q")
-        self._by_session: dict[int, array[int]] = {}
+        # A byte for each row that was seen, and machine numbers: a million rows take 9 MB, in lists 40.
+        self._counts = bytearray()
+        self._by_session: dict[int, array[int]] = {}  # rows that count
         self._cells: dict[int, set[tuple[int, ...]]] = {}  # by session, as far as it was asked for
-        self._seen = 0
+        self._uncounted: set[int] = set()  # sessions whose rows are counted anew
         self._learned = 0
         self._stale: set[int] = set()
-        self._in_map: dict[int, SessionSums] = {}
+        self._in_map: dict[int, SessionSums] = {}  # of the places that teach the map, also where they no longer do
         self._of_session: dict[int, SessionSums] = {}
         self._steps: dict[int, int] = {}  # from how many places the mean of each session was learned
         self.site: SiteStatistics | None = None
 
-    def forget(self) -> None:
-        """Begin anew: places were removed, or have other rows."""
-        self._counted = array("q")
-        self._by_session.clear()
-        self._cells.clear()
-        self._stale.clear()
-        self._in_map.clear()
-        self._of_session.clear()
-        self._steps.clear()
-        self._seen = self._learned = 0
-        self.site = None
+    def forget(self, rows: Rows, gone: Indices) -> None:
+        """The places of the rows `gone` were removed: what their sessions taught is learned anew.
 
-    def stored(self, live: Indices, count: int) -> dict[str, NDArray[np.generic]]:
-        """What it has learned of `count` rows as arrays, for the `live` ones; all of them have been taken in."""
-        counted = np.zeros(count, dtype=bool)
-        counted[self._counted] = True
+        One that did not count taught nothing. `rows` still know of which sessions they were.
+        """
+        seen = gone[gone < len(self._counts)]
+        for session in set(rows.sessions[seen[self._flags()[seen]]].tolist()):
+            self._flags()[self._by_session.pop(session)] = False
+            self._cells.pop(session, None)
+            self._in_map.pop(session, None)
+            self._of_session.pop(session, None)
+            self._steps.pop(session, None)
+            self._uncounted.add(session)
+            self._learned = _NOTHING_HOLDS
+
+    def renumber(self, rows: Rows, kept: Indices) -> None:
+        """The row that was `kept[i]` is row i of `rows` now; others are gone and were forgotten."""
+        self._set_counts(rows, self._flags()[kept[kept < len(self._counts)]])
+
+    def stored(self, live: Indices) -> dict[str, NDArray[np.generic]]:
+        """What it has learned as arrays, for the `live` rows; all rows have been taken in."""
         steps = [] if self.site is None else [self._steps[session] for session in self.site.session_means]
         return {
-            "counted": counted[live],
+            "counted": self._flags()[live],
             "learned": np.array([self._learned]),
             "session_steps": np.array(steps, dtype=np.int64),
             **site_as_arrays(self.site, "site_"),
+            **_sums_as_arrays(self._in_map, "in_map_"),
+            **_sums_as_arrays(self._of_session, "of_session_"),
         }
 
     def restore(self, rows: Rows, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Go on from what was `stored`. Sums are made of the `rows` again when they are next needed."""
-        self.forget()
+        """Go on, as a new learner, from what was `stored`. Sums that were not are made again when they are needed."""
         self.site = site_of_arrays(arrays, "site_")
-        counted = np.flatnonzero(arrays["counted"])
-        self._counted = array("q", counted.tolist())
-        for session, own in by_session(rows.sessions[counted]):
-            self._by_session[session] = array("q", counted[own].tolist())
+        self._set_counts(rows, arrays["counted"])
         if self.site is not None:
             self._steps = dict(zip(self.site.session_means, arrays["session_steps"].tolist(), strict=True))
-        self._seen, self._learned = len(arrays["counted"]), int(arrays["learned"][0])
+        self._learned = int(arrays["learned"][0])
+        self._in_map, self._of_session = _sums_of_arrays(arrays, "in_map_"), _sums_of_arrays(arrays, "of_session_")
 
     def learn(self, rows: Rows) -> Indices:
         """Take in the places that have come since the last time; the rows whose standardised form is another now."""
         self._count(rows)
-        step = learned_from(len(self._counted), self._config)
+        step = learned_from(int(np.count_nonzero(self._flags())), self._config)
         if step != self._learned:
             return self._learn_map(rows, step)
         changed = self._learn_sessions(rows)
         return np.flatnonzero(np.isin(rows.sessions[: rows.count], changed)) if changed else np.zeros(0, np.intp)
 
+    def _flags(self) -> NDArray[np.bool_]:
+        """Which of the rows that were seen count; written to in place. Not to be held while more are seen."""
+        return np.frombuffer(self._counts, dtype=bool)
+
+    def _set_counts(self, rows: Rows, flags: NDArray[np.bool_]) -> None:
+        """The first rows count as `flags` (n,) say."""
+        counted = np.flatnonzero(flags)
+        self._counts = bytearray(flags.tobytes())
+        self._by_session = {
+            session: array("q", counted[own].tolist()) for session, own in by_session(rows.sessions[counted])
+        }
+
     def _count(self, rows: Rows) -> None:
-        new = np.arange(self._seen, rows.count)[rows.alive[self._seen : rows.count]]
+        new = np.concatenate([self._again(rows), np.arange(len(self._counts), rows.count)])
+        new = new[rows.alive[new]]
+        self._counts.extend(bytes(rows.count - len(self._counts)))
         for row, session, cell in zip(
             new.tolist(), rows.sessions[new].tolist(), self._cells_of(rows, new), strict=True
         ):
             counted = self._counted_cells(rows, session)
             if cell not in counted:
                 counted.add(cell)
-                self._counted.append(row)
+                self._counts[row] = True
                 self._by_session.setdefault(session, array("q")).append(row)
                 self._stale.add(session)
-        self._seen = rows.count
+        self._uncounted.clear()
+
+    def _again(self, rows: Rows) -> Indices:
+        """The rows that were seen of sessions that are counted anew."""
+        if not self._uncounted:
+            return np.zeros(0, np.intp)
+        return np.flatnonzero(np.isin(rows.sessions[: len(self._counts)], list(self._uncounted)))
 
     def _counted_cells(self, rows: Rows, session: int) -> set[tuple[int, ...]]:
         """The cells in which a place of the session counts."""
@@ -107,12 +139,11 @@ class SiteLearner:
 
     def _learn_map(self, rows: Rows, step: int) -> Indices:
         """Learn from the first `step` places that count; the sessions follow."""
-        names, counts = np.unique(rows.sessions[self._counted[:step]], return_counts=True)
-        self._in_map = {
-            session: self._sums(rows, session, count, self._in_map)
-            for session, count in zip(names.tolist(), counts.tolist(), strict=True)
-        }
-        self.site = learn_site(self._in_map, self._config) if step else None
+        end = int(np.flatnonzero(self._flags())[step - 1]) + 1 if step else 0
+        counts = {session: bisect_left(own, end) for session, own in self._by_session.items()}
+        in_map = {session: self._sums(rows, session, count, self._in_map) for session, count in counts.items() if count}
+        self._in_map.update(in_map)
+        self.site = learn_site(in_map, self._config) if step else None
         self._learned, self._stale = step, set(self._by_session)
         self._learn_sessions(rows)
         return np.arange(rows.count)
@@ -159,6 +190,26 @@ def site_of_arrays(arrays: Mapping[str, NDArray[Any]], prefix: str) -> SiteStati
     mean, spread = arrays[f"{prefix}mean"], arrays[f"{prefix}spread"]
     means = zip(arrays[f"{prefix}sessions"].tolist(), arrays[f"{prefix}session_means"], strict=True)
     return SiteStatistics(mean, spread, dict(means)) if len(mean) else None
+
+
+def _sums_as_arrays(sums: Mapping[int, SessionSums], prefix: str) -> dict[str, NDArray[np.generic]]:
+    """Sums by session, of places enough, as arrays whose names begin with `prefix`: a row a session."""
+    kept = {session: of for session, of in sums.items() if of.count >= _SUMS_STORED_FROM}
+    return {
+        f"{prefix}sessions": np.array(list(kept), dtype=np.int64),
+        f"{prefix}counts": np.array([of.count for of in kept.values()], dtype=np.int64),
+        f"{prefix}totals": np.array([of.total for of in kept.values()], dtype=np.float64),
+        f"{prefix}squares": np.array([of.squares for of in kept.values()], dtype=np.float64),
+    }
+
+
+def _sums_of_arrays(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[int, SessionSums]:
+    """The inverse of `_sums_as_arrays`; none of arrays that an earlier version wrote."""
+    if f"{prefix}sessions" not in arrays:
+        return {}
+    sessions, counts = arrays[f"{prefix}sessions"].tolist(), arrays[f"{prefix}counts"].tolist()
+    sums = map(SessionSums, counts, arrays[f"{prefix}totals"], arrays[f"{prefix}squares"])
+    return dict(zip(sessions, sums, strict=True))
 
 
 def learn_plainly(rows: Rows, config: AdaptationConfig) -> SiteStatistics | None:

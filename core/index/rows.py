@@ -15,7 +15,10 @@ SMALLEST_TO_COMPACT = 64
 
 
 class Rows:
-    """Growing arrays, one row a place; the row of a removed place stays until most rows are of removed ones."""
+    """Growing arrays, one row a place; the row of a removed place stays until most rows are of removed ones.
+
+    Shared rows stay as they are: copying them would take more than it gives back (docs/decisions/0286).
+    """
 
     def __init__(self, dimension: int) -> None:
         self.row_of: dict[int, int] = {}
@@ -55,23 +58,28 @@ class Rows:
         self.alive[start:end] = True
         self.count = end
 
-    def drop(self, ids: Sequence[int]) -> bool:
-        """Mark places as removed; whether one of them was there."""
+    def drop(self, ids: Sequence[int]) -> Indices:
+        """Mark places as removed; their rows."""
         known = [identifier for identifier in dict.fromkeys(ids) if identifier in self.row_of]
-        for identifier in known:
-            self.alive[self.row_of.pop(identifier)] = False
-        return bool(known)
+        gone = np.array([self.row_of.pop(identifier) for identifier in known], dtype=np.intp)
+        self.alive[gone] = False
+        return gone
 
-    def compact(self) -> bool:
-        """Give the rows of removed places back once they are most of all; whether rows have new numbers now."""
-        if self.count < SMALLEST_TO_COMPACT or 2 * len(self.row_of) > self.count:
-            return False
-        kept = self.live()
+    def compact(self) -> Indices | None:
+        """Give the rows of removed places back once they are most of this process's own; the shared ones stay.
+
+        Where rows have new numbers now: the row that each had before.
+        """
+        first = self.vectors.shared_count
+        own = self.alive[first : self.count]
+        if len(own) < SMALLEST_TO_COMPACT or 2 * np.count_nonzero(own) > len(own):
+            return None
+        kept = np.concatenate([np.arange(first), first + np.flatnonzero(own)])
         self.ids, self.sessions, self.ordinals = self.ids[kept], self.sessions[kept], self.ordinals[kept]
         self.positions, self.alive, self.vectors = self.positions[kept], self.alive[kept], self.vectors.only(kept)
-        self.row_of = {identifier: row for row, identifier in enumerate(self.ids.tolist())}
-        self.count = len(kept)
-        return True
+        self.count, live = len(kept), np.flatnonzero(self.alive)
+        self.row_of = dict(zip(self.ids[live].tolist(), live.tolist(), strict=True))
+        return kept
 
     def live(self) -> NDArray[np.intp]:
         """The rows of places that were not removed, in order."""

@@ -76,7 +76,7 @@ class CodedShortlist:
     """
 
     def __init__(self, dimension: int, site: SiteStatistics | None, learned_at: int) -> None:
-        """Codes that are not learned yet: see `learned` and `restored`. `learned_at`: of how many rows."""
+        """Codes that are not learned yet: see `learned` and `restored`. `learned_at`: of how many places."""
         self.learned_at = learned_at
         self._site = site
         self._faiss: Any = faiss.IndexPQFastScan(
@@ -86,20 +86,22 @@ class CodedShortlist:
     @classmethod
     def learned(cls, rows: Rows, site: SiteStatistics | None) -> CodedShortlist:
         """Codes learned from a part of the `rows`; none is coded yet."""
-        made = cls(rows.vectors.dimension, site, rows.count)
+        live = rows.live()
+        made = cls(rows.vectors.dimension, site, len(live))
         made._faiss.pq.cp.niter = _ITERATIONS
         made._faiss.pq.cp.min_points_per_centroid = 1  # it warns below
-        live = rows.live()
         chosen = live[np.linspace(0, len(live) - 1, min(len(live), _TRAINED_ON)).astype(np.intp)]
         made._faiss.train(standardised(rows, chosen, site))
         return made
 
-    def stored(self, live: Indices) -> dict[str, NDArray[np.generic]]:
-        """The codes of the `live` rows and how they were learned, as arrays that do not change with it."""
-        if len(live) < self.count:
-            kept = self.restored(self._faiss.d, self.stored(np.arange(self.count)))
-            kept._faiss.remove_ids(np.setdiff1d(np.arange(self.count), live))
-            return kept.stored(np.arange(len(live)))
+    def copied(self) -> CodedShortlist:
+        """The same codes, on their own."""
+        same = CodedShortlist(self._faiss.d, self._site, self.learned_at)
+        same._faiss = faiss.clone_index(self._faiss)
+        return same
+
+    def stored(self) -> dict[str, NDArray[np.generic]]:
+        """The codes and how they were learned, as arrays that do not change with it."""
         return {
             "codes": self._table().copy(),
             "coded": np.array([self.count, self.learned_at]),
@@ -132,6 +134,13 @@ class CodedShortlist:
     def append(self, rows: Rows, end: int) -> None:
         """Add the next rows, as far as row `end`."""
         self._faiss.add(standardised(rows, np.arange(self.count, end), self._site))
+
+    def keep(self, rows: Indices) -> None:
+        """Only those rows stay, in their order, and are numbered anew."""
+        gone = np.ones(self.count, dtype=bool)
+        gone[rows[rows < self.count]] = False
+        selector: Any = faiss.IDSelectorBitmap  # of an array, as the wrapper of FAISS takes it
+        self._faiss.remove_ids(selector(np.packbits(gone, bitorder="little")))
 
     def nearest(self, query: Array, only: SearchFilter, count: int) -> Indices:
         """`count` rows, the most similar to the unit query (d,) first, whether or not they pass the filter."""

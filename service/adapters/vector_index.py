@@ -32,7 +32,7 @@ SAVED_FROM = 4096
 """Places from which a map has a file, and that must have come for another one: below, 16 MB are soon read."""
 
 TRACES_KEPT_S = 600.0
-"""What a file holds of a removed place beside its descriptor (id, position, code) is gone this much later."""
+"""What a file holds of a removed place beside its descriptor (id, position, code, sums) is gone this much later."""
 
 _OWN_SHARE = 0.125
 """A file is written anew once a process has this share of a map in its own memory."""
@@ -195,12 +195,14 @@ class PlaceVectorIndex:
             self._files.keep(names)
 
     def _is_due(self, index: _MapIndex, places: FaissIndex) -> bool:
-        """Whether a file would spare other processes much."""
-        if self._saved_from is None or len(places) < self._saved_from:
+        """Whether a file would spare other processes much, or the one there is holds traces for too long."""
+        if self._saved_from is None or not len(places):
+            return False
+        if index.erased_at_s is not None and time.monotonic() - index.erased_at_s >= self._traces_kept_s:
+            return True
+        if len(places) < self._saved_from:
             return False
         if index.file is None or index.codes_learned_at != places.codes_learned_at:
-            return True
-        if index.erased_at_s is not None and time.monotonic() - index.erased_at_s >= self._traces_kept_s:
             return True
         return places.own_rows >= max(self._saved_from, int(_OWN_SHARE * len(places)))
 

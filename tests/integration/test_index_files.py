@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from revisit.core.index import FaissIndex
+from revisit.core.index import FaissIndex, rows
 from revisit.service.adapters.files import index_files
 from revisit.service.adapters.files.index_files import IndexFiles
 from revisit.service.adapters.vector_index import PlaceVectorIndex
@@ -208,6 +208,25 @@ def test_a_deleted_submap_leaves_the_file_and_a_deleted_map_takes_it_along(home)
         assert position not in files(home)[0].read_bytes()
         asyncio.run(gateway.use_cases.maps.delete(TENANT, SESSION.map_id))
         assert files(home) == []
+
+
+def test_what_is_deleted_leaves_the_file_of_a_map_too_that_has_become_small(home, monkeypatch):
+    monkeypatch.setattr(rows, "SMALLEST_TO_COMPACT", 1)
+    with Process(home) as gateway:
+        gateway.context.index._saved_from = SUBMAPS
+        for name in EVERY_ONE[:7]:
+            gateway.delete(name)
+        assert gateway.saved() == 0
+        descriptor, position = gateway.descriptor("s7"), np.array(gateway.row("s7").position_m).tobytes()
+        assert descriptor in files(home)[0].read_bytes()
+        gateway.delete("s7")
+        assert gateway.saved() == 0
+        assert descriptor not in files(home)[0].read_bytes()
+        assert position in files(home)[0].read_bytes()
+        gateway.context.index._traces_kept_s = 0.0
+        assert gateway.saved() == 1
+        assert position not in files(home)[0].read_bytes()
+        assert gateway.found() == EVERY_ONE[8:]
 
 
 def test_a_search_whose_hit_is_erased_meanwhile_loads_the_file_again(home, monkeypatch):
