@@ -45,9 +45,9 @@ def rehearse(recogniser: PlaceRecogniser) -> None:
     """
     steps = (
         quantised_columns.rehearse,
+        partial(_describe_again, recogniser),
         partial(_describe, recogniser),
         partial(_verify, recogniser),
-        _store_map,
         _draw,
         normal_equations.rehearse,
     )
@@ -86,12 +86,20 @@ def _verify(recogniser: PlaceRecogniser) -> None:
     recogniser.verify(one, other, 1.0, CONFIG)
 
 
-def _store_map() -> None:
-    """Write a neural map, read it and ask for its field, as where maps are merged."""
+def _verify(recogniser: PlaceRecogniser) -> None:
+    """Compare a place with itself, and with another one: there few keypoints agree, so that images are compared."""
+    one, other = (_place(seed).to_blob() for seed in (0, 1))
+    recogniser.verify(one, one, 1.0, CONFIG)
+    recogniser.verify(one, other, 1.0, CONFIG)
+
+
+def _describe_again(recogniser: PlaceRecogniser) -> None:
+    """Describe what a neural map shows: the larger part of describing scans. And ask for its field, as merging does."""
     points, normals, _ = _yard(0)
-    positions, hits = points[::4].astype(np.float32), np.full(len(points[::4]), 2, np.int32)
-    known = NeuralPoints.remembered(positions, normals[::4].astype(np.float32), hits, 3)
+    positions, hits = points.astype(np.float32), np.full(len(points), 2, np.int32)
+    known = NeuralPoints.remembered(positions, normals.astype(np.float32), hits, 3)
     stored = NeuralMap.of_planes(known, np.arange(3), CONFIG.implicit_map).to_blob()
+    recogniser.describe_again(stored, None, CONFIG)
     NeuralMap.from_blob(stored, load_packaged_models().decoder, CONFIG.implicit_map).neighbourhood(positions)
 
 

@@ -203,7 +203,7 @@ class RestDriver:
         deadline = time.monotonic() + 60
         while True:
             status = self._http.get("/status").json()
-            if status["queued_jobs"] == status["running_jobs"] == "0":
+            if status["queued_jobs"] == status["running_jobs"] == 0:
                 break
             assert time.monotonic() < deadline, "the worker did not come to an end"
             time.sleep(0.01)
