@@ -1,6 +1,7 @@
-"""Cholesky's factor of a sparse symmetric matrix of 6 x 6 blocks, row by row along the elimination tree.
+"""Cholesky's factor of a sparse symmetric matrix of 6 x 6 blocks, in groups of columns that have the same rows below.
 
-One index a block instead of one a number, and one half of the matrix: a third of what a general sparse solver keeps.
+One list of rows a group instead of an index a number, and one half of the matrix: a third of what a general sparse
+solver keeps. The numbers of a group are a dense panel, row after row, so that nearly all work is products of rows.
 """
 
 from __future__ import annotations
@@ -18,41 +19,73 @@ Rows = NDArray[np.int64]
 SIDE = 6
 """Rows and columns of a block: the unknowns of a pose."""
 
+WIDEST = 8
+"""Columns of blocks in a group, at most: its rows stay near the processor while they are multiplied."""
 
-class BlockFactor(NamedTuple):
-    """A lower triangular matrix of blocks by columns, within a column from top to bottom.
 
-    begins (n + 1,): where each column begins; rows (b,) int32 and blocks (b, 6, 6): of each block.
+class Structure(NamedTuple):
+    """Where the lower factor of a symmetric matrix has numbers, by groups of columns: the same for all such matrices.
+
+    groups (g + 1,): the first column of each group; group_of (n,): of each column; rows (r,) int32: those below the
+    columns of group k are rows[begins[k] : begins[k + 1]], from top to bottom. Its panel begins at offsets[k] and has
+    the square of the group on top of these rows, across[k] numbers each. places (e + n,): where the first number of
+    each of the e blocks belongs that are given beside the diagonal, then of those on it; widths (e + n,): from one row
+    there to the next; turned (e + n,): whether a block is given transposed.
     """
 
+    groups: Rows
+    group_of: Rows
     begins: Rows
     rows: NDArray[np.int32]
-    blocks: Array64
+    offsets: Rows
+    across: Rows
+    places: Rows
+    widths: Rows
+    turned: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, first: Rows, second: Rows, count: int) -> Structure:
+        """Of `count` rows of blocks, with blocks at rows `first` (e,) and columns `second` (e,) beside the diagonal."""
+        below, beside, columns = np.maximum(first, second), np.minimum(first, second), np.arange(count)
+        order = np.argsort(below, kind="stable")
+        links = np.searchsorted(below[order], np.arange(count + 1)), beside[order]
+        parents, sizes = np.full(count, -1), np.zeros(count, dtype=np.int64)
+        _walk(*links, parents, columns.copy(), sizes, np.empty(0, np.int32))
+        rows = np.empty(sizes.sum(), np.int32)
+        _walk(*links, parents, columns.copy(), np.cumsum(sizes) - sizes, rows)
+        is_first = _group_starts(parents, sizes)
+        is_last = np.append(is_first[1:], True)
+        groups, group_of, deep = np.append(np.flatnonzero(is_first), count), np.cumsum(is_first) - 1, sizes[is_last]
+        rows, begins, across = rows[np.repeat(is_last, sizes)], np.append(0, np.cumsum(deep)), SIDE * np.diff(groups)
+        offsets = np.append(0, np.cumsum(across * (across + SIDE * deep)))
+        row, column = np.append(below, columns), np.append(beside, columns)
+        group = group_of[column]
+        known = np.repeat(np.arange(len(deep)) * count, deep) + rows  # sorted: by group, then from top to bottom
+        under = across[group] + SIDE * (np.searchsorted(known, group * count + row) - begins[group])
+        at = np.where(group_of[row] == group, SIDE * (row - groups[group]), under)
+        places = offsets[group] + at * across[group] + SIDE * (column - groups[group])
+        turned = np.append(first < second, np.zeros(count, dtype=bool))
+        return cls(groups, group_of, begins, rows, offsets, across, places, across[group], turned)
 
 
-def factorised(first: Rows, second: Rows, links: Array64, diagonal: Array64) -> BlockFactor:
-    """The lower factor of the matrix with `diagonal` (n, 6, 6) and, for each of e pairs of different places, `links`
-    (e, 6, 6) at row `first` and column `second` and its transpose at the other place; those of one pair add up.
+class BlockFactor(NamedTuple):
+    """A lower triangular matrix of blocks: its structure, and the `numbers` of all panels, row by row."""
+
+    structure: Structure
+    numbers: Array64
+
+
+def factorised(structure: Structure, links: Array64, diagonal: Array64) -> BlockFactor:
+    """The lower factor of the matrix with `diagonal` (n, 6, 6) and, for each of e pairs of different places that the
+    structure is of, `links` (e, 6, 6) at the one and its transpose at the other place; those of one pair add up.
 
     Raises RuntimeError where the matrix is not positive definite.
     """
-    count = len(diagonal)
-    below = np.maximum(first, second)
-    order = np.argsort(below, kind="stable")
-    starts = np.searchsorted(below[order], np.arange(count + 1))
-    beside, turned = np.minimum(first, second)[order], (first > second)[order]
-    parents, seen, sizes = np.full(count, -1), np.arange(count), np.ones(count, dtype=np.int64)
-    _grow_tree(starts, beside, parents, seen, sizes)
-    begins = np.concatenate([[0], np.cumsum(sizes)])
-    factor = BlockFactor(begins, np.empty(begins[-1], np.int32), np.empty((begins[-1], SIDE, SIDE)))
-    ends, chain, stack, work = (
-        begins[:-1].copy(),
-        np.empty(count, np.int64),
-        np.empty(count, np.int64),
-        np.zeros_like(diagonal),
-    )
-    seen[:] = -1
-    if not _factorise(starts, beside, turned, order, links, diagonal, parents, seen, chain, stack, work, ends, *factor):
+    factor = BlockFactor(structure, np.zeros(structure.offsets[-1]))
+    _add_blocks(links, 0, *factor)
+    _add_blocks(diagonal, len(links), *factor)
+    heads, following = np.full((2, len(structure.begins)), -1)
+    if not _factorise(*factor, structure.begins.copy(), heads, following, np.empty(len(diagonal), np.int64)):
         raise RuntimeError("the matrix is not positive definite")
     return factor
 
@@ -64,252 +97,291 @@ def solved(factor: BlockFactor, right: Array64) -> Array64:
     return found
 
 
+def inverse_diagonal(factor: BlockFactor) -> Array64:
+    """The blocks (n, 6, 6) on the diagonal of the inverse of the matrix of a factor, which is used up by it.
+
+    Of the inverse only what has a place in the factor is made, from the last group to the first (Takahashi's
+    equations): all that a group needs lies in the groups of its rows.
+    """
+    structure, count = factor.structure, len(factor.structure.group_of)
+    longest = SIDE * (WIDEST + int(np.diff(structure.begins).max(initial=0)))
+    gains, summed = np.empty((WIDEST * SIDE, longest)), np.empty((WIDEST * SIDE, longest))
+    _invert_selected(*factor, gains, summed, np.empty(SIDE * longest))
+    places, widths = structure.places[-count:, None, None], structure.widths[-count:, None, None]
+    return np.asarray(factor.numbers[places + np.arange(SIDE)[:, None] * widths + np.arange(SIDE)])
+
+
+def _group_starts(parents: Rows, sizes: Rows) -> NDArray[np.bool_]:
+    """Which columns (n,) begin a group; `sizes` (n,) are their blocks below the diagonal."""
+    columns = np.arange(len(parents))
+    alike = (parents[:-1] == columns[1:]) & (sizes[1:] == sizes[:-1] - 1)
+    since = columns - np.maximum.accumulate(np.where(np.append(True, ~alike), columns, 0))
+    return np.asarray(since % WIDEST == 0)
+
+
 @loop
-def _grow_tree(starts: Rows, beside: Rows, parents: Rows, seen: Rows, sizes: Rows) -> None:
-    """Fill in the `parents` (n,) of the elimination tree, and add to `sizes` (n,) the blocks below the diagonal."""
+def _walk(starts: Rows, beside: Rows, parents: Rows, seen: Rows, ends: Rows, rows: NDArray[np.int32]) -> None:
+    """Go through the blocks of the factor below the diagonal, row by row: fill in the `parents` (n,) of the elimination
+    tree, write rows from the `ends` (n,) of the columns on where there is room for `rows`, and move these ends.
+
+    `seen` (n,) begins as the columns themselves.
+    """
     for i in range(len(parents)):
         for link in range(starts[i], starts[i + 1]):
             k = beside[link]
             while seen[k] != i:
                 if parents[k] < 0:
                     parents[k] = i
-                sizes[k] += 1
+                if len(rows) > 0:
+                    rows[ends[k]] = i
+                ends[k] += 1
                 seen[k] = i
                 k = parents[k]
+
+
+@loop
+def _add_blocks(blocks: Array64, before: int, structure: Structure, numbers: Array64) -> None:
+    """Add `blocks` (b, 6, 6) to the numbers at their places, those of the structure from `before` on."""
+    for p in range(len(blocks)):
+        place, width, turned = structure.places[before + p], structure.widths[before + p], structure.turned[before + p]
+        for a in range(SIDE):
+            for b in range(SIDE):
+                numbers[place + a * width + b] += blocks[p, b, a] if turned else blocks[p, a, b]
 
 
 @sums
-def _factorise(
-    starts: Rows, beside: Rows, turned: NDArray[np.bool_], order: Rows, links: Array64, diagonal: Array64,
-    parents: Rows, seen: Rows, chain: Rows, stack: Rows, work: Array64, ends: Rows, begins: Rows,
-    rows: NDArray[np.int32], blocks: Array64,
-) -> bool:  # fmt: skip
-    """Fill in `rows` and `blocks`, a row of the factor after the other; whether the matrix is positive definite.
+def _products(rows: Array64, i: int, one: Array64, count: int) -> tuple[float, float, float, float, float, float]:
+    """The products of six rows, from the i-th on, with another `one` (c,): of their first `count` numbers."""
+    p, q, r, s, t, u = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for c in range(count):
+        share = one[c]
+        p += rows[i, c] * share
+        q += rows[i + 1, c] * share
+        r += rows[i + 2, c] * share
+        s += rows[i + 3, c] * share
+        t += rows[i + 4, c] * share
+        u += rows[i + 5, c] * share
+    return p, q, r, s, t, u
 
-    `work` (n, 6, 6) is zero, `ends` (n,) where the columns begin; `seen`, `chain` and `stack` (n,) are for use here.
+
+@sums
+def _factorise(structure: Structure, numbers: Array64, reached: Rows, heads: Rows, following: Rows, at: Rows) -> bool:
+    """Turn the numbers into those of the factor, group by group; whether the matrix is positive definite.
+
+    A group that is done waits in a list for the one that its next row below belongs to: the lists begin in `heads`
+    (g + 1,) and go on in `following` (g + 1,), both -1 before; `reached` (g + 1,) are the next rows, the first ones
+    before. `at` (n,) is for use here.
     """
-    count = len(parents)
-    for i in range(count):
-        seen[i] = i
-        top = count
-        for link in range(starts[i], starts[i + 1]):
-            k, length, p = beside[link], 0, order[link]
-            for a in range(SIDE):
-                for b in range(SIDE):
-                    work[k, a, b] += links[p, b, a] if turned[link] else links[p, a, b]
-            while seen[k] != i:
-                chain[length] = k
-                length += 1
-                seen[k] = i
-                k = parents[k]
-            while length > 0:
-                length -= 1
-                top -= 1
-                stack[top] = chain[length]
-        for a in range(SIDE):
-            for b in range(SIDE):
-                work[i, a, b] = diagonal[i, a, b]
-        for place in range(top, count):
-            k = stack[place]
-            first, end = begins[k], ends[k]
-            _divide(blocks, first, work, k)
-            _take_off(blocks, rows, first + 1, end, work, k)
-            _take_square_off(work, k, i)
-            rows[end] = i
-            ends[k] = end + 1
-            for a in range(SIDE):
-                for b in range(SIDE):
-                    blocks[end, a, b] = work[k, b, a]
-                    work[k, b, a] = 0.0
-        rows[ends[i]] = i
-        if not _take_root(work, i, blocks, ends[i]):
+    groups, _, begins, rows, offsets, across, _, _, _ = structure
+    for g in range(len(across)):
+        first, behind, panel = groups[g], groups[g + 1], numbers[offsets[g] : offsets[g + 1]].reshape(-1, across[g])
+        for row in range(first, behind):
+            at[row] = SIDE * (row - first)
+        for p in range(begins[g], begins[g + 1]):
+            at[rows[p]] = across[g] + SIDE * (p - begins[g])
+        other = heads[g]
+        while other >= 0:
+            after, low, high = following[other], reached[other], reached[other]
+            while high < begins[other + 1] and rows[high] < behind:
+                high += 1
+            left = rows[low : begins[other + 1]]
+            source = numbers[offsets[other] : offsets[other + 1]].reshape(-1, across[other])
+            _take_off(source[len(source) - SIDE * len(left) :], left, high - low, panel, first, at)
+            reached[other] = high
+            _wait(structure, other, reached, heads, following)
+            other = after
+        if not _take_root(panel):
             return False
-        ends[i] += 1
+        _wait(structure, g, reached, heads, following)
     return True
 
 
-@sums
-def _divide(blocks: Array64, of: int, work: Array64, k: int) -> None:
-    """Divide work[k] from the left by the triangle blocks[of]."""
-    for a in range(SIDE):
-        inverse = 1.0 / blocks[of, a, a]
-        for c in range(a):
-            share = blocks[of, a, c]
-            for b in range(SIDE):
-                work[k, a, b] -= share * work[k, c, b]
-        for b in range(SIDE):
-            work[k, a, b] *= inverse
+@loop
+def _wait(structure: Structure, g: int, reached: Rows, heads: Rows, following: Rows) -> None:
+    """Let a group wait for the one that its next row belongs to, if any is left."""
+    if reached[g] < structure.begins[g + 1]:
+        other = structure.group_of[structure.rows[reached[g]]]
+        following[g], heads[other] = heads[other], g
 
 
 @sums
-def _take_off(blocks: Array64, rows: NDArray[np.int32], first: int, end: int, work: Array64, k: int) -> None:
-    """Take the products of blocks[first:end] with work[k] off the work of their rows."""
-    for p in range(first, end):
-        row = rows[p]
-        for a in range(SIDE):
-            for b in range(SIDE):
-                left = work[row, a, b]
-                for c in range(SIDE):
-                    left -= blocks[p, a, c] * work[k, c, b]
-                work[row, a, b] = left
-
-
-@sums
-def _take_square_off(work: Array64, k: int, i: int) -> None:
-    """Take the square of work[k] off work[i]."""
-    for c in range(SIDE):
-        for a in range(SIDE):
-            for b in range(SIDE):
-                work[i, a, b] -= work[k, c, a] * work[k, c, b]
-
-
-@sums
-def _take_root(work: Array64, i: int, blocks: Array64, of: int) -> bool:
-    """The triangle blocks[of] whose square is work[i], which becomes zero; whether there is one."""
-    for a in range(SIDE):
-        for b in range(SIDE):
-            blocks[of, a, b] = 0.0
-        for b in range(a + 1):
-            left = work[i, a, b]
-            for c in range(b):
-                left -= blocks[of, a, c] * blocks[of, b, c]
-            if a == b and not left > 0.0:
-                return False
-            blocks[of, a, b] = np.sqrt(left) if a == b else left / blocks[of, b, b]
-    for a in range(SIDE):
-        for b in range(SIDE):
-            work[i, a, b] = 0.0
-    return True
-
-
-@sums
-def _substitute(begins: Rows, rows: NDArray[np.int32], blocks: Array64, found: Array64) -> None:
-    """Solve for `found` (n, 6, k) in place: forwards by the factor, backwards by its transpose."""
-    count, width = len(begins) - 1, found.shape[2]
-    for i in range(count):
-        _divide_right(blocks, begins[i], found, i)
-        for p in range(begins[i] + 1, begins[i + 1]):
-            row = rows[p]
-            for a in range(SIDE):
-                for c in range(SIDE):
-                    share = blocks[p, a, c]
-                    for b in range(width):
-                        found[row, a, b] -= share * found[i, c, b]
-    for i in range(count - 1, -1, -1):
-        for p in range(begins[i] + 1, begins[i + 1]):
-            row = rows[p]
-            for c in range(SIDE):
-                for a in range(SIDE):
-                    share = blocks[p, a, c]
-                    for b in range(width):
-                        found[i, c, b] -= share * found[row, a, b]
-        _divide_back(blocks, begins[i], found, i)
-
-
-@sums
-def _divide_right(blocks: Array64, of: int, found: Array64, i: int) -> None:
-    """Divide found[i] (6, k) by the triangle blocks[of]."""
-    for a in range(SIDE):
-        for b in range(found.shape[2]):
-            left = found[i, a, b]
-            for c in range(a):
-                left -= blocks[of, a, c] * found[i, c, b]
-            found[i, a, b] = left / blocks[of, a, a]
-
-
-@sums
-def _divide_back(blocks: Array64, of: int, found: Array64, i: int) -> None:
-    """Divide found[i] (6, k) by the transpose of the triangle blocks[of]."""
-    for a in range(SIDE - 1, -1, -1):
-        for b in range(found.shape[2]):
-            left = found[i, a, b]
-            for c in range(a + 1, SIDE):
-                left -= blocks[of, c, a] * found[i, c, b]
-            found[i, a, b] = left / blocks[of, a, a]
-
-
-def inverse_diagonal(factor: BlockFactor) -> Array64:
-    """The blocks (n, 6, 6) on the diagonal of the inverse of the matrix of a factor, which is used up by it.
-
-    Of the inverse only what has a place in the factor is made, from the last column to the first (Takahashi's
-    equations): all that a column needs lies in the columns of its rows.
+def _take_off(source: Array64, rows: NDArray[np.int32], near: int, panel: Array64, first: int, at: Rows) -> None:
+    """Take the products of the blocks of `source`, of these `rows`, with the first `near` of them off a panel whose
+    columns begin at `first`, and whose rows are `at` (n,): three rows with three, read once for nine products.
     """
-    longest = int(np.diff(factor.begins).max(initial=1))
-    _invert_selected(*factor, np.zeros((SIDE, SIDE)), *np.zeros((2, longest, SIDE, SIDE)))
-    return np.array(factor.blocks[factor.begins[:-1]])
+    for i in range(0, len(source), 3):
+        row = at[rows[i // SIDE]] + i % SIDE
+        for j in range(0, SIDE * min(near, i // SIDE + 1), 3):
+            column = SIDE * (rows[j // SIDE] - first) + j % SIDE
+            ax, ay, az, bx, by, bz, cx, cy, cz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for k in range(source.shape[1]):
+                a, b, c = source[i, k], source[i + 1, k], source[i + 2, k]
+                x, y, z = source[j, k], source[j + 1, k], source[j + 2, k]
+                ax += a * x
+                ay += a * y
+                az += a * z
+                bx += b * x
+                by += b * y
+                bz += b * z
+                cx += c * x
+                cy += c * y
+                cz += c * z
+            panel[row, column] -= ax
+            panel[row, column + 1] -= ay
+            panel[row, column + 2] -= az
+            panel[row + 1, column] -= bx
+            panel[row + 1, column + 1] -= by
+            panel[row + 1, column + 2] -= bz
+            panel[row + 2, column] -= cx
+            panel[row + 2, column + 1] -= cy
+            panel[row + 2, column + 2] -= cz
 
 
 @sums
-def _invert_selected(
-    begins: Rows, rows: NDArray[np.int32], blocks: Array64, triangle: Array64, gains: Array64, summed: Array64
-) -> None:
-    """Replace the `blocks` of a factor by those of the inverse; the rest is for use here."""
-    for j in range(len(begins) - 2, -1, -1):
-        first, below = begins[j], begins[j + 1] - begins[j] - 1
-        _invert_triangle(blocks, first, triangle)
-        for q in range(below):
-            _multiply(blocks, first + 1 + q, triangle, gains, summed, q)
-        for q in range(below):
-            k = rows[first + 1 + q]
-            p = begins[k]
-            _add_product(summed, q, blocks, p, gains, q)
-            for r in range(q + 1, below):
-                while rows[p] != rows[first + 1 + r]:
-                    p += 1
-                _add_product(summed, r, blocks, p, gains, q)
-                _add_turned(summed, q, blocks, p, gains, r)
-        for a in range(SIDE):
-            for b in range(SIDE):
-                blocks[first, a, b] = 0.0
-                for c in range(SIDE):
-                    blocks[first, a, b] += triangle[c, a] * triangle[c, b]
-        for q in range(below):
-            _add_turned(blocks, first, gains, q, summed, q)
+def _take_root(panel: Array64) -> bool:
+    """Turn the square of a panel into its triangular root and divide the rows below by that; whether there is one."""
+    for j in range(panel.shape[1]):
+        for i in range(SIDE * (j // SIDE), len(panel), SIDE):
+            products = _products(panel, i, panel[j], j)
             for a in range(SIDE):
-                for b in range(SIDE):
-                    blocks[first + 1 + q, a, b] = -summed[q, a, b]
+                panel[i + a, j] -= products[a]
+        if not panel[j, j] > 0.0:
+            return False
+        inverse = 1.0 / np.sqrt(panel[j, j])
+        for i in range(j, len(panel)):
+            panel[i, j] *= inverse
+        for i in range(j):
+            panel[i, j] = 0.0
+    return True
 
 
 @sums
-def _invert_triangle(blocks: Array64, of: int, triangle: Array64) -> None:
-    """Fill `triangle` (6, 6) with the inverse of the lower triangle blocks[of]."""
-    for b in range(SIDE):
+def _substitute(structure: Structure, numbers: Array64, found: Array64) -> None:
+    """Solve for `found` (n, 6, k) in place: forwards by the factor, backwards by its transpose."""
+    groups, _, begins, rows, offsets, across, _, _, _ = structure
+    for g in range(len(across)):
+        panel = numbers[offsets[g] : offsets[g + 1]].reshape(-1, across[g])
+        _forwards(panel, rows[begins[g] : begins[g + 1]], found, groups[g])
+    for g in range(len(across) - 1, -1, -1):
+        panel = numbers[offsets[g] : offsets[g + 1]].reshape(-1, across[g])
+        _backwards(panel, rows[begins[g] : begins[g + 1]], found, groups[g])
+
+
+@sums
+def _forwards(panel: Array64, rows: NDArray[np.int32], found: Array64, first: int) -> None:
+    """Solve for the blocks of `found` (n, 6, k) that belong to a panel, from the `first` on, one after the other: what
+    each of them does to later ones of the panel and to the `rows` below is taken off these.
+    """
+    width = panel.shape[1] // SIDE
+    for j in range(width):
+        column = SIDE * j
         for a in range(SIDE):
-            left = 1.0 if a == b else 0.0
-            for c in range(b, a):
-                left -= blocks[of, a, c] * triangle[c, b]
-            triangle[a, b] = left / blocks[of, a, a] if a >= b else 0.0
+            for b in range(found.shape[2]):
+                left = found[first + j, a, b]
+                for c in range(a):
+                    left -= panel[column + a, column + c] * found[first + j, c, b]
+                found[first + j, a, b] = left / panel[column + a, column + a]
+        for i in range(j + 1, width + len(rows)):
+            row = first + i if i < width else rows[i - width]
+            for a in range(SIDE):
+                for b in range(found.shape[2]):
+                    left = found[row, a, b]
+                    for c in range(SIDE):
+                        left -= panel[SIDE * i + a, column + c] * found[first + j, c, b]
+                    found[row, a, b] = left
 
 
 @sums
-def _multiply(blocks: Array64, of: int, triangle: Array64, gains: Array64, summed: Array64, q: int) -> None:
-    """gains[q] = blocks[of] triangle; summed[q] = 0."""
-    for a in range(SIDE):
-        for b in range(SIDE):
-            total = 0.0
-            for c in range(SIDE):
-                total += blocks[of, a, c] * triangle[c, b]
-            gains[q, a, b] = total
-            summed[q, a, b] = 0.0
+def _backwards(panel: Array64, rows: NDArray[np.int32], found: Array64, first: int) -> None:
+    """The same by the transpose, from the last block to the first: what later ones do to it is taken off before."""
+    width = panel.shape[1] // SIDE
+    for j in range(width - 1, -1, -1):
+        column = SIDE * j
+        for i in range(j + 1, width + len(rows)):
+            row = first + i if i < width else rows[i - width]
+            for a in range(SIDE):
+                for b in range(found.shape[2]):
+                    left = found[first + j, a, b]
+                    for c in range(SIDE):
+                        left -= panel[SIDE * i + c, column + a] * found[row, c, b]
+                    found[first + j, a, b] = left
+        for a in range(SIDE - 1, -1, -1):
+            for b in range(found.shape[2]):
+                left = found[first + j, a, b]
+                for c in range(a + 1, SIDE):
+                    left -= panel[column + c, column + a] * found[first + j, c, b]
+                found[first + j, a, b] = left / panel[column + a, column + a]
 
 
 @sums
-def _add_product(to: Array64, at: int, left: Array64, i: int, right: Array64, j: int) -> None:
-    """to[at] += left[i] right[j]."""
-    for a in range(SIDE):
-        for b in range(SIDE):
-            total = to[at, a, b]
-            for c in range(SIDE):
-                total += left[i, a, c] * right[j, c, b]
-            to[at, a, b] = total
+def _invert_selected(structure: Structure, numbers: Array64, gains: Array64, summed: Array64, block: Array64) -> None:
+    """Replace the numbers of a factor by those of the inverse; the rest is for use here."""
+    _, _, begins, rows, offsets, across, _, _, _ = structure
+    for g in range(len(across) - 1, -1, -1):
+        panel, below = numbers[offsets[g] : offsets[g + 1]].reshape(-1, across[g]), rows[begins[g] : begins[g + 1]]
+        width, length = across[g], len(panel)
+        _divide_by_triangle(panel, gains, summed)
+        for q in range(len(below)):
+            begin = width + SIDE * q
+            part = block[: SIDE * (length - begin)].reshape(SIDE, length - begin)
+            _gather(structure, numbers, below[q:], part)
+            for t in range(width):
+                _add_both_ways(part, gains[t, begin:length], summed[t, begin:length])
+        for t in range(width):
+            for u in range(width):
+                total = 0.0
+                for i in range(length):
+                    total += gains[t, i] * summed[u, i]
+                panel[t, u] = total
+        for i in range(width, length):
+            for t in range(width):
+                panel[i, t] = -summed[t, i]
 
 
 @sums
-def _add_turned(to: Array64, at: int, left: Array64, i: int, right: Array64, j: int) -> None:
-    """to[at] += left[i]^T right[j]."""
-    for a in range(SIDE):
-        for b in range(SIDE):
-            total = to[at, a, b]
+def _divide_by_triangle(panel: Array64, gains: Array64, summed: Array64) -> None:
+    """Fill the columns of `gains` with the rows of a panel, divided from the right by its triangle, in whose place the
+    identity is; `summed` has that part of them, and zeros.
+    """
+    width, length = panel.shape[1], len(panel)
+    for t in range(width - 1, -1, -1):
+        for i in range(length):
+            gains[t, i] = panel[i, t] if i >= width else 0.0
+        gains[t, t] = 1.0
+        for c in range(t + 1, width):
+            for i in range(length):
+                gains[t, i] -= panel[c, t] * gains[c, i]
+        inverse = 1.0 / panel[t, t]
+        for i in range(length):
+            gains[t, i] *= inverse
+            summed[t, i] = gains[t, i] if i < width else 0.0
+
+
+@loop
+def _gather(structure: Structure, numbers: Array64, rows: NDArray[np.int32], block: Array64) -> None:
+    """Fill in `block` (6, 6 r): the transpose of what the inverse has at these `rows` and the column of the first."""
+    groups, group_of, begins, below, offsets, across, _, _, _ = structure
+    g = group_of[rows[0]]
+    first, p, panel = groups[g], begins[g], numbers[offsets[g] : offsets[g + 1]].reshape(-1, across[g])
+    for r in range(len(rows)):
+        at = SIDE * (rows[r] - first)
+        if rows[r] >= groups[g + 1]:
+            while below[p] != rows[r]:
+                p += 1
+            at = across[g] + SIDE * (p - begins[g])
+        for a in range(SIDE):
             for c in range(SIDE):
-                total += left[i, c, a] * right[j, c, b]
-            to[at, a, b] = total
+                block[c, SIDE * r + a] = panel[at + a, SIDE * (rows[0] - first) + c]
+
+
+@sums
+def _add_both_ways(block: Array64, gains: Array64, summed: Array64) -> None:
+    """Add what the block (6, r), with its first square as a whole, takes `gains` (r,) to; and its transpose without."""
+    p, q, r, s, t, u = gains[0], gains[1], gains[2], gains[3], gains[4], gains[5]
+    products = _products(block, 0, gains, len(gains))
+    for a in range(SIDE):
+        summed[a] += products[a]
+    for i in range(SIDE, len(summed)):
+        summed[i] += (
+            p * block[0, i] + q * block[1, i] + r * block[2, i] + s * block[3, i] + t * block[4, i] + u * block[5, i]
+        )

@@ -68,18 +68,20 @@ def minimise(
     `tolerance` of the cost is relative.
     """
     poses, damping = start, _DAMPING
-    cost, weights = _cost(edges, poses, kernel)
+    errors, cost, weights = _cost(edges, poses, kernel)
     for _ in range(MAX_STEPS):
-        equations, before = edges.linearised(poses, weights), cost
+        equations, before = edges.linearised(poses, errors, weights), cost
         while damping <= _MOST_DAMPING:
             moved, expected = _step(equations, anchor, poses, damping)
-            new, new_weights = _cost(edges, moved, kernel)
+            new_errors, new, new_weights = _cost(edges, moved, kernel)
             if before - new > _LEAST_FIDELITY * expected:
-                poses, cost, weights, damping = moved, new, new_weights, damping / _DAMPING_FACTOR
+                poses, errors, cost, weights = moved, new_errors, new, new_weights
+                damping /= _DAMPING_FACTOR
                 break
             if abs(before - new) <= TOLERANCE * before:  # nothing is left but rounding
                 break
             damping *= _DAMPING_FACTOR
+        del equations  # the next ones take as much room
         saved = before - cost
         if not saved > TOLERANCE or saved <= tolerance * before:
             break
@@ -92,9 +94,8 @@ def settled(edges: Edges, anchor: int, poses: Array64) -> Array64:
     """
     ones = np.ones(len(edges))
     for _ in range(MAX_SETTLING):
-        equations = edges.linearised(poses, ones)
         try:
-            step = _solved(equations, anchor, 0.0)
+            step = _solved(edges.linearised(poses, edges.errors(poses), ones), anchor, 0.0)
         except RuntimeError:
             return poses
         poses = poses @ se3_rows.exp(step)
@@ -124,10 +125,11 @@ def graduated(edges: Edges, known: int, anchor: int, start: Array64) -> Array64:
     return poses
 
 
-def _cost(edges: Edges, poses: Array64, kernel: Kernel) -> tuple[float, Array64]:
-    """Half of what all edges cost, and their weights (e,)."""
-    costs, weights = kernel(edges.squared_errors(poses))
-    return 0.5 * float(costs.sum()), weights
+def _cost(edges: Edges, poses: Array64, kernel: Kernel) -> tuple[Array64, float, Array64]:
+    """The errors (e, 6) of all edges, half of what they cost together, and their weights (e,)."""
+    errors = edges.errors(poses)
+    costs, weights = kernel(edges.squared(errors))
+    return errors, 0.5 * float(costs.sum()), weights
 
 
 def _step(equations: Equations, anchor: int, poses: Array64, damping: float) -> tuple[Array64, float]:

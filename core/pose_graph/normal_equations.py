@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.sparse as sparse
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from revisit.core.geometry import se3, se3_rows
-from revisit.core.kernels.block_cholesky import SIDE, BlockFactor, factorised, inverse_diagonal, solved
+from revisit.core.kernels.block_cholesky import SIDE, BlockFactor, Structure, factorised, inverse_diagonal, solved
 from revisit.core.pose_graph.graph import LoopEdge, Node, Trajectory
 
 Array64 = NDArray[np.float64]
@@ -41,6 +41,7 @@ class Edges:
     second: Rows
     T_second_first: Array64
     information: Array64
+    _eliminations: dict[int, Elimination] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @classmethod
     def of_motions(
@@ -102,18 +103,29 @@ class Edges:
         """The same with their information times `weights` (e,)."""
         return Edges(self.first, self.second, self.T_second_first, self.information * weights[:, None, None])
 
+    def elimination(self, count: int) -> Elimination:
+        """How `count` poses between which these edges are will be eliminated; found once."""
+        if count not in self._eliminations:
+            self._eliminations[count] = Elimination.of(self.first, self.second, count)
+        return self._eliminations[count]
+
     def errors(self, poses: Array64) -> Array64:
         """The tangents (e, 6), in the frames of the second poses, by which the poses (n, 4, 4) miss the motions."""
         return se3_rows.log(self.T_second_first @ (se3_rows.inverse(poses[self.first]) @ poses[self.second]))
 
     def squared_errors(self, poses: Array64) -> Array64:
         """Squared Mahalanobis distances (e,) of the motions from the poses."""
-        return _squared(self.errors(poses), self.information)
+        return self.squared(self.errors(poses))
 
-    def linearised(self, poses: Array64, weights: Array64) -> Equations:
-        """The normal equations at the poses (n, 4, 4), in tangents of the poses; each edge counts `weights` (e,)."""
+    def squared(self, errors: Array64) -> Array64:
+        """Squared Mahalanobis distances (e,) of `errors` (e, 6)."""
+        return np.asarray(np.einsum("ei,ei->e", errors, np.einsum("eij,ej->ei", self.information, errors)))
+
+    def linearised(self, poses: Array64, errors: Array64, weights: Array64) -> Equations:
+        """The normal equations at the poses (n, 4, 4), in tangents of the poses; `errors` (e, 6) are those there, each
+        edge counts `weights` (e,).
+        """
         T_second_first = se3_rows.inverse(poses[self.second]) @ poses[self.first]
-        errors = se3_rows.log(self.T_second_first @ se3_rows.inverse(T_second_first))
         bends = se3_rows.inverse_right_jacobian(errors)
         pulled = bends.transpose(0, 2, 1) @ (self.information * weights[:, None, None])
         force = np.einsum("eij,ej->ei", pulled, errors)
@@ -124,8 +136,7 @@ class Edges:
         back = np.einsum("eji,ej->ei", turned, force)
         count = len(poses)
         return Equations(
-            self.first,
-            self.second,
+            self,
             links,
             _added(of_first, self.first, count) + _added(of_second, self.second, count),
             _added(back, self.first, count) + _added(force, self.second, count),
@@ -148,19 +159,18 @@ class Edges:
         turn = se3_rows.adjoint(se3_rows.inverse(poses[self.second]))
         weights, count = turn.transpose(0, 2, 1) @ self.information @ turn, len(poses)
         diagonal = _added(weights, self.first, count) + _added(weights, self.second, count)
-        return Equations(self.first, self.second, -weights, diagonal, np.zeros((count, SIDE)))
+        return Equations(self, -weights, diagonal, np.zeros((count, SIDE)))
 
 
 @dataclass(frozen=True)
 class Equations:
     """Normal equations of poses in blocks of six.
 
-    links (e, 6, 6): of the rows of pose `first` (e,) and the columns of pose `second` (e,); diagonal (n, 6, 6);
-    gradient (n, 6), half of that of the squared errors.
+    links (e, 6, 6): of the rows of the first and the columns of the second pose of each of the `edges`; diagonal
+    (n, 6, 6); gradient (n, 6), half of that of the squared errors.
     """
 
-    first: Rows
-    second: Rows
+    edges: Edges
     links: Array64
     diagonal: Array64
     gradient: Array64
@@ -170,11 +180,29 @@ class Equations:
 
         Raises RuntimeError where a pose hangs on nothing.
         """
-        places = elimination_order(self.first, self.second, len(self.diagonal))
+        elimination = self.edges.elimination(len(self.diagonal))
+        places = elimination.places
         diagonal = np.empty_like(self.diagonal)
         diagonal[places] = self.diagonal + damping * np.eye(SIDE)
         diagonal[places[anchor]] += ANCHOR_INFORMATION * np.eye(SIDE)
-        return Factorisation(places, factorised(places[self.first], places[self.second], self.links, diagonal))
+        return Factorisation(places, factorised(elimination.structure, self.links, diagonal))
+
+
+@dataclass(frozen=True)
+class Elimination:
+    """The order in which poses are eliminated, and where their factor has numbers then.
+
+    places (n,): of the poses, as eliminated.
+    """
+
+    places: Rows
+    structure: Structure
+
+    @classmethod
+    def of(cls, first: Rows, second: Rows, count: int) -> Elimination:
+        """Of `count` poses with edges between `first` (e,) and `second` (e,)."""
+        places = elimination_order(first, second, count)
+        return cls(places, Structure.of(places[first], places[second], count))
 
 
 @dataclass(frozen=True)
@@ -212,7 +240,7 @@ def rehearse() -> None:
     """Solve two poses, for the compiler's sake alone."""
     poses = np.tile(np.eye(4), (2, 1, 1))
     edges = Edges.of_motions([(0, 1)], [np.eye(4)], [np.eye(SIDE)])
-    for equations in (edges.linearised(poses, np.ones(1)), edges.in_the_map(poses)):
+    for equations in (edges.linearised(poses, edges.errors(poses), np.ones(1)), edges.in_the_map(poses)):
         factorisation = equations.factorised(0)
         factorisation.solve(np.zeros(2 * SIDE))
         factorisation.covariances()
@@ -222,10 +250,6 @@ def _information(covariances: Array64) -> Array64:
     """The inverses (e, 6, 6) of covariances, symmetric to the last digit."""
     found = np.linalg.inv(covariances)
     return np.asarray(0.5 * (found + found.transpose(0, 2, 1)))
-
-
-def _squared(errors: Array64, information: Array64) -> Array64:
-    return np.asarray(np.einsum("ei,ei->e", errors, np.einsum("eij,ej->ei", information, errors)))
 
 
 def _transposed_adjoint(transforms: Array64, vectors: Array64) -> Array64:

@@ -206,7 +206,7 @@ class Problem:
     def factorised(self, poses: Array64, kept: set[int]) -> Factorisation:
         """The equations of the steps and the `kept` loops at the poses. Raises RuntimeError where there is none."""
         edges = self.graph(kept)
-        return edges.linearised(poses, np.ones(len(edges))).factorised(self.anchor)
+        return edges.linearised(poses, edges.errors(poses), np.ones(len(edges))).factorised(self.anchor)
 
     def covariances(self, poses: Array64, kept: set[int]) -> Array64:
         """The marginal covariances (n, 6, 6) of the poses; NaN where they are too large to be computed."""

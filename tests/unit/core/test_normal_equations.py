@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import gtsam
 import numba
 import numpy as np
@@ -9,8 +11,9 @@ import pytest
 
 from revisit.core.geometry import se3, se3_rows
 from revisit.core.kernels import block_cholesky
+from revisit.core.pose_graph import normal_equations
 from revisit.core.pose_graph.least_squares import minimise, settled
-from revisit.core.pose_graph.normal_equations import Edges, Equations, rehearse
+from revisit.core.pose_graph.normal_equations import Edges, Equations, elimination_order, rehearse
 
 POSES = 60
 
@@ -37,16 +40,27 @@ def dense(equations: Equations, anchor: int) -> np.ndarray:
     matrix = np.zeros((count, 6, count, 6))
     for row in range(count):
         matrix[row, :, row] += equations.diagonal[row]
-    for first, second, link in zip(equations.first, equations.second, equations.links, strict=True):
+    for first, second, link in zip(equations.edges.first, equations.edges.second, equations.links, strict=True):
         matrix[first, :, second] += link
         matrix[second, :, first] += link.T
     matrix[anchor, :, anchor] += 1e8 * np.eye(6)
     return matrix
 
 
+def dense_factor(factor: block_cholesky.BlockFactor) -> np.ndarray:
+    """A factor as a matrix (6 n, 6 n)."""
+    structure, numbers = factor
+    lower = np.zeros((POSES, 6, POSES, 6))
+    for k, (first, behind) in enumerate(itertools.pairwise(structure.groups)):
+        panel = numbers[structure.offsets[k] : structure.offsets[k + 1]].reshape(-1, 6, behind - first, 6)
+        below = structure.rows[structure.begins[k] : structure.begins[k + 1]]
+        lower[[*range(first, behind), *below], :, first:behind] = panel
+    return lower.reshape(6 * POSES, -1)
+
+
 def test_derivatives_are_those_of_the_squared_errors() -> None:
     edges, poses = made(1, 20)
-    equations = edges.linearised(poses, np.ones(len(edges)))
+    equations = edges.linearised(poses, edges.errors(poses), np.ones(len(edges)))
     rng = np.random.default_rng(2)
     for _ in range(5):
         way = 1e-5 * rng.normal(size=(POSES, 6))
@@ -75,7 +89,7 @@ def test_half_a_turn_has_an_axis() -> None:
 @pytest.mark.parametrize(("seed", "loops", "parts"), [(1, 0, 1), (2, 3, 1), (3, 40, 1), (4, 300, 1), (5, 30, 3)])
 def test_a_factorisation_solves_as_the_dense_matrix_does(seed: int, loops: int, parts: int) -> None:
     edges, poses = made(seed, loops, parts)
-    equations = edges.linearised(poses, np.ones(len(edges)))
+    equations = edges.linearised(poses, edges.errors(poses), np.ones(len(edges)))
     factorisation = equations.factorised(7)
     matrix = dense(equations, 7).reshape(6 * POSES, -1)
     for right in np.random.default_rng(6).normal(size=(2, 6 * POSES, 3)):
@@ -99,7 +113,7 @@ def test_the_covariance_of_each_pose_is_that_of_gtsam(seed: int, loops: int) -> 
     for key, pose in enumerate(poses):
         values.insert(key, gtsam.Pose3(pose))
     expected = gtsam.Marginals(factors, values)
-    found = edges.linearised(poses, np.ones(len(edges))).factorised(0).covariances()
+    found = edges.linearised(poses, edges.errors(poses), np.ones(len(edges))).factorised(0).covariances()
     for key in range(POSES):
         np.testing.assert_allclose(found[key][rotation_first], expected.marginalCovariance(key), rtol=1e-3, atol=1e-8)
 
@@ -107,30 +121,41 @@ def test_the_covariance_of_each_pose_is_that_of_gtsam(seed: int, loops: int) -> 
 def test_a_pose_alone_stays_where_it_is_and_is_as_sure_as_it_is_held() -> None:
     alone, pose = Edges.of_motions([], [], []), se3.exp(np.arange(6.0))[None]
     assert np.array_equal(settled(alone, 0, minimise(alone, 0, pose)), pose)
-    for equations in (alone.linearised(pose, np.ones(0)), alone.in_the_map(pose)):
+    for equations in (alone.linearised(pose, alone.errors(pose), np.ones(0)), alone.in_the_map(pose)):
         np.testing.assert_allclose(equations.factorised(0).covariances(), [1e-8 * np.eye(6)])
 
 
 def test_what_is_not_positive_definite_is_refused() -> None:
     edges, poses = made(2, 3)
-    equations = edges.weighted(-np.ones(len(edges))).linearised(poses, np.ones(len(edges)))
+    equations = edges.weighted(-np.ones(len(edges))).linearised(poses, edges.errors(poses), np.ones(len(edges)))
     with pytest.raises(RuntimeError, match="positive definite"):
         equations.factorised(0)
 
 
-def test_the_factor_times_itself_is_the_matrix() -> None:
-    edges, poses = made(4, 30)
+@pytest.mark.parametrize(("loops", "widest"), [(0, 2), (30, 4), (300, block_cholesky.WIDEST)])
+def test_the_factor_times_itself_is_the_matrix(loops: int, widest: int) -> None:
+    edges, poses = made(4, loops)
     equations = edges.in_the_map(poses)
     diagonal = equations.diagonal.copy()
     diagonal[0] += 1e8 * np.eye(6)
-    factor = block_cholesky.factorised(equations.first, equations.second, equations.links, diagonal)
-    lower = np.zeros((POSES, 6, POSES, 6))
-    columns = np.repeat(np.arange(POSES), np.diff(factor.begins))
-    for row, column, block in zip(factor.rows, columns, factor.blocks, strict=True):
-        lower[row, :, column] = block
-    flat = lower.reshape(6 * POSES, -1)
-    np.testing.assert_allclose(flat @ flat.T, dense(equations, 0).reshape(6 * POSES, -1), rtol=1e-10, atol=1e-6)
-    np.testing.assert_allclose(flat, np.linalg.cholesky(flat @ flat.T), rtol=1e-6, atol=1e-6)
+    structure = block_cholesky.Structure.of(edges.first, edges.second, POSES)
+    assert np.diff(structure.groups).max() == widest
+    lower = dense_factor(block_cholesky.factorised(structure, equations.links, diagonal))
+    np.testing.assert_allclose(lower @ lower.T, dense(equations, 0).reshape(6 * POSES, -1), rtol=1e-10, atol=1e-6)
+    np.testing.assert_allclose(lower, np.linalg.cholesky(lower @ lower.T), rtol=1e-6, atol=1e-6)
+
+
+def test_an_order_of_elimination_is_found_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = []
+
+    def watched(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
+        found.append(count)
+        return elimination_order(first, second, count)
+
+    monkeypatch.setattr(normal_equations, "elimination_order", watched)
+    edges, poses = made(2, 20)
+    settled(edges, 0, minimise(edges, 0, poses))
+    assert found == [POSES]
 
 
 def test_after_the_rehearsal_nothing_is_compiled() -> None:
@@ -138,7 +163,7 @@ def test_after_the_rehearsal_nothing_is_compiled() -> None:
     kernels = [one for one in vars(block_cholesky).values() if isinstance(one, numba.core.dispatcher.Dispatcher)]
     compiled = [len(kernel.signatures) for kernel in kernels]
     edges, poses = made(3, 40)
-    for equations in (edges.linearised(poses, np.ones(len(edges))), edges.in_the_map(poses)):
+    for equations in (edges.linearised(poses, edges.errors(poses), np.ones(len(edges))), edges.in_the_map(poses)):
         factorisation = equations.factorised(3)
         factorisation.solve(np.ones((6 * POSES, 6)))
         factorisation.covariances()
