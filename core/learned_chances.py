@@ -1,7 +1,8 @@
-"""The chances with which models of stored bits begin, as `evaluation.training.place_chances` has learned them."""
+"""The chances with which models of stored bits begin, as `evaluation.training` has learned them."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from importlib import resources
 
 import numpy as np
@@ -10,8 +11,14 @@ from numpy.typing import NDArray
 
 def learned_chances(file: str, kind: str = "") -> NDArray[np.int32]:
     """The models (n, 2) of a file in core/weights, those of a `kind` where it holds several: chances, and how sure."""
+    stored = learned_arrays(file, (f"{kind}chances", f"{kind}seen"))
+    return np.stack(list(stored.values()), axis=1).astype(np.int32)
+
+
+def learned_arrays(file: str, names: Iterable[str]) -> dict[str, NDArray[np.integer]]:
+    """Arrays of a file in core/weights by their names."""
     with (
         resources.files("revisit.core").joinpath("weights", file).open("rb") as opened,
         np.load(opened, allow_pickle=False) as stored,
     ):
-        return np.stack([stored[f"{kind}chances"], stored[f"{kind}seen"]], axis=1).astype(np.int32)
+        return {name: stored[name] for name in names}

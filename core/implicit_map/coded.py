@@ -1,21 +1,26 @@
-"""Neural points and their features as a stream of bits, and back (docs/decisions/0116, 0235)."""
+"""Neural points and their features as a stream of bits, and back (docs/decisions/0116, 0235, 0287)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.errors import DataLoss
 from revisit.core.geometry import octahedral
+from revisit.core.implicit_map.blob import FOURTH, SECOND
+from revisit.core.implicit_map.map_chances import Mixtures, learned_mixtures
 from revisit.core.implicit_map.settled import PlaneCodes, distinct_rows
 from revisit.core.kernels.feature_coder import code_features, feature_models
+from revisit.core.kernels.guided_planes import code_guided_planes
+from revisit.core.kernels.mixed_octree import code_mixed_octree
 from revisit.core.kernels.mixed_planes import code_mixed_planes
 from revisit.core.kernels.octree_coder import OCTREE_MODELS, code_octree
 from revisit.core.kernels.plane_coder import FIXED, PLANE_MODELS, code_planes
-from revisit.core.kernels.range_coder import finish, fresh_models, start
+from revisit.core.kernels.range_coder import Coder, finish, fresh_models, start
 from revisit.core.kernels.voxel_families import families_of
 from revisit.core.kernels.voxel_table import rows_of, table_of
 
@@ -26,14 +31,14 @@ _MAX_POINTS = 1 << 24
 _MAX_DEPTH = 30
 _MAX_FEATURES = 256
 _COARSEST = 16
-SECOND_FORM = 0
-"""The `normal_unit` of a stream of the form before (0116), whose planes are guessed by one model a bit."""
+_NOTHING = np.zeros((0, 3), np.int32)
 
 
 @dataclass(frozen=True)
 class Form:
     """What a reader must know before the bits: number of points and of features, the lowest voxel (3,), the depth of
-    the octree above it, the steps in which normals and offsets are given, and by how many steps normals are written.
+    the octree above it, the steps in which normals and offsets are given, by how many steps normals are written, and
+    the version of the stream.
     """
 
     count: int
@@ -42,14 +47,29 @@ class Form:
     depth: int
     normal_steps: int
     offset_unit: int
-    normal_unit: int = SECOND_FORM
+    normal_unit: int = 1
+    version: int = FOURTH
+
+    def announced(self) -> list[int]:
+        """What a header says of it."""
+        steps = self.normal_steps, self.offset_unit, self.normal_unit
+        return [self.count, self.features, *self.low, self.depth, *steps]
+
+    @classmethod
+    def of_header(cls, header: dict[str, Any], version: int) -> Form:
+        """The form that a header says. Raises KeyError, TypeError or ValueError for one that says none."""
+        if version == FOURTH:
+            count, features, x, y, z, depth, steps, offset_unit, normal_unit = header["points"]
+            return cls(count, features, (x, y, z), depth, steps, offset_unit, normal_unit)
+        header = {"normal_unit": 1, **header, "version": version}  # the second form names no unit
+        return cls(**{one.name: header[one.name] for one in fields(cls)})
 
     def checked(self) -> Form:
         """Itself. Raises DataLoss for numbers that no writer writes."""
-        steps = (self.normal_steps, self.offset_unit, self.normal_unit)
+        steps = (self.normal_steps, self.offset_unit, self.normal_unit, self.version)
         numbers = (self.count, self.features, *self.low, self.depth, *steps)
-        bounds = (_MAX_POINTS, _MAX_FEATURES, *[1 << 30] * 3, _MAX_DEPTH, 127, FIXED, _COARSEST)
-        least = (0, 0, *[-(1 << 30)] * 3, 0, 1, 1, SECOND_FORM)
+        bounds = (_MAX_POINTS, _MAX_FEATURES, *[1 << 30] * 3, _MAX_DEPTH, 127, FIXED, _COARSEST, FOURTH)
+        least = (0, 0, *[-(1 << 30)] * 3, 0, 1, 1, 1, SECOND)
         if len(numbers) != len(bounds) or not all(
             type(n) is int and a <= n <= b for n, a, b in zip(numbers, least, bounds, strict=True)
         ):
@@ -58,12 +78,14 @@ class Form:
 
 
 def write_points(
-    codes: PlaneCodes, features: Codes, normal_steps: int, offset_unit: int, normal_unit: int = 1
-) -> tuple[Form, bytes]:
+    codes: PlaneCodes, features: Codes, normal_steps: int, offset_unit: int, normal_unit: int = 1,
+    mixtures: Mixtures | None = None,
+) -> tuple[Form, bytes]:  # fmt: skip
     """The stream of n points with `features` (n, F) int32, and its form.
 
     Their order is not kept; of several points in one voxel the first is written. With a `normal_unit` above 1 normals
-    are rounded to so many steps from a neighbour's; what is read is written again as the same bytes.
+    are rounded to so many steps from a neighbour's; what is read is written again as the same bytes. `mixtures` are for
+    training: with others than the learned ones nothing can be read.
     """
     rows = distinct_rows(codes.voxels)
     codes, features = codes[rows], features[rows]
@@ -77,20 +99,24 @@ def write_points(
     room = 1024 + _BYTES_EACH * len(voxels) * (1 + features.shape[1] // 4)
     while True:
         data = np.zeros(room, dtype=np.uint8)
-        used = _write(form, voxels, codes.planes, features, data)
+        used = _write(form, voxels, codes.planes, features, data, mixtures or learned_mixtures())
         if used <= room:
             return form, data[:used].tobytes()
         room = used
 
 
-def _write(form: Form, voxels: Codes, planes: Codes, features: Codes, data: NDArray[np.uint8]) -> int:
+def _write(
+    form: Form, voxels: Codes, planes: Codes, features: Codes, data: NDArray[np.uint8], mixtures: Mixtures
+) -> int:
     """Write into `data`; how many bytes that takes."""
     if form.count == 0:
         return 0
-    coder = start(data, False)
-    ordered = code_octree(coder, data, fresh_models(OCTREE_MODELS), voxels, form.depth, form.count)
-    rows = rows_of(table_of(voxels), ordered)
-    _code_rest(form, coder, data, ordered, planes[rows], features[rows])
+    coder, low = start(data, False), np.array(form.low, dtype=np.int64)
+    level = code_mixed_octree(coder, data, mixtures.octree, voxels, low, form.depth, form.count)
+    rows, vectors = rows_of(table_of(voxels), level.voxels), _vectors(form.normal_steps)
+    steps = form.normal_steps, form.normal_unit, form.offset_unit
+    code_guided_planes(coder, data, mixtures.planes, level, low, planes[rows], vectors, *steps)
+    _code_features(form, coder, data, features[rows])
     return finish(coder, data)
 
 
@@ -102,24 +128,41 @@ def read_points(form: Form, stream: bytes) -> tuple[PlaneCodes, Codes]:
         return PlaneCodes(np.zeros((0, 3), np.int32), planes), features
     data = np.frombuffer(stream, np.uint8).copy()  # the compiled coder could also write
     coder = start(data, True)
-    nothing = np.zeros((0, 3), np.int32)
-    voxels = code_octree(coder, data, fresh_models(OCTREE_MODELS), nothing, form.depth, form.count)
-    if len(voxels) != form.count:
-        raise DataLoss("the neural map does not hold as many points as it says")
-    _code_rest(form, coder, data, voxels, planes, features)
+    read = _read_planes if form.version == FOURTH else _read_older_planes
+    voxels = read(form, coder, data, planes)
+    _code_features(form, coder, data, features)
     return PlaneCodes(voxels + np.asarray(form.low, dtype=np.int32), planes), features
 
 
-def _code_rest(
-    form: Form, coder: NDArray[np.int64], data: NDArray[np.uint8], voxels: Codes, planes: Codes, features: Codes
-) -> None:
-    """Write `planes` (n, 4) and `features` (n, F), or read and fill them."""
+def _read_planes(form: Form, coder: Coder, data: NDArray[np.uint8], planes: Codes) -> Codes:
+    """Fill `planes` (n, 4); returns their voxels (n, 3)."""
+    mixtures, low = learned_mixtures(), np.array(form.low, dtype=np.int64)
+    level = code_mixed_octree(coder, data, mixtures.octree, _NOTHING, low, form.depth, form.count)
+    _must_be_all(form, level.voxels)
+    steps = form.normal_steps, form.normal_unit, form.offset_unit
+    code_guided_planes(coder, data, mixtures.planes, level, low, planes, _vectors(form.normal_steps), *steps)
+    return level.voxels
+
+
+def _read_older_planes(form: Form, coder: Coder, data: NDArray[np.uint8], planes: Codes) -> Codes:
+    """As `_read_planes`, of the versions before."""
+    voxels = code_octree(coder, data, fresh_models(OCTREE_MODELS), _NOTHING, form.depth, form.count)
+    _must_be_all(form, voxels)
     families, steps, unit = families_of(voxels), form.normal_steps, form.offset_unit
-    vectors = _vectors(steps)
-    if form.normal_unit == SECOND_FORM:
-        code_planes(coder, data, fresh_models(PLANE_MODELS), families, planes, vectors, steps, unit)
+    if form.version == SECOND:
+        code_planes(coder, data, fresh_models(PLANE_MODELS), families, planes, _vectors(steps), steps, unit)
     else:
-        code_mixed_planes(coder, data, families, planes, vectors, steps, form.normal_unit, unit)
+        code_mixed_planes(coder, data, families, planes, _vectors(steps), steps, form.normal_unit, unit)
+    return voxels
+
+
+def _must_be_all(form: Form, voxels: Codes) -> None:
+    if len(voxels) != form.count:
+        raise DataLoss("the neural map does not hold as many points as it says")
+
+
+def _code_features(form: Form, coder: Coder, data: NDArray[np.uint8], features: Codes) -> None:
+    """Write `features` (n, F), or read and fill them."""
     if form.features:
         code_features(coder, data, fresh_models(feature_models(form.features)), features)
 

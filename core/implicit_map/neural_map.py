@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -15,7 +15,7 @@ from revisit.core.device.description import FieldRules, Planes
 from revisit.core.errors import BadField, BadTransform, DataLoss, DescriptorModelMismatch
 from revisit.core.geometry.level_frame import LevelFrame
 from revisit.core.implicit_map import blob, first_form
-from revisit.core.implicit_map.coded import SECOND_FORM, Form, read_points, write_points
+from revisit.core.implicit_map.coded import Form, read_points, write_points
 from revisit.core.implicit_map.decoder import DecoderWeights, decode
 from revisit.core.implicit_map.neighbourhood import Neighbourhood, find_neighbourhood
 from revisit.core.implicit_map.neural_points import NeuralPoints
@@ -66,19 +66,19 @@ class NeuralMap:
         return cls(points, np.zeros((len(points), 0), np.float32), stamps_ns, None, config, frame)
 
     def to_blob(self) -> bytes:
-        """The compact stored form (docs/decisions/0116, 0235): features rounded to multiples of FEATURE_STEP, normals
-        of a map without features to STORED_NORMAL_UNIT steps from their neighbours'.
+        """The compact stored form (docs/decisions/0116, 0235, 0287): features rounded to multiples of FEATURE_STEP,
+        normals of a map without features to STORED_NORMAL_UNIT steps from their neighbours'.
         """
         codes = plane_codes(self.points, self.config.resolution)
         features = np.clip(np.rint(self.features / FEATURE_STEP), -127, 127).astype(np.int32)
         unit = STORED_NORMAL_UNIT if self.decoder is None else 1  # features were fitted to the planes as they are
         form, stream = write_points(codes, features, NORMAL_STEPS, OFFSET_UNIT, unit)
         header: dict[str, Any] = {
-            **asdict(form), "resolution": self.config.resolution, "weight_power": self.config.weight_power,
-            "decoder": None if self.decoder is None else self.decoder.digest,
+            "points": form.announced(), "field": [self.config.resolution, self.config.weight_power]
         }  # fmt: skip
-        frame = self.frame.similarity.astype("<f8").tobytes()
-        sections = [frame, np.diff(self.stamps_ns, prepend=0).astype("<i8").tobytes(), stream]
+        sections = [blob.pack_moments(self.frame.similarity, self.stamps_ns), stream]
+        if self.decoder is not None:
+            header["decoder"] = self.decoder.digest
         if self.adapted and self.decoder is not None:
             header["layers"] = [list(matrix.shape) for matrix in self.decoder.matrices]
             sections.append(self.decoder.to_bytes())
@@ -155,14 +155,15 @@ class NeuralMap:
 
 
 def _read(data: bytes, decoder: DecoderWeights, config: ImplicitMapConfig) -> NeuralMap:
-    container = blob.container_of(data)
+    version, container = blob.version_of(data)
     header, parts = blob.unpack(data, container)
-    if container is blob.SECOND_CONTAINER:
-        header["normal_unit"] = SECOND_FORM
-    form = Form(**{one.name: header[one.name] for one in fields(Form)})
+    if version == blob.FOURTH:
+        header["resolution"], header["weight_power"] = header["field"]
+        parts[:1] = blob.unpack_moments(parts[0])
+    form = Form.of_header(header, version)
     codes, features = read_points(form, parts[2])
     power, resolution = float(header["weight_power"]), float(header["resolution"])
-    kind = Field.PLANES if header["decoder"] is None else Field.LEARNED
+    kind = Field.PLANES if header.get("decoder") is None else Field.LEARNED
     config = replace(config, resolution=resolution, weight_power=power, field=kind)
     stamps = np.cumsum(np.frombuffer(parts[1], "<i8"))
     planes = geometry(codes, resolution, form.normal_steps, form.offset_unit)

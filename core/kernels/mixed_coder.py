@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,10 +26,10 @@ _EVEN_WEIGHT = (1 << 17) // WAYS  # together above 1: a model that has seen litt
 _RATE = 14
 _STRETCH = np.clip(
     np.rint(_UNIT * np.log((np.arange(4096) + 0.5) / (4095.5 - np.arange(4096)))), -_ODDS, _ODDS
-).astype(np.int64)  # fmt: skip
+).astype(np.int16)  # fmt: skip
 _SQUASH = np.clip(
     np.rint(65536.0 / (1.0 + np.exp(-np.arange(-_ODDS, _ODDS + 1) / _UNIT))), 32, 65536 - 32
-).astype(np.int64)  # fmt: skip
+).astype(np.uint16)  # fmt: skip
 
 
 class Mixture(NamedTuple):
@@ -45,8 +46,8 @@ def fresh_mixture(models: int, sets: int) -> Mixture:
     return Mixture(fresh_models(models), weights, np.zeros(WAYS, dtype=np.int64))
 
 
-@loop
-def code_mixed_bit(coder: Coder, data: NDArray[np.uint8], mixture: Mixture, slot: int, which: int, bit: int) -> int:
+@numba.njit(inline="always")
+def mixed_bit(coder: Coder, data: NDArray[np.uint8], mixture: Mixture, slot: int, which: int, bit: int) -> int:
     """Write `bit` with the chance that the models `mixture.at` + `slot` give it together, or read and return it.
 
     They are weighted by set `which` of the weights; models and weights learn of the bit.
@@ -62,6 +63,12 @@ def code_mixed_bit(coder: Coder, data: NDArray[np.uint8], mixture: Mixture, slot
         weights[which, k] += (_STRETCH[models[at[k] + slot, 0] >> 4] * wrong * _RATE + (1 << 17)) >> 18
         learn(models, at[k] + slot, bit)
     return bit
+
+
+@loop
+def code_mixed_bit(coder: Coder, data: NDArray[np.uint8], mixture: Mixture, slot: int, which: int, bit: int) -> int:
+    """As `mixed_bit`, which is compiled into what calls it."""
+    return int(mixed_bit(coder, data, mixture, slot, which, bit))
 
 
 @loop

@@ -65,13 +65,13 @@ def _code_all(
         a, b = codes[row, 0], codes[row, 1]
         spread = _code_normal(coder, data, mixture, codes, units, near, count, row, known)
         if a != codes[row, 0] or b != codes[row, 1]:
-            codes[row, 2] = _turned(codes[row, 2], vectors[a, b], vectors[codes[row, 0], codes[row, 1]])
+            codes[row, 2] = turned(codes[row, 2], vectors[a, b], vectors[codes[row, 0], codes[row, 1]])
         _code_offset(coder, data, mixture, families, codes, vectors, units[2], count, row, known)
         _code_hits(coder, data, mixture, codes, near, count, row, spread)
 
 
 @numba.njit(inline="always")
-def _turned(offset: int, before: Whole, after: Whole) -> int:
+def turned(offset: int, before: Whole, after: Whole) -> int:
     """The offset of a plane through the foot of another, whose normal was `before`."""
     alike = before[0] * after[0] + before[1] * after[1] + before[2] * after[2]
     return int((2 * offset * alike + FIXED * FIXED) // (2 * FIXED * FIXED))
@@ -89,20 +89,20 @@ def _code_normal(
         typical, spread = typical_normal(codes, near, count, steps)
         other = near[1] if near[0] == typical and count > 1 else near[0]
         a, b, c, d = codes[typical, 0], codes[typical, 1], codes[other, 0], codes[other, 1]
-    aside, beyond, few, facing = _clipped(c - a, 4), _clipped(d - b, 4), min(count, _FEW - 1), _facing(a, b, steps)
+    aside, beyond, few, towards = clipped(c - a, 4), clipped(d - b, 4), min(count, _FEW - 1), facing(a, b, steps)
     at[0] = _FIRST[0] + spread
     at[1] = _FIRST[1] + (spread * _TURNS + aside) * _TURNS + beyond
     at[2] = _FIRST[2] + spread * _SIDE + a
-    at[3] = _FIRST[3] + facing
+    at[3] = _FIRST[3] + towards
     at[4] = _FIRST[4] + few * _TURNS + aside
-    first = _code_steps(coder, data, mixture, spread, _steps(codes[row, 0] - a, unit))
-    turn, size = _clipped(first, 2), min(abs(first), 2)
+    first = _code_steps(coder, data, mixture, spread, steps_of(codes[row, 0] - a, unit))
+    turn, size = clipped(first, 2), min(abs(first), 2)
     at[0] = _SECOND[0] + spread * 3 + size
-    at[1] = _SECOND[1] + ((spread * _TURNS + beyond) * 5 + turn) * 3 + _clipped(c - a, 1)
+    at[1] = _SECOND[1] + ((spread * _TURNS + beyond) * 5 + turn) * 3 + clipped(c - a, 1)
     at[2] = _SECOND[2] + (spread * _SIDE + b) * 5 + turn
-    at[3] = _SECOND[3] + facing
+    at[3] = _SECOND[3] + towards
     at[4] = _SECOND[4] + (few * _TURNS + beyond) * 5 + turn
-    second = _code_steps(coder, data, mixture, SPREADS + spread * 3 + size, _steps(codes[row, 1] - b, unit))
+    second = _code_steps(coder, data, mixture, SPREADS + spread * 3 + size, steps_of(codes[row, 1] - b, unit))
     codes[row, 0] = min(max(a + first * unit, 0), 2 * steps)
     codes[row, 1] = min(max(b + second * unit, 0), 2 * steps)
     known[0], known[1] = spread, min(abs(first) + abs(second), 3)
@@ -115,14 +115,14 @@ def _code_offset(
     unit: int, count: int, row: int, known: NDArray[np.int64],
 ) -> None:  # fmt: skip
     """Code the offset; `known` is that of `_code_normal`."""
-    parts, spread, weights = guessed_offset(families, codes, vectors, row, count, unit)
+    parts, spread, weights = guessed_offset(families.voxels, families.near, codes, vectors, row, count, unit)
     guess, at = (parts + unit // 2) // unit, mixture.at
     at[0] = _OFFSET[0] + spread
     at[1] = _OFFSET[1] + (spread * SPREADS + known[0]) * 4 + known[1]
-    at[2] = _OFFSET[2] + _clipped(guess, _LONGEST)
+    at[2] = _OFFSET[2] + clipped(guess, _LONGEST)
     at[3] = _OFFSET[3] + min(count, _FEW - 1) * _WEIGHTS + min(weights, _WEIGHTS - 1)
-    rest = _clipped(8 * (parts - guess * unit) // unit, 4)
-    at[4] = _OFFSET[4] + (_steepest(vectors[codes[row, 0], codes[row, 1]]) * SPREADS + spread) * _TURNS + rest
+    rest = clipped(8 * (parts - guess * unit) // unit, 4)
+    at[4] = _OFFSET[4] + (steepest(vectors[codes[row, 0], codes[row, 1]]) * SPREADS + spread) * _TURNS + rest
     codes[row, 2] = guess + _code_steps(coder, data, mixture, 4 * SPREADS + spread, codes[row, 2] - guess)
 
 
@@ -162,26 +162,26 @@ def _code_steps(coder: Coder, data: NDArray[np.uint8], mixture: Mixture, which: 
 
 
 @numba.njit(inline="always")
-def _steps(difference: int, unit: int) -> int:
+def steps_of(difference: int, unit: int) -> int:
     """How many times `unit`; half a unit is none."""
     size = (2 * abs(difference) + unit - 1) // (2 * unit)
     return size if difference >= 0 else -size
 
 
 @numba.njit(inline="always")
-def _clipped(difference: int, most: int) -> int:
+def clipped(difference: int, most: int) -> int:
     """A difference of at most `most` as a number from 0 on."""
     return min(max(difference, -most), most) + most
 
 
 @numba.njit(inline="always")
-def _facing(a: int, b: int, steps: int) -> int:
+def facing(a: int, b: int, steps: int) -> int:
     """One of 16 x 16 directions."""
     return 16 * (a * 15 // (2 * steps)) + b * 15 // (2 * steps)
 
 
 @numba.njit(inline="always")
-def _steepest(normal: Whole) -> int:
+def steepest(normal: Whole) -> int:
     """The axis that a normal is nearest to."""
     x, y, z = abs(normal[0]), abs(normal[1]), abs(normal[2])
     return 0 if x >= y and x >= z else 1 if y >= z else 2

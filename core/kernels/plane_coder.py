@@ -45,7 +45,7 @@ def code_planes(
         model = _SECOND_NORMAL + (3 * spread + min(abs(first), 2)) * UNARY
         codes[row, 0] = min(max(a + first, 0), 2 * steps)
         codes[row, 1] = min(max(b + code_number(coder, data, models, model, codes[row, 1] - b), 0), 2 * steps)
-        parts, spread, _ = guessed_offset(families, codes, vectors, row, count, offset_unit)
+        parts, spread, _ = guessed_offset(families.voxels, near, codes, vectors, row, count, offset_unit)
         guess = (parts + offset_unit // 2) // offset_unit
         model = _OFFSET + spread * UNARY
         codes[row, 2] = guess + code_number(coder, data, models, model, codes[row, 2] - guess)
@@ -69,6 +69,8 @@ def most_typical(codes: Whole, near: Whole, count: int) -> tuple[int, int]:
         total = 0
         for j in range(count):
             total += abs(codes[near[i], 0] - codes[near[j], 0]) + abs(codes[near[i], 1] - codes[near[j], 1])
+            if total >= least:
+                break
         if total < least:
             best, least = near[i], total
     return best, least
@@ -86,12 +88,12 @@ def _size(value: int) -> int:
 
 @loop
 def guessed_offset(
-    families: VoxelFamilies, codes: Whole, vectors: Whole, row: int, count: int, unit: int
+    voxels: Whole, near: Whole, codes: Whole, vectors: Whole, row: int, count: int, unit: int
 ) -> tuple[int, int, int]:
-    """The offset that continues the neighbours' planes, in parts of FIXED, a class of how well they agree with each
-    other, and how much they weigh: the more, the better they agree with the row's normal.
+    """The offset that continues the planes of the first `count` rows `near`, in parts of FIXED, a class of how well
+    they agree with each other, and how much they weigh: the more, the better they agree with the row's normal.
     """
-    normal, voxels, near = vectors[codes[row, 0], codes[row, 1]], families.voxels, families.near
+    normal = vectors[codes[row, 0], codes[row, 1]]
     total, weights, first, last = 0, 0, 1 << 30, -(1 << 30)
     for k in range(count):
         other = near[k]

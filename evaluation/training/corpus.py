@@ -34,7 +34,7 @@ def training_places(district: int, config: SubmapConfig, count: int) -> Iterator
     """
     rng = np.random.default_rng([TRAINING_SEED + district, 78])
     recent: deque[Scan] = deque(maxlen=WINDOW_SCANS + LARGEST_SHIFT_SCANS)
-    for number, scan in enumerate(islice(_drive(district), (count + 1) * PLACE_SPACING_SCANS)):
+    for number, scan in enumerate(islice(training_drive(district), (count + 1) * PLACE_SPACING_SCANS)):
         recent.append(scan)
         if len(recent) == recent.maxlen and number % PLACE_SPACING_SCANS == 0:
             scans, shift = list(recent), int(rng.integers(1, LARGEST_SHIFT_SCANS + 1))
@@ -43,7 +43,8 @@ def training_places(district: int, config: SubmapConfig, count: int) -> Iterator
             yield [_seen(view, config, rng) for view in views]
 
 
-def _drive(district: int) -> Iterator[Scan]:
+def training_drive(district: int) -> Iterator[Scan]:
+    """The scans of a drive through training town `district`, SCAN_SPACING_M apart, of one of the sensor models."""
     seed, names = TRAINING_SEED + district, sorted(SENSORS)
     rng = np.random.default_rng([seed, 77])
     plan = TownPlan(

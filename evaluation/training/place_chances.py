@@ -46,7 +46,7 @@ def main() -> None:
     keep(options.out / place_keypoints.LEARNED, learned_keypoint_chances(described))
 
 
-def keep(file: Path, learned: Mapping[str, NDArray[np.unsignedinteger]]) -> None:
+def keep(file: Path, learned: Mapping[str, NDArray[np.integer]]) -> None:
     """Write the chances, unless the file is there: with others no stored place could be read."""
     if file.exists():
         print(f"{file} stays as it is")

@@ -69,6 +69,16 @@ def _is_first(folder: int) -> bool:
     return True
 
 
+def _describe_again(recogniser: PlaceRecogniser) -> None:
+    """Describe what a neural map shows: the larger part of describing scans. And ask for its field, as merging does."""
+    points, normals, _ = _yard(0)
+    positions, hits = points.astype(np.float32), np.full(len(points), 2, np.int32)
+    known = NeuralPoints.remembered(positions, normals.astype(np.float32), hits, 3)
+    stored = NeuralMap.of_planes(known, np.arange(3), CONFIG.implicit_map).to_blob()
+    recogniser.describe_again(stored, None, CONFIG)
+    NeuralMap.from_blob(stored, load_packaged_models().decoder, CONFIG.implicit_map).neighbourhood(positions)
+
+
 def _describe(recogniser: PlaceRecogniser) -> None:
     """Look at the scans of a yard, by a sensor that leans, and describe them."""
     yard, scans = _yard(0)[0], []
@@ -84,23 +94,6 @@ def _verify(recogniser: PlaceRecogniser) -> None:
     one, other = (_place(seed).to_blob() for seed in (0, 1))
     recogniser.verify(one, one, 1.0, CONFIG)
     recogniser.verify(one, other, 1.0, CONFIG)
-
-
-def _verify(recogniser: PlaceRecogniser) -> None:
-    """Compare a place with itself, and with another one: there few keypoints agree, so that images are compared."""
-    one, other = (_place(seed).to_blob() for seed in (0, 1))
-    recogniser.verify(one, one, 1.0, CONFIG)
-    recogniser.verify(one, other, 1.0, CONFIG)
-
-
-def _describe_again(recogniser: PlaceRecogniser) -> None:
-    """Describe what a neural map shows: the larger part of describing scans. And ask for its field, as merging does."""
-    points, normals, _ = _yard(0)
-    positions, hits = points.astype(np.float32), np.full(len(points), 2, np.int32)
-    known = NeuralPoints.remembered(positions, normals.astype(np.float32), hits, 3)
-    stored = NeuralMap.of_planes(known, np.arange(3), CONFIG.implicit_map).to_blob()
-    recogniser.describe_again(stored, None, CONFIG)
-    NeuralMap.from_blob(stored, load_packaged_models().decoder, CONFIG.implicit_map).neighbourhood(positions)
 
 
 def _draw() -> None:

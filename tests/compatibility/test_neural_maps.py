@@ -13,6 +13,7 @@ from revisit.core.implicit_map import DecoderWeights, NeuralMap
 
 KEPT = Path(__file__).parent / "neural_maps"
 SECOND = (KEPT / "second-form.bin").read_bytes()
+THIRD = (KEPT / "third-form.bin").read_bytes()
 STORED = (KEPT / "first-form.bin").read_bytes()
 
 
@@ -46,15 +47,16 @@ def test_a_map_of_version_0_1_needs_its_decoder_and_all_of_its_bytes(decoder):
             NeuralMap.from_blob(damaged, decoder, ImplicitMapConfig())
 
 
-def test_a_map_of_the_second_form_answers_as_it_did_and_is_stored_again_in_fewer_bytes(decoder):
-    known = np.load(KEPT / "second-form-distances.npy")
-    field = NeuralMap.from_blob(SECOND, decoder, ImplicitMapConfig())
+@pytest.mark.parametrize(("form", "stored"), [("second", SECOND), ("third", THIRD)])
+def test_a_map_of_an_older_form_answers_as_it_did_and_is_stored_again_in_fewer_bytes(form, stored, decoder):
+    known = np.load(KEPT / f"{form}-form-distances.npy")
+    field = NeuralMap.from_blob(stored, decoder, ImplicitMapConfig())
     distance, _ = field.sdf(known[:, :3])
     assert len(known) == 300 and np.ptp(known[:, 3]) > 0.4
     assert np.abs(distance - known[:, 3]).max() < 1e-4
     again = field.to_blob()
-    assert again[:4] == SECOND[:4] and again[4] == SECOND[4] + 1
-    assert len(again) < 0.9 * len(SECOND)
+    assert again[:4] == stored[:4] and again[4] == 4
+    assert len(again) < 0.9 * len(stored)
     renewed = NeuralMap.from_blob(again, decoder, ImplicitMapConfig())
-    assert len(renewed.points) == len(field.points)
+    assert len(renewed.points) == len(field.points) and np.array_equal(renewed.stamps_ns, field.stamps_ns)
     assert np.median(np.abs(renewed.sdf(known[:, :3])[0] - distance)) < 0.01

@@ -171,7 +171,7 @@ def test_a_stored_neural_map_whose_frame_is_no_similarity_is_refused(seen_from):
     stored = NeuralMap.from_blob(field.to_blob(), decoder, field.config).frame
     assert np.array_equal(stored.similarity, field.frame.similarity)
     for numbers in (np.zeros(16), np.diag([1.0, 2.0, 1.0, 1.0]), np.ones(1)):
-        sections[0] = numbers.tobytes()
+        sections[0] = blob.pack_moments(numbers, field.stamps_ns)
         with pytest.raises(DataLoss, match="level frame"):
             NeuralMap.from_blob(blob.pack(header, sections), decoder, field.config)
 
