@@ -52,10 +52,11 @@ class Submap:
         """How many scans the submap holds."""
         return len(self.origins)
 
-    def levelled(self) -> Submap:
+    def levelled(self, *, in_place: bool = False) -> Submap:
         """The same submap in a frame whose z axis is that of the odometry frame, turned as little as possible.
 
-        Place recognition looks at places from above; a tilted sensor must not tilt them.
+        Place recognition looks at places from above; a tilted sensor must not tilt them. `in_place` saves the room for
+        the points: nobody may use the submap as it was any more.
         """
         from revisit.core.kernels.rigid_motion import moved_points  # compiled: the gateway needs none of it
 
@@ -70,7 +71,7 @@ class Submap:
         T_odom_upright = self.T_odom_submap @ se3.inverse(T_upright_submap)
         return replace(
             self,
-            points=moved_points(T_upright_submap, np.ascontiguousarray(self.points)),
+            points=moved_points(T_upright_submap, self.points, in_place=in_place),
             origins=se3.apply(T_upright_submap, self.origins).astype(np.float32),
             T_odom_submap=T_odom_upright,
             T_scan_submap=self.T_scan_submap @ (se3.inverse(self.T_odom_submap) @ T_odom_upright),

@@ -45,7 +45,7 @@ from revisit.service.application.housekeeping.upkeep import Chore
 from revisit.service.application.push.deliveries import Deliveries
 from revisit.service.application.recognise.reembedding import Reembedding
 from revisit.service.compiled_kernels import begin_anew_if_compiled
-from revisit.service.large_blocks import share_one_heap
+from revisit.service.large_blocks import SPARE_BYTES, return_large_blocks, share_one_heap
 from revisit.service.settings import Settings
 from revisit.service.worker.confinement import confine
 from revisit.service.worker.ends import STORAGE_FAILED
@@ -209,6 +209,7 @@ def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None
         signal.signal(number, lambda number, _: os._exit(128 + number))
     confine(settings.worker_memory_mb * 2**20)
     share_one_heap()
+    return_large_blocks(SPARE_BYTES)
     log.info("worker_loading", device=settings.device)
     use(open_device(settings.device))
     recogniser = load_recogniser(settings.recogniser)

@@ -9,7 +9,7 @@ LARGE_BYTES = 4 * 2**20
 KEPT_BYTES = 8 * 2**20
 """So much free memory at the end of a heap is kept: what a scan took serves the next, without page faults."""
 
-SPARE_BYTES = 32 * 2**20
+SPARE_BYTES = 12 * 2**20
 """So much at the end of the heap is kept between two jobs of a worker: any description takes more."""
 
 _M_MMAP_THRESHOLD = -3
@@ -17,8 +17,8 @@ _M_TRIM_THRESHOLD = -1
 _M_ARENA_MAX = -8
 
 
-def return_large_blocks() -> None:
-    """Let the allocator map blocks of `LARGE_BYTES` and more by themselves.
+def return_large_blocks(kept_bytes: int = KEPT_BYTES) -> None:
+    """Let the allocator map blocks of `LARGE_BYTES` and more by themselves; `kept_bytes` may be free at a heap's end.
 
     glibc raises this threshold up to 32 MiB as soon as such a block is freed, and then keeps what large messages took
     within its heaps, in which little is given back. Another C library has no such function, and no such habit.
@@ -26,7 +26,7 @@ def return_large_blocks() -> None:
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:
         mallopt(_M_MMAP_THRESHOLD, LARGE_BYTES)
-        mallopt(_M_TRIM_THRESHOLD, KEPT_BYTES)
+        mallopt(_M_TRIM_THRESHOLD, kept_bytes)
 
 
 def share_one_heap() -> None:

@@ -10,13 +10,14 @@ from revisit.core.kernels.loops import loop
 Array = NDArray[np.float32]
 
 
-def moved_points(T_new_old: NDArray[np.float64], points: Array) -> Array:
-    """The `points` (n, 3) in another frame: as `se3.apply`, rounded to float32.
+def moved_points(T_new_old: NDArray[np.float64], points: Array, *, in_place: bool = False) -> Array:
+    """The `points` (n, 3) in another frame: as `se3.apply`, rounded to float32. `in_place` they are where they were.
 
     NumPy asks for large pages of memory for so large an array, Numba does not.
     """
-    moved = np.empty(3 * len(points), dtype=np.float32)
-    _move(T_new_old, np.ascontiguousarray(points).reshape(-1), moved)
+    given = np.ascontiguousarray(points).reshape(-1)
+    moved = given if in_place else np.empty(3 * len(points), dtype=np.float32)
+    _move(T_new_old, given, moved)
     return moved.reshape(-1, 3)
 
 

@@ -28,6 +28,7 @@ from revisit.core.submap import Submap
 from revisit.core.verification import Hypothesis, LoopMeasurement, RejectedLoop, VerifiedLoop
 from revisit.service.adapters.rehearsal import rehearse
 from revisit.service.application.contract.recogniser import LoopVerdict, Mesh, Redescription, SubmapDescription
+from revisit.service.large_blocks import return_free_memory
 
 SETTABLE = ("min_score", "min_overlap", "max_seen_through")
 """The thresholds that an operator may set (see `contract.loop_policy`): written beside each verdict."""
@@ -110,6 +111,7 @@ class CoreRecogniser:
     def let_go(self) -> None:
         """See `PlaceRecogniser`. Places stay as they were read: that takes longer than what is made of them."""
         self._place.cache_clear()
+        return_free_memory()  # whoever asked for room gets what lies idle, too
 
     def _unprepared(self, blob: bytes) -> Place:
         """A place of its own over the arrays of the one that was read: what is computed of it goes with it."""

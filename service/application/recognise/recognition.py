@@ -202,14 +202,14 @@ class Recognition:
         self._close_loops(lease, task, described, config)
 
     def _loaded(self, task: DescriptionTask) -> tuple[Submap, tuple[str, ...]]:
-        """The submap, upright, and what was noticed about its scans: neither these nor the points as they were before
-        they were turned need room any more while it is described.
+        """The submap, upright, and what was noticed about its scans, which need no room any more while it is
+        described.
         """
         scans = load_scans(self._blobs, task.submap, task.source)
         noticed = self._recogniser.inspect(scans) if _is_inspected(task.submap) else ()
         submap = submap_of(scans, task.source)
         del scans
-        return submap.levelled(), noticed
+        return submap.levelled(in_place=True), noticed
 
     def _task(self, uow: UnitOfWork, job: JobRecord) -> DescriptionTask | None:
         key = SubmapKey(**job.payload)

@@ -45,6 +45,8 @@ def test_a_submap_that_was_turned_upright_before_still_knows_the_frame_of_its_sc
     again, same = submap.levelled().in_level_frame(scene_scale)
     assert np.array_equal(again.points, level.points) and np.array_equal(again.origins, level.origins)
     assert np.array_equal(same.similarity, frame.similarity)
+    own = Submap.from_cloud(Scan.validated(points, T_odom_sensor, 0))
+    assert np.array_equal(own.levelled(in_place=True).points, submap.levelled().points)
     assert np.abs(frame.points_to_submap(level.points) - submap.points).max() < 1e-4
 
 
