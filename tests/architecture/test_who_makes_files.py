@@ -36,6 +36,8 @@ def _writes(modes: list[ast.expr], keywords: list[ast.keyword]) -> bool:
 ALLOWED = {
     # Tells the kernel something; no file.
     "service/worker/confinement.py": {"Path('/proc/self/oom_score_adj').write_text"},
+    # Opens a folder to lock it: `open` takes files alone.
+    "service/adapters/rehearsal.py": {"os.open"},
 }
 
 
