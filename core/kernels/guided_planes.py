@@ -28,7 +28,7 @@ from revisit.core.kernels.expected_normals import (
 from revisit.core.kernels.loops import loop
 from revisit.core.kernels.mixed_coder import SLOTS, WAYS, Mixture, mixed_bit
 from revisit.core.kernels.mixed_octree import HEIGHTS, RANGES, range_class
-from revisit.core.kernels.mixed_planes import clipped, facing, steepest, steps_of, turned
+from revisit.core.kernels.mixed_planes import clipped, facing, nearest_hits, steepest, steps_of, turned
 from revisit.core.kernels.octree_nodes import NEIGHBOURS, OctreeLevel, list_neighbours
 from revisit.core.kernels.plane_coder import FIXED, HIT_CLASSES, SPREADS, guessed_offset, typical_normal
 from revisit.core.kernels.range_coder import Coder, code_large
@@ -146,13 +146,7 @@ def _code_hits(
     far: int, z: int, row: int,
 ) -> None:  # fmt: skip
     """The class of hits, guessed from those of neighbours and from the place: one bit for each class below it."""
-    a = codes[near[0], 3] if count > 0 else HIT_CLASSES - 1
-    b = codes[near[1], 3] if count > 1 else HIT_CLASSES - 1
-    c = codes[near[2], 3] if count > 2 else HIT_CLASSES - 1
-    some, mean = min(count, 8), 0
-    for k in range(some):
-        mean += codes[near[k], 3]
-    mean = (8 * mean + some // 2) // some if some > 0 else 30
+    a, b, c, mean = nearest_hits(codes, near, count)
     height = min(max(z, -HEIGHTS // 2), HEIGHTS // 2 - 1) + HEIGHTS // 2
     few, at = min(count, _FEW - 1), mixture.at
     at[0] = _HITS[0] + ((a * HIT_CLASSES + b) * HIT_CLASSES + c) * HIT_CLASSES

@@ -132,13 +132,7 @@ def _code_hits(
     spread: int,
 ) -> None:  # fmt: skip
     """The class of hits, guessed from those of the nearest neighbours: one bit for each class below it."""
-    a = codes[near[0], 3] if count > 0 else HIT_CLASSES - 1
-    b = codes[near[1], 3] if count > 1 else HIT_CLASSES - 1
-    c = codes[near[2], 3] if count > 2 else HIT_CLASSES - 1
-    some, mean = min(count, 8), 0
-    for k in range(some):
-        mean += codes[near[k], 3]
-    mean = (8 * mean + some // 2) // some if some > 0 else 30
+    a, b, c, mean = nearest_hits(codes, near, count)
     at = mixture.at
     at[0] = _HITS[0] * SLOTS
     at[1] = (_HITS[1] + a * HIT_CLASSES + b) * SLOTS
@@ -151,6 +145,19 @@ def _code_hits(
             break
         value += 1
     codes[row, 3] = value
+
+
+@numba.njit(inline="always")
+def nearest_hits(codes: Whole, near: Whole, count: int) -> tuple[int, int, int, int]:
+    """The classes of hits of the first three of `count` rows `near`, and eight times the mean of the first eight."""
+    a = codes[near[0], 3] if count > 0 else HIT_CLASSES - 1
+    b = codes[near[1], 3] if count > 1 else HIT_CLASSES - 1
+    c = codes[near[2], 3] if count > 2 else HIT_CLASSES - 1
+    some, mean = min(count, 8), 0
+    for k in range(some):
+        mean += codes[near[k], 3]
+    mean = (8 * mean + some // 2) // some if some > 0 else 30
+    return a, b, c, mean
 
 
 @numba.njit(inline="always")
