@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 
 from revisit.core.kernels.loops import loop
 from revisit.core.kernels.mixed_coder import Mixture, mixed_bit
+from revisit.core.kernels.octree_coder import mark_children
 from revisit.core.kernels.octree_nodes import AROUND, PLACES, STEPS, OctreeLevel, neighbours_of_all, top_level
 from revisit.core.kernels.range_coder import Coder
-from revisit.core.kernels.voxel_table import VoxelTable, find, table_of
+from revisit.core.kernels.voxel_table import table_of
 
 Whole = NDArray[np.int32]
 
@@ -69,21 +70,12 @@ def code_mixed_octree(
         nodes, around = level.voxels, neighbours_of_all(level)
         masks, first = np.zeros(len(nodes), np.int32), np.zeros(len(nodes), np.int32)
         if len(voxels):
-            _mark_children(table_of(nodes), voxels, shift, masks)
+            mark_children(table_of(nodes), voxels, shift, masks)
         room = min(8 * len(nodes), count)
         level = OctreeLevel(np.zeros((room, 3), np.int32), np.zeros(room, np.int32), around, first, masks)
         size = _code_level(coder, data, mixture, nodes, level, low, shift)
         level = level._replace(voxels=level.voxels[:size], own=level.own[:size])
     return level
-
-
-@loop
-def _mark_children(nodes: VoxelTable, voxels: Whole, shift: int, masks: Whole) -> None:
-    """Set a bit in `masks` (n,) for each child of the n `nodes` that any of `voxels` lies in: an edge of 2^shift."""
-    for row in range(len(voxels)):
-        x, y, z = voxels[row, 0] >> shift, voxels[row, 1] >> shift, voxels[row, 2] >> shift
-        node = find(nodes, x >> 1, y >> 1, z >> 1)
-        masks[node] |= 1 << (4 * (x & 1) + 2 * (y & 1) + (z & 1))
 
 
 @loop

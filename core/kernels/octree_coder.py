@@ -55,7 +55,7 @@ def code_octree(
     for level in range(depth):
         shift = depth - 1 - level
         children, masks = _table(min(8 * size, count)), np.zeros(size, dtype=np.int64)
-        _mark_children(parents, voxels, shift, masks)
+        mark_children(parents, voxels, shift, masks)
         size = _code_level(coder, data, models, parents, masks, children, min(shift, 2), corner, thinning.below)
         parents = VoxelTable(children.slots, children.following, children.voxels[:size])
     return parents.voxels.copy()
@@ -76,7 +76,7 @@ def _enter_root(table: VoxelTable) -> None:
 
 
 @loop
-def _mark_children(parents: VoxelTable, voxels: Voxels, shift: int, masks: NDArray[np.int64]) -> None:
+def mark_children(parents: VoxelTable, voxels: Voxels, shift: int, masks: NDArray[np.integer]) -> None:
     """Set a bit in `masks` (n,) for each child of the n `parents` that any of `voxels` lies in.
 
     The edge of a child is 2^shift voxels.
