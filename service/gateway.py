@@ -82,8 +82,10 @@ class _Gateway:
         upkeep = Upkeep(chores(self._settings, installation, fail_stop))
         upkeep.start()
         metrics = self._metrics_server(installation)
+        await asyncio.to_thread(_load_decoder)
         # Objects made during the start live on. Searching them for garbage would hold up requests for 70 to 90 ms.
         gc.freeze()
+        self._watch_load(installation)
         self._announce(http_port, grpc_port)
         await self._warn_of_access(use_cases)
         stopped = asyncio.create_task(stop.wait(), name="stop")
@@ -119,8 +121,12 @@ class _Gateway:
         supervisor = WorkerSupervisor(installation.storage, installation.clock, lease_ms, self._settings.workers)
         registry.register(WorkerMetrics(supervisor))
         ProcessCollector(namespace="revisit", registry=registry)
-        self._watch = asyncio.create_task(LoadMetrics(registry, installation.in_flight).watch(), name="load")
         return supervisor
+
+    def _watch_load(self, installation: Installation) -> None:
+        """Measure from now on how late the event loop is: the start keeps it busy."""
+        load = LoadMetrics(self._requests.registry, installation.in_flight)
+        self._watch = asyncio.create_task(load.watch(), name="load")
 
     def _announce(self, http_port: int, grpc_port: int) -> None:
         settings = self._settings
@@ -213,6 +219,13 @@ class _Gateway:
             raise OSError(f"port {port} for gRPC cannot be taken; REVISIT_GRPC_PORT names another") from error
         self._lookout = asyncio.create_task(strangers.watch(bound), name="strangers")
         return server, bound
+
+
+def _load_decoder() -> None:
+    """Load what decodes clouds, half a second, so that the first to post one need not wait for it."""
+    from revisit.formats import quantised_columns
+
+    quantised_columns.rehearse()
 
 
 def _listen(host: str, port: int) -> socket.socket:
