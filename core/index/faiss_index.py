@@ -74,7 +74,7 @@ class StoredIndex:
 
 
 class FaissIndex:
-    """A `PlaceIndex` with 4 kB a place of 1,024 entries, and a search that hardly grows with the map.
+    """A `PlaceIndex` with 4 to 6 kB a place of 1,024 entries, and a search that hardly grows with the map.
 
     Up to `coded_from` places it is exact. Above, the best are those of a few hundred that their codes propose. The
     codes are made along with the places that come and the searches that ask, a few at a time; until they are ready,

@@ -21,14 +21,20 @@ _BITS = 4
 _ENTRIES_PER_CODE = 4
 _TRAINED_ON = 2048
 _ITERATIONS = 8
-_TIE = 1e-6
+_TIE = 1.1e-3
+"""By how much the cosines of two rows may be the other way round in half precision: twice 2^-11, since each entry is off
+by that share of itself at most, and something for sums in single precision."""
 
 
 class FlatShortlist:
-    """The standardised descriptors of all rows in FAISS: what it answers holds every row that may be among the best."""
+    """The standardised descriptors of all rows in FAISS, in half precision: what it answers holds every row that may be
+    among the best.
+    """
 
     def __init__(self, dimension: int) -> None:
-        self._faiss: Any = faiss.IndexFlatIP(dimension)
+        self._faiss: Any = faiss.IndexScalarQuantizer(
+            dimension, faiss.ScalarQuantizer.QT_fp16, faiss.METRIC_INNER_PRODUCT
+        )
 
     @property
     def count(self) -> int:
@@ -41,32 +47,31 @@ class FlatShortlist:
 
     def replace(self, rows: Indices, standardised: Array) -> None:
         """Rows have another standardised form."""
-        self._stored()[rows] = standardised
+        self._stored()[rows] = self._faiss.sa_encode(standardised)
 
     def differs(self, rows: Indices, standardised: Array) -> Flags:
-        """Which of the rows (n,) are not held, or not bit for bit as in `standardised` (n, d)."""
+        """Which of the rows (n,) are not held, or not bit for bit as `standardised` (n, d) is in half precision."""
         held = rows < self.count
         same = np.zeros(len(rows), dtype=bool)
-        stored = self._stored()[rows[held]].view(np.uint32)
-        same[held] = (stored == standardised[held].view(np.uint32)).all(axis=1)
+        same[held] = (self._stored()[rows[held]] == self._faiss.sa_encode(standardised[held])).all(axis=1)
         return ~same
 
     def nearest(self, query: Array, k: int, passing: Flags) -> Indices:
-        """The rows that pass and are among the k most similar, and some more: FAISS cuts ties as it likes."""
+        """The rows that pass and are among the k most similar, and those that half precision cannot tell from them."""
         allowed = int(passing.sum())
         selector: Any = faiss.IDSelectorBitmap  # of an array, as the wrapper of FAISS takes it
         parameters = faiss.SearchParameters()
         parameters.sel = selector(np.packbits(passing, bitorder="little"))
-        wanted = min(k + 8, allowed)
+        wanted = min(2 * k, allowed)
         while True:
             similar, rows = self._faiss.search(query[None], wanted, params=parameters)
             if wanted == allowed or similar[0, -1] < similar[0, k - 1] - _TIE:
                 return np.asarray(rows[0], dtype=np.intp)
             wanted = min(2 * wanted, allowed)
 
-    def _stored(self) -> Array:
-        shape = self.count, self._faiss.d
-        return np.asarray(faiss.rev_swig_ptr(self._faiss.get_xb(), shape[0] * shape[1])).reshape(shape)
+    def _stored(self) -> NDArray[np.uint8]:
+        codes = self._faiss.codes
+        return np.asarray(faiss.rev_swig_ptr(codes.data(), codes.size())).reshape(self.count, self._faiss.code_size)
 
 
 class CodedShortlist:

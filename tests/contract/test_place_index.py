@@ -131,6 +131,18 @@ def test_equally_similar_places_come_by_id(index: PlaceIndex) -> None:
     assert [match.id for match in index.search(same[0], 3)] == [0, 1, 2]
 
 
+@pytest.mark.parametrize("step", [1e-5, 1e-4, 1e-3])
+def test_places_come_in_their_order_where_half_precision_cannot_tell_them_apart(step: float) -> None:
+    base = random_vectors(1)
+    vectors = base / np.linalg.norm(base) + step * random_vectors(2000, seed=1)
+    entries = [entry(i) for i in range(len(vectors))]
+    indices = exact(DIMENSION), flat(DIMENSION)
+    for built in indices:
+        built.add(entries, vectors)
+    for query in random_vectors(20, seed=2):
+        assert indices[1].search(query, 10) == indices[0].search(query, 10)
+
+
 def test_removed_places_are_not_found_and_may_come_back(index: PlaceIndex) -> None:
     vectors = random_vectors(3)
     index.add([entry(i) for i in range(3)], vectors)
