@@ -26,7 +26,7 @@ from revisit.core.model_bundle import ModelBundle
 from revisit.core.place import Place, extract_place
 from revisit.core.sanity.ground import place_flags
 from revisit.core.scan import is_plane
-from revisit.core.scan_disagreement import scan_disagreement
+from revisit.core.scan_disagreement import ScanDisagreement, scan_disagreement
 from revisit.core.spectra import describe_spectra
 from revisit.core.submap import Submap
 from revisit.core.surface import Surface, extract_surface
@@ -57,24 +57,48 @@ class DescribedPlace(DescribedSurface):
     flags: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class FittedSubmap:
+    """What the rest needs of a submap once its neural map is fitted: from then on its points can go.
+
+    `rng` is the state in which fitting has left the random numbers.
+    """
+
+    neural_map: NeuralMap
+    flags: tuple[str, ...]
+    scan_disagreement: ScanDisagreement | None
+    rng: np.random.Generator
+
+
 def describe(submap: Submap, models: ModelBundle, config: PipelineConfig, seed: int = 0) -> DescribedPlace:
     """Describe a finished submap; the same submap and `seed` give the same bits.
 
     Raises BadField for a configuration that the models were not trained for, and DegenerateCloud where the descriptor
     would be zero, which is similar to nothing and fits into no index.
     """
+    return describe_fitted(fit(submap, models, config, seed), models, config)
+
+
+def fit(submap: Submap, models: ModelBundle, config: PipelineConfig, seed: int = 0) -> FittedSubmap:
+    """The part of `describe` that looks at the points. Raises BadField."""
     models.require_fits(config)
     rng = np.random.default_rng(seed)
     level, frame = submap.in_level_frame(config.scene_scale)
     neural_map = fit_implicit_map(level, models.decoder, config.implicit_map, rng)  # III-B, Eq. 1-6
-    surface = extract_surface(neural_map, config.surface)  # III-C
-    described = describe_surface(surface, frame, models, config, rng)  # III-C to III-E, Eq. 7-14
     flags = ("degenerate_plane",) * is_plane(submap.points)
     flags += place_flags(level.points, config.scene_scale, plane_scores)
     flags += ("crowded",) * neural_map.crowded
-    place = dataclasses.replace(described.place, scan_disagreement=scan_disagreement(level))
+    return FittedSubmap(dataclasses.replace(neural_map, frame=frame), flags, scan_disagreement(level), rng)
+
+
+def describe_fitted(fitted: FittedSubmap, models: ModelBundle, config: PipelineConfig) -> DescribedPlace:
+    """The part of `describe` that looks at the neural map alone. Raises DegenerateCloud."""
+    neural_map = fitted.neural_map
+    surface = extract_surface(neural_map, config.surface)  # III-C
+    described = describe_surface(surface, neural_map.frame, models, config, fitted.rng)  # III-C to III-E, Eq. 7-14
+    place = dataclasses.replace(described.place, scan_disagreement=fitted.scan_disagreement)
     parts = {**vars(described), "place": place}
-    return DescribedPlace(**parts, neural_map=dataclasses.replace(neural_map, frame=frame), flags=flags)
+    return DescribedPlace(**parts, neural_map=neural_map, flags=fitted.flags)
 
 
 def describe_again(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -96,33 +97,39 @@ class Submap:
         """
         positions = np.array([scan.T_odom_sensor[:3, 3] for scan in scans])
         rows = chosen_scans(positions, np.array([len(scan.points) for scan in scans]), config)
-        submap = cls.accumulated([scans[row] for row in rows], scans[len(scans) // 2].T_odom_sensor, config)
+        chosen = [scans[row] for row in rows]
+        room = sum(len(scan.points) for scan in chosen)
+        submap = cls.accumulated(chosen, scans[len(scans) // 2].T_odom_sensor, config, room)
         return replace(submap, position=positions.mean(axis=0))
 
     @classmethod
-    def accumulated(cls, scans: list[Scan], T_odom_submap: se3.Matrix4, config: SubmapConfig) -> Submap:
-        """All of these `scans` (in time order, at least one) in the frame with this pose.
+    def accumulated(cls, scans: Iterable[Scan], T_odom_submap: se3.Matrix4, config: SubmapConfig, room: int) -> Submap:
+        """All of these `scans` (in time order, at least one) in the frame with this pose; they may come one by one.
 
         Returns out of the sensor's range are left out, and so is what lies beyond range and tau from the frame's
-        origin: odometry that jumped. Raises EmptyCloud where fewer than 100 points remain.
+        origin: odometry that jumped. Raises EmptyCloud where fewer than 100 points remain, and BadField where the scans
+        have more than `room` points together.
         """
         from revisit.core.kernels.rigid_motion import place_returns  # compiled: the gateway needs none of it
 
         T_submap_odom = se3.inverse(T_odom_submap)
         reach = config.min_range, config.max_range, config.max_range + config.tau
-        given = sum(len(scan.points) for scan in scans)
-        points, ends, origins = np.empty((given, 3), dtype=np.float32), [0], []
+        points, ends, seen, given = np.empty((room, 3), dtype=np.float32), [0], [], 0
         for scan in scans:
+            given += len(scan.points)
+            if given > room:
+                raise BadField(f"the scans of a submap have more than {room} points", field="points")
             T_submap_scan = T_submap_odom @ scan.T_odom_sensor
             ends.append(ends[-1] + place_returns(T_submap_scan, scan.points, *reach, points[ends[-1] :]))
-            origins.append(T_submap_scan[:3, 3])
+            seen.append((T_submap_scan[:3, 3], scan.T_odom_sensor[:3, 3], scan.stamp_ns))
+        origins, positions, stamps_ns = zip(*seen, strict=True)
         return cls(
             points=_enough(points[: ends[-1]], given),
-            scan_index=np.repeat(np.arange(len(scans), dtype=np.int32), np.diff(ends)),
+            scan_index=np.repeat(np.arange(len(seen), dtype=np.int32), np.diff(ends)),
             origins=np.asarray(origins, dtype=np.float32),
-            stamps_ns=np.array([scan.stamp_ns for scan in scans], dtype=np.int64),
+            stamps_ns=np.array(stamps_ns, dtype=np.int64),
             T_odom_submap=T_odom_submap,
-            position=np.mean([scan.T_odom_sensor[:3, 3] for scan in scans], axis=0),
+            position=np.mean(positions, axis=0),
         )
 
     @classmethod

@@ -33,6 +33,7 @@ def fit_implicit_map(
     gathered = gather(submap, config)
     crowded = len(gathered) > config.max_points
     points = oriented(gathered, config.resolution, config.max_points)
+    del gathered  # room for what follows
     points = without_dynamic_points(points, submap, config)
     points = settle(points, config.resolution)
     if config.field is Field.PLANES:

@@ -22,8 +22,8 @@ _ENTRIES_PER_CODE = 4
 _TRAINED_ON = 2048
 _ITERATIONS = 8
 _TIE = 1.1e-3
-"""By how much the cosines of two rows may be the other way round in half precision: twice 2^-11, since each entry is off
-by that share of itself at most, and something for sums in single precision."""
+"""By how much the cosines of two rows may be the other way round in half precision: twice 2^-11, the share of itself by
+which an entry is off at most, and something for sums in single precision."""
 
 
 class FlatShortlist:

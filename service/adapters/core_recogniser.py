@@ -18,7 +18,7 @@ from revisit.core.implicit_map import NeuralMap
 from revisit.core.kernels.intermediate_code import pack_intermediate_code
 from revisit.core.kernels.plane_votes import plane_scores
 from revisit.core.model_bundle import ModelBundle, load_packaged_models
-from revisit.core.pipeline import DescribedPlace, describe, describe_again, verify
+from revisit.core.pipeline import DescribedPlace, describe_again, describe_fitted, fit, verify
 from revisit.core.place import Place
 from revisit.core.sanity.window import window_findings
 from revisit.core.scan import Scan
@@ -35,9 +35,9 @@ SETTABLE = ("min_score", "min_overlap", "max_seen_through")
 
 VERSION_DIGITS = 12
 
-PLACES_READ = 192
+PLACES_READ = 96
 """Places that a worker keeps unpacked, the last ones it used: candidates come again with a robot's next submap, and a
-worker serves several robots by turns (docs/decisions/0222). 0.1 MB each, and 5 ms to read.
+worker serves several robots by turns (docs/decisions/0222, 0291). 0.1 MB each, and 4 ms to read.
 """
 
 PLACES_PREPARED = 24
@@ -67,7 +67,9 @@ class CoreRecogniser:
     def describe(self, submap: Submap, config: PipelineConfig) -> SubmapDescription:
         """See `PlaceRecogniser`."""
         with stage_times() as timings_s:
-            described = describe(submap, self._models, config)
+            fitted = fit(submap, self._models, config)
+            del submap  # 20 MB of points, where the caller does not hold them either
+            described = describe_fitted(fitted, self._models, config)
         return SubmapDescription(
             descriptor=described.descriptor.vector,
             place=described.place.to_blob(),

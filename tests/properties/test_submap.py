@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from revisit.core.config import SubmapConfig
+from revisit.core.errors import BadField
 from revisit.core.geometry import se3
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap, SubmapBuilder, chosen_scans, next_window_start
@@ -160,10 +161,17 @@ def test_a_robot_that_stands_still_for_most_of_a_window_has_seen_the_rest_of_it_
     assert np.diff(travelled_m[chosen]).max() < 1.3
 
 
+def test_scans_with_more_points_than_there_is_room_for_are_refused():
+    scans = straight_drive(10)
+    with pytest.raises(BadField, match="more than"):
+        Submap.accumulated(iter(scans), np.eye(4), CONFIG, sum(len(scan.points) for scan in scans) - 1)
+
+
 def test_scans_are_put_together_in_the_frame_that_is_asked_for():
     scans = straight_drive(10)
     elsewhere = se3.from_yaw(0.5, (3.0, 1.0, 0.0))
-    given, own = Submap.accumulated(scans, elsewhere, CONFIG), Submap.from_scans(scans, CONFIG)
+    room = sum(len(scan.points) for scan in scans)
+    given, own = Submap.accumulated(iter(scans), elsewhere, CONFIG, room), Submap.from_scans(scans, CONFIG)
     np.testing.assert_allclose(given.T_odom_submap, elsewhere)
     in_odom = [se3.apply(one.T_odom_submap, one.origins) for one in (given, own)]
     np.testing.assert_allclose(in_odom[0], in_odom[1], atol=1e-5)

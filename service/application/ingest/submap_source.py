@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +29,7 @@ class PosedCloud:
     cloud_sha256: str
     T_odom_sensor: Pose
     stamp_ns: int
+    point_count: int
 
 
 @dataclass(frozen=True)
@@ -44,14 +46,15 @@ def submap_source(uow: UnitOfWork, policy: Policy, record: SubmapRecord) -> Subm
     """The source of a stored submap."""
     config = policy.for_map(require_map(uow, record.tenant, record.map_id)).submap
     if record.first_seq is None or record.last_seq is None:
-        posted = PosedCloud(str(record.cloud_sha256), record.T_odom_submap, record.stamp_ns)
+        posted = PosedCloud(str(record.cloud_sha256), record.T_odom_submap, record.stamp_ns, record.point_count)
         return SubmapSource((posted,), posted=True, config=config, T_odom_submap=record.T_odom_submap)
     seqs = chosen_seqs(record.first_seq, record.last_seq)
     scans = uow.scans.with_seqs(record.tenant, record.map_id, record.session_id, seqs)
     positions = np.array([pose_matrix(scan.T_odom_sensor)[:3, 3] for scan in scans])
     rows = chosen_scans(positions, np.array([scan.point_count for scan in scans]), config)
     clouds = tuple(
-        PosedCloud(scan.cloud_sha256, scan.T_odom_sensor, scan.stamp_ns) for scan in (scans[row] for row in rows)
+        PosedCloud(scan.cloud_sha256, scan.T_odom_sensor, scan.stamp_ns, scan.point_count)
+        for scan in (scans[row] for row in rows)
     )
     return SubmapSource(clouds, posted=False, config=config, T_odom_submap=record.T_odom_submap)
 
@@ -67,25 +70,20 @@ def chosen_seqs(first: int, last: int) -> list[int]:
 
 
 def load_submap(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) -> Submap:
-    """The submap with its points. Raises DataLoss, EmptyCloud."""
-    return submap_of(load_scans(blobs, record, source), source)
+    """The submap with its points: its scans are read one by one, and take no room. Raises DataLoss, EmptyCloud."""
+    scans = each_scan(blobs, record, source)
+    if source.posted:
+        return Submap.from_cloud(next(scans), source.config)
+    room = sum(cloud.point_count for cloud in source.clouds)
+    return Submap.accumulated(scans, pose_matrix(source.T_odom_submap), source.config, room)
 
 
-def load_scans(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) -> list[Scan]:
-    """The scans that a submap is made of, or its one cloud. Raises DataLoss."""
-    return [
-        Scan(
+def each_scan(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) -> Iterator[Scan]:
+    """The scans that a submap is made of, or its one cloud, as they are asked for. Raises DataLoss."""
+    for cloud in source.clouds:
+        yield Scan(
             unpack_cloud(blobs.get(record.tenant, CLOUD_BLOB, cloud.cloud_sha256)).points,
             pose_matrix(cloud.T_odom_sensor),
             cloud.stamp_ns,
             CloudReport(0, "degenerate_plane" in record.flags),
         )
-        for cloud in source.clouds
-    ]
-
-
-def submap_of(scans: list[Scan], source: SubmapSource) -> Submap:
-    """The scans put together. Raises EmptyCloud."""
-    if source.posted:
-        return Submap.from_cloud(scans[0], source.config)
-    return Submap.accumulated(scans, pose_matrix(source.T_odom_submap), source.config)

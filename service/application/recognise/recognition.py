@@ -50,7 +50,7 @@ from revisit.service.application.contract.transactions import Transactions, Unit
 from revisit.service.application.contract.views import submap_key
 from revisit.service.application.housekeeping.dead_letters import mark_subject_failed
 from revisit.service.application.ingest.clouds import QUERY_NONCE_BYTES, unpack_cloud
-from revisit.service.application.ingest.submap_source import load_scans, submap_of, submap_source
+from revisit.service.application.ingest.submap_source import each_scan, load_submap, submap_source
 from revisit.service.application.mapping.early_corrections import EarlyCorrections
 from revisit.service.application.mapping.map_filing import MapFiling
 from revisit.service.application.mapping.merging import MapMerging
@@ -195,21 +195,20 @@ class Recognition:
             return
         self._require_same_model(task.map)
         config = self._policy.for_map(task.map)
-        submap, noticed = self._loaded(task)
-        description = self._recogniser.describe(submap, config)
-        del submap
+        noticed = self._noticed(task)
+        # Held by nobody here, so that its points can go before all of it is described.
+        description = self._recogniser.describe(self._upright(task), config)
         described = self._store(task, replace(description, flags=(*noticed, *description.flags)))
         self._close_loops(lease, task, described, config)
 
-    def _loaded(self, task: DescriptionTask) -> tuple[Submap, tuple[str, ...]]:
-        """The submap, upright, and what was noticed about its scans, which need no room any more while it is
-        described.
-        """
-        scans = load_scans(self._blobs, task.submap, task.source)
-        noticed = self._recogniser.inspect(scans) if _is_inspected(task.submap) else ()
-        submap = submap_of(scans, task.source)
-        del scans
-        return submap.levelled(in_place=True), noticed
+    def _upright(self, task: DescriptionTask) -> Submap:
+        return load_submap(self._blobs, task.submap, task.source).levelled(in_place=True)
+
+    def _noticed(self, task: DescriptionTask) -> tuple[str, ...]:
+        """What is noticed about the scans of a submap. They are read once more after that: few are looked at."""
+        if not _is_inspected(task.submap):
+            return ()
+        return self._recogniser.inspect(list(each_scan(self._blobs, task.submap, task.source)))
 
     def _task(self, uow: UnitOfWork, job: JobRecord) -> DescriptionTask | None:
         key = SubmapKey(**job.payload)

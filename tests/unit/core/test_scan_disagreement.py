@@ -108,7 +108,7 @@ def test_the_order_of_the_axes_does_not_matter() -> None:
     submap = driven(askew_deg=0.5)
     turned = Submap.accumulated(
         [Scan.validated(submap.points[submap.scan_index == s], se3.from_yaw(0.7), s + 1) for s in range(5)],
-        np.eye(4), SubmapConfig(),
+        np.eye(4), SubmapConfig(), len(submap.points),
     )  # fmt: skip
     origins = se3.apply(se3.from_yaw(0.7), submap.origins).astype(np.float32)
     turned = Submap(turned.points, turned.scan_index, origins, turned.stamps_ns, np.eye(4), turned.position)
@@ -129,4 +129,7 @@ def test_one_cloud_and_few_points_tell_nothing() -> None:
     scan = Scan.validated(street(np.random.default_rng(0)).astype(np.float32), np.eye(4), 1)
     assert scan_disagreement(Submap.from_cloud(scan)) is None
     thin = [Scan.validated(street(np.random.default_rng(k), 60).astype(np.float32), np.eye(4), k + 1) for k in range(3)]
-    assert scan_disagreement(Submap.accumulated(thin, np.eye(4), SubmapConfig())) is None
+    assert (
+        scan_disagreement(Submap.accumulated(thin, np.eye(4), SubmapConfig(), sum(len(one.points) for one in thin)))
+        is None
+    )
