@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import loop
+from revisit.core.kernels.loops import inlined, loop
 from revisit.core.kernels.point_columns import PointColumns, span
 
 Rows = NDArray[np.int64]
@@ -73,7 +73,7 @@ def _cells(
     return cell_of, starts[: cells + 1], heights[:cells]
 
 
-@numba.njit(inline="always")
+@inlined
 def _root(parent: NDArray[np.int64], cell: int) -> int:
     while parent[cell] != cell:
         parent[cell] = parent[parent[cell]]

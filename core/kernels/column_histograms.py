@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.kernels.arcs import arc_tangent
+from revisit.core.kernels.loops import inlined
 
 Array = NDArray[np.float32]
 
@@ -53,7 +54,7 @@ def column_histograms(
     return histograms
 
 
-@numba.njit(inline="always")
+@inlined
 def _find_members(
     vertices: Array, first: int, last: int, x: np.float32, y: np.float32, radius: float, inside: NDArray[np.int64],
     away: NDArray[np.float64],
@@ -76,7 +77,7 @@ def _find_members(
     return members
 
 
-@numba.njit(inline="always")
+@inlined
 def _find_regions(away: NDArray[np.float64], members: int, regions: NDArray[np.int64]) -> None:
     """The region of each of the first `members` places `away` (3, ...), turned by their principal horizontal axis."""
     sxx, sxy, syy = 0.0, 0.0, 0.0

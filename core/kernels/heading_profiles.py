@@ -6,6 +6,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.kernels.loops import inlined
+
 
 @numba.njit(cache=True, error_model="numpy")
 def face_profiles(
@@ -60,7 +62,7 @@ def plan_profiles(
     return found[:, 1:-1].copy()
 
 
-@numba.njit(inline="always")
+@inlined
 def _fill_columns(
     x: NDArray[np.float64], y: NDArray[np.float64], angle: float, bins: int, spacing: float, columns: NDArray[np.int32]
 ) -> None:

@@ -6,10 +6,11 @@ from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.extending import register_jitable
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-_OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "_nrt": False}
+_OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "_nrt": False, "no_cfunc_wrapper": True}
 
 
 def loop(function: Function) -> Function:
@@ -25,3 +26,11 @@ def loop(function: Function) -> Function:
 def sums(function: Function) -> Function:
     """As `loop`; the order of sums is left to the compiler, so that it adds several numbers at once."""
     return cast(Function, numba.njit(fastmath={"reassoc", "contract"}, **_OPTIONS)(function))
+
+
+def inlined(function: Function) -> Function:
+    """A part of loops, compiled into each that calls it: once for all calls with arguments of the same types.
+
+    Python runs it as it is written.
+    """
+    return cast(Function, register_jitable(forceinline=True, **_OPTIONS)(function))

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import loop
+from revisit.core.kernels.loops import inlined, loop
 from revisit.core.kernels.range_coder import Coder, Models, code_large, fresh_models, learn, narrow
 
 WAYS = 5
@@ -46,7 +45,7 @@ def fresh_mixture(models: int, sets: int) -> Mixture:
     return Mixture(fresh_models(models), weights, np.zeros(WAYS, dtype=np.int64))
 
 
-@numba.njit(inline="always")
+@inlined
 def mixed_bit(coder: Coder, data: NDArray[np.uint8], mixture: Mixture, slot: int, which: int, bit: int) -> int:
     """Write `bit` with the chance that the models `mixture.at` + `slot` give it together, or read and return it.
 

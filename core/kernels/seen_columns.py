@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import loop
+from revisit.core.kernels.loops import inlined, loop
 
 Array64 = NDArray[np.float64]
 
@@ -95,14 +95,14 @@ def _measure_heights(
     return count
 
 
-@numba.njit(inline="always")
+@inlined
 def is_seen(slots: NDArray[np.int32], x: float, y: float, edge: float) -> bool:
     """Whether (x, y) lies in a column that is entered in `slots`."""
     slot = slot_of(slots, int(np.floor(x / edge)), int(np.floor(y / edge)))
     return bool(slots[slot, 0] != _NOWHERE)
 
 
-@numba.njit(inline="always")
+@inlined
 def slot_of(slots: NDArray[np.int32], x: int, y: int) -> int:
     """Where column (x, y) is entered in `slots` (s, 2), or would be; s is a power of two."""
     mixed = (x * 0x9E3779B1) ^ (y * 0x85EBCA77)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import loop
+from revisit.core.kernels.loops import inlined, loop
 from revisit.core.kernels.normal_equations import CHUNK, add_normal_equations
 from revisit.core.kernels.patches import Patches, two_nearest
 
@@ -93,7 +92,7 @@ def _stepped(pose: Array64, hessian: Array64, gradient: Array64) -> bool:
     return bool(shift < _SMALLEST_STEP_M and turn < _SMALLEST_STEP_RAD)
 
 
-@numba.njit(inline="always")
+@inlined
 def _moved(pose: Array64, x: float, y: float, z: float, shift: float) -> tuple[float, float, float]:
     return (
         pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + shift * pose[0, 3],
@@ -145,7 +144,7 @@ def _step(pose: Array64, tangent: Array64) -> None:
     pose[2, 3] += z
 
 
-@numba.njit(inline="always")
+@inlined
 def _turned(
     rx: float, ry: float, rz: float, x: float, y: float, z: float, once: float, twice: float
 ) -> tuple[float, float, float]:

@@ -13,7 +13,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import loop
+from revisit.core.kernels.loops import inlined, loop
 from revisit.core.kernels.voxel_table import add_to, empty_slots, find_in
 
 NEAR_PLANE = 0.9
@@ -104,13 +104,13 @@ def enter_observed_corners(positions: NDArray[np.float32], resolution: float, re
     return count
 
 
-@numba.njit(inline="always")
+@inlined
 def _row_of(grid: Rows, place: int, slots: Rows, following: Rows, voxels: Rows, x: int, y: int, z: int) -> int:
     """The row of piece (x, y, z), whose place in the grid is `place`, or -1."""
     return int(grid[np.uint64(place)]) if len(grid) else find_in(slots, following, voxels, x, y, z)
 
 
-@numba.njit(inline="always")
+@inlined
 def _enter(
     grid: Rows, place: int, slots: Rows, following: Rows, voxels: Rows, row: int, x: int, y: int, z: int
 ) -> None:
@@ -198,7 +198,7 @@ def _find(
     return found
 
 
-@numba.njit(inline="always")
+@inlined
 def _read_window(
     grid: Rows, column: int, depth: int, levels: int, slots: Rows, following: Rows, voxels: Rows, bits: Bits,
     x0: int, y0: int, z0: int, around: Whole, window: Whole,
@@ -221,7 +221,7 @@ def _read_window(
                     window[a, b] |= np.int64((bits[row] << np.uint64(PIECE - shift)) & np.uint64(15))
 
 
-@numba.njit(inline="always")
+@inlined
 def _ones(word: np.uint64) -> int:
     """How many bits of 64 are set. Source: Warren, Hacker's Delight, 5-1."""
     word = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import loop, sums
+from revisit.core.kernels.loops import inlined, loop, sums
 
 Array64 = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -143,7 +143,7 @@ def _voters(directions: Array64, yaw_tolerance: float) -> Voters:
     return found
 
 
-@numba.njit(inline="always")
+@inlined
 def _step(c: float, s: float) -> int:
     """The step of a yaw of cosine `c` and sine `s`: where it goes through the square |x| + |y| = 1, which needs no
     arcus tangent.
@@ -154,7 +154,7 @@ def _step(c: float, s: float) -> int:
     return min(int((along + 2.0) * (0.25 * _STEPS)), _STEPS - 1)
 
 
-@numba.njit(inline="always")
+@inlined
 def _first_yaw(step: int) -> float:
     """The yaw within [-pi, pi] at which a step begins."""
     if step == 0:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.kernels.arcs import arc_tangent_32
+from revisit.core.kernels.loops import inlined
 
 Array = NDArray[np.float32]
 
@@ -54,7 +55,7 @@ def mark_seen_through(positions: Array, origin: Array, image: Array, counts: NDA
             counts[start + k] += nearest[pixels[k]] > ranges[k] * FARTHER + MARGIN_M
 
 
-@numba.njit(inline="always")
+@inlined
 def _see(
     points: Array, start: int, count: int, origin: Array, rays: Array, pixels: NDArray[np.int32], ranges: Array
 ) -> None:  # fmt: skip
