@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import inlined, loop
+from revisit.core.kernels.loops import inlined, inner, loop
 from revisit.core.kernels.point_columns import PointColumns, span
 
 Rows = NDArray[np.int64]
@@ -81,7 +81,7 @@ def _root(parent: NDArray[np.int64], cell: int) -> int:
     return cell
 
 
-@loop
+@inner
 def _touch(points: NDArray[np.float32], starts: NDArray[np.int64], a: int, b: int, limit: float) -> bool:
     for i in range(starts[a], starts[a + 1]):
         for j in range(starts[b], starts[b + 1]):

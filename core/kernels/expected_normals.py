@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import inlined, loop
+from revisit.core.kernels.loops import inlined, inner
 from revisit.core.kernels.plane_coder import FIXED
 
 Whole = NDArray[np.int32]
@@ -32,7 +32,7 @@ _BITS = 20
 _VIEW = 1 << 10
 
 
-@loop
+@inner
 def expect_normal(
     around: Whole, count: int, row: int, voxels: Whole, low: Numbers, spots: Whole, codes: Whole, steps: int,
     expected: Numbers,
@@ -101,7 +101,7 @@ def _flatness(thickness: int) -> int:
     return size
 
 
-@loop
+@inner
 def least_axis(xx: int, xy: int, xz: int, yy: int, yz: int, zz: int) -> tuple[int, int, int]:
     """The direction of least variance of a covariance below 2^21, in numbers below 2^13: the adjugate's greatest axis,
     which grows beyond the others as it is squared.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import inlined, loop
+from revisit.core.kernels.loops import inlined, inner, loop
 from revisit.core.kernels.plane_coder import most_typical
 from revisit.core.kernels.range_coder import Coder, Models, code_bit
 from revisit.core.kernels.voxel_families import VoxelFamilies, beside, coded_neighbours
@@ -83,7 +83,7 @@ def _code_choice(coder: Coder, data: NDArray[np.uint8], models: Models, first: i
     return node - (1 << bits)
 
 
-@loop
+@inner
 def _code_normal(
     coder: Coder, data: NDArray[np.uint8], models: Models, codes: Whole, row: int, near: Whole, count: int
 ) -> None:
@@ -100,7 +100,7 @@ def _code_normal(
     codes[row, 1] = min(_code_choice(coder, data, models, model, 4, codes[row, 1]), NORMAL_CODES - 1)
 
 
-@loop
+@inner
 def _code_cells(
     coder: Coder, data: NDArray[np.uint8], models: Models, around: int, codes: Whole, places: Whole,
     vectors: Whole, row: int, axis: int,
@@ -128,7 +128,7 @@ def _slope(up: int, aside: int) -> int:
     return min(max((leans + 128) // 256 + 2, 0), _SLOPES - 1)
 
 
-@loop
+@inner
 def _guessed_level(
     voxels: Whole, codes: Whole, places: Whole, vectors: Whole, steepest: Whole, row: int, axis: int, steps: int,
     near: Whole, count: int,

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import inlined, loop
+from revisit.core.kernels.loops import inlined, inner
 from revisit.core.kernels.range_coder import Coder, Models, code_large, fresh_models, learn, narrow
 
 WAYS = 5
@@ -64,13 +64,13 @@ def mixed_bit(coder: Coder, data: NDArray[np.uint8], mixture: Mixture, slot: int
     return bit
 
 
-@loop
+@inner
 def code_mixed_bit(coder: Coder, data: NDArray[np.uint8], mixture: Mixture, slot: int, which: int, bit: int) -> int:
     """As `mixed_bit`, which is compiled into what calls it."""
     return int(mixed_bit(coder, data, mixture, slot, which, bit))
 
 
-@loop
+@inner
 def code_mixed_number(coder: Coder, data: NDArray[np.uint8], mixture: Mixture, which: int, value: int) -> int:
     """Write or read a whole number between -2^16 and 2^16, small ones short.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import inlined, loop
+from revisit.core.kernels.loops import inlined, inner, loop
 from revisit.core.kernels.mixed_coder import SLOTS, WAYS, Mixture, code_mixed_bit, code_mixed_number, fresh_mixture
 from revisit.core.kernels.plane_coder import (
     FIXED,
@@ -76,7 +76,7 @@ def turned(offset: int, before: Whole, after: Whole) -> int:
     return int((2 * offset * alike + FIXED * FIXED) // (2 * FIXED * FIXED))
 
 
-@loop
+@inner
 def _code_normal(
     coder: Coder, data: NDArray[np.uint8], mixture: Mixture, codes: Whole, units: NDArray[np.int64], near: Whole,
     count: int, row: int, known: NDArray[np.int64],
@@ -108,7 +108,7 @@ def _code_normal(
     return int(spread)
 
 
-@loop
+@inner
 def _code_offset(
     coder: Coder, data: NDArray[np.uint8], mixture: Mixture, families: VoxelFamilies, codes: Whole, vectors: Whole,
     unit: int, count: int, row: int, known: NDArray[np.int64],
@@ -125,7 +125,7 @@ def _code_offset(
     codes[row, 2] = guess + _code_steps(coder, data, mixture, 4 * SPREADS + spread, codes[row, 2] - guess)
 
 
-@loop
+@inner
 def _code_hits(
     coder: Coder, data: NDArray[np.uint8], mixture: Mixture, codes: Whole, near: Whole, count: int, row: int,
     spread: int,

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import loop
+from revisit.core.kernels.loops import inner, loop
 
 Array64 = NDArray[np.float64]
 Images = NDArray[np.float32]
@@ -127,7 +127,7 @@ def _multiply_layers(
             _add_products(standing[layer, y], turned, hits[1, y], hits[3, y], totals[1, y])
 
 
-@loop
+@inner
 def _add_products(standing: Images, layer: Images, hits: Images, hits_behind: Images, total: Images) -> None:
     """Add a row of `standing` times the conjugate of `layer`, and times it, to the hits, and `layer` to `total`."""
     for x in range(np.uint64(len(layer) // 2)):

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import inlined, loop
+from revisit.core.kernels.loops import inlined, inner, loop
 
 Coder = NDArray[np.int64]
 """Lower and upper end of the interval, the bytes read ahead, the position in the data, and 1 where it reads."""
@@ -63,7 +63,7 @@ def position(coder: Coder) -> int:
     return int(coder[_AT])
 
 
-@loop
+@inner
 def _put(coder: Coder, data: NDArray[np.uint8], byte: int) -> None:
     """Write a byte; behind the end it is only counted."""
     if coder[_AT] < len(data):
@@ -71,7 +71,7 @@ def _put(coder: Coder, data: NDArray[np.uint8], byte: int) -> None:
     coder[_AT] += 1
 
 
-@loop
+@inner
 def _next_byte(coder: Coder, data: NDArray[np.uint8]) -> None:
     """Read a byte; behind the end there are zeros."""
     byte = np.int64(data[coder[_AT]]) if coder[_AT] < len(data) else np.int64(0)
@@ -127,7 +127,7 @@ def learn(models: Models, model: int, bit: int) -> None:
         models[model, 1] = seen + 1
 
 
-@loop
+@inner
 def code_number(coder: Coder, data: NDArray[np.uint8], models: Models, first: int, value: int) -> int:
     """Write or read a whole number between -2^16 and 2^16, small ones short; its UNARY models begin at `first`."""
     if code_bit(coder, data, models, first, 1 if value == 0 else 0):
@@ -141,7 +141,7 @@ def code_number(coder: Coder, data: NDArray[np.uint8], models: Models, first: in
     return code_large(coder, data, models, first + 1 + size, rest - size, size, negative)
 
 
-@loop
+@inner
 def code_large(
     coder: Coder, data: NDArray[np.uint8], models: Models, model: int, rest: int, size: int, negative: int
 ) -> int:

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import inlined, loop, sums
+from revisit.core.kernels.loops import inlined, inner, inner_sums
 
 Array64 = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -48,7 +48,7 @@ def best_two_point_pose(
     return np.array([np.arctan2(best[1], best[0]) if best[4] else 0.0, best[2], best[3], best[4]])
 
 
-@loop
+@inner
 def _vote(
     pairs: Array64, voting: Array64, about: Array32, voters: Voters, tolerance: float, cosine: float, lengths: Array64,
     best: Array64,
@@ -84,7 +84,7 @@ def _vote(
                 best[0], best[1], best[2], best[3], best[4] = c, s, x, y, agree
 
 
-@loop
+@inner
 def _measure_lengths(pairs: Array64, i: int, lengths: Array64) -> None:
     """Fill `lengths` (2, n): how far the later correspondences lie from the one of row i, at the source and target."""
     for j in range(np.uint64(i + 1), np.uint64(pairs.shape[1])):
@@ -93,7 +93,7 @@ def _measure_lengths(pairs: Array64, i: int, lengths: Array64) -> None:
         lengths[0, j], lengths[1, j] = np.sqrt(sx * sx + sy * sy), np.sqrt(tx * tx + ty * ty)
 
 
-@sums
+@inner_sums
 def _near(
     about: Array32, c: np.float32, s: np.float32, x: np.float32, y: np.float32, reach: np.float32, start: int, end: int
 ) -> np.float32:
@@ -106,7 +106,7 @@ def _near(
     return near
 
 
-@loop
+@inner
 def _votes(
     voting: Array64, c: float, s: float, x: float, y: float, reach: float, cosine: float, start: int, end: int
 ) -> int:
