@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import inlined, inner, loop
+from revisit.core.kernels.loops import compiled, inlined, inner, loop
 from revisit.core.kernels.point_columns import PointColumns, span
 
 Rows = NDArray[np.int64]
@@ -54,7 +53,7 @@ def _join(
         cell_of[i] = _root(parent, cell_of[i])
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def _cells(
     points: NDArray[np.float32], keys: NDArray[np.int64], edge: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:

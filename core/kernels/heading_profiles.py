@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import inlined
+from revisit.core.kernels.loops import compiled, inlined
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def face_profiles(
     vertices: NDArray[np.float64],
     heading: NDArray[np.float64],
@@ -45,7 +44,7 @@ def face_profiles(
     return found
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def plan_profiles(
     places: NDArray[np.float64], weight: NDArray[np.float64], headings: int, bins: int, spacing: float
 ) -> NDArray[np.float64]:

@@ -10,8 +10,14 @@ from numba.extending import register_jitable
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-_OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "_nrt": False, "no_cfunc_wrapper": True}
+_KEPT: dict[str, Any] = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+_OPTIONS: dict[str, Any] = {"_nrt": False, **_KEPT}
 _ANY_ORDER = {"reassoc", "contract"}
+
+
+def compiled(function: Function) -> Function:
+    """Compiles a function that makes arrays."""
+    return cast(Function, numba.njit(**_KEPT)(function))
 
 
 def loop(function: Function) -> Function:

@@ -6,10 +6,12 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.kernels.loops import compiled
+
 Array = NDArray[np.float32]
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def patch_histograms(
     index: NDArray[np.int8],
     weights: Array,
@@ -57,7 +59,7 @@ def patch_histograms(
     return histograms
 
 
-@numba.njit(cache=True, fastmath=True, error_model="numpy")
+@numba.njit(cache=True, fastmath=True, error_model="numpy", no_cfunc_wrapper=True)
 def disc_histograms(layers: Array, pixels: NDArray[np.int64], disc: Array) -> Array:
     """Sums (n, layers) of each of `layers` (l, h, w) over a disc around each of `pixels` (n, 2), column and row.
 

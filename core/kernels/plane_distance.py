@@ -11,7 +11,7 @@ from revisit.core.kernels.neighbour_blend import NEAREST_M
 Array = NDArray[np.float32]
 
 
-@numba.njit(cache=True, fastmath=True, error_model="numpy")
+@numba.njit(cache=True, fastmath=True, error_model="numpy", no_cfunc_wrapper=True)
 def plane_distance(
     queries: Array, positions: Array, normals: Array, indices: NDArray[np.int32], squared: Array, power: float
 ) -> Array:

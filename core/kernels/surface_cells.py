@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import inlined, loop
+from revisit.core.kernels.loops import compiled, inlined, loop
 from revisit.core.kernels.voxel_table import add_to, empty_slots, find_in
 
 NEAR_PLANE = 0.9
@@ -122,7 +121,7 @@ def _enter(
         add_to(slots, following, voxels, row, x, y, z)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def list_corners(pieces: Pieces, count: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """The corners (n, 3) of the first `count` pieces, and the first corner (count,) of each piece."""
     bits = pieces.bits

@@ -7,11 +7,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import inlined
+from revisit.core.kernels.loops import compiled, inlined, loop
 
 MIN_BITS = 16
 MAX_BITS = 24
@@ -92,7 +91,7 @@ def add(table: VoxelTable, row: int, x: int, y: int, z: int) -> None:
     add_to(table.slots, table.following, table.voxels, row, x, y, z)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@loop
 def _fill(slots: NDArray[np.int32], following: NDArray[np.int32], voxels: NDArray[np.int32]) -> None:
     for row in range(len(voxels) - 1, -1, -1):
         x, y, z = voxels[row, 0], voxels[row, 1], voxels[row, 2]
@@ -100,7 +99,7 @@ def _fill(slots: NDArray[np.int32], following: NDArray[np.int32], voxels: NDArra
             add_to(slots, following, voxels, row, x, y, z)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def rows_of(table: VoxelTable, voxels: NDArray[np.int32]) -> NDArray[np.int64]:
     """The rows (n,) of `voxels` (n, 3) in the table, -1 where one is not there."""
     slots, following, entered = table.slots, table.following, table.voxels
