@@ -101,7 +101,7 @@ def _count_pairs(
     sums: NDArray[np.float64], means: NDArray[np.float64], radius: float, distance_bins: int, height_bins: int,
     histogram: NDArray[np.float64],
 ) -> None:  # fmt: skip
-    """Add up the `histogram` (distance, height, angle) of all pairs of regions; `means` (REGIONS, 6) is for use here."""
+    """Add up the `histogram` (distance, height, angle) of pairs of regions; `means` (REGIONS, 6) is for its use."""
     occupied = 0
     for region in range(REGIONS):
         length = np.sqrt(sums[region, 0] ** 2 + sums[region, 1] ** 2 + sums[region, 2] ** 2)

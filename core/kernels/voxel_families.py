@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import inlined, inner, loop
+from revisit.core.kernels.loops import inlined, loop
 
 Whole = NDArray[np.int32]
 
@@ -89,7 +89,7 @@ def beside(families: VoxelFamilies) -> int:
     return int(families.near[26])
 
 
-@inner
+@loop
 def coded_neighbours(families: VoxelFamilies, row: int) -> int:
     """How many of the 26 voxels around a row's come before it: `families.near` becomes their rows, those that share a
     face first.
