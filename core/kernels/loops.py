@@ -20,6 +20,11 @@ def compiled(function: Function) -> Function:
     return cast(Function, numba.njit(**_KEPT)(function))
 
 
+def fast(function: Function) -> Function:
+    """As `compiled`; rounding is left to the compiler."""
+    return cast(Function, numba.njit(fastmath=True, **_KEPT)(function))
+
+
 def loop(function: Function) -> Function:
     """Compiles a function that fills arrays it is given and makes none, without the counting of references.
 
@@ -40,14 +45,14 @@ def inner(function: Function) -> Function:
 
     From Python it runs as it is written.
     """
-    return cast(Function, register_jitable(**_OPTIONS)(function))
+    return register_jitable(**_OPTIONS)(function)
 
 
 def inner_sums(function: Function) -> Function:
     """As `inner` and `sums`."""
-    return cast(Function, register_jitable(fastmath=_ANY_ORDER, **_OPTIONS)(function))
+    return register_jitable(fastmath=_ANY_ORDER, **_OPTIONS)(function)
 
 
 def inlined(function: Function) -> Function:
     """As `inner`, made a part of each loop that calls it: for what a loop does at each turn."""
-    return cast(Function, register_jitable(forceinline=True, **_OPTIONS)(function))
+    return register_jitable(forceinline=True, **_OPTIONS)(function)

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import compiled
+from revisit.core.kernels.loops import compiled, fast
 
 Array = NDArray[np.float32]
 
@@ -20,7 +20,7 @@ _HALF = np.float32(0.5)
 _ONE = np.float32(1.0)
 
 
-@numba.njit(cache=True, fastmath=True, error_model="numpy", no_cfunc_wrapper=True)
+@fast
 def blend_neighbours(
     queries: Array,
     positions: Array,
@@ -57,7 +57,7 @@ def blend_neighbours(
     return blends, encoding, plane
 
 
-@numba.njit(cache=True, fastmath=True, error_model="numpy", no_cfunc_wrapper=True)
+@fast
 def blend_normals(indices: NDArray[np.int32], squared: Array, normals: Array, power: float) -> Array:
     """The unit normals (m, 3) of the weighted means of `normals` (n, 3) over the neighbours; zero where there is none.
 

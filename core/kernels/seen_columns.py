@@ -57,7 +57,7 @@ def _without_room(slots: NDArray[np.int32], lowest: Array64, count: int) -> Seen
 def _enter_again(slots: NDArray[np.int32], lowest: Array64, kept: NDArray[np.int32], kept_lowest: Array64) -> None:
     """Enter what is entered in `slots` into the empty table of `kept`."""
     for n in range(len(slots)):
-        x, y = np.int64(slots[n, 0]), np.int64(slots[n, 1])
+        x, y = int(slots[n, 0]), int(slots[n, 1])
         if x != _NOWHERE:
             slot = slot_of(kept, x, y)
             kept[slot, 0], kept[slot, 1], kept_lowest[slot] = x, y, lowest[n]

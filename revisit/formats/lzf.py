@@ -22,7 +22,7 @@ def decompress(data: memoryview, size: int) -> memoryview:
     return output.data
 
 
-@njit(nogil=True, cache=True, no_cfunc_wrapper=True)
+@njit(nogil=True, cache=True)
 def _decompress(source: NDArray[np.uint8], target: NDArray[np.uint8]) -> int:
     """Bytes written, or -1 where the stream reads or writes outside of its buffers."""
     read = np.int64(0)

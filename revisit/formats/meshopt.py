@@ -22,7 +22,8 @@ _NAMED = 14
 _NAMED_BY_NUMBER = 15
 _NEW, _LAST, _SIZE = range(3)
 """Places of what is kept between triangles: the next new vertex, the last one named by its number, bytes written."""
-_OPTIONS: dict[str, Any] = {"nogil": True, "cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+_INNER: dict[str, Any] = {"nogil": True, "cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+"""How functions are compiled that only compiled ones call."""
 
 Bytes = NDArray[np.uint8]
 Whole = NDArray[np.int64]
@@ -68,7 +69,7 @@ def _neighbours(faces: Whole) -> Whole:
     return found.reshape(-1, 3)
 
 
-@njit(**_OPTIONS)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _walk(neighbours: Whole) -> Whole:
     """Every triangle once: on from the last one over its edges as far as it goes, then back."""
     count = len(neighbours)
@@ -102,7 +103,7 @@ def in_order_of_use(vertices: NDArray[np.floating], faces: NDArray[np.integer]) 
     return vertices[used[order]], rank[named.reshape(faces.shape)]
 
 
-@njit(**_OPTIONS)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _attributes(rows: Bytes, out: Bytes) -> int:
     """Bytes written to `out`: blocks of rows, in them one byte of all rows after the other."""
     count, stride = rows.shape
@@ -122,18 +123,18 @@ def _attributes(rows: Bytes, out: Bytes) -> int:
     return written
 
 
-@register_jitable(**_OPTIONS)
+@register_jitable(**_INNER)
 def _fill_deltas(rows: Bytes, first: int, end: int, column: int, deltas: Bytes) -> None:
     """One byte of each of 16 rows, before `end`, as its difference from the row before."""
     for k in range(_GROUP):
-        row, coded = first + k, 0
+        row, coded = first + k, np.int64(0)
         if row < end:
             change = (np.int64(rows[row, column]) - np.int64(rows[max(row - 1, 0), column])) & 255
             coded = (change << 1) & 255 if change < 128 else 511 - 2 * change
         deltas[k] = coded
 
 
-@register_jitable(**_OPTIONS)
+@register_jitable(**_INNER)
 def _cheapest(deltas: Bytes) -> int:
     """The mode of a group, 0 to 3, for differences of 0, 2, 4 or 8 bits: larger ones are stored behind the group."""
     some, above_two, above_four = 0, 0, 0
@@ -149,7 +150,7 @@ def _cheapest(deltas: Bytes) -> int:
     return 2 if with_four < _GROUP else 3
 
 
-@register_jitable(**_OPTIONS)
+@register_jitable(**_INNER)
 def _group(deltas: Bytes, mode: int, out: Bytes, written: int) -> int:
     """16 differences in a mode; where the next group goes."""
     if mode == 0:
@@ -159,14 +160,15 @@ def _group(deltas: Bytes, mode: int, out: Bytes, written: int) -> int:
     behind = written + _GROUP // each
     for number in range(_GROUP):
         delta = np.int64(deltas[number])
-        out[written + number // each] |= min(delta, large) << (bits * (each - 1 - number % each))
+        kept = delta if delta < large else large
+        out[written + number // each] |= kept << (bits * (each - 1 - number % each))
         if mode < 3 and delta >= large:
             out[behind] = delta
             behind += 1
     return behind
 
 
-@njit(**_OPTIONS)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _triangles(faces: Whole, table: Bytes, codes: Bytes, data: Bytes, used: Whole) -> int:
     """Bytes of `data`; `used` counts the pairs of codes that entries of the table could name."""
     edges, corners, state = np.empty((16, 2), np.int64), np.empty(16, np.int64), np.zeros(3, np.int64)
@@ -183,10 +185,10 @@ def _triangles(faces: Whole, table: Bytes, codes: Bytes, data: Bytes, used: Whol
             _remember_edge(edges, b, a)
         _remember_edge(edges, c, b)
         _remember_edge(edges, a, c)
-    return state[_SIZE]
+    return int(state[_SIZE])
 
 
-@register_jitable(**_OPTIONS)
+@register_jitable(**_INNER)
 def _shared_edge(edges: Whole, face: Whole) -> int:
     """Three times the place of the latest of the last 15 edges that a triangle shares, and the corner at which it
     begins; -1 for none.
@@ -198,7 +200,7 @@ def _shared_edge(edges: Whole, face: Whole) -> int:
     return -1
 
 
-@register_jitable(**_OPTIONS)
+@register_jitable(**_INNER)
 def _first_corner(face: Whole, new: int) -> int:
     """The corner that is the next new vertex, else the first one."""
     for turn in range(3):
@@ -207,7 +209,7 @@ def _first_corner(face: Whole, new: int) -> int:
     return 0
 
 
-@register_jitable(**_OPTIONS)
+@register_jitable(**_INNER)
 def _third_corner(c: int, corners: Whole, state: Whole, data: Bytes) -> int:
     """The code of the corner opposite to a shared edge: new, one of the last, beside the last named, or named."""
     code = 0
@@ -225,7 +227,7 @@ def _third_corner(c: int, corners: Whole, state: Whole, data: Bytes) -> int:
     return code
 
 
-@register_jitable(**_OPTIONS)
+@register_jitable(**_INNER)
 def _free(
     a: int, b: int, c: int, corners: Whole, state: Whole, table: Bytes, data: Bytes, used: Whole
 ) -> int:  # fmt: skip
@@ -257,7 +259,7 @@ def _free(
     return code
 
 
-@register_jitable(**_OPTIONS)
+@register_jitable(**_INNER)
 def _corner(vertex: int, corners: Whole, state: Whole) -> int:
     """0 for the next new vertex, 1 to 14 for one of the last, 15 for one that must be named."""
     if vertex == state[_NEW]:
@@ -269,7 +271,7 @@ def _corner(vertex: int, corners: Whole, state: Whole) -> int:
     return _NAMED_BY_NUMBER
 
 
-@register_jitable(**_OPTIONS)
+@register_jitable(**_INNER)
 def _name(vertex: int, state: Whole, data: Bytes) -> None:
     """Name a vertex by its difference from the last named one, 7 bits a byte."""
     change = vertex - state[_LAST]
@@ -282,14 +284,14 @@ def _name(vertex: int, state: Whole, data: Bytes) -> None:
     state[_SIZE] += 1
 
 
-@register_jitable(**_OPTIONS)
+@register_jitable(**_INNER)
 def _remember(corners: Whole, vertex: int) -> None:
     for place in range(15, 0, -1):
         corners[place] = corners[place - 1]
     corners[0] = vertex
 
 
-@register_jitable(**_OPTIONS)
+@register_jitable(**_INNER)
 def _remember_edge(edges: Whole, start: int, end: int) -> None:
     for place in range(15, 0, -1):
         edges[place, 0], edges[place, 1] = edges[place - 1, 0], edges[place - 1, 1]

@@ -21,7 +21,7 @@ def rows_end(body: memoryview, start: int, rows: int, layout: list[tuple[int, in
     return end
 
 
-@njit(nogil=True, cache=True, no_cfunc_wrapper=True)
+@njit(nogil=True, cache=True)
 def _rows_end(body: NDArray[np.uint8], start: int, rows: int, layout: NDArray[np.int64], big_endian: bool) -> int:
     position = np.int64(start)
     for _ in range(rows):

@@ -13,7 +13,7 @@ Bytes = NDArray[np.uint8]
 _DIFFERENCE, _TURNED = int(Prediction.DIFFERENCE), int(Prediction.TURNED)
 
 
-@njit(nogil=True, cache=True, no_cfunc_wrapper=True)
+@njit(nogil=True, cache=True)
 def coordinates(planes: Bytes, count: int, step_m: float) -> NDArray[np.float32]:
     """Points (count, 3) in metres of three columns of zigzag-coded differences, four byte planes of `count` each."""
     points = np.empty((count, 3), dtype=np.float32)
@@ -29,7 +29,7 @@ def coordinates(planes: Bytes, count: int, step_m: float) -> NDArray[np.float32]
     return points
 
 
-@njit(nogil=True, cache=True, error_model="numpy", no_cfunc_wrapper=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def coordinates_on_rays(
     planes: Bytes, count: int, step_m: float, of_side: int, of_height: int
 ) -> tuple[NDArray[np.float32], bool]:
@@ -59,7 +59,7 @@ def coordinates_on_rays(
     return points, True
 
 
-@njit(nogil=True, cache=True, no_cfunc_wrapper=True)
+@njit(nogil=True, cache=True)
 def intensities(planes: Bytes, count: int, step: float) -> NDArray[np.float32]:
     """Intensities (count,) of a column of zigzag-coded differences modulo 2^16, two byte planes of `count` each."""
     found = np.empty(count, dtype=np.float32)
