@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
+
+from revisit.core.kernels.loops import inlined
 
 _A2, _A4, _A6, _A8 = -0.3333314528, 0.1999355085, -0.1420889944, 0.1065626393
 _A10, _A12, _A14, _A16 = -0.0752896400, 0.0429096138, -0.0161657367, 0.0028662257
 
 
-@numba.njit(inline="always")
+@inlined
 def arc_tangent(y: float, x: float) -> float:
     """The angle of (x, y) in (-pi, pi] radians; 0 for the origin. Source: Abramowitz and Stegun, 4.4.49."""
     wide, high = abs(x), abs(y)
@@ -26,7 +27,7 @@ SERIES_32 = tuple(np.float32(value) for value in (_A2, _A4, _A6, _A8, _A10, _A12
 _TINY, _QUARTER, _HALF = np.float32(1e-30), np.float32(0.5 * np.pi), np.float32(np.pi)
 
 
-@numba.njit(inline="always")
+@inlined
 def arc_tangent_32(y: np.float32, x: np.float32) -> np.float32:
     """As `arc_tangent`, of 32-bit numbers, of which a processor does twice as many at once."""
     wide, high = abs(x), abs(y)

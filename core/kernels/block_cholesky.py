@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import loop, sums
+from revisit.core.kernels.loops import inner, inner_sums, loop, sums
 
 Array64 = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -149,7 +149,7 @@ def _add_blocks(blocks: Array64, before: int, structure: Structure, numbers: Arr
                 numbers[place + a * width + b] += blocks[p, b, a] if turned else blocks[p, a, b]
 
 
-@sums
+@inner_sums
 def _products(rows: Array64, i: int, one: Array64, count: int) -> tuple[float, float, float, float, float, float]:
     """The products of six rows, from the i-th on, with another `one` (c,): of their first `count` numbers."""
     p, q, r, s, t, u = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -196,7 +196,7 @@ def _factorise(structure: Structure, numbers: Array64, reached: Rows, heads: Row
     return True
 
 
-@loop
+@inner
 def _wait(structure: Structure, g: int, reached: Rows, heads: Rows, following: Rows) -> None:
     """Let a group wait for the one that its next row belongs to, if any is left."""
     if reached[g] < structure.begins[g + 1]:
@@ -204,7 +204,7 @@ def _wait(structure: Structure, g: int, reached: Rows, heads: Rows, following: R
         following[g], heads[other] = heads[other], g
 
 
-@sums
+@inner_sums
 def _take_off(source: Array64, rows: NDArray[np.int32], near: int, panel: Array64, first: int, at: Rows) -> None:
     """Take the products of the blocks of `source`, of these `rows`, with the first `near` of them off a panel whose
     columns begin at `first`, and whose rows are `at` (n,): three rows with three, read once for nine products.
@@ -237,7 +237,7 @@ def _take_off(source: Array64, rows: NDArray[np.int32], near: int, panel: Array6
             panel[row + 2, column + 2] -= cz
 
 
-@sums
+@inner_sums
 def _take_root(panel: Array64) -> bool:
     """Turn the square of a panel into its triangular root and divide the rows below by that; whether there is one."""
     for j in range(panel.shape[1]):
@@ -267,7 +267,7 @@ def _substitute(structure: Structure, numbers: Array64, found: Array64) -> None:
         _backwards(panel, rows[begins[g] : begins[g + 1]], found, groups[g])
 
 
-@sums
+@inner_sums
 def _forwards(panel: Array64, rows: NDArray[np.int32], found: Array64, first: int) -> None:
     """Solve for the blocks of `found` (n, 6, k) that belong to a panel, from the `first` on, one after the other: what
     each of them does to later ones of the panel and to the `rows` below is taken off these.
@@ -291,7 +291,7 @@ def _forwards(panel: Array64, rows: NDArray[np.int32], found: Array64, first: in
                     found[row, a, b] = left
 
 
-@sums
+@inner_sums
 def _backwards(panel: Array64, rows: NDArray[np.int32], found: Array64, first: int) -> None:
     """The same by the transpose, from the last block to the first: what later ones do to it is taken off before."""
     width = panel.shape[1] // SIDE
@@ -338,7 +338,7 @@ def _invert_selected(structure: Structure, numbers: Array64, gains: Array64, sum
                 panel[i, t] = -summed[t, i]
 
 
-@sums
+@inner_sums
 def _divide_by_triangle(panel: Array64, gains: Array64, summed: Array64) -> None:
     """Fill the columns of `gains` with the rows of a panel, divided from the right by its triangle, in whose place the
     identity is; `summed` has that part of them, and zeros.
@@ -357,7 +357,7 @@ def _divide_by_triangle(panel: Array64, gains: Array64, summed: Array64) -> None
             summed[t, i] = gains[t, i] if i < width else 0.0
 
 
-@loop
+@inner
 def _gather(structure: Structure, numbers: Array64, rows: NDArray[np.int32], block: Array64) -> None:
     """Fill in `block` (6, 6 r): the transpose of what the inverse has at these `rows` and the column of the first."""
     groups, group_of, begins, below, offsets, across, _, _, _ = structure
@@ -374,7 +374,7 @@ def _gather(structure: Structure, numbers: Array64, rows: NDArray[np.int32], blo
                 block[c, SIDE * r + a] = panel[at + a, SIDE * (rows[0] - first) + c]
 
 
-@sums
+@inner_sums
 def _add_both_ways(block: Array64, gains: Array64, summed: Array64) -> None:
     """Add what the block (6, r), with its first square as a whole, takes `gains` (r,) to; and its transpose without."""
     p, q, r, s, t, u = gains[0], gains[1], gains[2], gains[3], gains[4], gains[5]

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.kernels.loops import compiled
 from revisit.core.kernels.voxel_table import VoxelTable, find_in
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def choose_returns(
     points: NDArray[np.float32],
     order: NDArray[np.int64],

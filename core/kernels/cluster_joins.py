@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import loop
+from revisit.core.kernels.loops import compiled, inlined, inner, loop
 from revisit.core.kernels.point_columns import PointColumns, span
 
 Rows = NDArray[np.int64]
@@ -54,7 +53,7 @@ def _join(
         cell_of[i] = _root(parent, cell_of[i])
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def _cells(
     points: NDArray[np.float32], keys: NDArray[np.int64], edge: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
@@ -73,7 +72,7 @@ def _cells(
     return cell_of, starts[: cells + 1], heights[:cells]
 
 
-@numba.njit(inline="always")
+@inlined
 def _root(parent: NDArray[np.int64], cell: int) -> int:
     while parent[cell] != cell:
         parent[cell] = parent[parent[cell]]
@@ -81,7 +80,7 @@ def _root(parent: NDArray[np.int64], cell: int) -> int:
     return cell
 
 
-@loop
+@inner
 def _touch(points: NDArray[np.float32], starts: NDArray[np.int64], a: int, b: int, limit: float) -> bool:
     for i in range(starts[a], starts[a + 1]):
         for j in range(starts[b], starts[b + 1]):

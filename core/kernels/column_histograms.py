@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.kernels.arcs import arc_tangent
+from revisit.core.kernels.loops import compiled, inlined, inner
 
 Array = NDArray[np.float32]
 
@@ -18,7 +18,7 @@ MIN_MEMBERS = 8
 """Fewer vertices in a column say nothing."""
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def column_histograms(
     vertices: Array,
     normals: Array,
@@ -36,6 +36,7 @@ def column_histograms(
     histograms = np.zeros((len(keypoints), distance_bins * height_bins * ANGLE_BINS))
     sums, inside = np.empty((REGIONS, 7)), np.empty(len(vertices), dtype=np.int64)
     away, regions = np.empty((3, len(vertices))), np.empty(len(vertices), dtype=np.int64)
+    means = np.empty((REGIONS, 6))
     for k in range(len(keypoints)):
         first, last = bounds[assignment[k]], bounds[assignment[k] + 1]
         members = _find_members(vertices, first, last, keypoints[k, 0], keypoints[k, 1], radius, inside, away)
@@ -49,11 +50,11 @@ def column_histograms(
                 sums[region, a] += normals[i, a]
                 sums[region, 3 + a] += away[a, n]
             sums[region, 6] += 1.0
-        _count_pairs(sums, radius, distance_bins, height_bins, histograms[k])
+        _count_pairs(sums, means, radius, distance_bins, height_bins, histograms[k])
     return histograms
 
 
-@numba.njit(inline="always")
+@inlined
 def _find_members(
     vertices: Array, first: int, last: int, x: np.float32, y: np.float32, radius: float, inside: NDArray[np.int64],
     away: NDArray[np.float64],
@@ -76,7 +77,7 @@ def _find_members(
     return members
 
 
-@numba.njit(inline="always")
+@inlined
 def _find_regions(away: NDArray[np.float64], members: int, regions: NDArray[np.int64]) -> None:
     """The region of each of the first `members` places `away` (3, ...), turned by their principal horizontal axis."""
     sxx, sxy, syy = 0.0, 0.0, 0.0
@@ -95,11 +96,12 @@ def _find_regions(away: NDArray[np.float64], members: int, regions: NDArray[np.i
         regions[n] = band * SECTORS + sector
 
 
-@numba.njit(cache=True, error_model="numpy")
+@inner
 def _count_pairs(
-    sums: NDArray[np.float64], radius: float, distance_bins: int, height_bins: int, histogram: NDArray[np.float64]
-) -> None:
-    means = np.zeros((REGIONS, 6))
+    sums: NDArray[np.float64], means: NDArray[np.float64], radius: float, distance_bins: int, height_bins: int,
+    histogram: NDArray[np.float64],
+) -> None:  # fmt: skip
+    """Add up the `histogram` (distance, height, angle) of pairs of regions; `means` (REGIONS, 6) is for its use."""
     occupied = 0
     for region in range(REGIONS):
         length = np.sqrt(sums[region, 0] ** 2 + sums[region, 1] ** 2 + sums[region, 2] ** 2)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import loop
+from revisit.core.kernels.loops import inlined, loop
 from revisit.core.kernels.point_columns import PointColumns, span
 from revisit.core.kernels.voxel_table import VoxelTable, add_to, find_in
 
@@ -80,7 +79,7 @@ def _insert(
     return size, start
 
 
-@numba.njit(inline="always")
+@inlined
 def _find_runs(cells: NDArray[np.int32], count: int, runs: Rows) -> int:
     """Fill `runs` with the first return of each run in `cells` (3, count), and `count` after them; returns how many."""
     one, found = np.uint64(1), np.uint64(1)
@@ -93,7 +92,7 @@ def _find_runs(cells: NDArray[np.int32], count: int, runs: Rows) -> int:
     return int(found)
 
 
-@numba.njit(inline="always")
+@inlined
 def _find_records(
     cells: NDArray[np.int32], runs: Rows, found: int, slots: NDArray[np.int32], following: NDArray[np.int32],
     voxels: NDArray[np.int32], rows: Rows, size: int, limit: int,
@@ -114,7 +113,7 @@ def _find_records(
     return size
 
 
-@numba.njit(inline="always")
+@inlined
 def _prepare(
     points: NDArray[np.float32], start: int, count: int, origin: NDArray[np.float32], resolution: float,
     cells: NDArray[np.int32], units: NDArray[np.float32],
@@ -133,7 +132,7 @@ def _prepare(
         units[0, k], units[1, k], units[2, k] = dx * inverse, dy * inverse, dz * inverse
 
 
-@numba.njit(inline="always")
+@inlined
 def _gather(
     points: NDArray[np.float32], start: int, first: int, last: int, units: NDArray[np.float32],
     records: NDArray[np.float64], i: int,
@@ -229,7 +228,7 @@ def _pool(
         out[i, 2, 2] = zz / total - sz * sz
 
 
-@numba.njit(inline="always")
+@inlined
 def _list_pooled(
     points: NDArray[np.float32], levels: NDArray[np.int32], first: int, last: int, px: np.float32, py: np.float32,
     pz: np.float32, cz: int, farthest: np.float32, near: Rows, gaps: NDArray[np.float32], found: int,

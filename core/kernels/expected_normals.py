@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import loop
+from revisit.core.kernels.loops import inlined, inner
 from revisit.core.kernels.plane_coder import FIXED
 
 Whole = NDArray[np.int32]
@@ -33,7 +32,7 @@ _BITS = 20
 _VIEW = 1 << 10
 
 
-@loop
+@inner
 def expect_normal(
     around: Whole, count: int, row: int, voxels: Whole, low: Numbers, spots: Whole, codes: Whole, steps: int,
     expected: Numbers,
@@ -68,7 +67,7 @@ def expect_normal(
         expected[FLATNESS] = _flatness(64 * across // (max(nx * nx + ny * ny + nz * nz, 1) * spread))
 
 
-@numba.njit(inline="always")
+@inlined
 def _covariance(
     around: Whole, count: int, row: int, voxels: Whole, spots: Whole, codes: Whole, expected: Numbers
 ) -> tuple[int, int, int, int, int, int]:
@@ -92,7 +91,7 @@ def _covariance(
     return xx >> shift, xy >> shift, xz >> shift, yy >> shift, yz >> shift, zz >> shift
 
 
-@numba.njit(inline="always")
+@inlined
 def _flatness(thickness: int) -> int:
     """The class of a surface by the share of its spread across it, in parts of 64."""
     size = 1
@@ -102,7 +101,7 @@ def _flatness(thickness: int) -> int:
     return size
 
 
-@loop
+@inner
 def least_axis(xx: int, xy: int, xz: int, yy: int, yz: int, zz: int) -> tuple[int, int, int]:
     """The direction of least variance of a covariance below 2^21, in numbers below 2^13: the adjugate's greatest axis,
     which grows beyond the others as it is squared.
@@ -128,7 +127,7 @@ def least_axis(xx: int, xy: int, xz: int, yy: int, yz: int, zz: int) -> tuple[in
     return x >> shift, y >> shift, z >> shift
 
 
-@numba.njit(inline="always")
+@inlined
 def _excess(value: int, bits: int) -> int:
     """By how many bits, in fours, a number of at most 63 must be shorter to have no more than so many."""
     shift = 0
@@ -137,7 +136,7 @@ def _excess(value: int, bits: int) -> int:
     return shift
 
 
-@numba.njit(inline="always")
+@inlined
 def octahedral_code(x: int, y: int, z: int, steps: int) -> tuple[int, int]:
     """The octahedral code of a direction in whole numbers below 2^34, as `geometry.octahedral.encode` rounds it."""
     length = max(abs(x) + abs(y) + abs(z), 1)
@@ -149,7 +148,7 @@ def octahedral_code(x: int, y: int, z: int, steps: int) -> tuple[int, int]:
     return (2 * (first + length) * steps + length) // twice, (2 * (second + length) * steps + length) // twice
 
 
-@numba.njit(inline="always")
+@inlined
 def settle_spot(spots: Whole, row: int, normal: Whole, height: int) -> None:
     """Where the point of a plane `height` parts of FIXED along a `normal` lies in its voxel: about the spot nearest to
     the middle (`settled_planes`).

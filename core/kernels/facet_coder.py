@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import loop
+from revisit.core.kernels.loops import inlined, inner, loop
 from revisit.core.kernels.plane_coder import most_typical
 from revisit.core.kernels.range_coder import Coder, Models, code_bit
 from revisit.core.kernels.voxel_families import VoxelFamilies, beside, coded_neighbours
@@ -75,7 +74,7 @@ def spread_out(
             points[1, row, k] = normals[codes[row, 0] * NORMAL_CODES + codes[row, 1], k]
 
 
-@numba.njit(inline="always")
+@inlined
 def _code_choice(coder: Coder, data: NDArray[np.uint8], models: Models, first: int, bits: int, value: int) -> int:
     """Write or read a number of so many bits, each guessed from those before; its models begin at `first`."""
     node = 1
@@ -84,7 +83,7 @@ def _code_choice(coder: Coder, data: NDArray[np.uint8], models: Models, first: i
     return node - (1 << bits)
 
 
-@loop
+@inner
 def _code_normal(
     coder: Coder, data: NDArray[np.uint8], models: Models, codes: Whole, row: int, near: Whole, count: int
 ) -> None:
@@ -101,7 +100,7 @@ def _code_normal(
     codes[row, 1] = min(_code_choice(coder, data, models, model, 4, codes[row, 1]), NORMAL_CODES - 1)
 
 
-@loop
+@inner
 def _code_cells(
     coder: Coder, data: NDArray[np.uint8], models: Models, around: int, codes: Whole, places: Whole,
     vectors: Whole, row: int, axis: int,
@@ -116,20 +115,20 @@ def _code_cells(
     places[row, 2] = _code_choice(coder, data, models, model, 2, places[row, 2])
 
 
-@numba.njit(inline="always")
+@inlined
 def _both_sides(around: int, axis: int) -> int:
     """Whether the voxels before and behind one along `axis` are occupied, a bit each."""
     return (around >> axis & 1) + (2 if around >> (axis + 3) & 1 else 0)
 
 
-@numba.njit(inline="always")
+@inlined
 def _slope(up: int, aside: int) -> int:
     """A class of how far a normal leans aside, whichever way it faces."""
     leans = aside if up >= 0 else -aside
     return min(max((leans + 128) // 256 + 2, 0), _SLOPES - 1)
 
 
-@loop
+@inner
 def _guessed_level(
     voxels: Whole, codes: Whole, places: Whole, vectors: Whole, steepest: Whole, row: int, axis: int, steps: int,
     near: Whole, count: int,
@@ -163,7 +162,7 @@ def _guessed_level(
     return 1 + guess * (_GUESSES - 1) // steps, _agreement((last - first) * 16 // steps, last > first, weights)
 
 
-@numba.njit(inline="always")
+@inlined
 def _agreement(spread: int, several: bool, weights: int) -> int:
     """A class of how far guesses spread, in 32nds of an edge, or of how much a single one weighs."""
     if not several:
@@ -171,7 +170,7 @@ def _agreement(spread: int, several: bool, weights: int) -> int:
     return 6 if spread > 25 else 5 if spread > 12 else 4 if spread > 5 else 3 if spread > 2 else 2
 
 
-@numba.njit(inline="always")
+@inlined
 def _within(places: Whole, row: int, own_axis: int, axis: int, steps: int) -> int:
     """Where in its voxel a point lies along `axis`; `own_axis` is the one that its normal is nearest to."""
     if axis == own_axis:
@@ -180,7 +179,7 @@ def _within(places: Whole, row: int, own_axis: int, axis: int, steps: int) -> in
     return int((2 * places[row, 2 if second else 1] + 1) * (steps // ACROSS))
 
 
-@numba.njit(inline="always")
+@inlined
 def _apart(
     voxels: Whole, places: Whole, row: int, axis: int, other: int, their_axis: int, along: int, steps: int
 ) -> int:

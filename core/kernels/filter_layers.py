@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from revisit.core.kernels.loops import compiled, loop
 
 Array = NDArray[np.float32]
 Complex = NDArray[np.complex64]
 
 
-@numba.njit(cache=True, error_model="numpy")
+@loop
 def multiply_spectrum(filters: Array, spectrum: Complex, products: Complex) -> None:
     """Write the `spectrum` (h, w) times each of the `filters` (s, h, w) into `products` (s, h, w)."""
     scales, height, width = filters.shape
@@ -20,7 +21,7 @@ def multiply_spectrum(filters: Array, spectrum: Complex, products: Complex) -> N
                 products[s, y, x] = spectrum[y, x] * filters[s, y, x]
 
 
-@numba.njit(cache=True, error_model="numpy")
+@loop
 def add_amplitudes(responses: Complex, total: Array) -> None:
     """Add the moduli of `responses` (s, h, w) to `total` (h', w'), whose edges are at most as long."""
     height, width = total.shape
@@ -31,7 +32,7 @@ def add_amplitudes(responses: Complex, total: Array) -> None:
                 total[y, x] += np.sqrt(value.real * value.real + value.imag * value.imag)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def strongest_layer(layers: Array) -> tuple[NDArray[np.int8], Array]:
     """Which of `layers` (l, h, w) is the greatest at each pixel, the first of equal ones, and its value there."""
     count, height, width = layers.shape

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,7 +24,7 @@ from revisit.core.kernels.expected_normals import (
     expect_normal,
     settle_spot,
 )
-from revisit.core.kernels.loops import loop
+from revisit.core.kernels.loops import inlined, loop
 from revisit.core.kernels.mixed_coder import SLOTS, WAYS, Mixture, mixed_bit
 from revisit.core.kernels.mixed_octree import HEIGHTS, RANGES, range_class
 from revisit.core.kernels.mixed_planes import clipped, facing, nearest_hits, steepest, steps_of, turned
@@ -127,7 +126,7 @@ def _code_all(
         settle_spot(scratch.spots, row, normal, codes[row, 2] * units[2])
 
 
-@numba.njit(inline="always")
+@inlined
 def _look_around(level: OctreeLevel, row: int, scratch: Scratch) -> tuple[int, int]:
     """Fill `around` and `near` of the scratch; how many voxels before the row's are around it, and how many in all."""
     list_neighbours(level, row, scratch.around)
@@ -140,7 +139,7 @@ def _look_around(level: OctreeLevel, row: int, scratch: Scratch) -> tuple[int, i
     return count, occupied
 
 
-@numba.njit(inline="always")
+@inlined
 def _code_hits(
     coder: Coder, data: NDArray[np.uint8], mixture: Mixture, codes: Whole, near: Whole, count: int, occupied: int,
     far: int, z: int, row: int,
@@ -162,7 +161,7 @@ def _code_hits(
     codes[row, 3] = value
 
 
-@numba.njit(inline="always")
+@inlined
 def _code_normal(
     coder: Coder, data: NDArray[np.uint8], mixture: Mixture, codes: Whole, units: Numbers, count: int, row: int,
     scratch: Scratch,
@@ -201,7 +200,7 @@ def _code_normal(
     return int(spread), int(min(abs(first) + abs(second), 3))
 
 
-@numba.njit(inline="always")
+@inlined
 def _code_offset(
     coder: Coder, data: NDArray[np.uint8], mixture: Mixture, voxels: Whole, codes: Whole, vectors: Whole, unit: int,
     count: int, row: int, spread: int, turns: int, far: int, scratch: Scratch,
@@ -225,7 +224,7 @@ def _code_offset(
     codes[row, 2] = guess + _code_number(coder, data, mixture, scratch, which, guess, 1, codes[row, 2] - guess)
 
 
-@numba.njit(inline="always")
+@inlined
 def _code_number(
     coder: Coder, data: NDArray[np.uint8], mixture: Mixture, scratch: Scratch, which: int, centre: int, unit: int,
     value: int,
@@ -251,7 +250,7 @@ def _code_number(
     )
 
 
-@numba.njit(inline="always")
+@inlined
 def _ask(at: Numbers, scratch: Scratch, slot: int, asked: int, sign: int) -> None:
     """Say in `at` which models are asked: of the last ones those of how far what is `asked` lies beyond a guess."""
     for k in range(_OTHER):
@@ -261,19 +260,19 @@ def _ask(at: Numbers, scratch: Scratch, slot: int, asked: int, sign: int) -> Non
         at[_OTHER + k] = scratch.base[_OTHER + k] + min(slot, 4) * (2 * _NEAR + 1) + beyond
 
 
-@numba.njit(inline="always")
+@inlined
 def _on_grid(code: int, steps: int, unit: int) -> int:
     """The code nearest to one, whole units from that of a normal straight up: level ground is stored as level."""
     return min(max(steps + steps_of(code - steps, unit) * unit, 0), 2 * steps)
 
 
-@numba.njit(inline="always")
+@inlined
 def _coarse(code: int, steps: int) -> int:
     """One of _SIDE classes of a code."""
     return code * (_SIDE - 2) // (2 * steps)
 
 
-@numba.njit(inline="always")
+@inlined
 def _off(code: int, guess: int) -> int:
     """0, 1 or 2 for how far a code is from its guess."""
     return min(abs(code - guess), 5) // 2

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.kernels.loops import compiled, inlined
 
-@numba.njit(cache=True, error_model="numpy")
+
+@compiled
 def face_profiles(
     vertices: NDArray[np.float64],
     heading: NDArray[np.float64],
@@ -43,7 +44,7 @@ def face_profiles(
     return found
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def plan_profiles(
     places: NDArray[np.float64], weight: NDArray[np.float64], headings: int, bins: int, spacing: float
 ) -> NDArray[np.float64]:
@@ -60,7 +61,7 @@ def plan_profiles(
     return found[:, 1:-1].copy()
 
 
-@numba.njit(inline="always")
+@inlined
 def _fill_columns(
     x: NDArray[np.float64], y: NDArray[np.float64], angle: float, bins: int, spacing: float, columns: NDArray[np.int32]
 ) -> None:

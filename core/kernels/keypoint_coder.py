@@ -25,7 +25,7 @@ from revisit.core.kernels.keypoint_models import (
     UP,
     WINDOW,
 )
-from revisit.core.kernels.loops import loop
+from revisit.core.kernels.loops import inner, loop
 from revisit.core.kernels.range_coder import Coder, Models, code_bit, past_end
 
 Whole = NDArray[np.int32]
@@ -51,7 +51,7 @@ def code_keypoints(
         _code_descriptor(coder, data, models, bits, row, first, second, apart)
 
 
-@loop
+@inner
 def _code_cell(coder: Coder, data: NDArray[np.uint8], models: Models, cells: Whole, row: int, wide: int) -> None:
     """The y as steps from the one before, then the x."""
     y, step = cells[row - 1, 1] if row else 0, 0
@@ -67,7 +67,7 @@ def _code_cell(coder: Coder, data: NDArray[np.uint8], models: Models, cells: Who
     cells[row, 0], cells[row, 1] = node - (1 << wide), y
 
 
-@loop
+@inner
 def _nearest(cells: Whole, angles: Whole, row: int, turns: int) -> tuple[int, int, int]:
     """The nearest two of the keypoints before, and a class of how near the first is; of one alone it is both, of none
     -1.
@@ -92,7 +92,7 @@ def _nearest(cells: Whole, angles: Whole, row: int, turns: int) -> tuple[int, in
     return first, first if second < 0 else second, size
 
 
-@loop
+@inner
 def _code_angle(
     coder: Coder, data: NDArray[np.uint8], models: Models, angles: Whole, row: int, first: int, second: int, apart: int
 ) -> None:
@@ -111,7 +111,7 @@ def _code_angle(
     angles[row] = node - (1 << ANGLE_BITS)
 
 
-@loop
+@inner
 def _code_descriptor(
     coder: Coder, data: NDArray[np.uint8], models: Models, bits: Bits, row: int, first: int, second: int, apart: int
 ) -> None:

@@ -6,10 +6,23 @@ from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.extending import register_jitable
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-_OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "_nrt": False}
+_KEPT: dict[str, Any] = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+_OPTIONS: dict[str, Any] = {"_nrt": False, **_KEPT}
+_ANY_ORDER = {"reassoc", "contract"}
+
+
+def compiled(function: Function) -> Function:
+    """Compiles a function that makes arrays."""
+    return cast(Function, numba.njit(**_KEPT)(function))
+
+
+def fast(function: Function) -> Function:
+    """As `compiled`; rounding is left to the compiler."""
+    return cast(Function, numba.njit(fastmath=True, **_KEPT)(function))
 
 
 def loop(function: Function) -> Function:
@@ -24,4 +37,22 @@ def loop(function: Function) -> Function:
 
 def sums(function: Function) -> Function:
     """As `loop`; the order of sums is left to the compiler, so that it adds several numbers at once."""
-    return cast(Function, numba.njit(fastmath={"reassoc", "contract"}, **_OPTIONS)(function))
+    return cast(Function, numba.njit(fastmath=_ANY_ORDER, **_OPTIONS)(function))
+
+
+def inner(function: Function) -> Function:
+    """As `loop`, for what only loops call: without what Python would call it by, a sixth of the compiler's work.
+
+    From Python it runs as it is written.
+    """
+    return register_jitable(**_OPTIONS)(function)
+
+
+def inner_sums(function: Function) -> Function:
+    """As `inner` and `sums`."""
+    return register_jitable(fastmath=_ANY_ORDER, **_OPTIONS)(function)
+
+
+def inlined(function: Function) -> Function:
+    """As `inner`, made a part of each loop that calls it: for what a loop does at each turn."""
+    return register_jitable(forceinline=True, **_OPTIONS)(function)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from revisit.core.kernels.loops import compiled
 
 Array = NDArray[np.float32]
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def polygonise(
     cell_corners: NDArray[np.int32],
     corner_positions: Array,
@@ -42,11 +43,12 @@ def polygonise(
             if table[case, t, 0] < 0:
                 break
             for k in range(3):
-                low, axis = edges[table[case, t, k]]
+                low, axis = edges[table[case, t, k], 0], edges[table[case, t, k], 1]
                 a, b = cell_corners[m, low], cell_corners[m, low | (1 << axis)]
                 if vertex_of_edge[a, axis] < 0:
                     share = values[a] / (values[a] - values[b])
-                    vertices[vertex_count] = corner_positions[a]
+                    for along in range(3):
+                        vertices[vertex_count, along] = corner_positions[a, along]
                     vertices[vertex_count, axis] += share * resolution
                     vertex_of_edge[a, axis] = vertex_count
                     vertex_count += 1

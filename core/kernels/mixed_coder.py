@@ -8,11 +8,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import loop
+from revisit.core.kernels.loops import inlined, inner
 from revisit.core.kernels.range_coder import Coder, Models, code_large, fresh_models, learn, narrow
 
 WAYS = 5
@@ -46,7 +45,7 @@ def fresh_mixture(models: int, sets: int) -> Mixture:
     return Mixture(fresh_models(models), weights, np.zeros(WAYS, dtype=np.int64))
 
 
-@numba.njit(inline="always")
+@inlined
 def mixed_bit(coder: Coder, data: NDArray[np.uint8], mixture: Mixture, slot: int, which: int, bit: int) -> int:
     """Write `bit` with the chance that the models `mixture.at` + `slot` give it together, or read and return it.
 
@@ -65,13 +64,13 @@ def mixed_bit(coder: Coder, data: NDArray[np.uint8], mixture: Mixture, slot: int
     return bit
 
 
-@loop
+@inner
 def code_mixed_bit(coder: Coder, data: NDArray[np.uint8], mixture: Mixture, slot: int, which: int, bit: int) -> int:
     """As `mixed_bit`, which is compiled into what calls it."""
     return int(mixed_bit(coder, data, mixture, slot, which, bit))
 
 
-@loop
+@inner
 def code_mixed_number(coder: Coder, data: NDArray[np.uint8], mixture: Mixture, which: int, value: int) -> int:
     """Write or read a whole number between -2^16 and 2^16, small ones short.
 

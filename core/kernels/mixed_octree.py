@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import loop
+from revisit.core.kernels.loops import inlined, loop
 from revisit.core.kernels.mixed_coder import Mixture, mixed_bit
 from revisit.core.kernels.octree_coder import mark_children
 from revisit.core.kernels.octree_nodes import AROUND, PLACES, STEPS, OctreeLevel, neighbours_of_all, top_level
@@ -117,7 +116,7 @@ def _code_level(
     return size
 
 
-@numba.njit(inline="always")
+@inlined
 def _look_around(level: OctreeLevel, row: int, child: int, coded: int) -> tuple[int, int]:
     """Which of the 26 voxels around a child of node `row` are known to be there, and of which nothing is known yet."""
     known = AROUND[child, 0, coded]
@@ -131,7 +130,7 @@ def _look_around(level: OctreeLevel, row: int, child: int, coded: int) -> tuple[
     return int(known), int(hidden)
 
 
-@numba.njit(inline="always")
+@inlined
 def _ask(
     at: NDArray[np.int64], known: int, hidden: int, detail: int, child: int, coded: int, some: int, beside: int,
     far: int, edge: int, height: int,
@@ -150,14 +149,14 @@ def _ask(
     return int((detail * 5 + min(count >> _ALL & 255, 4)) * 4 + some)
 
 
-@numba.njit(inline="always")
+@inlined
 def range_class(x: int, y: int, z: int) -> int:
     """One of RANGES classes of how far a voxel is from the middle of the map."""
     x, y, z = min(abs(x), 1 << 12), min(abs(y), 1 << 12), min(abs(z), 1 << 12)
     return int(_RANGE[min((x * x + y * y + z * z) >> 6, _FARTHEST - 1)])
 
 
-@numba.njit(inline="always")
+@inlined
 def _height(z: int, shift: int, low: int) -> int:
     """One of HEIGHTS classes of how high the middle of a voxel is, in halves of its edge."""
     finer = max(shift - 1, 0)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import loop
+from revisit.core.kernels.loops import inlined, inner, loop
 from revisit.core.kernels.mixed_coder import SLOTS, WAYS, Mixture, code_mixed_bit, code_mixed_number, fresh_mixture
 from revisit.core.kernels.plane_coder import (
     FIXED,
@@ -70,14 +69,14 @@ def _code_all(
         _code_hits(coder, data, mixture, codes, near, count, row, spread)
 
 
-@numba.njit(inline="always")
+@inlined
 def turned(offset: int, before: Whole, after: Whole) -> int:
     """The offset of a plane through the foot of another, whose normal was `before`."""
     alike = before[0] * after[0] + before[1] * after[1] + before[2] * after[2]
     return int((2 * offset * alike + FIXED * FIXED) // (2 * FIXED * FIXED))
 
 
-@loop
+@inner
 def _code_normal(
     coder: Coder, data: NDArray[np.uint8], mixture: Mixture, codes: Whole, units: NDArray[np.int64], near: Whole,
     count: int, row: int, known: NDArray[np.int64],
@@ -109,7 +108,7 @@ def _code_normal(
     return int(spread)
 
 
-@loop
+@inner
 def _code_offset(
     coder: Coder, data: NDArray[np.uint8], mixture: Mixture, families: VoxelFamilies, codes: Whole, vectors: Whole,
     unit: int, count: int, row: int, known: NDArray[np.int64],
@@ -126,7 +125,7 @@ def _code_offset(
     codes[row, 2] = guess + _code_steps(coder, data, mixture, 4 * SPREADS + spread, codes[row, 2] - guess)
 
 
-@loop
+@inner
 def _code_hits(
     coder: Coder, data: NDArray[np.uint8], mixture: Mixture, codes: Whole, near: Whole, count: int, row: int,
     spread: int,
@@ -147,7 +146,7 @@ def _code_hits(
     codes[row, 3] = value
 
 
-@numba.njit(inline="always")
+@inlined
 def nearest_hits(codes: Whole, near: Whole, count: int) -> tuple[int, int, int, int]:
     """The classes of hits of the first three of `count` rows `near`, and eight times the mean of the first eight."""
     a = codes[near[0], 3] if count > 0 else HIT_CLASSES - 1
@@ -160,7 +159,7 @@ def nearest_hits(codes: Whole, near: Whole, count: int) -> tuple[int, int, int, 
     return a, b, c, mean
 
 
-@numba.njit(inline="always")
+@inlined
 def _code_steps(coder: Coder, data: NDArray[np.uint8], mixture: Mixture, which: int, value: int) -> int:
     """A number by the contexts `mixture.at`, in a class of numbers of its own."""
     for k in range(WAYS):
@@ -168,26 +167,26 @@ def _code_steps(coder: Coder, data: NDArray[np.uint8], mixture: Mixture, which: 
     return int(code_mixed_number(coder, data, mixture, which * SLOTS, value))
 
 
-@numba.njit(inline="always")
+@inlined
 def steps_of(difference: int, unit: int) -> int:
     """How many times `unit`; half a unit is none."""
     size = (2 * abs(difference) + unit - 1) // (2 * unit)
     return size if difference >= 0 else -size
 
 
-@numba.njit(inline="always")
+@inlined
 def clipped(difference: int, most: int) -> int:
     """A difference of at most `most` as a number from 0 on."""
     return min(max(difference, -most), most) + most
 
 
-@numba.njit(inline="always")
+@inlined
 def facing(a: int, b: int, steps: int) -> int:
     """One of 16 x 16 directions."""
     return 16 * (a * 15 // (2 * steps)) + b * 15 // (2 * steps)
 
 
-@numba.njit(inline="always")
+@inlined
 def steepest(normal: Whole) -> int:
     """The axis that a normal is nearest to."""
     x, y, z = abs(normal[0]), abs(normal[1]), abs(normal[2])

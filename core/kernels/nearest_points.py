@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import loop
+from revisit.core.kernels.loops import inlined, loop
 from revisit.core.kernels.point_columns import PointColumns, span
 
 Keys = NDArray[np.int64]
@@ -78,7 +77,7 @@ def _find_nearest(
         begin = end
 
 
-@numba.njit(inline="always")
+@inlined
 def _hold(
     points: NDArray[np.floating], first: int, last: int, px: np.float32, py: np.float32, reach: np.float32, held: Keys,
     levels: NDArray[np.floating], size: int,
@@ -94,7 +93,7 @@ def _hold(
     return size
 
 
-@numba.njit(inline="always")
+@inlined
 def _keep_nearest(
     queries: NDArray[np.float32], q: int, points: NDArray[np.floating], first: int, last: int, farthest: np.float32,
     near: Keys, best: Keys,
@@ -109,7 +108,7 @@ def _keep_nearest(
     _keep(near, size, best)
 
 
-@numba.njit(inline="always")
+@inlined
 def _keep_nearest_held(
     pz: np.float32, reach: np.float32, count: int, held: Keys, levels: NDArray[np.floating], near: Keys, best: Keys
 ) -> None:
@@ -123,7 +122,7 @@ def _keep_nearest_held(
     _keep(near, size, best)
 
 
-@numba.njit(inline="always")
+@inlined
 def _keep(near: Keys, size: int, best: Keys) -> None:
     """Keep the least of `best` (K,) and of the first `size` candidates, in order."""
     if len(best) != _SIX:

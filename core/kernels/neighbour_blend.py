@@ -6,6 +6,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.kernels.loops import compiled, fast
+
 Array = NDArray[np.float32]
 
 NEAREST_M = 1e-3
@@ -18,7 +20,7 @@ _HALF = np.float32(0.5)
 _ONE = np.float32(1.0)
 
 
-@numba.njit(cache=True, fastmath=True, error_model="numpy")
+@fast
 def blend_neighbours(
     queries: Array,
     positions: Array,
@@ -55,7 +57,7 @@ def blend_neighbours(
     return blends, encoding, plane
 
 
-@numba.njit(cache=True, fastmath=True, error_model="numpy")
+@fast
 def blend_normals(indices: NDArray[np.int32], squared: Array, normals: Array, power: float) -> Array:
     """The unit normals (m, 3) of the weighted means of `normals` (n, 3) over the neighbours; zero where there is none.
 
@@ -107,7 +109,7 @@ def _quarter_waves(values: Array, sines: Array, cosines: Array, count: int) -> N
         cosines[e] = -other if ((turns + 1) & 2) == 2 else other
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def tangent_frames(normals: Array) -> Array:
     """Rotations (n, 3, 3) into the local frames, as `decoder.orientations` says."""
     frames = np.empty((len(normals), 3, 3), dtype=np.float32)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import sums
+from revisit.core.kernels.loops import inner_sums
 
 Array64 = NDArray[np.float64]
 
@@ -13,7 +13,7 @@ CHUNK = 256
 """Pairs that are collected before they are summed up: as many as stay near the processor."""
 
 
-@sums
+@inner_sums
 def add_normal_equations(rows: Array64, count: int, hessian: Array64, gradient: Array64) -> None:
     """Adds the first `count` columns of `rows` (9, k) to the lower half of `hessian` (6, 6) and to `gradient` (6,).
 

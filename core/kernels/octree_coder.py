@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import loop
+from revisit.core.kernels.loops import inlined, loop
 from revisit.core.kernels.range_coder import Coder, Models, code_bit
 from revisit.core.kernels.voxel_table import VoxelTable, add, find
 
@@ -130,13 +129,13 @@ def _code_level(
     return size
 
 
-@numba.njit(inline="always")
+@inlined
 def _rank(corner: int, x: int, y: int, z: int) -> int:
     """As `ranks_of`, of a voxel `corner` away."""
     return (corner + x * _STEPS[0] + y * _STEPS[1] + z * _STEPS[2]) & (RANKS - 1)
 
 
-@numba.njit(inline="always")
+@inlined
 def _known(masks: NDArray[np.int64], node: int, row: int, coded: int, child: int, side: int, beyond: int) -> int:
     """Along one axis: 1 where the child before is occupied, and 8 where there may be one behind.
 

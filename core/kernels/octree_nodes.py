@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import loop
+from revisit.core.kernels.loops import inlined, loop
 
 Whole = NDArray[np.int32]
 
@@ -96,7 +95,7 @@ def _list_all(level: OctreeLevel, around: Whole) -> None:
         list_neighbours(level, row, around[row])
 
 
-@numba.njit(inline="always")
+@inlined
 def list_neighbours(level: OctreeLevel, row: int, found: Whole) -> None:
     """Fill `found` (26,) with the rows of the voxels around that of `row`, -1 where there is none."""
     x, y, z = level.voxels[row, 0], level.voxels[row, 1], level.voxels[row, 2]

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import loop
+from revisit.core.kernels.loops import inlined, loop
 
 Array64 = NDArray[np.float64]
 
@@ -55,7 +54,7 @@ def _orient(
             normals[i, 0], normals[i, 1], normals[i, 2] = sign * x, sign * y, sign * z
 
 
-@numba.njit(inline="always")
+@inlined
 def _load(
     covariances: Array64, views: Array64, start: np.uint64, count: np.uint64, matrix: Array64, axes: Array64,
     view: Array64,
@@ -79,7 +78,7 @@ def _load(
             axes[a, k] = 1.0 if a % 4 == 0 else 0.0
 
 
-@numba.njit(inline="always")
+@inlined
 def _clear_diagonal(matrix: Array64, count: np.uint64) -> int:
     """Make what is negligible beside the diagonals zero, so that it is not turned any more; return of how many."""
     found = 0
@@ -92,7 +91,7 @@ def _clear_diagonal(matrix: Array64, count: np.uint64) -> int:
     return found
 
 
-@numba.njit(inline="always")
+@inlined
 def _rotate(matrix: Array64, axes: Array64, count: np.uint64, p: int, q: int) -> None:
     """Jacobi's method: turn in the plane of axes p and q so that the matrices' element (p, q) becomes zero.
 

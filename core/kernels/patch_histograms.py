@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from revisit.core.kernels.loops import compiled, fast
 
 Array = NDArray[np.float32]
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def patch_histograms(
     index: NDArray[np.int8],
     weights: Array,
@@ -57,7 +58,7 @@ def patch_histograms(
     return histograms
 
 
-@numba.njit(cache=True, fastmath=True, error_model="numpy")
+@fast
 def disc_histograms(layers: Array, pixels: NDArray[np.int64], disc: Array) -> Array:
     """Sums (n, layers) of each of `layers` (l, h, w) over a disc around each of `pixels` (n, 2), column and row.
 

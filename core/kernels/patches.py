@@ -11,11 +11,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import loop
+from revisit.core.kernels.loops import inlined, loop
 from revisit.core.kernels.point_columns import columns_of, span
 
 Array64 = NDArray[np.float64]
@@ -62,7 +61,7 @@ def _fill(points: Array64, rows: NDArray[np.int32], normals: Array64, records: R
             records[n, 4 + a] = normals[i, a]
 
 
-@numba.njit(inline="always")
+@inlined
 def nearest_patch(
     places: Records, keys: NDArray[np.int64], grid: NDArray[np.int32], x_low: int, y_low: int, width: int, depth: int,
     edge: float, reach: float, px: float, py: float, pz: float,
@@ -82,7 +81,7 @@ def nearest_patch(
     return int(least & _ROW) if least < limit else -1
 
 
-@numba.njit(inline="always")
+@inlined
 def two_nearest(
     places: Records, keys: NDArray[np.int64], grid: NDArray[np.int32], x_low: int, y_low: int, width: int, depth: int,
     edge: float, reach: float, px: float, py: float, pz: float,
@@ -121,7 +120,7 @@ def two_nearest(
     return nearest, float(np.sqrt(_squared(least))), float(np.sqrt(_squared(next_least)))
 
 
-@numba.njit(inline="always")
+@inlined
 def _least_rank(
     places: Records, block: int, end: int, but: int, limit: int, qx: np.float32, qy: np.float32, qz: np.float32
 ) -> int:
@@ -133,7 +132,7 @@ def _least_rank(
     return least
 
 
-@numba.njit(inline="always")
+@inlined
 def _rank(places: Records, row: int, qx: np.float32, qy: np.float32, qz: np.float32) -> int:
     """The squared distance of a patch and its row as one number, in the order of the distances."""
     i = np.uint64(row)
@@ -141,17 +140,17 @@ def _rank(places: Records, row: int, qx: np.float32, qy: np.float32, qz: np.floa
     return _ranked(np.float32(dx * dx + dy * dy + dz * dz), row)
 
 
-@numba.njit(inline="always")
+@inlined
 def _ranked(squared: np.float32, row: int) -> int:
     return int((np.int64(np.float32(squared).view(np.int32)) << 32) | np.int64(row))
 
 
-@numba.njit(inline="always")
+@inlined
 def _squared(rank: int) -> np.float32:
     return np.int32(rank >> 32).view(np.float32)
 
 
-@numba.njit(inline="always")
+@inlined
 def _between(keys: NDArray[np.int64], grid: NDArray[np.int32], begin: int, end: int) -> tuple[int, int]:
     """The points of the columns from `begin` to before `end`: a first row, and one past the last."""
     if len(grid):

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import loop
+from revisit.core.kernels.loops import compiled, inner, loop
 
 Array64 = NDArray[np.float64]
 Images = NDArray[np.float32]
@@ -46,7 +45,7 @@ def _draw_density(
                 image[y, x + 1 if x + 1 < size else 0] += 0.5 * here
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def layer_counts(points: Array64, pixel: float, size: int, layers: int, lowest: float, layer: float) -> Images:
     """How many of `points` (n, 3) lie in each layer of `layer` metres from `lowest` on: (layers, size, size).
 
@@ -127,7 +126,7 @@ def _multiply_layers(
             _add_products(standing[layer, y], turned, hits[1, y], hits[3, y], totals[1, y])
 
 
-@loop
+@inner
 def _add_products(standing: Images, layer: Images, hits: Images, hits_behind: Images, total: Images) -> None:
     """Add a row of `standing` times the conjugate of `layer`, and times it, to the hits, and `layer` to `total`."""
     for x in range(np.uint64(len(layer) // 2)):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import loop
+from revisit.core.kernels.loops import inner, loop
 from revisit.core.kernels.range_coder import UNARY, Coder, Models, code_bit, code_number
 from revisit.core.kernels.voxel_families import VoxelFamilies, coded_neighbours
 
@@ -52,7 +52,7 @@ def code_planes(
         _code_hits(coder, data, models, codes, row, near, count)
 
 
-@loop
+@inner
 def typical_normal(codes: Whole, near: Whole, count: int, steps: int) -> tuple[int, int]:
     """The row of `near` whose normal is least far from those of all, and a class of how far they spread; count >= 1."""
     best, least = most_typical(codes, near, count)
@@ -61,7 +61,7 @@ def typical_normal(codes: Whole, near: Whole, count: int, steps: int) -> tuple[i
     return best, 1 + min(_size(mean), 5) if count > 1 else 0
 
 
-@loop
+@inner
 def most_typical(codes: Whole, near: Whole, count: int) -> tuple[int, int]:
     """The one of the `count` >= 1 rows `near` whose code is least far from those of all, and how far on the whole."""
     best, least = near[0], 1 << 30
@@ -76,7 +76,7 @@ def most_typical(codes: Whole, near: Whole, count: int) -> tuple[int, int]:
     return best, least
 
 
-@loop
+@inner
 def _size(value: int) -> int:
     """0 for 0, else one more than the whole logarithm to base 2."""
     size = 0
@@ -86,7 +86,7 @@ def _size(value: int) -> int:
     return size
 
 
-@loop
+@inner
 def guessed_offset(
     voxels: Whole, near: Whole, codes: Whole, vectors: Whole, row: int, count: int, unit: int
 ) -> tuple[int, int, int]:
@@ -120,7 +120,7 @@ def guessed_offset(
     return total // weights, spread, weights
 
 
-@loop
+@inner
 def _code_hits(
     coder: Coder, data: NDArray[np.uint8], models: Models, codes: Whole, row: int, near: Whole, count: int
 ) -> None:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.kernels.loops import fast
 from revisit.core.kernels.neighbour_blend import NEAREST_M
 
 Array = NDArray[np.float32]
 
 
-@numba.njit(cache=True, fastmath=True, error_model="numpy")
+@fast
 def plane_distance(
     queries: Array, positions: Array, normals: Array, indices: NDArray[np.int32], squared: Array, power: float
 ) -> Array:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from revisit.core.kernels.loops import compiled
 
 Array = NDArray[np.float64]
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def plane_scores(normals: Array, offsets: Array, points: Array, near: float, below: float) -> Array:
     """The share of `points` (n, 3) within `near` of each plane (h,), less twice the share farther than `below` behind.
 

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import loop
+from revisit.core.kernels.loops import inlined, loop
 
 MAX_GRID = 1 << 22
 """Most columns of the grid; where the points spread over more, their keys are searched instead."""
@@ -106,7 +105,7 @@ def _order(
         points[at, 0], points[at, 1], points[at, 2] = cloud[i, 0], cloud[i, 1], cloud[i, 2]
 
 
-@numba.njit(inline="always")
+@inlined
 def span(
     keys: NDArray[np.int64], grid: NDArray[np.int32], width: int, depth: int, x: int, y_first: int, y_last: int
 ) -> tuple[int, int]:

@@ -5,11 +5,10 @@ All arithmetic is on integers: what one machine writes every other one reads.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import loop
+from revisit.core.kernels.loops import inlined, inner, loop
 
 Coder = NDArray[np.int64]
 """Lower and upper end of the interval, the bytes read ahead, the position in the data, and 1 where it reads."""
@@ -64,7 +63,7 @@ def position(coder: Coder) -> int:
     return int(coder[_AT])
 
 
-@loop
+@inner
 def _put(coder: Coder, data: NDArray[np.uint8], byte: int) -> None:
     """Write a byte; behind the end it is only counted."""
     if coder[_AT] < len(data):
@@ -72,7 +71,7 @@ def _put(coder: Coder, data: NDArray[np.uint8], byte: int) -> None:
     coder[_AT] += 1
 
 
-@loop
+@inner
 def _next_byte(coder: Coder, data: NDArray[np.uint8]) -> None:
     """Read a byte; behind the end there are zeros."""
     byte = np.int64(data[coder[_AT]]) if coder[_AT] < len(data) else np.int64(0)
@@ -80,13 +79,13 @@ def _next_byte(coder: Coder, data: NDArray[np.uint8]) -> None:
     coder[_AT] += 1
 
 
-@numba.njit(inline="always")
+@inlined
 def past_end(coder: Coder, data: NDArray[np.uint8]) -> bool:
     """Whether it reads and has read more than `data` holds: then it is damaged."""
     return bool(coder[_READS] == 1 and coder[_AT] > len(data))
 
 
-@numba.njit(inline="always")
+@inlined
 def code_bit(coder: Coder, data: NDArray[np.uint8], models: Models, model: int, bit: int) -> int:
     """Write `bit` with the chance that models[model] gives it, or read and return the bit; the model learns of it."""
     bit = narrow(coder, data, models[model, 0], bit)
@@ -94,7 +93,7 @@ def code_bit(coder: Coder, data: NDArray[np.uint8], models: Models, model: int, 
     return bit
 
 
-@numba.njit(inline="always")
+@inlined
 def narrow(coder: Coder, data: NDArray[np.uint8], chance: int, bit: int) -> int:
     """Write `bit`, which is a one with a `chance` out of 2^16, or read and return it."""
     middle = coder[_LOW] + (((coder[_HIGH] - coder[_LOW]) * np.int64(chance)) >> 16)
@@ -114,7 +113,7 @@ def narrow(coder: Coder, data: NDArray[np.uint8], chance: int, bit: int) -> int:
     return bit
 
 
-@numba.njit(inline="always")
+@inlined
 def learn(models: Models, model: int, bit: int) -> None:
     """Move the chance of models[model] towards a bit."""
     chance, seen = np.int64(models[model, 0]), np.int64(models[model, 1])
@@ -128,7 +127,7 @@ def learn(models: Models, model: int, bit: int) -> None:
         models[model, 1] = seen + 1
 
 
-@loop
+@inner
 def code_number(coder: Coder, data: NDArray[np.uint8], models: Models, first: int, value: int) -> int:
     """Write or read a whole number between -2^16 and 2^16, small ones short; its UNARY models begin at `first`."""
     if code_bit(coder, data, models, first, 1 if value == 0 else 0):
@@ -142,7 +141,7 @@ def code_number(coder: Coder, data: NDArray[np.uint8], models: Models, first: in
     return code_large(coder, data, models, first + 1 + size, rest - size, size, negative)
 
 
-@loop
+@inner
 def code_large(
     coder: Coder, data: NDArray[np.uint8], models: Models, model: int, rest: int, size: int, negative: int
 ) -> int:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import loop
+from revisit.core.kernels.loops import compiled, inlined, loop
 
 Array64 = NDArray[np.float64]
 
@@ -22,37 +21,49 @@ class SeenColumns(NamedTuple):
     lowest: Array64
 
 
-@numba.njit(cache=True, error_model="numpy")
 def seen_columns(points: Array64, edge: float) -> SeenColumns:
     """The columns of `edge` metres in which any of `points` (n, 3) lies."""
     size = 64
     while size < 2 * len(points):
         size *= 2
-    slots, lowest, count = np.full((size, 2), _NOWHERE, dtype=np.int32), np.full(size, np.inf), 0
+    slots, lowest = np.full((size, 2), _NOWHERE, dtype=np.int32), np.full(size, np.inf)
+    return _without_room(slots, lowest, _enter_all(points, edge, slots, lowest))
+
+
+@loop
+def _enter_all(points: Array64, edge: float, slots: NDArray[np.int32], lowest: Array64) -> int:
+    """Enter the columns of `points`; returns how many there are."""
+    count = 0
     for n in range(len(points)):
         x, y = int(np.floor(points[n, 0] / edge)), int(np.floor(points[n, 1] / edge))
         slot = slot_of(slots, x, y)
         count += slots[slot, 0] == _NOWHERE
         slots[slot, 0], slots[slot, 1] = x, y
         lowest[slot] = min(lowest[slot], points[n, 2])
-    return _without_room(slots, lowest, count)
+    return count
 
 
-@numba.njit(cache=True, error_model="numpy")
 def _without_room(slots: NDArray[np.int32], lowest: Array64, count: int) -> SeenColumns:
     """The same `count` columns in a table of no more than eight slots for each: a place keeps it, a search reads it."""
     size = 64
     while size < 4 * count:
         size *= 2
-    kept, kept_lowest = np.full((size, 2), _NOWHERE, dtype=np.int32), np.full(size, np.inf)
+    kept = SeenColumns(np.full((size, 2), _NOWHERE, dtype=np.int32), np.full(size, np.inf))
+    _enter_again(slots, lowest, kept.slots, kept.lowest)
+    return kept
+
+
+@loop
+def _enter_again(slots: NDArray[np.int32], lowest: Array64, kept: NDArray[np.int32], kept_lowest: Array64) -> None:
+    """Enter what is entered in `slots` into the empty table of `kept`."""
     for n in range(len(slots)):
-        if slots[n, 0] != _NOWHERE:
-            slot = slot_of(kept, slots[n, 0], slots[n, 1])
-            kept[slot], kept_lowest[slot] = slots[n], lowest[n]
-    return SeenColumns(kept, kept_lowest)
+        x, y = int(slots[n, 0]), int(slots[n, 1])
+        if x != _NOWHERE:
+            slot = slot_of(kept, x, y)
+            kept[slot, 0], kept[slot, 1], kept_lowest[slot] = x, y, lowest[n]
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def in_seen_columns(points: Array64, slots: NDArray[np.int32], edge: float) -> NDArray[np.bool_]:
     """Which of `points` (n, 3) stand in a column that is entered in `slots`."""
     found = np.zeros(len(points), dtype=np.bool_)
@@ -95,14 +106,14 @@ def _measure_heights(
     return count
 
 
-@numba.njit(inline="always")
+@inlined
 def is_seen(slots: NDArray[np.int32], x: float, y: float, edge: float) -> bool:
     """Whether (x, y) lies in a column that is entered in `slots`."""
     slot = slot_of(slots, int(np.floor(x / edge)), int(np.floor(y / edge)))
     return bool(slots[slot, 0] != _NOWHERE)
 
 
-@numba.njit(inline="always")
+@inlined
 def slot_of(slots: NDArray[np.int32], x: int, y: int) -> int:
     """Where column (x, y) is entered in `slots` (s, 2), or would be; s is a power of two."""
     mixed = (x * 0x9E3779B1) ^ (y * 0x85EBCA77)

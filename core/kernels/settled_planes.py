@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from revisit.core.kernels.loops import compiled
 
 Array64 = NDArray[np.float64]
 
@@ -12,7 +13,7 @@ _ROUNDS = 8
 _INSIDE = 0.499
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def spots_on_planes(
     voxels: NDArray[np.int32], normals: Array64, heights: Array64, resolution: float
 ) -> NDArray[np.float32]:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import loop
+from revisit.core.kernels.loops import inlined, inner, loop
 from revisit.core.kernels.normal_equations import CHUNK, add_normal_equations
 from revisit.core.kernels.patches import Patches, two_nearest
 
@@ -83,7 +82,7 @@ def _align(
             break
 
 
-@loop
+@inner
 def _stepped(pose: Array64, hessian: Array64, gradient: Array64) -> bool:
     """Whether the step of the normal equations, by which `pose` (4, 4) moves, was a tiny one."""
     _solve(hessian, gradient)
@@ -93,7 +92,7 @@ def _stepped(pose: Array64, hessian: Array64, gradient: Array64) -> bool:
     return bool(shift < _SMALLEST_STEP_M and turn < _SMALLEST_STEP_RAD)
 
 
-@numba.njit(inline="always")
+@inlined
 def _moved(pose: Array64, x: float, y: float, z: float, shift: float) -> tuple[float, float, float]:
     return (
         pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + shift * pose[0, 3],
@@ -102,7 +101,7 @@ def _moved(pose: Array64, x: float, y: float, z: float, shift: float) -> tuple[f
     )
 
 
-@loop
+@inner
 def _solve(hessian: Array64, gradient: Array64) -> None:
     """The damped Gauss-Newton step in place of `gradient` (6,), from the lower half of `hessian` (6, 6): Cholesky."""
     damping = 0.0
@@ -127,7 +126,7 @@ def _solve(hessian: Array64, gradient: Array64) -> None:
         gradient[a] = -gradient[a]
 
 
-@loop
+@inner
 def _step(pose: Array64, tangent: Array64) -> None:
     """`pose` (4, 4) becomes exp(tangent) pose, as `se3.exp` says, tangent (x, y, z, rx, ry, rz)."""
     tx, ty, tz, rx, ry, rz = tangent[0], tangent[1], tangent[2], tangent[3], tangent[4], tangent[5]
@@ -145,7 +144,7 @@ def _step(pose: Array64, tangent: Array64) -> None:
     pose[2, 3] += z
 
 
-@numba.njit(inline="always")
+@inlined
 def _turned(
     rx: float, ry: float, rz: float, x: float, y: float, z: float, once: float, twice: float
 ) -> tuple[float, float, float]:

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import loop
+from revisit.core.kernels.loops import compiled, inlined, loop
 from revisit.core.kernels.voxel_table import add_to, empty_slots, find_in
 
 NEAR_PLANE = 0.9
@@ -104,13 +103,13 @@ def enter_observed_corners(positions: NDArray[np.float32], resolution: float, re
     return count
 
 
-@numba.njit(inline="always")
+@inlined
 def _row_of(grid: Rows, place: int, slots: Rows, following: Rows, voxels: Rows, x: int, y: int, z: int) -> int:
     """The row of piece (x, y, z), whose place in the grid is `place`, or -1."""
     return int(grid[np.uint64(place)]) if len(grid) else find_in(slots, following, voxels, x, y, z)
 
 
-@numba.njit(inline="always")
+@inlined
 def _enter(
     grid: Rows, place: int, slots: Rows, following: Rows, voxels: Rows, row: int, x: int, y: int, z: int
 ) -> None:
@@ -122,7 +121,7 @@ def _enter(
         add_to(slots, following, voxels, row, x, y, z)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def list_corners(pieces: Pieces, count: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """The corners (n, 3) of the first `count` pieces, and the first corner (count,) of each piece."""
     bits = pieces.bits
@@ -198,7 +197,7 @@ def _find(
     return found
 
 
-@numba.njit(inline="always")
+@inlined
 def _read_window(
     grid: Rows, column: int, depth: int, levels: int, slots: Rows, following: Rows, voxels: Rows, bits: Bits,
     x0: int, y0: int, z0: int, around: Whole, window: Whole,
@@ -221,7 +220,7 @@ def _read_window(
                     window[a, b] |= np.int64((bits[row] << np.uint64(PIECE - shift)) & np.uint64(15))
 
 
-@numba.njit(inline="always")
+@inlined
 def _ones(word: np.uint64) -> int:
     """How many bits of 64 are set. Source: Warren, Hacker's Delight, 5-1."""
     word = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import numba
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import loop, sums
+from revisit.core.kernels.loops import inlined, inner, inner_sums, loop
 
 Array64 = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -20,7 +21,6 @@ SHORTEST_BASE = 4.0
 """Two correspondences define a yaw only where their points lie at least so many tolerances apart."""
 
 
-@numba.njit(cache=True, error_model="numpy")
 def best_two_point_pose(
     source: Array64, target: Array64, yaws: Array64, tolerance: float, yaw_tolerance: float
 ) -> Array64:
@@ -32,20 +32,23 @@ def best_two_point_pose(
 
     Correspondences vote in the order of their yaws, so that those lie together which can agree with a pose.
     """
-    count, best = len(source), np.zeros(5)
-    directions = (yaws + np.pi) % (2.0 * np.pi)
-    order = np.argsort(directions, kind="mergesort")
-    pairs, voting = np.empty((6, count)), np.empty((6, 2 * count))
-    for k in range(count):
+    best, pairs, directions = np.zeros(5), np.empty((6, len(source))), (yaws + np.pi) % (2.0 * np.pi)
+    order = np.argsort(directions, kind="stable")
+    _pair_up(source, target, yaws, pairs)
+    voting = np.ascontiguousarray(pairs[:, np.append(order, order)])
+    cosine = math.cos(yaw_tolerance) if yaw_tolerance < np.pi else -2.0
+    voters = _voters(directions[order], yaw_tolerance)
+    _vote(pairs, voting, voting[:4].astype(np.float32), voters, tolerance, cosine, np.empty((2, len(source))), best)
+    return np.array([math.atan2(best[1], best[0]) if best[4] else 0.0, best[2], best[3], best[4]])
+
+
+@loop
+def _pair_up(source: Array64, target: Array64, yaws: Array64, pairs: Array64) -> None:
+    """Fill `pairs` (6, n): source and target, cosine and sine of the yaw of each correspondence."""
+    for k in range(len(source)):
         pairs[0, k], pairs[1, k] = source[k, 0], source[k, 1]
         pairs[2, k], pairs[3, k] = target[k, 0], target[k, 1]
         pairs[4, k], pairs[5, k] = np.cos(yaws[k]), np.sin(yaws[k])
-    for k in range(2 * count):
-        voting[:, k] = pairs[:, order[k % count]]
-    cosine = np.cos(yaw_tolerance) if yaw_tolerance < np.pi else -2.0
-    voters = _voters(directions[order], yaw_tolerance)
-    _vote(pairs, voting, voting[:4].astype(np.float32), voters, tolerance, cosine, np.empty((2, count)), best)
-    return np.array([np.arctan2(best[1], best[0]) if best[4] else 0.0, best[2], best[3], best[4]])
 
 
 @loop
@@ -84,7 +87,7 @@ def _vote(
                 best[0], best[1], best[2], best[3], best[4] = c, s, x, y, agree
 
 
-@loop
+@inner
 def _measure_lengths(pairs: Array64, i: int, lengths: Array64) -> None:
     """Fill `lengths` (2, n): how far the later correspondences lie from the one of row i, at the source and target."""
     for j in range(np.uint64(i + 1), np.uint64(pairs.shape[1])):
@@ -93,7 +96,7 @@ def _measure_lengths(pairs: Array64, i: int, lengths: Array64) -> None:
         lengths[0, j], lengths[1, j] = np.sqrt(sx * sx + sy * sy), np.sqrt(tx * tx + ty * ty)
 
 
-@sums
+@inner_sums
 def _near(
     about: Array32, c: np.float32, s: np.float32, x: np.float32, y: np.float32, reach: np.float32, start: int, end: int
 ) -> np.float32:
@@ -106,7 +109,7 @@ def _near(
     return near
 
 
-@loop
+@inner
 def _votes(
     voting: Array64, c: float, s: float, x: float, y: float, reach: float, cosine: float, start: int, end: int
 ) -> int:
@@ -123,27 +126,32 @@ def _votes(
     return agree
 
 
-@numba.njit(cache=True, error_model="numpy")
 def _voters(directions: Array64, yaw_tolerance: float) -> Voters:
     """For poses by the step of their yaw: from where to where (steps, 2) those lie that can agree.
 
     `directions` (n,) are the yaws that are voted with, plus pi, within [0, 2 pi), in order; places count on into a
     second turn of them.
     """
-    count, found = len(directions), np.empty((_STEPS, 2), dtype=np.int64)
-    twice = np.concatenate((directions, directions + 2.0 * np.pi))
-    for step in range(_STEPS):
-        low, high = _first_yaw(step) - yaw_tolerance - _ROUNDING, _first_yaw(step + 1) + yaw_tolerance + _ROUNDING
-        if high - low >= 2.0 * np.pi:
-            found[step, 0], found[step, 1] = 0, count
-            continue
-        turned = np.pi if low >= -np.pi else 3.0 * np.pi
-        found[step, 0] = np.searchsorted(twice, low + turned)
-        found[step, 1] = np.searchsorted(twice, high + turned)
+    bounds = np.empty((_STEPS, 2))
+    _find_bounds(yaw_tolerance, bounds)
+    found = np.searchsorted(np.append(directions, directions + 2.0 * np.pi), bounds)
+    found[np.isinf(bounds[:, 0])] = 0, len(directions)
     return found
 
 
-@numba.njit(inline="always")
+@loop
+def _find_bounds(yaw_tolerance: float, bounds: Array64) -> None:
+    """Fill `bounds` (steps, 2): between which directions those lie that can agree, infinite where all can."""
+    for step in range(_STEPS):
+        low, high = _first_yaw(step) - yaw_tolerance - _ROUNDING, _first_yaw(step + 1) + yaw_tolerance + _ROUNDING
+        if high - low >= 2.0 * np.pi:
+            bounds[step, 0], bounds[step, 1] = -np.inf, np.inf
+            continue
+        turned = np.pi if low >= -np.pi else 3.0 * np.pi
+        bounds[step, 0], bounds[step, 1] = low + turned, high + turned
+
+
+@inlined
 def _step(c: float, s: float) -> int:
     """The step of a yaw of cosine `c` and sine `s`: where it goes through the square |x| + |y| = 1, which needs no
     arcus tangent.
@@ -154,7 +162,7 @@ def _step(c: float, s: float) -> int:
     return min(int((along + 2.0) * (0.25 * _STEPS)), _STEPS - 1)
 
 
-@numba.njit(inline="always")
+@inlined
 def _first_yaw(step: int) -> float:
     """The yaw within [-pi, pi] at which a step begins."""
     if step == 0:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import loop
+from revisit.core.kernels.loops import inlined, loop
 
 Array64 = NDArray[np.float64]
 
@@ -78,7 +77,7 @@ def looked_through(
     return through, through + confirmed
 
 
-@numba.njit(inline="always")
+@inlined
 def _direction(x: float, y: float, z: float, angle_deg: float, columns: int) -> tuple[int, int]:
     """Column and row of a direction. An arcus tangent that is a little off tells, but near the edge of a pixel."""
     level, slack = np.sqrt(x * x + y * y), _ABOUT_DEG / angle_deg
@@ -93,7 +92,7 @@ def _direction(x: float, y: float, z: float, angle_deg: float, columns: int) -> 
 _ABOUT_DEG = 2e-3  # more than `_about_deg` is off
 
 
-@numba.njit(inline="always")
+@inlined
 def _about_deg(y: float, x: float) -> float:
     """The angle of (x, y) in degrees within 0.0006: a polynomial of the arcus tangent (Abramowitz, Stegun 4.4.49)."""
     across, along = abs(y), abs(x)
@@ -106,6 +105,6 @@ def _about_deg(y: float, x: float) -> float:
     return float(-angle if y < 0.0 else angle)
 
 
-@numba.njit(inline="always")
+@inlined
 def _squared(point: Array64) -> float:
     return float(point[0] * point[0] + point[1] * point[1] + point[2] * point[2])

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.kernels.arcs import arc_tangent_32
+from revisit.core.kernels.loops import compiled, inlined
 
 Array = NDArray[np.float32]
 
@@ -19,7 +19,7 @@ _CHUNK = 1024
 _STRETCHES = 4
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def range_image(points: Array, origin: Array) -> Array:
     """Smallest range to `points` (n, 3) seen from `origin` (3,) in each pixel: (rows, columns) float32 metres.
 
@@ -42,7 +42,7 @@ def range_image(points: Array, origin: Array) -> Array:
     return image.reshape(ROWS, COLUMNS)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def mark_seen_through(positions: Array, origin: Array, image: Array, counts: NDArray[np.int32]) -> None:
     """Count the scan where all returns in the 3 x 3 pixels around a position are beyond it, and at least two exist."""
     nearest = _nearest_around(image)
@@ -54,7 +54,7 @@ def mark_seen_through(positions: Array, origin: Array, image: Array, counts: NDA
             counts[start + k] += nearest[pixels[k]] > ranges[k] * FARTHER + MARGIN_M
 
 
-@numba.njit(inline="always")
+@inlined
 def _see(
     points: Array, start: int, count: int, origin: Array, rays: Array, pixels: NDArray[np.int32], ranges: Array
 ) -> None:  # fmt: skip
@@ -73,7 +73,7 @@ def _see(
         pixels[k] = row * np.int32(COLUMNS) + (column if column < COLUMNS else np.int32(0))
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def _nearest_around(image: Array) -> Array:
     """The smallest range (rows * columns,) of each pixel and its neighbours; 0 where fewer than two have one."""
     nearest = np.empty(ROWS * COLUMNS, dtype=np.float32)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import loop
+from revisit.core.kernels.loops import inlined, loop
 
 Whole = NDArray[np.int32]
 
@@ -84,7 +83,7 @@ def _fill(families: VoxelFamilies) -> None:
         families.own[row] = node
 
 
-@numba.njit(inline="always")
+@inlined
 def beside(families: VoxelFamilies) -> int:
     """Which of the six voxels that share a face with the one looked at exist, coded before it or not."""
     return int(families.near[26])
@@ -120,7 +119,7 @@ def coded_neighbours(families: VoxelFamilies, row: int) -> int:
     return count
 
 
-@numba.njit(inline="always")
+@inlined
 def _insert(near: Whole, ranks: Whole, count: int, row: int, rank: int) -> None:
     """Put a row behind those of a lower rank."""
     while count > 0 and ranks[count - 1] > rank:

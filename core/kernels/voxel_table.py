@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from revisit.core.kernels.loops import compiled, inlined, loop
 
 MIN_BITS = 16
 MAX_BITS = 24
@@ -44,7 +45,7 @@ def table_of(voxels: NDArray[np.int32]) -> VoxelTable:
     return table
 
 
-@numba.njit(inline="always")
+@inlined
 def slot_of(slots: NDArray[np.int32], x: int, y: int, z: int) -> int:
     """The slot of voxel (x, y, z)."""
     column = (x & 0xFFFFF) * 0x9E3779B1 + (y & 0xFFFFF) * 0x85EBCA77
@@ -53,7 +54,7 @@ def slot_of(slots: NDArray[np.int32], x: int, y: int, z: int) -> int:
     return ((column ^ (column >> 15)) + z) & (len(slots) - 1)
 
 
-@numba.njit(inline="always")
+@inlined
 def find_in(
     slots: NDArray[np.int32], following: NDArray[np.int32], voxels: NDArray[np.int32], x: int, y: int, z: int
 ) -> int:
@@ -67,7 +68,7 @@ def find_in(
     return row
 
 
-@numba.njit(inline="always")
+@inlined
 def add_to(
     slots: NDArray[np.int32], following: NDArray[np.int32], voxels: NDArray[np.int32], row: int, x: int, y: int, z: int
 ) -> None:
@@ -78,19 +79,19 @@ def add_to(
     slots[slot] = row
 
 
-@numba.njit(inline="always")
+@inlined
 def find(table: VoxelTable, x: int, y: int, z: int) -> int:
     """The row of voxel (x, y, z), or -1. Loops over many voxels take `find_in`, which is several times faster."""
     return find_in(table.slots, table.following, table.voxels, x, y, z)
 
 
-@numba.njit(inline="always")
+@inlined
 def add(table: VoxelTable, row: int, x: int, y: int, z: int) -> None:
     """Enter voxel (x, y, z), which is not in the table yet, as `row`."""
     add_to(table.slots, table.following, table.voxels, row, x, y, z)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@loop
 def _fill(slots: NDArray[np.int32], following: NDArray[np.int32], voxels: NDArray[np.int32]) -> None:
     for row in range(len(voxels) - 1, -1, -1):
         x, y, z = voxels[row, 0], voxels[row, 1], voxels[row, 2]
@@ -98,7 +99,7 @@ def _fill(slots: NDArray[np.int32], following: NDArray[np.int32], voxels: NDArra
             add_to(slots, following, voxels, row, x, y, z)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def rows_of(table: VoxelTable, voxels: NDArray[np.int32]) -> NDArray[np.int64]:
     """The rows (n,) of `voxels` (n, 3) in the table, -1 where one is not there."""
     slots, following, entered = table.slots, table.following, table.voxels

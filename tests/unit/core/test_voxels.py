@@ -72,7 +72,7 @@ def colliding_voxels() -> np.ndarray:
     rows: dict[int, tuple[int, int]] = {}
     for x in range(40):
         for y in range(5000):
-            slot = slot_of.py_func(slots, x * 37, y, 0)
+            slot = slot_of(slots, x * 37, y, 0)
             if slot in rows and len({x * 37, rows[slot][0]}) == 2:
                 return np.array([[*rows[slot], 0], [x * 37, y, 0], [*rows[slot], 1], [x * 37, y, 1]], np.int32)
             rows[slot] = (x * 37, y)
@@ -82,8 +82,8 @@ def colliding_voxels() -> np.ndarray:
 def test_voxels_that_share_a_slot_are_all_found():
     voxels = colliding_voxels()
     table = table_of(voxels)
-    assert [find.py_func(table, *(int(v) for v in voxel)) for voxel in voxels] == [0, 1, 2, 3]
-    assert find.py_func(table, 5, 5, 5) == -1
+    assert [find(table, *(int(v) for v in voxel)) for voxel in voxels] == [0, 1, 2, 3]
+    assert find(table, 5, 5, 5) == -1
 
 
 def test_no_occupied_voxel_is_dropped_where_voxels_share_a_slot():
