@@ -26,7 +26,7 @@ from revisit.core.scan_disagreement import ScanDisagreement
 from revisit.core.stages import stage_times
 from revisit.core.submap import Submap
 from revisit.core.verification import Hypothesis, LoopMeasurement, RejectedLoop, VerifiedLoop
-from revisit.service.adapters.rehearsal import rehearse
+from revisit.service.adapters.rehearsal import accompany, rehearse
 from revisit.service.application.contract.recogniser import LoopVerdict, Mesh, Redescription, SubmapDescription
 from revisit.service.large_blocks import return_free_memory
 
@@ -126,6 +126,11 @@ def load_recogniser() -> CoreRecogniser:
     rehearse(recogniser)
     pack_intermediate_code()
     return recogniser
+
+
+def accompany_worker() -> None:
+    """Compile, in a process of its own, what a worker begins to compile at the other end."""
+    accompany(CoreRecogniser(load_packaged_models()))
 
 
 def _disagreement_of(place: bytes | None) -> ScanDisagreement | None:

@@ -2,26 +2,33 @@
 
 What it compiled in the middle of its life would cost a job some seconds, and the worker memory for good. The compiler
 keeps what it has made: where several workers start and nothing is there yet, they begin at different ends, and each
-loads what the other has compiled.
+loads what the other has compiled. A worker that starts alone has another process do so (docs/decisions/0292).
 """
 
 from __future__ import annotations
 
 import fcntl
 import os
-from contextlib import suppress
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
+from itertools import takewhile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit import formats
 from revisit.core import kernels
 from revisit.core.config import PipelineConfig
 from revisit.core.errors import RevisitError
 from revisit.core.geometry import se3
 from revisit.core.implicit_map import NeuralMap
 from revisit.core.implicit_map.neural_points import NeuralPoints
+from revisit.core.kernels.range_coder import finish, start
 from revisit.core.model_bundle import load_packaged_models
 from revisit.core.place import Place
 from revisit.core.pose_graph import normal_equations
@@ -36,37 +43,101 @@ Array64 = NDArray[np.float64]
 CONFIG = PipelineConfig()
 GROUND_M = -1.7
 
+COMPILED_FIRST = 2
+"""After so many steps a process knows whether anything is compiled, and whether it is alone: they take two seconds."""
+
+COMPANION = "from revisit.service.adapters.core_recogniser import accompany_worker; accompany_worker()"
+
+Step = Callable[[], object]
+
 
 def rehearse(recogniser: PlaceRecogniser) -> None:
     """Do once what a worker does with scans, submaps, pairs, maps, meshes and poses: the last first, where another
-    process does so already.
+    process does so already. One that is alone, with a core to spare, and has to compile gets a companion that does.
 
     Whether what is made up can be described does not matter. A fault that matters will show on a real submap.
     """
-    steps = (
+    steps = _steps(recogniser)
+    with _ends() as (beginning, end):
+        if not _take(beginning):
+            _take(end)
+            _do(reversed(steps))
+            return
+        _do(steps[:COMPILED_FIRST])
+        helped = _has_compiled(finish) and len(os.sched_getaffinity(0)) > 1 and _take(end)
+        with _companion() if helped else nullcontext():
+            _do(steps[COMPILED_FIRST:])
+
+
+def accompany(recogniser: PlaceRecogniser) -> None:
+    """As `rehearse`, the last first, for a process that will end soon and need none of it itself."""
+    parent = os.getppid()
+    _do(takewhile(lambda _: os.getppid() == parent, reversed(_steps(recogniser))))
+
+
+def _steps(recogniser: PlaceRecogniser) -> tuple[Step, ...]:
+    """They know nothing of each other. The gateway asks for the first one, too."""
+    return (
         quantised_columns.rehearse,
+        _end_a_stream,
         partial(_describe_again, recogniser),
         partial(_describe, recogniser),
         partial(_verify, recogniser),
         _draw,
         normal_equations.rehearse,
     )
-    folder = os.open(Path(str(kernels.__file__)).parent, os.O_RDONLY)
+
+
+def _do(steps: Iterable[Step]) -> None:
+    for step in steps:
+        with suppress(RevisitError):
+            step()
+
+
+@contextmanager
+def _ends() -> Iterator[list[int]]:
+    """Two folders, open: processes tell each other by their locks at which end somebody has begun."""
+    folders = [os.open(Path(str(module.__file__)).parent, os.O_RDONLY) for module in (kernels, formats)]
     try:
-        for step in steps if _is_first(folder) else reversed(steps):
-            with suppress(RevisitError):
-                step()
+        yield folders
     finally:
-        os.close(folder)
+        for folder in folders:
+            os.close(folder)
 
 
-def _is_first(folder: int) -> bool:
+def _take(folder: int) -> bool:
     """Whether no other process has taken this open folder for itself, as this one does now until it closes it."""
     try:
         fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:  # or the file system knows no locks
         return False
     return True
+
+
+@contextmanager
+def _companion() -> Iterator[None]:
+    """Another process, which compiles from the other end meanwhile."""
+    try:
+        process = subprocess.Popen([sys.executable, "-c", COMPANION], stdin=subprocess.DEVNULL)
+    except OSError:  # no process is free just now: then it takes longer
+        yield
+        return
+    try:
+        yield
+    finally:
+        process.kill()
+        process.wait()
+
+
+def _end_a_stream() -> None:
+    """Run a small kernel that the gateway never asks for: it tells whether any worker has compiled here before."""
+    data = np.zeros(4, np.uint8)
+    finish(start(data, reads=False), data)
+
+
+def _has_compiled(kernel: Any) -> bool:
+    """Whether this process has compiled a kernel, and not loaded what another one had."""
+    return bool(kernel.stats.cache_misses)
 
 
 def _describe_again(recogniser: PlaceRecogniser) -> None:

@@ -1,0 +1,109 @@
+"""Who compiles what, where several processes begin or one is alone (docs/decisions/0289, 0292)."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from types import SimpleNamespace
+
+import pytest
+
+from revisit.service.adapters import rehearsal
+
+
+class Companion:
+    """Stands in for another process."""
+
+    started: list[Companion] = []
+
+    def __init__(self, command, **_) -> None:
+        self.command, self.ended = command, False
+        Companion.started.append(self)
+
+    def kill(self) -> None:
+        self.ended = True
+
+    def wait(self) -> None:
+        assert self.ended
+
+
+@pytest.fixture
+def folders(tmp_path, monkeypatch):
+    """The two folders that are locked; on a machine of two cores where nothing is compiled."""
+    for name in ("kernels", "formats"):
+        (tmp_path / name).mkdir()
+        monkeypatch.setattr(rehearsal, name, SimpleNamespace(__file__=str(tmp_path / name / "__init__.py")))
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
+    monkeypatch.setattr(rehearsal, "_has_compiled", lambda _: True)
+    monkeypatch.setattr(rehearsal.subprocess, "Popen", Companion)
+    monkeypatch.setattr(Companion, "started", [])
+    return tmp_path
+
+
+@pytest.fixture
+def done(monkeypatch):
+    """The steps that were done, each with how many companions were at work."""
+    done: list[tuple[int, int]] = []
+
+    def step(number):
+        return lambda: done.append((number, sum(not one.ended for one in Companion.started)))
+
+    monkeypatch.setattr(rehearsal, "_steps", lambda _: tuple(step(number) for number in range(4)))
+    return done
+
+
+def taken(folder) -> int:
+    """Lock a folder as another process does."""
+    held = os.open(folder, os.O_RDONLY)
+    fcntl.flock(held, fcntl.LOCK_EX)
+    return held
+
+
+def test_a_process_that_is_alone_and_must_compile_has_a_companion(folders, done):
+    rehearsal.rehearse(None)
+    assert done == [(0, 0), (1, 0), (2, 1), (3, 1)]
+    assert [one.ended for one in Companion.started] == [True]
+
+
+def test_the_companion_ends_where_a_step_fails(folders, monkeypatch):
+    def fail():
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(rehearsal, "_steps", lambda _: (lambda: None, lambda: None, fail))
+    with pytest.raises(ZeroDivisionError):
+        rehearsal.rehearse(None)
+    assert [one.ended for one in Companion.started] == [True]
+
+
+@pytest.mark.parametrize("why", ["all is compiled", "one core", "another worker", "no process is free"])
+def test_there_is_no_companion_where_none_is_needed_or_possible(folders, done, monkeypatch, why):
+    def none_is_free(*_, **__):
+        raise BlockingIOError
+
+    held = None
+    if why == "all is compiled":
+        monkeypatch.setattr(rehearsal, "_has_compiled", lambda _: False)
+    elif why == "one core":
+        monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0})
+    elif why == "another worker":
+        held = taken(folders / "formats")
+    else:
+        monkeypatch.setattr(rehearsal.subprocess, "Popen", none_is_free)
+    rehearsal.rehearse(None)
+    assert done == [(0, 0), (1, 0), (2, 0), (3, 0)]
+    if held is not None:
+        os.close(held)
+
+
+def test_who_comes_second_begins_at_the_end_and_says_so(folders, done):
+    held = taken(folders / "kernels")
+    rehearsal.rehearse(None)
+    assert done == [(3, 0), (2, 0), (1, 0), (0, 0)]
+    os.close(held)
+
+
+def test_a_companion_begins_at_the_end_and_stops_with_its_worker(folders, done, monkeypatch):
+    parents = iter([7, 7, 7, 1])
+    monkeypatch.setattr(os, "getppid", lambda: next(parents))
+    rehearsal.accompany(None)
+    assert done == [(3, 0), (2, 0)]
