@@ -129,7 +129,8 @@ def inner(context) -> FaissIndex:
 def flip_a_bit(vectors, rng, row) -> None:
     """Change one bit of one vector."""
     row = rng.integers(len(vectors)) if row is None else row
-    vectors.view(np.uint32)[row, rng.integers(vectors.shape[1])] ^= np.uint32(1) << np.uint32(rng.integers(32))
+    held = vectors.view(np.uint8)
+    held[row, rng.integers(held.shape[1])] ^= np.uint8(1 << rng.integers(8))
 
 
 def damage_vector(places, rng, row=None) -> None:

@@ -54,17 +54,6 @@ def test_the_rehearsal_describes_a_yard_with_walls_and_compares_equal_places_and
     assert np.ptp(submap.points[:, :2], axis=0) == pytest.approx((40, 40), abs=1.0)
 
 
-def test_who_rehearses_beside_another_process_begins_at_the_other_end(monkeypatch, kernels_folder):
-    monkeypatch.setattr("revisit.service.adapters.rehearsal._is_first", lambda folder: True)
-    first, second = Rehearsed(), Rehearsed()
-    rehearse(first)
-    monkeypatch.undo()
-    fcntl.flock(kernels_folder, fcntl.LOCK_SH)
-    rehearse(second)
-    assert [asked for asked, _ in first.asked] == ["describe", "verify", "verify"]
-    assert [asked for asked, _ in second.asked] == ["verify", "verify", "describe"]
-
-
 def test_a_yard_that_cannot_be_described_does_not_keep_a_worker_from_its_work():
     recogniser = Rehearsed(EmptyCloud())
     rehearse(recogniser)
