@@ -7,14 +7,15 @@ loads what the other has compiled. A worker that starts alone has another proces
 
 from __future__ import annotations
 
+import ctypes
 import fcntl
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
-from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +47,14 @@ GROUND_M = -1.7
 COMPILED_FIRST = 2
 """After so many steps a process knows whether anything is compiled, and whether it is alone: they take two seconds."""
 
-COMPANION = "from revisit.service.adapters.core_recogniser import accompany_worker; accompany_worker()"
+COMPANION = """
+import signal
+signal.signal(signal.SIGINT, signal.SIG_DFL)  # no traceback where someone presses Ctrl-C
+from revisit.service.adapters.core_recogniser import accompany_worker
+accompany_worker()
+"""
+
+_PR_SET_PDEATHSIG = 1
 
 Step = Callable[[], object]
 
@@ -70,9 +78,16 @@ def rehearse(recogniser: PlaceRecogniser) -> None:
 
 
 def accompany(recogniser: PlaceRecogniser) -> None:
-    """As `rehearse`, the last first, for a process that will end soon and need none of it itself."""
-    parent = os.getppid()
-    _do(takewhile(lambda _: os.getppid() == parent, reversed(_steps(recogniser))))
+    """As `rehearse`, the last first, in a companion: it ends with the process that has started it."""
+    end_with_parent()
+    _do(reversed(_steps(recogniser)))
+
+
+def end_with_parent() -> None:
+    """Let the kernel end this process as soon as its parent is gone. Another system than Linux goes on."""
+    prctl = getattr(ctypes.CDLL(None), "prctl", None)
+    if prctl is not None:
+        prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 def _steps(recogniser: PlaceRecogniser) -> tuple[Step, ...]:

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import fcntl
 import os
+import subprocess
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from revisit.service.adapters import rehearsal
+from tests.support.patience import PATIENCE_S, eventually
 
 
 class Companion:
@@ -102,8 +106,36 @@ def test_who_comes_second_begins_at_the_end_and_says_so(folders, done):
     os.close(held)
 
 
-def test_a_companion_begins_at_the_end_and_stops_with_its_worker(folders, done, monkeypatch):
-    parents = iter([7, 7, 7, 1])
-    monkeypatch.setattr(os, "getppid", lambda: next(parents))
+def test_a_companion_begins_at_the_end_and_will_end_with_its_worker(done, monkeypatch):
+    bound: list[str] = []
+    monkeypatch.setattr(rehearsal, "end_with_parent", lambda: bound.append("to its parent"))
     rehearsal.accompany(None)
-    assert done == [(3, 0), (2, 0)]
+    assert (done, bound) == ([(3, 0), (2, 0), (1, 0), (0, 0)], ["to its parent"])
+
+
+PARENT = """
+import subprocess, sys
+child = subprocess.Popen([sys.executable, "-c", sys.argv[1]], stdout=subprocess.PIPE)
+print(child.stdout.readline().decode().strip(), flush=True)
+"""
+CHILD = """
+import os, time
+from revisit.service.adapters.rehearsal import end_with_parent
+end_with_parent()
+print(os.getpid(), flush=True)
+time.sleep(600)
+"""
+
+
+def test_a_process_ends_with_its_parent():
+    command = [sys.executable, "-c", PARENT, CHILD]
+    ran = subprocess.run(command, capture_output=True, text=True, check=True, timeout=PATIENCE_S)
+    eventually(lambda: not _lives(int(ran.stdout)), "the companion lives on")
+
+
+def _lives(pid: int) -> bool:
+    """Whether a process is there and does something: one that has ended may not have been asked for its status yet."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
