@@ -1,4 +1,4 @@
-"""How the loops of the kernels are compiled (docs/decisions/0111, 0177)."""
+"""How the loops of the kernels are compiled (docs/decisions/0111, 0177, 0292)."""
 
 from __future__ import annotations
 
@@ -54,5 +54,9 @@ def inner_sums(function: Function) -> Function:
 
 
 def inlined(function: Function) -> Function:
-    """As `inner`, made a part of each loop that calls it: for what a loop does at each turn."""
+    """As `inner`, made a part of each loop that calls it: for what a loop does at each turn.
+
+    It keeps its own rounding. What is to be rounded as the `fast` loop around it is inlined by numba itself
+    (`inline="always"`).
+    """
     return register_jitable(forceinline=True, **_OPTIONS)(function)

@@ -228,9 +228,7 @@ def _third_corner(c: int, corners: Whole, state: Whole, data: Bytes) -> int:
 
 
 @register_jitable(**_INNER)
-def _free(
-    a: int, b: int, c: int, corners: Whole, state: Whole, table: Bytes, data: Bytes, used: Whole
-) -> int:  # fmt: skip
+def _free(a: int, b: int, c: int, corners: Whole, state: Whole, table: Bytes, data: Bytes, used: Whole) -> int:
     """The code of a triangle without a shared edge: its corners are new, among the last 14, or named by number."""
     first = _NAMED_BY_NUMBER
     if a == state[_NEW]:

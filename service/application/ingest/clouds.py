@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import gc
 import re
 import struct
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from typing import ParamSpec, TypeAlias, TypeVar
 
 import numpy as np
@@ -165,17 +164,4 @@ def _decoded(cloud: CloudInput) -> tuple[DecodedCloud, bytes | None]:
     data = decode_content(cloud.data, cloud.coding)
     if len(data) > limits.ASCII_CLOUD_BYTES and _ASCII_HEADER.search(data, 0, _HEADER_BYTES):
         raise TooLarge(f"an ASCII cloud may have {limits.ASCII_CLOUD_BYTES} bytes; send the binary form of the format")
-    if not data.startswith(quantised.MAGIC):
-        return decode_cloud(data, cloud.content_type), None
-    decoded = decode_cloud(data, cloud.content_type)
-    _keep_compiler()
-    return decoded, data
-
-
-@cache
-def _keep_compiler() -> None:
-    """The first quantised cloud has loaded a compiler, whose many objects live on: as the gateway does after its start.
-
-    That cloud waits for up to a second; loaded before, a start and its first searches would.
-    """
-    gc.freeze()
+    return decode_cloud(data, cloud.content_type), data if data.startswith(quantised.MAGIC) else None
