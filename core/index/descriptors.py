@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -16,6 +16,9 @@ Marks = NDArray[np.uint64]
 
 PORTION = 256
 """Rows that are copied at a time: a megabyte."""
+
+_COPIED_BELOW = 4096
+"""Rows that are copied to be in one block with those that come; that takes 10 ms at most."""
 
 _OF_ID = np.uint64(0x9E3779B97F4A7C15)
 
@@ -45,24 +48,24 @@ class Descriptors:
 
     def __init__(self, dimension: int, shared: SharedRows | None = None) -> None:
         self.dimension = dimension
-        self.own: Array = np.zeros((0, dimension), dtype=np.float32)
         self._shared = shared
+        self._blocks: tuple[Array, ...] = ()  # its own, each as large as all before it: many are not copied
 
     def __len__(self) -> int:
         """How many rows there is room for."""
-        return self.shared_count + len(self.own)
+        return self.shared_count + sum(map(len, self._blocks))
 
     def __getitem__(self, rows: Indices | Sequence[int]) -> Array:
         """A copy of those rows. Raises RowDiffers."""
         asked = np.asarray(rows, dtype=np.intp)
-        if self._shared is None:
-            return self.own[asked]
-        is_own = asked >= self.shared_count
-        if not is_own.any():
-            return self._shared.taken(asked)
+        if self._shared is None and len(self._blocks) == 1:
+            return self._blocks[0][asked]
         found = np.empty((len(asked), self.dimension), dtype=np.float32)
-        found[is_own] = self.own[asked[is_own] - self.shared_count]
-        found[~is_own] = self._shared.taken(asked[~is_own])
+        if self._shared is not None and (is_shared := asked < self.shared_count).any():
+            found[is_shared] = self._shared.taken(asked[is_shared])
+        for start, block in self._own():
+            in_block = np.flatnonzero((asked >= start) & (asked < start + len(block)))
+            found[in_block] = block[asked[in_block] - start]
         return found
 
     @property
@@ -74,30 +77,45 @@ class Descriptors:
         """One row (d,) as it is, checked or not: for comparing."""
         if self._shared is not None and row < self.shared_count:
             return np.asarray(self._shared.vectors[row])
-        return np.asarray(self.own[row - self.shared_count])
+        return next(block[row - start] for start, block in self._own() if row < start + len(block))
 
-    def put(self, start: int, vectors: Array) -> None:
-        """Write rows from `start` on, all behind the shared ones; there must be room."""
-        first = start - self.shared_count
-        self.own[first : first + len(vectors)] = vectors
+    def put(self, first: int, vectors: Array) -> None:
+        """Write rows from `first` on, all behind the shared ones; there must be room."""
+        end = first + len(vectors)
+        for start, block in self._own():
+            begin, stop = max(first, start), min(end, start + len(block))
+            if begin < stop:
+                block[begin - start : stop - start] = vectors[begin - first : stop - first]
 
     def reserve(self, size: int) -> None:
-        """Make room for `size` rows in all; zeros take no memory before they are written to."""
-        larger = np.zeros((size - self.shared_count, self.dimension), dtype=np.float32)
-        larger[: len(self.own)] = self.own
-        self.own = larger
+        """Make room for `size` rows in all, which takes no memory before they are written to."""
+        if size <= len(self):
+            return
+        kept = self._blocks if len(self) - self.shared_count >= _COPIED_BELOW else ()
+        start = self.shared_count + sum(map(len, kept))
+        block: Array = np.empty((size - start, self.dimension), dtype=np.float32)
+        for small in self._blocks[len(kept) :]:  # one at most
+            block[: len(small)] = small
+        self._blocks = (*kept, block)
 
     def only(self, rows: Indices) -> Descriptors:
         """The shared rows, with which `rows` begin, and of this process's own the others of `rows`."""
         kept = Descriptors(self.dimension, self._shared)
-        kept.own = self.own[rows[self.shared_count :] - self.shared_count]
+        kept._blocks = (self[rows[self.shared_count :]],)
         return kept
 
     def frozen(self) -> Descriptors:
         """The same rows; what is put or removed later does not change them."""
         same = Descriptors(self.dimension, self._shared)
-        same.own = self.own
+        same._blocks = self._blocks
         return same
+
+    def _own(self) -> Iterator[tuple[int, Array]]:
+        """The blocks of this process's own rows, and the first row of each."""
+        start = self.shared_count
+        for block in self._blocks:
+            yield start, block
+            start += len(block)
 
 
 def marks_of(ids: NDArray[np.int64], vectors: Array) -> Marks:

@@ -29,7 +29,7 @@ class ExactIndex:
     def __len__(self) -> int:
         return len(self._rows.row_of)
 
-    def add(self, entries: Sequence[IndexEntry], vectors: Array) -> None:
+    def add(self, entries: Sequence[IndexEntry], vectors: Array, *, more: bool = False) -> None:
         """See PlaceIndex."""
         rows = self._rows
         rows.append(entries, checked_vectors(entries, vectors, rows.vectors.dimension, rows.row_of))

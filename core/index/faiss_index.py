@@ -91,16 +91,20 @@ class FaissIndex:
         self._flat: FlatShortlist | None = FlatShortlist(dimension)
         self._codes: CodedShortlist | None = None
         self._next_codes: CodedShortlist | None = None
+        self._waiting = 0  # places that were added while more were to come: no codes were made along with them
 
     def __len__(self) -> int:
         return len(self._rows.row_of)
 
-    def add(self, entries: Sequence[IndexEntry], vectors: Array) -> None:
+    def add(self, entries: Sequence[IndexEntry], vectors: Array, *, more: bool = False) -> None:
         """See PlaceIndex."""
         self._rows.append(entries, checked_vectors(entries, vectors, self._dimension, self._rows.row_of))
         if self._codes is not None:
             self._codes.append(self._rows, self._rows.count)
-        self._prepare_codes(_CODES_ARE_LEARNED_ANEW_AFTER * len(entries))
+        self._waiting += len(entries)
+        if not more:
+            self._prepare_codes(_CODES_ARE_LEARNED_ANEW_AFTER * self._waiting)
+            self._waiting = 0
 
     def remove(self, ids: Sequence[int]) -> None:
         """See PlaceIndex."""
@@ -200,7 +204,10 @@ class FaissIndex:
 
     def _learn(self) -> None:
         """Take in the places that have come; what is compared follows the statistics."""
-        changed = self._learner.learn(self._rows)
+        self._follow(self._learner.learn(self._rows))
+
+    def _follow(self, changed: Indices) -> None:
+        """What is compared takes in the rows that have come, and those whose standardised form has `changed`."""
         if self._flat is not None:
             held = self._flat.count
             changed = changed[changed < held]
@@ -227,14 +234,17 @@ class FaissIndex:
 
     def _prepare_codes(self, budget: int) -> None:
         """Code at most `budget` rows for the next codes; they take over once they hold all."""
+        changed = np.zeros(0, np.intp)
         if self._next_codes is None and self._codes_are_due():
-            self._learn()
+            changed = self._learner.learn(self._rows)
             self._next_codes = CodedShortlist.learned(self._rows, self._learner.site)
         if self._next_codes is None:
             return
         self._next_codes.append(self._rows, min(self._next_codes.count + budget, self._rows.count))
         if self._next_codes.count == self._rows.count:
             self._flat, self._codes, self._next_codes = None, self._next_codes, None
+        elif len(changed):
+            self._follow(changed)
 
     def _codes_are_due(self) -> bool:
         learned_at = 0 if self._codes is None else self._codes.learned_at

@@ -61,8 +61,8 @@ class PlaceIndex(Protocol):
     `SearchFilter.near` names, else the map's.
     """
 
-    def add(self, entries: Sequence[IndexEntry], vectors: Array) -> None:
-        """Store vectors (n, d), which are L2-normalised.
+    def add(self, entries: Sequence[IndexEntry], vectors: Array, *, more: bool = False) -> None:
+        """Store vectors (n, d), which are L2-normalised. `more` are added at once: it may wait for them to get fast.
 
         Raises BadField for another length, NaN, infinity, a zero vector or an id that is stored already or twice in
         `entries`; then nothing is stored.

@@ -21,6 +21,7 @@ _BITS = 4
 _ENTRIES_PER_CODE = 4
 _TRAINED_ON = 2048
 _ITERATIONS = 8
+_CODED_AT_ONCE = 1024
 _TIE = 1.1e-3
 """By how much the cosines of two rows may be the other way round in half precision: twice 2^-11, the share of itself by
 which an entry is off at most, and something for sums in single precision."""
@@ -97,6 +98,7 @@ class CodedShortlist:
         made._faiss.pq.cp.min_points_per_centroid = 1  # it warns below
         chosen = live[np.linspace(0, len(live) - 1, min(len(live), _TRAINED_ON)).astype(np.intp)]
         made._faiss.train(standardised(rows, chosen, site))
+        made._faiss.pq.sync_transposed_centroids()  # codes are found by them in four fifths of the time
         return made
 
     def copied(self) -> CodedShortlist:
@@ -120,6 +122,7 @@ class CodedShortlist:
         count, learned_at = arrays["coded"].tolist()
         made = cls(dimension, site_of_arrays(arrays, "coded_"), learned_at)
         faiss.copy_array_to_vector(arrays["centroids"], made._faiss.pq.centroids)
+        made._faiss.pq.sync_transposed_centroids()
         made._faiss.codes.resize(len(arrays["codes"]))
         made._table()[:] = arrays["codes"]
         made._faiss.ntotal, made._faiss.is_trained = count, True
@@ -138,7 +141,8 @@ class CodedShortlist:
 
     def append(self, rows: Rows, end: int) -> None:
         """Add the next rows, as far as row `end`."""
-        self._faiss.add(standardised(rows, np.arange(self.count, end), self._site))
+        for start in range(self.count, end, _CODED_AT_ONCE):
+            self._faiss.add(standardised(rows, np.arange(start, min(start + _CODED_AT_ONCE, end)), self._site))
 
     def keep(self, rows: Indices) -> None:
         """Only those rows stay, in their order, and are numbered anew."""

@@ -80,7 +80,7 @@ class PlaceVectorIndex:
         """See `VectorIndex`."""
         return self._of(map_number).seq
 
-    def apply(self, map_number: int, changes: Sequence[IndexChange], after: int = 0) -> None:
+    def apply(self, map_number: int, changes: Sequence[IndexChange], after: int = 0, *, more: bool = False) -> None:
         """See `VectorIndex`."""
         index = self._of(map_number)
         with index.lock:
@@ -93,7 +93,7 @@ class PlaceVectorIndex:
                 return
             with self._mended(map_number, index):
                 self._remove(index, list(last))
-                self._add(index, [change for change in last.values() if change.vector is not None])
+                self._add(index, [change for change in last.values() if change.vector is not None], more)
                 index.seq = new[-1].seq
 
     def search(self, map_number: int, vector: NDArray[np.float32], k: int, where: VectorFilter) -> list[VectorMatch]:
@@ -254,14 +254,14 @@ class PlaceVectorIndex:
             self._erase(index, numbers)
             index.places.remove(numbers)
 
-    def _add(self, index: _MapIndex, changes: list[IndexChange]) -> None:
-        if not changes:
-            return
-        entries, vectors = _entries(changes)
-        if index.places is None:
-            index.dimension = vectors.shape[1]
+    def _add(self, index: _MapIndex, changes: list[IndexChange], more: bool) -> None:
+        if index.places is None and changes:
+            index.dimension = len(changes[0].vector or b"") // 4
             index.places = self._make_index(index.dimension)
-        index.places.add(entries, vectors)
+        if index.places is not None and changes:
+            index.places.add(*_entries(changes), more=more)
+        elif index.places is not None and not more:
+            index.places.add([], np.zeros((0, index.dimension), dtype=np.float32))
 
 
 def _size(index: _MapIndex) -> int:

@@ -41,8 +41,8 @@ class Resumed:
     def __init__(self, dimension: int) -> None:
         self._index = coded(dimension)
 
-    def add(self, entries: Sequence[IndexEntry], vectors: NDArray[np.float32]) -> None:
-        self._index.add(entries, vectors)
+    def add(self, entries: Sequence[IndexEntry], vectors: NDArray[np.float32], *, more: bool = False) -> None:
+        self._index.add(entries, vectors, more=more)
         self._index = taken_up(self._index)
 
     def __len__(self) -> int:
@@ -97,6 +97,20 @@ def test_nothing_is_missed_under_a_filter_that_keeps_one_place_in_a_thousand(ind
     query = random_vectors(1, seed=2)[0]
     found = [match.id for match in index.search(query, 5, SearchFilter(only_session=7))]
     assert found == brute_force(vectors, query, rows, 5)
+
+
+@pytest.mark.parametrize("last", [0, 1, 37])
+def test_places_that_come_in_portions_are_found_whatever_the_last_one_holds(index: PlaceIndex, last: int) -> None:
+    vectors = random_vectors(400 + last)
+    for start in range(0, 400, 80):
+        index.add([entry(i) for i in range(start, start + 80)], vectors[start : start + 80], more=True)
+        query = vectors[start]
+        found = index.search(query, 10)
+        assert [match.id for match in found] == brute_force(vectors, query, np.arange(start + 80), 10)
+    index.add([entry(i) for i in range(400, 400 + last)], vectors[400:])
+    for query in random_vectors(20, seed=9):
+        expected = brute_force(vectors, query, np.arange(400 + last), 10)
+        assert [match.id for match in index.search(query, 10)] == expected
 
 
 @pytest.mark.parametrize(

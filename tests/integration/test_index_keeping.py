@@ -134,7 +134,8 @@ def flip_a_bit(vectors, rng, row) -> None:
 
 
 def damage_vector(places, rng, row=None) -> None:
-    flip_a_bit(places._rows.vectors.own[: places._rows.count], rng, row)
+    (block,) = places._rows.vectors._blocks
+    flip_a_bit(block[: places._rows.count], rng, row)
 
 
 def damage_what_is_compared(places, rng) -> None:

@@ -24,7 +24,7 @@ class MemoryVectorIndex:
         """See `VectorIndex`."""
         return self._seq.get(map_number, 0)
 
-    def apply(self, map_number: int, changes: Sequence[IndexChange], after: int = 0) -> None:
+    def apply(self, map_number: int, changes: Sequence[IndexChange], after: int = 0, *, more: bool = False) -> None:
         """See `VectorIndex`."""
         if self.seq(map_number) < after:
             return

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from functools import cache
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, bindparam, insert, select
+from sqlalchemy import Connection, Select, bindparam, insert, select
 
 from revisit.service.adapters.sql import tables
 from revisit.service.adapters.sql.engine import DatabaseEngine
@@ -60,13 +60,9 @@ def _change_row(tenant: TenantId, map_number: int, submap_number: int, kind: str
     return {"tenant": tenant, "map_number": map_number, "submap_number": submap_number, "kind": kind}
 
 
-def _change(row: Row[Any]) -> IndexChange:
-    gone = row.session_number is None
-    return IndexChange(
-        seq=row.seq,
-        submap_number=row.submap_number,
-        session_number=0 if gone else row.session_number,
-        ordinal=0 if gone else row.ordinal,
-        position_m=(0.0, 0.0, 0.0) if gone else row.position_m,
-        vector=None if gone or row.kind == "REMOVED" else row.descriptor,
-    )
+def _change(row: Sequence[Any]) -> IndexChange:
+    seq, kind, submap_number, session_number, ordinal, position_m, descriptor = row
+    if session_number is None:
+        return IndexChange(seq, submap_number, 0, 0, (0.0, 0.0, 0.0), None)
+    vector = None if kind == "REMOVED" else descriptor
+    return IndexChange(seq, submap_number, session_number, ordinal, position_m, vector)

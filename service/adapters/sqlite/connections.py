@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from pydantic_core import from_json
 from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.pool import NullPool
 
@@ -35,14 +36,14 @@ def writer_engine(path: Path, *, checkpoints: bool) -> Engine:
 
     `checkpoints`: after every 1000 pages a commit copies the write-ahead log back into the database.
     """
-    engine = create_engine(f"sqlite:///{path}", pool_size=1, max_overflow=0)
+    engine = create_engine(f"sqlite:///{path}", json_deserializer=from_json, pool_size=1, max_overflow=0)
     _prepare(engine, writer_pragmas(checkpoints=checkpoints), "BEGIN IMMEDIATE")
     return engine
 
 
 def reader_engine(path: Path) -> Engine:
     """An engine whose transactions see one snapshot and can change nothing."""
-    engine = create_engine(f"sqlite:///{path}", poolclass=NullPool)
+    engine = create_engine(f"sqlite:///{path}", json_deserializer=from_json, poolclass=NullPool)
     _prepare(engine, READER_PRAGMAS, "BEGIN")
     return engine
 

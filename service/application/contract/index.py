@@ -112,10 +112,11 @@ class VectorIndex(IndexAudit, SharedIndex, Protocol):
         """The last change applied, 0 for none."""
         ...
 
-    def apply(self, map_number: int, changes: Sequence[IndexChange], after: int = 0) -> None:
+    def apply(self, map_number: int, changes: Sequence[IndexChange], after: int = 0, *, more: bool = False) -> None:
         """Apply the changes that follow change `after`, in order; those at or below `seq` are ignored.
 
-        All are where `seq` is below `after`: the map was forgotten since they were read.
+        All are where `seq` is below `after`: the map was forgotten since they were read. `more` follow at once: it may
+        wait for them to get fast.
         """
         ...
 

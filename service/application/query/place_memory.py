@@ -23,8 +23,9 @@ from revisit.service.failpoints import failpoint
 
 ReadFilter = Callable[[UnitOfWork], VectorFilter]
 
-PORTION = 4096
-"""Changes that are read at a time: a large map is loaded without holding all its descriptors twice."""
+PORTION = 1024
+"""Changes that are read at a time: a large map is loaded without holding all its descriptors twice, and 4 MB of them
+lie in memory that the next portion uses again."""
 
 
 @dataclass(frozen=True)
@@ -106,14 +107,15 @@ class PlaceMemory:
         while True:
             before = self._index.seq(number) or self._loaded(tenant, number)
             changes = self._transactions.read_here(partial(_changes, tenant=tenant, number=number, seq=before))
-            seq = self._apply(number, _News(before, changes))
-            if len(changes) < PORTION:
+            more = len(changes) > PORTION
+            seq = self._apply(number, _News(before, changes[:PORTION]), more)
+            if not more:
                 return seq
 
-    def _apply(self, number: int, news: _News) -> int:
-        """Apply changes that were read; the last of them."""
+    def _apply(self, number: int, news: _News, more: bool = False) -> int:
+        """Apply changes that were read, and `more` are to be; the last of them."""
         failpoint("index.before_apply")
-        self._index.apply(number, news.changes, news.after)
+        self._index.apply(number, news.changes, news.after, more=more)
         failpoint("index.after_apply")
         return news.seq
 
@@ -149,7 +151,7 @@ class PlaceMemory:
         if version is not None and self._caught_up.get(record.number) == (version, before):
             return asked, _News(before, [])
         changes = _changes(uow, record.tenant, record.number, before)
-        return asked, _News(before, changes) if len(changes) < PORTION else None
+        return asked, _News(before, changes) if len(changes) <= PORTION else None
 
     def search(
         self,
@@ -173,7 +175,8 @@ class PlaceMemory:
 
 
 def _changes(uow: UnitOfWork, tenant: TenantId, number: int, seq: int) -> list[IndexChange]:
-    return uow.changes.since(tenant, number, seq, PORTION)
+    """A portion of what follows change `seq`, and one more, if there is any."""
+    return uow.changes.since(tenant, number, seq, PORTION + 1)
 
 
 def _hits(

@@ -120,7 +120,7 @@ def test_a_descriptor_that_was_changed_inside_is_noticed() -> None:
     index.search(vectors[0], 1)
     assert index._flat is not None
     index._flat._stored()[4, 0] += 1.0
-    index._rows.vectors.own[9, 0] += 1.0
+    index._rows.vectors._blocks[0][9, 0] += 1.0
     assert index.differing(entries(0, 30), vectors) == [4, 9]
 
 
