@@ -30,13 +30,11 @@ class CallTimer(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  # not ge
         method = str(handler_call_details.method)
 
         async def timed(requests: Any, context: Any) -> Any:
-            began_s, status = time.perf_counter(), "OK"
+            began_s = time.perf_counter()
             try:
                 return await handler.stream_unary(requests, context)
-            except grpc.aio.AbortError:
-                status = grpc.StatusCode(context.code()).name
-                raise
             finally:
+                status = grpc.StatusCode(context.code()).name if context.code() else "OK"
                 self._requests.observe("grpc", method, status, time.perf_counter() - began_s)
 
         return grpc.stream_unary_rpc_method_handler(timed, handler.request_deserializer, handler.response_serializer)

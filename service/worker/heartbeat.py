@@ -68,6 +68,7 @@ class Heartbeat:
         self._identity = identity
         self._job_timeout_s = job_timeout_s
         self._lease: Lease | None = None
+        self._missing: Lease | None = None  # at the last beat
         self._began_s = 0.0
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._keep_alive, name="heartbeat", daemon=True)
@@ -128,8 +129,11 @@ class Heartbeat:
         lease = self._lease
         now = self._clock.instant()
         kept = self._transactions.write(partial(self._show, lease=lease, now=now)).result()
-        if not kept and lease is not None and self._lease is lease:
-            log.warning("lease_lost", operation=lease.job.operation_id)
+        missing = None if kept else lease
+        # Missing once, its job may have ended a moment ago.
+        if missing is not None and missing is self._missing and missing is self._lease:
+            log.warning("lease_lost", operation=missing.job.operation_id)
+        self._missing = missing
 
     def _show(self, uow: UnitOfWork, lease: Lease | None, now: Instant) -> bool:
         """Store the beat and extend the lease; whether the lease is still ours."""

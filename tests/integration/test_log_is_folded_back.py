@@ -9,7 +9,7 @@ import pytest
 
 from revisit.service.adapters.files.disk import FailStop
 from revisit.service.adapters.sqlite import checkpoints
-from revisit.service.adapters.sqlite.checkpoints import LARGE_BYTES, OLD_S, SMALL_BYTES, Checkpoints
+from revisit.service.adapters.sqlite.checkpoints import LARGE_BYTES, OLD_S, Checkpoints
 from revisit.service.adapters.sqlite.connections import write_ahead_log
 from revisit.service.adapters.sqlite.examination import examine
 from revisit.service.adapters.sqlite.transactions import SqliteTransactions, StorageFailures
@@ -54,10 +54,22 @@ def world(tmp_path):
 def test_a_log_that_only_workers_write_stays_short(world):
     sizes = []
     for _ in range(12):
-        world.beat(SMALL_BYTES // 2)
+        world.beat(LARGE_BYTES // 4)
         world.checkpoints.tend()
         sizes.append(world.size_bytes)
-    assert max(sizes) < 3 * SMALL_BYTES
+    assert max(sizes) < 1.5 * LARGE_BYTES
+
+
+def test_a_file_that_has_become_long_is_not_folded_back_again_and_again(world, monkeypatch):
+    world.beat(LARGE_BYTES // 2)
+    folded, fold_back = [], world.checkpoints._fold_back
+    monkeypatch.setattr(world.checkpoints, "_fold_back", lambda mode: (folded.append(mode), fold_back(mode)))
+    for _ in range(90):
+        world.now_s += 1.0
+        world.checkpoints.tend()
+        world.beat(1)
+    assert folded == ["PASSIVE"] * 3
+    assert world.size_bytes < LARGE_BYTES
 
 
 def test_a_small_log_is_folded_back_after_a_while(world, tmp_path):
@@ -76,7 +88,7 @@ def test_a_log_that_a_reader_kept_from_being_folded_back_is_cut_once_the_reader_
         reader.execute("BEGIN")
         reader.execute("SELECT * FROM workers").fetchall()
         while world.size_bytes <= LARGE_BYTES:
-            world.beat(SMALL_BYTES)
+            world.beat(LARGE_BYTES // 2)
             world.checkpoints.tend()
     world.checkpoints.tend()
     assert world.size_bytes == 0
@@ -88,7 +100,7 @@ def test_a_disk_that_fails_while_the_log_is_folded_back_stops_the_service(world,
         error.sqlite_errorname = "SQLITE_IOERR_FSYNC"
         raise error
 
-    world.beat(2 * SMALL_BYTES)
+    world.beat(LARGE_BYTES + 1)
     monkeypatch.setattr(checkpoints.sqlite3, "connect", fail)
     with pytest.raises(StorageUncertain):
         world.checkpoints.tend()

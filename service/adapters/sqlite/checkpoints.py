@@ -1,7 +1,8 @@
 """Folding the write-ahead log back into the database by time and size, whoever wrote it.
 
-The gateway's own commits fold it back after every 4000 pages; what the workers commit (a heartbeat every 2 s, and their
-results) waited for the next of them, which in an idle or draining service never came.
+The gateway's own commits fold it back once 4000 pages (16 MiB) are in it; what the workers commit (a heartbeat every
+2 s, and their results) waited for the next of them, which in an idle or draining service never came. The size of the
+file does not say what is to be folded back: it is written anew from its beginning, and stays as long as it ever was.
 """
 
 from __future__ import annotations
@@ -18,14 +19,11 @@ from sqlalchemy.exc import DatabaseError
 from revisit.service.adapters.sqlite.connections import write_ahead_log
 from revisit.service.adapters.sqlite.transactions import StorageFailures, WriterLock
 
-SMALL_BYTES = 16 * 2**20
-"""A log beyond this is folded back at once."""
-
 OLD_S = 30.0
-"""A smaller one is folded back this long after the last time."""
+"""The log is folded back this long after the last time."""
 
 LARGE_BYTES = 32 * 2**20
-"""A file beyond this is cut to nothing, for which the readers of the moment are waited for."""
+"""A file beyond this is folded back and cut to nothing at once, for which the readers of the moment are waited for."""
 
 READERS_S = 0.25
 
@@ -49,9 +47,9 @@ class Checkpoints:
         Raises StorageUncertain where a writer holds the database for 5 s or the disk fails; StorageFull, DataLoss.
         """
         size_bytes = self._log.stat().st_size if self._log.exists() else 0
-        old = self._now_s() - self._last_s >= OLD_S
-        if size_bytes > SMALL_BYTES or (old and size_bytes):
-            self._fold_back("TRUNCATE" if size_bytes > LARGE_BYTES else "PASSIVE")
+        large, old = size_bytes > LARGE_BYTES, self._now_s() - self._last_s >= OLD_S
+        if large or (old and size_bytes):
+            self._fold_back("TRUNCATE" if large else "PASSIVE")
             self._last_s = self._now_s()
 
     def _fold_back(self, mode: str) -> None:

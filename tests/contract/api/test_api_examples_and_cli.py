@@ -316,14 +316,14 @@ def test_a_map_without_submaps_is_refused_by_the_optimise_command(service):
     )
 
 
-def test_what_happens_in_a_map_is_printed_a_line_each(service):
-    with Client(service.http) as client:
+def test_what_happens_in_a_map_is_printed_a_line_each(sqlite_service):
+    with Client(sqlite_service.http) as client:
         town = client.create_map("watched")
         for day in ("monday", "tuesday"):
             session = client.create_session(town, day)
             client.wait(client.post_submap(session, day[0], cloud_points(7), pose(0.0), 1_000))
         (loop,) = client.loop_closures(town)
-    told = ("watch", "--map", "watched", "--after", 0, "--http", service.http)
+    told = ("watch", "--map", "watched", "--after", 0, "--http", sqlite_service.http)
     assert "describe submap" in invoke(*told, "--count", 1)
     line = invoke(*told, "--kind", "loop_closure", "--count", 1).strip()
     assert line.endswith(f"loop closure accepted: tuesday/t -> monday/m, score {loop.score:.2f}")

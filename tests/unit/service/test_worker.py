@@ -8,6 +8,7 @@ import sys
 import threading
 
 import pytest
+from structlog.testing import capture_logs
 
 from revisit.service import ONE_THREAD
 from revisit.service.worker import free_memory, heartbeat
@@ -63,6 +64,24 @@ async def test_a_worker_that_keeps_too_much_memory_ends_between_two_jobs(world):
 async def test_a_worker_that_ends_is_forgotten(world):
     run_worker(world, WorkerLimits(jobs=1, recycled_at_bytes=64 * GIB, job_timeout_s=60))
     assert world.context.transactions.read(lambda uow: uow.workers.alive("boot-1", 0)).result() == []
+
+
+async def test_a_lease_is_said_to_be_lost_where_it_is_missing_at_two_beats(world):
+    context, identity = world.context, WorkerIdentity("w", "fake-1", None)
+    beating = heartbeat.Heartbeat(context.transactions, context.clock, 10_000, world.worker(), identity, 60.0)
+    ended, lost = world.claim("w"), world.claim("w")
+    beating.hold(ended)
+    world.worker().run(ended)
+    with capture_logs() as logged:
+        beating._beat()  # the job has ended, and the worker has yet to say so
+        beating.hold(lost)
+        beating._beat()
+        world.worker().run(lost)
+        beating._beat()
+        assert logged == []
+        beating._beat()
+    assert [entry["event"] for entry in logged] == ["lease_lost"]
+    assert logged[0]["operation"] == lost.job.operation_id
 
 
 def test_a_confined_process_meets_a_memory_error_leaves_no_core_dump_and_goes_before_the_gateway():
