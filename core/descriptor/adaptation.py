@@ -32,10 +32,8 @@ class SiteStatistics:
         Row by row: the answer does not depend on which rows are adapted together. A descriptor that equals its mean
         stays as it is.
         """
-        names, which = np.unique(sessions, return_inverse=True)
-        means = np.stack([self.session_means.get(session, self.mean) for session in names.tolist()] or [self.mean])
         # In place: a search adapts a megabyte, and a new array of that size costs as much as the sum in it.
-        adapted = np.take(means, which, axis=0)
+        adapted = self._means_of(sessions)
         np.subtract(vectors, adapted, out=adapted)
         adapted /= self.spread
         lengths = np.sqrt(np.einsum("ij,ij->i", adapted, adapted))
@@ -43,6 +41,14 @@ class SiteStatistics:
             adapted[~usable], lengths[~usable] = vectors[~usable], 1.0
         adapted /= lengths[:, None]
         return adapted
+
+    def _means_of(self, sessions: NDArray[np.int64]) -> Array:
+        """The mean (n, d) for each of the sessions (n,), a new array."""
+        if len(sessions) == 1:  # a query
+            return np.array(self.session_means.get(int(sessions[0]), self.mean)[None])
+        names, which = np.unique(sessions, return_inverse=True)
+        means = np.stack([self.session_means.get(session, self.mean) for session in names.tolist()] or [self.mean])
+        return np.take(means, which, axis=0)
 
     def with_sessions(self, seen: Mapping[int, SessionSums]) -> SiteStatistics:
         """The statistics with the mean of each session in `seen`."""

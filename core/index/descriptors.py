@@ -60,8 +60,11 @@ class Descriptors:
         asked = np.asarray(rows, dtype=np.intp)
         if self._shared is None and len(self._blocks) == 1:
             return self._blocks[0][asked]
+        is_shared = asked < self.shared_count
+        if self._shared is not None and is_shared.all():
+            return self._shared.taken(asked)
         found = np.empty((len(asked), self.dimension), dtype=np.float32)
-        if self._shared is not None and (is_shared := asked < self.shared_count).any():
+        if self._shared is not None and is_shared.any():
             found[is_shared] = self._shared.taken(asked[is_shared])
         for start, block in self._own():
             in_block = np.flatnonzero((asked >= start) & (asked < start + len(block)))
