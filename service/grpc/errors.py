@@ -9,8 +9,9 @@ from __future__ import annotations
 import asyncio
 import traceback
 import uuid
-from collections.abc import AsyncIterator, Awaitable, Callable
-from typing import Any, TypeVar
+from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable
+from contextlib import aclosing
+from typing import Any, TypeVar, cast
 
 import grpc
 import structlog
@@ -202,17 +203,23 @@ def _public(handler: Any, gate: Gate, places: CallPlaces) -> Any:
 async def _only(requests: AsyncIterator[M], patience_s: float = MESSAGE_S) -> M:
     """The message of a unary call. Raises DeadlineExceeded, and MalformedBody where there is none."""
     try:
-        async with asyncio.timeout(patience_s):
-            async for request in requests:
-                return request
+        async with asyncio.timeout(patience_s), _closed_after(requests) as messages:
+            async for message in messages:
+                return message
     except TimeoutError as error:
         raise DeadlineExceeded("the message came too slowly: repeat the call with the same id") from error
     raise MalformedBody("the call carries no message")
 
 
 async def _parsed(parse: Callable[[bytes], Any], requests: AsyncIterator[bytes]) -> AsyncIterator[Any]:
-    async for request in requests:
-        yield _parse(parse, request)
+    async with _closed_after(requests) as messages:
+        async for message in messages:
+            yield _parse(parse, message)
+
+
+def _closed_after(requests: AsyncIterator[M]) -> aclosing[AsyncGenerator[M, None]]:
+    """The messages of a call. gRPC's generator of them holds the last one, and itself, until it is closed."""
+    return aclosing(cast("AsyncGenerator[M, None]", aiter(requests)))
 
 
 def _parse(parse: Callable[[bytes], Any], request: bytes) -> Any:
