@@ -115,8 +115,9 @@ def test_a_robot_may_start_without_a_link_and_send_when_there_is_one(client, ses
             with pytest.raises(TimeoutError, match="scans are not sent"):
                 stream.flush(timeout_s=0.3)
             assert stream.error is None
+            kept = stream.state
+    assert (kept.pending, kept.committed_seq) == (10, None)
     with client.spooled_stream(session, tmp_path / "spool") as stream:
-        assert (stream.state.pending, stream.state.committed_seq) == (10, None)
         stream.flush(timeout_s=PATIENCE_S)
     check_stored(client, session, 10)
 
