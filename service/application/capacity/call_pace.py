@@ -27,10 +27,6 @@ JSON_BYTES_A_CALL = 16 * 2**10
 
 MOST_CALLS_A_BODY = 20
 
-CALLS_A_REFUSAL = 2
-"""What a call counts more that was refused for its caller's rate limit: at the usual pace a client has 100 of them a
-second, as strangers have."""
-
 
 @dataclass(frozen=True)
 class PaceLimits:
@@ -81,15 +77,9 @@ class CallPace:
         """So much JSON of the client is read, good or bad: its further calls wait for as long as that takes."""
         self._note(tenant, client, json_bytes / JSON_BYTES_A_CALL)
 
-    def note_refused(self, tenant: TenantId, client: str) -> None:
-        """The client was told to come back later: whoever does not wait by itself waits here."""
-        self._note(tenant, client, CALLS_A_REFUSAL)
-
     def _note(self, tenant: TenantId, client: str, calls: float) -> None:
-        now_s = self._now_s()
         for bucket in self._buckets_of(tenant, client):
-            if bucket.wait_s(now_s) <= self._limits.most_wait_s:  # a stream may be refused any number of times
-                bucket.take(min(calls, MOST_CALLS_A_BODY), now_s)
+            bucket.take(min(calls, MOST_CALLS_A_BODY), self._now_s())
 
     async def refusal(self, address: str) -> None:
         """Return when a caller that nobody knows may be told so; at once where too many wait."""

@@ -130,24 +130,3 @@ async def test_a_body_that_is_refused_unread_counts_as_the_calls_that_take_as_lo
     (after,) = await begun([pace.turn("acme", "robot")])
     assert time.waits[-1] == pytest.approx((1 + call_pace.MOST_CALLS_A_BODY - LIMITS.burst) / 10.0, abs=0.11)
     after.cancel()
-
-
-async def test_a_call_that_is_refused_for_its_rate_counts_as_three(pace, time):
-    for _ in range(3):
-        await pace.turn("acme", "robot")
-        pace.note_refused("acme", "robot")
-    waiting = await begun([pace.turn("acme", "robot"), pace.turn("another", "robot")])
-    assert not time.waits  # nine of a burst of ten
-    pace.note_refused("acme", "robot")
-    waiting += await begun([pace.turn("acme", "robot")])
-    assert time.waits[-1] == pytest.approx(0.3)
-    for call in waiting:
-        call.cancel()
-
-
-async def test_however_often_a_stream_is_refused_the_next_call_waits_for_no_longer_than_calls_wait(pace, time):
-    for _ in range(1000):
-        pace.note_refused("acme", "robot")
-    with pytest.raises(RateLimited) as refused:
-        await pace.turn("acme", "robot")
-    assert refused.value.retry_after_s <= LIMITS.most_wait_s + call_pace.CALLS_A_REFUSAL / 10.0 + 0.1

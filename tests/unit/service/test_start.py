@@ -6,7 +6,6 @@ import json
 import logging
 import socket
 import sqlite3
-import time
 
 import pytest
 import structlog
@@ -15,8 +14,6 @@ from alembic.script import ScriptDirectory
 from revisit.cli.app import run
 from revisit.service.__main__ import main
 from revisit.service.adapters.sqlite.migration import MIGRATIONS, current_revision
-from revisit.service.application.access.callers import current_actor
-from revisit.service.application.contract.errors import RateLimited
 from revisit.service.application.contract.records import WorkerRecord
 from revisit.service.composition import build_installation
 from revisit.service.settings import Settings
@@ -90,24 +87,6 @@ def test_a_worker_that_beats_is_seen(home):
     context.transactions.close()
     assert main(["seen", "--id", "w"]) == 0
     assert main(["seen", "--id", "other"]) == 78
-
-
-def test_whoever_a_rate_limit_refuses_waits_with_further_calls():
-    main(["migrate"])
-    context = build_installation(Settings(), gateway=False)
-    context.transactions.close()
-    context.in_flight.charge_call("acme", 10**12)
-    owed_s = [_owed_s(context.pace)]
-    for _ in range(30):
-        with pytest.raises(RateLimited):
-            context.in_flight.check_rate("acme")
-        owed_s.append(_owed_s(context.pace))
-    assert owed_s[0] == 0.0 < owed_s[-1]
-
-
-def _owed_s(pace):
-    """For how long the next call of anyone in the tenant acme waits."""
-    return max(bucket.wait_s(time.monotonic(), 1.0) for bucket in pace._buckets_of("acme", current_actor()))
 
 
 def test_a_setting_that_cannot_be_used_is_named_as_its_variable(monkeypatch, capsys):
