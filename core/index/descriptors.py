@@ -49,7 +49,7 @@ class Descriptors:
     def __init__(self, dimension: int, shared: SharedRows | None = None) -> None:
         self.dimension = dimension
         self._shared = shared
-        self._blocks: tuple[Array, ...] = ()  # its own, each as large as all before it: many are not copied
+        self._blocks: tuple[Array, ...] = ()  # its own, each as large as all before it
 
     def __len__(self) -> int:
         """How many rows there is room for."""
@@ -91,9 +91,7 @@ class Descriptors:
                 block[begin - start : stop - start] = vectors[begin - first : stop - first]
 
     def reserve(self, size: int) -> None:
-        """Make room for `size` rows in all, which takes no memory before they are written to."""
-        if size <= len(self):
-            return
+        """Make room for `size` rows in all, more than there is; it takes no memory before they are written to."""
         kept = self._blocks if len(self) - self.shared_count >= _COPIED_BELOW else ()
         start = self.shared_count + sum(map(len, kept))
         block: Array = np.empty((size - start, self.dimension), dtype=np.float32)

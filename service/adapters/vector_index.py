@@ -146,7 +146,7 @@ class PlaceVectorIndex:
                 return [place.submap_number for place in places]
             differing = [place.submap_number for place in places]
             with self._mended(map_number, index):
-                differing = index.places.differing(*_entries(places)) if places else []
+                differing = index.places.differing(*_entries(places, index.dimension)) if places else []
         return differing
 
     def save(self, map_number: int) -> str | None:
@@ -255,13 +255,13 @@ class PlaceVectorIndex:
             index.places.remove(numbers)
 
     def _add(self, index: _MapIndex, changes: list[IndexChange], more: bool) -> None:
-        if index.places is None and changes:
+        if index.places is None:
+            if not changes:
+                return
             index.dimension = len(changes[0].vector or b"") // 4
             index.places = self._make_index(index.dimension)
-        if index.places is not None and changes:
-            index.places.add(*_entries(changes), more=more)
-        elif index.places is not None and not more:
-            index.places.add([], np.zeros((0, index.dimension), dtype=np.float32))
+        # Also where none came: with the last portion the index gets fast.
+        index.places.add(*_entries(changes, index.dimension), more=more)
 
 
 def _size(index: _MapIndex) -> int:
@@ -281,10 +281,10 @@ def _row_differs() -> type[RowDiffers]:
     return RowDiffers
 
 
-def _entries(changes: Sequence[IndexChange]) -> tuple[list[IndexEntry], NDArray[np.float32]]:
+def _entries(changes: Sequence[IndexChange], dimension: int) -> tuple[list[IndexEntry], NDArray[np.float32]]:
     from revisit.core.index import IndexEntry
 
-    vectors = np.stack([np.frombuffer(change.vector or b"", dtype="<f4") for change in changes])
+    vectors = [np.frombuffer(change.vector or b"", dtype="<f4") for change in changes]
     entries = [
         IndexEntry(
             id=change.submap_number,
@@ -294,7 +294,7 @@ def _entries(changes: Sequence[IndexChange]) -> tuple[list[IndexEntry], NDArray[
         )
         for change in changes
     ]
-    return entries, vectors
+    return entries, np.stack(vectors) if vectors else np.zeros((0, dimension), dtype=np.float32)
 
 
 def _search_filter(where: VectorFilter) -> SearchFilter:

@@ -235,8 +235,6 @@ def _refuse(context: Any, error: Exception) -> None:
     Not by `context.abort`: what that raises is kept by the call, whose frames it keeps, until the garbage collector
     comes round. Under a flood of refusals that took 48 ms every 11 s, and everybody waited (docs/decisions/0294).
     """
-    if isinstance(error, grpc.aio.AbortError):
-        raise error
     request_id = current_request().request_id or uuid.uuid4().hex
     if not isinstance(error, RevisitError):
         _log.exception("call failed unexpectedly", request_id=request_id, exc_info=error)

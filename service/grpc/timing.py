@@ -8,6 +8,7 @@ from typing import Any
 
 import grpc
 
+from revisit.service.grpc.tracing import status_of
 from revisit.service.metrics import RequestMetrics
 
 
@@ -34,7 +35,6 @@ class CallTimer(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  # not ge
             try:
                 return await handler.stream_unary(requests, context)
             finally:
-                status = grpc.StatusCode(context.code()).name if context.code() else "OK"
-                self._requests.observe("grpc", method, status, time.perf_counter() - began_s)
+                self._requests.observe("grpc", method, status_of(context), time.perf_counter() - began_s)
 
         return grpc.stream_unary_rpc_method_handler(timed, handler.request_deserializer, handler.response_serializer)

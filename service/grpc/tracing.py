@@ -81,10 +81,15 @@ class CallTracing(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  # not 
             try:
                 yield
             finally:
-                status = grpc.StatusCode(context.code()).name if context.code() else "OK"
+                status = status_of(context)
                 span.note(**{"rpc.grpc.status": status})
                 took_ms = round(1000 * (time.perf_counter() - began_s), 1)
                 log.info("request", call=method, status=status, took_ms=took_ms)
+
+
+def status_of(context: Any) -> str:
+    """The name of the status that a call has got; OK where none was set."""
+    return grpc.StatusCode(context.code()).name if context.code() else "OK"
 
 
 def _request_id(sent: object) -> str:

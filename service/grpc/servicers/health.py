@@ -26,7 +26,10 @@ class HealthServicer(health_pb2_grpc.HealthServicer):  # type: ignore[misc]  # i
     async def Check(self, request: pb.HealthCheckRequest, context: Any) -> pb.HealthCheckResponse:
         """The state now; NOT_FOUND for an unknown service."""
         if request.service not in self._services:
-            await context.abort(grpc.StatusCode.NOT_FOUND, "unknown service")
+            # Set, not raised, as in `grpc.errors`: the message is not sent then.
+            context.set_code(grpc.StatusCode.NOT_FOUND)
+            context.set_details("unknown service")
+            return pb.HealthCheckResponse()
         return pb.HealthCheckResponse(status=await self._state(request.service))
 
     async def Watch(self, request: pb.HealthCheckRequest, _context: Any) -> AsyncIterator[pb.HealthCheckResponse]:

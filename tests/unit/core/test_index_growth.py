@@ -29,10 +29,8 @@ def test_rows_are_the_same_in_however_many_blocks_they_lie(
     shared: SharedRows | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(descriptors, "_COPIED_BELOW", 16)
-    held, expected = (
-        Descriptors(DIMENSION, shared),
-        np.zeros((0, DIMENSION), np.float32) if not shared else shared.vectors,
-    )
+    held = Descriptors(DIMENSION, shared)
+    expected = drawn(0) if shared is None else shared.vectors
     for step, size in enumerate((3, 9, 40, 41, 100, 300)):
         added = drawn(size - (len(expected) - held.shared_count), seed=step)
         held.reserve(held.shared_count + size)
