@@ -39,9 +39,9 @@ class Settings(AccessSettings):
     )
     device: str = Field(
         default="cpu",
-        description="where workers verify candidates, and do a part of describing: `cpu`, by compiled code; `cuda` or "
-        "`cuda:N`, a GPU by torch, all candidates of a query at once; `torch-cpu` does on the processor what a GPU "
-        "would do, slowly. One that is not there ends the start with status 78",
+        description="where workers do a part of describing: `cpu`, by compiled code; `cuda` or `cuda:N`, a GPU by "
+        "torch; `torch-cpu` does on the processor what a GPU would do, slowly. One that is not there ends the start "
+        "with status 78",
     )
     lease_s: float = Field(default=10.0, gt=0, description="a job is given to another worker after this silence")
     max_attempts: int = Field(default=3, ge=1, description="runs of a job before it fails")

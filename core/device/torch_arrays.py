@@ -10,4 +10,5 @@ from torch import Tensor
 
 def moved_there(array: NDArray[np.generic], where: torch.device) -> Tensor:
     """The `array` on the device `where`; torch takes no array that is read-only, such as bytes that were read."""
-    return torch.as_tensor(np.require(array, requirements=["C", "W"]), device=where)
+    there = torch.from_numpy(np.require(array, requirements=["C", "W"]))
+    return there.to(where, non_blocking=True)  # what is not pinned has been read when this returns

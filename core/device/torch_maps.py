@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from weakref import ref
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -11,7 +14,8 @@ from revisit.core.device.compiled_description import CompiledMaps
 from revisit.core.device.description import Array, Array64, Planes, Returns
 from revisit.core.device.torch_arrays import moved_there
 from revisit.core.device.torch_normals import oriented_normals
-from revisit.core.device.torch_order import VoxelKeys, exact_sums, first_seen, ranges, root, voxels_of
+from revisit.core.device.torch_order import Groups, VoxelKeys, first_seen, ranges, root, voxels_of
+from revisit.core.device.torch_replay import replayed
 from revisit.core.device.torch_visibility import nearest_around, pixels_of, range_images, seen_through
 from revisit.core.kernels.elastic_points import MOMENTS, POOLED_RETURNS, VIEW
 
@@ -28,25 +32,25 @@ class TorchMaps:
     def __init__(self, where: torch.device) -> None:
         """Everything is computed on `where`, but for returns too far apart for keys of voxels."""
         self._where, self._compiled = where, CompiledMaps()
+        self._points: tuple[Callable[[], object], Tensor] | None = None
 
     def gather(self, returns: Returns, resolution: float, limit: int) -> Array64:
         """See `MapKernels`."""
-        points = self._there(returns.points)
+        points = self._returns(returns.points)
         voxels = torch.floor(points.double() * (1.0 / resolution)).long()
         keys = VoxelKeys.of(voxels) if len(points) else None
         if keys is None:
             return self._compiled.gather(returns, resolution, limit)
         rows, first = first_seen(keys(voxels))
-        scans = torch.repeat_interleave(self._there(np.diff(returns.bounds)))
+        scans = torch.repeat_interleave(self._there(np.diff(returns.bounds)), output_size=len(points))
         if len(first) > limit:
             kept = rows < limit
             points, voxels, scans, rows, first = points[kept], voxels[kept], scans[kept], rows[kept], first[:limit]
             first = torch.searchsorted(torch.nonzero(kept)[:, 0], first)
         towards = _units(self._there(returns.origins)[scans] - points)
-        moments = _moments(points, voxels, rows, first, resolution)
-        views = exact_sums(towards, rows, len(first), 1.0)
-        times = _scans_of(scans, rows, len(first))
-        return torch.cat([moments, views, times], dim=1).cpu().numpy()
+        groups = Groups.of(rows, len(first))
+        moments, views = _moments(points, voxels, groups, first, resolution), groups.sums(towards, 1.0)
+        return torch.cat([moments, views, _scans_of(scans, groups)], dim=1).cpu().numpy()
 
     def orient(self, positions: Array, records: Array64, everywhere: Planes, gathered: Array64) -> Array:
         """See `MapKernels`."""
@@ -57,16 +61,17 @@ class TorchMaps:
         keys = VoxelKeys.of(voxels, margin=1)
         if keys is None:
             return self._compiled.orient(positions, records, everywhere, gathered)
-        spreads = _own_spreads(means.double(), self._there(gathered[:, MOMENTS]))
+        (spreads,) = _own_spreads(means.double(), self._there(gathered[:, MOMENTS]))
         order, pairs = _pairs_around(queries, voxels, keys, everywhere.resolution)
         pooled = _pooled(queries, means[order], spreads[order], *pairs, everywhere.resolution)
         return oriented_normals(pooled, self._there(records[:, VIEW])).cpu().numpy()
 
     def see_through(self, positions: Array, returns: Returns) -> NDArray[np.int32]:
         """See `MapKernels`."""
-        points, origins = self._there(returns.points), self._there(returns.origins)
-        scans = torch.repeat_interleave(self._there(np.diff(returns.bounds)))
-        nearest = nearest_around(range_images(*pixels_of(points - origins[scans]), scans, len(origins)))
+        points, origins = self._returns(returns.points), self._there(returns.origins)
+        scans = torch.repeat_interleave(self._there(np.diff(returns.bounds)), output_size=len(points))
+        pixels, measured = pixels_of(points - origins[scans])
+        nearest = nearest_around(range_images(pixels, measured, scans, len(origins)))
         queries = self._there(positions)
         counts = torch.zeros(len(queries), dtype=torch.int32, device=self._where)
         step = max(1, _SEEN_AT_ONCE // max(len(queries), 1))
@@ -74,6 +79,12 @@ class TorchMaps:
             some = slice(start, start + step)
             counts += seen_through(queries[None] - origins[some, None], nearest[some])
         return counts.cpu().numpy()
+
+    def _returns(self, points: Array) -> Tensor:
+        """The points on the device, moved there once: those of a submap are asked for twice."""
+        if self._points is None or self._points[0]() is not points:
+            self._points = ref(points), self._there(points)
+        return self._points[1]
 
     def _there(self, array: NDArray[np.generic]) -> Tensor:
         return moved_there(array, self._where)
@@ -85,38 +96,45 @@ def _units(rays: Tensor) -> Tensor:
     return rays * (1.0 / (root(x * x + y * y + z * z) + _TINY_M))[:, None]
 
 
-def _moments(points: Tensor, voxels: Tensor, rows: Tensor, first: Tensor, resolution: float) -> Tensor:
-    """Count, sum p and upper sum p p^T (m, 10) of the returns (n, 3) of each voxel.
-
-    What is added up is the difference to the middle of the voxel, which is small. Products are of 32 bits, as in the
-    compiled kernel: normals of lone returns hang on their rounding (docs/decisions/0178).
-    """
-    middles = (voxels + 0.5) * resolution
-    terms = torch.cat([points, torch.stack([points[:, i] * points[:, j] for i, j in _UPPER], dim=1)], dim=1)
-    apart = torch.cat([middles, torch.stack([middles[:, i] * middles[:, j] for i, j in _UPPER], dim=1)], dim=1)
-    away = terms.double() - apart
-    parts = away[:, :3], away[:, 3:]
-    sums = [exact_sums(part, rows, len(first), float(part.abs().amax()) + _TINY_M) for part in parts]
-    count = torch.bincount(rows, minlength=len(first)).double()[:, None]
+def _moments(points: Tensor, voxels: Tensor, groups: Groups, first: Tensor, resolution: float) -> Tensor:
+    """Count, sum p and upper sum p p^T (m, 10) of the returns (n, 3) of each voxel."""
+    linear, square, apart = _terms(points, voxels, resolution=resolution)
+    sums = [groups.sums(part, part.abs().amax() + _TINY_M) for part in (linear, square)]
+    count = groups.sizes.double()[:, None]
     return torch.cat([count, torch.cat(sums, dim=1) + count * apart[first]], dim=1)
 
 
-def _scans_of(scans: Tensor, rows: Tensor, count: int) -> Tensor:
-    """The first, the last and the number of the scans (m, 3) that saw each of `count` voxels; scans ascend."""
+@replayed
+def _terms(points: Tensor, voxels: Tensor, *, resolution: float) -> tuple[Tensor, Tensor, Tensor]:
+    """How p (n, 3) and upper p p^T (n, 6) of returns differ from those (n, 9) of the middles of their voxels.
+
+    The difference, which is small, is what is added up. Products are of 32 bits, as in the compiled kernel: normals of
+    lone returns hang on their rounding (docs/decisions/0178).
+    """
+    middles = (voxels + 0.5) * resolution
+    products = torch.stack([points[:, i] * points[:, j] for i, j in _UPPER], dim=1)
+    apart = torch.cat([middles, torch.stack([middles[:, i] * middles[:, j] for i, j in _UPPER], dim=1)], dim=1)
+    return points.double() - apart[:, :3], products.double() - apart[:, 3:], apart
+
+
+def _scans_of(scans: Tensor, groups: Groups) -> Tensor:
+    """The first, the last and the number of the scans (m, 3) that saw each group; scans ascend."""
+    rows, count = groups.rows, len(groups.sizes)
     first = torch.full((count,), len(scans), device=scans.device).scatter_reduce(0, rows, scans, "amin")
     last = torch.zeros(count, dtype=scans.dtype, device=scans.device).scatter_reduce(0, rows, scans, "amax")
     pairs = torch.unique(rows * (last.max() + 1) + scans) // (last.max() + 1)
-    return torch.stack([first, last, torch.bincount(pairs, minlength=count)], dim=1).double()
+    return torch.stack([first, last, Groups.of(pairs, count).sizes], dim=1).double()
 
 
-def _own_spreads(means: Tensor, moments: Tensor) -> Tensor:
+@replayed
+def _own_spreads(means: Tensor, moments: Tensor) -> tuple[Tensor]:
     """As `kernels.elastic_points._own_spreads`: weight and upper mean d d^T (n, 7) float32."""
     count = moments[:, 0]
     columns = [count.clamp(max=POOLED_RETURNS)]
     for column, (i, j) in enumerate(_UPPER):
         cross = means[:, i] * moments[:, 1 + j], means[:, j] * moments[:, 1 + i]
         columns.append((moments[:, 4 + column] - cross[0] - cross[1]) / count + means[:, i] * means[:, j])
-    return torch.stack(columns, dim=1).float()
+    return (torch.stack(columns, dim=1).float(),)
 
 
 def _pairs_around(
@@ -127,7 +145,7 @@ def _pairs_around(
     """
     known, order = torch.sort(keys(voxels), stable=True)
     homes = voxels_of(queries, resolution)[:, None]
-    steps = torch.tensor([[x, y, -1] for x, y in _AROUND], device=queries.device)
+    steps = moved_there(np.array([[x, y, -1] for x, y in _AROUND]), queries.device)
     lowest = keys(homes + steps)  # of three voxels above each other
     first = torch.searchsorted(known, lowest.reshape(-1))
     owners, rows = ranges(first, torch.searchsorted(known, lowest.reshape(-1) + 3) - first)
@@ -138,17 +156,28 @@ def _pooled(
     queries: Tensor, points: Tensor, spreads: Tensor, owners: Tensor, rows: Tensor, resolution: float
 ) -> Tensor:
     """As `kernels.elastic_points._pool`: covariances (m, 3, 3) of the returns around each of `queries` (m, 3)."""
-    away = points[rows] - queries[owners]
+    (shares,) = _shares(points[rows] - queries[owners], spreads[rows], resolution=resolution)
+    greatest = POOLED_RETURNS * max(1.0, 12.0 * resolution, 16.0 * resolution**2)
+    (covariances,) = _covariances(Groups.of(owners, len(queries)).sums(shares, greatest))
+    return covariances
+
+
+@replayed
+def _covariances(sums: Tensor) -> tuple[Tensor]:
+    """Of count, sum d and upper sum d d^T (m, 10): (m, 3, 3)."""
+    mean, second = sums[:, 1:4] / sums[:, :1], sums[:, 4:] / sums[:, :1]
+    upper = {pair: second[:, column] - mean[:, pair[0]] * mean[:, pair[1]] for column, pair in enumerate(_UPPER)}
+    entries = [upper[min(i, j), max(i, j)] for i in range(3) for j in range(3)]
+    return (torch.stack(entries, dim=1).reshape(-1, 3, 3),)
+
+
+@replayed
+def _shares(away: Tensor, spreads: Tensor, *, resolution: float) -> tuple[Tensor]:
+    """What pairs add to count, sum d and upper sum d d^T (p, 10) of a query, which is `away` (p, 3) from each point."""
     gap = away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1] + away[:, 2] * away[:, 2]
     scale, farthest = np.float32(-0.5 / (0.7 * resolution) ** 2), np.float32(4.0 * resolution**2)
-    weight = torch.exp((gap * float(scale)).double()).float() * spreads[rows, 0] * (gap <= float(farthest))
+    weight = torch.exp((gap * float(scale)).double()).float() * spreads[:, 0] * (gap <= float(farthest))
     shares = [weight, *(weight * away[:, a] for a in range(3))]
     for column, (i, j) in enumerate(_UPPER):
-        shares.append(weight * (spreads[rows, 1 + column] + away[:, i] * away[:, j]))
-    greatest = POOLED_RETURNS * max(1.0, 12.0 * resolution, 16.0 * resolution**2)
-    sums = exact_sums(torch.stack(shares, dim=1), owners, len(queries), greatest)
-    mean, second = sums[:, 1:4] / sums[:, :1], sums[:, 4:] / sums[:, :1]
-    pooled = torch.empty((len(queries), 3, 3), dtype=torch.float64, device=queries.device)
-    for column, (i, j) in enumerate(_UPPER):
-        pooled[:, i, j] = pooled[:, j, i] = second[:, column] - mean[:, i] * mean[:, j]
-    return pooled
+        shares.append(weight * (spreads[:, 1 + column] + away[:, i] * away[:, j]))
+    return (torch.stack(shares, dim=1),)

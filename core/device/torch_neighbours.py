@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from revisit.core.device.torch_arrays import moved_there
 from revisit.core.device.torch_order import VoxelKeys, ranges, root, voxels_of
 from revisit.core.kernels.neighbour_blend import NEAREST_M
 
@@ -57,10 +58,11 @@ class SortedPoints:
         first, found = self._ranges(queries, rings)
         total = found.sum(1)
         best = torch.full((len(queries), count), _NOTHING, device=queries.device)
-        step = max(1, _AT_ONCE // max(int(total.amax()), count))
+        width = max(int(total.amax()), count)
+        step = max(1, _AT_ONCE // width)
         for start in range(0, len(queries), step):
             some = slice(start, start + step)
-            best[some] = self._keep_nearest(queries[some], first[some], found[some], count, rings)
+            best[some] = self._keep_nearest(queries[some], first[some], found[some], (count, width), rings)
         squared = (best >> 32).int().view(torch.float32)
         there = best < _NOTHING
         return Near(torch.where(there, best & _ROW, 0), squared, there)
@@ -71,15 +73,14 @@ class SortedPoints:
         owners, rows = ranges(first.reshape(-1), found.reshape(-1))
         owners = owners // found.shape[1]
         x, y, z = (self.positions[rows].double() - queries[owners].double()).unbind(1)
-        near = torch.zeros(len(queries), dtype=torch.bool, device=queries.device)
-        near[owners[x * x + y * y + z * z <= self.resolution * self.resolution]] = True
-        return near
+        near = (x * x + y * y + z * z <= self.resolution * self.resolution).int()
+        return torch.zeros(len(queries), dtype=torch.int32, device=queries.device).index_add_(0, owners, near) > 0
 
     def _ranges(self, queries: Tensor, rings: int) -> tuple[Tensor, Tensor]:
         """For each query and each column within `rings` where its points begin, and how many: (m, (2 rings + 1)^2)."""
         low, (width, depth, height) = self.keys.low, self.keys.shape
         homes = voxels_of(queries, self.resolution) - low
-        steps = torch.tensor(list(product(range(-rings, rings + 1), repeat=2)), device=queries.device)
+        steps = moved_there(np.array(list(product(range(-rings, rings + 1), repeat=2))), queries.device)
         columns = homes[:, None, :2] + steps
         x, y = columns.unbind(-1)
         bottom, top = (homes[:, 2] - rings).clamp(min=0), (homes[:, 2] + rings).clamp(max=height - 1)
@@ -89,8 +90,13 @@ class SortedPoints:
         last = torch.searchsorted(self.known, base + top[:, None], right=True)
         return first, torch.where(inside, last - first, 0)
 
-    def _keep_nearest(self, queries: Tensor, first: Tensor, found: Tensor, count: int, rings: int) -> Tensor:
-        """As numbers (m, count), ascending: the bits of a squared distance above the row."""
+    def _keep_nearest(
+        self, queries: Tensor, first: Tensor, found: Tensor, shape: tuple[int, int], rings: int
+    ) -> Tensor:
+        """As numbers (m, count), ascending: the bits of a squared distance above the row. `shape` says how many are
+        kept, and how many a query has at most.
+        """
+        count, width = shape
         owners, rows = ranges(first.reshape(-1), found.reshape(-1))
         owners = owners // found.shape[1]
         x, y, z = (self.positions[rows] - queries[owners]).unbind(1)
@@ -99,7 +105,7 @@ class SortedPoints:
         numbers = torch.where(squared < float(np.float32((rings * self.resolution) ** 2)), numbers, _NOTHING)
         total = found.sum(1)
         places = torch.arange(len(owners), device=queries.device) - (torch.cumsum(total, 0) - total)[owners]
-        side_by_side = torch.full((len(queries), max(int(total.amax()), count)), _NOTHING, device=queries.device)
+        side_by_side = torch.full((len(queries), width), _NOTHING, device=queries.device)
         side_by_side[owners, places] = numbers
         best: Tensor = torch.topk(side_by_side, count, dim=1, largest=False).values
         return best

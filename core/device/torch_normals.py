@@ -5,7 +5,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from revisit.core.kernels.oriented_normals import NEGLIGIBLE, NORMAL_PRIOR, SWEEPS
+from revisit.core.device.torch_replay import replayed
+from revisit.core.kernels.oriented_normals import NEGLIGIBLE, NORMAL_PRIOR
+
+_SWEEPS = 6
+"""Each doubles the digits that are right; the compiled ones stop where nothing is left to turn, mostly after four."""
 
 
 def oriented_normals(covariances: Tensor, views: Tensor) -> Tensor:
@@ -13,21 +17,25 @@ def oriented_normals(covariances: Tensor, views: Tensor) -> Tensor:
 
     By Jacobi's method in the same order of steps: a library's solver is made for few large matrices.
     """
+    (normals,) = _oriented(covariances, views)
+    return normals
+
+
+@replayed
+def _oriented(covariances: Tensor, views: Tensor) -> tuple[Tensor]:
     x, y, z = views.unbind(1)
     view = views / (torch.sqrt(x * x + y * y + z * z) + 1e-12)[:, None]
-    matrix, axes = _with_prior(covariances, view), torch.eye(3, dtype=views.dtype, device=views.device).flatten()
+    matrix, turns = _with_prior(covariances, view), torch.eye(3, dtype=views.dtype, device=views.device)
     rows = [matrix[:, i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
-    turned = list(axes.repeat(len(views), 1).unbind(1))
-    for _ in range(SWEEPS):
-        if _clear_diagonal(rows):
-            break
+    axes = list(turns.repeat(len(views), 1, 1).unbind(2))
+    for _ in range(_SWEEPS):
+        _clear_diagonal(rows)
         for p, q in ((0, 1), (0, 2), (1, 2)):
-            _rotate(rows, turned, p, q)
-    least = torch.where(rows[1] < rows[0], 1, 0)
-    least = torch.where(rows[2] < torch.minimum(rows[0], rows[1]), 2, least)
-    normals = torch.stack(turned, dim=1).reshape(-1, 3, 3).gather(2, least[:, None, None].expand(-1, 3, 1))[..., 0]
+            _rotate(rows, axes, p, q)
+    least = torch.where((rows[1] < rows[0])[:, None], axes[1], axes[0])
+    normals = torch.where((rows[2] < torch.minimum(rows[0], rows[1]))[:, None], axes[2], least)
     along = normals[:, 0] * view[:, 0] + normals[:, 1] * view[:, 1] + normals[:, 2] * view[:, 2]
-    return (torch.where(along < 0.0, -1.0, 1.0)[:, None] * normals).float()
+    return ((torch.where(along < 0.0, -1.0, 1.0)[:, None] * normals).float(),)
 
 
 def _with_prior(covariances: Tensor, view: Tensor) -> Tensor:
@@ -38,13 +46,12 @@ def _with_prior(covariances: Tensor, view: Tensor) -> Tensor:
     return covariances / spread[:, None, None] - prior + one
 
 
-def _clear_diagonal(rows: list[Tensor]) -> bool:
-    """Make what is negligible beside the diagonals zero, in place; returns whether all is."""
+def _clear_diagonal(rows: list[Tensor]) -> None:
+    """Make what is negligible beside the diagonals zero, in place, so that it is not turned any more."""
     aside = rows[3] ** 2 + rows[4] ** 2 + rows[5] ** 2
     diagonal = aside <= NEGLIGIBLE * (rows[0] ** 2 + rows[1] ** 2 + rows[2] ** 2)
     for a in range(3, 6):
         rows[a] = torch.where(diagonal, 0.0, rows[a])
-    return bool(diagonal.all())
 
 
 def _rotate(rows: list[Tensor], axes: list[Tensor], p: int, q: int) -> None:
@@ -59,6 +66,5 @@ def _rotate(rows: list[Tensor], axes: list[Tensor], p: int, q: int) -> None:
     sine = tangent * cosine
     rows[p], rows[q], rows[pq] = rows[p] - tangent * off, rows[q] + tangent * off, torch.zeros_like(off)
     rows[rp], rows[rq] = cosine * rows[rp] - sine * rows[rq], sine * rows[rp] + cosine * rows[rq]
-    for a in range(3):
-        along_p, along_q = axes[3 * a + p], axes[3 * a + q]
-        axes[3 * a + p], axes[3 * a + q] = cosine * along_p - sine * along_q, sine * along_p + cosine * along_q
+    across, along = sine[:, None], cosine[:, None]
+    axes[p], axes[q] = along * axes[p] - across * axes[q], across * axes[p] + along * axes[q]

@@ -7,7 +7,6 @@ on each device and in each run.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import torch
@@ -40,11 +39,6 @@ class VoxelKeys:
         column, z = keys // self.shape[2], keys % self.shape[2]
         return torch.stack([column // self.shape[1], column % self.shape[1], z], dim=-1) + self.low
 
-    def inside(self, voxels: Tensor) -> Tensor:
-        """Which of `voxels` (..., 3) are in the box."""
-        places = voxels - self.low
-        return ((places >= 0) & (places < torch.tensor(self.shape, device=places.device))).all(-1)
-
 
 def voxels_of(positions: Tensor, resolution: float) -> Tensor:
     """The voxels (..., 3) int64 of edge `resolution` in which `positions` (..., 3) lie."""
@@ -71,21 +65,47 @@ def root(squared: Tensor) -> Tensor:
     return torch.sqrt(squared.double()).float()
 
 
-def exact_sums(values: Tensor, rows: Tensor, count: int, greatest: float) -> Tensor:
-    """Sums (count, ...) float64 of `values` (n, ...) by `rows` (n,), whatever the order; none exceeds `greatest`.
+@dataclass(frozen=True)
+class Groups:
+    """Which rows belong together: the group (n,) of each, and how many rows (m,) each group has.
 
-    Values are rounded to whole multiples of a power of two, so small that the sum of most values fits into 62 bits.
+    Nothing here waits for the device.
     """
-    most = int(torch.bincount(rows).amax()) if len(rows) else 1
-    unit = 2.0 ** (math.ceil(math.log2(greatest)) + most.bit_length() - 61)
-    whole = torch.round(values.double() / unit).long()
-    sums = torch.zeros((count, *values.shape[1:]), dtype=torch.int64, device=values.device)
-    return sums.index_add_(0, rows, whole).double() * unit
+
+    rows: Tensor
+    sizes: Tensor
+
+    @classmethod
+    def of(cls, rows: Tensor, count: int) -> Groups:
+        """`count` groups, of which `rows` (n,) are the numbers."""
+        sizes = torch.zeros(count, dtype=torch.int64, device=rows.device)
+        return cls(rows, sizes.index_add_(0, rows, torch.ones_like(rows)))
+
+    def sums(self, values: Tensor, greatest: float | Tensor) -> Tensor:
+        """Sums (m, ...) float64 of `values` (n, ...) by group, whatever the order; none exceeds `greatest`.
+
+        Values are rounded to whole multiples of a power of two, so small that the sum of most values fits into 62 bits.
+        """
+        most = self.sizes.amax() if len(self.sizes) else self.sizes.sum()
+        unit = _power_of_two(_bits(most) + _bits(torch.zeros((), device=most.device).double() + greatest) - 61)
+        whole = torch.round(values.double() / unit).long()
+        sums = torch.zeros((len(self.sizes), *values.shape[1:]), dtype=torch.int64, device=values.device)
+        return sums.index_add_(0, self.rows, whole).double() * unit
+
+
+def _bits(number: Tensor) -> Tensor:
+    """The least whole e with `number` < 2^e."""
+    return torch.frexp(number.double()).exponent.long()
+
+
+def _power_of_two(exponent: Tensor) -> Tensor:
+    """2^`exponent`, exactly, float64."""
+    return ((exponent + 1_023) << 52).view(torch.float64)
 
 
 def ranges(first: Tensor, count: Tensor) -> tuple[Tensor, Tensor]:
     """All rows of ranges that begin at `first` (n,) and have `count` (n,) rows, end to end: range and row of each."""
     ends = torch.cumsum(count, 0)
-    owners = torch.repeat_interleave(torch.arange(len(count), device=count.device), count)
-    rows = torch.arange(len(owners), device=count.device) - (ends - count)[owners] + first[owners]
+    owners = torch.repeat_interleave(count, output_size=int(ends[-1]) if len(ends) else 0)
+    rows = torch.arange(len(owners), device=count.device) + (first - ends + count)[owners]
     return owners, rows

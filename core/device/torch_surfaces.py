@@ -17,7 +17,7 @@ from revisit.core.device.torch_neighbours import SortedPoints, blended_distances
 from revisit.core.device.torch_order import VoxelKeys, first_seen, voxels_of
 from revisit.core.kernels.surface_cells import NEAR_PLANE
 
-_CUBE = tuple((corner & 1, corner >> 1 & 1, corner >> 2 & 1) for corner in range(8))
+_CUBE = np.array([(corner & 1, corner >> 1 & 1, corner >> 2 & 1) for corner in range(8)])
 
 
 class TorchSurfaces:
@@ -38,7 +38,7 @@ class TorchSurfaces:
             return self._compiled.cells(planes, observed)
         known = _observed_corners(positions, homes, keys, resolution, observed, steps)
         voxels = _voxels_near(positions, self._there(planes.normals), homes, keys, known, resolution)
-        corners = keys(keys.voxels(voxels)[:, None] + torch.tensor(_CUBE, device=self._where))
+        corners = keys(keys.voxels(voxels)[:, None] + self._there(_CUBE))
         rows = torch.searchsorted(known, corners.reshape(-1)).reshape(corners.shape)
         return Cells(keys.voxels(known).int().cpu().numpy(), rows.int().cpu().numpy())
 
@@ -108,12 +108,15 @@ def _observed_corners(
 ) -> Tensor:
     """The keys (c,), ascending, of the voxel corners within `observed` metres of any of `positions` (n, 3)."""
     limit = np.float32(observed) * np.float32(observed)
-    found = []
-    for step in product(range(1 - steps, steps + 1), repeat=3):
-        corners = homes + torch.tensor(step, device=homes.device)
-        x, y, z = (positions - (corners.double() * resolution).float()).unbind(1)
-        found.append(keys(corners)[x * x + y * y + z * z <= float(limit)])
-    distinct: Tensor = torch.unique(torch.cat(found))
+    reach = range(1 - steps, steps + 1)
+    within = moved_there(np.array(list(product(reach, reach))), homes.device)
+    near, found = [], []
+    for step in reach:  # all at once would take the room of (n, 64) corners
+        corners = homes[:, None] + torch.nn.functional.pad(within, (1, 0), value=step)
+        x, y, z = (positions[:, None] - (corners.double() * resolution).float()).unbind(-1)
+        near.append(x * x + y * y + z * z <= float(limit))
+        found.append(keys(corners))
+    distinct: Tensor = torch.unique(torch.cat(found)[torch.cat(near)])
     return distinct
 
 
@@ -124,14 +127,15 @@ def _voxels_near(
 
     As `kernels.surface_cells.find_cells`: all corners are among the `known` (c,).
     """
-    around = torch.tensor(list(product((-1, 0, 1), repeat=3)), device=homes.device)
+    around = moved_there(np.array(list(product((-1, 0, 1), repeat=3))), homes.device)
     voxels = homes[:, None] + around
     away = (voxels.double() + 0.5) * resolution - positions[:, None].double()
     parts = (away * normals[:, None].double()).unbind(-1)
     near = (parts[0] + parts[1] + parts[2]).abs() <= NEAR_PLANE * resolution
     candidates = keys(voxels)[near]
     distinct, numbers = torch.unique(candidates, return_inverse=True)
-    corners = keys(keys.voxels(distinct)[:, None] + torch.tensor(_CUBE, device=homes.device))
-    complete = torch.isin(corners, known).all(1)
+    corners = keys(keys.voxels(distinct)[:, None] + moved_there(_CUBE, homes.device))
+    rows = torch.searchsorted(known, corners).clamp(max=len(known) - 1)
+    complete = (known[rows] == corners).all(1)
     candidates = candidates[complete[numbers]]
     return candidates[first_seen(candidates)[1]]

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from revisit.core.device.description import Array, Array64, Patches
 from revisit.core.device.torch_arrays import moved_there
-from revisit.core.device.torch_order import exact_sums
+from revisit.core.device.torch_order import Groups
 
 
 class TorchViews:
@@ -58,7 +58,8 @@ class TorchViews:
         start = (torch.arange(len(pixels), device=self._where)[:, None, None] * cells * cells + part) * bins
         rows = torch.stack([start + lower % bins, start + upper]).reshape(-1)
         values = torch.stack([weight * (1.0 - share), weight * share]).reshape(-1)
-        sums = exact_sums(values, rows, len(pixels) * cells * cells * bins, max(float(weights.max(initial=0.0)), 1e-30))
+        groups = Groups.of(rows, len(pixels) * cells * cells * bins)
+        sums = groups.sums(values, max(float(weights.max(initial=0.0)), 1e-30))
         histograms: Array = sums.float().reshape(len(pixels), -1).cpu().numpy()
         return histograms
 
@@ -96,7 +97,7 @@ class TorchViews:
 
     def _profiles(self, values: Tensor, rows: Tensor, shape: tuple[int, int]) -> Array64:
         """Sums of `values` (n,) at places `rows` (n,) of profiles; a weight is at most 1."""
-        sums: Array64 = exact_sums(values, rows, shape[0] * shape[1], 1.0).reshape(shape).cpu().numpy()
+        sums: Array64 = Groups.of(rows, shape[0] * shape[1]).sums(values, 1.0).reshape(shape).cpu().numpy()
         return sums
 
     def _sampled(self, pixels: Tensor, angles: Array, form: Patches) -> tuple[Tensor, Tensor, Tensor]:

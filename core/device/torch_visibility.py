@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from revisit.core.device.torch_order import root
+from revisit.core.device.torch_replay import replayed
 from revisit.core.kernels.arcs import SERIES_32
 from revisit.core.kernels.visibility import COLUMNS, FARTHER, MARGIN_M, PIXELS_PER_RADIAN, ROWS
 
@@ -14,8 +15,9 @@ _HALF_TURN, _QUARTER_TURN, _TINY = (float(np.float32(value)) for value in (np.pi
 _INFINITE = float("inf")
 
 
+@replayed
 def pixels_of(rays: Tensor) -> tuple[Tensor, Tensor]:
-    """The pixels (...) and ranges (...) of `rays` (..., 3) float32 from the sensor."""
+    """The pixels (n,) and ranges (n,) of `rays` (n, 3) float32 from the sensor."""
     x, y, z = rays.unbind(-1)
     level = x * x + y * y
     per_radian = float(PIXELS_PER_RADIAN)
@@ -43,7 +45,7 @@ def nearest_around(images: Tensor) -> Tensor:
 
 def seen_through(rays: Tensor, nearest: Tensor) -> Tensor:
     """How many scans (n,) int32 looked through positions at `rays` (scans, n, 3) from them."""
-    pixels, away = pixels_of(rays)
+    pixels, away = (part.reshape(rays.shape[:2]) for part in pixels_of(rays.reshape(-1, 3)))
     beyond = nearest.gather(1, pixels) > away * float(FARTHER) + float(MARGIN_M)
     return beyond.sum(0, dtype=torch.int32)
 

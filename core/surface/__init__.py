@@ -23,6 +23,9 @@ Array = NDArray[np.float32]
 
 __all__ = ["Surface", "extract_surface", "surface_from_points"]
 
+_ON_CORNER_M = 1e-6
+"""Nearer to the surface a voxel corner lies on it, on flat ground many do: the sign would be that of rounding alone."""
+
 
 @dataclass(frozen=True)
 class Surface:
@@ -55,6 +58,7 @@ def extract_surface(neural_map: NeuralMap, config: SurfaceConfig) -> Surface:
     near = cells_near_planes(points.positions, points.normals, resolution, min(config.observed_distance, reach))
     corner_positions = (near.corners * resolution).astype(np.float32)
     values, nearest = neural_map.sdf(corner_positions)
+    values[np.abs(values) < _ON_CORNER_M] = 0.0
     values[nearest > config.observed_distance] = np.nan
     vertices, faces, crossing = device().description.surfaces.polygonise(
         near.cell_corners, corner_positions, values, Cases(case_table(), edge_table()), resolution

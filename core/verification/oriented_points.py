@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from revisit.core.config import VerificationConfig
-from revisit.core.device import contract, device
 from revisit.core.geometry import se3
 from revisit.core.kept import Keeping
 from revisit.core.kernels.patches import Patches, patches_of
 from revisit.core.kernels.seen_columns import SeenColumns, seen_columns
-from revisit.core.kernels.surface_contact import touching_rows
+from revisit.core.kernels.surface_contact import contact_sums, shared_counts, touching_rows
 from revisit.core.place import Place
 
 Array64 = NDArray[np.float64]
@@ -127,7 +126,7 @@ def contact(surface: OrientedPoints, other: OrientedPoints, config: Verification
     """Where `surface` lies on `other`: near one of its points, near its tangent plane, facing alike. One frame."""
     rows, distances = touching_rows(
         np.ascontiguousarray(surface.points), np.ascontiguousarray(surface.normals), other.patches,
-        *_contact_rules(config)[:-1],
+        *_contact_rules(config),
     )  # fmt: skip
     touching = rows >= 0
     return Contact(touching, distances[touching], other.patches.rows[rows[touching]])
@@ -158,18 +157,14 @@ def contact_in_poses(
     placed: Sequence[tuple[se3.Matrix4, OrientedPoints, OrientedPoints]], config: VerificationConfig
 ) -> list[ContactSums]:
     """For each T_other_surface, surface and other: what the surface has in common with the other where that puts it."""
-    jobs = [
-        contract.Contact(
+    found = []
+    for T_other_surface, surface, other in placed:
+        (standing, standing_touching, touching), squares, information = contact_sums(
             np.ascontiguousarray(surface.points), np.ascontiguousarray(surface.normals), surface.standing_count,
-            np.ascontiguousarray(T_other_surface), other.patches, other.seen.slots,
-        )
-        for T_other_surface, surface, other in placed
-    ]  # fmt: skip
-    found = device().kernels.touch(jobs, _contact_rules(config))
-    return [
-        ContactSums(int(one.counts[0]), int(one.counts[1]), int(one.counts[2]), float(one.squares), one.information)
-        for one in found
-    ]
+            np.ascontiguousarray(T_other_surface), other.patches, *_contact_rules(config), other.seen.slots, COLUMN_M,
+        )  # fmt: skip
+        found.append(ContactSums(int(standing), int(standing_touching), int(touching), float(squares), information))
+    return found
 
 
 def shared_shares(
@@ -179,14 +174,14 @@ def shared_shares(
     stands in the columns that `other` has seen. One frame.
     """
     points, normals = np.ascontiguousarray(surface.points), np.ascontiguousarray(surface.normals)
-    job = contract.Shifts(points, normals, offsets_m, other.patches, other.seen.slots)
-    (counts,) = device().kernels.share([job], _contact_rules(config))
+    rules = *_contact_rules(config), other.seen.slots, COLUMN_M
+    counts = shared_counts(points, normals, offsets_m, other.patches, *rules)
     return [float(touching) / max(int(seen), 1) for seen, touching in counts]
 
 
-def _contact_rules(config: VerificationConfig) -> contract.ContactRules:
-    distances = config.neighbour_distance, config.surface_distance
-    return contract.ContactRules(SEARCH_EDGE_M, *distances, _FACING_ALIKE, COLUMN_M)
+def _contact_rules(config: VerificationConfig) -> tuple[float, float, float, float]:
+    """Edge, reach, distance of planes and cosine of normals, as the kernels of contact take them."""
+    return SEARCH_EDGE_M, config.neighbour_distance, config.surface_distance, _FACING_ALIKE
 
 
 def columns_of(points: Array64) -> NDArray[np.int64]:

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.config import VerificationConfig
-from revisit.core.device import device
-from revisit.core.device.contract import Alignment, AlignmentRules
 from revisit.core.geometry import se3
+from revisit.core.kernels.surface_alignment import aligned
 from revisit.core.verification.oriented_points import OrientedPoints, contact_in_poses
 
 Array64 = NDArray[np.float64]
@@ -133,9 +132,8 @@ def iterate_all(
     """As `iterate`, from each of `starts`."""
     points, normals = np.ascontiguousarray(query.points), np.ascontiguousarray(query.normals)
     patches = match.kept(OrientedPoints.patches_by, _ICP_EDGE_M)
-    jobs = [Alignment(np.ascontiguousarray(start), points, normals, patches) for start in starts]
-    rules = AlignmentRules(_ICP_EDGE_M, reach, rounds, _FACING_ALIKE, _ROBUST_SHARE * reach, MIN_COUNTERPARTS)
-    return device().kernels.align(jobs, rules)
+    rules = _ICP_EDGE_M, reach, rounds, _FACING_ALIKE, _ROBUST_SHARE * reach, MIN_COUNTERPARTS
+    return [aligned(np.ascontiguousarray(start), points, normals, patches, *rules) for start in starts]
 
 
 def find_counterparts(moved: OrientedPoints, match: OrientedPoints, reach: float) -> Counterparts:

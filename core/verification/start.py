@@ -12,8 +12,6 @@ from scipy import fft
 
 from revisit.core.config import VerificationConfig
 from revisit.core.correspondences import correspond
-from revisit.core.device import device
-from revisit.core.device.contract import Agreement, Correlation
 from revisit.core.geometry import se3
 from revisit.core.geometry.se2 import PlanarPose
 from revisit.core.kernels.plan_images import plan_density
@@ -21,6 +19,7 @@ from revisit.core.kernels.seen_columns import heights_above
 from revisit.core.place import Place
 from revisit.core.verification.keypoint_fit import KeypointFit, fit_of_pose, fit_planar_pose
 from revisit.core.verification.oriented_points import COLUMN_M, OrientedPoints
+from revisit.core.verification.phase_correlation import Agreement, agreements
 
 Array64 = NDArray[np.float64]
 Spectrum = NDArray[np.complexfloating]
@@ -81,7 +80,7 @@ def _fits(query: Place, match: Place, config: VerificationConfig) -> list[Agreem
     pixel, points = config.correlation_pixel, query.kept(_standing_plan)
     of_query, of_match = query.kept(_seen_from_above, pixel), match.kept(_seen_from_above, pixel)
     turns = _likely_turns(of_query.polar, of_match.polar, config.correlation_turns)
-    (fits,) = device().kernels.correlate([Correlation(points, tuple(turns), of_match.spectrum)], pixel)
+    fits = agreements(points, turns, of_match.spectrum, pixel)
     return sorted(fits, key=lambda fit: -fit.peak)
 
 

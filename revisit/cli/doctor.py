@@ -77,7 +77,7 @@ def _checked(check: str, examine: Callable[[], str]) -> Finding:
 
 
 def _device() -> str:
-    """Where workers started like this command would verify candidates."""
+    """Where workers started like this command would describe."""
     from revisit.core.device import open_device
     from revisit.service.settings import Settings
 

@@ -17,7 +17,6 @@ import structlog
 
 from revisit.core.candidates import candidate_policy
 from revisit.core.config import PipelineConfig
-from revisit.core.device import at_once, batched
 from revisit.core.errors import DataLoss, DescriptorModelMismatch, ErrorCode, RevisitError
 from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.core.scan import Scan
@@ -273,20 +272,18 @@ class Recognition:
         """
         recalled = [one.submap for one in recall.places]
         loops, kept = ToldPoses(config, partial(poses_in_map, self._transactions, recalled)), []
-        for some in batched(recall.places):  # one by one, unless a device gains by more
-            told = {one.submap.number: loops.of(one.submap) for one in some}
-            new = [one for one in some if one.submap.number not in judged and not _is_known(told[one.submap.number])]
-            works = [
-                partial(self._judge, place, one, config, expected=_expected(told[one.submap.number])) for one in new
-            ]
-            judged.update({one.place.submap.number: one for one in at_once(works)})
-            for number in (one.submap.number for one in some if one.submap.number in judged):
+        for one in recall.places:
+            number = one.submap.number
+            told = loops.of(one.submap)
+            if number not in judged and not _is_known(told):
+                judged[number] = self._judge(place, one, config, expected=_expected(told))
+            if number in judged:
                 kept.append(judged[number])
                 loops.take_in(judged[number].place.submap, judged[number].verdict)
         return kept
 
     def _judge_all(self, place: bytes, recalled: Iterable[RecalledPlace], config: PipelineConfig) -> list[JudgedPlace]:
-        return at_once([partial(self._judge, place, one, config) for one in recalled])
+        return [self._judge(place, one, config) for one in recalled]
 
     def _judge(
         self,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -110,6 +111,28 @@ def test_the_same_submap_gives_the_same_bits_each_time():
     assert again.descriptor.vector.tobytes() == first.descriptor.vector.tobytes()
     assert again.place.to_blob() == first.place.to_blob()
     assert again.neural_map.to_blob() == first.neural_map.to_blob()
+
+
+@pytest.mark.parametrize(
+    ("steps", "columns", "constants"),
+    [
+        ("torch_normals._oriented", ((3, 3), (3,)), {}),
+        ("torch_visibility.pixels_of", ((3,),), {}),
+        ("torch_maps._terms", ((3,), (3,)), {"resolution": 0.4}),
+        ("torch_maps._own_spreads", ((3,), (10,)), {}),
+        ("torch_maps._shares", ((3,), (7,)), {"resolution": 0.4}),
+        ("torch_maps._covariances", ((10,),), {}),
+    ],
+)
+def test_what_is_recorded_for_more_rows_gives_those_that_there_are(steps, columns, constants):
+    module, name = steps.split(".")
+    work = getattr(import_module(f"revisit.core.device.{module}"), name)
+    rng = np.random.default_rng(3)
+    given = [torch.as_tensor(rng.uniform(0.5, 2.0, (9, *shape))) for shape in columns]
+    wider = [torch.cat([column, torch.ones_like(column)]) for column in given]
+    for found, expected in zip(work(*wider, **constants), work(*given, **constants), strict=True):
+        assert len(found) == 18 and expected.isfinite().all()
+        torch.testing.assert_close(found[:9], expected, rtol=0.0, atol=0.0)
 
 
 @pytest.mark.parametrize("limit", [10_000, 600])
@@ -235,5 +258,5 @@ def test_the_kernels_of_the_device_in_use_are_called():
 
     asked = DescriptionKernels(Refusing(), Refusing(), Refusing())
     submap = visits()[0]
-    with using(Device("refusing", open_device(CPU).kernels, 1, asked)), pytest.raises(RuntimeError, match="gather"):
+    with using(Device("refusing", asked)), pytest.raises(RuntimeError, match="gather"):
         describe(submap, load_packaged_models(), CONFIG)

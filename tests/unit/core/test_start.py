@@ -10,11 +10,11 @@ from scipy import fft
 from scipy.ndimage import map_coordinates
 
 from revisit.core.config import VerificationConfig
-from revisit.core.device.compiled import _best_shift
 from revisit.core.geometry import se3
 from revisit.core.geometry.se2 import PlanarPose, angle_between, turned
 from revisit.core.place import Place
 from revisit.core.verification.oriented_points import COLUMN_M
+from revisit.core.verification.phase_correlation import best_shift
 from revisit.core.verification.start import IMAGE_SIZE, correlate, find_start, lift, polar_amplitude, raster
 from tests.support.yards import moved, place_of_points, recognised, thinned, yard
 
@@ -53,7 +53,7 @@ def test_points_outside_the_image_are_left_out():
 @pytest.mark.parametrize("shift", [(0, 0), (7, -3), (-20, 11)])
 def test_phase_correlation_finds_a_known_shift_exactly(shift):
     image = raster(plan(), 0.8)
-    peak, found = _best_shift(fft.rfft2(image), fft.rfft2(np.roll(image, shift[::-1], axis=(0, 1))), half_turn=False)
+    peak, found = best_shift(fft.rfft2(image), fft.rfft2(np.roll(image, shift[::-1], axis=(0, 1))), half_turn=False)
     np.testing.assert_array_equal(found, shift)
     assert peak == pytest.approx((image**2).sum())
 
@@ -62,7 +62,7 @@ def test_phase_correlation_finds_a_known_shift_exactly(shift):
 def test_the_spectrum_of_an_image_serves_the_image_turned_by_half_a_turn_too(shift):
     image = raster(plan(), 0.8)
     upside_down = np.roll(raster(-plan(), 0.8), shift[::-1], axis=(0, 1))
-    peak, found = _best_shift(fft.rfft2(image), fft.rfft2(upside_down), half_turn=True)
+    peak, found = best_shift(fft.rfft2(image), fft.rfft2(upside_down), half_turn=True)
     np.testing.assert_array_equal(found, shift)
     assert peak == pytest.approx((image**2).sum())
 
