@@ -82,7 +82,7 @@ class _Gateway:
         upkeep = Upkeep(chores(self._settings, installation, fail_stop))
         upkeep.start()
         metrics = self._metrics_server(installation)
-        await asyncio.to_thread(_load_decoder)
+        await asyncio.to_thread(_load_kernels)
         # Objects made during the start live on. Searching them for garbage would hold up requests for 70 to 90 ms.
         gc.freeze()
         self._watch_load(installation)
@@ -221,11 +221,13 @@ class _Gateway:
         return server, bound
 
 
-def _load_decoder() -> None:
-    """Load what decodes clouds, half a second, so that the first to post one need not wait for it."""
+def _load_kernels() -> None:
+    """Load what decodes clouds and what compares places, half a second, so that the first to ask need not wait."""
+    from revisit.core.kernels import adapted_cosines
     from revisit.formats import quantised_columns
 
     quantised_columns.rehearse()
+    adapted_cosines.rehearse()
 
 
 def _listen(host: str, port: int) -> socket.socket:

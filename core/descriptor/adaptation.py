@@ -14,8 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.config import AdaptationConfig
+from revisit.core.kernels.adapted_cosines import adapted_cosines
 
 Array = NDArray[np.float32]
+
+_SHORTEST = 1e-6
+"""A descriptor that differs less from its mean, in spreads, is compared as it is."""
 
 
 @dataclass(frozen=True)
@@ -37,18 +41,27 @@ class SiteStatistics:
         np.subtract(vectors, adapted, out=adapted)
         adapted /= self.spread
         lengths = np.sqrt(np.einsum("ij,ij->i", adapted, adapted))
-        if not (usable := lengths > 1e-6).all():
+        if not (usable := lengths > _SHORTEST).all():
             adapted[~usable], lengths[~usable] = vectors[~usable], 1.0
         adapted /= lengths[:, None]
         return adapted
+
+    def cosines(self, vectors: Array, sessions: NDArray[np.int64], query: Array) -> Array:
+        """The cosine (n,) of each of descriptors (n, d), `adapted` to its session (n,), with a unit `query` (d,)."""
+        means, which = self._distinct_means(sessions)
+        return adapted_cosines(vectors, means, which, self.spread, query, _SHORTEST)
 
     def _means_of(self, sessions: NDArray[np.int64]) -> Array:
         """The mean (n, d) for each of the sessions (n,), a new array."""
         if len(sessions) == 1:  # a query
             return np.array(self.session_means.get(int(sessions[0]), self.mean)[None])
-        names, which = np.unique(sessions, return_inverse=True)
-        means = np.stack([self.session_means.get(session, self.mean) for session in names.tolist()] or [self.mean])
+        means, which = self._distinct_means(sessions)
         return np.take(means, which, axis=0)
+
+    def _distinct_means(self, sessions: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
+        """The means (m, d) of the sessions that there are, and which of them is that of each of the sessions (n,)."""
+        names, which = np.unique(sessions, return_inverse=True)
+        return np.stack([self.session_means.get(name, self.mean) for name in names.tolist()] or [self.mean]), which
 
     def with_sessions(self, seen: Mapping[int, SessionSums]) -> SiteStatistics:
         """The statistics with the mean of each session in `seen`."""

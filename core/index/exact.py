@@ -76,7 +76,12 @@ def similarities(
     found = np.empty(len(chosen), dtype=np.float32)
     for start in range(0, len(chosen), _PORTION):
         part = chosen[start : start + _PORTION]
-        np.einsum("ij,j->i", standardised(rows, part, site), wanted, out=found[start : start + _PORTION])
+        vectors = rows.descriptors(part)
+        found[start : start + _PORTION] = (
+            np.einsum("ij,j->i", vectors, wanted)
+            if site is None
+            else site.cosines(vectors, rows.sessions[part], wanted)
+        )
     return found
 
 

@@ -29,6 +29,7 @@ from revisit.core.errors import RevisitError
 from revisit.core.geometry import se3
 from revisit.core.implicit_map import NeuralMap
 from revisit.core.implicit_map.neural_points import NeuralPoints
+from revisit.core.kernels import adapted_cosines
 from revisit.core.kernels.range_coder import finish, start
 from revisit.core.model_bundle import load_packaged_models
 from revisit.core.place import Place
@@ -91,9 +92,10 @@ def end_with_parent() -> None:
 
 
 def _steps(recogniser: PlaceRecogniser) -> tuple[Step, ...]:
-    """They know nothing of each other. The gateway asks for the first one, too."""
+    """They know nothing of each other. The gateway asks for the first two, too."""
     return (
         quantised_columns.rehearse,
+        adapted_cosines.rehearse,
         _end_a_stream,
         partial(_describe_again, recogniser),
         partial(_describe, recogniser),

@@ -95,10 +95,32 @@ async def test_a_search_knows_what_another_process_described_or_deleted(world, e
     assert [await found() for _ in range(3)] == [{"s1", "s2"}] * 3
     reads.clear()
     await found()
-    assert len(reads) == 2  # what is asked for, and the rows of the hits
+    assert len(reads) == 1  # what is asked for, and the rows of the hits
     gone = elsewhere.read(lambda uow: uow.submaps.get(TENANT, "town", "monday", "s1")).result()
     elsewhere.write(lambda uow: _removed(uow, gone)).result()
     assert await found() == {"s2"}
+
+
+async def test_a_search_that_another_one_overtakes_answers_as_that_one_does(world, elsewhere, monkeypatch):
+    await open_session(world)
+    for number in range(3):
+        await world.use_cases.posting.post(TENANT, submap(f"s{number}", number))
+    world.work_off()
+    searches, key = world.use_cases.searches, submap("s0", 0).key
+    await searches.by_submap(TENANT, key, SearchCriteria())
+    memory, index = searches._memory, searches._memory._index
+    compare, gone = index.search, elsewhere.read(lambda uow: uow.submaps.get(TENANT, "town", "monday", "s1")).result()
+
+    def overtaken(number, *asked):
+        matches = compare(number, *asked)
+        if index.size(number) == 3:
+            elsewhere.write(lambda uow: _removed(uow, gone)).result()
+            memory.catch_up(TENANT, number)
+        return matches
+
+    monkeypatch.setattr(index, "search", overtaken)
+    result = await searches.by_submap(TENANT, key, SearchCriteria())
+    assert [hit.submap.submap_id for hit in result.hits] == ["s2"] and result.searched == 2
 
 
 def _removed(uow, record):

@@ -11,7 +11,7 @@ import numpy as np
 
 from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.records import LoopRecord, Pose, SessionPosesRecord, SubmapRecord
+from revisit.service.application.contract.records import LoopRecord, MapRecord, Pose, SessionPosesRecord, SubmapRecord
 from revisit.service.application.contract.repositories import FoundSubmap
 from revisit.service.application.contract.session_poses import PackedSubmaps
 from revisit.service.application.contract.transactions import UnitOfWork
@@ -87,9 +87,18 @@ class KeptSessions:
 class MapFrames:
     """The poses of one map, read within one transaction as they are asked for."""
 
-    def __init__(self, uow: UnitOfWork, tenant: TenantId, map_id: str, kept: KeptSessions | None = None) -> None:
-        """Those of the version in force; of none where the map has none, or is not there. Sessions may be `kept`."""
-        record = uow.maps.get(tenant, map_id)
+    def __init__(
+        self,
+        uow: UnitOfWork,
+        tenant: TenantId,
+        map_id: str,
+        kept: KeptSessions | None = None,
+        record: MapRecord | None = None,
+    ) -> None:
+        """Those of the version in force; of none where the map has none, or is not there. Sessions may be `kept`, and
+        the map's `record` have been read in this transaction.
+        """
+        record = record or uow.maps.get(tenant, map_id)
         self._uow = uow
         self._tenant = tenant
         self._map_id = map_id

@@ -129,11 +129,25 @@ class PlaceMemory:
     def answer(self, question: Callable[[UnitOfWork], Question], criteria: SearchCriteria) -> SearchResult:
         """The answer to the search for what `question` reads. Raises what that raises; BadField."""
         version = self._transactions.version()
-        asked, news = self._transactions.read_here(lambda uow: self._asked(uow, question, version))
-        found = self.search(asked.map_record, asked.vector, criteria, asked.where, news)
+        asked, news, found = self._transactions.read_here(lambda uow: self._answer(uow, question, criteria, version))
+        if found is None:
+            found = self.search(asked.map_record, asked.vector, criteria, asked.where, news)
         if news is not None and version is not None:
             self._caught_up[asked.map_record.number] = version, news.seq
         return found
+
+    def _answer(
+        self, uow: UnitOfWork, question: Callable[[UnitOfWork], Question], criteria: SearchCriteria, version: int | None
+    ) -> tuple[Question, _News | None, SearchResult | None]:
+        """As `_asked`, and the answer: where the index knows in the end what this snapshot knows, and no more."""
+        asked, news = self._asked(uow, question, version)
+        record, where, found = asked.map_record, asked.where, None
+        if news is not None:
+            matches, seq = self._matches(record, asked.vector, criteria.k, lambda: where, news)
+            if seq == news.seq == self._index.seq(record.number):
+                hits = _hits(uow, record, _alike(matches, criteria), self._sessions, record)
+                found = self._result(record, where, hits)
+        return asked, news, found
 
     def _asked(
         self, uow: UnitOfWork, question: Callable[[UnitOfWork], Question], version: int | None
@@ -163,9 +177,11 @@ class PlaceMemory:
     ) -> SearchResult:
         """The answer to a client's search; `news` of the map's index may have been read since it was asked."""
         found, _ = self._matches(map_record, vector, criteria.k, lambda: where, news)
-        floor = -1.0 if criteria.min_similarity is None else criteria.min_similarity
-        matches = [match for match in found if match.similarity >= floor]
+        matches = _alike(found, criteria)
         hits = self._transactions.read_here(partial(_hits, map_record=map_record, matches=matches, kept=self._sessions))
+        return self._result(map_record, where, hits)
+
+    def _result(self, map_record: MapRecord, where: VectorFilter, hits: tuple[SearchHit, ...]) -> SearchResult:
         return SearchResult(hits, self._index.size(map_record.number), self.on_other_storeys(map_record, where))
 
     def on_other_storeys(self, map_record: MapRecord, where: VectorFilter) -> int:
@@ -179,12 +195,25 @@ def _changes(uow: UnitOfWork, tenant: TenantId, number: int, seq: int) -> list[I
     return uow.changes.since(tenant, number, seq, PORTION + 1)
 
 
+def _alike(matches: list[VectorMatch], criteria: SearchCriteria) -> list[VectorMatch]:
+    """Those that are as similar as is asked for."""
+    floor = -1.0 if criteria.min_similarity is None else criteria.min_similarity
+    return [match for match in matches if match.similarity >= floor]
+
+
 def _hits(
-    uow: UnitOfWork, map_record: MapRecord, matches: list[VectorMatch], kept: KeptSessions
+    uow: UnitOfWork,
+    map_record: MapRecord,
+    matches: list[VectorMatch],
+    kept: KeptSessions,
+    as_of: MapRecord | None = None,
 ) -> tuple[SearchHit, ...]:
-    """The matches as a client sees them; a submap that was deleted a moment ago is left out."""
+    """The matches as a client sees them; a submap that was deleted a moment ago is left out.
+
+    `as_of` is the record of the map where it was read in this transaction.
+    """
     submaps = uow.submaps.found(map_record.tenant, [match.submap_number for match in matches])
-    poses = MapFrames(uow, map_record.tenant, map_record.map_id, kept).submaps(submaps)
+    poses = MapFrames(uow, map_record.tenant, map_record.map_id, kept, as_of).submaps(submaps)
     found = ((submaps[match.submap_number], match) for match in matches if match.submap_number in submaps)
     return tuple(
         SearchHit(submap_key(submap), match.similarity, submap.position_m, poses.get(submap.number))

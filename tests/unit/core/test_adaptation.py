@@ -142,6 +142,20 @@ def test_adapting_rows_apart_gives_the_same_bits() -> None:
     assert np.linalg.norm(together, axis=1) == pytest.approx(np.ones(50), abs=1e-6)
 
 
+def test_cosines_are_those_of_the_adapted_descriptors_and_the_same_bits_apart() -> None:
+    vectors, sessions = drawn(50, seed=1), np.arange(50) % 3
+    seen = {session: SessionSums.of(vectors[sessions == session]) for session in range(3)}
+    site = learn_site(seen, AdaptationConfig()).with_sessions(seen)
+    vectors[[7, 8]] = site.session_means[1], site.session_means[2]  # nothing is left of these, so they stay as they are
+    query = site.adapted(vectors[:1], np.array([-1]))[0]
+    found = site.cosines(vectors, sessions, query)
+    np.testing.assert_allclose(found, site.adapted(vectors, sessions) @ query, atol=3e-7)
+    assert abs(found[7] - vectors[7] @ query) < 1e-6
+    apart = [site.cosines(vectors[i : i + 1], sessions[i : i + 1], query) for i in range(50)]
+    assert found.tobytes() == np.concatenate(apart).tobytes()
+    assert site.cosines(vectors[:0], sessions[:0], query).shape == (0,)
+
+
 def places_of_sessions(count: int, seed: int) -> tuple[list[IndexEntry], Array]:
     """Places of five sessions, each with a mean of its own; every third lies where the one before it lies."""
     rng = np.random.default_rng(seed)
