@@ -83,6 +83,7 @@ def build_installation(settings: Settings, *, gateway: bool, fail_stop: FailStop
     """What a process is built from. The gateway alone checkpoints the database; a failing disk trips `fail_stop`."""
     require_local(settings.home)
     policy, disk, switch = settings.policy, build_disk(settings), fail_stop or FailStop()
+    pace = CallPace(settings.pace)
     transactions = SqliteTransactions(
         settings.database, checkpoints=gateway, lease_ms=policy.lease_ms, fail_stop=switch, on_full=disk.release
     )
@@ -94,8 +95,8 @@ def build_installation(settings: Settings, *, gateway: bool, fail_stop: FailStop
         ),
         clock=SystemClock(),
         policy=policy,
-        in_flight=InFlight(settings.capacity, current_actor),
-        pace=CallPace(settings.pace),
+        in_flight=InFlight(settings.capacity, current_actor, note_refused=pace.note_refused),
+        pace=pace,
         disk=disk,
         secret=_page_secret(settings.home),
     )

@@ -27,6 +27,9 @@ JSON_BYTES_A_CALL = 16 * 2**10
 
 MOST_CALLS_A_BODY = 20
 
+REFUSED_FOR_S = 1.0
+"""For so long after a client was refused for its rate, its calls come at the pace of `over_rate_calls_per_s`."""
+
 
 @dataclass(frozen=True)
 class PaceLimits:
@@ -35,6 +38,8 @@ class PaceLimits:
     client_calls_per_s: float = 300.0
     """About a quarter of one core."""
     tenant_calls_per_s: float = 450.0
+    over_rate_calls_per_s: float = 110.0
+    """Of a client that sends more than its rate limit takes: ten times what a service takes of large clouds."""
     refusals_per_s: float = 100.0
     """Of one address, to callers that nobody knows."""
     burst: int = 20
@@ -58,6 +63,7 @@ class CallPace:
         self._now_s = now_s
         self._sleep = sleep
         self._buckets: dict[tuple[str, ...], TokenBucket] = {}
+        self._refused_until_s: dict[tuple[str, ...], float] = {}
         self._waiting = 0
 
     @property
@@ -67,7 +73,18 @@ class CallPace:
 
     async def turn(self, tenant: TenantId, client: str) -> None:
         """Return when a call of the tenant's client may begin. Raises RateLimited where too many wait."""
-        await self._wait(self._buckets_of(tenant, client))
+        buckets, over_rate = self._buckets_of(tenant, client), ("over rate", tenant, client)
+        if self._refused_until_s.get(over_rate, 0.0) > self._now_s():
+            buckets = *buckets, self._bucket(over_rate, self._limits.over_rate_calls_per_s)
+        await self._wait(buckets)
+
+    def note_refused(self, tenant: TenantId, client: str) -> None:
+        """The client was told to come back later: whoever does not wait by itself waits here."""
+        over_rate = "over rate", tenant, client
+        self._refused_until_s.pop(over_rate, None)  # now the last to be forgotten
+        self._refused_until_s[over_rate] = self._now_s() + REFUSED_FOR_S
+        if len(self._refused_until_s) > MOST_BUCKETS:
+            del self._refused_until_s[next(iter(self._refused_until_s))]
 
     def note_unread(self, tenant: TenantId, client: str, unread_bytes: int) -> None:
         """A body of the client was refused before it was read: its further calls wait for as long as that takes."""
@@ -102,7 +119,7 @@ class CallPace:
             finally:
                 self._waiting -= 1
 
-    def _buckets_of(self, tenant: TenantId, client: str) -> tuple[TokenBucket, TokenBucket]:
+    def _buckets_of(self, tenant: TenantId, client: str) -> tuple[TokenBucket, ...]:
         limits = self._limits
         own = self._bucket(("client", tenant, client), limits.client_calls_per_s)
         return own, self._bucket(("tenant", tenant), limits.tenant_calls_per_s)

@@ -104,11 +104,16 @@ class InFlight:
         limits: CapacityLimits = CapacityLimits(),
         client: Callable[[], str] = lambda: "",
         now_s: Callable[[], float] = time.monotonic,
+        note_refused: Callable[[TenantId, str], None] = lambda _tenant, _client: None,
     ) -> None:
-        """`client` names the caller of the current request within its tenant; `now_s` is a monotonic clock, seconds."""
+        """`client` names the caller of the current request within its tenant; `now_s` is a monotonic clock, seconds.
+
+        `note_refused` is told whom a rate limit refuses.
+        """
         self.limits = limits
         self._client = client
         self._now_s = now_s
+        self._note_refused = note_refused
         self._buckets: dict[tuple[str, ...], TokenBucket] = {}
         self._clouds: Counter[TenantId] = Counter()
         self._undecoded: Counter[TenantId] = Counter()
@@ -136,6 +141,7 @@ class InFlight:
         now_s = self._now_s()
         wait_s = max(bucket.wait_s(now_s) for bucket in self._buckets_of(tenant))
         if wait_s > 0.0:
+            self._note_refused(tenant, self._client())
             raise RateLimited(retry_after_s=wait_s)
 
     def charge_call(self, tenant: TenantId, points: int) -> None:

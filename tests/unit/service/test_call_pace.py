@@ -11,7 +11,13 @@ from revisit.service.application.capacity.call_pace import CallPace, PaceLimits
 from revisit.service.application.contract.errors import RateLimited
 
 LIMITS = PaceLimits(
-    client_calls_per_s=10.0, tenant_calls_per_s=15.0, refusals_per_s=5.0, burst=10, most_wait_s=2.0, waiting=25
+    client_calls_per_s=10.0,
+    tenant_calls_per_s=15.0,
+    over_rate_calls_per_s=4.0,
+    refusals_per_s=5.0,
+    burst=10,
+    most_wait_s=2.0,
+    waiting=25,
 )
 
 
@@ -130,3 +136,21 @@ async def test_a_body_that_is_refused_unread_counts_as_the_calls_that_take_as_lo
     (after,) = await begun([pace.turn("acme", "robot")])
     assert time.waits[-1] == pytest.approx((1 + call_pace.MOST_CALLS_A_BODY - LIMITS.burst) / 10.0, abs=0.11)
     after.cancel()
+
+
+async def test_whoever_was_refused_for_its_rate_comes_at_a_slower_pace_until_it_keeps_to_it(pace, time):
+    pace.note_refused("acme", "robot")
+    calls = await begun(pace.turn("acme", "robot") for _ in range(12))
+    assert time.waits == [0.25, 0.5]  # ten at once, then four a second
+    await pace.turn("another", "robot")
+    await time.pass_s(call_pace.REFUSED_FOR_S)
+    await asyncio.gather(*calls)
+    await asyncio.gather(*(pace.turn("acme", "robot") for _ in range(8)))
+    assert len(time.waits) == 2
+
+
+async def test_those_that_were_refused_longest_ago_are_forgotten(pace, monkeypatch):
+    monkeypatch.setattr(call_pace, "MOST_BUCKETS", 3)
+    for number in range(5):
+        pace.note_refused("acme", f"robot{number}")
+    assert [client for _, _, client in pace._refused_until_s] == ["robot2", "robot3", "robot4"]

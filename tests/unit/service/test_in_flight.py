@@ -50,6 +50,20 @@ def test_a_client_may_send_its_burst_and_then_its_rate(clock):
     assert wait_s(bounded) == 0.0
 
 
+def test_whom_a_rate_limit_refuses_is_noted(clock):
+    noted = []
+    bounded = InFlight(
+        CapacityLimits(burst_s=2.0, client_points_per_s=1_000),
+        lambda: clock.client,
+        clock,
+        lambda tenant, client: noted.append((tenant, client)),
+    )
+    assert wait_s(bounded) == 0.0
+    bounded.charge_call("anna", 2_000)
+    assert wait_s(bounded) > 0.0
+    assert noted == [("anna", clock.client)]
+
+
 def test_what_was_saved_is_never_more_than_the_burst(clock):
     bounded = intake(clock, client_points_per_s=5_000)
     assert wait_s(bounded) == 0.0

@@ -14,6 +14,7 @@ from alembic.script import ScriptDirectory
 from revisit.cli.app import run
 from revisit.service.__main__ import main
 from revisit.service.adapters.sqlite.migration import MIGRATIONS, current_revision
+from revisit.service.application.contract.errors import RateLimited
 from revisit.service.application.contract.records import WorkerRecord
 from revisit.service.composition import build_installation
 from revisit.service.settings import Settings
@@ -87,6 +88,17 @@ def test_a_worker_that_beats_is_seen(home):
     context.transactions.close()
     assert main(["seen", "--id", "w"]) == 0
     assert main(["seen", "--id", "other"]) == 78
+
+
+def test_whoever_a_rate_limit_refuses_comes_at_a_slower_pace():
+    main(["migrate"])
+    context = build_installation(Settings(), gateway=False)
+    context.transactions.close()
+    context.in_flight.charge_call("acme", 10**12)
+    assert context.pace._refused_until_s == {}
+    with pytest.raises(RateLimited):
+        context.in_flight.check_rate("acme")
+    assert [tenant for _, tenant, _ in context.pace._refused_until_s] == ["acme"]
 
 
 def test_a_setting_that_cannot_be_used_is_named_as_its_variable(monkeypatch, capsys):
