@@ -81,12 +81,17 @@ async def test_keys_that_do_not_exist_take_no_memory(world, monkeypatch, reads):
     assert len(keys._known) <= 2
 
 
-async def test_a_search_knows_what_another_process_described_or_deleted(world, elsewhere, reads):
+async def three_places(world):
+    """What searches a map of three described submaps, and the key of the first."""
     await open_session(world)
     for number in range(3):
         await world.use_cases.posting.post(TENANT, submap(f"s{number}", number))
     world.work_off()
-    searches, key = world.use_cases.searches, submap("s0", 0).key
+    return world.use_cases.searches, submap("s0", 0).key
+
+
+async def test_a_search_knows_what_another_process_described_or_deleted(world, elsewhere, reads):
+    searches, key = await three_places(world)
 
     async def found():
         result = await searches.by_submap(TENANT, key, SearchCriteria())
@@ -102,11 +107,7 @@ async def test_a_search_knows_what_another_process_described_or_deleted(world, e
 
 
 async def test_a_search_that_another_one_overtakes_answers_as_that_one_does(world, elsewhere, monkeypatch):
-    await open_session(world)
-    for number in range(3):
-        await world.use_cases.posting.post(TENANT, submap(f"s{number}", number))
-    world.work_off()
-    searches, key = world.use_cases.searches, submap("s0", 0).key
+    searches, key = await three_places(world)
     await searches.by_submap(TENANT, key, SearchCriteria())
     memory, index = searches._memory, searches._memory._index
     compare, gone = index.search, elsewhere.read(lambda uow: uow.submaps.get(TENANT, "town", "monday", "s1")).result()
