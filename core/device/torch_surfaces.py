@@ -111,7 +111,7 @@ def _observed_corners(
     reach = range(1 - steps, steps + 1)
     within = moved_there(np.array(list(product(reach, reach))), homes.device)
     near, found = [], []
-    for step in reach:  # all at once would take the room of (n, 64) corners
+    for step in reach:  # the corners of all steps at once would take four times the room
         corners = homes[:, None] + torch.nn.functional.pad(within, (1, 0), value=step)
         x, y, z = (positions[:, None] - (corners.double() * resolution).float()).unbind(-1)
         near.append(x * x + y * y + z * z <= float(limit))
