@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.config import AdaptationConfig
-from revisit.core.kernels.adapted_cosines import adapted_cosines
 
 Array = NDArray[np.float32]
 
@@ -48,6 +47,8 @@ class SiteStatistics:
 
     def cosines(self, vectors: Array, sessions: NDArray[np.int64], query: Array) -> Array:
         """The cosine (n,) of each of descriptors (n, d), `adapted` to its session (n,), with a unit `query` (d,)."""
+        from revisit.core.kernels.adapted_cosines import adapted_cosines  # and its compiler, only to compute
+
         means, which = self._distinct_means(sessions)
         return adapted_cosines(vectors, means, which, self.spread, query, _SHORTEST)
 
