@@ -92,11 +92,11 @@ def end_with_parent() -> None:
 
 
 def _steps(recogniser: PlaceRecogniser) -> tuple[Step, ...]:
-    """They know nothing of each other. The gateway asks for the first two, too."""
+    """They know nothing of each other. The gateway asks for the first and the third, too."""
     return (
         quantised_columns.rehearse,
-        adapted_cosines.rehearse,
         _end_a_stream,
+        adapted_cosines.rehearse,
         partial(_describe_again, recogniser),
         partial(_describe, recogniser),
         partial(_verify, recogniser),

@@ -131,7 +131,7 @@ class PlaceMemory:
         version = self._transactions.version()
         asked, news, found = self._transactions.read_here(lambda uow: self._answer(uow, question, criteria, version))
         if found is None:
-            found = self.search(asked.map_record, asked.vector, criteria, asked.where, news)
+            found = self.search(asked.map_record, asked.vector, criteria, asked.where)
         if news is not None and version is not None:
             self._caught_up[asked.map_record.number] = version, news.seq
         return found
@@ -173,10 +173,9 @@ class PlaceMemory:
         vector: NDArray[np.float32],
         criteria: SearchCriteria,
         where: VectorFilter,
-        news: _News | None = None,
     ) -> SearchResult:
-        """The answer to a client's search; `news` of the map's index may have been read since it was asked."""
-        found, _ = self._matches(map_record, vector, criteria.k, lambda: where, news)
+        """The answer to a client's search."""
+        found, _ = self._matches(map_record, vector, criteria.k, lambda: where)
         matches = _alike(found, criteria)
         hits = self._transactions.read_here(partial(_hits, map_record=map_record, matches=matches, kept=self._sessions))
         return self._result(map_record, where, hits)

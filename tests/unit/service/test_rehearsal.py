@@ -139,3 +139,7 @@ def _lives(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except FileNotFoundError:
         return False
+
+
+def test_what_tells_whether_anything_is_compiled_is_among_the_first_steps():
+    assert rehearsal._end_a_stream in rehearsal._steps(None)[: rehearsal.COMPILED_FIRST]
