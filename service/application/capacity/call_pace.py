@@ -10,10 +10,13 @@ import asyncio
 import time
 from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass
+from typing import TypeVar
 
 from revisit.service.application.capacity.in_flight import TokenBucket
 from revisit.service.application.contract.errors import RateLimited
 from revisit.service.application.contract.identity import TenantId
+
+Known = TypeVar("Known")
 
 MOST_BUCKETS = 4096
 """Callers that are remembered at the same time. Those that have not called for long are forgotten."""
@@ -80,11 +83,7 @@ class CallPace:
 
     def note_refused(self, tenant: TenantId, client: str) -> None:
         """The client was told to come back later: whoever does not wait by itself waits here."""
-        over_rate = "over rate", tenant, client
-        self._refused_until_s.pop(over_rate, None)  # now the last to be forgotten
-        self._refused_until_s[over_rate] = self._now_s() + REFUSED_FOR_S
-        if len(self._refused_until_s) > MOST_BUCKETS:
-            del self._refused_until_s[next(iter(self._refused_until_s))]
+        _remember(self._refused_until_s, ("over rate", tenant, client), self._now_s() + REFUSED_FOR_S)
 
     def note_unread(self, tenant: TenantId, client: str, unread_bytes: int) -> None:
         """A body of the client was refused before it was read: its further calls wait for as long as that takes."""
@@ -127,8 +126,14 @@ class CallPace:
     def _bucket(self, caller: tuple[str, ...], per_s: float) -> TokenBucket:
         """The caller's bucket, which is now the last to be forgotten."""
         now_s = self._now_s()
-        bucket = self._buckets.pop(caller, None) or TokenBucket.full(per_s, self._limits.burst, now_s)
-        self._buckets[caller] = bucket
-        if len(self._buckets) > MOST_BUCKETS:
-            del self._buckets[next(iter(self._buckets))]
+        bucket = self._buckets.get(caller) or TokenBucket.full(per_s, self._limits.burst, now_s)
+        _remember(self._buckets, caller, bucket)
         return bucket
+
+
+def _remember(known: dict[tuple[str, ...], Known], caller: tuple[str, ...], what: Known) -> None:
+    """Know that of the caller, who is now the last to be forgotten."""
+    known.pop(caller, None)
+    known[caller] = what
+    if len(known) > MOST_BUCKETS:
+        del known[next(iter(known))]
