@@ -38,15 +38,16 @@ class SqlChangeLog:
 
     def since(self, tenant: TenantId, map_number: int, seq: int, limit: int | None = None) -> list[IndexChange]:
         """See `ChangeLog`."""
-        asked = {"its_tenant": tenant, "its_map": map_number, "after": seq}
-        return [_change(row) for row in self._connection.execute(_changes_since().limit(limit), asked)]
+        asked = {"its_tenant": tenant, "its_map": map_number, "after": seq, "at_most": limit}
+        query = _changes_since(limited=limit is not None)
+        return [_change(row) for row in self._connection.execute(query, asked)]
 
 
 @cache
-def _changes_since() -> Select[Any]:
-    """Takes `its_tenant`, `its_map` and `after`."""
+def _changes_since(*, limited: bool) -> Select[Any]:
+    """Takes `its_tenant`, `its_map` and `after`, and `at_most` where `limited`."""
     changes, submaps = tables.index_changes.c, tables.submaps.c
-    return (
+    since = (
         select(changes.seq, changes.kind, changes.submap_number, submaps.session_number, submaps.ordinal)
         .add_columns(submaps.position_m, submaps.descriptor)
         .outerjoin_from(tables.index_changes, tables.submaps, submaps.number == changes.submap_number)
@@ -54,6 +55,7 @@ def _changes_since() -> Select[Any]:
         .where(changes.seq > bindparam("after"))
         .order_by(changes.seq)
     )
+    return since.limit(bindparam("at_most")) if limited else since
 
 
 def _change_row(tenant: TenantId, map_number: int, submap_number: int, kind: str) -> dict[str, Any]:

@@ -9,6 +9,7 @@ import dataclasses
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from sqlalchemy import (
@@ -166,12 +167,13 @@ class SqlRepository(Generic[R]):
         return self._connection.execute(delete(self._table).where(matches(self._table, asked)), asked).rowcount
 
     def _found(self, asked: Asked, after: int, limit: int | None) -> list[R]:
-        number = self._table.c.number
-        query = rows_where(self._table, asked).where(number > after).order_by(number).limit(limit)
-        return [self._of(row) for row in self._connection.execute(query, asked)]
+        query = _rows_after(self._table, *_given_and_absent(asked), limited=limit is not None)
+        rows = self._connection.execute(query, {**asked, "after_number": after, "at_most": limit})
+        return [self._of(row) for row in rows]
 
     def _of(self, row: Row[Any]) -> R:
-        return self._record(**dict(zip(self._table.columns.keys(), row, strict=True)))
+        fields = _in_order_of_fields(self._table, self._record)  # type: ignore[arg-type]  # classes are hashable
+        return self._record(*fields(row))
 
 
 class Stored(Generic[Kind]):
@@ -373,6 +375,21 @@ def _last_number() -> Select[int]:
 @cache
 def _rows_where(table: Table, given: tuple[str, ...], absent: tuple[str, ...]) -> Select[Any]:
     return select(table).where(_matches(table, given, absent))
+
+
+@cache
+def _rows_after(table: Table, given: tuple[str, ...], absent: tuple[str, ...], *, limited: bool) -> Select[Any]:
+    """The rows whose numbers are above `after_number`, in their order; `at_most` so many of them where `limited`."""
+    number = table.c.number
+    rows = _rows_where(table, given, absent).where(number > bindparam("after_number")).order_by(number)
+    return rows.limit(bindparam("at_most")) if limited else rows
+
+
+@cache
+def _in_order_of_fields(table: Table, record: type) -> Callable[[Row[Any]], tuple[Any, ...]]:
+    """What brings the columns of a row into the order of the record's fields."""
+    columns = list(table.columns.keys())
+    return itemgetter(*(columns.index(field.name) for field in dataclasses.fields(record)))
 
 
 @cache

@@ -14,7 +14,7 @@ from revisit.service.adapters.files.blobs import QUARANTINE, FileBlobStore, blob
 from revisit.service.adapters.files.filesystem import MOUNTS, RemoteFileSystem, filesystem_type, require_local
 from revisit.service.adapters.sqlite.blob_rows import named_blobs
 from revisit.service.adapters.sqlite.connections import DATABASE, open_to_read, write_ahead_log
-from revisit.service.adapters.sqlite.migration import current_revision, known_revisions, newest_revision
+from revisit.service.adapters.sqlite.migration import NEWEST_REVISION, current_revision, known_revisions
 from revisit.service.application.contract.blobs import StoredBlob
 from revisit.service.application.housekeeping.system import WAL_ALARM_BYTES
 
@@ -100,11 +100,11 @@ def _file_system(home: Path) -> Finding:
 
 
 def _schema(database: Path) -> Finding:
-    revision, newest = current_revision(database), newest_revision()
-    if revision == newest:
+    revision = current_revision(database)
+    if revision == NEWEST_REVISION:
         return Finding("schema", True, f"{revision}, the newest")
     if revision in known_revisions():
-        return Finding("schema", True, f"{revision}; the next start brings it to {newest}")
+        return Finding("schema", True, f"{revision}; the next start brings it to {NEWEST_REVISION}")
     return Finding("schema", False, f"{revision}, which this version does not know: a newer one made it")
 
 

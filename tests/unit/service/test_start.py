@@ -13,7 +13,7 @@ from alembic.script import ScriptDirectory
 
 from revisit.cli.app import run
 from revisit.service.__main__ import main
-from revisit.service.adapters.sqlite.migration import MIGRATIONS, current_revision
+from revisit.service.adapters.sqlite.migration import MIGRATIONS, NEWEST_REVISION, current_revision
 from revisit.service.application.contract.errors import RateLimited
 from revisit.service.application.contract.records import WorkerRecord
 from revisit.service.composition import build_installation
@@ -31,7 +31,8 @@ def home(monkeypatch, tmp_path):
 
 def test_migrate_makes_the_database_and_takes_it_away_again(home):
     assert main(["migrate"]) == 0
-    assert current_revision(home / "revisit.db") == ScriptDirectory(str(MIGRATIONS)).get_current_head()
+    assert current_revision(home / "revisit.db") == NEWEST_REVISION
+    assert ScriptDirectory(str(MIGRATIONS)).get_current_head() == NEWEST_REVISION
     assert (home / "revisit.db").stat().st_mode & 0o077 == 0
     assert main(["migrate", "--revision", "base"]) == 0
     assert current_revision(home / "revisit.db") is None
