@@ -13,7 +13,15 @@ from revisit.core.model_bundle import load_packaged_models
 from revisit.core.pipeline import describe
 from revisit.evaluation.benchmark.metric import Metric, compare, shown
 from revisit.evaluation.benchmark.quality import bytes_of, surfaces_and_bytes
-from revisit.evaluation.benchmark.speed import PEERS, SEARCHES, describing, searching, two_streets, verifying
+from revisit.evaluation.benchmark.speed import (
+    CANDIDATES,
+    PEERS,
+    SEARCHES,
+    describing,
+    searching,
+    two_streets,
+    verifying,
+)
 from revisit.evaluation.benchmark.timing import Timing, measure
 
 __all__ = ["BASELINE", "Metric", "compare", "measure_all", "run"]
@@ -24,13 +32,13 @@ STORED = (10_000, 100_000)
 
 def measure_all(stored: tuple[int, ...] = STORED) -> list[Metric]:
     """All metrics, one thread; of a real street, too, where REVISIT_DATA names its folder."""
-    models, config, visits = load_packaged_models(), PipelineConfig(), two_streets()
+    models, config, visits = load_packaged_models(), PipelineConfig(), two_streets(CANDIDATES)
     places = tuple(describe(one, models, config) for one in (visits.place, visits.revisit, visits.elsewhere))
     size = len(places[0].descriptor.vector)
     timings = measure(
         {
             **describing(visits, models, config),
-            **verifying(visits, places, config),
+            **verifying(visits, places, models, config),
             **{f"search_{count}": searching(count, size) for count in stored},
         }
     )

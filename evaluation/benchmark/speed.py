@@ -25,6 +25,7 @@ Vectors = NDArray[np.float32]
 
 TOWN_SEED = 4_711
 SEARCHES = 50
+CANDIDATES = 20
 SPACING_M = 0.15
 """Between the scans of a dense submap: 10 Hz at 1.5 m/s."""
 _PEERS = (Ring(), RingPlusPlus(), ScanContext(), Triangles())
@@ -37,17 +38,19 @@ _VOXEL_M = 0.3
 class Visits:
     """10 m submaps of simulated streets seen by 64 beams: a place, its revisit in reverse, and another place.
 
-    Eleven scans each; `dense` is cut from 67, of which `Submap.from_scans` chooses.
+    Eleven scans each; `dense` is cut from 67, of which `Submap.from_scans` chooses. `along` is the way there, evenly:
+    the candidates of a query.
     """
 
     place: Submap
     revisit: Submap
     elsewhere: Submap
     dense: Submap
+    along: tuple[Submap, ...]
 
 
-def two_streets() -> Visits:
-    """Along a street and back in the opposite lane."""
+def two_streets(candidates: int = 0) -> Visits:
+    """Along a street and back in the opposite lane; of the way there so many submaps."""
     grid = StreetGrid.random(3, 3, TOWN_SEED)
     world = build_city(grid.streets(), TOWN_SEED)
     path = grid_drive(grid, [(0, 0), (1, 0), (2, 0), (1, 0), (0, 0)])
@@ -62,7 +65,9 @@ def two_streets() -> Visits:
         checked = [Scan.validated(scan.points, scan.T_world_sensor, scan.stamp_ns) for scan in seen]
         return Submap.from_scans(checked, SubmapConfig())
 
-    return Visits(submap(0.25, 1.0, 11), submap(0.75, 1.0, 11), submap(0.4, 1.0, 11), submap(0.25, SPACING_M, 67))
+    place, revisit, elsewhere = (submap(share, 1.0, 11) for share in (0.25, 0.75, 0.4))
+    along = tuple(submap(share, 1.0, 11) for share in np.linspace(0.05, 0.45, candidates))
+    return Visits(place, revisit, elsewhere, submap(0.25, SPACING_M, 67), along)
 
 
 def describing(visits: Visits, models: ModelBundle, config: PipelineConfig) -> dict[str, Work]:
@@ -76,9 +81,12 @@ def describing(visits: Visits, models: ModelBundle, config: PipelineConfig) -> d
     }
 
 
-def verifying(visits: Visits, places: tuple[DescribedPlace, ...], config: PipelineConfig) -> dict[str, Work]:
+def verifying(
+    visits: Visits, places: tuple[DescribedPlace, ...], models: ModelBundle, config: PipelineConfig
+) -> dict[str, Work]:
     """One candidate, read from its stored form, of a query that had others: one that aligns and one that does not.
 
+    Beside them all the candidates of a query, one after the other, as a worker has them that has met them before.
     small_gicp, where it is installed, registers the clouds of the first from the pose that the product has found: it
     has nothing to recognise.
     """
@@ -89,6 +97,7 @@ def verifying(visits: Visits, places: tuple[DescribedPlace, ...], config: Pipeli
         return lambda: verify(revisit.place, Place.from_blob(blob), similarity, config.verification)
 
     works = {"verify_accepted": verification(place), "verify_rejected": verification(elsewhere)}
+    works["verify_query"] = _query(revisit, [describe(one, models, config) for one in visits.along], config)
     found = verify(revisit.place, place.place, 1.0, config.verification)
     if importlib.util.find_spec("small_gicp") and found.measurement is not None:
         works["verify_small_gicp"] = _registration(visits, found.measurement.T_match_query)
@@ -117,6 +126,16 @@ def searching(count: int, dimension: int) -> Work:
     def work() -> None:
         for query in queries:
             index.search(query, 20, only)
+
+    return work
+
+
+def _query(query: DescribedPlace, candidates: list[DescribedPlace], config: PipelineConfig) -> Work:
+    pairs = [(one.place, query.descriptor.similarity(one.descriptor)) for one in candidates]
+
+    def work() -> None:
+        for place, similarity in pairs:
+            verify(query.place, place, similarity, config.verification)
 
     return work
 
