@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from revisit.core.errors import BadField, MalformedBody
 from revisit.core.geometry import se3
 from revisit.core.scan import Points
-from revisit.evaluation.datasets.number_rows import read_rows, read_words
+from revisit.evaluation.datasets.number_rows import nanoseconds, read_rows, read_times, read_words
 from revisit.evaluation.datasets.posed_clouds import (
     PosedClouds,
     StampedPoses,
@@ -22,6 +22,9 @@ from revisit.evaluation.datasets.posed_clouds import (
 from revisit.formats import decode_cloud, media_type_for_suffix
 
 SCAN_PERIOD_NS = 100_000_000
+LEAST_DIGITS_OF_A_TIME = 15
+"""Of a whole number that a file is named by: a smaller one is a number of the file."""
+
 _SUFFIXES = (".pcd", ".ply", ".bin", ".npy")
 _CLOUD_FOLDERS = ("clouds", "scans", "velodyne", ".")
 _POSE_FILES = (
@@ -33,10 +36,10 @@ def open_cloud_folder(folder: Path) -> PosedClouds:
     """Clouds in `clouds/`, `scans/`, `velodyne/` or the folder itself, and the LiDAR's poses (z up) beside them.
 
     Rows of 8 numbers are TUM (seconds, x, y, z, qx, qy, qz, qw), rows of 12 KITTI, without times 0.1 s apart. As many
-    rows as clouds are taken one by one; else the names of the clouds must be their times (seconds with a point, or
-    nanoseconds, microseconds by their length) and TUM poses are interpolated. Of a g2o file the vertices are taken by
-    their number, one for each cloud, 0.1 s apart; edges are not needed. Raises FileNotFoundError, MalformedBody,
-    BadField, BadTransform.
+    rows as clouds are taken one by one, unless the clouds are named by their times (seconds with a point, or
+    nanoseconds, microseconds by their length), which pass otherwise than those of the rows: then, and where there are
+    more rows or fewer, TUM poses are interpolated. Of a g2o file the vertices are taken by their number, one for each
+    cloud, 0.1 s apart; edges are not needed. Raises FileNotFoundError, MalformedBody, BadField, BadTransform.
     """
     name, files, poses = folder.resolve().name, _clouds(folder), _pose_file(folder)
     if poses.suffix == ".g2o":
@@ -49,11 +52,12 @@ def open_cloud_folder(folder: Path) -> PosedClouds:
         raise MalformedBody(f"{poses.name} must hold 8 (TUM) or 12 (KITTI) numbers a line, got {width}")
     rows = read_rows(poses, width)
     stamps, matrices = _tum(poses, rows) if width == 8 else _kitti(rows)
-    if len(rows) == len(files):
+    named = _times_in_names(files) if width == 8 else None
+    if len(rows) == len(files) and (named is None or _pass_alike(named, stamps)):
         return posed(name, files, list(matrices), stamps, read_cloud)
-    if width == 12:
-        raise BadField(f"{poses.name} has {len(rows)} rows for {len(files)} clouds", field=poses.name)
-    named = np.array([_time_in_name(file) for file in files], dtype=np.int64)
+    if named is None:
+        why = "" if width == 12 else f", and {files[0].name} is not named by its time"
+        raise BadField(f"{poses.name} has {len(rows)} rows for {len(files)} clouds{why}", field=poses.name)
     return interpolated(name, (files, named), StampedPoses(stamps, matrices), np.eye(4), read_cloud)
 
 
@@ -79,8 +83,7 @@ def _pose_file(folder: Path) -> Path:
 
 def _tum(file: Path, rows: NDArray[np.float64]) -> tuple[Stamps, NDArray[np.float64]]:
     """Times, read as text so that no nanosecond is lost, and poses."""
-    stamps = np.array([nanoseconds(words[0]) for words in read_words(file)], dtype=np.int64)
-    return stamps, np.stack([se3.from_quaternion(row[4:], row[1:4]) for row in rows])
+    return read_times(file), np.stack([se3.from_quaternion(row[4:], row[1:4]) for row in rows])
 
 
 def _kitti(rows: NDArray[np.float64]) -> tuple[Stamps, NDArray[np.float64]]:
@@ -108,24 +111,21 @@ def _g2o(file: Path) -> list[se3.Matrix4]:
     return [found[number] for number in sorted(found)]
 
 
-def nanoseconds(seconds: str) -> int:
-    """The nanoseconds of a decimal number of seconds, exactly. Raises MalformedBody."""
-    whole, _, fraction = seconds.partition(".")
-    if not whole.isdigit() or (fraction and not fraction.isdigit()):
-        try:
-            return round(float(seconds) * 1e9)
-        except ValueError as error:
-            raise MalformedBody(f"{seconds[:40]!r} is no time") from error
-    return int(whole) * 10**9 + int(fraction.ljust(9, "0")[:9] or 0)
+def _times_in_names(files: list[Path]) -> Stamps | None:
+    """The times that the files are named by, nanoseconds; None where one is not."""
+    times = [_time_in_name(file.stem) for file in files]
+    found = [time for time in times if time is not None]
+    return np.array(found, dtype=np.int64) if len(found) == len(files) else None
 
 
-def _time_in_name(file: Path) -> int:
-    """The time a file is named by, in nanoseconds."""
-    stem = file.stem
-    if stem.replace(".", "", 1).isdigit() and "." in stem:
-        return nanoseconds(stem)
-    if stem.isdigit() and len(stem) >= 18:
-        return int(stem)
-    if stem.isdigit() and len(stem) >= 15:
-        return int(stem) * 1000
-    raise BadField(f"{file.name} is not named by its time, and there are not as many poses as clouds", field="poses")
+def _time_in_name(stem: str) -> int | None:
+    if not stem.replace(".", "", 1).isdecimal() or ("." not in stem and len(stem) < LEAST_DIGITS_OF_A_TIME):
+        return None
+    return nanoseconds(stem)
+
+
+def _pass_alike(named_ns: Stamps, stamps_ns: Stamps) -> bool:
+    """Whether two clocks, as many times of each (n,), run along: apart by the same, up to half the time between two."""
+    apart = named_ns - stamps_ns
+    period = float(np.median(np.abs(np.diff(stamps_ns)))) if len(stamps_ns) > 1 else 0.0
+    return bool(np.ptp(apart) <= 0.5 * period)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from revisit.core.errors import BadField, MalformedBody
 from revisit.core.geometry import se3
 from revisit.core.scan import Points, Scan
-from revisit.evaluation.datasets.number_rows import read_rows
+from revisit.evaluation.datasets.number_rows import keyed_matrix, read_rows, read_times, read_words
 from revisit.evaluation.datasets.posed_clouds import in_number_order
 
 SCAN_PERIOD_S = 0.1
@@ -72,9 +72,9 @@ class KittiRecording:
         file = self._folder / "times.txt"
         if not file.exists():
             return np.round(np.arange(len(self._files)) * SCAN_PERIOD_S * 1e9).astype(np.int64)
-        seconds = read_rows(file, 1)[:, 0]
-        self._check_count("times.txt", len(seconds))
-        return np.round(seconds * 1e9).astype(np.int64)
+        stamps_ns = read_times(file)
+        self._check_count("times.txt", len(stamps_ns))
+        return stamps_ns
 
     def _check_count(self, file: str, count: int) -> None:
         if count != len(self._files):
@@ -114,11 +114,6 @@ def _calibration(file: Path) -> se3.Matrix4:
     """T_camera_lidar of calib.txt (`Tr:` or `Tr_velo_cam:`), the identity without the file."""
     if not file.exists():
         return np.eye(4)
-    for line in file.read_text().splitlines():
-        key, _, values = line.partition(":")
-        if key.strip() in {"Tr", "Tr_velo_cam", "Tr_velo_to_cam"}:
-            numbers = [float(word) for word in values.split()]
-            if len(numbers) != 12:
-                raise MalformedBody(f"{file.name}: Tr must hold 12 numbers, got {len(numbers)}")
-            return se3.validated(np.array(numbers).reshape(3, 4))
-    raise MalformedBody(f"{file.name} has no line `Tr:`")
+    named = {words[0].rstrip(":") for words in read_words(file)}
+    key = next((key for key in ("Tr_velo_cam", "Tr_velo_to_cam") if key in named), "Tr")
+    return se3.validated(keyed_matrix(file, key, (3, 4)))

@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,9 @@ GAP_PERIODS = 5
 STILL_M, STILL_RAD = 1.0, np.radians(5.0)
 """...where the body has moved by more than one of these: which way it took is not known."""
 
-_DECIMAL = re.compile(r"\d+(\.\d+)?")
+_WHOLE = re.compile(r"[0-9]+")
+_DECIMAL = re.compile(r"[0-9]+(\.[0-9]+)?")
+_TIME = re.compile(r"[0-9]{9,}\.[0-9]|[0-9]\.0[0-9]")
 
 
 @dataclass(frozen=True)
@@ -131,12 +134,23 @@ def posed(
 
 
 def in_number_order(files: Iterable[Path]) -> list[Path]:
-    """Files by the numbers in their names: 2.pcd before 10.pcd, and 1700000000.45 before 1700000000.5."""
+    """Files by the numbers in their names: 2.pcd before 10.pcd, and 1700000000.45 before 1700000000.5.
+
+    Two numbers with a point between are one with decimals where the name is nothing else, or where some are times
+    (seconds since 1970) or have decimals that begin with 0, which no numbers of parts do.
+    """
     found = list(files)
-    if all(_DECIMAL.fullmatch(file.stem) for file in found):
-        return sorted(found, key=lambda file: (Decimal(file.stem), file.name))
-    pieces = {file: re.split(r"(\d+)", file.name) for file in found}
-    return sorted(found, key=lambda file: [int(piece) if odd % 2 else piece for odd, piece in enumerate(pieces[file])])
+    plain = all(_DECIMAL.fullmatch(file.stem) for file in found)
+    number = _DECIMAL if plain or any(_TIME.search(file.stem) for file in found) else _WHOLE
+    pieces = {file: _pieces(number, file.stem) for file in found}
+    return sorted(found, key=lambda file: (pieces[file], file.name))
+
+
+def _pieces(number: re.Pattern[str], stem: str) -> list[str | Decimal]:
+    """What stands between the numbers in a name, and the numbers, by turns."""
+    ends = [0, *(end for found in number.finditer(stem) for end in found.span()), len(stem)]
+    parts = [stem[first:last] for first, last in pairwise(ends)]
+    return [Decimal(part) if place % 2 else part for place, part in enumerate(parts)]
 
 
 def named_scans(folder: Path, pattern: str, ns_per_unit: int) -> tuple[list[Path], Stamps]:

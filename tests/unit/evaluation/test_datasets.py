@@ -77,14 +77,17 @@ def test_a_torn_scan_file_is_refused_when_it_is_read(tmp_path: Path) -> None:
         ("poses.txt", "2 0 0 0 0 2 0 0 0 0 2 0\n" * 3, BadTransform),
         ("times.txt", "0.0\n0.1\n", BadField),
         ("calib.txt", "Tr: 1 0 0\n", MalformedBody),
+        ("times.txt", "0.0\nnan\n0.2\n", MalformedBody),
         ("calib.txt", "P0: 1 0 0 0\n", MalformedBody),
+        ("calib.txt", "Tr: a b c\n", MalformedBody),
+        ("calib.txt", "Tr: \udcff\n", MalformedBody),
     ],
 )
 def test_damaged_text_files_are_refused_with_a_reason(
     tmp_path: Path, file: str, text: str, error: type[Exception]
 ) -> None:
     written(tmp_path)
-    (tmp_path / file).write_text(text)
+    (tmp_path / file).write_text(text, errors="surrogateescape")
     with pytest.raises(error):
         KittiRecording(tmp_path)
 

@@ -11,6 +11,7 @@ import pytest
 from revisit.core.errors import BadField, BadTransform, MalformedBody
 from revisit.core.geometry import se3
 from revisit.evaluation.datasets import open_cloud_folder, open_kitti360, open_mulran, open_nclt, open_recording
+from revisit.evaluation.datasets.number_rows import nanoseconds
 from revisit.evaluation.datasets.posed_clouds import StampedPoses
 from revisit.formats import pcd, ply
 
@@ -213,7 +214,42 @@ def test_clouds_named_by_their_time_find_their_place_between_the_poses(tmp_path:
     np.testing.assert_allclose(recording.pose(1)[:3, 3], [1.75, 0.0, 0.0], atol=1e-9)
 
 
-@pytest.mark.parametrize("names", [("2", "10"), ("scan_9", "scan_10"), ("12.45", "12.5"), ("7", "000008")])
+def test_rows_at_other_times_than_the_clouds_are_named_by_are_not_taken_one_by_one(tmp_path: Path) -> None:
+    for tenth in range(4):
+        (tmp_path / f"{10**18 + tenth * 10**8}.pcd").write_bytes(pcd.encode(cloud(tenth)))
+    rows = [f"{10**9 + 0.2 * number:.1f} {number} 0 0 0 0 0 1" for number in range(4)]
+    (tmp_path / "poses.tum").write_text("\n".join(rows))
+    recording = open_cloud_folder(tmp_path)
+    np.testing.assert_allclose([recording.pose(index)[0, 3] for index in range(4)], [0.0, 0.5, 1.0, 1.5], atol=1e-6)
+
+
+def test_rows_of_another_clock_that_runs_along_are_taken_one_by_one(tmp_path: Path) -> None:
+    for tenth in range(3):
+        (tmp_path / f"{10**18 + tenth * 10**8 + 7 * tenth}.pcd").write_bytes(pcd.encode(cloud(tenth)))
+    (tmp_path / "poses.tum").write_text("\n".join(f"0.{tenth} {tenth} 0 0 0 0 0 1" for tenth in range(3)))
+    assert open_cloud_folder(tmp_path).stamps_ns.tolist() == [0, 10**8, 2 * 10**8]
+
+
+@pytest.mark.parametrize(
+    ("time", "stamp_ns"),
+    [("1403636579.763555584", 1403636579763555584), ("1403636579763555584", 1403636579763555584),
+     ("1403636579763555", 1403636579763555000), ("1.4e9", 1400000000000000000), ("-0.5", -500000000)],
+)  # fmt: skip
+def test_a_whole_number_too_long_for_seconds_is_one_of_a_smaller_unit(time: str, stamp_ns: int) -> None:
+    assert nanoseconds(time) == stamp_ns
+
+
+@pytest.mark.parametrize("time", ["inf", "nan", "1e12", "99999999999.5", "9" * 19, "now", ""])
+def test_what_is_no_time_is_refused(tmp_path: Path, time: str) -> None:
+    with pytest.raises(MalformedBody, match="no time"):
+        nanoseconds(time)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [("2", "10"), ("scan_9", "scan_10"), ("12.45", "12.5"), ("7", "000008"), ("part_1.9", "part_1.10"),
+     ("cloud_1700000000.15", "cloud_1700000000.2")],
+)  # fmt: skip
 def test_clouds_are_in_the_order_of_the_numbers_in_their_names(tmp_path: Path, names: tuple[str, str]) -> None:
     for index, name in enumerate(names):
         (tmp_path / f"{name}.pcd").write_bytes(pcd.encode(cloud(index)))
