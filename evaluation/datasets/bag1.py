@@ -8,7 +8,14 @@ from pathlib import Path
 from typing import BinaryIO
 
 from revisit.core.errors import MalformedBody
-from revisit.evaluation.datasets.bag_message import MAX_CHUNK_BYTES, DamagedChunk, Message, Place, unpacked_chunk
+from revisit.evaluation.datasets.bag_message import (
+    MAX_CHUNK_BYTES,
+    DamagedChunk,
+    Message,
+    Place,
+    type_of_ros_2,
+    unpacked_chunk,
+)
 
 MAGIC = b"#ROSBAG V2.0\n"
 MAX_HEADER_BYTES = 1 << 20
@@ -39,13 +46,11 @@ class Bag1File:
         with self._file.open("rb") as stream:
             at = len(MAGIC)
             while at < end:
-                if end - at < _LENGTH.size:
+                record, found = at, _record_if_whole(stream, at, end)
+                if found is None:
                     self.cut = self._file.name
                     return
-                record, (header, start, size) = at, _record(stream, at)
-                if start + size > end:
-                    self.cut = self._file.name
-                    return
+                header, start, size = found
                 at = start + size
                 if _operation(header) == _CHUNK:
                     try:
@@ -69,10 +74,9 @@ class Bag1File:
         number = header.get(b"conn", b"")
         if _operation(header) == _CONNECTION:
             topic = header.get(b"topic", b"").decode("utf-8", errors="replace")
-            kind = _fields(content).get(b"type", b"").decode("utf-8", errors="replace")
-            package, _, name = kind.partition("/")
-            self._connections[number] = topic, f"{package}/msg/{name}"
-            self.topics[topic] = f"{package}/msg/{name}"
+            kind = type_of_ros_2(_fields(content).get(b"type", b"").decode("utf-8", errors="replace"))
+            self._connections[number] = topic, kind
+            self.topics[topic] = kind
         elif number in self._connections:
             yield Message(*self._connections[number], content, place, "ros1")
 
@@ -111,6 +115,15 @@ def _record(stream: BinaryIO, at: int) -> tuple[Header, int, int]:
         raise MalformedBody(f"a record with a header of {size} bytes")
     header = _fields(stream.read(size))
     return header, at + 2 * _LENGTH.size + size, _number(stream.read(_LENGTH.size))
+
+
+def _record_if_whole(stream: BinaryIO, at: int, end: int) -> tuple[Header, int, int] | None:
+    """As `_record`; None where the file ends before it, or its header makes no sense: what follows cannot be found."""
+    try:
+        header, start, size = _record(stream, at)
+    except MalformedBody:
+        return None
+    return (header, start, size) if start + size <= end else None
 
 
 def _part(content: bytes, at: int) -> tuple[bytes, int]:

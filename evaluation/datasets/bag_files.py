@@ -16,6 +16,7 @@ from revisit.evaluation.datasets.mcap import McapFile
 SUFFIXES = (".mcap", ".db3", ".bag")
 _METADATA = "metadata.yaml"
 _PACKED = (".zstd", ".zst", ".gz", ".bz2", ".lz4", ".xz")
+_DATE = re.compile(r"_[0-9]{4}(-[0-9]{2}){5}$")
 _LISTED = re.compile(r"^\s*-\s+['\"]?(?P<file>[^'\"]+?)['\"]?\s*$")
 
 
@@ -44,7 +45,7 @@ class SplitBag:
 
 def is_bag(path: Path) -> bool:
     """Whether a file is a bag by its name, or a folder holds one."""
-    return path.suffix in SUFFIXES if path.is_file() else bool(_bags_in(path))
+    return path.suffix.lower() in SUFFIXES if path.is_file() else bool(_bags_in(path))
 
 
 def bags_out_of_sight(folder: Path) -> str:
@@ -66,17 +67,17 @@ def open_files(files: Sequence[Path], types: tuple[str, ...]) -> SplitBag:
         ".bag": Bag1File,
         ".db3": lambda file: Db3File(file, types),
     }
-    return SplitBag([openers[file.suffix](file) for file in files])
+    return SplitBag([openers[file.suffix.lower()](file) for file in files])
 
 
 def bag_files(path: Path) -> list[Path]:
     """The files of the bag at `path`, a file or a folder, in their order.
 
-    Raises FileNotFoundError where there are none, BadField for several bags, UnsupportedEncoding where the files or
-    messages as such are compressed.
+    Raises FileNotFoundError where there are none, BadField for several bags or parts that are not all there,
+    UnsupportedEncoding where the files or messages as such are compressed.
     """
     if path.is_file():
-        if path.suffix not in SUFFIXES:
+        if path.suffix.lower() not in SUFFIXES:
             raise BadField(f"{path.name} is no {', '.join(SUFFIXES)} file", field="folder")
         return [path]
     if (path / _METADATA).is_file():
@@ -84,8 +85,15 @@ def bag_files(path: Path) -> list[Path]:
     files = _bags_in(path)
     if not files:
         raise FileNotFoundError(f"no {', '.join(SUFFIXES)} file in {path}")
-    if len(files) > 1 and len({_numbered(file)[0] for file in files}) > 1:
+    names = {_numbered(file)[0] for file in files}
+    if len(files) > 1 and len(names) > 1:
         raise BadField(f"{path} has {len(files)} bags and no {_METADATA}: name one of them", field="folder")
+    if len(files) > 1 and [_numbered(file)[1] for file in files] != list(range(len(files))):
+        raise BadField(
+            f"{files[0].name} to {files[-1].name} in {path} are not all parts of one recording, which are numbered from "
+            "0 on: add those that are missing, or name one file after the other, each with a --session of its own",
+            field="folder",
+        )
     return files
 
 
@@ -105,11 +113,19 @@ def _listed(folder: Path) -> list[Path]:
         names.append(Path(found["file"]).name)
     if not names:
         raise BadField(f"{_METADATA} lists no files: name one of the bags in {folder}", field="folder")
+    parts = {_numbered(folder / name)[0] for name in names}
+    left = [file.name for file in _bags_in(folder) if file.name not in names and _numbered(file)[0] in parts]
+    if left:
+        raise BadField(
+            f"{_METADATA} does not list {left[0]}, which lies beside the parts that it lists: "
+            f"`ros2 bag reindex {folder}` makes it anew",
+            field="folder",
+        )
     return [_existing(folder / name) for name in names]
 
 
 def _existing(file: Path) -> Path:
-    if file.suffix not in SUFFIXES:
+    if file.suffix.lower() not in SUFFIXES:
         raise UnsupportedEncoding(f"{file.name} is no {', '.join(SUFFIXES)} file")
     if not file.is_file():
         raise FileNotFoundError(f"{_METADATA} lists {file.name}, which is not in {file.parent}")
@@ -117,10 +133,15 @@ def _existing(file: Path) -> Path:
 
 
 def _bags_in(folder: Path) -> list[Path]:
-    return sorted((file for file in folder.glob("*") if file.suffix in SUFFIXES), key=_numbered)
+    return sorted((file for file in folder.glob("*") if file.suffix.lower() in SUFFIXES), key=_numbered)
 
 
 def _numbered(file: Path) -> tuple[str, int]:
-    """The name of a file without the number that splitting appends, and the number, -1 where it has none."""
+    """The name of a file without the number that splitting appends, and the number, -1 where it has none.
+
+    The date that `rosbag record --split` writes before the number, another one for each part, is no part of the name.
+    """
     name, _, number = file.stem.rpartition("_")
-    return (f"{name}{file.suffix}", int(number)) if name and number.isdecimal() else (file.name, -1)
+    if not (name and number.isdecimal()):
+        return file.name, -1
+    return f"{_DATE.sub('', name)}{file.suffix}", int(number)

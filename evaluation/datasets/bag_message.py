@@ -14,6 +14,9 @@ MAX_CHUNK_BYTES = 1 << 30
 
 Encoding = Literal["cdr", "ros1"]
 
+ENCODINGS: dict[str, Encoding] = {"cdr": "cdr", "ros1": "ros1"}
+"""By the name that files give them."""
+
 
 class DamagedChunk(MalformedBody):
     """A chunk is not what was written: the messages in it are lost, and no others."""
@@ -41,6 +44,12 @@ class Message:
     data: bytes
     place: Place
     encoding: Encoding = "cdr"
+
+
+def type_of_ros_2(type_of_ros_1: str) -> str:
+    """A type of messages as ROS 2 writes it: sensor_msgs/PointCloud2 is sensor_msgs/msg/PointCloud2 there."""
+    package, _, name = type_of_ros_1.partition("/")
+    return f"{package}/msg/{name}"
 
 
 class Bag(Protocol):

@@ -11,7 +11,16 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from revisit.core.errors import MalformedBody
-from revisit.evaluation.datasets.bag_message import MAX_CHUNK_BYTES, DamagedChunk, Message, Place, unpacked_chunk
+from revisit.evaluation.datasets.bag_message import (
+    ENCODINGS,
+    MAX_CHUNK_BYTES,
+    DamagedChunk,
+    Encoding,
+    Message,
+    Place,
+    type_of_ros_2,
+    unpacked_chunk,
+)
 
 MAGIC = b"\x89MCAP0\r\n"
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 3, 4, 5, 6
@@ -33,24 +42,25 @@ class McapFile:
                 raise MalformedBody(f"{file.name} is no MCAP file")
 
     def messages(self) -> Iterator[Message]:
-        """All messages of CDR channels, in the order of the file, as far as it goes.
+        """All messages of ROS channels, in the order of the file, as far as it goes.
 
-        Raises MalformedBody, UnsupportedEncoding.
+        Those of ROS 1 (`mcap convert`) are of types without `msg`, which are told as those of ROS 2. Raises
+        MalformedBody, UnsupportedEncoding.
         """
         schemas: dict[int, str] = {}
-        channels: dict[int, tuple[str, str]] = {}
+        channels: dict[int, tuple[str, str, Encoding]] = {}
         for record, content, place in self._records():
             if record == _SCHEMA:
                 schemas[_u16(content, 0)] = _text(content, 2)[0]
             elif record == _CHANNEL:
                 topic, after = _text(content, 4)
-                encoding = _text(content, after)[0]
-                self.topics[topic] = schemas.get(_u16(content, 2), "")
-                if encoding == "cdr":
-                    channels[_u16(content, 0)] = topic, self.topics[topic]
+                encoding, kind = ENCODINGS.get(_text(content, after)[0]), schemas.get(_u16(content, 2), "")
+                self.topics[topic] = type_of_ros_2(kind) if encoding == "ros1" else kind
+                if encoding is not None:
+                    channels[_u16(content, 0)] = topic, self.topics[topic], encoding
             elif record == _MESSAGE and _u16(content, 0) in channels:
-                topic, kind = channels[_u16(content, 0)]
-                yield Message(topic, kind, content[22:], Place(place.chunk, place.offset + 22, place.size - 22))
+                topic, kind, told = channels[_u16(content, 0)]
+                yield Message(topic, kind, content[22:], Place(place.chunk, place.offset + 22, place.size - 22), told)
 
     def data(self, place: Place) -> bytes:
         """The bytes of a message."""

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import typer
+from mcap.writer import Writer
 
 from revisit.cli.recordings import opened
 from revisit.core.errors import BadField, RevisitError, UnsupportedEncoding
@@ -91,6 +92,81 @@ def test_a_split_bag_is_read_as_one(tmp_path: Path, plugin: str) -> None:
     recording = open_recording(tmp_path / "drive")
     assert len(recording) == SCANS and deviation(recording) < 1e-4
     assert "2 files read as one recording" in notes_of(recording)
+
+
+def parts_of(folder: Path, *names: str) -> Path:
+    """A recording of ROS 1 in so many parts."""
+    whole = Layout(ros1=True).raw("/points", "lidar").odometry("/odom", "odom", "lidar")
+    rows = sorted(whole.rows, key=lambda row: row[0])
+    folder.mkdir()
+    for number, name in enumerate(names):
+        half = rows[len(rows) * number // len(names) : len(rows) * (number + 1) // len(names)]
+        Layout(ros1=True, rows=half).write1(folder / name)
+    return folder
+
+
+def test_parts_as_ros_1_names_them_are_read_as_one(tmp_path: Path) -> None:
+    names = "drive_2026-05-01-10-00-00_0.bag", "drive_2026-05-01-10-05-00_1.bag"
+    recording = open_recording(parts_of(tmp_path / "drive", *names))
+    assert len(recording) == SCANS and deviation(recording) < 1e-4
+
+
+@pytest.mark.parametrize("names", [("run_1.bag", "run_2.bag"), ("run_0.bag", "run_2.bag")])
+def test_numbered_bags_that_are_not_all_parts_are_no_recording(tmp_path: Path, names: tuple[str, str]) -> None:
+    with pytest.raises(BadField, match=f"{names[0]} to {names[1]}.*not all parts of one recording"):
+        open_recording(parts_of(tmp_path / "drive", *names))
+
+
+def test_a_part_that_the_metadata_does_not_list_is_not_passed_over(tmp_path: Path) -> None:
+    folder = parts_of(tmp_path / "drive", "part_0.bag", "part_1.bag")
+    (folder / "metadata.yaml").write_text("a:\n  relative_file_paths:\n    - part_0.bag\n")
+    with pytest.raises(BadField, match=r"does not list part_1\.bag.*reindex"):
+        open_recording(folder)
+
+
+def test_a_bag_is_known_by_its_name_in_capitals_too(tmp_path: Path) -> None:
+    assert len(open_recording(parts_of(tmp_path / "drive", "DRIVE.BAG") / "DRIVE.BAG")) == SCANS
+    assert len(open_recording(tmp_path / "drive")) == SCANS
+
+
+def test_an_mcap_file_with_messages_of_ros_1_is_read(tmp_path: Path) -> None:
+    layout = Layout(ros1=True).raw("/points", "lidar").odometry("/odom", "odom", "lidar")
+    with (tmp_path / "drive.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        for topic, kind in {topic: kind for _, topic, kind, _ in layout.rows}.items():
+            schema = writer.register_schema(kind.replace("/msg/", "/"), "ros1msg", b"")
+            channel = writer.register_channel(topic, "ros1", schema)
+            for stamp, name, _, message in layout.rows:
+                if name == topic:
+                    content = bytes(layout.store.serialize_ros1(message, kind))
+                    writer.add_message(channel, stamp, content, stamp)
+        writer.finish()
+    recording = open_recording(tmp_path / "drive.mcap")
+    assert len(recording) == SCANS and deviation(recording) < 1e-4
+
+
+def records_of(bag: bytes) -> list[int]:
+    """Where the records of a bag of ROS 1 begin, those in chunks not among them."""
+    found, at = [], len("#ROSBAG V2.0\n")
+    while at < len(bag):
+        found.append(at)
+        for _ in ("header", "content"):
+            at += 4 + int.from_bytes(bag[at : at + 4], "little")
+    return found
+
+
+@pytest.mark.parametrize("share", [0.5, 0.9])
+@pytest.mark.parametrize("damage", ["cut", "length"])
+def test_a_bag_of_ros_1_is_read_as_far_as_its_records_make_sense(tmp_path: Path, share: float, damage: str) -> None:
+    layout = Layout(ros1=True).raw("/points", "lidar").odometry("/odom", "odom", "lidar")
+    sound = layout.write1(tmp_path / "sound.bag", None, 8000).read_bytes()
+    starts = records_of(sound)
+    at = starts[int(share * len(starts))]
+    kept = sound[: at + 9] if damage == "cut" else sound[:at] + b"\xff" * 4 + sound[at + 4 :]
+    (tmp_path / "damaged.bag").write_bytes(kept)
+    recording = open_bag(tmp_path / "damaged.bag")
+    assert any("ends within a record" in note for note in notes_of(recording)) and deviation(recording) < 1e-4
 
 
 def test_what_is_wanted_is_taken(tmp_path: Path) -> None:
