@@ -90,8 +90,8 @@ def bag_files(path: Path) -> list[Path]:
         raise BadField(f"{path} has {len(files)} bags and no {_METADATA}: name one of them", field="folder")
     if len(files) > 1 and [_numbered(file)[1] for file in files] != list(range(len(files))):
         raise BadField(
-            f"{files[0].name} to {files[-1].name} in {path} are not all parts of one recording, which are numbered from "
-            "0 on: add those that are missing, or name one file after the other, each with a --session of its own",
+            f"{files[0].name} to {files[-1].name} in {path} are not all parts of one recording, which are numbered "
+            "from 0 on: add those that are missing, or name one file after the other, each with a --session of its own",
             field="folder",
         )
     return files
