@@ -33,6 +33,9 @@ class CloudLimits:
 
 DEFAULT_LIMITS = CloudLimits()
 
+FAR_M = 8192.0
+"""From here on float32 is off by half a millimetre and more."""
+
 MAX_WINDOW_BYTES = 8 * 2**20
 ALWAYS_ALLOWED_BYTES = 65_536
 # One zstd block of 4 bytes may yield 128 KiB, so small pieces bound what one call can produce (16 MiB).
@@ -129,6 +132,28 @@ def checked_for_writing(points: NDArray[np.floating], intensity: NDArray[np.floa
         raise BadField(f"intensity must be ({len(points)},), got {intensity.shape}", field="intensity")
     values = None if intensity is None else np.ascontiguousarray(intensity, dtype="<f4")
     return DecodedCloud(np.ascontiguousarray(points, dtype="<f4"), values)
+
+
+def records_for_writing(points: NDArray[np.floating], intensity: NDArray[np.floating] | None) -> NDArray[np.void]:
+    """`points` (n, 3) and `intensity` (n,) as records (n,) of x, y, z and, where given, intensity, for a file.
+
+    float32, but for coordinates that are given more exactly and lie from `FAR_M` on, as those of a map in UTM do:
+    float64. Raises BadField for other shapes.
+    """
+    cloud = checked_for_writing(points, intensity)
+    far = points.dtype == np.float64 and bool((np.abs(cloud.points) >= FAR_M).any())
+    kind = "<f8" if far else "<f4"
+    columns = [(axis, kind) for axis in "xyz"] + ([] if cloud.intensity is None else [("intensity", "<f4")])
+    records = np.empty(len(points), dtype=columns)
+    records["x"], records["y"], records["z"] = (points if far else cloud.points).T
+    if cloud.intensity is not None:
+        records["intensity"] = cloud.intensity
+    return records
+
+
+def kinds_of(records: NDArray[np.void]) -> dict[str, str]:
+    """The numpy type code (`<f4`) of each field of records, in their order."""
+    return {name: records.dtype[name].str for name in records.dtype.names or ()}
 
 
 def decode_content(data: bytes, content_encoding: str | None, limits: CloudLimits = DEFAULT_LIMITS) -> bytes:

@@ -28,17 +28,19 @@ _HEAD: dict[str, Any] = {"asset": {"version": "2.0", "generator": "revisit"}, "s
 def encode_mesh(vertices: NDArray[np.floating], normals: NDArray[np.floating], faces: NDArray[np.integer]) -> bytes:
     """A GLB file of a mesh: vertices (v, 3) metres with z up, unit normals (v, 3), faces (f, 3) of vertex indices.
 
-    Raises BadField for other shapes, for numbers that are not finite or an index outside of the vertices, and for a
-    mesh without faces, which glTF cannot hold.
+    Vertices are told from the middle of the mesh, which its node is moved to, so that float32 holds them. Raises
+    BadField for other shapes, for numbers that are not finite or an index outside of the vertices, and for a mesh
+    without faces, which glTF cannot hold.
     """
-    positions, directions = _y_up(vertices, "vertices"), _y_up(normals, "normals")
+    middle = _middle(vertices)
+    positions, directions = _y_up(vertices - middle, "vertices"), _y_up(normals, "normals")
     triangles = np.ascontiguousarray(faces, dtype="<u4")
     if positions.shape != directions.shape or faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
         raise BadField("a mesh needs as many normals as vertices, and faces (f, 3)", field="faces")
     if not 0 <= int(faces.min()) <= int(faces.max()) < len(positions):
         raise BadField("a face names a vertex that does not exist", field="faces")
     parts = [positions.tobytes(), directions.tobytes(), triangles.tobytes()]
-    return _file(_description(positions, len(triangles), parts), b"".join(parts))
+    return _file(_description(positions, len(triangles), parts, middle), b"".join(parts))
 
 
 def encode_scene(
@@ -122,8 +124,21 @@ def _y_up(vectors: NDArray[np.floating], field: str) -> NDArray[np.float32]:
     return np.ascontiguousarray(np.stack([vectors[:, 0], vectors[:, 2], -vectors[:, 1]], axis=1), dtype="<f4")
 
 
-def _description(positions: NDArray[np.float32], triangles: int, parts: list[bytes]) -> dict[str, Any]:
-    """The JSON of a scene with one node, one mesh and one buffer in three parts: positions, normals, indices."""
+def _middle(vertices: NDArray[np.floating]) -> NDArray[np.float64]:
+    """A whole number of metres (3,) near the middle of vertices (v, 3); the origin where they have none."""
+    if vertices.ndim != 2 or not len(vertices) or not np.isfinite(vertices).all():
+        return np.zeros(vertices.shape[-1:])
+    return np.rint(np.mean([vertices.min(axis=0), vertices.max(axis=0)], axis=0, dtype=np.float64))
+
+
+def _description(
+    positions: NDArray[np.float32], triangles: int, parts: list[bytes], middle: NDArray[np.float64]
+) -> dict[str, Any]:
+    """The JSON of a scene with one node, one mesh and one buffer in three parts: positions, normals, indices.
+
+    Positions are told from `middle` (3,), metres with z up.
+    """
+    x, y, z = middle.tolist()
     starts = np.cumsum([0, *map(len, parts)]).tolist()
     targets = (_VERTICES, _VERTICES, _INDICES)
     vectors = {"componentType": _FLOAT, "count": len(positions), "type": "VEC3"}
@@ -132,7 +147,7 @@ def _description(positions: NDArray[np.float32], triangles: int, parts: list[byt
     return {
         **_HEAD,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
+        "nodes": [{"mesh": 0, "translation": [x, z, -y]}],
         "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "NORMAL": 1}, "indices": 2}]}],
         "accessors": [{"bufferView": 0, **vectors, **limits}, {"bufferView": 1, **vectors}, indices],
         "bufferViews": [

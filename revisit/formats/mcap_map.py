@@ -84,9 +84,12 @@ def _poses(one: DrivenPoses, frame: str) -> dict[str, Any]:
 
 
 def _cloud(points: NDArray[np.floating], stamp_ns: int, frame: str) -> dict[str, Any]:
+    """The points from the first one's whole metres, which the pose leads to, so that float32 holds them in UTM, too."""
+    origin = np.rint(np.asarray(points[:1], np.float64).sum(axis=0))
     fields = [{"name": name, "offset": 4 * number, "type": _FLOAT32} for number, name in enumerate("xyz")]
-    data = base64.b64encode(np.ascontiguousarray(points, dtype="<f4").tobytes()).decode()
-    told = {"timestamp": _time(stamp_ns), "frame_id": frame, "pose": _pose(np.eye(4)), "point_stride": 12}
+    data = base64.b64encode(np.ascontiguousarray(points - origin, dtype="<f4").tobytes()).decode()
+    pose = _pose(se3.from_yaw(0.0, origin))
+    told = {"timestamp": _time(stamp_ns), "frame_id": frame, "pose": pose, "point_stride": 12}
     return {**told, "fields": fields, "data": data}
 
 

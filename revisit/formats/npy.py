@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.errors import BadField, MalformedBody, UnsupportedEncoding
-from revisit.formats.cloud import CloudLimits, DecodedCloud, checked_for_writing, require_exact_size
+from revisit.formats.cloud import CloudLimits, DecodedCloud, records_for_writing, require_exact_size
 
 MAGIC = b"\x93NUMPY"
 MAX_HEADER_BYTES = 1024
@@ -46,12 +46,15 @@ def decode(data: bytes, limits: CloudLimits) -> DecodedCloud:
 
 
 def encode(points: NDArray[np.floating], intensity: NDArray[np.floating] | None = None) -> bytes:
-    """An npy version 1 file of float32 (n, 3), or (n, 4) with intensity."""
-    cloud = checked_for_writing(points, intensity)
-    values = cloud.points if cloud.intensity is None else np.column_stack([cloud.points, cloud.intensity])
-    header = f"{{'descr': '<f4', 'fortran_order': False, 'shape': {values.shape}, }}".encode("ascii")
+    """An npy version 1 file of float32 (n, 3), or (n, 4) with intensity; of float64 where float32 does not hold a
+    millimetre (`records_for_writing`).
+    """
+    records = records_for_writing(points, intensity)
+    kind = str(records.dtype["x"].str)
+    values = np.column_stack([records[name] for name in records.dtype.fields or ()]).astype(kind)
+    header = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {values.shape}, }}".encode("ascii")
     header += b" " * (-(len(MAGIC) + 4 + len(header) + 1) % 64) + b"\n"
-    return MAGIC + b"\x01\x00" + len(header).to_bytes(2, "little") + header + values.astype("<f4").tobytes()
+    return MAGIC + b"\x01\x00" + len(header).to_bytes(2, "little") + header + values.tobytes()
 
 
 def _read_header(data: bytes) -> tuple[re.Match[bytes], int]:

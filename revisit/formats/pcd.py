@@ -13,8 +13,9 @@ from revisit.formats.cloud import (
     CloudLimits,
     Column,
     DecodedCloud,
-    checked_for_writing,
     cloud_from_records,
+    kinds_of,
+    records_for_writing,
     require_exact_size,
     require_point_count,
     required_columns,
@@ -69,25 +70,27 @@ def decode(data: bytes, limits: CloudLimits) -> DecodedCloud:
 
 
 def encode(points: NDArray[np.floating], intensity: NDArray[np.floating] | None = None) -> bytes:
-    """A binary PCD file of float32 points (n, 3) in metres and, where given, intensity (n,)."""
-    cloud = checked_for_writing(points, intensity)
-    names = ["x", "y", "z"] + ([] if cloud.intensity is None else ["intensity"])
-    values = cloud.points if cloud.intensity is None else np.column_stack([cloud.points, cloud.intensity])
+    """A binary PCD file of points (n, 3) in metres and, where given, intensity (n,).
+
+    Floats, but for doubles where floats do not hold a millimetre (`records_for_writing`).
+    """
+    records = records_for_writing(points, intensity)
+    kinds = kinds_of(records)
     header = [
         "# .PCD v0.7 - Point Cloud Data file format",
         "VERSION 0.7",
-        f"FIELDS {' '.join(names)}",
-        f"SIZE {' '.join(['4'] * len(names))}",
-        f"TYPE {' '.join(['F'] * len(names))}",
-        f"COUNT {' '.join(['1'] * len(names))}",
-        f"WIDTH {len(values)}",
+        f"FIELDS {' '.join(kinds)}",
+        f"SIZE {' '.join(kind[2:] for kind in kinds.values())}",
+        f"TYPE {' '.join(['F'] * len(kinds))}",
+        f"COUNT {' '.join(['1'] * len(kinds))}",
+        f"WIDTH {len(records)}",
         "HEIGHT 1",
         "VIEWPOINT 0 0 0 1 0 0 0",
-        f"POINTS {len(values)}",
+        f"POINTS {len(records)}",
         "DATA binary",
         "",
     ]
-    return "\n".join(header).encode("ascii") + values.astype("<f4").tobytes()
+    return "\n".join(header).encode("ascii") + records.tobytes()
 
 
 def _read_header(data: bytes) -> tuple[_Header, int]:

@@ -16,6 +16,8 @@ from revisit.formats.cloud import (
     DecodedCloud,
     checked_for_writing,
     cloud_from_records,
+    kinds_of,
+    records_for_writing,
     require_exact_size,
     require_point_count,
     required_columns,
@@ -86,11 +88,12 @@ def decode(data: bytes, limits: CloudLimits) -> DecodedCloud:
 
 
 def encode(points: NDArray[np.floating], intensity: NDArray[np.floating] | None = None) -> bytes:
-    """A binary little-endian PLY file of float32 points (n, 3) in metres and, where given, intensity (n,)."""
-    cloud = checked_for_writing(points, intensity)
-    names = ["x", "y", "z"] + ([] if cloud.intensity is None else ["intensity"])
-    values = cloud.points if cloud.intensity is None else np.column_stack([cloud.points, cloud.intensity])
-    return _header(len(values), names, None) + values.astype("<f4").tobytes()
+    """A binary little-endian PLY file of points (n, 3) in metres and, where given, intensity (n,).
+
+    Floats, but for doubles where floats do not hold a millimetre (`records_for_writing`).
+    """
+    records = records_for_writing(points, intensity)
+    return _header(records, None) + records.tobytes()
 
 
 def encode_mesh(vertices: NDArray[np.floating], normals: NDArray[np.floating], faces: NDArray[np.integer]) -> bytes:
@@ -98,20 +101,25 @@ def encode_mesh(vertices: NDArray[np.floating], normals: NDArray[np.floating], f
 
     Raises BadField for other shapes or for an index outside of the vertices.
     """
-    positions, directions = checked_for_writing(vertices, None).points, checked_for_writing(normals, None).points
-    if positions.shape != directions.shape or faces.ndim != 2 or faces.shape[1] != 3:
+    positions, directions = records_for_writing(vertices, None), checked_for_writing(normals, None).points
+    if len(positions) != len(directions) or faces.ndim != 2 or faces.shape[1] != 3:
         raise BadField("a mesh needs as many normals as vertices, and faces (f, 3)", field="faces")
     if faces.size and not 0 <= int(faces.min()) <= int(faces.max()) < len(positions):
         raise BadField("a face names a vertex that does not exist", field="faces")
     triangles = np.empty(len(faces), dtype=[("corners", "u1"), ("vertices", "<i4", (3,))])
     triangles["corners"], triangles["vertices"] = 3, faces
-    header = _header(len(positions), ["x", "y", "z", "nx", "ny", "nz"], len(faces))
-    return header + np.hstack([positions, directions]).astype("<f4").tobytes() + triangles.tobytes()
+    columns = [*kinds_of(positions).items(), *((name, "<f4") for name in ("nx", "ny", "nz"))]
+    records = np.empty(len(positions), dtype=columns)
+    for axis in "xyz":
+        records[axis] = positions[axis]
+    records["nx"], records["ny"], records["nz"] = directions.T
+    return _header(records, len(faces)) + records.tobytes() + triangles.tobytes()
 
 
-def _header(vertex_count: int, names: list[str], face_count: int | None) -> bytes:
-    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {vertex_count}"]
-    lines += [f"property float {name}" for name in names]
+def _header(vertices: NDArray[np.void], face_count: int | None) -> bytes:
+    """What a file says of its vertices, which are records, and of its faces."""
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}"]
+    lines += [f"property {'double' if kind == '<f8' else 'float'} {name}" for name, kind in kinds_of(vertices).items()]
     if face_count is not None:
         lines += [f"element face {face_count}", "property list uchar int vertex_indices"]
     return "\n".join([*lines, "end_header", ""]).encode("ascii")

@@ -5,13 +5,14 @@ from __future__ import annotations
 import io
 
 import numpy as np
+import open3d as o3d
 import pytest
 import trimesh
 import yaml
 from PIL import Image
 
 from revisit.core.errors import BadField
-from revisit.formats import glb, ply
+from revisit.formats import glb, npy, pcd, ply
 from revisit.formats.occupancy_grid import FREE, OCCUPIED, UNKNOWN, GridOptions, grid_of
 
 VERTICES = np.array([[0.0, 0, 0], [4, 0, 0], [0, 3, 0], [0, 0, 2]])
@@ -38,6 +39,29 @@ def test_a_ply_mesh_is_read_by_another_reader():
     read = trimesh.load(io.BytesIO(ply.encode_mesh(VERTICES, NORMALS, FACES)), file_type="ply", process=False)
     np.testing.assert_allclose(read.vertices, VERTICES, atol=1e-6)
     np.testing.assert_array_equal(read.faces, FACES)
+
+
+IN_UTM = VERTICES + [500123.4567, 5400321.7894, 110.25]
+
+
+def test_meshes_in_utm_are_exact_to_the_millimetre():
+    read = trimesh.load(io.BytesIO(ply.encode_mesh(IN_UTM, NORMALS, FACES)), file_type="ply", process=False)
+    np.testing.assert_allclose(read.vertices, IN_UTM, rtol=0, atol=1e-9)
+    data = glb.encode_mesh(IN_UTM, NORMALS, FACES)
+    read = trimesh.load(io.BytesIO(data), file_type="glb", force="mesh", process=False)
+    np.testing.assert_allclose(read.vertices, IN_UTM[:, [0, 2, 1]] * [1, 1, -1], rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("extension", ["ply", "pcd"])
+@pytest.mark.parametrize("intensity", [None, np.linspace(0.0, 1.0, 4)])
+def test_clouds_in_utm_are_exact_to_the_millimetre_and_others_as_small_as_before(tmp_path, extension, intensity):
+    encode, file = {"ply": ply.encode, "pcd": pcd.encode}[extension], tmp_path / f"cloud.{extension}"
+    file.write_bytes(encode(IN_UTM, intensity))
+    read = o3d.t.io.read_point_cloud(str(file))
+    np.testing.assert_allclose(read.point.positions.numpy(), IN_UTM, rtol=0, atol=1e-9)
+    near = VERTICES if intensity is None else np.column_stack([VERTICES, intensity])
+    assert encode(VERTICES, intensity).endswith(b"\n" + near.astype("<f4").tobytes())
+    np.testing.assert_array_equal(np.load(io.BytesIO(npy.encode(IN_UTM, intensity)))[:, :3], IN_UTM)
 
 
 @pytest.mark.parametrize(

@@ -29,6 +29,19 @@ def messages(data):
     return found
 
 
+def placed(cloud):
+    """The points of a cloud where its pose puts them; it may not turn them."""
+    assert cloud["pose"]["orientation"] == {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+    origin = [cloud["pose"]["position"][axis] for axis in "xyz"]
+    return np.frombuffer(base64.b64decode(cloud["data"]), "<f4").reshape(-1, 3) + np.array(origin)
+
+
+def test_a_cloud_in_utm_is_exact_to_the_millimetre():
+    points = np.array([[500123.4567, 5400321.7894, 110.25], [500160.123, 5400300.001, 108.0]])
+    _, _, cloud = messages(encode({}, points))["/map/cloud"]
+    np.testing.assert_allclose(placed(cloud), points, rtol=0, atol=1e-5)
+
+
 def test_poses_cloud_and_lines_come_back():
     drives, points = {"monday": drive(0.3, 4), "tuesday": drive(-1.0, 2)}, np.float32([[1, 2, 3], [4, 5, 6.5]])
     found = messages(encode(drives, points, "frame-1"))
@@ -42,7 +55,7 @@ def test_poses_cloud_and_lines_come_back():
     assert [(field["name"], field["offset"], field["type"]) for field in cloud["fields"]] == [
         ("x", 0, 7), ("y", 4, 7), ("z", 8, 7),
     ]  # fmt: skip
-    np.testing.assert_array_equal(np.frombuffer(base64.b64decode(cloud["data"]), "<f4").reshape(-1, 3), points)
+    np.testing.assert_array_equal(placed(cloud), points)
     _, _, scene = found["/map/sessions"]
     assert [entity["id"] for entity in scene["entities"]] == ["monday", "tuesday"]
     assert [len(entity["lines"][0]["points"]) for entity in scene["entities"]] == [4, 2]
