@@ -114,10 +114,10 @@ def _write_cloud(
 
 
 def _write_mesh(out: Path, http: str, placed: list[PlacedSubmap], report: Report, kind: str) -> dict[str, int]:
-    from revisit.cli.map_files import merged_map, merged_mesh
+    from revisit.cli.map_files import merged_mesh
     from revisit.formats import glb, ply
 
-    vertices, normals, faces = merged_mesh(merged_map(http, placed, report))
+    vertices, normals, faces = merged_mesh(http, placed, report)
     out.write_bytes((glb if kind == "glb" else ply).encode_mesh(vertices, normals, faces))
     return {"vertices": len(vertices), "faces": len(faces)}
 

@@ -96,31 +96,41 @@ def thinned(points: Points) -> Points:
     return np.asarray(points[np.sort(np.unique(keys, return_index=True)[1])])
 
 
-def merged_map(http: str, placed: Sequence[PlacedSubmap], report: Callable[[str, int, int], None]) -> NeuralMap:
-    """One neural map out of those of all submaps."""
+def merged_mesh(
+    http: str, placed: Sequence[PlacedSubmap], report: Callable[[str, int, int], None]
+) -> tuple[Points, Points, NDArray[np.int32]]:
+    """Vertices (v, 3) in metres in the map, their normals (v, 3) and faces (f, 3): the neural maps of all as one.
+
+    They are merged about their middle, for neural maps hold single precision, which is half a metre in UTM.
+    """
     from revisit.core.config import PipelineConfig
+    from revisit.core.surface import extract_surface
+
+    middle = np.rint(np.mean([one.T_map_submap[:3, 3] for one in placed], axis=0))
+    neural_map = _merged_map(http, placed, middle, report)
+    surface = extract_surface(neural_map, PipelineConfig().surface)
+    vertices = neural_map.frame.points_to_submap(surface.vertices).astype(np.float64)
+    return vertices + middle, surface.normals @ neural_map.frame.rotation.T, surface.faces
+
+
+def _merged_map(
+    http: str, placed: Sequence[PlacedSubmap], middle: Points, report: Callable[[str, int, int], None]
+) -> NeuralMap:
+    """One neural map out of those of all submaps, seen from `middle` (3,) in the map."""
+    from revisit.core.config import PipelineConfig
+    from revisit.core.geometry.se3 import from_yaw
     from revisit.core.implicit_map import NeuralMap
     from revisit.core.merge import PlacedMap, merge_neural_maps
     from revisit.core.model_bundle import load_packaged_models
 
     decoder, config = load_packaged_models().decoder, PipelineConfig().implicit_map
-    maps = []
+    maps, T_middle_map = [], from_yaw(0.0, -middle)
     with Client(http) as client:
         for number, one in enumerate(placed, 1):
             stored = NeuralMap.from_blob(client.download(one.name, "neural"), decoder, config)
-            maps.append(PlacedMap(stored, one.T_map_submap))
+            maps.append(PlacedMap(stored, T_middle_map @ one.T_map_submap))
             report("neural maps", number, len(placed))
     return merge_neural_maps(maps)
-
-
-def merged_mesh(neural_map: NeuralMap) -> tuple[Points, Points, NDArray[np.int32]]:
-    """Vertices (v, 3) in metres in the map, their normals (v, 3) and faces (f, 3) of a merged neural map."""
-    from revisit.core.config import PipelineConfig
-    from revisit.core.surface import extract_surface
-
-    surface = extract_surface(neural_map, PipelineConfig().surface)
-    vertices = neural_map.frame.points_to_submap(surface.vertices)
-    return vertices, surface.normals @ neural_map.frame.rotation.T, surface.faces
 
 
 def as_kitti(placed: Sequence[PlacedSubmap]) -> tuple[str, str]:

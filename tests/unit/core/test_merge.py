@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from contextlib import nullcontext
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from revisit.cli import map_files
+from revisit.cli.map_files import PlacedSubmap
 from revisit.core.config import ImplicitMapConfig, SurfaceConfig
 from revisit.core.errors import BadField, DescriptorModelMismatch
 from revisit.core.geometry import se3
@@ -112,6 +116,21 @@ def test_merging_two_streets_keeps_both(make_drive, scene):
     assert len(merged.points) == pytest.approx(2 * len(one.points), rel=0.12)
     far = merged.points.positions[merged.points.positions[:, 0] > 250.0]
     assert len(far) == pytest.approx(len(one.points), rel=0.12)  # two turned points may share a voxel
+
+
+def test_a_mesh_of_a_map_in_utm_is_as_fine_as_one_at_the_origin(pair, monkeypatch):
+    blobs = {str(number): one.neural_map.to_blob() for number, one in enumerate(pair)}
+    client = SimpleNamespace(download=lambda name, kind: blobs[name])
+    monkeypatch.setattr(map_files, "Client", lambda http: nullcontext(client))
+    moved = se3.from_yaw(0.0, (500123.0, 5400321.0, 110.0))
+    here, there = (
+        map_files.merged_mesh(
+            "", [PlacedSubmap(str(number), 0, T @ one.T_map_submap) for number, one in enumerate(pair)], lambda *_: None
+        )
+        for T in (np.eye(4), moved)
+    )
+    np.testing.assert_allclose(there[0] - moved[:3, 3], here[0], rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(there[2], here[2])
 
 
 def test_maps_of_different_decoders_or_resolutions_are_not_merged(pair):
