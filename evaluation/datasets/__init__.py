@@ -63,7 +63,14 @@ def open_recording(folder: Path, file_format: str = AUTO, wanted: WantedTopics =
 
 def notes_of(recording: Recording) -> tuple[str, ...]:
     """Sentences on how the recording was read, where that was a choice."""
-    return recording.notes if isinstance(recording, BagRecording) else ()
+    if isinstance(recording, BagRecording):
+        return recording.notes
+    if isinstance(recording, PosedClouds) and any(recording.origin):
+        x, y, z = recording.origin
+        return (
+            f"the first pose, at {x:.3f} {y:.3f} {z:.3f}, is taken as the origin: what is answered is told from there",
+        )
+    return ()
 
 
 def _of_what_is_there(folder: Path, wanted: WantedTopics) -> Recording:

@@ -10,7 +10,14 @@ import pytest
 
 from revisit.core.errors import BadField, BadTransform, MalformedBody
 from revisit.core.geometry import se3
-from revisit.evaluation.datasets import open_cloud_folder, open_kitti360, open_mulran, open_nclt, open_recording
+from revisit.evaluation.datasets import (
+    notes_of,
+    open_cloud_folder,
+    open_kitti360,
+    open_mulran,
+    open_nclt,
+    open_recording,
+)
 from revisit.evaluation.datasets.number_rows import nanoseconds
 from revisit.evaluation.datasets.posed_clouds import StampedPoses
 from revisit.formats import pcd, ply
@@ -193,6 +200,7 @@ def test_as_many_tum_rows_as_clouds_belong_to_them_one_by_one(tmp_path: Path) ->
     assert [scan.stamp_ns for scan in recording] == [10_000_000_001, 11_500_000_000]
     np.testing.assert_array_equal(recording.scan(1).points, cloud(1))
     np.testing.assert_allclose(recording.pose(1), se3.from_yaw(np.pi / 2, (1.0, 0.0, 0.0)), atol=1e-9)
+    assert "the first pose, at 1.000 2.000 3.000, is the origin" in notes_of(recording)[0]
 
 
 def test_kitti_rows_are_taken_for_clouds_in_a_folder_of_their_own(tmp_path: Path) -> None:
@@ -227,7 +235,8 @@ def test_rows_of_another_clock_that_runs_along_are_taken_one_by_one(tmp_path: Pa
     for tenth in range(3):
         (tmp_path / f"{10**18 + tenth * 10**8 + 7 * tenth}.pcd").write_bytes(pcd.encode(cloud(tenth)))
     (tmp_path / "poses.tum").write_text("\n".join(f"0.{tenth} {tenth} 0 0 0 0 0 1" for tenth in range(3)))
-    assert open_cloud_folder(tmp_path).stamps_ns.tolist() == [0, 10**8, 2 * 10**8]
+    recording = open_cloud_folder(tmp_path)
+    assert recording.stamps_ns.tolist() == [0, 10**8, 2 * 10**8] and notes_of(recording) == ()
 
 
 @pytest.mark.parametrize(
