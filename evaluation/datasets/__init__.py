@@ -67,9 +67,7 @@ def notes_of(recording: Recording) -> tuple[str, ...]:
         return recording.notes
     if isinstance(recording, PosedClouds) and any(recording.origin):
         x, y, z = recording.origin
-        return (
-            f"the first pose, at {x:.3f} {y:.3f} {z:.3f}, is taken as the origin: what is answered is told from there",
-        )
+        return (f"the first pose, at {x:.3f} {y:.3f} {z:.3f}, is the origin of what is answered",)
     return ()
 
 
