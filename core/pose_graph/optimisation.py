@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from revisit.core.geometry import se3
 from revisit.core.pose_graph.consistency import ConsistentSet, consistent_sets
 from revisit.core.pose_graph.graph import Node, PoseGraph, Trajectory
+from revisit.core.pose_graph.heading_bias import straightened
 from revisit.core.pose_graph.least_squares import ROUGHLY, Kernel, cauchy, graduated, huber, minimise, settled
 from revisit.core.pose_graph.normal_equations import Edges, Factorisation
 from revisit.core.pose_graph.placement import Component, place_sessions
@@ -86,12 +87,13 @@ def optimise(
 ) -> OptimisedGraph:
     """Place the sessions by the loops that agree, optimise each component, set loops aside that do not fit.
 
-    Uncertainties that small circles show to be far too large are reduced before (see `variance_factor`), but for PLAIN
-    and the other methods that are for comparison; covariances and distances in the answer rest on the reduced ones.
+    Uncertainties that small circles show to be far too large are reduced before (see `variance_factor`), and odometry
+    whose heading turns steadily is straightened (see `heading_bias`), but for PLAIN and the other methods that are for
+    comparison; covariances and distances in the answer rest on the reduced ones and on the straight odometry.
     `told` hears how many of how many components are done, and may raise to end the work.
     """
     if robustness in (Robustness.ONLINE, Robustness.COMMIT):
-        graph = rescaled(graph, variance_factor(graph))
+        graph = straightened(rescaled(graph, variance_factor(graph)))
     sets, within = consistent_sets(graph), LoopsWithin.of(graph)
     components = [one.anchored(graph.anchors) for one in place_sessions(graph, sets)]
     trusted = Trusted.of(graph, sets, within)

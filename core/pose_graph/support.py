@@ -52,8 +52,7 @@ class LoopsWithin:
         supported: list[int] = []
         speakers: dict[int, tuple[int, ...]] = {}
         for trajectory in graph.trajectories:
-            rows = np.array([n for n, loop in enumerate(graph.loops) if _is_within(loop, trajectory)], dtype=np.int64)
-            loops = [_forward(graph.loops[row]) for row in rows]
+            rows, loops = loops_within(graph, trajectory)
             circles = Circles.of(loops, trajectory, trajectory)
             fits = np.flatnonzero(odometry_errors(circles) < MAX_CLOSING_ERROR)
             allowed += rows[fits].tolist()
@@ -62,6 +61,12 @@ class LoopsWithin:
             if len(borne) > len(trajectory):
                 speakers |= {int(rows[group[0]]): tuple(rows[group].tolist()) for group in stretches(circles, borne)}
         return cls(frozenset(allowed), frozenset(supported), speakers)
+
+
+def loops_within(graph: PoseGraph, trajectory: Trajectory) -> tuple[NDArray[np.int64], list[LoopEdge]]:
+    """The loops within a session, by their place in the graph, each with the earlier submap as its match."""
+    rows = [number for number, loop in enumerate(graph.loops) if _is_within(loop, trajectory)]
+    return np.array(rows, dtype=np.int64), [_forward(graph.loops[row]) for row in rows]
 
 
 def _is_within(loop: LoopEdge, trajectory: Trajectory) -> bool:
