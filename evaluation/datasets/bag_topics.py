@@ -1,4 +1,4 @@
-"""What a bag holds of use: topics of clouds, topics of poses, and the tree of frames."""
+"""What a bag holds of use: topics of clouds, topics of poses, and the transforms between frames."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from revisit.evaluation.datasets.ros_messages import (
     read_pose,
     read_transforms,
 )
-from revisit.evaluation.datasets.transform_tree import TransformTree
+from revisit.evaluation.datasets.transform_groups import TransformGroups
 
 WANTED_TYPES = (*CLOUD_TYPES, *POSE_TYPES, *PATH_TYPES, *TRANSFORM_TYPES)
 
@@ -75,7 +75,7 @@ class BagTopics:
 
     clouds: dict[str, CloudTopic]
     poses: dict[str, PoseTopic]
-    tree: TransformTree
+    transforms: TransformGroups
     types: dict[str, str]
     broken_poses: int
     cut: str = ""
@@ -89,8 +89,7 @@ class _Pass:
 
     clouds: dict[str, CloudTopic] = field(default_factory=dict)
     poses: dict[str, PoseTopic] = field(default_factory=dict)
-    moving: list[StampedTransform] = field(default_factory=list)
-    fixed: list[StampedTransform] = field(default_factory=list)
+    transforms: TransformGroups = field(default_factory=TransformGroups)
     paths: dict[str, Message] = field(default_factory=dict)
     broken: int = 0
     unreadable: list[str] = field(default_factory=list)
@@ -114,8 +113,7 @@ class _Pass:
         elif message.message_type in PATH_TYPES:
             self.paths[message.topic] = message  # each holds those before it, the last one all
         elif message.message_type in TRANSFORM_TYPES:
-            told = self.fixed if message.topic.endswith("tf_static") else self.moving
-            told += read_transforms(message.data, message.encoding)
+            self.transforms.take(message.topic, read_transforms(message.data, message.encoding))
 
     def finish(self) -> None:
         """Read what only the last message of a topic tells."""
@@ -153,9 +151,9 @@ def read_topics(bag: Bag) -> BagTopics:
     if bag.damaged and not gathered.clouds:
         raise MalformedBody(f"{bag.damaged} chunks of the bag are damaged, and there is no cloud in the others")
     lost = gathered.unreadable
-    if lost and not (gathered.clouds and (gathered.poses or gathered.moving)):
+    if lost and not (gathered.clouds and (gathered.poses or gathered.transforms.moving)):
         raise MalformedBody(f"{len(lost)} messages cannot be read, the first of {lost[0]}")
-    tree = TransformTree(gathered.moving, gathered.fixed)
     return BagTopics(
-        gathered.clouds, gathered.poses, tree, dict(bag.topics), gathered.broken, bag.cut, len(lost), bag.damaged
-    )
+        gathered.clouds, gathered.poses, gathered.transforms, dict(bag.topics), gathered.broken, bag.cut, len(lost),
+        bag.damaged,
+    )  # fmt: skip

@@ -13,10 +13,12 @@ from revisit.core.geometry import se3
 from revisit.core.scan import Scan
 from revisit.evaluation.datasets.bag_files import bag_files, open_files
 from revisit.evaluation.datasets.bag_message import Bag, Encoding, Place
-from revisit.evaluation.datasets.bag_topics import WANTED_TYPES, BagTopics, read_topics
+from revisit.evaluation.datasets.bag_notes import notes
+from revisit.evaluation.datasets.bag_topics import WANTED_TYPES, read_topics
+from revisit.evaluation.datasets.pairing import Pairing
 from revisit.evaluation.datasets.posed_clouds import Stamps
 from revisit.evaluation.datasets.ros_messages import read_points
-from revisit.evaluation.datasets.topic_choice import Pairing, Relation, WantedTopics, choose
+from revisit.evaluation.datasets.topic_choice import WantedTopics, choose
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,8 @@ def open_bag(path: Path, wanted: WantedTopics = WantedTopics()) -> BagRecording:
     name = files[0].stem if len(files) == 1 else path.resolve().name
     return BagRecording(
         name, bag, [pair.clouds.places[index] for index in kept], pair.clouds.encoding, T_world_sensor,
-        _into_sensor(pair, stamps[kept], T_world_sensor), stamps[kept], _notes(pair, found, stamps[kept], len(files)),
+        _into_sensor(pair, stamps[kept], T_world_sensor), stamps[kept],
+        notes(pair, found, wanted, stamps[kept], len(files)),
     )  # fmt: skip
 
 
@@ -83,32 +86,3 @@ def _into_sensor(pair: Pairing, stamps: Stamps, T_world_sensor: NDArray[np.float
         return None
     T_world_cloud = [pair.cloud_frame.at(int(stamp)) for stamp in stamps]
     return np.stack([se3.inverse(pose) @ cloud for pose, cloud in zip(T_world_sensor, T_world_cloud, strict=True)])
-
-
-def _notes(pair: Pairing, found: BagTopics, stamps: Stamps, files: int) -> tuple[str, ...]:
-    """What was taken, why, and what else there was."""
-    clouds = pair.clouds
-    notes = [f"clouds of {clouds.name} (frame {clouds.frame}), {len(stamps)} of {len(clouds.stamps)} with a pose"]
-    if pair.poses in found.poses:
-        topic = found.poses[pair.poses]
-        notes.append(f"poses of {pair.poses} (frame {topic.frame}, following {topic.body or 'what it does not name'})")
-    else:
-        notes.append(f"poses by the transforms of {pair.poses}")
-    notes.append(("warning: " if pair.relation is Relation.ASSUMED else "") + pair.why)
-    others = sorted(found.clouds.keys() - {clouds.name}), sorted(found.poses.keys() - {pair.poses})
-    for option, names in zip(("--topic", "--odometry"), others, strict=True):
-        if names:
-            notes.append(f"not used: {', '.join(names)}; {option} chooses")
-    if files > 1:
-        notes.append(f"{files} files read as one recording")
-    if missing := int(((clouds.stamps_ns >= stamps[0]) & (clouds.stamps_ns <= stamps[-1])).sum()) - len(stamps):
-        notes.append(f"warning: {missing} clouds lie in gaps of the poses, in which the robot moved, and were left out")
-    if found.broken_poses:
-        notes.append(f"warning: {found.broken_poses} messages with poses that are no rigid motions were left out")
-    if found.unreadable:
-        notes.append(f"warning: {found.unreadable} messages cannot be read and were left out")
-    if found.damaged:
-        notes.append(f"warning: {found.damaged} chunks are damaged, and what was in them is left out")
-    if found.cut:
-        notes.append(f"warning: {found.cut} ends within a record, as after a loss of power: read as far as it goes")
-    return tuple(notes)

@@ -94,9 +94,10 @@ class Layout:
         T_body_sensor = np.eye(4) if mounted is None else mounted
         return self.clouds(topic, frame, lambda stamp: se3.inverse(body_at(stamp) @ T_body_sensor))
 
-    def odometry(self, topic: str, frame: str, child: str) -> Layout:
-        for stamp in pose_stamps():
-            pose = self._with_covariance("PoseWithCovariance", pose=self._pose(body_at(stamp)))
+    def odometry(self, topic: str, frame: str, child: str, at=body_at, stamps: list[int] | None = None) -> Layout:
+        """`at` is where the body is at a time."""
+        for stamp in pose_stamps() if stamps is None else stamps:
+            pose = self._with_covariance("PoseWithCovariance", pose=self._pose(at(stamp)))
             zeros = self._vector(np.zeros(3))
             twist = self.types["geometry_msgs/msg/Twist"](linear=zeros, angular=zeros)
             message = self.types["nav_msgs/msg/Odometry"](
@@ -132,7 +133,7 @@ class Layout:
     def _vector(self, values: np.ndarray) -> object:
         return self.types["geometry_msgs/msg/Vector3"](*values)
 
-    def transform(self, parent: str, child: str, T_parent_child, *, moving: bool) -> Layout:
+    def transform(self, parent: str, child: str, T_parent_child, *, moving: bool, namespace: str = "") -> Layout:
         for stamp in pose_stamps() if moving else [START_NS]:
             matrix = T_parent_child(stamp) if moving else T_parent_child
             stamped = self.types["geometry_msgs/msg/TransformStamped"](
@@ -140,7 +141,8 @@ class Layout:
                 transform=self._transform(matrix),
             )  # fmt: skip
             message = self.types["tf2_msgs/msg/TFMessage"](transforms=[stamped])
-            self.rows.append((stamp, "/tf" if moving else "/tf_static", "tf2_msgs/msg/TFMessage", message))
+            topic = f"{namespace}/{'tf' if moving else 'tf_static'}"
+            self.rows.append((stamp, topic, "tf2_msgs/msg/TFMessage", message))
         return self
 
     def path(self, topic: str, frame: str) -> Layout:

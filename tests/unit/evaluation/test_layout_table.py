@@ -34,6 +34,7 @@ from tests.support.bag_layouts import (
 pytest.importorskip("rosbags", reason="in the extra `dev`: writes the bags")
 
 PAGE = Path(__file__).resolve().parents[3] / "docs/reference/bag-layouts.md"
+OFTEN = [START_NS - 37_000_000 + 20_000_000 * index for index in range(42)]
 NOT_MOVED = lambda stamp: np.eye(4)  # noqa: E731
 
 
@@ -125,6 +126,23 @@ def wheels_and_lidar_odometry() -> Layout:
     return layout
 
 
+def elsewhere(stamp_ns: int) -> np.ndarray:
+    """Where another robot is, which drives the other way."""
+    return se3.from_yaw(2.0, (7.0, 3.0, 0.0)) @ se3.inverse(body_at(stamp_ns))
+
+
+def fleet() -> Layout:
+    layout = Layout().raw("/robot1/points", "lidar").odometry("/robot1/odom", "odom", "lidar", elsewhere)
+    return layout.raw("/robot2/points", "lidar").odometry("/robot2/odom", "odom", "lidar", stamps=OFTEN)
+
+
+def fleet_by_tf() -> Layout:
+    layout = (
+        Layout().raw("/robot1/points", "lidar").transform("odom", "lidar", body_at, moving=True, namespace="/robot1")
+    )
+    return layout.transform("odom", "lidar", elsewhere, moving=True, namespace="/robot2")
+
+
 def cut_short(folder: Path) -> Path:
     """The first part of a bag that was written out often, as a robot leaves it that loses its power."""
     layout = Layout(ros1=True).raw("/points", "lidar").odometry("/odom", "odom", "lidar")
@@ -174,6 +192,10 @@ ROWS = [
     Row("Split into several files", split, "2 files read as one recording"),
     Row("Odometry of wheels beside that of a LiDAR (`/odom`, `/kiss/odometry`)", whole(wheels_and_lidar_odometry),
         "poses of /kiss/odometry"),
+    Row("Several robots: `/robot1/points`, `/robot1/odom`, `/robot2/points`, `/robot2/odom`, frames of the same names",
+        whole(fleet), "not used: /robot1/odom; --odometry chooses"),
+    Row("Several robots: `/robot1/points`, `/robot1/tf`, `/robot2/tf`, frames of the same names", whole(fleet_by_tf),
+        "poses by the transforms of /robot1/tf"),
     Row("Cut short, as by a loss of power", cut_short, "ends within a record, as after a loss of power", scans=3),
     Row("Odometry that began after the clouds", whole(late_odometry), "4 of 8 with a pose", scans=4),
     Row("Odometry that pauses while the robot moves", whole(odometry_with_a_gap),
