@@ -13,7 +13,7 @@ def notes(pair: Pairing, found: BagTopics, wanted: WantedTopics, stamps: Stamps,
     said = [*_taken(pair, found, stamps), *_left(pair, found)]
     if files > 1:
         said.append(f"{files} files read as one recording")
-    warnings = [*doubts(pair, found, wanted), *_gaps(pair, stamps), *_lost(found)]
+    warnings = [*pair.warnings, *doubts(pair, found, wanted), *_gaps(pair, stamps), *_lost(found)]
     return (*said, *(f"warning: {warning}" for warning in warnings))
 
 

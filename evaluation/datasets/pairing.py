@@ -72,7 +72,7 @@ class Pairing:
     """Clouds with their poses: T_world_sensor = body @ mounting at a cloud's time.
 
     `cloud_frame` is None for clouds in the sensor's frame; else it is where their frame lies in the world, from which
-    they are taken back into the sensor's. `why` is a sentence for people.
+    they are taken back into the sensor's. `why` and the `warnings` are sentences for people.
     """
 
     clouds: CloudTopic
@@ -82,6 +82,7 @@ class Pairing:
     mounting: PoseSource
     cloud_frame: PoseSource | None
     why: str
+    warnings: tuple[str, ...] = ()
 
     @property
     def common_segments(self) -> int:

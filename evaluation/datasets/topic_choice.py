@@ -18,6 +18,9 @@ from revisit.evaluation.datasets.transform_tree import TransformTree, stamped_po
 
 TF = "/tf"
 ODOMETRY_FRAMES = ("odom", "odom_combined", "camera_init")
+SAME_MOUNTING_M, SAME_MOUNTING_DEG = 0.02, 0.5
+"""A mounting that is given is taken for the one that the transforms tell up to this."""
+
 _LIDAR_ODOMETRY = re.compile(r"kiss|icp|lio|loam|lidar", re.IGNORECASE)
 _LIVOX = "CustomMsg"
 _PACKETS = ("VelodyneScan", "PacketMsg", "RobosensePacket", "RslidarScan", "HesaiScan", "PandarScan")
@@ -134,13 +137,49 @@ def _topics_of_transforms(cloud: CloudTopic, found: BagTopics, wanted: WantedTop
 
 
 def _with_transforms(cloud: CloudTopic, topics: str, tree: TransformTree, wanted: WantedTopics) -> Pairing | None:
-    root = _fixed_frame(cloud.frame, tree)
-    if root is None:
+    """Poses by transforms alone: of the clouds' frame, or, where its mounting is given, of the body that it sits on."""
+    frame, root, given = cloud.frame, _fixed_frame(cloud.frame, tree), wanted.T_body_sensor
+    body = frame if given is None else _carrier(frame, root, tree)
+    root = root if root is not None or given is None or body is None else tree.parent(body)
+    if root is None or body is None:
         return None
-    way = BetweenFrames(tree, root, cloud.frame)
-    mounting = Fixed(np.eye(4) if wanted.T_body_sensor is None else wanted.T_body_sensor)
-    why = f"the transforms tell where {cloud.frame} is in {root}"
-    return Pairing(cloud, topics, Relation.BY_TRANSFORMS, way, mounting, None, why)
+    way, why = BetweenFrames(tree, root, body), f"the transforms tell where {body} is in {root}"
+    if given is None:
+        return Pairing(cloud, topics, Relation.BY_TRANSFORMS, way, Fixed(np.eye(4)), None, why)
+    if body == frame:
+        unused = (f"--T-body-sensor is not used: the transforms lead to {frame} itself, and it sits on nothing else",)
+        return Pairing(cloud, topics, Relation.BY_TRANSFORMS, way, Fixed(np.eye(4)), None, why, unused)
+    why = f"{why}, and --T-body-sensor how the sensor sits on {body}"
+    apart = _disagreement(cloud, BetweenFrames(tree, body, frame), given)
+    return Pairing(cloud, topics, Relation.BY_TRANSFORMS, way, Fixed(given), None, why, apart)
+
+
+def _carrier(frame: str, root: str | None, tree: TransformTree) -> str | None:
+    """The body that a sensor sits on, itself where it moves; where no transform leads to it, the only thing that moves.
+
+    None where several things do, or where the clouds are in a frame in which the body moves.
+    """
+    if root is None:
+        moved = tree.moved(ODOMETRY_FRAMES)
+        return moved[0] if len(moved) == 1 and frame not in tree.ancestors(moved[0]) else None
+    body = tree.carrier(frame)
+    return frame if body is None or root not in tree.ancestors(body) else body
+
+
+def _disagreement(cloud: CloudTopic, told: BetweenFrames, given: se3.Matrix4) -> tuple[str, ...]:
+    """What is said where the transforms tell another mounting than the user does."""
+    stamps = cloud.stamps_ns
+    known = np.flatnonzero(told.covered(stamps)) if told.tree.linked(told.target, told.source) else ()
+    if len(known) == 0 or not cloud.frame:
+        return ()
+    apart = se3.inverse(told.at(int(stamps[known[0]]))) @ given
+    metres, degrees = float(np.linalg.norm(apart[:3, 3])), float(np.degrees(np.linalg.norm(se3.log(apart)[3:])))
+    if metres < SAME_MOUNTING_M and degrees < SAME_MOUNTING_DEG:
+        return ()
+    if told.source == told.target:
+        return (f"--T-body-sensor is used, though the poses follow {told.source}, the frame of the clouds itself",)
+    other = f"another mounting of {told.source} on {told.target}, {metres:.2f} m and {degrees:.1f} degrees from it"
+    return (f"--T-body-sensor is used, though the transforms tell {other}",)
 
 
 def _fixed_frame(frame: str, tree: TransformTree) -> str | None:
@@ -157,8 +196,10 @@ def _with_odometry(cloud: CloudTopic, topic: PoseTopic, tree: TransformTree, wan
     if cloud.frame and (cloud.frame == topic.frame or cloud.frame in tree.ancestors(topic.frame)):
         return _registered(cloud, topic, poses, mounting, tree)
     relation, why = Relation.KNOWN, f"the clouds are in {cloud.frame}, which the poses follow"
+    warnings: tuple[str, ...] = ()
     if given is not None:
         why = "--T-body-sensor says how the sensor sits on what the poses follow"
+        warnings = _disagreement(cloud, BetweenFrames(tree, topic.body, cloud.frame), given)
     elif topic.body != cloud.frame and topic.body and tree.linked(topic.body, cloud.frame):
         mounting = BetweenFrames(tree, topic.body, cloud.frame)
         why = f"the transforms tell where {cloud.frame} is in {topic.body}, which the poses follow"
@@ -168,7 +209,7 @@ def _with_odometry(cloud: CloudTopic, topic: PoseTopic, tree: TransformTree, wan
             f"nothing tells where {cloud.frame or 'the sensor'} is in {topic.body or 'what the poses follow'}: "
             "taken as the same; else say it with --T-body-sensor"
         )
-    return Pairing(cloud, topic.name, relation, poses, mounting, None, why)
+    return Pairing(cloud, topic.name, relation, poses, mounting, None, why, warnings)
 
 
 def _registered(
@@ -202,6 +243,8 @@ def _no_clouds(found: BagTopics) -> str:
 
 def _no_poses(found: BagTopics, clouds: list[CloudTopic], wanted: WantedTopics) -> str:
     cloud = clouds[0]
+    if lacking := _no_mounting(cloud, found, wanted):
+        return lacking
     if wanted.odometry == TF:
         return f"the transforms do not tell how {cloud.frame or 'the sensor'} moves: {_listed(found)}"
     if found.broken_poses and not found.poses:
@@ -215,6 +258,19 @@ def _no_poses(found: BagTopics, clouds: list[CloudTopic], wanted: WantedTopics) 
         "FAST-LIO) and record what it publishes, or give clouds and a TUM trajectory to `--format clouds`. "
         f"Topics: {_listed(found)}"
     )
+
+
+def _no_mounting(cloud: CloudTopic, found: BagTopics, wanted: WantedTopics) -> str:
+    """What to say where transforms move something, and none leads from there to the clouds; "" elsewhere."""
+    tree = found.transforms.tree(_topics_of_transforms(cloud, found, wanted))
+    moved = [body for body in tree.moved(ODOMETRY_FRAMES) if cloud.frame not in tree.ancestors(body)]
+    if not moved or (wanted.T_body_sensor is not None and len(moved) == 1):
+        return ""
+    told = f"the transforms tell where {', '.join(f'{body} is in {tree.parent(body)}' for body in moved[:5])}"
+    sensor = f"{cloud.frame or 'the sensor'} of {cloud.name}"
+    if len(moved) == 1:
+        return f"{told}, but not where {sensor} sits on it: say it with --T-body-sensor"
+    return f"{told}, but not on which of them {sensor} sits: record /tf_static, too, or the odometry of one of them"
 
 
 def _listed(found: BagTopics) -> str:

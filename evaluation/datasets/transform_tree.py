@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from functools import reduce
 
@@ -14,6 +14,9 @@ from revisit.core.geometry import se3
 from revisit.evaluation.datasets.posed_clouds import StampedPoses, Stamps
 from revisit.evaluation.datasets.ros_messages import StampedTransform
 
+SAME = 1e-6
+"""Transforms whose elements differ by less are one: static ones are also told again and again on /tf."""
+
 
 @dataclass(frozen=True)
 class _Edge:
@@ -22,6 +25,12 @@ class _Edge:
     parent: str
     poses: StampedPoses
     moves: bool
+
+    @property
+    def changes(self) -> bool:
+        """Whether it is told more than once, and not always the same."""
+        told = self.poses.T_world_body
+        return self.moves and not np.allclose(told, told[0], rtol=0.0, atol=SAME)
 
     def covered(self, stamps_ns: Stamps) -> NDArray[np.bool_]:
         return self.poses.covered(stamps_ns) if self.moves else np.ones(len(stamps_ns), dtype=bool)
@@ -55,6 +64,23 @@ class TransformTree:
             frame = self._edges[frame].parent
             found.append(frame)
         return found
+
+    def carrier(self, frame: str) -> str | None:
+        """The frame itself, or else the first one above it, whose place in its parent changes."""
+        return next((above for above in (frame, *self.ancestors(frame)) if self._changes(above)), None)
+
+    def moved(self, within: Collection[str]) -> list[str]:
+        """The frames whose place changes in one of `within`; where there are none, in what nothing else moves."""
+        changing = [frame for frame in self._edges if self._changes(frame)]
+        inside = [frame for frame in changing if self._edges[frame].parent in within]
+        return inside or [frame for frame in changing if self.carrier(self._edges[frame].parent) is None]
+
+    def parent(self, frame: str) -> str:
+        """The parent of a frame that has one."""
+        return self._edges[frame].parent
+
+    def _changes(self, frame: str) -> bool:
+        return frame in self._edges and self._edges[frame].changes
 
     def linked(self, target: str, source: str) -> bool:
         """Whether the transform between two frames can be told."""
