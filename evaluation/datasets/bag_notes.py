@@ -19,7 +19,9 @@ def notes(pair: Pairing, found: BagTopics, wanted: WantedTopics, stamps: Stamps,
 
 def _taken(pair: Pairing, found: BagTopics, stamps: Stamps) -> list[str]:
     clouds = pair.clouds
-    said = [f"clouds of {clouds.name} (frame {clouds.frame}), {len(stamps)} of {len(clouds.stamps)} with a pose"]
+    said = [
+        f"clouds of {clouds.name} (frame {clouds.frame or 'not named'}), {len(stamps)} of {len(clouds.stamps)} with a pose"
+    ]
     if pair.poses in found.poses:
         topic = found.poses[pair.poses]
         said.append(f"poses of {pair.poses} (frame {topic.frame}, following {topic.body or 'what it does not name'})")

@@ -200,10 +200,10 @@ def _with_odometry(cloud: CloudTopic, topic: PoseTopic, tree: TransformTree, wan
     if given is not None:
         why = "--T-body-sensor says how the sensor sits on what the poses follow"
         warnings = _disagreement(cloud, BetweenFrames(tree, topic.body, cloud.frame), given)
-    elif topic.body != cloud.frame and topic.body and tree.linked(topic.body, cloud.frame):
+    elif topic.body and topic.body != cloud.frame and tree.linked(topic.body, cloud.frame):
         mounting = BetweenFrames(tree, topic.body, cloud.frame)
         why = f"the transforms tell where {cloud.frame} is in {topic.body}, which the poses follow"
-    elif topic.body != cloud.frame:
+    elif topic.body != cloud.frame or not topic.body:
         relation = Relation.ASSUMED
         why = (
             f"nothing tells where {cloud.frame or 'the sensor'} is in {topic.body or 'what the poses follow'}: "
