@@ -2,32 +2,47 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from revisit.evaluation.datasets.bag_topics import BagTopics
 from revisit.evaluation.datasets.pairing import Pairing, Relation
 from revisit.evaluation.datasets.posed_clouds import Stamps
 from revisit.evaluation.datasets.topic_choice import WantedTopics, doubts
 
 
-def notes(pair: Pairing, found: BagTopics, wanted: WantedTopics, stamps: Stamps, files: int) -> tuple[str, ...]:
-    """What was taken, why, what else there was, and what is wrong. `stamps` (n,) are those of the scans, rising."""
-    said = [*_taken(pair, found, stamps), *_left(pair, found)]
+def notes(pairs: list[Pairing], found: BagTopics, wanted: WantedTopics, stamps: Stamps, files: int) -> tuple[str, ...]:
+    """What was taken, why, what else there was, and what is wrong.
+
+    The pairs differ in the frame of their clouds alone. `stamps` (n,) are those of the scans, rising.
+    """
+    first = pairs[0]
+    said = [*_taken(pairs, found, stamps), *_left(first, found)]
     if files > 1:
         said.append(f"{files} files read as one recording")
-    warnings = [*pair.warnings, *doubts(pair, found, wanted), *_gaps(pair, stamps), *_lost(found)]
-    return (*said, *(f"warning: {warning}" for warning in warnings))
+    warnings = [*first.warnings, *doubts(first, found, wanted), *_other_frames(pairs, found), *_gaps(pairs, stamps)]
+    return (*said, *(f"warning: {warning}" for warning in (*warnings, *_lost(found))))
 
 
-def _taken(pair: Pairing, found: BagTopics, stamps: Stamps) -> list[str]:
-    clouds = pair.clouds
-    said = [
-        f"clouds of {clouds.name} (frame {clouds.frame or 'not named'}), {len(stamps)} of {len(clouds.stamps)} with a pose"
-    ]
-    if pair.poses in found.poses:
-        topic = found.poses[pair.poses]
-        said.append(f"poses of {pair.poses} (frame {topic.frame}, following {topic.body or 'what it does not name'})")
+def _taken(pairs: list[Pairing], found: BagTopics, stamps: Stamps) -> list[str]:
+    first, taken = pairs[0], sum(len(pair.clouds.stamps) for pair in pairs)
+    frames = f"frame{'s' * (len(pairs) > 1)} {', '.join(pair.clouds.frame or 'not named' for pair in pairs)}"
+    said = [f"clouds of {first.clouds.name} ({frames}), {len(stamps)} of {taken} with a pose"]
+    if first.poses in found.poses:
+        topic = found.poses[first.poses]
+        said.append(f"poses of {first.poses} (frame {topic.frame}, following {topic.body or 'what it does not name'})")
     else:
-        said.append(f"poses by the transforms of {pair.poses}")
-    return [*said, ("warning: " if pair.relation is Relation.ASSUMED else "") + pair.why]
+        said.append(f"poses by the transforms of {first.poses}")
+    return [*said, *(("warning: " if pair.relation is Relation.ASSUMED else "") + pair.why for pair in pairs)]
+
+
+def _other_frames(pairs: list[Pairing], found: BagTopics) -> list[str]:
+    """How many clouds of the topic are in frames that are not known to lie in what the poses follow."""
+    topic, known = found.clouds[pairs[0].clouds.name], [pair.clouds.frame for pair in pairs]
+    return [
+        f"{len(part.stamps)} of {len(topic.stamps)} clouds of {topic.name} are in another frame, "
+        f"{part.frame or 'which they do not name'}, and were left out: nothing tells how it lies to {known[0]}"
+        for part in topic.by_frame() if part.frame not in known
+    ]  # fmt: skip
 
 
 def _left(pair: Pairing, found: BagTopics) -> list[str]:
@@ -42,8 +57,8 @@ def _left(pair: Pairing, found: BagTopics) -> list[str]:
     return said
 
 
-def _gaps(pair: Pairing, stamps: Stamps) -> list[str]:
-    told = pair.clouds.stamps_ns
+def _gaps(pairs: list[Pairing], stamps: Stamps) -> list[str]:
+    told = np.concatenate([pair.clouds.stamps_ns for pair in pairs])
     missing = int(((told >= stamps[0]) & (told <= stamps[-1])).sum()) - len(stamps)
     return (
         [f"{missing} clouds lie in gaps of the poses, in which the robot moved, and were left out"] if missing else []

@@ -15,6 +15,7 @@ from revisit.evaluation.datasets.ros_messages import (
     PATH_TYPES,
     POSE_TYPES,
     TRANSFORM_TYPES,
+    Header,
     StampedTransform,
     read_header,
     read_path,
@@ -28,18 +29,32 @@ WANTED_TYPES = (*CLOUD_TYPES, *POSE_TYPES, *PATH_TYPES, *TRANSFORM_TYPES)
 
 @dataclass
 class CloudTopic:
-    """Clouds of one topic: when and where in the bag each was found, and the frames that their headers name."""
+    """Clouds of one topic: when and where in the bag each was found, and the frame that its header names."""
 
     name: str
     encoding: Encoding
     stamps: list[int] = field(default_factory=list)
     places: list[Place] = field(default_factory=list)
-    frames: Counter[str] = field(default_factory=Counter)
+    frames: list[str] = field(default_factory=list)
+
+    def take(self, header: Header, place: Place) -> None:
+        """Note a cloud."""
+        self.stamps.append(header.stamp_ns)
+        self.places.append(place)
+        self.frames.append(header.frame)
 
     @property
     def frame(self) -> str:
         """The frame that most headers name."""
-        return self.frames.most_common(1)[0][0]
+        return Counter(self.frames).most_common(1)[0][0]
+
+    def by_frame(self) -> list[CloudTopic]:
+        """The clouds of each frame apart: those of several sensors may come on one topic."""
+        parts: dict[str, CloudTopic] = {}
+        for stamp, place, frame in zip(self.stamps, self.places, self.frames, strict=True):
+            part = parts.setdefault(frame, CloudTopic(self.name, self.encoding))
+            part.take(Header(stamp, frame), place)
+        return list(parts.values())
 
     @property
     def stamps_ns(self) -> Stamps:
@@ -132,9 +147,7 @@ class _Pass:
     def _cloud(self, message: Message) -> None:
         header = read_header(message.data, message.encoding)
         topic = self.clouds.setdefault(message.topic, CloudTopic(message.topic, message.encoding))
-        topic.stamps.append(header.stamp_ns)
-        topic.places.append(message.place)
-        topic.frames[header.frame] += 1
+        topic.take(header, message.place)
 
 
 def read_topics(bag: Bag) -> BagTopics:

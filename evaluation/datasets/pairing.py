@@ -89,6 +89,11 @@ class Pairing:
         """How many segments the namespaces of the clouds and of the poses have in common."""
         return max(shared(self.clouds.name, topic) for topic in self.poses.split(", "))
 
+    def shares_poses(self, other: Pairing) -> bool:
+        """Whether both are placed in one world by the same poses, and as surely."""
+        worlds = [pair.body.target if isinstance(pair.body, BetweenFrames) else "" for pair in (self, other)]
+        return (self.poses, self.relation, worlds[0]) == (other.poses, other.relation, worlds[1])
+
     def covered(self) -> NDArray[np.bool_]:
         """For which clouds all that is needed is known."""
         stamps = self.clouds.stamps_ns

@@ -18,7 +18,7 @@ from revisit.evaluation.datasets.bag_topics import WANTED_TYPES, read_topics
 from revisit.evaluation.datasets.pairing import Pairing
 from revisit.evaluation.datasets.posed_clouds import Stamps
 from revisit.evaluation.datasets.ros_messages import read_points
-from revisit.evaluation.datasets.topic_choice import WantedTopics, choose
+from revisit.evaluation.datasets.topic_choice import WantedTopics, choose, with_other_frames
 
 
 @dataclass(frozen=True)
@@ -68,17 +68,36 @@ def open_bag(path: Path, wanted: WantedTopics = WantedTopics()) -> BagRecording:
     files = bag_files(path)
     bag = open_files(files, WANTED_TYPES)
     found = read_topics(bag)
-    pair = choose(found, wanted)
-    stamps = pair.clouds.stamps_ns
-    kept = np.flatnonzero(pair.covered())
-    kept = kept[np.argsort(stamps[kept], kind="stable")]
-    T_world_sensor = np.stack([pair.T_world_sensor(int(stamps[index])) for index in kept])
+    pairs = with_other_frames(choose(found, wanted), found, wanted)
+    parts = [_placed(pair) for pair in pairs]
+    order = np.argsort(np.concatenate([part.stamps_ns for part in parts]), kind="stable")
+    stamps, T_world_sensor = (
+        np.concatenate(values)[order] for values in zip(*((p.stamps_ns, p.T_world_sensor) for p in parts), strict=True)
+    )
+    places = [place for part in parts for place in part.places]
+    moved = parts[0].T_sensor_cloud
     name = files[0].stem if len(files) == 1 else path.resolve().name
     return BagRecording(
-        name, bag, [pair.clouds.places[index] for index in kept], pair.clouds.encoding, T_world_sensor,
-        _into_sensor(pair, stamps[kept], T_world_sensor), stamps[kept],
-        notes(pair, found, wanted, stamps[kept], len(files)),
+        name, bag, [places[index] for index in order], pairs[0].clouds.encoding, T_world_sensor,
+        None if moved is None else moved[order], stamps, notes(pairs, found, wanted, stamps, len(files)),
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Placed:
+    """The clouds of a pairing that have a pose, in the order of the bag; T_sensor_cloud as in a BagRecording."""
+
+    stamps_ns: Stamps
+    places: list[Place]
+    T_world_sensor: NDArray[np.float64]
+    T_sensor_cloud: NDArray[np.float64] | None
+
+
+def _placed(pair: Pairing) -> _Placed:
+    kept = np.flatnonzero(pair.covered())
+    stamps = pair.clouds.stamps_ns[kept]
+    poses = np.stack([pair.T_world_sensor(int(stamp)) for stamp in stamps])
+    return _Placed(stamps, [pair.clouds.places[index] for index in kept], poses, _into_sensor(pair, stamps, poses))
 
 
 def _into_sensor(pair: Pairing, stamps: Stamps, T_world_sensor: NDArray[np.float64]) -> NDArray[np.float64] | None:

@@ -44,7 +44,7 @@ def choose(found: BagTopics, wanted: WantedTopics) -> Pairing:
     clouds as another one is no choice. Raises BadField, with advice, where there is none.
     """
     clouds = _named(found.clouds, wanted.topic, "topic", found)
-    pairs = [pair for cloud in clouds for pair in _pairings(cloud, found, wanted)]
+    pairs = [pair for cloud in clouds for part in cloud.by_frame() for pair in _pairings(part, found, wanted)]
     if not pairs:
         raise BadField(_no_poses(found, clouds, wanted), field="odometry")
     counts = [int(pair.covered().sum()) for pair in pairs]
@@ -53,6 +53,18 @@ def choose(found: BagTopics, wanted: WantedTopics) -> Pairing:
                        "are both stamped by one clock?", field="poses")  # fmt: skip
     usable = [(pair, count) for pair, count in zip(pairs, counts, strict=True) if 2 * count >= max(counts)]
     return min(usable, key=lambda choice: _order(choice[0], choice[1], pairs, found))[0]
+
+
+def with_other_frames(pair: Pairing, found: BagTopics, wanted: WantedTopics) -> list[Pairing]:
+    """The pair, and those of the same topics whose clouds are in other frames that are known to lie in the same world.
+
+    A mounting that is given is that of one sensor, and holds for the clouds of no other one.
+    """
+    parts = [part for part in found.clouds[pair.clouds.name].by_frame() if part.frame != pair.clouds.frame]
+    if wanted.T_body_sensor is not None or pair.relation > Relation.BY_TRANSFORMS:
+        return [pair]
+    others = (other for part in parts for other in _pairings(part, found, wanted))
+    return [pair, *(other for other in others if other.shares_poses(pair) and other.covered().any())]
 
 
 def doubts(pair: Pairing, found: BagTopics, wanted: WantedTopics) -> list[str]:

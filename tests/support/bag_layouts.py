@@ -284,6 +284,15 @@ def two_lidars() -> Layout:
     return layout.transform("base_link", "rear", rear, moving=False)
 
 
+def alternating(right_is_known: bool = True) -> Layout:
+    """Two LiDARs take turns on one topic."""
+    left, right = MOUNTED, se3.from_yaw(-1.2, (1.0, -0.8, 1.0))
+    turns = Layout().raw("/points", "left", left).rows[::2] + Layout().raw("/points", "right", right).rows[1::2]
+    layout = Layout(rows=turns).odometry("/odom", "odom", "base_link")
+    layout.transform("base_link", "left", left, moving=False)
+    return layout.transform("base_link", "right", right, moving=False) if right_is_known else layout
+
+
 def pose_stamped() -> Layout:
     return Layout().raw("/points", "lidar").poses("/slam/pose", "map")
 

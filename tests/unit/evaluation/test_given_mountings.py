@@ -12,7 +12,9 @@ from revisit.core.geometry import se3
 from revisit.evaluation.datasets import WantedTopics, notes_of, open_bag
 from tests.support.bag_layouts import (
     MOUNTED,
+    SCANS,
     Layout,
+    alternating,
     body_at,
     deviation,
     kiss_icp,
@@ -91,3 +93,27 @@ def test_clouds_in_the_frame_in_which_the_body_moves_stay_registered(tmp_path: P
     recording = open_bag(layout.write2(tmp_path / "drive"), WantedTopics(T_body_sensor=MOUNTED))
     assert "registered in odom" in said(recording)
     assert deviation(recording) < 1e-4
+
+
+def test_clouds_of_a_frame_that_nothing_places_are_left_out_and_counted(tmp_path: Path) -> None:
+    recording = open_bag(alternating(right_is_known=False).write2(tmp_path / "drive"))
+    assert len(recording) == SCANS // 2 and deviation(recording) < 1e-4
+    assert "warning: 4 of 8 clouds of /points are in another frame, right, and were left out" in said(recording)
+
+
+def test_a_given_mounting_is_that_of_one_sensor(tmp_path: Path) -> None:
+    recording = open_bag(alternating().write2(tmp_path / "drive"), WantedTopics(T_body_sensor=MOUNTED))
+    assert len(recording) == SCANS // 2 and deviation(recording) < 1e-4
+    assert "4 of 8 clouds of /points are in another frame, right" in said(recording)
+
+
+def test_clouds_of_several_frames_come_in_the_order_of_their_times(tmp_path: Path) -> None:
+    recording = open_bag(alternating().write2(tmp_path / "drive"))
+    assert (np.diff(recording.stamps_ns) > 0).all()
+    assert deviation(recording) < 1e-4
+
+
+def test_the_transforms_alone_place_clouds_of_several_frames(tmp_path: Path) -> None:
+    layout = alternating().transform("odom", "base_link", body_at, moving=True)
+    recording = open_bag(layout.write2(tmp_path / "drive"), WantedTopics(odometry="/tf"))
+    assert len(recording) == SCANS and deviation(recording) < 1e-3
