@@ -133,5 +133,9 @@ def stamped_poses(transforms: Iterable[StampedTransform]) -> StampedPoses:
 
 def _edge(samples: list[StampedTransform], moves: bool) -> _Edge:
     parent = samples[0].parent
-    poses = stamped_poses(sample for sample in samples if sample.parent == parent)
-    return _Edge(parent, poses, moves and len(poses.stamps_ns) > 1)
+    told = [sample for sample in samples if sample.parent == parent]
+    poses = stamped_poses(told)
+    if moves and len(poses.stamps_ns) > 1:
+        return _Edge(parent, poses, moves=True)
+    # As in ROS, what holds for ever is what was told last, whatever its stamp.
+    return _Edge(parent, stamped_poses(told[-1:]), moves=False)
