@@ -70,6 +70,11 @@ class PoseTopic:
     poses: list[StampedTransform] = field(default_factory=list)
 
     @property
+    def stamps_ns(self) -> Stamps:
+        """Times (n,) in the order of the bag, nanoseconds."""
+        return np.array([pose.stamp_ns for pose in self.poses], dtype=np.int64)
+
+    @property
     def frame(self) -> str:
         """The frame the poses are told in."""
         return self.poses[0].parent

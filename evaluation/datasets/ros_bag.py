@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
+from revisit.core.sanity.finding import Finding
 from revisit.core.scan import Scan
 from revisit.evaluation.datasets.bag_files import bag_files, open_files
 from revisit.evaluation.datasets.bag_message import Bag, Encoding, Place
 from revisit.evaluation.datasets.bag_notes import notes
 from revisit.evaluation.datasets.bag_topics import WANTED_TYPES, read_topics
+from revisit.evaluation.datasets.clock import check_clocks
 from revisit.evaluation.datasets.pairing import Pairing
 from revisit.evaluation.datasets.posed_clouds import Stamps
 from revisit.evaluation.datasets.ros_messages import read_points
@@ -26,7 +28,7 @@ class BagRecording:
     """The clouds of one topic with interpolated poses. A scan's points are read from the bag when asked for.
 
     T_sensor_cloud (n, 4, 4) moves the clouds as they lie in the bag into the sensor's frame; None where they are there.
-    `notes` are sentences about the choice of topics.
+    `notes` are sentences about the choice of topics; `findings` are what only the order of the bag's messages tells.
     """
 
     name: str
@@ -37,6 +39,7 @@ class BagRecording:
     T_sensor_cloud: NDArray[np.float64] | None
     stamps_ns: Stamps
     notes: tuple[str, ...]
+    findings: tuple[Finding, ...] = ()
 
     def __len__(self) -> int:
         return len(self.places)
@@ -80,6 +83,7 @@ def open_bag(path: Path, wanted: WantedTopics = WantedTopics()) -> BagRecording:
     return BagRecording(
         name, bag, [places[index] for index in order], pairs[0].clouds.encoding, T_world_sensor,
         None if moved is None else moved[order], stamps, notes(pairs, found, wanted, stamps, len(files)),
+        tuple(check_clocks(pairs, found)),
     )  # fmt: skip
 
 

@@ -20,11 +20,12 @@ SAME = 1e-6
 
 @dataclass(frozen=True)
 class _Edge:
-    """Where a frame is in its parent. What was told once, or by /tf_static, holds for ever."""
+    """Where a frame is in its parent, and the times in the order of the bag; what does not move holds for ever."""
 
     parent: str
     poses: StampedPoses
     moves: bool
+    told_ns: Stamps
 
     @property
     def changes(self) -> bool:
@@ -102,6 +103,10 @@ class TransformTree:
             raise BadField(f"no transform between the frames {target} and {source}", field="frame")
         return se3.inverse(self._up(target, meeting, stamp_ns)) @ self._up(source, meeting, stamp_ns)
 
+    def told_ns(self, target: str, source: str) -> list[Stamps]:
+        """The times of each transform that moves between two linked frames, in the order of the bag."""
+        return [edge.told_ns for edge in self._way(target, source) if edge.moves]
+
     def _meeting(self, target: str, source: str) -> str | None:
         """The lowest frame that both lie in."""
         above = [target, *self.ancestors(target)]
@@ -134,8 +139,8 @@ def stamped_poses(transforms: Iterable[StampedTransform]) -> StampedPoses:
 def _edge(samples: list[StampedTransform], moves: bool) -> _Edge:
     parent = samples[0].parent
     told = [sample for sample in samples if sample.parent == parent]
-    poses = stamped_poses(told)
-    if moves and len(poses.stamps_ns) > 1:
-        return _Edge(parent, poses, moves=True)
+    stamps = np.array([sample.stamp_ns for sample in told], dtype=np.int64)
+    if moves and len(np.unique(stamps)) > 1:
+        return _Edge(parent, stamped_poses(told), True, stamps)
     # As in ROS, what holds for ever is what was told last, whatever its stamp.
-    return _Edge(parent, stamped_poses(told[-1:]), moves=False)
+    return _Edge(parent, stamped_poses(told[-1:]), False, stamps[-1:])

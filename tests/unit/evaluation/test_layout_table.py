@@ -12,7 +12,7 @@ import pytest
 
 from revisit.core.errors import RevisitError
 from revisit.core.geometry import se3
-from revisit.evaluation.datasets import notes_of, open_recording
+from revisit.evaluation.datasets import findings_of, notes_of, open_recording
 from tests.support.bag_layouts import (
     MOUNTED,
     PERIOD_NS,
@@ -20,6 +20,7 @@ from tests.support.bag_layouts import (
     START_NS,
     Layout,
     alternating,
+    back_in_time,
     body_at,
     deviation,
     fast_lio,
@@ -67,6 +68,11 @@ def clock_since_boot() -> Layout:
     seen = lambda stamp: se3.inverse(body_at(stamp))  # noqa: E731
     layout = Layout().clouds("/points", "lidar", seen, stamped=lambda stamp: stamp - START_NS + 5 * 10**9)
     return layout.odometry("/odom", "odom", "lidar")
+
+
+def clock_set_back() -> Layout:
+    layout = Layout().raw("/points", "lidar").odometry("/odom", "odom", "lidar")
+    return back_in_time(layout, START_NS + 4 * PERIOD_NS, 9 * PERIOD_NS // 2)
 
 
 def stamps_of_zero() -> Layout:
@@ -203,6 +209,8 @@ ROWS = [
     Row("Odometry that began after the clouds", whole(late_odometry), "4 of 8 with a pose", scans=4),
     Row("Odometry that pauses while the robot moves", whole(odometry_with_a_gap),
         "warning: 3 clouds lie in gaps of the poses, in which the robot moved, and were left out", scans=5),
+    Row("A clock that was set back during the drive", whole(clock_set_back),
+        "the stamps of /odom go back by 0.350 s", scans=7, from_world_m=60.0),
     Row("No static transform from the body to the LiDAR",
         whole(lambda: Layout().raw("/points", "lidar", MOUNTED).odometry("/odom", "odom", "base")),
         "warning: nothing tells where lidar is in base: taken as the same; else say it with --T-body-sensor",
@@ -238,7 +246,7 @@ def test_every_bag_of_the_table_is_read_right_or_refused_with_advice(tmp_path: P
         return
     recording = open_recording(bag)
     assert len(recording) == row.scans
-    assert row.said in " | ".join(notes_of(recording))
+    assert row.said in " | ".join([*notes_of(recording), *(finding.measured for finding in findings_of(recording))])
     assert deviation(recording) < row.from_world_m
 
 
