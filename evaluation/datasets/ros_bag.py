@@ -19,7 +19,7 @@ from revisit.evaluation.datasets.bag_topics import WANTED_TYPES, read_topics
 from revisit.evaluation.datasets.clock import check_clocks
 from revisit.evaluation.datasets.pairing import Pairing
 from revisit.evaluation.datasets.posed_clouds import Stamps
-from revisit.evaluation.datasets.ros_messages import read_points
+from revisit.evaluation.datasets.ros_messages import read_coordinates, read_points
 from revisit.evaluation.datasets.topic_choice import WantedTopics, choose, with_other_frames
 
 
@@ -50,10 +50,13 @@ class BagRecording:
 
     def scan(self, index: int) -> Scan:
         """The scan with that index. Raises MalformedBody for a damaged message and what `Scan.validated` raises."""
-        points = read_points(self.bag.data(self.places[index]), self.encoding)
-        if self.T_sensor_cloud is not None:
-            points = se3.apply(self.T_sensor_cloud[index], points.astype(np.float64)).astype(np.float32)
-        return Scan.validated(points, self.pose(index), int(self.stamps_ns[index]))
+        message, stamp = self.bag.data(self.places[index]), int(self.stamps_ns[index])
+        if self.T_sensor_cloud is None:
+            return Scan.validated(read_points(message, self.encoding), self.pose(index), stamp)
+        # In UTM coordinates float32 has steps of 0.5 m: the points are rounded only once they are the sensor's.
+        with np.errstate(over="ignore", invalid="ignore"):
+            points = se3.apply(self.T_sensor_cloud[index], read_coordinates(message, self.encoding)).astype(np.float32)
+        return Scan.validated(points, self.pose(index), stamp)
 
     def __iter__(self) -> Iterator[Scan]:
         return (self.scan(index) for index in range(len(self)))

@@ -180,11 +180,12 @@ def _carrier(frame: str, root: str | None, tree: TransformTree) -> str | None:
 
 def _disagreement(cloud: CloudTopic, told: BetweenFrames, given: se3.Matrix4) -> tuple[str, ...]:
     """What is said where the transforms tell another mounting than the user does."""
-    stamps = cloud.stamps_ns
-    known = np.flatnonzero(told.covered(stamps)) if told.tree.linked(told.target, told.source) else ()
-    if len(known) == 0 or not cloud.frame:
+    if not cloud.frame or not told.tree.linked(told.target, told.source):
         return ()
-    apart = se3.inverse(told.at(int(stamps[known[0]]))) @ given
+    known = cloud.stamps_ns[told.covered(cloud.stamps_ns)]
+    if len(known) == 0:
+        return ()
+    apart = se3.inverse(told.at(int(known[0]))) @ given
     metres, degrees = float(np.linalg.norm(apart[:3, 3])), float(np.degrees(np.linalg.norm(se3.log(apart)[3:])))
     if metres < SAME_MOUNTING_M and degrees < SAME_MOUNTING_DEG:
         return ()
