@@ -24,6 +24,13 @@ def twins(first: str, second: str) -> bool:
     return len(segments) == len(others) and sum(differing) == 1 and not differing[-1]
 
 
+def alike(first: str, second: str) -> bool:
+    """Whether two names are twins, or one is the other in one namespace more, as /points and /robot2/points are."""
+    short, long = sorted((first.strip("/").split("/"), second.strip("/").split("/")), key=len)
+    nested = len(long) == len(short) + 1 and any(long[:at] + long[at + 1 :] == short for at in range(len(short)))
+    return nested or twins(first, second)
+
+
 def of_another_robot(cloud: str, poses: str, sources: Collection[str], others: Collection[str]) -> bool:
     """Whether poses belong to another robot than the one that has taken the clouds.
 

@@ -11,7 +11,7 @@ import numpy as np
 from revisit.core.errors import BadField
 from revisit.core.geometry import se3
 from revisit.evaluation.datasets.bag_topics import BagTopics, CloudTopic, PoseTopic
-from revisit.evaluation.datasets.namespaces import of_another_robot, shared, twins
+from revisit.evaluation.datasets.namespaces import alike, of_another_robot, shared, twins
 from revisit.evaluation.datasets.pairing import BetweenFrames, Fixed, Pairing, PoseSource, Relation
 from revisit.evaluation.datasets.posed_clouds import StampedPoses
 from revisit.evaluation.datasets.transform_tree import TransformTree, stamped_poses
@@ -86,7 +86,7 @@ def doubts(pair: Pairing, found: BagTopics, wanted: WantedTopics) -> list[str]:
 def _closer_clouds(pair: Pairing, found: BagTopics) -> str:
     """A topic as that of the clouds, but in the namespace of the poses; "" where there is none."""
     clouds, common = pair.clouds.name, shared(pair.clouds.name, pair.poses)
-    closer = (name for name in sorted(found.clouds) if twins(name, clouds) and shared(name, pair.poses) > common)
+    closer = (name for name in sorted(found.clouds) if alike(name, clouds) and shared(name, pair.poses) > common)
     return next(closer, "")
 
 

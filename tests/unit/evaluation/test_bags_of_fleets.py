@@ -9,8 +9,8 @@ import pytest
 
 from revisit.core.geometry import se3
 from revisit.evaluation.datasets import WantedTopics, notes_of, open_bag
-from revisit.evaluation.datasets.namespaces import namespace, of_another_robot, shared, twins
-from tests.support.bag_layouts import MOUNTED, START_NS, Layout, body_at, deviation, pose_stamps
+from revisit.evaluation.datasets.namespaces import alike, namespace, of_another_robot, shared, twins
+from tests.support.bag_layouts import MOUNTED, START_NS, Layout, body_at, deviation
 
 pytest.importorskip("rosbags", reason="in the extra `dev`: writes the bags")
 
@@ -67,6 +67,14 @@ def test_poses_of_a_robot_whose_clouds_are_there_too_are_doubted(tmp_path: Path)
     assert "warning: /robot1/odom may be of the robot of /robot1/points, not of that of /robot2/points" in told
 
 
+def test_a_robot_without_a_namespace_beside_one_with_a_namespace_keeps_its_own_odometry(tmp_path: Path) -> None:
+    layout = Layout().raw("/points", "base_link").odometry("/odom", "odom", "base_link")
+    layout.raw("/robot2/points", "base_link").odometry("/robot2/odom", "odom", "base_link", elsewhere, OFTEN)
+    recording = open_bag(layout.write2(tmp_path / "drive"), WantedTopics("/points"))
+    assert "poses of /odom" in said(recording) and "warning" not in said(recording)
+    assert deviation(recording) < 1e-4
+
+
 def test_odometries_that_nothing_tells_apart_are_doubted(tmp_path: Path) -> None:
     layout = Layout().raw("/points", "base_link").odometry("/a/odom", "odom", "base_link")
     bag = layout.odometry("/b/odom", "odom", "base_link", elsewhere).write2(tmp_path / "drive")
@@ -119,4 +127,5 @@ def test_namespaces_are_compared_by_whole_segments() -> None:
     assert shared("/robot1/points", "/robot1/odom") == 1 and shared("/robot1/points", "/robot10/odom") == 0
     assert twins("/robot1/odom", "/robot2/odom") and not twins("/robot1/odom", "/robot1/pose")
     assert not twins("/robot1/odom", "/robot2/lidar/odom")
-    assert len(pose_stamps()) < len(OFTEN)
+    assert alike("/points", "/robot2/points") and not alike("/points_raw", "/lio_sam/mapping/cloud_registered")
+    assert not alike("/points", "/robot2/lidar/points") and not alike("/points", "/points/odom")
