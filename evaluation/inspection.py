@@ -16,7 +16,7 @@ from revisit.core.sanity.finding import Finding
 from revisit.core.sanity.ground import check_gravity, ground_plane
 from revisit.core.sanity.numbers import check_motion, check_points, check_times, check_units
 from revisit.core.scan import Scan, scene_size
-from revisit.evaluation.datasets import Recording
+from revisit.evaluation.datasets import Recording, findings_of
 
 ANCHORS = 8
 LOOK_AHEAD = 40
@@ -44,6 +44,7 @@ def inspect_recording(recording: Recording) -> Inspection:
     scans = [read[index] for index in sorted(read)]
     findings = [
         *_unreadable(refused),
+        *findings_of(recording),
         *check_times(recording.stamps_ns),
         *check_motion(poses, recording.stamps_ns),
         *check_units([scene_size(scan) for scan in scans]),

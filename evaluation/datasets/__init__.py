@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from revisit.core.errors import BadField
+from revisit.core.sanity.finding import Finding
 from revisit.evaluation.datasets.bag_files import bags_out_of_sight, is_bag
 from revisit.evaluation.datasets.cloud_folder import open_cloud_folder
 from revisit.evaluation.datasets.kitti import KittiRecording, write_kitti
@@ -18,8 +19,9 @@ from revisit.evaluation.datasets.ros_bag import BagRecording, open_bag
 from revisit.evaluation.datasets.topic_choice import WantedTopics
 
 __all__ = [
-    "AUTO", "FORMATS", "BagRecording", "KittiRecording", "PosedClouds", "Recording", "WantedTopics", "notes_of",
-    "open_bag", "open_cloud_folder", "open_kitti360", "open_mulran", "open_nclt", "open_recording", "write_kitti",
+    "AUTO", "FORMATS", "BagRecording", "KittiRecording", "PosedClouds", "Recording", "WantedTopics", "findings_of",
+    "notes_of", "open_bag", "open_cloud_folder", "open_kitti360", "open_mulran", "open_nclt", "open_recording",
+    "write_kitti",
 ]  # fmt: skip
 
 FORMATS: dict[str, Callable[[Path], Recording]] = {
@@ -69,6 +71,11 @@ def notes_of(recording: Recording) -> tuple[str, ...]:
         x, y, z = recording.origin
         return (f"the first pose, at {x:.3f} {y:.3f} {z:.3f}, is the origin of what is answered",)
     return ()
+
+
+def findings_of(recording: Recording) -> tuple[Finding, ...]:
+    """What only the source of a recording tells, as times that went back before its scans were put in order."""
+    return recording.findings if isinstance(recording, BagRecording) else ()
 
 
 def _of_what_is_there(folder: Path, wanted: WantedTopics) -> Recording:

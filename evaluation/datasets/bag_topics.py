@@ -1,4 +1,4 @@
-"""What a bag holds of use: topics of clouds, topics of poses, and the tree of frames."""
+"""What a bag holds of use: topics of clouds, topics of poses, and the transforms between frames."""
 
 from __future__ import annotations
 
@@ -15,31 +15,46 @@ from revisit.evaluation.datasets.ros_messages import (
     PATH_TYPES,
     POSE_TYPES,
     TRANSFORM_TYPES,
+    Header,
     StampedTransform,
     read_header,
     read_path,
     read_pose,
     read_transforms,
 )
-from revisit.evaluation.datasets.transform_tree import TransformTree
+from revisit.evaluation.datasets.transform_groups import TransformGroups
 
 WANTED_TYPES = (*CLOUD_TYPES, *POSE_TYPES, *PATH_TYPES, *TRANSFORM_TYPES)
 
 
 @dataclass
 class CloudTopic:
-    """Clouds of one topic: when and where in the bag each was found, and the frames that their headers name."""
+    """Clouds of one topic: when and where in the bag each was found, and the frame that its header names."""
 
     name: str
     encoding: Encoding
     stamps: list[int] = field(default_factory=list)
     places: list[Place] = field(default_factory=list)
-    frames: Counter[str] = field(default_factory=Counter)
+    frames: list[str] = field(default_factory=list)
+
+    def take(self, header: Header, place: Place) -> None:
+        """Note a cloud."""
+        self.stamps.append(header.stamp_ns)
+        self.places.append(place)
+        self.frames.append(header.frame)
 
     @property
     def frame(self) -> str:
         """The frame that most headers name."""
-        return self.frames.most_common(1)[0][0]
+        return Counter(self.frames).most_common(1)[0][0]
+
+    def by_frame(self) -> list[CloudTopic]:
+        """The clouds of each frame apart: those of several sensors may come on one topic."""
+        parts: dict[str, CloudTopic] = {}
+        for stamp, place, frame in zip(self.stamps, self.places, self.frames, strict=True):
+            part = parts.setdefault(frame, CloudTopic(self.name, self.encoding))
+            part.take(Header(stamp, frame), place)
+        return list(parts.values())
 
     @property
     def stamps_ns(self) -> Stamps:
@@ -53,6 +68,11 @@ class PoseTopic:
 
     name: str
     poses: list[StampedTransform] = field(default_factory=list)
+
+    @property
+    def stamps_ns(self) -> Stamps:
+        """Times (n,) in the order of the bag, nanoseconds."""
+        return np.array([pose.stamp_ns for pose in self.poses], dtype=np.int64)
 
     @property
     def frame(self) -> str:
@@ -75,7 +95,7 @@ class BagTopics:
 
     clouds: dict[str, CloudTopic]
     poses: dict[str, PoseTopic]
-    tree: TransformTree
+    transforms: TransformGroups
     types: dict[str, str]
     broken_poses: int
     cut: str = ""
@@ -89,8 +109,7 @@ class _Pass:
 
     clouds: dict[str, CloudTopic] = field(default_factory=dict)
     poses: dict[str, PoseTopic] = field(default_factory=dict)
-    moving: list[StampedTransform] = field(default_factory=list)
-    fixed: list[StampedTransform] = field(default_factory=list)
+    transforms: TransformGroups = field(default_factory=TransformGroups)
     paths: dict[str, Message] = field(default_factory=dict)
     broken: int = 0
     unreadable: list[str] = field(default_factory=list)
@@ -114,8 +133,7 @@ class _Pass:
         elif message.message_type in PATH_TYPES:
             self.paths[message.topic] = message  # each holds those before it, the last one all
         elif message.message_type in TRANSFORM_TYPES:
-            told = self.fixed if message.topic.endswith("tf_static") else self.moving
-            told += read_transforms(message.data, message.encoding)
+            self.transforms.take(message.topic, read_transforms(message.data, message.encoding))
 
     def finish(self) -> None:
         """Read what only the last message of a topic tells."""
@@ -134,9 +152,7 @@ class _Pass:
     def _cloud(self, message: Message) -> None:
         header = read_header(message.data, message.encoding)
         topic = self.clouds.setdefault(message.topic, CloudTopic(message.topic, message.encoding))
-        topic.stamps.append(header.stamp_ns)
-        topic.places.append(message.place)
-        topic.frames[header.frame] += 1
+        topic.take(header, message.place)
 
 
 def read_topics(bag: Bag) -> BagTopics:
@@ -153,9 +169,9 @@ def read_topics(bag: Bag) -> BagTopics:
     if bag.damaged and not gathered.clouds:
         raise MalformedBody(f"{bag.damaged} chunks of the bag are damaged, and there is no cloud in the others")
     lost = gathered.unreadable
-    if lost and not (gathered.clouds and (gathered.poses or gathered.moving)):
+    if lost and not (gathered.clouds and (gathered.poses or gathered.transforms.moving)):
         raise MalformedBody(f"{len(lost)} messages cannot be read, the first of {lost[0]}")
-    tree = TransformTree(gathered.moving, gathered.fixed)
     return BagTopics(
-        gathered.clouds, gathered.poses, tree, dict(bag.topics), gathered.broken, bag.cut, len(lost), bag.damaged
-    )
+        gathered.clouds, gathered.poses, gathered.transforms, dict(bag.topics), gathered.broken, bag.cut, len(lost),
+        bag.damaged,
+    )  # fmt: skip

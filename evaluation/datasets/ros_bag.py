@@ -10,13 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
+from revisit.core.sanity.finding import Finding
 from revisit.core.scan import Scan
 from revisit.evaluation.datasets.bag_files import bag_files, open_files
 from revisit.evaluation.datasets.bag_message import Bag, Encoding, Place
-from revisit.evaluation.datasets.bag_topics import WANTED_TYPES, BagTopics, read_topics
+from revisit.evaluation.datasets.bag_notes import notes
+from revisit.evaluation.datasets.bag_topics import WANTED_TYPES, read_topics
+from revisit.evaluation.datasets.clock import check_clocks
+from revisit.evaluation.datasets.pairing import Pairing
 from revisit.evaluation.datasets.posed_clouds import Stamps
-from revisit.evaluation.datasets.ros_messages import read_points
-from revisit.evaluation.datasets.topic_choice import Pairing, Relation, WantedTopics, choose
+from revisit.evaluation.datasets.ros_messages import read_coordinates, read_points
+from revisit.evaluation.datasets.topic_choice import WantedTopics, choose, with_other_frames
 
 
 @dataclass(frozen=True)
@@ -24,7 +28,7 @@ class BagRecording:
     """The clouds of one topic with interpolated poses. A scan's points are read from the bag when asked for.
 
     T_sensor_cloud (n, 4, 4) moves the clouds as they lie in the bag into the sensor's frame; None where they are there.
-    `notes` are sentences about the choice of topics.
+    `notes` are sentences about the choice of topics; `findings` are what only the order of the bag's messages tells.
     """
 
     name: str
@@ -35,6 +39,7 @@ class BagRecording:
     T_sensor_cloud: NDArray[np.float64] | None
     stamps_ns: Stamps
     notes: tuple[str, ...]
+    findings: tuple[Finding, ...] = ()
 
     def __len__(self) -> int:
         return len(self.places)
@@ -45,10 +50,13 @@ class BagRecording:
 
     def scan(self, index: int) -> Scan:
         """The scan with that index. Raises MalformedBody for a damaged message and what `Scan.validated` raises."""
-        points = read_points(self.bag.data(self.places[index]), self.encoding)
-        if self.T_sensor_cloud is not None:
-            points = se3.apply(self.T_sensor_cloud[index], points.astype(np.float64)).astype(np.float32)
-        return Scan.validated(points, self.pose(index), int(self.stamps_ns[index]))
+        message, stamp = self.bag.data(self.places[index]), int(self.stamps_ns[index])
+        if self.T_sensor_cloud is None:
+            return Scan.validated(read_points(message, self.encoding), self.pose(index), stamp)
+        # In UTM coordinates float32 has steps of 0.5 m: the points are rounded only once they are the sensor's.
+        with np.errstate(over="ignore", invalid="ignore"):
+            points = se3.apply(self.T_sensor_cloud[index], read_coordinates(message, self.encoding)).astype(np.float32)
+        return Scan.validated(points, self.pose(index), stamp)
 
     def __iter__(self) -> Iterator[Scan]:
         return (self.scan(index) for index in range(len(self)))
@@ -66,16 +74,37 @@ def open_bag(path: Path, wanted: WantedTopics = WantedTopics()) -> BagRecording:
     files = bag_files(path)
     bag = open_files(files, WANTED_TYPES)
     found = read_topics(bag)
-    pair = choose(found, wanted)
-    stamps = pair.clouds.stamps_ns
-    kept = np.flatnonzero(pair.covered())
-    kept = kept[np.argsort(stamps[kept], kind="stable")]
-    T_world_sensor = np.stack([pair.T_world_sensor(int(stamps[index])) for index in kept])
+    pairs = with_other_frames(choose(found, wanted), found, wanted)
+    parts = [_placed(pair) for pair in pairs]
+    order = np.argsort(np.concatenate([part.stamps_ns for part in parts]), kind="stable")
+    stamps, T_world_sensor = (
+        np.concatenate(values)[order] for values in zip(*((p.stamps_ns, p.T_world_sensor) for p in parts), strict=True)
+    )
+    places = [place for part in parts for place in part.places]
+    moved = parts[0].T_sensor_cloud
     name = files[0].stem if len(files) == 1 else path.resolve().name
     return BagRecording(
-        name, bag, [pair.clouds.places[index] for index in kept], pair.clouds.encoding, T_world_sensor,
-        _into_sensor(pair, stamps[kept], T_world_sensor), stamps[kept], _notes(pair, found, stamps[kept], len(files)),
+        name, bag, [places[index] for index in order], pairs[0].clouds.encoding, T_world_sensor,
+        None if moved is None else moved[order], stamps, notes(pairs, found, wanted, stamps, len(files)),
+        tuple(check_clocks(pairs, found)),
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Placed:
+    """The clouds of a pairing that have a pose, in the order of the bag; T_sensor_cloud as in a BagRecording."""
+
+    stamps_ns: Stamps
+    places: list[Place]
+    T_world_sensor: NDArray[np.float64]
+    T_sensor_cloud: NDArray[np.float64] | None
+
+
+def _placed(pair: Pairing) -> _Placed:
+    kept = np.flatnonzero(pair.covered())
+    stamps = pair.clouds.stamps_ns[kept]
+    poses = np.stack([pair.T_world_sensor(int(stamp)) for stamp in stamps])
+    return _Placed(stamps, [pair.clouds.places[index] for index in kept], poses, _into_sensor(pair, stamps, poses))
 
 
 def _into_sensor(pair: Pairing, stamps: Stamps, T_world_sensor: NDArray[np.float64]) -> NDArray[np.float64] | None:
@@ -83,32 +112,3 @@ def _into_sensor(pair: Pairing, stamps: Stamps, T_world_sensor: NDArray[np.float
         return None
     T_world_cloud = [pair.cloud_frame.at(int(stamp)) for stamp in stamps]
     return np.stack([se3.inverse(pose) @ cloud for pose, cloud in zip(T_world_sensor, T_world_cloud, strict=True)])
-
-
-def _notes(pair: Pairing, found: BagTopics, stamps: Stamps, files: int) -> tuple[str, ...]:
-    """What was taken, why, and what else there was."""
-    clouds = pair.clouds
-    notes = [f"clouds of {clouds.name} (frame {clouds.frame}), {len(stamps)} of {len(clouds.stamps)} with a pose"]
-    if pair.poses in found.poses:
-        topic = found.poses[pair.poses]
-        notes.append(f"poses of {pair.poses} (frame {topic.frame}, following {topic.body or 'what it does not name'})")
-    else:
-        notes.append(f"poses by the transforms of {pair.poses}")
-    notes.append(("warning: " if pair.relation is Relation.ASSUMED else "") + pair.why)
-    others = sorted(found.clouds.keys() - {clouds.name}), sorted(found.poses.keys() - {pair.poses})
-    for option, names in zip(("--topic", "--odometry"), others, strict=True):
-        if names:
-            notes.append(f"not used: {', '.join(names)}; {option} chooses")
-    if files > 1:
-        notes.append(f"{files} files read as one recording")
-    if missing := int(((clouds.stamps_ns >= stamps[0]) & (clouds.stamps_ns <= stamps[-1])).sum()) - len(stamps):
-        notes.append(f"warning: {missing} clouds lie in gaps of the poses, in which the robot moved, and were left out")
-    if found.broken_poses:
-        notes.append(f"warning: {found.broken_poses} messages with poses that are no rigid motions were left out")
-    if found.unreadable:
-        notes.append(f"warning: {found.unreadable} messages cannot be read and were left out")
-    if found.damaged:
-        notes.append(f"warning: {found.damaged} chunks are damaged, and what was in them is left out")
-    if found.cut:
-        notes.append(f"warning: {found.cut} ends within a record, as after a loss of power: read as far as it goes")
-    return tuple(notes)

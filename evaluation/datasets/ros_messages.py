@@ -6,13 +6,14 @@ import struct
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from revisit.core.errors import MalformedBody
 from revisit.core.geometry import se3
 from revisit.core.scan import Points
 from revisit.evaluation.datasets.bag_message import Encoding
 from revisit.formats.cloud import CloudLimits
-from revisit.formats.pointcloud2 import PackedCloud, PointField, decode_packed
+from revisit.formats.pointcloud2 import PackedCloud, PointField, decode_coordinates, decode_packed
 
 CLOUD_TYPES = ("sensor_msgs/msg/PointCloud2",)
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -107,6 +108,15 @@ def read_header(message: bytes, encoding: Encoding = "cdr") -> Header:
 
 def read_points(message: bytes, encoding: Encoding = "cdr") -> Points:
     """The points (n, 3) of a sensor_msgs/PointCloud2. Raises MalformedBody, BadField, TooLarge."""
+    return decode_packed(_packed(message, encoding), CloudLimits()).points
+
+
+def read_coordinates(message: bytes, encoding: Encoding = "cdr") -> NDArray[np.float64]:
+    """The points as `read_points` gives them, before they are rounded to float32."""
+    return decode_coordinates(_packed(message, encoding), CloudLimits())
+
+
+def _packed(message: bytes, encoding: Encoding) -> PackedCloud:
     fields = _Fields(message, encoding)
     fields.header()
     height, width = (int(value) for value in fields.numbers("I", 2))
@@ -117,8 +127,7 @@ def read_points(message: bytes, encoding: Encoding = "cdr") -> Points:
     big_endian = bool(fields.number("B"))
     point_step, row_step = (int(value) for value in fields.numbers("I", 2))
     data = _without_padding(fields.raw(), height, width * point_step, row_step)
-    packed = PackedCloud(columns, point_step, width, data, height, big_endian)
-    return decode_packed(packed, CloudLimits()).points
+    return PackedCloud(columns, point_step, width, data, height, big_endian)
 
 
 def _without_padding(data: bytes, height: int, row_bytes: int, row_step: int) -> bytes:

@@ -5,20 +5,22 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from enum import IntEnum
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from revisit.core.errors import BadField
 from revisit.core.geometry import se3
 from revisit.evaluation.datasets.bag_topics import BagTopics, CloudTopic, PoseTopic
-from revisit.evaluation.datasets.posed_clouds import StampedPoses, Stamps
+from revisit.evaluation.datasets.namespaces import alike, of_another_robot, shared, twins
+from revisit.evaluation.datasets.pairing import BetweenFrames, Fixed, Pairing, PoseSource, Relation
+from revisit.evaluation.datasets.posed_clouds import StampedPoses
 from revisit.evaluation.datasets.transform_tree import TransformTree, stamped_poses
 
 TF = "/tf"
 ODOMETRY_FRAMES = ("odom", "odom_combined", "camera_init")
+SAME_MOUNTING_M, SAME_MOUNTING_DEG = 0.02, 0.5
+"""A mounting that is given is taken for the one that the transforms tell up to this."""
+
 _LIDAR_ODOMETRY = re.compile(r"kiss|icp|lio|loam|lidar", re.IGNORECASE)
 _LIVOX = "CustomMsg"
 _PACKETS = ("VelodyneScan", "PacketMsg", "RobosensePacket", "RslidarScan", "HesaiScan", "PandarScan")
@@ -33,93 +35,16 @@ class WantedTopics:
     T_body_sensor: se3.Matrix4 | None = None
 
 
-class Relation(IntEnum):
-    """How the clouds lie in the frame that the poses follow; the surer the smaller."""
-
-    KNOWN = 0
-    BY_TRANSFORMS = 1
-    ASSUMED = 2
-    REGISTERED = 3
-
-
-class PoseSource(Protocol):
-    """Poses of a frame by time."""
-
-    def covered(self, stamps_ns: Stamps) -> NDArray[np.bool_]:
-        """At which of the times the pose is known."""
-
-    def at(self, stamp_ns: int) -> se3.Matrix4:
-        """T_world_frame at a covered time."""
-
-
-@dataclass(frozen=True)
-class BetweenFrames:
-    """Where the frame `source` is in the frame `target`, by the bag's transforms."""
-
-    tree: TransformTree
-    target: str
-    source: str
-
-    def covered(self, stamps_ns: Stamps) -> NDArray[np.bool_]:
-        """At which of the times every transform on the way is known."""
-        return self.tree.covered(self.target, self.source, stamps_ns)
-
-    def at(self, stamp_ns: int) -> se3.Matrix4:
-        """T_target_source."""
-        return self.tree.at(self.target, self.source, stamp_ns)
-
-
-@dataclass(frozen=True)
-class Fixed:
-    """A pose that does not change."""
-
-    T_world_frame: se3.Matrix4
-
-    def covered(self, stamps_ns: Stamps) -> NDArray[np.bool_]:
-        """Always."""
-        return np.ones(len(stamps_ns), dtype=bool)
-
-    def at(self, stamp_ns: int) -> se3.Matrix4:
-        """The pose."""
-        return self.T_world_frame
-
-
-@dataclass(frozen=True)
-class Pairing:
-    """Clouds with their poses: T_world_sensor = body @ mounting at a cloud's time.
-
-    `cloud_frame` is None for clouds in the sensor's frame; else it is where their frame lies in the world, from which
-    they are taken back into the sensor's. `why` is a sentence for people.
-    """
-
-    clouds: CloudTopic
-    poses: str
-    relation: Relation
-    body: PoseSource
-    mounting: PoseSource
-    cloud_frame: PoseSource | None
-    why: str
-
-    def covered(self) -> NDArray[np.bool_]:
-        """For which clouds all that is needed is known."""
-        stamps = self.clouds.stamps_ns
-        parts = [self.body, self.mounting] + ([] if self.cloud_frame is None else [self.cloud_frame])
-        return np.asarray(np.logical_and.reduce([part.covered(stamps) for part in parts]))
-
-    def T_world_sensor(self, stamp_ns: int) -> se3.Matrix4:
-        """The pose of the sensor at a covered time."""
-        return self.body.at(stamp_ns) @ self.mounting.at(stamp_ns)
-
-
 def choose(found: BagTopics, wanted: WantedTopics) -> Pairing:
     """The pair of topics whose frames fit best; among equals the one with most clouds that have a pose.
 
-    Among equals again poses that a LiDAR odometry publishes go before those of wheels, told by the topic's name. A pair
-    that has poses for less than half as many clouds as another one is no choice. Raises BadField, with advice, where
-    there is none.
+    Poses of another robot (`namespaces`) are no choice unless they are named. Of those that fit the same clouds alike,
+    the ones that share the longer namespace with them are taken. Among equals again poses that a LiDAR odometry
+    publishes go before those of wheels, told by the topic's name. A pair that has poses for less than half as many
+    clouds as another one is no choice. Raises BadField, with advice, where there is none.
     """
     clouds = _named(found.clouds, wanted.topic, "topic", found)
-    pairs = [pair for cloud in clouds for pair in _pairings(cloud, found, wanted)]
+    pairs = [pair for cloud in clouds for part in cloud.by_frame() for pair in _pairings(part, found, wanted)]
     if not pairs:
         raise BadField(_no_poses(found, clouds, wanted), field="odometry")
     counts = [int(pair.covered().sum()) for pair in pairs]
@@ -127,13 +52,65 @@ def choose(found: BagTopics, wanted: WantedTopics) -> Pairing:
         raise BadField(f"no cloud of {pairs[0].clouds.name} was taken while there were poses of {pairs[0].poses}: "
                        "are both stamped by one clock?", field="poses")  # fmt: skip
     usable = [(pair, count) for pair, count in zip(pairs, counts, strict=True) if 2 * count >= max(counts)]
-    return min(usable, key=lambda choice: (choice[0].relation, -choice[1], *_precision(choice[0], found)))[0]
+    return min(usable, key=lambda choice: _order(choice[0], choice[1], pairs, found))[0]
 
 
-def _precision(pair: Pairing, found: BagTopics) -> tuple[bool, int]:
-    """The smaller, the better the poses are likely to be."""
+def with_other_frames(pair: Pairing, found: BagTopics, wanted: WantedTopics) -> list[Pairing]:
+    """The pair, and those of the same topics whose clouds are in other frames that are known to lie in the same world.
+
+    A mounting that is given is that of one sensor, and holds for the clouds of no other one.
+    """
+    parts = [part for part in found.clouds[pair.clouds.name].by_frame() if part.frame != pair.clouds.frame]
+    if wanted.T_body_sensor is not None or pair.relation > Relation.BY_TRANSFORMS:
+        return [pair]
+    others = (other for part in parts for other in _pairings(part, found, wanted))
+    return [pair, *(other for other in others if other.shares_poses(pair) and other.covered().any())]
+
+
+def doubts(pair: Pairing, found: BagTopics, wanted: WantedTopics) -> list[str]:
+    """Why the poses may be those of another robot than the one that has taken the clouds, where they are not named."""
+    if wanted.odometry is not None:
+        return []
+    clouds, said = pair.clouds.name, []
+    if rival := _closer_clouds(pair, found):
+        said.append(f"{pair.poses} may be of the robot of {rival}, not of that of {clouds}: --odometry chooses")
+    rivals = [topic for topic in sorted(found.poses) if _rivals(pair, topic, found)]
+    if rivals:
+        said.append(
+            f"{', '.join(rivals)} would fit as well as {pair.poses}, and nothing tells which of them belongs to "
+            f"{clouds}: if they are of several robots, --odometry chooses"
+        )
+    return said
+
+
+def _closer_clouds(pair: Pairing, found: BagTopics) -> str:
+    """A topic as that of the clouds, but in the namespace of the poses; "" where there is none."""
+    clouds, common = pair.clouds.name, shared(pair.clouds.name, pair.poses)
+    closer = (name for name in sorted(found.clouds) if alike(name, clouds) and shared(name, pair.poses) > common)
+    return next(closer, "")
+
+
+def _rivals(pair: Pairing, topic: str, found: BagTopics) -> bool:
+    """Whether another topic of poses differs from that of the pair in the namespace alone, and fits as well."""
+    poses = found.poses.get(pair.poses)
+    if poses is None or not twins(topic, pair.poses) or _by_lidar(topic) != _by_lidar(pair.poses):
+        return False
+    alike = shared(topic, pair.clouds.name) == shared(pair.poses, pair.clouds.name)
+    other = found.poses[topic]
+    return alike and (other.frame, other.body) == (poses.frame, poses.body)
+
+
+def _order(pair: Pairing, count: int, pairs: list[Pairing], found: BagTopics) -> tuple[float, ...]:
+    """The smaller, the better a pair fits, and the better its poses are likely to be."""
     samples = len(found.poses[pair.poses].poses) if pair.poses in found.poses else 0
-    return not _LIDAR_ODOMETRY.search(pair.poses), -samples
+    same = [other for other in pairs if (other.clouds.name, other.relation) == (pair.clouds.name, pair.relation)]
+    behind = max(other.common_segments for other in same) - pair.common_segments
+    doubtful = bool(_closer_clouds(pair, found))
+    return pair.relation, doubtful, behind, -count, not _by_lidar(pair.poses), -samples
+
+
+def _by_lidar(topic: str) -> bool:
+    return _LIDAR_ODOMETRY.search(topic) is not None
 
 
 def _named(topics: dict[str, CloudTopic], name: str | None, field: str, found: BagTopics) -> list[CloudTopic]:
@@ -148,18 +125,74 @@ def _named(topics: dict[str, CloudTopic], name: str | None, field: str, found: B
 
 def _pairings(cloud: CloudTopic, found: BagTopics, wanted: WantedTopics) -> Iterator[Pairing]:
     """What the clouds may be paired with."""
-    if wanted.odometry not in (None, TF, *found.poses):
+    transforms = found.transforms
+    if wanted.odometry not in (None, TF, *found.poses, *transforms.moving):
         there = ", ".join(sorted(found.poses)) or "none"
         raise BadField(f"no poses on {str(wanted.odometry)[:80]}; topics with poses: {there}", field="odometry")
+    sources, others = [*found.poses, *transforms.moving], [*found.clouds, *transforms.told]
     for topic in found.poses.values():
-        if wanted.odometry in (None, topic.name):
-            yield _with_odometry(cloud, topic, found.tree, wanted)
-    root = _fixed_frame(cloud.frame, found.tree)
-    if root is not None and wanted.odometry in (None, TF):
-        way = BetweenFrames(found.tree, root, cloud.frame)
-        mounting = Fixed(np.eye(4) if wanted.T_body_sensor is None else wanted.T_body_sensor)
-        why = f"the transforms tell where {cloud.frame} is in {root}"
-        yield Pairing(cloud, TF, Relation.BY_TRANSFORMS, way, mounting, None, why)
+        named = wanted.odometry == topic.name
+        if named or (wanted.odometry is None and not of_another_robot(cloud.name, topic.name, sources, others)):
+            tree = transforms.tree(transforms.topics(cloud.name, topic.name, found.clouds))
+            yield _with_odometry(cloud, topic, tree, wanted)
+    told = _topics_of_transforms(cloud, found, wanted)
+    moving = [topic for topic in told if topic in transforms.moving]
+    if moving and wanted.odometry in (None, TF, *moving):
+        pair = _with_transforms(cloud, ", ".join(moving), transforms.tree(told), wanted)
+        yield from [] if pair is None else [pair]
+
+
+def _topics_of_transforms(cloud: CloudTopic, found: BagTopics, wanted: WantedTopics) -> tuple[str, ...]:
+    """Those that tell how the clouds move: what is named holds, whatever its namespace."""
+    named = wanted.odometry if wanted.odometry in found.transforms.moving and wanted.odometry != TF else None
+    return found.transforms.topics(cloud.name, named, found.clouds)
+
+
+def _with_transforms(cloud: CloudTopic, topics: str, tree: TransformTree, wanted: WantedTopics) -> Pairing | None:
+    """Poses by transforms alone: of the clouds' frame, or, where its mounting is given, of the body that it sits on."""
+    frame, root, given = cloud.frame, _fixed_frame(cloud.frame, tree), wanted.T_body_sensor
+    body = frame if given is None else _carrier(frame, root, tree)
+    root = root if root is not None or given is None or body is None else tree.parent(body)
+    if root is None or body is None:
+        return None
+    way, why = BetweenFrames(tree, root, body), f"the transforms tell where {body} is in {root}"
+    if given is None:
+        return Pairing(cloud, topics, Relation.BY_TRANSFORMS, way, Fixed(np.eye(4)), None, why)
+    if body == frame:
+        unused = (f"--T-body-sensor is not used: the transforms lead to {frame} itself, and it sits on nothing else",)
+        return Pairing(cloud, topics, Relation.BY_TRANSFORMS, way, Fixed(np.eye(4)), None, why, unused)
+    why = f"{why}, and --T-body-sensor how the sensor sits on {body}"
+    apart = _disagreement(cloud, BetweenFrames(tree, body, frame), given)
+    return Pairing(cloud, topics, Relation.BY_TRANSFORMS, way, Fixed(given), None, why, apart)
+
+
+def _carrier(frame: str, root: str | None, tree: TransformTree) -> str | None:
+    """The body that a sensor sits on, itself where it moves; where no transform leads to it, the only thing that moves.
+
+    None where several things do, or where the clouds are in a frame in which the body moves.
+    """
+    if root is None:
+        moved = tree.moved(ODOMETRY_FRAMES)
+        return moved[0] if len(moved) == 1 and frame not in tree.ancestors(moved[0]) else None
+    body = tree.carrier(frame)
+    return frame if body is None or root not in tree.ancestors(body) else body
+
+
+def _disagreement(cloud: CloudTopic, told: BetweenFrames, given: se3.Matrix4) -> tuple[str, ...]:
+    """What is said where the transforms tell another mounting than the user does."""
+    if not cloud.frame or not told.tree.linked(told.target, told.source):
+        return ()
+    known = cloud.stamps_ns[told.covered(cloud.stamps_ns)]
+    if len(known) == 0:
+        return ()
+    apart = se3.inverse(told.at(int(known[0]))) @ given
+    metres, degrees = float(np.linalg.norm(apart[:3, 3])), float(np.degrees(np.linalg.norm(se3.log(apart)[3:])))
+    if metres < SAME_MOUNTING_M and degrees < SAME_MOUNTING_DEG:
+        return ()
+    if told.source == told.target:
+        return (f"--T-body-sensor is used, though the poses follow {told.source}, the frame of the clouds itself",)
+    other = f"another mounting of {told.source} on {told.target}, {metres:.2f} m and {degrees:.1f} degrees from it"
+    return (f"--T-body-sensor is used, though the transforms tell {other}",)
 
 
 def _fixed_frame(frame: str, tree: TransformTree) -> str | None:
@@ -176,18 +209,20 @@ def _with_odometry(cloud: CloudTopic, topic: PoseTopic, tree: TransformTree, wan
     if cloud.frame and (cloud.frame == topic.frame or cloud.frame in tree.ancestors(topic.frame)):
         return _registered(cloud, topic, poses, mounting, tree)
     relation, why = Relation.KNOWN, f"the clouds are in {cloud.frame}, which the poses follow"
+    warnings: tuple[str, ...] = ()
     if given is not None:
         why = "--T-body-sensor says how the sensor sits on what the poses follow"
-    elif topic.body != cloud.frame and topic.body and tree.linked(topic.body, cloud.frame):
+        warnings = _disagreement(cloud, BetweenFrames(tree, topic.body, cloud.frame), given)
+    elif topic.body and topic.body != cloud.frame and tree.linked(topic.body, cloud.frame):
         mounting = BetweenFrames(tree, topic.body, cloud.frame)
         why = f"the transforms tell where {cloud.frame} is in {topic.body}, which the poses follow"
-    elif topic.body != cloud.frame:
+    elif topic.body != cloud.frame or not topic.body:
         relation = Relation.ASSUMED
         why = (
             f"nothing tells where {cloud.frame or 'the sensor'} is in {topic.body or 'what the poses follow'}: "
             "taken as the same; else say it with --T-body-sensor"
         )
-    return Pairing(cloud, topic.name, relation, poses, mounting, None, why)
+    return Pairing(cloud, topic.name, relation, poses, mounting, None, why, warnings)
 
 
 def _registered(
@@ -221,6 +256,8 @@ def _no_clouds(found: BagTopics) -> str:
 
 def _no_poses(found: BagTopics, clouds: list[CloudTopic], wanted: WantedTopics) -> str:
     cloud = clouds[0]
+    if lacking := _no_mounting(cloud, found, wanted):
+        return lacking
     if wanted.odometry == TF:
         return f"the transforms do not tell how {cloud.frame or 'the sensor'} moves: {_listed(found)}"
     if found.broken_poses and not found.poses:
@@ -234,6 +271,19 @@ def _no_poses(found: BagTopics, clouds: list[CloudTopic], wanted: WantedTopics) 
         "FAST-LIO) and record what it publishes, or give clouds and a TUM trajectory to `--format clouds`. "
         f"Topics: {_listed(found)}"
     )
+
+
+def _no_mounting(cloud: CloudTopic, found: BagTopics, wanted: WantedTopics) -> str:
+    """What to say where transforms move something, and none leads from there to the clouds; "" elsewhere."""
+    tree = found.transforms.tree(_topics_of_transforms(cloud, found, wanted))
+    moved = [body for body in tree.moved(ODOMETRY_FRAMES) if cloud.frame not in tree.ancestors(body)]
+    if not moved or (wanted.T_body_sensor is not None and len(moved) == 1):
+        return ""
+    told = f"the transforms tell where {', '.join(f'{body} is in {tree.parent(body)}' for body in moved[:5])}"
+    sensor = f"{cloud.frame or 'the sensor'} of {cloud.name}"
+    if len(moved) == 1:
+        return f"{told}, but not where {sensor} sits on it: say it with --T-body-sensor"
+    return f"{told}, but not on which of them {sensor} sits: record /tf_static, too, or the odometry of one of them"
 
 
 def _listed(found: BagTopics) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from functools import reduce
 
@@ -14,14 +14,24 @@ from revisit.core.geometry import se3
 from revisit.evaluation.datasets.posed_clouds import StampedPoses, Stamps
 from revisit.evaluation.datasets.ros_messages import StampedTransform
 
+SAME = 1e-6
+"""Transforms whose elements differ by less are one: static ones are also told again and again on /tf."""
+
 
 @dataclass(frozen=True)
 class _Edge:
-    """Where a frame is in its parent. What was told once, or by /tf_static, holds for ever."""
+    """Where a frame is in its parent, and the times in the order of the bag; what does not move holds for ever."""
 
     parent: str
     poses: StampedPoses
     moves: bool
+    told_ns: Stamps
+
+    @property
+    def changes(self) -> bool:
+        """Whether it is told more than once, and not always the same."""
+        told = self.poses.T_world_body
+        return self.moves and not np.allclose(told, told[0], rtol=0.0, atol=SAME)
 
     def covered(self, stamps_ns: Stamps) -> NDArray[np.bool_]:
         return self.poses.covered(stamps_ns) if self.moves else np.ones(len(stamps_ns), dtype=bool)
@@ -56,6 +66,23 @@ class TransformTree:
             found.append(frame)
         return found
 
+    def carrier(self, frame: str) -> str | None:
+        """The frame itself, or else the first one above it, whose place in its parent changes."""
+        return next((above for above in (frame, *self.ancestors(frame)) if self._changes(above)), None)
+
+    def moved(self, within: Collection[str]) -> list[str]:
+        """The frames whose place changes in one of `within`; where there are none, in what nothing else moves."""
+        changing = [frame for frame in self._edges if self._changes(frame)]
+        inside = [frame for frame in changing if self._edges[frame].parent in within]
+        return inside or [frame for frame in changing if self.carrier(self._edges[frame].parent) is None]
+
+    def parent(self, frame: str) -> str:
+        """The parent of a frame that has one."""
+        return self._edges[frame].parent
+
+    def _changes(self, frame: str) -> bool:
+        return frame in self._edges and self._edges[frame].changes
+
     def linked(self, target: str, source: str) -> bool:
         """Whether the transform between two frames can be told."""
         return self._meeting(target, source) is not None
@@ -75,6 +102,10 @@ class TransformTree:
         if meeting is None:
             raise BadField(f"no transform between the frames {target} and {source}", field="frame")
         return se3.inverse(self._up(target, meeting, stamp_ns)) @ self._up(source, meeting, stamp_ns)
+
+    def told_ns(self, target: str, source: str) -> list[Stamps]:
+        """The times of each transform that moves between two linked frames, in the order of the bag."""
+        return [edge.told_ns for edge in self._way(target, source) if edge.moves]
 
     def _meeting(self, target: str, source: str) -> str | None:
         """The lowest frame that both lie in."""
@@ -107,5 +138,9 @@ def stamped_poses(transforms: Iterable[StampedTransform]) -> StampedPoses:
 
 def _edge(samples: list[StampedTransform], moves: bool) -> _Edge:
     parent = samples[0].parent
-    poses = stamped_poses(sample for sample in samples if sample.parent == parent)
-    return _Edge(parent, poses, moves and len(poses.stamps_ns) > 1)
+    told = [sample for sample in samples if sample.parent == parent]
+    stamps = np.array([sample.stamp_ns for sample in told], dtype=np.int64)
+    if moves and len(np.unique(stamps)) > 1:
+        return _Edge(parent, stamped_poses(told), True, stamps)
+    # As in ROS, what holds for ever is what was told last, whatever its stamp.
+    return _Edge(parent, stamped_poses(told[-1:]), False, stamps[-1:])

@@ -94,7 +94,21 @@ def required_columns(columns: dict[str, Column]) -> tuple[list[Column], Column |
 def cloud_from_records(body: memoryview, count: int, stride: int, columns: dict[str, Column]) -> DecodedCloud:
     """The cloud in `count` packed records of `stride` bytes; `body` must hold exactly those (checked by the caller)."""
     coordinates, intensity = required_columns(columns)
-    wanted = [*coordinates, *([intensity] if intensity else [])]
+    records = _records(body, count, stride, [*coordinates, *([intensity] if intensity else [])])
+    x, y, z = (records[column.name] for column in coordinates)
+    return DecodedCloud.from_columns(x, y, z, records[intensity.name] if intensity else None)
+
+
+def coordinates_from_records(
+    body: memoryview, count: int, stride: int, columns: dict[str, Column]
+) -> NDArray[np.float64]:
+    """The coordinates (n, 3) alone, of full precision: far from the origin of a map float32 is too coarse."""
+    coordinates, _ = required_columns(columns)
+    records = _records(body, count, stride, coordinates)
+    return np.column_stack([records[column.name].astype(np.float64) for column in coordinates])
+
+
+def _records(body: memoryview, count: int, stride: int, wanted: list[Column]) -> NDArray[Any]:
     record = np.dtype(
         {
             "names": [column.name for column in wanted],
@@ -103,9 +117,7 @@ def cloud_from_records(body: memoryview, count: int, stride: int, columns: dict[
             "itemsize": stride,
         }
     )
-    records = np.frombuffer(body, dtype=record, count=count)
-    x, y, z = (records[column.name] for column in coordinates)
-    return DecodedCloud.from_columns(x, y, z, records[intensity.name] if intensity else None)
+    return np.frombuffer(body, dtype=record, count=count)
 
 
 def require_exact_size(declared: int, present: int, count: int, limits: CloudLimits) -> None:

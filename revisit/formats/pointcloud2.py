@@ -35,6 +35,7 @@ from revisit.formats.cloud import (
     DecodedCloud,
     checked_for_writing,
     cloud_from_records,
+    coordinates_from_records,
     require_exact_size,
 )
 
@@ -138,9 +139,21 @@ def decode_packed(packed: PackedCloud, limits: CloudLimits) -> DecodedCloud:
         return cloud
     if packed.encoding != Encoding.RAW:
         raise UnsupportedEncoding(f"encoding {packed.encoding} of a packed cloud is not known", field="encoding")
-    columns = _columns(packed)
+    return cloud_from_records(*_checked(packed, limits))
+
+
+def decode_coordinates(packed: PackedCloud, limits: CloudLimits) -> NDArray[np.float64]:
+    """The coordinates (n, 3) of a packed cloud, of full precision. Raises what `decode_packed` raises."""
+    if packed.encoding != Encoding.RAW:
+        return decode_packed(packed, limits).points.astype(np.float64)
+    return coordinates_from_records(*_checked(packed, limits))
+
+
+def _checked(packed: PackedCloud, limits: CloudLimits) -> tuple[memoryview, int, int, dict[str, Column]]:
+    """The records of a raw packed cloud: their bytes, number, size and columns."""
+    count, columns = packed.width * packed.height, _columns(packed)
     require_exact_size(count * packed.point_step, len(packed.data), count, limits)
-    return cloud_from_records(memoryview(packed.data), count, packed.point_step, columns)
+    return memoryview(packed.data), count, packed.point_step, columns
 
 
 def pack(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -94,9 +94,10 @@ class Layout:
         T_body_sensor = np.eye(4) if mounted is None else mounted
         return self.clouds(topic, frame, lambda stamp: se3.inverse(body_at(stamp) @ T_body_sensor))
 
-    def odometry(self, topic: str, frame: str, child: str) -> Layout:
-        for stamp in pose_stamps():
-            pose = self._with_covariance("PoseWithCovariance", pose=self._pose(body_at(stamp)))
+    def odometry(self, topic: str, frame: str, child: str, at=body_at, stamps: list[int] | None = None) -> Layout:
+        """`at` is where the body is at a time."""
+        for stamp in pose_stamps() if stamps is None else stamps:
+            pose = self._with_covariance("PoseWithCovariance", pose=self._pose(at(stamp)))
             zeros = self._vector(np.zeros(3))
             twist = self.types["geometry_msgs/msg/Twist"](linear=zeros, angular=zeros)
             message = self.types["nav_msgs/msg/Odometry"](
@@ -132,7 +133,7 @@ class Layout:
     def _vector(self, values: np.ndarray) -> object:
         return self.types["geometry_msgs/msg/Vector3"](*values)
 
-    def transform(self, parent: str, child: str, T_parent_child, *, moving: bool) -> Layout:
+    def transform(self, parent: str, child: str, T_parent_child, *, moving: bool, namespace: str = "") -> Layout:
         for stamp in pose_stamps() if moving else [START_NS]:
             matrix = T_parent_child(stamp) if moving else T_parent_child
             stamped = self.types["geometry_msgs/msg/TransformStamped"](
@@ -140,7 +141,8 @@ class Layout:
                 transform=self._transform(matrix),
             )  # fmt: skip
             message = self.types["tf2_msgs/msg/TFMessage"](transforms=[stamped])
-            self.rows.append((stamp, "/tf" if moving else "/tf_static", "tf2_msgs/msg/TFMessage", message))
+            topic = f"{namespace}/{'tf' if moving else 'tf_static'}"
+            self.rows.append((stamp, topic, "tf2_msgs/msg/TFMessage", message))
         return self
 
     def path(self, topic: str, frame: str) -> Layout:
@@ -223,6 +225,17 @@ class Layout:
             writer.write(connections[topic], stamp, serialize(message, kind))
 
 
+def back_in_time(layout: Layout, since_ns: int, by_ns: int) -> Layout:
+    """The layout, the clock of its stamps set back at a time: all messages come in the same order as before."""
+    for index, (at, topic, kind, message) in enumerate(layout.rows):
+        if at >= since_ns:
+            stamp = message.header.stamp
+            total = stamp.sec * 10**9 + stamp.nanosec - by_ns
+            header = replace(message.header, stamp=replace(stamp, sec=total // 10**9, nanosec=total % 10**9))
+            layout.rows[index] = (at, topic, kind, replace(message, header=header))
+    return layout
+
+
 def deviation(recording) -> float:
     """How far scans that were moved by their poses lie from the world, metres."""
     moved = [se3.apply(scan.T_odom_sensor, scan.points.astype(float)) for scan in recording]
@@ -280,6 +293,15 @@ def two_lidars() -> Layout:
     layout = Layout().raw("/front/points", "front", front).raw("/rear/points", "rear", rear)
     layout.odometry("/odom", "odom", "base_link").transform("base_link", "front", front, moving=False)
     return layout.transform("base_link", "rear", rear, moving=False)
+
+
+def alternating(right_is_known: bool = True) -> Layout:
+    """Two LiDARs take turns on one topic."""
+    left, right = MOUNTED, se3.from_yaw(-1.2, (1.0, -0.8, 1.0))
+    turns = Layout().raw("/points", "left", left).rows[::2] + Layout().raw("/points", "right", right).rows[1::2]
+    layout = Layout(rows=turns).odometry("/odom", "odom", "base_link")
+    layout.transform("base_link", "left", left, moving=False)
+    return layout.transform("base_link", "right", right, moving=False) if right_is_known else layout
 
 
 def pose_stamped() -> Layout:

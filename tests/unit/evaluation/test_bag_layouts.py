@@ -15,13 +15,16 @@ from mcap.writer import Writer
 
 from revisit.cli.recordings import opened
 from revisit.core.errors import BadField, RevisitError, UnsupportedEncoding
+from revisit.core.geometry import se3
 from revisit.evaluation.datasets import WantedTopics, notes_of, open_bag, open_recording
 from tests.support.bag_layouts import (
     MOUNTED,
     PERIOD_NS,
     SCANS,
     START_NS,
+    WORLD,
     Layout,
+    body_at,
     deviation,
     fast_lio,
     kiss_icp,
@@ -182,6 +185,18 @@ def test_the_mounting_that_is_given_is_used(tmp_path: Path) -> None:
     assert deviation(open_bag(bag)) > 0.5
     assert any("--T-body-sensor" in note for note in notes_of(open_bag(bag)))
     assert deviation(open_bag(bag, WantedTopics(T_body_sensor=MOUNTED))) < 1e-4
+
+
+def test_registered_clouds_in_a_map_far_from_its_origin_keep_their_millimetres(tmp_path: Path) -> None:
+    """Float64 in UTM: float32 has steps of half a metre there."""
+    T_utm_odom = se3.from_yaw(0.0, (691_000.4, 5_334_000.3, 520.0))
+    layout = Layout().clouds("/cloud_registered", "utm", lambda stamp: T_utm_odom, organised=True)
+    recording = open_bag(layout.odometry("/odom", "utm", "body", lambda stamp: T_utm_odom @ body_at(stamp))
+                         .write2(tmp_path / "drive"))  # fmt: skip
+    for scan in recording:
+        back = se3.apply(se3.inverse(T_utm_odom) @ scan.T_odom_sensor, scan.points.astype(float))
+        assert scan.points.dtype == np.float32
+        np.testing.assert_allclose(back, WORLD, atol=1e-4)
 
 
 REFUSED = {

@@ -12,13 +12,15 @@ import pytest
 
 from revisit.core.errors import RevisitError
 from revisit.core.geometry import se3
-from revisit.evaluation.datasets import notes_of, open_recording
+from revisit.evaluation.datasets import findings_of, notes_of, open_recording
 from tests.support.bag_layouts import (
     MOUNTED,
     PERIOD_NS,
     SCANS,
     START_NS,
     Layout,
+    alternating,
+    back_in_time,
     body_at,
     deviation,
     fast_lio,
@@ -34,6 +36,7 @@ from tests.support.bag_layouts import (
 pytest.importorskip("rosbags", reason="in the extra `dev`: writes the bags")
 
 PAGE = Path(__file__).resolve().parents[3] / "docs/reference/bag-layouts.md"
+OFTEN = [START_NS - 37_000_000 + 20_000_000 * index for index in range(42)]
 NOT_MOVED = lambda stamp: np.eye(4)  # noqa: E731
 
 
@@ -65,6 +68,11 @@ def clock_since_boot() -> Layout:
     seen = lambda stamp: se3.inverse(body_at(stamp))  # noqa: E731
     layout = Layout().clouds("/points", "lidar", seen, stamped=lambda stamp: stamp - START_NS + 5 * 10**9)
     return layout.odometry("/odom", "odom", "lidar")
+
+
+def clock_set_back() -> Layout:
+    layout = Layout().raw("/points", "lidar").odometry("/odom", "odom", "lidar")
+    return back_in_time(layout, START_NS + 4 * PERIOD_NS, 9 * PERIOD_NS // 2)
 
 
 def stamps_of_zero() -> Layout:
@@ -125,6 +133,23 @@ def wheels_and_lidar_odometry() -> Layout:
     return layout
 
 
+def elsewhere(stamp_ns: int) -> np.ndarray:
+    """Where another robot is, which drives the other way."""
+    return se3.from_yaw(2.0, (7.0, 3.0, 0.0)) @ se3.inverse(body_at(stamp_ns))
+
+
+def fleet() -> Layout:
+    layout = Layout().raw("/robot1/points", "lidar").odometry("/robot1/odom", "odom", "lidar", elsewhere)
+    return layout.raw("/robot2/points", "lidar").odometry("/robot2/odom", "odom", "lidar", stamps=OFTEN)
+
+
+def fleet_by_tf() -> Layout:
+    layout = (
+        Layout().raw("/robot1/points", "lidar").transform("odom", "lidar", body_at, moving=True, namespace="/robot1")
+    )
+    return layout.transform("odom", "lidar", elsewhere, moving=True, namespace="/robot2")
+
+
 def cut_short(folder: Path) -> Path:
     """The first part of a bag that was written out often, as a robot leaves it that loses its power."""
     layout = Layout(ros1=True).raw("/points", "lidar").odometry("/odom", "odom", "lidar")
@@ -159,6 +184,8 @@ ROWS = [
     Row("`/tf` alone, `map` -> `odom` jumps", whole(tf_only), "the transforms tell where laser is in odom"),
     Row("Registered clouds alone, with odometry", whole(registered_only), "clouds of /cloud_registered"),
     Row("Two LiDARs on one robot", whole(two_lidars), "not used: /rear/points; --topic chooses"),
+    Row("Two LiDARs that publish on one topic, each in its frame", whole(alternating),
+        "clouds of /points (frames left, right), 8 of 8 with a pose"),
     Row("A path (`nav_msgs/Path`) in place of odometry",
         whole(lambda: Layout().raw("/points", "lidar").path("/lio_sam/mapping/path", "odom")),
         "poses of /lio_sam/mapping/path"),
@@ -174,14 +201,27 @@ ROWS = [
     Row("Split into several files", split, "2 files read as one recording"),
     Row("Odometry of wheels beside that of a LiDAR (`/odom`, `/kiss/odometry`)", whole(wheels_and_lidar_odometry),
         "poses of /kiss/odometry"),
+    Row("Several robots: `/robot1/points`, `/robot1/odom`, `/robot2/points`, `/robot2/odom`, frames of the same names",
+        whole(fleet), "not used: /robot1/odom; --odometry chooses"),
+    Row("Several robots: `/robot1/points`, `/robot1/tf`, `/robot2/tf`, frames of the same names", whole(fleet_by_tf),
+        "poses by the transforms of /robot1/tf"),
     Row("Cut short, as by a loss of power", cut_short, "ends within a record, as after a loss of power", scans=3),
     Row("Odometry that began after the clouds", whole(late_odometry), "4 of 8 with a pose", scans=4),
     Row("Odometry that pauses while the robot moves", whole(odometry_with_a_gap),
         "warning: 3 clouds lie in gaps of the poses, in which the robot moved, and were left out", scans=5),
+    Row("A clock that was set back during the drive", whole(clock_set_back),
+        "the stamps of /odom go back by 0.350 s", scans=7, from_world_m=60.0),
     Row("No static transform from the body to the LiDAR",
         whole(lambda: Layout().raw("/points", "lidar", MOUNTED).odometry("/odom", "odom", "base")),
         "warning: nothing tells where lidar is in base: taken as the same; else say it with --T-body-sensor",
         from_world_m=60.0),
+    Row("No frames named, neither by the clouds nor by what the poses follow",
+        whole(lambda: Layout().raw("/points", "", MOUNTED).odometry("/odom", "odom", "")),
+        "warning: nothing tells where the sensor is in what the poses follow: taken as the same",
+        from_world_m=60.0),
+    Row("`/tf` alone, and no static transform from the body to the LiDAR",
+        whole(lambda: Layout().raw("/points", "lidar").transform("odom", "base", body_at, moving=True)),
+        "base is in odom, but not where lidar of /points sits on it: say it with --T-body-sensor", scans=0),
     Row("Clouds alone, no poses", whole(lambda: Layout().raw("/points", "lidar")),
         "Run a LiDAR odometry (KISS-ICP, FAST-LIO) and record what it publishes", scans=0),
     Row("Livox `CustomMsg` alone", whole(lambda: Layout().livox("/livox/lidar").odometry("/odom", "odom", "base")),
@@ -206,7 +246,7 @@ def test_every_bag_of_the_table_is_read_right_or_refused_with_advice(tmp_path: P
         return
     recording = open_recording(bag)
     assert len(recording) == row.scans
-    assert row.said in " | ".join(notes_of(recording))
+    assert row.said in " | ".join([*notes_of(recording), *(finding.measured for finding in findings_of(recording))])
     assert deviation(recording) < row.from_world_m
 
 
