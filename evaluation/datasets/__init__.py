@@ -18,8 +18,9 @@ from revisit.evaluation.datasets.ros_bag import BagRecording, open_bag
 from revisit.evaluation.datasets.topic_choice import WantedTopics
 
 __all__ = [
-    "AUTO", "FORMATS", "BagRecording", "KittiRecording", "PosedClouds", "Recording", "WantedTopics", "notes_of",
-    "open_bag", "open_cloud_folder", "open_kitti360", "open_mulran", "open_nclt", "open_recording", "write_kitti",
+    "AUTO", "FORMATS", "BagRecording", "KittiRecording", "PosedClouds", "Recording", "WantedTopics", "name_of_scan",
+    "notes_of", "open_bag", "open_cloud_folder", "open_kitti360", "open_mulran", "open_nclt", "open_recording",
+    "write_kitti",
 ]  # fmt: skip
 
 FORMATS: dict[str, Callable[[Path], Recording]] = {
@@ -64,6 +65,13 @@ def open_recording(folder: Path, file_format: str = AUTO, wanted: WantedTopics =
 def notes_of(recording: Recording) -> tuple[str, ...]:
     """Sentences on how the recording was read, where that was a choice."""
     return recording.notes if isinstance(recording, BagRecording) else ()
+
+
+def name_of_scan(recording: Recording, index: int) -> str:
+    """What a person finds a scan by: its file, or in a bag its number from 1 and its time."""
+    if isinstance(recording, KittiRecording | PosedClouds):
+        return recording.files[index].name
+    return f"scan {index + 1} of {len(recording)} (stamp {recording.stamps_ns[index]} ns)"
 
 
 def _of_what_is_there(folder: Path, wanted: WantedTopics) -> Recording:
