@@ -5,10 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from revisit.core.errors import RevisitError
+from revisit.core.geometry import se3
 from revisit.evaluation.datasets import name_of_scan
-from revisit.sdk.errors import AlreadyExists, ErrorDetails, FailedPrecondition
+from revisit.formats import NPY, decode_cloud
+from revisit.sdk.errors import AlreadyExists, ApiError, ErrorDetails, FailedPrecondition
 
 if TYPE_CHECKING:
     from revisit.core.scan import Scan
@@ -21,6 +24,12 @@ SAME_POSE = 1e-6
 
 SAME_LENGTH_SHARE = 1e-6
 """Lengths of a path that differ by less than this share of it were added up in another order."""
+
+SAME_POINT_M = 0.005
+"""Clouds are sent to the millimetre, and stored as float32."""
+
+POINTS_COMPARED = 200
+"""So many points of a submap are looked for, evenly spread."""
 
 
 def readable_or_error(recording: Recording, index: int) -> Scan | RevisitError:
@@ -62,7 +71,7 @@ def _last_held(client: Client, session: Session, recording: Recording) -> int:
 
 def require_stored(client: Client, session: Session, recording: Recording, count: int) -> None:
     """Raises FailedPrecondition unless a finished session holds all of the first `count` scans that can be read."""
-    last = _last_stored(session, client.list_submaps(session), recording)
+    last = _last_stored(client, session, recording)
     if last is None:
         lacking = f"it does not hold this recording ({recording.name}), or not as it is read now"
     else:
@@ -85,15 +94,15 @@ def _at_last_stamp(session: Session, recording: Recording) -> list[int]:
     return [int(index) for index in at_stamp if index >= session.committed_seq - 1]
 
 
-def _last_stored(session: Session, submaps: list[Submap], recording: Recording) -> int | None:
+def _last_stored(client: Client, session: Session, recording: Recording) -> int | None:
     """The scan that a finished session ends with, -1 where it is empty; None where it is of another recording."""
     if session.committed_stamp_ns is None:
         return -1
-    cut = [submap for submap in submaps if submap.first_seq is not None]
+    cut = [submap for submap in client.list_submaps(session) if submap.first_seq is not None]
     if not all(_has_place(recording, submap) for submap in cut):
         return None
     for last in _at_last_stamp(session, recording):
-        if _is_as_long(session, recording, last) and _has_as_many_points(session, cut, recording, last):
+        if _is_as_long(session, recording, last) and _has_its_points(client, session, cut, recording, last):
             return last
     return None
 
@@ -113,15 +122,26 @@ def _is_as_long(session: Session, recording: Recording, last: int) -> bool:
     return shorter_m > -tolerance_m if last >= session.committed_seq else abs(shorter_m) < tolerance_m
 
 
-def _has_as_many_points(session: Session, cut: list[Submap], recording: Recording, last: int) -> bool:
-    """Whether the scans of the last submap have its points; not looked at where scans were left out."""
-    if not cut or last >= session.committed_seq:
+def _has_its_points(client: Client, session: Session, cut: list[Submap], recording: Recording, last: int) -> bool:
+    """Whether points of the last submap were seen by scans of its numbers; taken for true where it cannot be had."""
+    if not cut:
         return True
-    first_seq, last_seq = cut[-1].first_seq or 1, cut[-1].last_seq or 0
-    if cut[-1].scan_count != last_seq - first_seq + 1:
+    try:
+        points = decode_cloud(client.download(cut[-1], "npy"), NPY).points
+    except ApiError as error:
+        if error.retryable:
+            raise
         return True
-    scans = [readable_or_error(recording, seq - 1) for seq in range(first_seq, last_seq + 1)]
-    return sum(len(scan.points) for scan in scans if not isinstance(scan, RevisitError)) == cut[-1].point_count
+    unseen = se3.apply(cut[-1].T_odom_submap, points[:: -(-len(points) // POINTS_COMPARED)].astype(np.float64))
+    left_out = last + 1 - session.committed_seq
+    for index in range((cut[-1].first_seq or 1) - 1, (cut[-1].last_seq or 0) + left_out):
+        scan = readable_or_error(recording, index)
+        if not isinstance(scan, RevisitError):
+            apart_m, _ = cKDTree(scan.points).query(se3.apply(se3.inverse(scan.T_odom_sensor), unseen))
+            unseen = unseen[apart_m > SAME_POINT_M]
+        if len(unseen) == 0:
+            return True
+    return False
 
 
 def _is_readable(recording: Recording, index: int) -> bool:
