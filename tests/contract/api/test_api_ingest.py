@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from revisit import Client
 from revisit.cli.app import app
+from revisit.core.geometry import se3
 from revisit.evaluation.datasets import write_kitti
 from tests.support.service_world import cloud_points, pose
 
@@ -30,10 +31,14 @@ def figures(result):
     return told["scans_sent"], told["scans_stored"], told["scans_refused"]
 
 
-def written(folder, clouds=0, step_m=1.0, shift_ns=0, scans=SCANS):
-    """Scans `step_m` apart; of other `clouds`, other points."""
+def written(folder, clouds=0, step_m=1.0, shift_ns=0, scans=SCANS, detour_m=0.0, turned_rad=0.0):
+    """Scans `step_m` apart, the third `detour_m` farther, the first eight turned; of other `clouds`, other points."""
     rows = [
-        (cloud_points(number + clouds, 500), pose(step_m * number), number * PERIOD_NS + shift_ns)
+        (
+            cloud_points(number + clouds, 500),
+            se3.from_yaw(turned_rad * (number < 8), (step_m * number + detour_m * (number == 2), 0.0, 0.0)),
+            number * PERIOD_NS + shift_ns,
+        )
         for number in range(scans)
     ]
     write_kitti(folder, rows)
@@ -74,8 +79,16 @@ def test_another_recording_is_not_taken_for_the_rest_of_a_session(recording, whe
 
 @pytest.mark.parametrize(
     "other",
-    [{"shift_ns": 7}, {"step_m": 0.9}, {"scans": 30}, {"scans": 12}, {"clouds": 40}],
-    ids=["times", "poses", "longer", "shorter", "clouds"],
+    [
+        {"shift_ns": 7},
+        {"step_m": 0.9},
+        {"scans": 30},
+        {"scans": 12},
+        {"clouds": 40},
+        {"detour_m": 9.0},
+        {"turned_rad": 0.1},
+    ],
+    ids=["times", "poses", "longer", "shorter", "clouds", "detour", "turned"],
 )
 def test_a_finished_session_is_no_success_for_another_recording(recording, where, service, tmp_path, other):
     invoke(recording, *where)
@@ -137,15 +150,17 @@ def test_a_session_in_which_nothing_was_stored_stays_open_and_is_a_failure(
 def test_refused_scans_are_told_by_their_file_with_the_reason(recording, where):
     damage(recording, (3, 8))
     times = [f"{number * 0.1:.9f}" for number in range(SCANS)]
-    times[12] = "0.3"
+    times[12], times[15] = "0.3", "0.5"
     (recording / "times.txt").write_text("\n".join(times))
     result = invoke(recording, *where)
-    assert figures(result) == (18, 17, 3)
+    assert figures(result) == (18, 16, 4)
     told = [line for line in result.stderr.splitlines() if ": refused: " in line]
     assert [line.split(": ")[2:4] for line in told] == [
-        ["000003.bin", "MALFORMED_BODY"], ["000008.bin", "MALFORMED_BODY"], ["000012.bin", "BAD_FIELD"]
+        ["000003.bin", "MALFORMED_BODY"], ["000008.bin", "MALFORMED_BODY"],
+        ["000012.bin", "BAD_FIELD"], ["000015.bin", "BAD_FIELD"],
     ]  # fmt: skip
     assert "before that of the last stored scan" in told[2]
+    assert figures(invoke(recording, *where)) == (0, 16, 0)
 
 
 def test_of_many_refused_scans_the_first_are_told_and_the_others_counted(recording, where):
