@@ -20,6 +20,7 @@ from revisit.evaluation.datasets.topic_choice import WantedTopics
 
 __all__ = [
     "AUTO", "FORMATS", "BagRecording", "KittiRecording", "PosedClouds", "Recording", "WantedTopics", "findings_of",
+    "name_of_scan",
     "notes_of", "open_bag", "open_cloud_folder", "open_kitti360", "open_mulran", "open_nclt", "open_recording",
     "write_kitti",
 ]  # fmt: skip
@@ -76,6 +77,13 @@ def notes_of(recording: Recording) -> tuple[str, ...]:
 def findings_of(recording: Recording) -> tuple[Finding, ...]:
     """What only the source of a recording tells, as times that went back before its scans were put in order."""
     return recording.findings if isinstance(recording, BagRecording) else ()
+
+
+def name_of_scan(recording: Recording, index: int) -> str:
+    """What a person finds a scan by: its file, or in a bag its number from 1 and its time."""
+    if isinstance(recording, KittiRecording | PosedClouds):
+        return recording.files[index].name
+    return f"scan {index + 1} of {len(recording)} (stamp {recording.stamps_ns[index]} ns)"
 
 
 def _of_what_is_there(folder: Path, wanted: WantedTopics) -> Recording:

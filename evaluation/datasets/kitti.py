@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +47,11 @@ class KittiRecording:
     def name(self) -> str:
         """The folder's name."""
         return self._folder.resolve().name
+
+    @property
+    def files(self) -> Sequence[Path]:
+        """The file of each scan."""
+        return self._files
 
     @property
     def stamps_ns(self) -> NDArray[np.int64]:

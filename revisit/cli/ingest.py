@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from revisit.cli.extras import needs
+from revisit.cli.ids import id_of, require_id
 from revisit.cli.inspect import warn, warn_of_findings
 from revisit.cli.options import GRPC, Grpc, Json, MapName
 from revisit.cli.output import emit_json, emit_table, progress_bar, refuse
@@ -24,8 +25,11 @@ if TYPE_CHECKING:
     from revisit.sdk.client import Client, ScanStream
     from revisit.sdk.resources import Session, Submap
     from revisit.sdk.spooled_stream import SpooledStream
+    from revisit.sdk.transport import Refusal
 
 POLL_S = 1.0
+REFUSED_TOLD = 5
+"""So many refused scans are told one by one."""
 
 
 @dataclass(frozen=True)
@@ -59,28 +63,50 @@ class Ingested:
 
 
 @dataclass(frozen=True)
+class RefusedScan:
+    """A scan of the recording that could not be read, or that the service refused."""
+
+    index: int
+    reason: str
+    message: str
+
+
+@dataclass(frozen=True)
 class Sent:
-    """How many scans this run was about, and how many of them were refused or could not be read."""
+    """How many scans this run sent, and what was refused or could not be read, in the order of the recording."""
 
     scans: int
-    refused: int
+    refused: tuple[RefusedScan, ...]
 
 
 @dataclass(frozen=True)
 class Extent:
-    """How much to do: at most `limit` scans, by way of the file `spool`; then finish, then wait for the submaps."""
+    """How much to do: at most `limit` scans, by way of the file `spool`; then finish, then wait for the submaps.
+
+    With None for `finish`, the session is finished unless the limit has left scans out.
+    """
 
     limit: int | None = None
     spool: Path | None = None
-    finish: bool = True
+    finish: bool | None = None
     wait: bool = True
+
+    def count(self, recording: Recording) -> int:
+        """How many scans of a recording this is about."""
+        return min(len(recording), self.limit or len(recording))
+
+    def finishes(self, recording: Recording) -> bool:
+        """Whether the session ends behind them."""
+        return self.count(recording) == len(recording) if self.finish is None else self.finish
 
 
 @needs("evaluation")
 def ingest(
     folder: Annotated[Path, typer.Argument(exists=True, help="The recording.")],
     map_id: MapName = "default",
-    session_id: Annotated[str, typer.Option("--session", help="Id of the session; the folder's name by default.")] = "",
+    session_id: Annotated[
+        str, typer.Option("--session", help="Id of the session; made of the recording's name by default.")
+    ] = "",
     file_format: Format = "auto",
     topic: Topic = None,
     odometry: Odometry = None,
@@ -92,19 +118,28 @@ def ingest(
         str | None, typer.Option(help="Storey of a building, as B2: never compared with sessions on others.")
     ] = None,
     grpc: Grpc = GRPC,
-    limit: Annotated[int | None, typer.Option(min=1, help="Send at most so many scans.")] = None,
+    limit: Annotated[
+        int | None,
+        typer.Option(min=1, help="Send the first so many scans; run again without it, or with more, to go on."),
+    ] = None,
     spool: Annotated[
         Path | None, typer.Option(help="File that keeps scans on this machine until they are stored.")
     ] = None,
     wait: Annotated[bool, typer.Option(help="Wait until every submap is described.")] = True,
-    finish: Annotated[bool, typer.Option(help="Finish the session after the last scan.")] = True,
+    finish: Annotated[
+        bool | None,
+        typer.Option(help="Finish the session after the last scan; by default unless --limit leaves some out."),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Stream a recording; run it again to resume."""
     _silence_the_sdk()
+    require_id("--map", map_id)
+    if session_id:
+        require_id("--session", session_id)
     recording = opened(folder, file_format, topic, odometry, mounting)
     warn(recording)
-    target = Target(grpc, map_id, session_id or recording.name, scene_scale, storey)
+    target = Target(grpc, map_id, session_id or id_of(recording.name, "--session"), scene_scale, storey)
     try:
         _transfer(recording, target, Extent(limit, spool, finish, wait), json)
     except KeyboardInterrupt as error:
@@ -120,42 +155,83 @@ def _silence_the_sdk() -> None:
 
 
 def _transfer(recording: Recording, target: Target, extent: Extent, as_json: bool) -> None:
-    """Send the scans that the service does not have, finish the session, wait for its submaps, report."""
+    """Send the scans that the service does not have, finish the session, wait for its submaps, report.
+
+    Exits where nothing of the recording is stored.
+    """
     from revisit.sdk.client import Client
 
-    count = min(len(recording), extent.limit or len(recording))
     started = time.monotonic()
     with Client.grpc(target.grpc) as client:
-        session = _open_session(client, target)
-        if session.state == "ACTIVE":
-            sent = _send(client, session, recording, count, extent.spool, as_json)
-            session = client.finish_session(session) if extent.finish else client.get_session(session.name)
-        else:
-            sent = Sent(0, 0)
+        session, sent = _sent(client, _open_session(client, target), recording, extent, as_json)
         submaps = _described(client, session, as_json) if extent.wait else client.list_submaps(session)
         found = client.loop_closures(f"maps/{target.map_id}", state="ACCEPTED", session=session)
         session = client.get_session(session.name)
-    seconds = time.monotonic() - started
     states = [submap.state for submap in submaps]
-    described, failed = states.count("DESCRIBED"), states.count("FAILED")
     done = Ingested(
-        session.name,
-        sent.scans,
-        session.committed_seq,
-        sent.refused,
-        len(states),
-        described,
-        failed,
-        len(found),
-        seconds,
-        tuple(finding.code for finding in session.findings),
+        session=session.name,
+        scans_sent=sent.scans,
+        scans_stored=session.committed_seq,
+        scans_refused=len(sent.refused),
+        submaps=len(states),
+        described=states.count("DESCRIBED"),
+        failed=states.count("FAILED"),
+        loop_closures=len(found),
+        seconds=time.monotonic() - started,
+        findings=tuple(finding.code for finding in session.findings),
     )
+    _tell(done, session, as_json)
+    if session.committed_seq == 0:
+        raise refuse(
+            f"{session.name} holds no scan, as none of {recording.name} could be stored. It is not finished: the same "
+            "command sends the scans once they are right"
+        )
+
+
+def _tell(done: Ingested, session: Session, as_json: bool) -> None:
     if as_json:
         emit_json(asdict(done))
-    else:
-        told = asdict(done) | {"findings": ", ".join(done.findings) or "none"}
-        emit_table("Ingested", ("what", "value"), told.items())
-        warn_of_findings(session)
+        return
+    told = asdict(done) | {"findings": ", ".join(done.findings) or "none"}
+    emit_table("Ingested", ("what", "value"), told.items())
+    warn_of_findings(session)
+
+
+def _sent(client: Client, session: Session, recording: Recording, extent: Extent, quiet: bool) -> tuple[Session, Sent]:
+    """The session with the scans that it lacked, finished where that is wanted and it holds any.
+
+    Raises FailedPrecondition where it was finished without some of them.
+    """
+    from revisit.cli.resuming import require_stored
+
+    if session.state != "ACTIVE":
+        require_stored(client, session, recording, extent.count(recording))
+        return session, Sent(0, ())
+    sent = _send(client, session, recording, extent, quiet)
+    _tell_refused(recording, sent.refused)
+    session = client.get_session(session.name)
+    if not session.committed_seq:
+        return session, sent
+    if extent.finishes(recording):
+        return client.finish_session(session), sent
+    left_out = len(recording) - extent.count(recording)
+    if left_out and extent.finish is None:
+        told = (
+            f"{session.name} is not finished: --limit leaves {left_out} scans out, which the command sends without it"
+        )
+        typer.echo(told, err=True)
+    return session, sent
+
+
+def _tell_refused(recording: Recording, refused: tuple[RefusedScan, ...]) -> None:
+    """Say on stderr which scans were refused, and why; of many, the first ones."""
+    from revisit.evaluation.datasets import name_of_scan
+
+    for scan in refused[:REFUSED_TOLD]:
+        where = name_of_scan(recording, scan.index)
+        typer.echo(f"{recording.name}: refused: {where}: {scan.reason}: {scan.message}", err=True)
+    if len(refused) > REFUSED_TOLD:
+        typer.echo(f"{recording.name}: refused: {len(refused) - REFUSED_TOLD} more scans", err=True)
 
 
 def _open_session(client: Client, target: Target) -> Session:
@@ -179,53 +255,50 @@ def _open_session(client: Client, target: Target) -> Session:
     return session
 
 
-def _send(client: Client, session: Session, recording: Recording, count: int, spool: Path | None, quiet: bool) -> Sent:
+def _send(client: Client, session: Session, recording: Recording, extent: Extent, quiet: bool) -> Sent:
     """Stream the scans behind the last one that the service, or the spool, has."""
-    from revisit.sdk.spool import SpoolFull
+    from revisit.cli.resuming import first_unsent, readable_or_error
 
-    sent, unusable = 0, 0
-    with progress_bar(quiet) as bar, _stream_of(client, session, spool) as stream:
-        refused_before, behind_ns = len(stream.rejected), _last_stamp_ns(client, session, stream)
-        # Damaged and refused scans have no number in the session: an index is at least the number, its time tells.
-        first = min(session.committed_seq, count)
-        _require_same_recording(session, recording, behind_ns)
-        task = bar.add_task(f"{recording.name}: scans", total=count, completed=first)
+    spooled_ns = None if extent.spool is None else _emptied(client, session, extent.spool)
+    session = client.get_session(session.name)
+    first, count = first_unsent(client, session, recording, spooled_ns), extent.count(recording)
+    sent: list[int] = []
+    refused: list[RefusedScan] = []
+    with progress_bar(quiet) as bar, _stream_of(client, session, extent.spool) as stream:
+        refused_before = len(stream.refusals)
+        task = bar.add_task(f"{recording.name}: scans", total=count, completed=min(first, count))
         for index in range(first, count):
             bar.advance(task)
-            try:
-                scan = recording.scan(index)
-                if scan.stamp_ns <= behind_ns:
-                    unusable = 0  # what came before was told by an earlier run
-                    continue
-                stream.send(scan.points, scan.T_odom_sensor, scan.stamp_ns)
-                sent += 1
-            except SpoolFull:
-                raise
-            except RevisitError:
+            scan = readable_or_error(recording, index)
+            if isinstance(scan, RevisitError):
                 # A damaged or empty file of the recording costs that scan, not the drive.
-                unusable += 1
+                refused.append(RefusedScan(index, scan.code.value, scan.message))
+                continue
+            stream.send(scan.points, scan.T_odom_sensor, scan.stamp_ns)
+            sent.append(index)
         stream.flush()
-        return Sent(sent, len(stream.rejected) - refused_before + unusable)
+        refusals = stream.refusals[refused_before:]
+    refused += [_refused_scan(refusal, order, sent, session) for order, refusal in enumerate(refusals)]
+    return Sent(len(sent), tuple(sorted(refused, key=lambda scan: scan.index)))
 
 
-def _require_same_recording(session: Session, recording: Recording, behind_ns: int) -> None:
-    """Exits unless the session's last scan is one of this recording: a second run would leave out or mix scans."""
-    if behind_ns < 0:
-        return
-    # Its place is that of its number, or later where scans before it were refused.
-    for index in range(max(0, session.committed_seq - 1), len(recording)):
-        try:
-            stamp_ns = recording.scan(index).stamp_ns
-        except RevisitError:
-            continue
-        if stamp_ns == behind_ns:
-            return
-        if stamp_ns > behind_ns:
-            break
-    raise refuse(
-        f"{session.name} ends with a scan of another recording (stamp {behind_ns} ns, which {recording.name} does not "
-        "have at its place): give this one a session of its own, with --session NAME"
-    )
+def _refused_scan(refusal: Refusal, order: int, sent: list[int], session: Session) -> RefusedScan:
+    """Which scan a refusal is about: its number counts those that were stored, and `order` were refused before it."""
+    place = refusal.seq - 1 - session.committed_seq + order
+    return RefusedScan(sent[place], refusal.reason, refusal.message)
+
+
+def _emptied(client: Client, session: Session, spool: Path) -> int | None:
+    """Sends what the spool holds; the time of the last scan that was put into it for this session, if any."""
+    from revisit.sdk.spool import Spool
+
+    opened = Spool(spool, session.name)
+    state = opened.state
+    opened.close()
+    if state.pending:
+        with client.spooled_stream(session, spool) as stream:
+            stream.flush()
+    return state.last_stamp_ns
 
 
 def _stream_of(
@@ -234,15 +307,6 @@ def _stream_of(
     if spool is None:
         return client.stream(session)
     return client.spooled_stream(session, spool, full_wait_s=float("inf"))
-
-
-def _last_stamp_ns(client: Client, session: Session, stream: ScanStream | SpooledStream) -> int:
-    """When the last scan was taken that needs no sending, -1 where there is none."""
-    from revisit.sdk.spooled_stream import SpooledStream
-
-    spooled_ns = stream.state.last_stamp_ns if isinstance(stream, SpooledStream) else None
-    stamp_ns = client.get_session(session.name).committed_stamp_ns if spooled_ns is None else spooled_ns
-    return -1 if stamp_ns is None else stamp_ns
 
 
 def _described(client: Client, session: Session, quiet: bool) -> list[Submap]:

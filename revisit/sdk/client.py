@@ -51,7 +51,7 @@ from revisit.sdk.resources import (
 from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.spool import DEFAULT_MAX_BYTES, Spool
 from revisit.sdk.spooled_stream import RECONNECT, SpooledStream
-from revisit.sdk.transport import ScanSink, Transport
+from revisit.sdk.transport import Refusal, ScanSink, Transport
 from revisit.sdk.watching import Watch
 from revisit.v1 import (
     event_pb2,
@@ -266,6 +266,16 @@ class Client:
             stream.flush()
         finally:
             stream.close()
+
+    def holds_scan(
+        self, session: str | Session, seq: int, points: PointsLike, T_odom_sensor: Any, stamp_ns: int
+    ) -> bool:
+        """Whether a session has this very scan stored as its number `seq` (cloud, pose and time); stores nothing.
+
+        Over gRPC it ends a stream of the session that is open, and raises FailedPrecondition of a finished session.
+        """
+        pose = _pose(T_odom_sensor, "T_odom_sensor")
+        return self._transport.holds_scan(_name(session), seq, encoded(points), pose, stamp_ns)
 
     def search(
         self,
@@ -650,8 +660,13 @@ class ScanStream:
 
     @property
     def rejected(self) -> list[tuple[int, str]]:
-        """Scans that were refused and left out: number and reason."""
-        return self._sink.rejected
+        """The refusals in short: number and reason."""
+        return [(refusal.seq, refusal.reason) for refusal in self.refusals]
+
+    @property
+    def refusals(self) -> list[Refusal]:
+        """Scans that the service refused for good and that were left out, oldest first."""
+        return self._sink.refusals
 
     def send(self, points: PointsLike, T_odom_sensor: Any, stamp_ns: int) -> None:
         """Send the next scan; waits while the service has enough to do. Warns of `SuspiciousInput`."""

@@ -9,12 +9,14 @@ from typing import Any, TypeVar
 import grpc
 from google.rpc import error_details_pb2, status_pb2  # type: ignore[import-untyped]  # ships no types
 
+from revisit.sdk.clouds import Cloud
 from revisit.sdk.credentials import Credentials
 from revisit.sdk.errors import ApiError, ErrorDetails, error_of, unreachable
 from revisit.sdk.grpc_answers import LOST_AFTER_S, Answers, LostCall, answer
 from revisit.sdk.messages import COLLECTIONS, collection_of, request_of
+from revisit.sdk.resources import Json
 from revisit.sdk.retry import RetryPolicy
-from revisit.sdk.scan_stream import GrpcScanSink
+from revisit.sdk.scan_stream import GrpcScanSink, holds_scan
 from revisit.sdk.transport import SILENT_S, Forgetful, StreamJournal
 from revisit.v1 import (
     event_pb2,
@@ -328,12 +330,20 @@ class GrpcTransport:
 
     def open_stream(self, session: str, journal: StreamJournal = Forgetful()) -> GrpcScanSink:
         """See Transport."""
-        call = partial(self._method(ingest_pb2_grpc.IngestServiceStub, "StreamScans"), metadata=self._metadata)
-        return GrpcScanSink(call, session, self._retry, lambda error: _api_error(error, self._address), journal)
+        return GrpcScanSink(
+            self._stream_scans(), session, self._retry, lambda error: _api_error(error, self._address), journal
+        )
+
+    def holds_scan(self, session: str, seq: int, cloud: Cloud, pose: Json, stamp_ns: int) -> bool:
+        """See Transport."""
+        return self._run(lambda: holds_scan(self._stream_scans(), session, seq, cloud, pose, stamp_ns))
 
     def close(self) -> None:
         """See Transport."""
         self._channel.close()
+
+    def _stream_scans(self) -> Callable[..., Any]:
+        return partial(self._method(ingest_pb2_grpc.IngestServiceStub, "StreamScans"), metadata=self._metadata)
 
     def _method(self, stub: Any, name: str) -> Callable[..., Any]:
         method: Callable[..., Any] = getattr(stub(self._channel), name)

@@ -21,7 +21,7 @@ from revisit.sdk.json_answers import message_of
 from revisit.sdk.messages import COLLECTIONS, cloud_message, collection_of
 from revisit.sdk.resources import Json
 from revisit.sdk.retry import RetryPolicy
-from revisit.sdk.transport import SILENT_S, Forgetful, StreamJournal
+from revisit.sdk.transport import SILENT_S, Forgetful, Refusal, StreamJournal
 from revisit.v1 import (
     cloud_pb2,
     event_pb2,
@@ -42,6 +42,9 @@ from revisit.v1 import (
 M = TypeVar("M", bound=Message)
 
 CONNECT_TIMEOUT_S = 5.0
+ALREADY_EXISTS = "ALREADY_EXISTS"
+"""The reason of a refusal: the number is taken by another scan."""
+
 POLL_S = 0.5
 """How often a feed asks whether there is something new."""
 
@@ -274,6 +277,18 @@ class RestTransport:
         """See Transport."""
         return RestScanSink(self, session, journal)
 
+    def holds_scan(self, session: str, seq: int, cloud: Cloud, pose: Json, stamp_ns: int) -> bool:
+        """See Transport."""
+        if int(self.get(session).committed_seq) < seq:
+            return False
+        try:
+            self.append_scan(session, seq, pose, stamp_ns, cloud)
+        except ApiError as error:
+            if error.reason != ALREADY_EXISTS and not _is_for_good(error):
+                raise
+            return False
+        return True
+
     def close(self) -> None:
         """See Transport."""
         self._http.close()
@@ -311,7 +326,7 @@ class RestScanSink:
         journal.opened(self._committed_seq, "")
         self.submaps: list[str] = []
         self.submap_seq = 0
-        self.rejected: list[tuple[int, str]] = []
+        self.refusals: list[Refusal] = []
 
     @property
     def committed_seq(self) -> int:
@@ -324,10 +339,10 @@ class RestScanSink:
         try:
             ack = self._transport.append_scan(self._session, seq, pose, stamp_ns, cloud)
         except ApiError as error:
-            if error.code != "INVALID_ARGUMENT" and error.reason != "TOO_LARGE":
+            if not _is_for_good(error):
                 raise
             self._journal.refused(seq, error.reason, error.message)
-            self.rejected.append((seq, error.reason))
+            self.refusals.append(Refusal(seq, error.reason, error.message))
             return
         self._committed_seq = ack.committed_seq
         self._journal.committed(self._committed_seq)
@@ -343,6 +358,11 @@ class RestScanSink:
 
     def close(self) -> None:
         """See ScanSink: the connection is the transport's."""
+
+
+def _is_for_good(error: ApiError) -> bool:
+    """Whether a scan is refused for what it is."""
+    return error.code == "INVALID_ARGUMENT" or error.reason == "TOO_LARGE"
 
 
 def events_of(lines: Iterator[str]) -> Iterator[event_pb2.Event | None]:

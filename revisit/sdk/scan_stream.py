@@ -21,11 +21,11 @@ from google.protobuf.json_format import ParseDict
 
 from revisit.core.errors import RevisitError
 from revisit.sdk.clouds import Cloud
-from revisit.sdk.errors import ApiError, ErrorDetails, closed, error_of
+from revisit.sdk.errors import ApiError, ErrorDetails, Unavailable, closed, error_of, unreachable
 from revisit.sdk.grpc_answers import Answers, LostCall
 from revisit.sdk.resources import Json
 from revisit.sdk.retry import RetryPolicy
-from revisit.sdk.transport import Forgetful, StreamJournal
+from revisit.sdk.transport import Forgetful, Refusal, StreamJournal
 from revisit.v1 import cloud_pb2, ingest_pb2
 
 ALREADY_EXISTS = "ALREADY_EXISTS"
@@ -90,7 +90,7 @@ class GrpcScanSink:
         self.submaps: list[str] = []
         self.submap_seq = 0
         self.loops: list[str] = []
-        self.rejected: list[tuple[int, str]] = []
+        self.refusals: list[Refusal] = []
         self._thread = threading.Thread(target=self._run, name=f"scans {session}", daemon=True)
         self._thread.start()
         with self._changed:
@@ -247,7 +247,7 @@ class GrpcScanSink:
         if not nack.retryable:
             self._journal.refused(nack.seq, nack.reason, nack.message)
             self._drop_first()
-            self.rejected.append((nack.seq, nack.reason))
+            self.refusals.append(Refusal(nack.seq, nack.reason, nack.message))
         # What was sent behind the refused scan is refused for the gap; it is sent again once that is answered.
         self._resend_at = max(self._resend_at or 0.0, time.monotonic())
 
@@ -263,6 +263,34 @@ class GrpcScanSink:
         with self._changed:
             self._error = error
             self._changed.notify_all()
+
+
+def holds_scan(call: Callable[..., Any], session: str, seq: int, cloud: Cloud, pose: Json, stamp_ns: int) -> bool:
+    """Whether the session has this very scan under the number `seq`: sent again, it would be acknowledged.
+
+    Takes a stream, which ends an open one of the session. Raises ApiError, grpc.RpcError, LostCall.
+    """
+    requests: queue.SimpleQueue[ingest_pb2.StreamScansRequest | None] = queue.SimpleQueue()
+    requests.put(ingest_pb2.StreamScansRequest(open=ingest_pb2.Open(session=session)))
+    running = call(_until_none(requests))
+    try:
+        for response in Answers(running).all(OPENED_WITHIN_S):
+            match response.WhichOneof("response"):
+                case "opened":
+                    if response.opened.committed_seq < seq:
+                        return False
+                    requests.put(_Pending(cloud, pose, stamp_ns).message(seq))
+                case "ack":
+                    return True
+                case "nack":
+                    if response.nack.retryable:
+                        reason, message = response.nack.reason, response.nack.message
+                        raise Unavailable(ErrorDetails("UNAVAILABLE", reason, message, retryable=True))
+                    return False
+    finally:
+        requests.put(None)
+        running.cancel()
+    raise unreachable("the service", "it ended the stream")
 
 
 def _until_none(

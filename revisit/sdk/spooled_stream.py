@@ -14,7 +14,7 @@ from revisit.sdk.input_watch import InputWatch
 from revisit.sdk.resources import pose_json
 from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.spool import DeadLetter, Spool, SpoolState
-from revisit.sdk.transport import ScanSink, Transport
+from revisit.sdk.transport import Refusal, ScanSink, Transport
 
 POLL_S = 0.25
 CLOSE_S = 5.0
@@ -59,6 +59,11 @@ class SpooledStream:
     def rejected(self) -> list[tuple[int, str]]:
         """The dead letters in short: number and reason."""
         return [(dead.seq, dead.reason) for dead in self.dead_letters]
+
+    @property
+    def refusals(self) -> list[Refusal]:
+        """The dead letters without what was in them."""
+        return [Refusal(dead.seq, dead.reason, dead.message) for dead in self.dead_letters]
 
     @property
     def error(self) -> Exception | None:

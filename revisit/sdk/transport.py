@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 from revisit.sdk.clouds import Cloud
@@ -24,12 +25,21 @@ SILENT_S = 45.0
 """A watch of which nothing was heard for so long is dead: the service gives a sign of life every 15 s."""
 
 
+@dataclass(frozen=True)
+class Refusal:
+    """A scan that the service refused for good: the number that its successor got instead, and why."""
+
+    seq: int
+    reason: str
+    message: str
+
+
 class ScanSink(Protocol):
     """Takes the scans of a session in order and delivers them."""
 
     submaps: list[str]
     submap_seq: int
-    rejected: list[tuple[int, str]]
+    refusals: list[Refusal]
 
     @property
     def committed_seq(self) -> int:
@@ -239,6 +249,10 @@ class Transport(Protocol):
 
     def open_stream(self, session: str, journal: StreamJournal = Forgetful()) -> ScanSink:
         """Open a session's stream of scans."""
+        ...
+
+    def holds_scan(self, session: str, seq: int, cloud: Cloud, pose: Json, stamp_ns: int) -> bool:
+        """Whether the session has this very scan under the number `seq`; nothing is stored."""
         ...
 
     def close(self) -> None:

@@ -134,7 +134,7 @@ def test_robots_are_kept_up_with(laps, tmp_path):
     finally:
         service.close()
     publish("robots", **told, loops=loops)
-    assert [robot.rejected for robot in robots] == [[]] * ROBOTS
+    assert [robot.refusals for robot in robots] == [[]] * ROBOTS
     assert [robot.committed_seq for robot in robots] == [SCANS] * ROBOTS
     assert set(states) == {"DESCRIBED"}
     assert in_time(told["late_at_the_end_s"], MOST_LATE_S)

@@ -54,7 +54,7 @@ class Robot(threading.Thread):
         self._target, self._session, self._lap, self._scans, self._begins_s = target, session, lap, scans, begins_s
         self.acknowledgements = Acknowledgements()
         self.late_s: list[float] = []
-        self.committed_seq, self.rejected = 0, []
+        self.committed_seq, self.refusals = 0, []
 
     def run(self) -> None:
         """Until every scan was answered."""
@@ -69,7 +69,7 @@ class Robot(threading.Thread):
             sink.send(cloud, pose_json(T_odom_sensor), int(number * 1e9 / SCANS_PER_S) + 1)
             self.late_s.append(time.monotonic() - due_s)
         sink.flush()
-        self.committed_seq, self.rejected = sink.committed_seq, list(sink.rejected)
+        self.committed_seq, self.refusals = sink.committed_seq, list(sink.refusals)
         sink.close()
         transport.close()
 

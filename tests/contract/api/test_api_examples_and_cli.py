@@ -10,7 +10,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import httpx
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -153,46 +152,6 @@ def test_clouds_with_a_tum_or_g2o_trajectory_become_a_session(service, tmp_path,
     np.testing.assert_allclose(first.T_odom_submap, expected, atol=1e-9)
     assert first.T_odom_submap[0, 3] % 1.5 == pytest.approx(0.0, abs=1e-9)
     assert first.stamp_ns // 10**9 == (100 if file == "poses.tum" else 0)
-
-
-def test_another_recording_is_not_taken_for_the_rest_of_a_session(recording, service, tmp_path):
-    where = ("--map", "mixed", "--session", "tuesday", "--grpc", service.grpc, "--json", "--no-finish", "--no-wait")
-    invoke("ingest", recording, *where, "--limit", 12)
-    scans = ((cloud_points(20, 500), pose(float(number)), number * 10**8 + 7) for number in range(30))
-    write_kitti(tmp_path / "rebooted", scans)
-    refusal = CliRunner().invoke(app, [str(part) for part in ("ingest", tmp_path / "rebooted", *where)])
-    assert refusal.exit_code == 1 and "give this one a session of its own" in refusal.stderr
-    assert json.loads(invoke("ingest", recording, *where))["scans_stored"] == 30
-
-
-@pytest.fixture(scope="module")
-def damaged_recording(tmp_path_factory):
-    """20 scans 1 m apart, of which 3, 8 and 12 cannot be read: they are left out and get no number in the session."""
-    folder = tmp_path_factory.mktemp("recordings") / "damaged"
-    write_kitti(folder, ((cloud_points(number, 500), pose(float(number)), number * 10**8) for number in range(20)))
-    files = sorted((folder / "velodyne").iterdir())
-    for number in (3, 8, 12):
-        files[number].write_bytes(b"torn")
-    return folder
-
-
-@pytest.mark.parametrize("by_spool", [False, True], ids=["stream", "spool"])
-def test_scans_that_were_left_out_do_not_make_a_second_run_send_others_twice(
-    damaged_recording, service, tmp_path, by_spool
-):
-    map_id = f"damaged-{by_spool}"
-    where = ("--map", map_id, "--grpc", service.grpc, "--json", "--no-finish", "--no-wait")
-    where += ("--spool", tmp_path / "robot.spool") if by_spool else ()
-    first = json.loads(invoke("ingest", damaged_recording, *where, "--limit", 10))
-    assert (first["scans_sent"], first["scans_stored"], first["scans_refused"]) == (8, 8, 2)
-    second = json.loads(invoke("ingest", damaged_recording, *where))
-    assert (second["scans_sent"], second["scans_stored"], second["scans_refused"]) == (9, 17, 1)
-    third = json.loads(invoke("ingest", damaged_recording, *where))
-    assert (third["scans_sent"], third["scans_stored"]) == (0, 17)
-    with httpx.Client(base_url=service.http, trust_env=False) as client:
-        stored = client.get(f"/v1/maps/{map_id}/sessions/damaged").json()
-    # From scan 0 at 0 m to scan 19 at 19 m, never back.
-    assert (stored["travelled_m"], int(stored["committed_stamp_ns"])) == (pytest.approx(19.0), 19 * 10**8)
 
 
 def test_a_spool_is_shown_and_sent_from_the_command_line(service, tmp_path):

@@ -266,7 +266,20 @@ def test_the_sdk_leaves_out_a_bad_scan_and_goes_on(service, session):
         drive(stream, 4, start=5)
         stream.flush()
         assert stream.rejected == [(4, "NON_FINITE_POINTS")]
+        assert "NaN or infinite" in stream.refusals[0].message
         assert stream.committed_seq == 7
+
+
+def test_a_stored_scan_is_known_again_by_its_number_cloud_pose_and_time(client, session):
+    with client.stream(session) as stream:
+        drive(stream, 3)
+    at = cloud_points(2), pose(2.0), 2
+    assert client.holds_scan(session, 2, *at)
+    other = (cloud_points(9), *at[1:]), (at[0], pose(2.5), 2), (*at[:2], 3), (np.zeros((300, 3)), *at[1:])
+    assert [client.holds_scan(session, 2, *scan) for scan in other] == [False] * 4
+    assert not client.holds_scan(session, 1, *at)
+    assert not client.holds_scan(session, 4, cloud_points(4), pose(4.0), 4)
+    assert client.get_session(session.name).committed_seq == 3
 
 
 class CuttingProxy:

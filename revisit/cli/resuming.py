@@ -1,0 +1,164 @@
+"""Where an ingest goes on: behind which scan of a recording, and whether a session holds that recording at all."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from revisit.core.errors import RevisitError
+from revisit.core.geometry import se3
+from revisit.evaluation.datasets import name_of_scan
+from revisit.formats import NPY, decode_cloud
+from revisit.sdk.errors import AlreadyExists, ApiError, ErrorDetails, FailedPrecondition
+
+if TYPE_CHECKING:
+    from revisit.core.scan import Scan
+    from revisit.evaluation.datasets import Recording
+    from revisit.sdk.client import Client
+    from revisit.sdk.resources import Session, Submap
+
+SAME_POSE = 1e-6
+"""Numbers of a pose that differ by less, metres or none, are the same number in another notation."""
+
+SAME_LENGTH_SHARE = 1e-6
+"""Lengths of a path that differ by less than this share of it were added up in another order."""
+
+SAME_POINT_M = 0.005
+"""Clouds are sent to the millimetre, and stored as float32."""
+
+POINTS_COMPARED = 200
+"""So many points of a submap are looked for, evenly spread."""
+
+
+def readable_or_error(recording: Recording, index: int) -> Scan | RevisitError:
+    """The scan with that index, or why it cannot be read: it is damaged or empty."""
+    try:
+        return recording.scan(index)
+    except RevisitError as error:
+        return error
+
+
+def first_unsent(client: Client, session: Session, recording: Recording, spooled_ns: int | None = None) -> int:
+    """The index of the first scan behind the last one that an unfinished session, or its spool, was given.
+
+    `spooled_ns` is the time of the last scan that was put into the spool: the service may have refused that one. Raises
+    AlreadyExists where the session ends with a scan of another recording.
+    """
+    unsent = 0 if session.committed_stamp_ns is None else _last_held(client, session, recording) + 1
+    if spooled_ns is None or spooled_ns <= (session.committed_stamp_ns or 0):
+        return unsent
+    refused = np.flatnonzero(recording.stamps_ns[unsent:] == spooled_ns)
+    return unsent + int(refused[0]) + 1 if len(refused) else unsent
+
+
+def _last_held(client: Client, session: Session, recording: Recording) -> int:
+    """The last stored scan. Of scans with the same time the service says which one it has. Raises AlreadyExists."""
+    for index in _at_last_stamp(session, recording):
+        scan = readable_or_error(recording, index)
+        if isinstance(scan, RevisitError):
+            continue
+        if client.holds_scan(session, session.committed_seq, scan.points, scan.T_odom_sensor, scan.stamp_ns):
+            return index
+    message = (
+        f"{session.name} ends with a scan that {recording.name} does not have at its place (scan "
+        f"{session.committed_seq}, stamp {session.committed_stamp_ns} ns). Another recording, or this one read with "
+        "other options? Give this one a session of its own, with --session NAME"
+    )
+    raise AlreadyExists(ErrorDetails("ALREADY_EXISTS", "ALREADY_EXISTS", message))
+
+
+def require_stored(client: Client, session: Session, recording: Recording, count: int) -> None:
+    """Raises FailedPrecondition unless a finished session holds all of the first `count` scans that can be read."""
+    last = _last_stored(client, session, recording)
+    if last is None:
+        lacking = f"it does not hold this recording ({recording.name}), or not as it is read now"
+    else:
+        lacking = _lacking(session, recording, last, count)
+    if not lacking:
+        return
+    message = (
+        f"{session.name} is finished and takes no more scans, and {lacking}. Give the recording a session of its own, "
+        f"with --session NAME, or delete that one (DELETE /v1/{session.name}) and ingest again"
+    )
+    raise FailedPrecondition(ErrorDetails("FAILED_PRECONDITION", "SESSION_FINISHED", message))
+
+
+def _at_last_stamp(session: Session, recording: Recording) -> list[int]:
+    """The scans that have the time of the last stored one, and can have its number.
+
+    Their place is that of its number, or later where scans before it were left out.
+    """
+    at_stamp = np.flatnonzero(recording.stamps_ns == session.committed_stamp_ns)
+    return [int(index) for index in at_stamp if index >= session.committed_seq - 1]
+
+
+def _last_stored(client: Client, session: Session, recording: Recording) -> int | None:
+    """The scan that a finished session ends with, -1 where it is empty; None where it is of another recording."""
+    if session.committed_stamp_ns is None:
+        return -1
+    cut = [submap for submap in client.list_submaps(session) if submap.first_seq is not None]
+    if not all(_has_place(recording, submap) for submap in cut):
+        return None
+    for last in _at_last_stamp(session, recording):
+        if _is_as_long(session, recording, last) and _has_its_points(client, session, cut, recording, last):
+            return last
+    return None
+
+
+def _has_place(recording: Recording, submap: Submap) -> bool:
+    """Whether a scan was taken where and when the middle scan of the submap was."""
+    at_stamp = np.flatnonzero(recording.stamps_ns == submap.stamp_ns)
+    return any(np.abs(recording.pose(int(index)) - submap.T_odom_submap).max() < SAME_POSE for index in at_stamp)
+
+
+def _is_as_long(session: Session, recording: Recording, last: int) -> bool:
+    """Whether the path up to the scan `last` is the session's; at most as long where scans were left out."""
+    path = np.array([recording.pose(index)[:3, 3] for index in range(last + 1)])
+    length_m = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+    tolerance_m = SAME_POSE + SAME_LENGTH_SHARE * length_m
+    shorter_m = length_m - session.travelled_m
+    return shorter_m > -tolerance_m if last >= session.committed_seq else abs(shorter_m) < tolerance_m
+
+
+def _has_its_points(client: Client, session: Session, cut: list[Submap], recording: Recording, last: int) -> bool:
+    """Whether points of the last submap were seen by scans of its numbers; taken for true where it cannot be had."""
+    if not cut:
+        return True
+    try:
+        points = decode_cloud(client.download(cut[-1], "npy"), NPY).points
+    except ApiError as error:
+        if error.retryable:
+            raise
+        return True
+    unseen = se3.apply(cut[-1].T_odom_submap, points[:: -(-len(points) // POINTS_COMPARED)].astype(np.float64))
+    left_out = last + 1 - session.committed_seq
+    for index in range((cut[-1].first_seq or 1) - 1, (cut[-1].last_seq or 0) + left_out):
+        scan = readable_or_error(recording, index)
+        if not isinstance(scan, RevisitError):
+            apart_m, _ = cKDTree(scan.points).query(se3.apply(se3.inverse(scan.T_odom_sensor), unseen))
+            unseen = unseen[apart_m > SAME_POINT_M]
+        if len(unseen) == 0:
+            return True
+    return False
+
+
+def _is_readable(recording: Recording, index: int) -> bool:
+    return not isinstance(readable_or_error(recording, index), RevisitError)
+
+
+def _lacking(session: Session, recording: Recording, last: int, count: int) -> str:
+    """What a session that ends with the scan `last` lacks of the recording; empty for nothing."""
+    stored, stamps = session.committed_seq, recording.stamps_ns
+    if last >= stored:
+        # Time must not go backwards in a session: such scans are refused.
+        in_order = np.flatnonzero(stamps[: last + 1] == np.maximum.accumulate(stamps[: last + 1]))
+        usable = sum(_is_readable(recording, int(index)) for index in in_order)
+        if usable > stored:
+            return f"it holds {stored} of the first {usable} scans of {recording.name} that can be read"
+    newest_ns = stamps[last] if last >= 0 else 0
+    for index in range(last + 1, count):
+        if stamps[index] >= newest_ns and _is_readable(recording, index):
+            return f"it ends before {name_of_scan(recording, index)} of {recording.name}"
+    return ""
