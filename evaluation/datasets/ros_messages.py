@@ -22,6 +22,7 @@ POSE_TYPES = (ODOMETRY, TRACKED, "geometry_msgs/msg/PoseStamped", "geometry_msgs
 PATH_TYPES = ("nav_msgs/msg/Path",)
 TRANSFORM_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 MAX_FIELDS = 64
+COORDINATES = ("x", "y", "z")
 MAX_TRANSFORMS = 10_000
 MAX_PATH_POSES = 10_000_000
 
@@ -117,13 +118,14 @@ def read_coordinates(message: bytes, encoding: Encoding = "cdr") -> NDArray[np.f
 
 
 def _packed(message: bytes, encoding: Encoding) -> PackedCloud:
+    """A cloud with its coordinates alone: what drivers write of other fields costs no scan."""
     fields = _Fields(message, encoding)
     fields.header()
     height, width = (int(value) for value in fields.numbers("I", 2))
     count = int(fields.number("I"))
     if count > MAX_FIELDS:
         raise MalformedBody(f"a cloud with {count} fields")
-    columns = tuple(_column(fields) for _ in range(count))
+    columns = tuple(column for column in (_column(fields) for _ in range(count)) if column.name in COORDINATES)
     big_endian = bool(fields.number("B"))
     point_step, row_step = (int(value) for value in fields.numbers("I", 2))
     data = _without_padding(fields.raw(), height, width * point_step, row_step)

@@ -246,6 +246,16 @@ def test_the_padding_of_a_single_row_and_a_count_of_none_are_read_as_they_are_me
     np.testing.assert_array_equal(read_points(a_cloud(cloud(0), 1, 12 * COUNT, count=0)), cloud(0))
 
 
+@pytest.mark.parametrize(("name", "kind"), [(b"intensity\0", 0), (b"ring\0", 99), (b"", 7)])
+def test_what_a_driver_writes_of_other_fields_costs_no_scan(name: bytes, kind: int) -> None:
+    cdr = Cdr().header(0).put("I", 1, COUNT, 5)
+    for index, field in enumerate((b"x\0", b"y\0", b"z\0", name, name)):
+        cdr.raw(field).put("I", 4 * min(index, 3)).put("B", 7 if index < 3 else kind).put("I", 1)
+    rows = np.column_stack([cloud(0), np.zeros(COUNT, np.float32)])
+    message = cdr.put("B", 0).put("I", 16, 16 * COUNT).raw(rows.tobytes()).put("B", 1).message()
+    np.testing.assert_array_equal(read_points(message), cloud(0))
+
+
 def test_a_sqlite_bag_is_read_like_an_mcap_file(tmp_path: Path) -> None:
     start = 1_700_000_000 * 10**9
     with sqlite3.connect(tmp_path / "drive.db3") as connection:
