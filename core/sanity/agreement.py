@@ -70,7 +70,7 @@ def _disagreement(compared: Sequence[_Comparison]) -> list[Finding]:
     if others[best] < as_given + AGREEMENT_MARGIN:
         return []
     measured = f"{100 * as_given:.0f} % of the points meet the scan before; {100 * others[best]:.0f} % if {best}"
-    return [Finding(_CODES[best], measured, best, _ADVICE[best])]
+    return [Finding(_CODES[best], measured, _CAUSES.get(best, best), _ADVICE[best])]
 
 
 Step = Callable[[se3.Matrix4, se3.Matrix4], se3.Matrix4]
@@ -111,8 +111,13 @@ _CODES = {
     _REGISTERED: "registered", _INVERTED: "poses_inverted", _MIRRORED: "mirrored", _MIRRORED_X: "mirrored",
     _CAMERA: "camera_axes", _REORDERED: "quaternion_order",
 }  # fmt: skip
+_CAUSES = {
+    _REGISTERED: "the clouds are in the frame of the odometry already, or most returns go with the sensor (its vehicle, rain)",
+}
+"""Of what fits the same, more than what the poses were read as."""
+
 _ADVICE = {
-    _REGISTERED: "give clouds in the sensor's frame",
+    _REGISTERED: "give clouds in the sensor's frame, without returns from the vehicle itself",
     _INVERTED: "give T_odom_sensor, which takes points of the sensor to the odometry's frame",
     _MIRRORED: "give right-handed axes: x ahead, y left, z up",
     _MIRRORED_X: "give right-handed axes: x ahead, y left, z up",

@@ -23,7 +23,10 @@ LIKELY_CAUSES = {
         "give T_odom_sensor in a frame whose z axis points up",
     ),
     "quaternion_order": ("the quaternions are in the order w, x, y, z", "give them as x, y, z, w"),
-    "registered": ("the clouds are already in the frame of the odometry", "give clouds in the sensor's frame"),
+    "registered": (
+        "the clouds are in the frame of the odometry already, or most returns go with the sensor (its vehicle, rain)",
+        "give clouds in the sensor's frame, without returns from the vehicle itself",
+    ),
     "poses_inverted": (
         "the poses are inverted",
         "give T_odom_sensor, which takes points of the sensor to odom",
