@@ -111,9 +111,7 @@ _CODES = {
     _REGISTERED: "registered", _INVERTED: "poses_inverted", _MIRRORED: "mirrored", _MIRRORED_X: "mirrored",
     _CAMERA: "camera_axes", _REORDERED: "quaternion_order",
 }  # fmt: skip
-_CAUSES = {
-    _REGISTERED: "the clouds are in the frame of the odometry already, or most returns go with the sensor (its vehicle, rain)",
-}
+_CAUSES = {_REGISTERED: f"{_REGISTERED}, or most returns go with the sensor (its vehicle)"}
 """Of what fits the same, more than what the poses were read as."""
 
 _ADVICE = {

@@ -24,7 +24,7 @@ LIKELY_CAUSES = {
     ),
     "quaternion_order": ("the quaternions are in the order w, x, y, z", "give them as x, y, z, w"),
     "registered": (
-        "the clouds are in the frame of the odometry already, or most returns go with the sensor (its vehicle, rain)",
+        "the clouds are already in the frame of the odometry, or most returns go with the sensor (its vehicle)",
         "give clouds in the sensor's frame, without returns from the vehicle itself",
     ),
     "poses_inverted": (
