@@ -75,7 +75,8 @@ def test_a_full_disk_refuses_data_serves_the_rest_and_heals_by_itself(tmp_path):
         assert readiness.status_code == 200 and "storage full" in readiness.json()["degraded"][0]
         found = town.http.post("/v1/maps/town/submaps:search", json={"submap": f"{SESSION}/submaps/s1"})
         assert found.status_code == 200 and len(found.json()["hits"]) == 4
-        assert town.http.delete(f"/v1/{SESSION}/submaps/s4").status_code in (200, 204)
+        # The first one may meet a reserve that is not given back yet, and 507 is to be repeated.
+        eventually(lambda: town.http.delete(f"/v1/{SESSION}/submaps/s4").status_code in (200, 204))
 
         filler.unlink()
         assert in_time(eventually(lambda: post(town, 100) == 202), 5.0)
