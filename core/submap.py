@@ -14,6 +14,7 @@ from revisit.core.config import SubmapConfig
 from revisit.core.errors import BadField, EmptyCloud
 from revisit.core.geometry import se3
 from revisit.core.geometry.level_frame import LevelFrame
+from revisit.core.geometry.path import travelled_m
 from revisit.core.scan import MIN_POINTS, Points, Scan
 
 
@@ -168,7 +169,7 @@ def chosen_scans(
     at the marks have fewer than `enough_returns`, of a sensor of few beams, others join them, evenly spread, until
     they have (docs/decisions/0150).
     """
-    travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
+    travelled = travelled_m(positions)
     marks = travelled * (config.scans_per_tau / config.tau)
     nearest = np.rint(marks)
     order = np.lexsort((np.abs(marks - nearest), nearest))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
+from revisit.core.geometry.path import travelled_m
 from revisit.core.pose_graph.consistency import agreement, largest_clique, oriented
 from revisit.core.pose_graph.graph import LoopEdge, PoseGraph
 from revisit.core.pose_graph.optimisation import LoopState, OptimisedGraph
@@ -95,6 +96,5 @@ def _common_track_m(graph: PoseGraph, loops: Iterable[LoopEdge], second: frozens
 
 def _spanned_m(graph: PoseGraph, session: str, ordinals: set[int], longest_gap_m: float) -> float:
     positions: NDArray[np.float64] = graph.by_session[session].T_odom_submap[:, :3, 3]
-    travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
-    gaps = np.diff(travelled[sorted(ordinals)])
+    gaps = np.diff(travelled_m(positions)[sorted(ordinals)])
     return float(gaps[gaps <= longest_gap_m].sum())

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.geometry.path import travelled_m
 from revisit.core.pose_graph.consistency import MAX_CLOSING_ERROR, Circles
 from revisit.core.pose_graph.graph import LoopEdge, PoseGraph, Trajectory
 from revisit.core.pose_graph.support import have_support, loops_within, odometry_errors
@@ -45,23 +46,26 @@ def heading_bias(trajectory: Trajectory, loops: list[LoopEdge]) -> float:
     `loops` are those within the session, each with the earlier submap as its match.
     """
     loops = loops[:: -(-len(loops) // ASKED_OF) or 1]
+    if len(loops) < LEAST_LOOPS:
+        return 0.0
     circles = Circles.of(loops, trajectory, trajectory)
     fits = odometry_errors(circles) < MAX_CLOSING_ERROR
-    if len(loops) < LEAST_LOOPS or fits.mean() >= 1.0 - REFUTED:
+    if fits.mean() >= 1.0 - REFUTED:
         return 0.0
     borne = np.flatnonzero(have_support(circles, np.arange(len(loops))))
     if len(borne) < LEAST_LOOPS or fits[borne].mean() >= 1.0 - REFUTED:
         return 0.0
-    bias = _most_agreed(circles, borne, _travelled(trajectory))
+    bias = _most_agreed(circles, borne)
     turned = _without(trajectory, bias)
     explained = odometry_errors(Circles.of([loops[row] for row in borne], turned, turned)) < MAX_CLOSING_ERROR
     return bias if explained.mean() >= EXPLAINED else 0.0
 
 
-def _most_agreed(circles: Circles, rows: NDArray[np.int64], travelled_m: Array64) -> float:
+def _most_agreed(circles: Circles, rows: NDArray[np.int64]) -> float:
     """The bias with which most of the loops `rows` agree, radians a metre; the smaller of two."""
     first, second = circles.ends[rows].T
-    apart_m = travelled_m[second] - travelled_m[first]
+    way_m = travelled_m(circles.second.T_odom_submap[:, :3, 3])
+    apart_m = way_m[second] - way_m[first]
     turn = circles.T_first_second[rows]
     turned = np.arctan2(turn[:, 0, 1] - turn[:, 1, 0], turn[:, 0, 0] + turn[:, 1, 1])
     near = _NEAR * np.sqrt(circles.variances[rows, 1] + circles.second.drift(first, second)[1])
@@ -79,17 +83,11 @@ def _without(trajectory: Trajectory, bias: float) -> Trajectory:
     if bias == 0.0:
         return trajectory
     poses = trajectory.T_odom_submap.copy()
-    angles = -bias * _travelled(trajectory)
+    angles = -bias * travelled_m(poses[:, :3, 3])
     steps = _turns(0.5 * (angles[1:] + angles[:-1])) @ np.diff(poses[:, :3, 3], axis=0)[..., None]
     poses[1:, :3, 3] = poses[0, :3, 3] + np.cumsum(steps[..., 0], axis=0)
     poses[:, :3, :3] = _turns(angles) @ poses[:, :3, :3]
     return replace(trajectory, T_odom_submap=poses)
-
-
-def _travelled(trajectory: Trajectory) -> Array64:
-    """Metres travelled (n,) up to each submap."""
-    steps_m = np.linalg.norm(np.diff(trajectory.T_odom_submap[:, :3, 3], axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(steps_m)])
 
 
 def _turns(angles: Array64) -> Array64:

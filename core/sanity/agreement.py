@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from revisit.core.geometry import se3
-from revisit.core.sanity.finding import Finding
+from revisit.core.sanity.finding import LIKELY_CAUSES, Finding
 from revisit.core.sanity.ground import ground_plane, read_as_wxyz, sample_of, thinned_cloud
 from revisit.core.scan import Scan
 
@@ -70,7 +70,9 @@ def _disagreement(compared: Sequence[_Comparison]) -> list[Finding]:
     if others[best] < as_given + AGREEMENT_MARGIN:
         return []
     measured = f"{100 * as_given:.0f} % of the points meet the scan before; {100 * others[best]:.0f} % if {best}"
-    return [Finding(_CODES[best], measured, _CAUSES.get(best, best), _ADVICE[best])]
+    return [
+        Finding(_CODES[best], measured, LIKELY_CAUSES["registered"][0] if best == _REGISTERED else best, _ADVICE[best])
+    ]
 
 
 Step = Callable[[se3.Matrix4, se3.Matrix4], se3.Matrix4]
@@ -111,11 +113,8 @@ _CODES = {
     _REGISTERED: "registered", _INVERTED: "poses_inverted", _MIRRORED: "mirrored", _MIRRORED_X: "mirrored",
     _CAMERA: "camera_axes", _REORDERED: "quaternion_order",
 }  # fmt: skip
-_CAUSES = {_REGISTERED: f"{_REGISTERED}, or most returns go with the sensor (its vehicle)"}
-"""Of what fits the same, more than what the poses were read as."""
-
 _ADVICE = {
-    _REGISTERED: "give clouds in the sensor's frame, without returns from the vehicle itself",
+    _REGISTERED: LIKELY_CAUSES["registered"][1],
     _INVERTED: "give T_odom_sensor, which takes points of the sensor to the odometry's frame",
     _MIRRORED: "give right-handed axes: x ahead, y left, z up",
     _MIRRORED_X: "give right-handed axes: x ahead, y left, z up",

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from revisit.core.errors import BadField, MalformedBody
 from revisit.core.geometry import se3
 from revisit.core.scan import Points
-from revisit.evaluation.datasets.number_rows import nanoseconds, read_rows, read_times, read_words
+from revisit.evaluation.datasets.number_rows import MICROSECOND_DIGITS, nanoseconds, read_rows, read_times, read_words
 from revisit.evaluation.datasets.posed_clouds import (
     PosedClouds,
     StampedPoses,
@@ -22,9 +22,6 @@ from revisit.evaluation.datasets.posed_clouds import (
 from revisit.formats import decode_cloud, media_type_for_suffix
 
 SCAN_PERIOD_NS = 100_000_000
-LEAST_DIGITS_OF_A_TIME = 15
-"""Of a whole number that a file is named by: a smaller one is a number of the file."""
-
 _SUFFIXES = (".pcd", ".ply", ".bin", ".npy")
 _CLOUD_FOLDERS = ("clouds", "scans", "velodyne", ".")
 _POSE_FILES = (
@@ -119,7 +116,8 @@ def _times_in_names(files: list[Path]) -> Stamps | None:
 
 
 def _time_in_name(stem: str) -> int | None:
-    if not stem.replace(".", "", 1).isdecimal() or ("." not in stem and len(stem) < LEAST_DIGITS_OF_A_TIME):
+    """A smaller whole number is a number of the file."""
+    if not stem.replace(".", "", 1).isdecimal() or ("." not in stem and len(stem) < MICROSECOND_DIGITS):
         return None
     return nanoseconds(stem)
 

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from revisit.core.errors import MalformedBody
 
+MICROSECOND_DIGITS, NANOSECOND_DIGITS = 15, 18
+
 
 def read_rows(file: Path, width: int) -> NDArray[np.float64]:
     """The numbers (n, width) of a text file; lines that start with # are left out. Raises MalformedBody."""
@@ -29,8 +31,8 @@ def read_times(file: Path) -> NDArray[np.int64]:
 def nanoseconds(time: str) -> int:
     """The nanoseconds of a decimal number of seconds, exactly.
 
-    A whole number of 15 digits or more is in microseconds, of 18 or more in nanoseconds: seconds would be beyond all
-    calendars. Raises MalformedBody for what is no time, or one that 64 bits do not hold.
+    A whole number of MICROSECOND_DIGITS or more is in microseconds, of NANOSECOND_DIGITS or more in nanoseconds:
+    seconds would be beyond all calendars. Raises MalformedBody for what is no time, or one that 64 bits do not hold.
     """
     whole, _, fraction = time.partition(".")
     if whole.isdecimal() and (fraction.isdecimal() or not fraction):
@@ -48,7 +50,7 @@ def nanoseconds(time: str) -> int:
 
 def _unit(digits: int) -> int:
     """The nanoseconds of what a whole number of so many digits counts."""
-    return 1 if digits >= 18 else 1000 if digits >= 15 else 10**9
+    return 1 if digits >= NANOSECOND_DIGITS else 1000 if digits >= MICROSECOND_DIGITS else 10**9
 
 
 def read_words(file: Path) -> list[list[str]]:

@@ -27,6 +27,15 @@ if TYPE_CHECKING:
     from revisit.sdk.spooled_stream import SpooledStream
     from revisit.sdk.transport import Refusal
 
+Limit = Annotated[
+    int | None,
+    typer.Option(min=1, help="Send the first so many scans; run again without it, or with more, to go on."),
+]
+Finish = Annotated[
+    bool | None,
+    typer.Option(help="Finish the session after the last scan; by default unless --limit leaves some out."),
+]
+
 POLL_S = 1.0
 REFUSED_TOLD = 5
 """So many refused scans are told one by one."""
@@ -118,18 +127,12 @@ def ingest(
         str | None, typer.Option(help="Storey of a building, as B2: never compared with sessions on others.")
     ] = None,
     grpc: Grpc = GRPC,
-    limit: Annotated[
-        int | None,
-        typer.Option(min=1, help="Send the first so many scans; run again without it, or with more, to go on."),
-    ] = None,
+    limit: Limit = None,
     spool: Annotated[
         Path | None, typer.Option(help="File that keeps scans on this machine until they are stored.")
     ] = None,
     wait: Annotated[bool, typer.Option(help="Wait until every submap is described.")] = True,
-    finish: Annotated[
-        bool | None,
-        typer.Option(help="Finish the session after the last scan; by default unless --limit leaves some out."),
-    ] = None,
+    finish: Finish = None,
     json: Json = False,
 ) -> None:
     """Stream a recording; run it again to resume."""

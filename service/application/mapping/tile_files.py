@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from revisit.core.errors import UnsupportedEncoding
 from revisit.formats import encode_npy, encode_pcd, encode_ply, encode_ply_mesh
 from revisit.formats.glb import encode_scene
@@ -33,8 +31,8 @@ def _rendered(tile: StoredTile, kind: DownloadKind, extension: str) -> bytes:
         return tile.neural_map
     if kind is DownloadKind.POINTS:
         encode = {"pcd": encode_pcd, "ply": encode_ply, "npy": encode_npy}[extension]
-        return encode(tile.points.vertices + np.asarray(tile.centre_m, np.float64), None)
+        return encode(tile.points.vertices + tile.centre_m, None)
     mesh = tile.mesh
     if extension == "glb":
         return encode_scene(mesh.vertices, mesh.faces, tile.centre_m)
-    return encode_ply_mesh(mesh.vertices + np.asarray(tile.centre_m, np.float64), mesh.normals, mesh.faces)
+    return encode_ply_mesh(mesh.vertices + tile.centre_m, mesh.normals, mesh.faces)
