@@ -83,7 +83,10 @@ def build_installation(settings: Settings, *, gateway: bool, fail_stop: FailStop
     """What a process is built from. The gateway alone checkpoints the database; a failing disk trips `fail_stop`."""
     require_local(settings.home)
     policy, disk, switch = settings.policy, build_disk(settings), fail_stop or FailStop()
-    pace = CallPace(settings.pace)
+    in_flight = InFlight(
+        settings.capacity, current_actor, note_refused=lambda tenant, client: pace.note_refused(tenant, client)
+    )
+    pace = CallPace(settings.pace, others_wait=in_flight.others_wait)
     transactions = SqliteTransactions(
         settings.database, checkpoints=gateway, lease_ms=policy.lease_ms, fail_stop=switch, on_full=disk.release
     )
@@ -95,7 +98,7 @@ def build_installation(settings: Settings, *, gateway: bool, fail_stop: FailStop
         ),
         clock=SystemClock(),
         policy=policy,
-        in_flight=InFlight(settings.capacity, current_actor, note_refused=pace.note_refused),
+        in_flight=in_flight,
         pace=pace,
         disk=disk,
         secret=_page_secret(settings.home),

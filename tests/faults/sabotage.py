@@ -418,6 +418,12 @@ SABOTAGES = (
         f"{PACE}test_a_key_that_begins_too_many_calls_waits_and_another_does_not[rest]",
     ),
     Sabotage(
+        "beside others a tenant has any number of clouds under way",
+        {f"{USE_CASES}capacity.in_flight:InFlight._let_others_in": _comes_at_once},
+        "tests/unit/service/test_in_flight.py::test_beside_others_a_tenant_has_few_clouds_under_way",
+        quick=True,
+    ),
+    Sabotage(
         "a body that is refused unread costs nothing",
         {f"{USE_CASES}capacity.call_pace:CallPace.note_unread": nothing},
         f"{PACE}test_a_body_that_is_refused_unread_makes_further_calls_wait",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-from sqlalchemy import Connection, Select, bindparam, delete, func, insert, select
+from sqlalchemy import Connection, Select, Update, bindparam, func, insert, select, update
 
 from revisit.service.adapters.sql import tables
 from revisit.service.adapters.sql.repositories import column_values
@@ -35,20 +35,31 @@ class SqlTenantTurns:
 
     def latest_start_ms(self) -> int:
         """See `TenantTurns`."""
-        latest = self._connection.execute(select(func.max(tables.tenant_turns.c.started_ms))).scalar()
-        return int(latest or 0)
+        return int(self._connection.execute(_latest_start()).scalar() or 0)
 
     def keep(self, turn: TurnRecord) -> None:
         """See `TenantTurns`."""
         # No upsert, which is not standard SQL: the transaction holds the lock of the writers.
-        turns = tables.tenant_turns
-        self._connection.execute(delete(turns).where(turns.c.tenant == turn.tenant))
-        self._connection.execute(insert(turns).values(column_values(turn)))
+        row = column_values(turn)
+        times = {name: value for name, value in row.items() if name != "tenant"}
+        if self._connection.execute(_of_tenant(), {"its_tenant": turn.tenant, **times}).rowcount == 0:
+            self._connection.execute(insert(tables.tenant_turns), row)
 
 
 @cache
 def _at_work() -> Select[Any]:
     return select(tables.jobs.c.tenant).where(tables.jobs.c.state == bindparam("state")).distinct()
+
+
+@cache
+def _latest_start() -> Select[Any]:
+    return select(func.max(tables.tenant_turns.c.started_ms))
+
+
+@cache
+def _of_tenant() -> Update:
+    """Overwrites the turn of tenant `its_tenant`."""
+    return update(tables.tenant_turns).where(tables.tenant_turns.c.tenant == bindparam("its_tenant"))
 
 
 @cache

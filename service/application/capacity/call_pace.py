@@ -33,6 +33,9 @@ MOST_CALLS_A_BODY = 20
 REFUSED_FOR_S = 1.0
 """For so long after a client was refused for its rate, its calls come at the pace of `over_rate_calls_per_s`."""
 
+LOOK_S, LOOKS = 0.004, 6
+"""So often, and for so long, such a call looks whether clouds of other tenants are stored just now: they go first."""
+
 
 @dataclass(frozen=True)
 class PaceLimits:
@@ -60,9 +63,14 @@ class CallPace:
         limits: PaceLimits = PaceLimits(),
         now_s: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
+        others_wait: Callable[[TenantId], bool] = lambda _tenant: False,
     ) -> None:
-        """`now_s` is a monotonic clock, seconds; `sleep` waits for so many."""
+        """`now_s` is a monotonic clock, seconds; `sleep` waits for so many.
+
+        `others_wait` tells whether a cloud of another tenant is in flight.
+        """
         self._limits = limits
+        self._others_wait = others_wait
         self._now_s = now_s
         self._sleep = sleep
         self._buckets: dict[tuple[str, ...], TokenBucket] = {}
@@ -77,9 +85,14 @@ class CallPace:
     async def turn(self, tenant: TenantId, client: str) -> None:
         """Return when a call of the tenant's client may begin. Raises RateLimited where too many wait."""
         buckets, over_rate = self._buckets_of(tenant, client), ("over rate", tenant, client)
-        if self._refused_until_s.get(over_rate, 0.0) > self._now_s():
-            buckets = *buckets, self._bucket(over_rate, self._limits.over_rate_calls_per_s)
-        await self._wait(buckets)
+        if self._refused_until_s.get(over_rate, 0.0) <= self._now_s():
+            await self._wait(buckets)
+            return
+        await self._wait((*buckets, self._bucket(over_rate, self._limits.over_rate_calls_per_s)))
+        for _ in range(LOOKS):
+            if not self._others_wait(tenant):
+                return
+            await self._sleep(LOOK_S)
 
     def note_refused(self, tenant: TenantId, client: str) -> None:
         """The client was told to come back later: whoever does not wait by itself waits here."""

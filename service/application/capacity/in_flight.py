@@ -10,10 +10,11 @@ import asyncio
 import os
 import time
 from collections import Counter, deque
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import islice
 
 from revisit.core.errors import RevisitError
 from revisit.service.application.contract.errors import RateLimited, WorkersBusy
@@ -31,6 +32,14 @@ DECODERS = max(2, os.cpu_count() or 2)
 OVERLOAD_S = 10.0
 """For so long after a refusal, a tenant may have no more undecoded clouds than there are `DECODERS`: under lasting
 overload a waiting line would only add to the latency of each request."""
+
+BESIDE_OTHERS = 3
+"""Clouds that a tenant has under way at a time where another has sent one within `OTHERS_S`. They take turns anyway at
+the interpreter and the writer; more of them only make the others' wait longer."""
+
+OTHERS_S = 5.0
+LOOK_S, LOOKS = 0.005, 10
+"""A further cloud of the tenant looks so often, and goes on in any case afterwards."""
 
 
 @dataclass(frozen=True)
@@ -105,17 +114,20 @@ class InFlight:
         client: Callable[[], str] = lambda: "",
         now_s: Callable[[], float] = time.monotonic,
         note_refused: Callable[[TenantId, str], None] = lambda _tenant, _client: None,
+        sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
     ) -> None:
         """`client` names the caller of the current request within its tenant; `now_s` is a monotonic clock, seconds.
 
-        `note_refused` is told whom a rate limit refuses.
+        `note_refused` is told whom a rate limit refuses; `sleep` waits for so many seconds.
         """
         self.limits = limits
         self._client = client
         self._now_s = now_s
         self._note_refused = note_refused
+        self._sleep = sleep
         self._buckets: dict[tuple[str, ...], TokenBucket] = {}
         self._clouds: Counter[TenantId] = Counter()
+        self._sent_s: dict[TenantId, float] = {}
         self._undecoded: Counter[TenantId] = Counter()
         self._last_points: dict[TenantId, int] = {}
         self._waiters: deque[_Waiter] = deque()
@@ -135,6 +147,10 @@ class InFlight:
     def clouds_of(self, tenant: TenantId) -> int:
         """The tenant's clouds in flight."""
         return self._clouds[tenant]
+
+    def others_wait(self, tenant: TenantId) -> bool:
+        """Whether a cloud of another tenant is in flight."""
+        return self.clouds > self._clouds[tenant]
 
     def check_rate(self, tenant: TenantId) -> None:
         """Raises RateLimited where the client, its tenant or the service is over its rate limit."""
@@ -169,8 +185,10 @@ class InFlight:
         once the cloud is decoded. Otherwise a burst of clouds would pass the limit before any of them is counted.
         One that is refused is charged `refused_points`: reading it took as long.
         Raises WorkersBusy where all slots, or the tenant's share of them, are taken. A `patient` cloud waits for a slot
-        instead: one of a stream, which sends its next cloud after the answer.
+        instead: one of a stream, which sends its next cloud after the answer. Any waits for a moment where the tenant
+        has several under way and others send some, too.
         """
+        await self._let_others_in(tenant)
         if patient and not self._has_slot(tenant):
             await self._turn(tenant)
         else:
@@ -207,6 +225,18 @@ class InFlight:
             if not self._streams[key]:
                 del self._streams[key]
 
+    async def _let_others_in(self, tenant: TenantId) -> None:
+        """Return once the tenant has few clouds under way, or no other tenant sends any, or it has waited enough."""
+        for _ in range(LOOKS):
+            if self._clouds[tenant] < BESIDE_OTHERS or not self._beside_others(tenant):
+                return
+            await self._sleep(LOOK_S)
+
+    def _beside_others(self, tenant: TenantId) -> bool:
+        """Whether another tenant has sent a cloud of late."""
+        of_others = (sent_s for one, sent_s in islice(reversed(self._sent_s.items()), 2) if one != tenant)
+        return self._now_s() - max(of_others, default=-OTHERS_S) < OTHERS_S
+
     def _has_slot(self, tenant: TenantId) -> bool:
         share = max(1, int(self.limits.clouds * self.limits.tenant_share))
         if self.clouds >= self.limits.clouds or self._clouds[tenant] >= share:
@@ -229,6 +259,8 @@ class InFlight:
             raise
 
     def _enter(self, tenant: TenantId) -> None:
+        self._sent_s.pop(tenant, None)
+        self._sent_s[tenant] = self._now_s()
         self._clouds[tenant] += 1
         self._undecoded[tenant] += 1
 

@@ -16,9 +16,9 @@ log = structlog.get_logger(__name__)
 
 @dataclass(frozen=True)
 class Chore:
-    """Work that is done at the start and again `every_s` seconds after it has ended; `at_end`: once more at the end.
+    """Work that is done at the start and again `every_s` seconds after it has ended, the second time sooner.
 
-    `close` ends what the work has begun and left to go on.
+    `at_end`: once more at the end. `close` ends what the work has begun and left to go on.
     """
 
     name: str
@@ -38,7 +38,9 @@ class Upkeep:
 
     def start(self) -> None:
         """Begin; returns at once."""
-        self._tasks = [asyncio.create_task(_repeat(chore), name=chore.name) for chore in self._chores]
+        for number, chore in enumerate(self._chores, 1):
+            repeated = _repeat(chore, number / len(self._chores))
+            self._tasks.append(asyncio.create_task(repeated, name=chore.name))
 
     async def stop(self) -> None:
         """End every chore where it stands; those that are due `at_end` are done once more."""
@@ -54,7 +56,10 @@ class Upkeep:
                 await chore.close()
 
 
-async def _repeat(chore: Chore) -> None:
+async def _repeat(chore: Chore, phase: float) -> None:
+    """The first pause is this part of the rhythm, another one for each chore: else all would always come at once."""
+    await _once(chore)
+    await asyncio.sleep(phase * chore.every_s)
     while True:
         await _once(chore)
         await asyncio.sleep(chore.every_s)

@@ -71,6 +71,12 @@ def add_loop(uow: UnitOfWork, record: LoopRecord, change: Change) -> LoopRecord:
     return added
 
 
+def add_loops(uow: UnitOfWork, loops: Sequence[tuple[LoopRecord, Change]]) -> None:
+    """Store new loops, each with its first event, in few statements: all other writers wait meanwhile."""
+    uow.loops.add_all([loop for loop, _ in loops])
+    uow.loop_events.add_all([_event(loop, change) for loop, change in loops])
+
+
 def change_loop(uow: UnitOfWork, record: LoopRecord, change: Change, **fields: Any) -> LoopRecord:
     """Store a loop with changed fields, and the event that tells of it."""
     changed = replace(record, **fields)

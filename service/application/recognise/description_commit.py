@@ -24,7 +24,7 @@ from revisit.service.application.ingest.submap_source import SubmapSource
 from revisit.service.application.mapping.loop_events import (
     Change,
     LoopStanding,
-    add_loop,
+    add_loops,
     change_loop,
     decided_by_person,
 )
@@ -89,16 +89,15 @@ class DescriptionCommit:
         where = self.where(uow) if newer else VectorFilter()
         if any(_may_match(change, where) for change in newer):
             return False
-        if not uow.submaps.count(tenant, number=self.task.submap.number):
+        own = self.task.submap.number
+        stored = uow.submaps.found(tenant, [own, *(item.place.submap.number for item in self.judged)])
+        if own not in stored:
             self._end(uow, SUBMAP_DELETED)
             return True
         self._store_submap(uow)
         failpoint("merge.after_submap")
-        present = [item for item in self.judged if uow.submaps.count(tenant, number=item.place.submap.number)]
-        for item in present:
-            add_loop(
-                uow, self._loop(item), Change(LoopEventKind.VERIFIED, self.now_ns, details=self._rules(item.verdict))
-            )
+        present = [item for item in self.judged if item.place.submap.number in stored]
+        add_loops(uow, [(self._loop(item), self._verified(item.verdict)) for item in present])
         accepted = sum(item.verdict.accepted for item in present)
         if accepted + sum(self._revise(uow, loop) for loop in self.decided):
             optimise_soon(uow, tenant, map_record.map_id, self.policy, self.now, self.now_ns)
@@ -136,7 +135,7 @@ class DescriptionCommit:
         change_loop(
             uow,
             loop,
-            Change(LoopEventKind.VERIFIED, self.now_ns, details=self._rules(verdict)),
+            self._verified(verdict),
             state=(LoopState.ACCEPTED if verdict.accepted else LoopState.REJECTED).value,
             reason=verdict.reason,
             score=verdict.score,
@@ -146,9 +145,10 @@ class DescriptionCommit:
         )
         return True
 
-    def _rules(self, verdict: LoopVerdict) -> dict[str, Any]:
-        """What the verdict was given by: the model and the thresholds."""
-        return {"model_version": self.described.row.model_version, **rules_of(verdict)}
+    def _verified(self, verdict: LoopVerdict) -> Change:
+        """Tells what the verdict was given by: the model and the thresholds."""
+        details = {"model_version": self.described.row.model_version, **rules_of(verdict)}
+        return Change(LoopEventKind.VERIFIED, self.now_ns, details=details)
 
     def _loop(self, item: JudgedPlace) -> LoopRecord:
         query, match, verdict = self.task.submap, item.place.submap, item.verdict

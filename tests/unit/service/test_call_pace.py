@@ -149,6 +149,26 @@ async def test_whoever_was_refused_for_its_rate_comes_at_a_slower_pace_until_it_
     assert len(time.waits) == 2
 
 
+@pytest.mark.parametrize("others_end_after", [0, 2, None])
+async def test_whoever_was_refused_for_its_rate_lets_clouds_of_others_go_first_for_a_moment(others_end_after):
+    waited = []
+
+    async def sleep(seconds):
+        waited.append(seconds)
+
+    def others_wait(tenant):
+        return tenant == "acme" and (others_end_after is None or len(waited) < others_end_after)
+
+    pace = CallPace(LIMITS, lambda: 0.0, sleep, others_wait)
+    await pace.turn("acme", "robot")
+    assert waited == []
+    pace.note_refused("acme", "robot")
+    await pace.turn("acme", "other")
+    assert waited == []
+    await pace.turn("acme", "robot")
+    assert waited == (call_pace.LOOKS if others_end_after is None else others_end_after) * [call_pace.LOOK_S]
+
+
 async def test_those_that_were_refused_longest_ago_are_forgotten(pace, monkeypatch):
     monkeypatch.setattr(call_pace, "MOST_BUCKETS", 3)
     for number in range(5):

@@ -7,7 +7,16 @@ from contextlib import AsyncExitStack, ExitStack, suppress
 
 import pytest
 
-from revisit.service.application.capacity.in_flight import CALL_POINTS, OVERLOAD_S, CapacityLimits, InFlight
+from revisit.service.application.capacity.in_flight import (
+    BESIDE_OTHERS,
+    CALL_POINTS,
+    LOOK_S,
+    LOOKS,
+    OTHERS_S,
+    OVERLOAD_S,
+    CapacityLimits,
+    InFlight,
+)
 from revisit.service.application.contract.errors import RateLimited, WorkersBusy
 
 
@@ -140,6 +149,40 @@ async def test_one_tenant_leaves_a_place_for_another(clock):
                 pass
         async with bounded.reserve_cloud("bert"):
             assert bounded.clouds == 4
+
+
+@pytest.mark.parametrize(
+    ("sent_by_another_s_ago", "done_after", "waits"),
+    [(None, None, 0), (1.1 * OTHERS_S, None, 0), (0.5 * OTHERS_S, 2, 2), (0.5 * OTHERS_S, None, LOOKS)],
+    ids=["alone", "the other has stopped", "until one is done", "but not for ever"],
+)
+async def test_beside_others_a_tenant_has_few_clouds_under_way(clock, sent_by_another_s_ago, done_after, waits):
+    waited = []
+
+    async def sleep(seconds):
+        waited.append(seconds)
+        if len(waited) == done_after:
+            await places.aclose()
+
+    bounded = InFlight(CapacityLimits(clouds=16), lambda: clock.client, clock, sleep=sleep)
+    if sent_by_another_s_ago is not None:
+        async with bounded.reserve_cloud("bert"):
+            clock.now_s += sent_by_another_s_ago
+    async with AsyncExitStack() as places:
+        for _ in range(BESIDE_OTHERS):
+            await places.enter_async_context(bounded.reserve_cloud("anna"))
+        assert waited == []
+        async with bounded.reserve_cloud("bert") if sent_by_another_s_ago == 0.5 * OTHERS_S else AsyncExitStack():
+            pass
+        async with bounded.reserve_cloud("anna"):
+            assert waited == waits * [LOOK_S]
+
+
+def test_others_wait_while_their_clouds_are_in_flight(clock):
+    bounded = intake(clock)
+    bounded._enter("anna")
+    assert not bounded.others_wait("anna")
+    assert bounded.others_wait("bert")
 
 
 async def test_where_more_keeps_coming_the_line_of_the_tenant_is_short(clock, monkeypatch):

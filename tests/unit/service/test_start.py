@@ -100,6 +100,7 @@ def test_whoever_a_rate_limit_refuses_comes_at_a_slower_pace():
     with pytest.raises(RateLimited):
         context.in_flight.check_rate("acme")
     assert [tenant for _, tenant, _ in context.pace._refused_until_s] == ["acme"]
+    assert context.pace._others_wait == context.in_flight.others_wait
 
 
 def test_a_setting_that_cannot_be_used_is_named_as_its_variable(monkeypatch, capsys):
