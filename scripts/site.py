@@ -13,6 +13,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -117,15 +118,15 @@ def navigation(folder: Path) -> list[dict[str, list[str]]]:
 
 def build(out: Path) -> None:
     """Build the site. Raises CalledProcessError for any warning, as a link that leads nowhere."""
-    work = ROOT / "build/site-work"
-    shutil.rmtree(work, ignore_errors=True)
-    collect(work / "pages")
-    settings = {"INHERIT": str(ROOT / "mkdocs.yml"), "docs_dir": "pages", "site_dir": str(out)}
-    # JSON is YAML.
-    (work / "mkdocs.yml").write_text(json.dumps({**settings, "nav": navigation(work / "pages")}, indent=1))
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "-q", "-f", str(work / "mkdocs.yml")]
-    quiet = {"NO_MKDOCS_2_WARNING": "1"}  # the theme advertises another program on each build
-    subprocess.run(command, check=True, env={**os.environ, **quiet})
+    with tempfile.TemporaryDirectory() as folder:  # of its own, so that two may be built at the same time
+        work = Path(folder)
+        collect(work / "pages")
+        settings = {"INHERIT": str(ROOT / "mkdocs.yml"), "docs_dir": "pages", "site_dir": str(out)}
+        # JSON is YAML.
+        (work / "mkdocs.yml").write_text(json.dumps({**settings, "nav": navigation(work / "pages")}, indent=1))
+        command = [sys.executable, "-m", "mkdocs", "build", "--strict", "-q", "-f", str(work / "mkdocs.yml")]
+        quiet = {"NO_MKDOCS_2_WARNING": "1"}  # the theme advertises another program on each build
+        subprocess.run(command, check=True, env={**os.environ, **quiet})
     _keep_at_home(out)
 
 
