@@ -10,9 +10,10 @@ import asyncio
 import time
 from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import TypeVar
 
-from revisit.service.application.capacity.in_flight import TokenBucket
+from revisit.service.application.capacity.in_flight import TokenBucket, wait_while
 from revisit.service.application.contract.errors import RateLimited
 from revisit.service.application.contract.identity import TenantId
 
@@ -89,10 +90,7 @@ class CallPace:
             await self._wait(buckets)
             return
         await self._wait((*buckets, self._bucket(over_rate, self._limits.over_rate_calls_per_s)))
-        for _ in range(LOOKS):
-            if not self._others_wait(tenant):
-                return
-            await self._sleep(LOOK_S)
+        await wait_while(partial(self._others_wait, tenant), LOOK_S, LOOKS, self._sleep)
 
     def note_refused(self, tenant: TenantId, client: str) -> None:
         """The client was told to come back later: whoever does not wait by itself waits here."""

@@ -90,6 +90,16 @@ class TokenBucket:
         self.at_s = now_s
 
 
+async def wait_while(
+    condition: Callable[[], bool], look_s: float, looks: int, sleep: Callable[[float], Awaitable[None]]
+) -> None:
+    """Return once `condition` does not hold; it is looked at every `look_s` seconds, `looks` times and no longer."""
+    for _ in range(looks):
+        if not condition():
+            return
+        await sleep(look_s)
+
+
 @dataclass(eq=False)
 class _Waiter:
     tenant: TenantId
@@ -227,10 +237,11 @@ class InFlight:
 
     async def _let_others_in(self, tenant: TenantId) -> None:
         """Return once the tenant has few clouds under way, or no other tenant sends any, or it has waited enough."""
-        for _ in range(LOOKS):
-            if self._clouds[tenant] < BESIDE_OTHERS or not self._beside_others(tenant):
-                return
-            await self._sleep(LOOK_S)
+
+        def crowded() -> bool:
+            return self._clouds[tenant] >= BESIDE_OTHERS and self._beside_others(tenant)
+
+        await wait_while(crowded, LOOK_S, LOOKS, self._sleep)
 
     def _beside_others(self, tenant: TenantId) -> bool:
         """Whether another tenant has sent a cloud of late."""
