@@ -10,12 +10,13 @@ import pytest
 
 from revisit.core.geometry import se3
 from revisit.service.application import SessionKey, SubmapKey
+from revisit.service.application.catalogue.maps import CreateMap
 from revisit.service.application.catalogue.paging import PageRequest
 from revisit.service.application.catalogue.sessions import CreateSession
 from revisit.service.application.contract.recogniser import LoopVerdict
 from revisit.service.application.contract.states import LoopState
 from revisit.service.application.query.searches import LocalizeQuery
-from tests.support.fake_recogniser import FakeRecogniser
+from tests.support.fake_recogniser import CANNOT_BE_DESCRIBED, FakeRecogniser
 from tests.support.service_world import SESSION, TENANT, cloud, memory_world, open_session, sqlite_world, submap
 
 PERIOD_M = 10.0
@@ -56,12 +57,23 @@ class RowOfHouses(FakeRecogniser):
         return LoopVerdict(False, "AMBIGUOUS", 0.9, poses[0], {"measurement": {"rivals": rivals}})
 
 
-async def driven_twice(world, recogniser, stations=STATIONS):
-    """Two drives past the same houses, each described as it comes."""
+async def driven_twice(world, recogniser, stations=STATIONS, others=0):
+    """Two drives past the same houses, each described as it comes; before each submap, one of each of `others`.
+
+    Those are of another map, and cannot be described.
+    """
     await open_session(world)
     await world.use_cases.sessions.create(TENANT, CreateSession(SECOND.map_id, SECOND.session_id))
+    strange = [SessionKey("elsewhere", f"robot-{number}") for number in range(others)]
+    if strange:
+        await world.use_cases.maps.create(TENANT, CreateMap("elsewhere"))
+    for session in strange:
+        await world.use_cases.sessions.create(TENANT, CreateSession(session.map_id, session.session_id))
     for session in (SESSION, SECOND):
         for station in stations:
+            for other in strange:
+                strange_submap = submap(f"{session.session_id}-{station}", station, other, CANNOT_BE_DESCRIBED)
+                await world.use_cases.posting.post(TENANT, strange_submap)
             await world.use_cases.posting.post(TENANT, submap(f"{session.session_id}-{station}", station, session))
         world.work_off(recogniser)
     page = await world.use_cases.loops.list(TENANT, "town", PageRequest(500), session_id=SECOND.session_id)
@@ -87,6 +99,20 @@ async def test_the_end_of_a_row_decides_the_loops_before_it(world):
     name = next(loop for loop in accepted if loop.query.submap_id == "tuesday-20").loop_id
     events = await world.use_cases.loop_decisions.events(TENANT, "town", name, PageRequest())
     assert [event.state for event in events.items] == [LoopState.REJECTED, LoopState.ACCEPTED]
+
+
+async def test_loops_of_a_drive_do_not_depend_on_how_many_drives_of_others_are_under_way(tmp_path):
+    alone = await driven_twice(memory_world(), RowOfHouses(end_m=30.0))
+    busy = sqlite_world(tmp_path)
+    beside = await driven_twice(busy, RowOfHouses(end_m=30.0), others=40)
+    busy.context.transactions.close()
+    assert [_told(loop) for loop in beside] == [_told(loop) for loop in alone]
+    assert any("support" in loop.evidence for loop in alone)
+
+
+def _told(loop):
+    pose = None if loop.T_match_query is None else loop.T_match_query.tolist()
+    return loop.query, loop.match, loop.state, loop.reason, pose, "support" in loop.evidence
 
 
 async def test_a_row_without_an_end_stays_ambiguous(world):

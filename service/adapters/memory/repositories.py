@@ -179,6 +179,11 @@ class MemorySubmaps(MemoryRepository[SubmapRecord]):
         found = self.numbered(tenant, numbers)
         return {number: FoundSubmap(*(getattr(row, name) for name in fields)) for number, row in found.items()}
 
+    def before(self, tenant: TenantId, session_number: int, ordinal: int, most: int) -> list[SubmapRecord]:
+        """See `SubmapRepository`."""
+        of_drive = self.find(tenant, session_number=session_number)
+        return sorted((one for one in of_drive if 0 < ordinal - one.ordinal <= most), key=lambda one: one.ordinal)
+
     def first_waiting(self, tenant: TenantId, map_id: str) -> int | None:
         """See `SubmapRepository`."""
         queued = self.find(tenant, map_id=map_id, state=SubmapState.QUEUED.value)

@@ -268,6 +268,13 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
         rows = self._connection.execute(_found_submaps(), {"numbers": numbers, "its_tenant": tenant})
         return {row.number: FoundSubmap(*row) for row in rows}
 
+    def before(self, tenant: TenantId, session_number: int, ordinal: int, most: int) -> list[SubmapRecord]:
+        """See `SubmapRepository`."""
+        submaps, asked = tables.submaps.c, of_tenant(tenant, {"session_number": session_number})
+        query = select(tables.submaps).where(matches(tables.submaps, asked))
+        query = query.where(submaps.ordinal >= ordinal - most, submaps.ordinal < ordinal).order_by(submaps.ordinal)
+        return [self._of(row) for row in self._connection.execute(query, asked)]
+
     def first_waiting(self, tenant: TenantId, map_id: str) -> int | None:
         """See `SubmapRepository`."""
         asked = of_tenant(tenant, {"state": SubmapState.QUEUED.value, "map_id": map_id})

@@ -187,6 +187,7 @@ submaps = _numbered(
         ["tenant", "map_id", "session_id"], ["sessions.tenant", "sessions.map_id", "sessions.session_id"]
     ),
     Index(None, "state", "tenant", "map_id"),
+    Index(None, "tenant", "session_number", "ordinal"),
     Index(None, "tenant", "cloud_sha256"),
     Index(None, "tenant", "place_sha256"),
     Index(None, "tenant", "neural_map_sha256"),

@@ -144,6 +144,10 @@ class SubmapRepository(Repository[SubmapRecord], FoundSubmaps, Protocol):
         """
         ...
 
+    def before(self, tenant: TenantId, session_number: int, ordinal: int, most: int) -> list[SubmapRecord]:
+        """Those of the `most` submaps of a session before its submap `ordinal` that are there, in their order."""
+        ...
+
     def first_waiting(self, tenant: TenantId, map_id: str) -> int | None:
         """The lowest number of a submap of a map that is still queued; None where none is."""
         ...

@@ -53,9 +53,6 @@ LOW_SCORE = "LOW_SCORE"
 TELLING = AMBIGUOUS, LOW_SCORE
 """Reasons of rejected loops that say of a pose whether pairs pass at it."""
 
-_BEFORE = 100
-"""Submaps of any drive, described before one, among which those before it on its own drive are sought."""
-
 Registered = Callable[[SubmapRecord, SubmapRecord, float, Matrix4], LoopVerdict]
 """Verify a pair of submaps of some similarity around a T_match_query."""
 
@@ -125,7 +122,8 @@ class DriveBefore:
 def drive_before(uow: UnitOfWork, submap: SubmapRecord, config: PipelineConfig) -> DriveBefore:
     """The drive of `submap` before it, as far as loops beside one are asked."""
     most = math.ceil(REACH_M / config.submap.stride)
-    before = {one.number: one for one in _drive_before(uow, submap) if 0 < submap.ordinal - one.ordinal <= most}
+    earlier = uow.submaps.before(submap.tenant, submap.session_number, submap.ordinal, most)
+    before = {one.number: one for one in earlier}
     apart = [math.dist(one.position_m, submap.position_m) / (submap.ordinal - one.ordinal) for one in before.values()]
     loops = [loop for loop in uow.loops.telling(submap.tenant, sorted(before), TELLING) if _says(loop)]
     matches = uow.submaps.numbered(submap.tenant, sorted({loop.match_number for loop in loops})[-1000:])
@@ -135,14 +133,6 @@ def drive_before(uow: UnitOfWork, submap: SubmapRecord, config: PipelineConfig) 
         if loop.match_number in matches
     ]
     return DriveBefore(beside, max([config.submap.stride, *apart]))
-
-
-def _drive_before(uow: UnitOfWork, submap: SubmapRecord) -> Iterable[SubmapRecord]:
-    """The submaps of the drive of `submap` among the _BEFORE before it; of all others only their names are read."""
-    numbers = range(max(1, submap.number - _BEFORE), submap.number)
-    found = uow.submaps.found(submap.tenant, list(numbers)).values()
-    own = [one.number for one in found if (one.map_id, one.session_id) == (submap.map_id, submap.session_id)]
-    return uow.submaps.numbered(submap.tenant, own).values()
 
 
 def contradicted(loops: Sequence[Beside], config: VerificationConfig, stride_m: float) -> list[Beside]:
