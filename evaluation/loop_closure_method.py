@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from revisit.core.config import PipelineConfig
 from revisit.core.geometry import se3
 from revisit.core.submap import Submap
+from revisit.core.verification import PairVerdict, RejectedLoop
 
 
 @dataclass(frozen=True)
@@ -31,13 +32,15 @@ class Description:
 class Verdict:
     """What verification says of a candidate.
 
-    score in [0, 1]; reason of a rejection, None where accepted; T_match_query where it was estimated.
+    score in [0, 1]; reason of a rejection, None where accepted; T_match_query where it was estimated; doubts, by name,
+    that the claims beside it raised.
     """
 
     score: float
     reason: str | None
     T_match_query: se3.Matrix4 | None
     evidence: dict[str, float] = field(default_factory=dict)
+    doubts: tuple[str, ...] = ()
 
     @property
     def accepted(self) -> bool:
@@ -82,20 +85,34 @@ class RevisitMethod:
         return Description(vector, place, neural_map_bytes, seconds)
 
     def verify(self, query: bytes, match: bytes, similarity: float) -> Verdict:
-        """The verdict of core.pipeline.verify. Raises DataLoss for damaged places."""
+        """The verdict on the pair by itself. Raises DataLoss for damaged places."""
+        return verdict_of_pair(self.verify_pair(query, match, similarity))
+
+    def verify_pair(
+        self,
+        query: bytes,
+        match: bytes,
+        similarity: float,
+        near: se3.Matrix4 | None = None,
+        expected: se3.Matrix4 | None = None,
+    ) -> PairVerdict:
+        """The verdict of core.pipeline.verify, around T_match_query `near`, or tried at `expected` first."""
         from revisit.core.pipeline import verify
         from revisit.core.place import Place
-        from revisit.core.verification import RejectedLoop
 
         pair = Place.from_blob(query), Place.from_blob(match)
-        loop = verify(*pair, similarity, self.config.verification)
-        reason = str(loop.reason) if isinstance(loop, RejectedLoop) else None
-        measured = loop.measurement
-        if measured is None:
-            return Verdict(0.0, reason, None)
-        names = ("inliers", "inlier_ratio", "overlap", "contrast", "seen_through", "rmse_m")
-        evidence = {name: float(getattr(measured, name)) for name in names}
-        return Verdict(float(measured.score), reason, measured.T_match_query, evidence)
+        return verify(*pair, similarity, self.config.verification, near, expected=expected)
+
+
+def verdict_of_pair(loop: PairVerdict) -> Verdict:
+    """The verdict on a pair by itself as a method gives it."""
+    reason = str(loop.reason) if isinstance(loop, RejectedLoop) else None
+    measured = loop.measurement
+    if measured is None:
+        return Verdict(0.0, reason, None)
+    names = ("inliers", "inlier_ratio", "overlap", "contrast", "seen_through", "rmse_m")
+    evidence = {name: float(getattr(measured, name)) for name in names}
+    return Verdict(float(measured.score), reason, measured.T_match_query, evidence)
 
 
 @dataclass(frozen=True)

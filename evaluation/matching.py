@@ -118,11 +118,18 @@ def _verified(work: VerificationWork, query: DescribedSubmap, match: Match) -> R
     if query.description is None or place.description is None:
         raise ValueError(f"submaps {query.id} and {place.id} were matched without descriptions")
     verdict = work.method.verify(query.description.place, place.description.place, match.similarity)
+    return ranked_candidate(query, place, match, verdict, work.radius_m)
+
+
+def ranked_candidate(
+    query: DescribedSubmap, place: DescribedSubmap, match: Match, verdict: Verdict, radius_m: float
+) -> RankedCandidate:
+    """A candidate with a verdict, scored; submaps within `radius_m` are the same place."""
     T_match_query = verdict.T_match_query
     if T_match_query is not None:
         T_match_query = se3.from_yaw(-place.yaw) @ T_match_query @ se3.from_yaw(query.yaw)
     if verdict.accepted:
-        score = 0.5 + 0.5 * verdict.score * nearness(T_match_query, work.radius_m)
+        score = 0.5 + 0.5 * verdict.score * nearness(T_match_query, radius_m)
     else:
         score = 0.25 + 0.2499 * match.similarity
     return RankedCandidate(match.id, match.similarity, verdict, T_match_query, score)

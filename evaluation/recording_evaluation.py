@@ -18,6 +18,13 @@ from revisit.core.index import Match
 from revisit.evaluation.cutting import cut
 from revisit.evaluation.datasets import Recording
 from revisit.evaluation.described_submaps import DescribedSubmap, DescriptionWork, describe_submaps
+from revisit.evaluation.drive_acceptance import (
+    JudgedDrive,
+    PairMethod,
+    judge_drive,
+    ranked_matches,
+    rule_prices,
+)
 from revisit.evaluation.loop_closure_method import LoopClosureMethod, RevisitMethod
 from revisit.evaluation.matching import QueryMatches, RankedCandidate, VerificationWork, search_map, verify_all
 from revisit.evaluation.metrics import LoopProtocol
@@ -100,16 +107,37 @@ def evaluate(
     # The paper wants indices that differ by more than the gap; a search lets through what differs by its number.
     gap = config.loop.min_index_gap + 1
     candidates = search_map(places, places, config.loop.candidates, own_map=True, min_gap=gap)
-    matches: list[QueryMatches] = []
-    for match in verify_all(VerificationWork(places, method, options.positive_radius), candidates, options.jobs):
-        matches.append(match)
-        report("verify", len(matches), len(places))
+    matches, drive = _verified(places, candidates, method, options, report)
     protocol = LoopProtocol(options.positive_radius, options.min_index_gap)
     summary = summarise(places, matches, protocol)
+    if drive is not None:
+        summary["rules"] = {name: dataclasses.asdict(price) for name, price in rule_prices(places, drive).items()}
     summary["recording"] = {"name": recording.name, "scans": len(recording)}
     summary["options"] = dataclasses.asdict(options) | {"scene_scale": config.scene_scale}
     summary["wall_seconds"] = time.perf_counter() - started
     return EvaluationResult([_row(place, match, places) for place, match in zip(places, matches, strict=True)], summary)
+
+
+def _verified(
+    places: list[DescribedSubmap],
+    candidates: list[tuple[Match, ...]],
+    method: LoopClosureMethod,
+    options: EvaluationOptions,
+    report: Progress,
+) -> tuple[list[QueryMatches], JudgedDrive | None]:
+    """The ranked candidates of each submap: those of the product judged together, of another method each by itself."""
+    if isinstance(method, PairMethod):
+
+        def verified(done: int) -> None:
+            report("verify", done, len(places))
+
+        drive = judge_drive(places, method, candidates, options.jobs, verified)
+        return ranked_matches(places, candidates, drive, options.positive_radius), drive
+    matches = list[QueryMatches]()
+    for match in verify_all(VerificationWork(places, method, options.positive_radius), candidates, options.jobs):
+        matches.append(match)
+        report("verify", len(matches), len(places))
+    return matches, None
 
 
 def _say_nothing(_stage: str, _done: int, _total: int) -> None:
@@ -132,7 +160,7 @@ def _row(place: DescribedSubmap, matches: QueryMatches, places: list[DescribedSu
 
 
 _BEST_FIELDS = (
-    "candidate_id", "candidate_position", "similarity", "verified_score", "T_match_query", "verdict", "reason"
+    "candidate_id", "candidate_position", "similarity", "verified_score", "T_match_query", "verdict", "reason", "doubts"
 )  # fmt: skip
 
 
@@ -148,6 +176,7 @@ def _best_fields(best: RankedCandidate | None, places: list[DescribedSubmap]) ->
         "T_match_query": None if best.T_match_query is None else [_numbers(row) for row in best.T_match_query],
         "verdict": "verified" if best.verdict.accepted else "rejected",
         "reason": best.verdict.reason,
+        "doubts": list(best.verdict.doubts),
         "evidence": {name: value if np.isfinite(value) else None for name, value in best.verdict.evidence.items()},
     }
 

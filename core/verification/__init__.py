@@ -3,6 +3,7 @@
 from revisit.core.verification.rivals import Hypothesis
 from revisit.core.verification.verdict import (
     LoopMeasurement,
+    PairVerdict,
     RejectedLoop,
     RejectionReason,
     VerifiedLoop,
@@ -12,6 +13,6 @@ from revisit.core.verification.verdict import (
 )
 
 __all__ = [
-    "Hypothesis", "LoopMeasurement", "RejectedLoop", "RejectionReason", "VerifiedLoop", "is_degenerate", "loop_score",
-    "verify",
+    "Hypothesis", "LoopMeasurement", "PairVerdict", "RejectedLoop", "RejectionReason", "VerifiedLoop", "is_degenerate",
+    "loop_score", "verify",
 ]  # fmt: skip

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import astuple, dataclass
 from enum import StrEnum
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,9 @@ class RejectionReason(StrEnum):
     SEEN_THROUGH = "SEEN_THROUGH"
     LOW_SCORE = "LOW_SCORE"
     AMBIGUOUS = "AMBIGUOUS"
+    PLACE_LOST = "PLACE_LOST"  # the stored place of a submap is damaged
+    FAR_FROM_MAP = "FAR_FROM_MAP"  # a pair sought where its map has it was found elsewhere
+    FAR_FROM_INITIAL_POSE = "FAR_FROM_INITIAL_POSE"  # the initial pose of a merge says otherwise
 
 
 @dataclass(frozen=True)
@@ -78,6 +82,11 @@ class RejectedLoop:
 
     reason: RejectionReason
     measurement: LoopMeasurement | None = None
+    message: str | None = None
+
+
+PairVerdict: TypeAlias = VerifiedLoop | RejectedLoop
+"""The verdict on a pair of submaps by itself."""
 
 
 def verify(
@@ -89,7 +98,7 @@ def verify(
     *,
     near_decides: bool = True,
     expected: se3.Matrix4 | None = None,
-) -> VerifiedLoop | RejectedLoop:
+) -> PairVerdict:
     """Whether two submaps show the same place, and how they lie to each other.
 
     `near` (4, 4), a T_match_query between the submap frames that somebody names, is where registration starts then,
@@ -118,7 +127,7 @@ def _verify_in_order(
     config: VerificationConfig,
     near: se3.Matrix4 | None,
     near_decides: bool,
-) -> VerifiedLoop | RejectedLoop:
+) -> PairVerdict:
     """The verdict on two places in the order of their content digests.
 
     Registration is not symmetric: its small differences would decide close cases (docs/decisions/0061).
@@ -319,7 +328,7 @@ def _unlevelled(
     )
 
 
-def _inverted(verdict: VerifiedLoop | RejectedLoop) -> VerifiedLoop | RejectedLoop:
+def _inverted(verdict: PairVerdict) -> PairVerdict:
     """The same verdict with query and match exchanged."""
     measurement = verdict.measurement
     if measurement is None:

@@ -6,16 +6,14 @@ maps. Needs the extra `service`, which holds the method.
 
 from __future__ import annotations
 
-from collections import defaultdict
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.acceptance import LoopClaim, Station, accept_cloud
 from revisit.core.config import PipelineConfig
-from revisit.core.drive_loops import DriveLoop, DriveLoops, DriveSubmap
 from revisit.core.errors import DescriptorModelMismatch
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
@@ -27,7 +25,6 @@ from revisit.core.place import Place
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
 from revisit.core.upright import levelling
-from revisit.core.verification import VerifiedLoop
 from revisit.formats.map_file import FiledSubmap, MapDescription, MapFile
 from revisit.sdk.resources import Candidate, Localization, MapPose, SearchHit
 
@@ -87,7 +84,8 @@ class AreaMap:
         found = self._recalled(
             described, candidates, prior_position_m=prior_position_m, radius_m=radius_m, only_session=only_session
         )
-        judged = self._agreeing([self._judged(described, match) for match in found], [match.id for match in found])
+        claims = accept_cloud([self._claim(described, match) for match in found], self._config)
+        judged = [self._candidate(match, claim) for match, claim in zip(found, claims, strict=True)]
         accepted = [n for n, candidate in enumerate(judged) if candidate.accepted]
         best = max(accepted, key=lambda n: (judged[n].score, -n), default=None)
         if best is None or (T_match_query := judged[best].T_match_query) is None:
@@ -146,38 +144,22 @@ class AreaMap:
         )
         return [] if self._index is None else self._index.search(described.descriptor.vector, k, where)
 
-    def _judged(self, described: DescribedPlace, match: Match) -> Candidate:
+    def _claim(self, described: DescribedPlace, match: Match) -> LoopClaim:
+        """The claim that the cloud, which is of no drive and has no odometry, is a submap of the map."""
+        submap = self.file.submaps[match.id]
         verdict = verify(described.place, self._place(match.id), match.similarity, self._config.verification)
-        measured, accepted = verdict.measurement, isinstance(verdict, VerifiedLoop)
+        station = Station(self._sessions[submap.session], submap.ordinal, submap.T_odom_submap)
+        return LoopClaim(Station(None, 0, np.eye(4)), station, verdict)
+
+    def _candidate(self, match: Match, claim: LoopClaim) -> Candidate:
         return Candidate(
             submap=self.file.submaps[match.id].name,
-            accepted=accepted,
-            reason=None if isinstance(verdict, VerifiedLoop) else verdict.reason.value,
+            accepted=claim.accepted,
+            reason=None if claim.reason is None else claim.reason.value,
             similarity=match.similarity,
-            score=0.0 if measured is None else float(measured.score),
-            T_match_query=None if measured is None else measured.T_match_query,
+            score=claim.score,
+            T_match_query=claim.T_match_query,
             evidence={},
-        )
-
-    def _agreeing(self, judged: list[Candidate], rows: list[int]) -> list[Candidate]:
-        """The candidates; accepted ones that put the cloud at different spots of a drive are ambiguous."""
-        drives = defaultdict[str, list[int]](list)
-        for number, (one, row) in enumerate(zip(judged, rows, strict=True)):
-            if one.accepted and one.T_match_query is not None:
-                drives[self.file.submaps[row].session].append(number)
-        agreeing = list(judged)
-        for numbers in drives.values():
-            claims = [self._claim(self.file.submaps[rows[number]], judged[number]) for number in numbers]
-            between = DriveLoops(claims, self._config.submap.stride, self._config.verification)
-            for claim in np.flatnonzero(between.contradicted()):
-                agreeing[numbers[claim]] = replace(judged[numbers[claim]], accepted=False, reason="AMBIGUOUS")
-        return agreeing
-
-    def _claim(self, match: FiledSubmap, one: Candidate) -> DriveLoop:
-        """Where a candidate puts the cloud; a cloud has no odometry, and is its own drive."""
-        poses = () if one.T_match_query is None else (one.T_match_query,)
-        return DriveLoop(
-            DriveSubmap(np.eye(4), 0), DriveSubmap(match.T_odom_submap, match.ordinal), poses, one.accepted
         )
 
     def _place(self, row: int) -> Place:

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
-import json
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
-from revisit.core.config import PipelineConfig, VerificationConfig
+from revisit.core.config import PipelineConfig
 from revisit.core.errors import DataLoss
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.implicit_map import NeuralMap
@@ -25,15 +22,10 @@ from revisit.core.scan import Scan
 from revisit.core.scan_disagreement import ScanDisagreement
 from revisit.core.stages import stage_times
 from revisit.core.submap import Submap
-from revisit.core.verification import Hypothesis, LoopMeasurement, RejectedLoop, VerifiedLoop
+from revisit.core.verification import PairVerdict
 from revisit.service.adapters.rehearsal import accompany, rehearse
-from revisit.service.application.contract.recogniser import LoopVerdict, Mesh, Redescription, SubmapDescription
+from revisit.service.application.contract.recogniser import Mesh, Redescription, SubmapDescription
 from revisit.service.large_blocks import return_free_memory
-
-SETTABLE = ("min_score", "min_overlap", "max_seen_through")
-"""The thresholds that an operator may set (see `contract.loop_policy`): written beside each verdict."""
-
-VERSION_DIGITS = 12
 
 PLACES_READ = 96
 """Places that a worker keeps unpacked, the last ones it used: candidates come again with a robot's next submap, and a
@@ -96,19 +88,10 @@ class CoreRecogniser:
         *,
         near_decides: bool = True,
         expected: Matrix4 | None = None,
-    ) -> LoopVerdict:
+    ) -> PairVerdict:
         """See `PlaceRecogniser`."""
         places = self._place(query), self._place(match)
-        verdict = verify(*places, similarity, config.verification, near, near_decides=near_decides, expected=expected)
-        evidence = _evidence(verdict, config)
-        if isinstance(verdict, VerifiedLoop):
-            measured = verdict.measurement
-            return LoopVerdict(True, None, float(measured.score), measured.T_match_query, evidence)
-        measured_anyway = verdict.measurement
-        if measured_anyway is None:
-            return LoopVerdict(False, verdict.reason.value, 0.0, None, evidence)
-        score = float(measured_anyway.score)
-        return LoopVerdict(False, verdict.reason.value, score, measured_anyway.T_match_query, evidence)
+        return verify(*places, similarity, config.verification, near, near_decides=near_decides, expected=expected)
 
     def let_go(self) -> None:
         """See `PlaceRecogniser`. Places stay as they were read: that takes longer than what is made of them."""
@@ -149,41 +132,3 @@ def _mesh(described: DescribedPlace) -> Mesh:
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     vertices = described.frame.points_to_submap(described.surface.vertices)
     return Mesh(vertices.astype(np.float32), normals.astype(np.float32), described.surface.faces)
-
-
-def _evidence(verdict: VerifiedLoop | RejectedLoop, config: PipelineConfig) -> dict[str, Any]:
-    """What was measured and against which thresholds, as JSON."""
-    measurement: LoopMeasurement | None = verdict.measurement
-    measured = {} if measurement is None else _as_json(measurement)
-    return {"measurement": measured, **_thresholds(config.verification)}
-
-
-@lru_cache(maxsize=64)
-def _thresholds(rules: VerificationConfig) -> dict[str, Any]:
-    """Which rules gave the verdict: those that an operator sets, others that are not the default, and a hash of all.
-
-    Kept, because each candidate of a map has the same ones; nobody changes what is answered.
-    """
-    values, defaults = _as_json(rules), _as_json(VerificationConfig())
-    told = {name: value for name, value in values.items() if name in SETTABLE or value != defaults[name]}
-    digest = hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
-    return {"thresholds": told, "thresholds_version": digest[:VERSION_DIGITS]}
-
-
-def _as_json(record: Any) -> dict[str, Any]:
-    """The fields of a flat dataclass of numbers, strings and arrays; a non-finite number becomes None."""
-    return {field.name: _json_value(getattr(record, field.name)) for field in dataclasses.fields(record)}
-
-
-def _json_value(value: Any) -> Any:
-    if isinstance(value, Hypothesis):
-        return _as_json(value)
-    if isinstance(value, np.ndarray):
-        return [_json_value(item) for item in value.tolist()]
-    if isinstance(value, list | tuple):
-        return [_json_value(item) for item in value]
-    if isinstance(value, np.generic):
-        return _json_value(value.item())
-    if isinstance(value, float):
-        return value if np.isfinite(value) else None
-    return value

@@ -11,9 +11,9 @@ from revisit.core.geometry import se3
 from revisit.service.application import SessionKey
 from revisit.service.application.catalogue.paging import PageRequest
 from revisit.service.application.catalogue.sessions import CreateSession
-from revisit.service.application.contract.recogniser import LoopVerdict
 from tests.support.fake_recogniser import FakeRecogniser
 from tests.support.service_world import SESSION, TENANT, memory_world, open_session, submap
+from tests.support.verdicts import rejected, verified
 
 ENOUGH = PipelineConfig().loop.enough
 SECOND = SessionKey("town", "tuesday")
@@ -35,10 +35,10 @@ class Street(FakeRecogniser):
         at, other = (float(np.frombuffer(one)[0]) for one in (query, match))
         self.guesses.append((at - other, None if expected is None else float(expected[0, 3])))
         if abs(at - other) > 15.0:
-            return LoopVerdict(False, "LOW_OVERLAP", 0.1, None, {"measurement": {}})
+            return rejected()
         aside_m = 0.0 if self._true else 2.0 * len(self.guesses)
         pose = se3.from_yaw(0.0, (at - other, aside_m, 0.0))
-        return LoopVerdict(True, None, 0.9, pose, {"measurement": {"rivals": []}})
+        return verified(pose)
 
 
 async def loops_of_a_second_visit(recogniser):

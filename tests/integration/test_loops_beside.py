@@ -13,11 +13,11 @@ from revisit.service.application import SessionKey, SubmapKey
 from revisit.service.application.catalogue.maps import CreateMap
 from revisit.service.application.catalogue.paging import PageRequest
 from revisit.service.application.catalogue.sessions import CreateSession
-from revisit.service.application.contract.recogniser import LoopVerdict
 from revisit.service.application.contract.states import LoopState
 from revisit.service.application.query.searches import LocalizeQuery
 from tests.support.fake_recogniser import CANNOT_BE_DESCRIBED, FakeRecogniser
 from tests.support.service_world import SESSION, TENANT, cloud, memory_world, open_session, sqlite_world, submap
+from tests.support.verdicts import ambiguous, rejected, verified
 
 PERIOD_M = 10.0
 SECOND = SessionKey("town", "tuesday")
@@ -48,13 +48,12 @@ class RowOfHouses(FakeRecogniser):
         shifts = (at - other + PERIOD_M, at - other, at - other - PERIOD_M)
         poses = [se3.from_yaw(0.0, (shift, 0.3, 0.0)) for shift in shifts]
         if abs(at - other) > 15.0:
-            return LoopVerdict(False, "LOW_OVERLAP", 0.1, None, {"measurement": {}})
+            return rejected()
         if near is not None:
-            return LoopVerdict(True, None, 0.8, near, {"measurement": {"rivals": []}})
+            return verified(near, 0.8)
         if min(at, other) >= self._end_m:
-            return LoopVerdict(True, None, 0.9, poses[1], {"measurement": {"rivals": []}})
-        rivals = [{"overlap": 0.6, "T_match_query": pose.tolist()} for pose in poses[1:]]
-        return LoopVerdict(False, "AMBIGUOUS", 0.9, poses[0], {"measurement": {"rivals": rivals}})
+            return verified(poses[1])
+        return ambiguous(poses)
 
 
 async def driven_twice(world, recogniser, stations=STATIONS, others=0):
@@ -154,7 +153,7 @@ class EqualBlocks(FakeRecogniser):
     def verify(self, query, match, similarity, config, near=None, *, near_decides=True, expected=None):
         at, other = (float(np.frombuffer(one)[0]) for one in (query, match))
         shift = (at - other + 10.0) % 20.0 - 10.0
-        return LoopVerdict(True, None, 0.9, se3.from_yaw(0.0, (shift, 0.3, 0.0)), {"measurement": {"rivals": []}})
+        return verified(se3.from_yaw(0.0, (shift, 0.3, 0.0)))
 
 
 async def test_accepted_loops_that_contradict_each_other_are_ambiguous(world):
@@ -162,7 +161,8 @@ async def test_accepted_loops_that_contradict_each_other_are_ambiguous(world):
     assert len(loops) == len(STATIONS) ** 2
     assert {(loop.state, loop.reason) for loop in loops} == {(LoopState.REJECTED, "AMBIGUOUS")}
     measured = loops[0].evidence["measurement"]["rivals"]
-    assert measured and "loops beside it that say otherwise" in loops[0].evidence["contradicted"]["words"]
+    told = loops[0].evidence["doubts"]["PAIRWISE_INCONSISTENT"]["words"]
+    assert measured and "loops beside it that say otherwise" in told
 
 
 class TwoEqualSpots(EqualBlocks):
@@ -172,7 +172,7 @@ class TwoEqualSpots(EqualBlocks):
         places = {float(np.frombuffer(one)[0]) for one in (query, match)}
         if places == {0.0, 200.0}:
             return super().verify(query, match, similarity, config, near)
-        return LoopVerdict(False, "LOW_OVERLAP", 0.1, None, {"measurement": {}})
+        return rejected()
 
 
 async def test_an_accepted_loop_that_the_odometry_of_its_own_drive_refutes_is_ambiguous(world):
@@ -183,7 +183,8 @@ async def test_an_accepted_loop_that_the_odometry_of_its_own_drive_refutes_is_am
     page = await world.use_cases.loops.list(TENANT, "town", PageRequest(500), session_id=SESSION.session_id)
     (loop,) = [loop for loop in page.items if loop.T_match_query is not None]
     assert (loop.state, loop.reason) == (LoopState.REJECTED, "AMBIGUOUS")
-    assert loop.evidence["refuted"]["words"].endswith("is 200 m off by the odometry of its own drive")
+    told = loop.evidence["doubts"]["ODOMETRY_INCONSISTENT"]["words"]
+    assert told.endswith("is 200 m off by the odometry of its own drive")
     assert loop.evidence["measurement"]["rivals"][0]["T_match_query"][0][3] == pytest.approx(200.0)
 
 

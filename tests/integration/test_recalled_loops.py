@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from revisit.service.application.contract.recogniser import LoopVerdict
+from revisit.core.verification import VerifiedLoop
 from revisit.service.application.mapping.loop_events import LoopStanding
 from revisit.service.application.recognise import recalled_loops
 from revisit.service.failpoints import arm
 from tests.support.fake_recogniser import FakeRecogniser
 from tests.support.fleet_in_service import fleet_in
 from tests.support.service_world import TENANT, memory_world, sqlite_world
+from tests.support.verdicts import rejected
 
 MAP = "town"
-RULES = {"thresholds": {"min_overlap": 0.2}, "thresholds_version": "t-1"}
 
 
 class Geometry(FakeRecogniser):
@@ -28,14 +28,14 @@ class Geometry(FakeRecogniser):
 
     def verify(self, query, match, similarity, config, near=None, *, near_decides=True, expected=None):
         if near is None:
-            return LoopVerdict(False, "LOW_OVERLAP", 0.1, None, {})
+            return rejected()
         self.asked.append((near, near_decides))
         found = super().verify(query, match, similarity, config, near)
-        if self._blind or not found.accepted:
-            return LoopVerdict(False, "LOW_OVERLAP", 0.1, near, {"measurement": {}, **RULES})
-        T = found.T_match_query.copy()
+        if self._blind or not isinstance(found, VerifiedLoop):
+            return rejected("LOW_OVERLAP", near)
+        T = found.measurement.T_match_query.copy()
         T[0, 3] += self._aside_m
-        return replace(found, T_match_query=T, evidence={**found.evidence, **RULES})
+        return VerifiedLoop(replace(found.measurement, T_match_query=T))
 
 
 class Town:
@@ -104,7 +104,8 @@ async def test_a_rejected_loop_returns_once_the_map_says_where_to_look(kept_town
     assert [event.kind for event in events] == ["VERIFIED", "VERIFIED", "JUDGED"]
     assert (events[1].actor, events[1].map_version) == ("map version 1", 1)
     assert "LOW_OVERLAP" in events[1].note
-    assert events[1].details["model_version"] == "fake-1" and events[1].details["thresholds"] == RULES["thresholds"]
+    assert events[1].details["model_version"] == "fake-1"
+    assert events[1].details["thresholds"] == loop.evidence["thresholds"]
     # The map's pose is where registration starts, and no more: what else fits counts against it.
     assert [decides for _, decides in geometry.asked] == [False]
     assert loop.evidence["recall"]["before"] == "LOW_OVERLAP" and loop.evidence["recall"]["map_version"] == 1

@@ -68,9 +68,9 @@ async def test_a_posted_submap_becomes_a_description_with_a_loop_to_the_same_pla
     assert [(loop.query.submap_id, loop.match.submap_id) for loop in loops.items] == [("again", "a")]
     loop = await world.use_cases.loops.get(TENANT, "town", loops.items[0].loop_id)
     np.testing.assert_array_equal(loop.T_match_query, pose(1.0))
-    assert loop.evidence["model_version"] == "fake-1" and loop.evidence["agreement"] == pytest.approx(1.0)
+    assert loop.evidence["model_version"] == "fake-1" and loop.evidence["measurement"]["overlap"] == pytest.approx(1.0)
     rejected = await world.use_cases.loops.list(TENANT, "town", PageRequest(), state=LoopState.REJECTED)
-    assert all(loop.reason == "TOO_DIFFERENT" and loop.T_match_query is None for loop in rejected.items)
+    assert all(loop.reason == "LOW_OVERLAP" and loop.T_match_query is None for loop in rejected.items)
 
 
 async def test_a_posted_cloud_in_centimetres_is_flagged_before_it_is_described(world):

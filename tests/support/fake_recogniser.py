@@ -24,7 +24,9 @@ from revisit.core.errors import DataLoss, DegenerateCloud
 from revisit.core.geometry import se3
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
-from revisit.service.application.contract.recogniser import LoopVerdict, Mesh, Redescription, SubmapDescription
+from revisit.core.verification import PairVerdict
+from revisit.service.application.contract.recogniser import Mesh, Redescription, SubmapDescription
+from tests.support.verdicts import rejected, verified
 
 KILLS_THE_WORKER = 666
 RAISES = 667
@@ -122,7 +124,7 @@ class FakeRecogniser:
         *,
         near_decides: bool = True,
         expected: np.ndarray | None = None,
-    ) -> LoopVerdict:
+    ) -> PairVerdict:
         """Accepted where the descriptors nearly agree; the transform is 1 m along x, or `near`."""
         if query.startswith(PLACED):
             return _verified_by_pose(query, match)
@@ -131,8 +133,8 @@ class FakeRecogniser:
         T_match_query[0, 3] = 1.0
         T_match_query = T_match_query if near is None else near
         if agreement < ACCEPTED_FROM:
-            return LoopVerdict(False, "TOO_DIFFERENT", agreement, None, {"agreement": agreement})
-        return LoopVerdict(True, None, agreement, T_match_query, {"agreement": agreement})
+            return rejected()
+        return verified(T_match_query, agreement, overlap=agreement)
 
 
 PLACED = b"placed "
@@ -146,19 +148,19 @@ def placed(T_world_submap: np.ndarray) -> bytes:
     return PLACED + np.asarray(T_world_submap, dtype="<f8").tobytes()
 
 
-def _verified_by_pose(query: bytes, match: bytes) -> LoopVerdict:
+def _verified_by_pose(query: bytes, match: bytes) -> PairVerdict:
     """Accepted where the two lie within 8 m, with the pose between them, 1 cm off; the same whichever is the query."""
     first, second = sorted((query, match))
     T_world_first, T_world_second = (np.frombuffer(one[len(PLACED) :], "<f8").reshape(4, 4) for one in (first, second))
     T = np.linalg.inv(T_world_first) @ T_world_second
     if np.linalg.norm(T[:3, 3]) > SEEN_FROM_M:
-        return LoopVerdict(False, "TOO_DIFFERENT", 0.0, None, {})
+        return rejected()
     T[:2, 3] += 0.01
     covariance = np.diag([0.05**2] * 3 + [0.003**2] * 3)
     if match is not first:
         T = np.linalg.inv(T)
         covariance = se3.adjoint(T) @ covariance @ se3.adjoint(T).T
-    return LoopVerdict(True, None, 0.9, T, {"measurement": {"covariance": covariance.ravel().tolist()}})
+    return verified(T, covariance=covariance)
 
 
 NOWHERE = np.full(BINS, 0.125, dtype=np.float32)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from revisit.core.config import PipelineConfig
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
+from revisit.core.verification import PairVerdict
 
 
 @dataclass(frozen=True)
@@ -34,17 +35,6 @@ class SubmapDescription:
     mesh: Mesh
     flags: tuple[str, ...]
     timings_s: dict[str, float]
-
-
-@dataclass(frozen=True)
-class LoopVerdict:
-    """Accepted with `T_match_query`, or rejected for `reason`; `evidence` is JSON: what was measured, and the rules."""
-
-    accepted: bool
-    reason: str | None
-    score: float
-    T_match_query: Matrix4 | None
-    evidence: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -96,7 +86,7 @@ class PlaceRecogniser(PlaceKeeper, Protocol):
         *,
         near_decides: bool = True,
         expected: Matrix4 | None = None,
-    ) -> LoopVerdict:
+    ) -> PairVerdict:
         """Compare two places geometrically, around T_match_query `near` (4, 4) where somebody names one.
 
         Unless that decides, other poses that fit as well count against it, as they do without it. `expected` (4, 4) is

@@ -17,7 +17,9 @@ from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.errors import AlreadyExists
 from revisit.service.application.contract.identity import validated_id
 from revisit.service.application.contract.job_queue import Lease
+from revisit.service.application.contract.loop_claims import verdict_evidence
 from revisit.service.application.contract.map_optimiser import OptimisedMap, OptimisedTrack
+from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.records import LoopRecord, MapMergeRecord, MapRecord, SessionRecord
 from revisit.service.application.contract.states import LoopEventKind, LoopState, MergeVerdict, SessionState
 from revisit.service.application.contract.transactions import UnitOfWork
@@ -42,11 +44,11 @@ class _Copies:
 
 @dataclass(frozen=True)
 class MergeCommit:
-    """Commits a proposal; at most `kept` versions of the map stay, beside those that merges lead back to."""
+    """Commits a proposal; the policy says how many versions stay, beside those that merges lead back to."""
 
     lease: Lease
     proposal: MergeProposal
-    kept: int
+    policy: Policy
     now: Instant
     now_ns: int
 
@@ -62,7 +64,7 @@ class MergeCommit:
         copies = self._copy(uow, current)
         failpoint("map_merge.after_rows")
         report = self._store(uow, current, copies)
-        forget_versions(uow, current.tenant, current.map_id, current.map_version + 1 - self.kept)
+        forget_versions(uow, current.tenant, current.map_id, current.map_version + 1 - self.policy.map_versions_kept)
         uow.queue.complete(self.lease, report, self.now, self.now_ns)
         return True
 
@@ -153,7 +155,7 @@ class MergeCommit:
                 session_id=of.session_id,
                 number=copies.submaps[found.query.number],
             )
-            T_match_query = found.verdict.T_match_query
+            measured, rules = found.verdict.measurement, self.policy.for_map(target).verification
             yield (
                 number,
                 LoopRecord.between(
@@ -163,9 +165,9 @@ class MergeCommit:
                     state=LoopState.ACCEPTED.value,
                     reason=None,
                     similarity=found.similarity,
-                    score=found.verdict.score,
-                    T_match_query=None if T_match_query is None else pose_row(T_match_query),
-                    evidence={**found.verdict.evidence, "model_version": target.model_version},
+                    score=0.0 if measured is None else float(measured.score),
+                    T_match_query=None if measured is None else pose_row(measured.T_match_query),
+                    evidence={**verdict_evidence(found.verdict, rules), "model_version": target.model_version},
                     created_at_ns=self.now_ns,
                 ),
             )

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4, pose_row
+from revisit.core.verification import LoopMeasurement, PairVerdict, RejectedLoop, VerifiedLoop
 from revisit.service.application.contract.map_frames import frame_name
 from revisit.service.application.contract.map_merger import (
     AlignedMaps,
@@ -22,10 +23,8 @@ from revisit.service.application.contract.map_merger import (
     SurfaceEvidence,
 )
 from revisit.service.application.contract.map_optimiser import OptimisedTrack, TrackLoop
-from revisit.service.application.contract.recogniser import LoopVerdict
 from revisit.service.application.contract.records import SubmapRecord
 from revisit.service.application.contract.states import MergeVerdict
-from revisit.service.application.mapping.graph_reading import measured_covariance
 from revisit.service.application.mapping.merge_reading import MapSide, MergeOrder, MergeTask
 from revisit.service.application.mapping.version_commit import summary_of
 
@@ -37,7 +36,12 @@ class CrossingLoop:
     query: SubmapRecord
     match: SubmapRecord
     similarity: float
-    verdict: LoopVerdict
+    verdict: PairVerdict
+
+    @property
+    def measurement(self) -> LoopMeasurement | None:
+        """The measurement of a pair that passed, None of one that did not."""
+        return self.verdict.measurement if isinstance(self.verdict, VerifiedLoop) else None
 
 
 @dataclass(frozen=True)
@@ -93,10 +97,10 @@ class MergeProposal:
         }
 
     def _evidence(self) -> dict[str, Any]:
-        reasons = Counter(str(one.verdict.reason) for one in self.crossing if not one.verdict.accepted)
+        reasons = Counter(one.verdict.reason.value for one in self.crossing if isinstance(one.verdict, RejectedLoop))
         found = {
             "candidates": len(self.crossing),
-            "verified": sum(one.verdict.accepted for one in self.crossing),
+            "verified": sum(one.measurement is not None for one in self.crossing),
             "rejected": dict(sorted(reasons.items())),
             "loops": self.aligned.loops,
             "common_track_m": self.aligned.common_track_m,
@@ -158,7 +162,7 @@ def chosen(crossing: Sequence[CrossingLoop]) -> tuple[list[CrossingLoop], list[C
     Neighbours of a place see it, too, from farther away: what they measure is worse than its covariance says, and adds
     nothing to what the place itself says.
     """
-    accepted = [one for one in crossing if one.verdict.accepted and one.verdict.T_match_query is not None]
+    accepted = [one for one in crossing if one.measurement is not None]
     best = dict[int, tuple[float, float]]()
     for one in accepted:
         for number in (one.query.number, one.match.number):
@@ -169,13 +173,16 @@ def chosen(crossing: Sequence[CrossingLoop]) -> tuple[list[CrossingLoop], list[C
 
 def _quality(found: CrossingLoop) -> tuple[float, float]:
     """How much of both surfaces a loop rests on, and how near they were taken: the same whichever is the query."""
-    T_match_query = np.asarray(found.verdict.T_match_query)
-    overlap = found.verdict.evidence.get("measurement", {}).get("overlap", found.verdict.score)
-    return round(float(overlap), 9), -round(float(np.linalg.norm(T_match_query[:3, 3])), 9)
+    measured = found.measurement
+    if measured is None:
+        return 0.0, 0.0
+    return round(float(measured.overlap), 9), -round(float(np.linalg.norm(measured.T_match_query[:3, 3])), 9)
 
 
 def track_loop(number: int, found: CrossingLoop) -> TrackLoop:
-    """A verified candidate as a loop of the graph."""
-    covariance = measured_covariance(found.verdict.evidence)
-    T_match_query = np.asarray(found.verdict.T_match_query, dtype=np.float64)
-    return TrackLoop(number, found.match.number, found.query.number, T_match_query, covariance)
+    """A candidate that passed as a loop of the graph. Raises ValueError for another."""
+    measured = found.measurement
+    if measured is None:
+        raise ValueError("a pair that did not pass is no loop of the graph")
+    covariance = measured.covariance if np.isfinite(measured.covariance).all() else None
+    return TrackLoop(number, found.match.number, found.query.number, measured.T_match_query, covariance)

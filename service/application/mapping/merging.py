@@ -13,15 +13,15 @@ from revisit.core.config import PipelineConfig
 from revisit.core.errors import DataLoss
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
+from revisit.core.verification import PairVerdict, RejectedLoop, RejectionReason, VerifiedLoop
 from revisit.service.application.contract.blobs import NEURAL_MAP_BLOB, PLACE_BLOB, BlobStore
 from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.errors import Unavailable
-from revisit.service.application.contract.events import AMBIGUOUS
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.job_queue import CANCELLED, Lease
 from revisit.service.application.contract.map_merger import AlignedMaps, MapMerger, SurfaceEvidence
 from revisit.service.application.contract.policy import Policy
-from revisit.service.application.contract.recogniser import LoopVerdict, PlaceRecogniser
+from revisit.service.application.contract.recogniser import PlaceRecogniser
 from revisit.service.application.contract.records import SubmapRecord
 from revisit.service.application.contract.transactions import Transactions
 from revisit.service.application.mapping.merge_commit import NOTHING_TO_MERGE, MergeCommit
@@ -101,7 +101,7 @@ class MapMerging:
             return True
         progress("COMMIT")
         now, now_ns = self._clock.instant(), self._clock.wall_ns()
-        commit = MergeCommit(lease, proposal, self._policy.map_versions_kept, now, now_ns)
+        commit = MergeCommit(lease, proposal, self._policy, now, now_ns)
         return self._transactions.write(commit).result()
 
     def _proposal(self, tenant: TenantId, order: MergeOrder, task: MergeTask, progress: Progress) -> MergeProposal:
@@ -145,15 +145,15 @@ class MapMerging:
 
     def _verified(
         self, query: SubmapRecord, match: SubmapRecord, cosine: float, config: PipelineConfig, expected: Matrix4 | None
-    ) -> LoopVerdict:
+    ) -> PairVerdict:
         """What geometry says of two places; of several alignments that fit, the initial pose says which is meant."""
         try:
             places = [self._blobs.get(one.tenant, PLACE_BLOB, str(one.place_sha256)) for one in (query, match)]
             verdict = self._recogniser.verify(places[0], places[1], cosine, config)
-            if verdict.reason == AMBIGUOUS and expected is not None:
+            if _is_ambiguous(verdict) and expected is not None:
                 verdict = self._recogniser.verify(places[0], places[1], cosine, config, expected)
         except DataLoss as error:
-            return LoopVerdict(False, error.code.value, 0.0, None, {"message": error.message})
+            return RejectedLoop(RejectionReason.PLACE_LOST, message=error.message)
         return verdict
 
     def _end(self, lease: Lease, result: dict[str, Any]) -> None:
@@ -161,8 +161,8 @@ class MapMerging:
         self._transactions.write(lambda uow: uow.queue.complete(lease, result, now, now_ns)).result()
 
 
-FAR_FROM_NEAR = "FAR_FROM_INITIAL_POSE"
-"""The reason of a loop that the initial pose of a merge contradicts."""
+def _is_ambiguous(verdict: PairVerdict) -> bool:
+    return isinstance(verdict, RejectedLoop) and verdict.reason == RejectionReason.AMBIGUOUS
 
 
 def _expected(order: MergeOrder, task: MergeTask, match: int, query: int) -> Matrix4 | None:
@@ -182,11 +182,11 @@ def _may_meet(order: MergeOrder, task: MergeTask, match: int, query: int) -> boo
     return expected is not None and bool(np.linalg.norm(expected[:3, 3]) <= order.radius_m)
 
 
-def _within(order: MergeOrder, verdict: LoopVerdict, expected: Matrix4 | None) -> LoopVerdict:
+def _within(order: MergeOrder, verdict: PairVerdict, expected: Matrix4 | None) -> PairVerdict:
     """The verdict, rejected where it puts the submaps farther than the radius from where the initial pose has them."""
-    if expected is None or order.radius_m is None or verdict.T_match_query is None or not verdict.accepted:
+    if expected is None or order.radius_m is None or not isinstance(verdict, VerifiedLoop):
         return verdict
-    apart = se3.inverse(expected) @ verdict.T_match_query
+    apart = se3.inverse(expected) @ verdict.measurement.T_match_query
     if np.linalg.norm(apart[:3, 3]) <= order.radius_m:
         return verdict
-    return LoopVerdict(False, FAR_FROM_NEAR, verdict.score, verdict.T_match_query, verdict.evidence)
+    return RejectedLoop(RejectionReason.FAR_FROM_INITIAL_POSE, verdict.measurement)

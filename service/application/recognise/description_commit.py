@@ -6,6 +6,8 @@ import hashlib
 from dataclasses import dataclass, replace
 from typing import Any
 
+from revisit.core.acceptance import LoopClaim
+from revisit.core.config import VerificationConfig
 from revisit.core.errors import DescriptorModelMismatch
 from revisit.core.geometry.se3 import pose_row
 from revisit.service.application.catalogue.deletion import SUBMAP_DELETED
@@ -13,8 +15,9 @@ from revisit.service.application.contract.blobs import BlobStore
 from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.index import IndexChange, VectorFilter
 from revisit.service.application.contract.job_queue import Lease
+from revisit.service.application.contract.loop_claims import evidence_of, loop_state, revised_evidence, rules_of
 from revisit.service.application.contract.policy import Policy
-from revisit.service.application.contract.recogniser import LoopVerdict, SubmapDescription
+from revisit.service.application.contract.recogniser import SubmapDescription
 from revisit.service.application.contract.records import LoopRecord, MapRecord, SubmapRecord
 from revisit.service.application.contract.states import LoopEventKind, LoopState
 from revisit.service.application.contract.storage import require_map
@@ -30,8 +33,6 @@ from revisit.service.application.mapping.loop_events import (
 )
 from revisit.service.application.mapping.optimisation import optimise_soon
 from revisit.service.application.query.place_memory import ReadFilter, RecalledPlace
-from revisit.service.application.recognise.loops_beside import Beside, revised_evidence
-from revisit.service.application.recognise.proposed_loops import rules_of
 from revisit.service.failpoints import failpoint
 
 
@@ -46,10 +47,18 @@ class DescriptionTask:
 
 @dataclass(frozen=True)
 class JudgedPlace:
-    """A recalled place and what geometry says about it."""
+    """A recalled place and the claim that it is the place of the query."""
 
     place: RecalledPlace
-    verdict: LoopVerdict
+    claim: LoopClaim
+
+
+@dataclass(frozen=True)
+class RevisedLoop:
+    """A stored loop, as it was read, and its claim as it is judged now."""
+
+    record: LoopRecord
+    claim: LoopClaim
 
 
 @dataclass(frozen=True)
@@ -63,7 +72,7 @@ class StoredDescription:
 
 @dataclass(frozen=True)
 class DescriptionCommit:
-    """The one transaction that ends a description; `decided` are earlier loops that this one's loops decide."""
+    """The one transaction that ends a description; `revised` are earlier loops that this one's loops decide."""
 
     blobs: BlobStore
     policy: Policy
@@ -71,7 +80,7 @@ class DescriptionCommit:
     task: DescriptionTask
     described: StoredDescription
     judged: list[JudgedPlace]
-    decided: list[Beside]
+    revised: list[RevisedLoop]
     where: ReadFilter
     seq: int
     now: Instant
@@ -97,9 +106,10 @@ class DescriptionCommit:
         self._store_submap(uow)
         failpoint("merge.after_submap")
         present = [item for item in self.judged if item.place.submap.number in stored]
-        add_loops(uow, [(self._loop(item), self._verified(item.verdict)) for item in present])
-        accepted = sum(item.verdict.accepted for item in present)
-        if accepted + sum(self._revise(uow, loop) for loop in self.decided):
+        loops = [self._loop(item) for item in present]
+        add_loops(uow, [(loop, self._verified(loop.evidence)) for loop in loops])
+        accepted = sum(item.claim.accepted for item in present)
+        if accepted + sum(self._revise(uow, loop) for loop in self.revised):
             optimise_soon(uow, tenant, map_record.map_id, self.policy, self.now, self.now_ns)
         failpoint("merge.after_loops")
         timings = {stage: round(seconds, 4) for stage, seconds in self.described.description.timings_s.items()}
@@ -124,44 +134,49 @@ class DescriptionCommit:
     def _end(self, uow: UnitOfWork, result: dict[str, Any]) -> None:
         uow.queue.complete(self.lease, result, self.now, self.now_ns)
 
-    def _revise(self, uow: UnitOfWork, decided: Beside) -> bool:
+    def _revise(self, uow: UnitOfWork, revised: RevisedLoop) -> bool:
         """Change the verdict of an earlier loop, if it still has the one that it was read with."""
-        known, verdict = decided.record, decided.verdict
-        loop = None if known is None else uow.loops.get(known.tenant, known.map_id, known.loop_id)
-        if known is None or loop is None or LoopStanding.of(loop) != LoopStanding.of(known):
+        known, claim = revised.record, revised.claim
+        loop = uow.loops.get(known.tenant, known.map_id, known.loop_id)
+        if loop is None or LoopStanding.of(loop) != LoopStanding.of(known) or claim.T_match_query is None:
             return False
-        if verdict.T_match_query is None or (loop.state == LoopState.ACCEPTED and decided_by_person(uow, loop)):
+        if loop.state == LoopState.ACCEPTED and decided_by_person(uow, loop):
             return False
+        evidence = revised_evidence(loop.evidence, claim, self._rules)
         change_loop(
             uow,
             loop,
-            self._verified(verdict),
-            state=(LoopState.ACCEPTED if verdict.accepted else LoopState.REJECTED).value,
-            reason=verdict.reason,
-            score=verdict.score,
-            T_match_query=pose_row(verdict.T_match_query),
-            evidence=revised_evidence(loop.evidence, verdict.evidence),
-            graph_state=loop.graph_state if verdict.accepted else None,
+            self._verified(evidence),
+            state=loop_state(claim).value,
+            reason=None if claim.reason is None else claim.reason.value,
+            score=claim.score,
+            T_match_query=pose_row(claim.T_match_query),
+            evidence=evidence,
+            graph_state=loop.graph_state if claim.accepted else None,
         )
         return True
 
-    def _verified(self, verdict: LoopVerdict) -> Change:
+    @property
+    def _rules(self) -> VerificationConfig:
+        return self.policy.for_map(self.task.map).verification
+
+    def _verified(self, evidence: dict[str, Any]) -> Change:
         """Tells what the verdict was given by: the model and the thresholds."""
-        details = {"model_version": self.described.row.model_version, **rules_of(verdict)}
+        details = {"model_version": self.described.row.model_version, **rules_of(evidence)}
         return Change(LoopEventKind.VERIFIED, self.now_ns, details=details)
 
     def _loop(self, item: JudgedPlace) -> LoopRecord:
-        query, match, verdict = self.task.submap, item.place.submap, item.verdict
+        query, match, claim = self.task.submap, item.place.submap, item.claim
         return LoopRecord.between(
             query,
             match,
             loop_id=f"loop-{query.number}-{match.number}",
-            state=(LoopState.ACCEPTED if verdict.accepted else LoopState.REJECTED).value,
-            reason=verdict.reason,
+            state=loop_state(claim).value,
+            reason=None if claim.reason is None else claim.reason.value,
             similarity=item.place.similarity,
-            score=verdict.score,
-            T_match_query=None if verdict.T_match_query is None else pose_row(verdict.T_match_query),
-            evidence={**verdict.evidence, "model_version": self.described.row.model_version},
+            score=claim.score,
+            T_match_query=None if claim.T_match_query is None else pose_row(claim.T_match_query),
+            evidence={**evidence_of(claim, self._rules), "model_version": self.described.row.model_version},
             created_at_ns=self.now_ns,
         )
 

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 
 from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
+from revisit.core.verification import PairVerdict, RejectedLoop, VerifiedLoop
 from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.job_queue import Lease
+from revisit.service.application.contract.loop_claims import rules_of, verdict_evidence
 from revisit.service.application.contract.policy import Policy
-from revisit.service.application.contract.recogniser import LoopVerdict
 from revisit.service.application.contract.records import JobRecord, LoopRecord, MapRecord, SubmapRecord
 from revisit.service.application.contract.states import LoopEventKind, LoopState
 from revisit.service.application.contract.storage import require_map
@@ -42,7 +43,7 @@ class VerdictCommit:
     model_version: str
     policy: Policy
     pair: ProposedPair | None
-    verdict: LoopVerdict | None
+    verdict: PairVerdict | None
     now: Instant
     now_ns: int
 
@@ -53,32 +54,29 @@ class VerdictCommit:
         if loop is None or self.pair is None or self.verdict is None:
             uow.queue.complete(self.lease, NO_LONGER_PROPOSED, self.now, self.now_ns)
             return
-        verdict = self.verdict
-        state = LoopState.ACCEPTED if verdict.accepted else LoopState.REJECTED
+        verdict, measured = self.verdict, self.verdict.measurement
+        accepted = isinstance(verdict, VerifiedLoop)
+        state = LoopState.ACCEPTED if accepted else LoopState.REJECTED
+        reason = verdict.reason.value if isinstance(verdict, RejectedLoop) else None
+        evidence = verdict_evidence(verdict, self.policy.for_map(self.pair.map).verification)
         change_loop(
             uow,
             loop,
-            Change(LoopEventKind.VERIFIED, self.now_ns, details=self._rules(verdict)),
+            Change(LoopEventKind.VERIFIED, self.now_ns, details=self._rules(evidence)),
             state=state.value,
-            reason=verdict.reason,
+            reason=reason,
             similarity=self.pair.match.similarity,
-            score=verdict.score,
-            T_match_query=loop.T_match_query if verdict.T_match_query is None else pose_row(verdict.T_match_query),
-            evidence={**verdict.evidence, "model_version": self.model_version},
+            score=0.0 if measured is None else float(measured.score),
+            T_match_query=loop.T_match_query if measured is None else pose_row(measured.T_match_query),
+            evidence={**evidence, "model_version": self.model_version},
         )
-        if verdict.accepted:
+        if accepted:
             optimise_soon(uow, loop.tenant, loop.map_id, self.policy, self.now, self.now_ns)
         result = {"loop_closure": f"maps/{loop.map_id}/loopClosures/{loop.loop_id}", "state": state.value}
-        uow.queue.complete(self.lease, {**result, "reason": verdict.reason}, self.now, self.now_ns)
+        uow.queue.complete(self.lease, {**result, "reason": reason}, self.now, self.now_ns)
 
-    def _rules(self, verdict: LoopVerdict) -> dict[str, Any]:
-        return {"model_version": self.model_version, **rules_of(verdict)}
-
-
-def rules_of(verdict: LoopVerdict) -> dict[str, Any]:
-    """The thresholds that a verdict was given by."""
-    told = ("thresholds", "thresholds_version")
-    return {name: verdict.evidence[name] for name in told if name in verdict.evidence}
+    def _rules(self, evidence: dict[str, Any]) -> dict[str, Any]:
+        return {"model_version": self.model_version, **rules_of(evidence)}
 
 
 def proposed_pair(uow: UnitOfWork, job: JobRecord) -> ProposedPair | None:

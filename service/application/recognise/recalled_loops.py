@@ -16,19 +16,19 @@ import numpy as np
 
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
+from revisit.core.verification import PairVerdict, RejectedLoop, RejectionReason, VerifiedLoop
 from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.job_queue import Lease
+from revisit.service.application.contract.loop_claims import rules_of, verdict_evidence
 from revisit.service.application.contract.map_frames import LoopInMap, MapFrames
 from revisit.service.application.contract.policy import Policy
-from revisit.service.application.contract.recogniser import LoopVerdict
 from revisit.service.application.contract.records import LoopRecord, MapRecord, SubmapRecord
 from revisit.service.application.contract.states import LoopEventKind, LoopState
 from revisit.service.application.contract.transactions import Transactions, UnitOfWork
 from revisit.service.application.mapping.loop_events import Change, LoopStanding, change_loop, decided_by_person
 from revisit.service.application.mapping.optimisation import optimise_soon
 from revisit.service.application.mapping.progress import Progress
-from revisit.service.application.recognise.proposed_loops import rules_of
 
 RECALL = "recall"
 """The member of a loop's evidence that says from which version of the map it was tested again, and with what result."""
@@ -61,7 +61,7 @@ class RecalledLoop:
     query: SubmapRecord
     match: SubmapRecord
     T_match_query: Matrix4
-    verdict: LoopVerdict | None = None
+    verdict: PairVerdict | None = None
 
 
 @dataclass(frozen=True)
@@ -168,12 +168,12 @@ def _as_read(loop: LoopRecord) -> tuple[int, LoopStanding, Any]:
     return loop.number, LoopStanding.of(loop), loop.evidence.get(RECALL)
 
 
-def kept_near(loop: RecalledLoop, verdict: LoopVerdict) -> RecalledLoop:
+def kept_near(loop: RecalledLoop, verdict: PairVerdict) -> RecalledLoop:
     """A loop with its verdict; what was accepted far from where the map has it is rejected all the same."""
-    if verdict.accepted and verdict.T_match_query is not None:
-        _, moved_m = _apart(loop.T_match_query, verdict.T_match_query)
+    if isinstance(verdict, VerifiedLoop):
+        _, moved_m = _apart(loop.T_match_query, verdict.measurement.T_match_query)
         if moved_m > MOST_MOVED_M * loop.map.scene_scale:
-            verdict = replace(verdict, accepted=False, reason="FAR_FROM_MAP")
+            verdict = RejectedLoop(RejectionReason.FAR_FROM_MAP, verdict.measurement)
     return replace(loop, verdict=verdict)
 
 
@@ -209,32 +209,33 @@ class RecallCommit:
         if verdict is None or loop is None or _as_read(loop) != _as_read(known) or decided_by_person(uow, known):
             return False
         told = {**loop.evidence, RECALL: self._told(one, verdict)}
+        found = verdict_evidence(verdict, self.policy.for_map(one.map).verification)
         fields: dict[str, Any] = {"evidence": told}
-        if verdict.accepted and verdict.T_match_query is not None:
+        if isinstance(verdict, VerifiedLoop):
             fields = {
-                "evidence": {**told, **verdict.evidence, "model_version": self.model_version},
+                "evidence": {**told, **found, "model_version": self.model_version},
                 "state": LoopState.ACCEPTED.value,
                 "reason": None,
-                "score": verdict.score,
-                "T_match_query": pose_row(verdict.T_match_query),
+                "score": float(verdict.measurement.score),
+                "T_match_query": pose_row(verdict.measurement.T_match_query),
             }
-        change_loop(uow, loop, self._change(one, verdict), **fields)
-        return verdict.accepted
+        change_loop(uow, loop, self._change(one, verdict, found), **fields)
+        return isinstance(verdict, VerifiedLoop)
 
-    def _told(self, one: RecalledLoop, verdict: LoopVerdict) -> dict[str, Any]:
+    def _told(self, one: RecalledLoop, verdict: PairVerdict) -> dict[str, Any]:
         return {
             "map_version": one.map.map_version,
             "T_match_query": list(pose_row(one.T_match_query)),
-            "reason": verdict.reason,
+            "reason": verdict.reason.value if isinstance(verdict, RejectedLoop) else None,
             "before": one.record.reason,
         }
 
-    def _change(self, one: RecalledLoop, verdict: LoopVerdict) -> Change:
+    def _change(self, one: RecalledLoop, verdict: PairVerdict, found: dict[str, Any]) -> Change:
         return Change(
             LoopEventKind.VERIFIED,
             self.now_ns,
             actor=f"map version {one.map.map_version}",
             note=f"tested again from where the map has the two submaps, after {one.record.reason}",
             map_version=one.map.map_version,
-            details={"model_version": self.model_version, **rules_of(verdict), RECALL: self._told(one, verdict)},
+            details={"model_version": self.model_version, **rules_of(found), RECALL: self._told(one, verdict)},
         )

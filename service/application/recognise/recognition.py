@@ -7,7 +7,7 @@ workers describe at the same time is found by the one that commits second.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -15,6 +15,16 @@ from typing import Any
 import numpy as np
 import structlog
 
+from revisit.core.acceptance import (
+    Decided,
+    LoopClaim,
+    PredictedPoses,
+    Station,
+    StationInMap,
+    accept,
+    accept_cloud,
+    verify_in_turn,
+)
 from revisit.core.candidates import candidate_policy
 from revisit.core.config import PipelineConfig
 from revisit.core.errors import DataLoss, DescriptorModelMismatch, ErrorCode, RevisitError
@@ -22,6 +32,7 @@ from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
 from revisit.core.upright import levelling
+from revisit.core.verification import PairVerdict, RejectedLoop, RejectionReason, VerifiedLoop
 from revisit.service.application.catalogue.deletion import SUBMAP_DELETED
 from revisit.service.application.catalogue.maps import model_for_map
 from revisit.service.application.catalogue.meshes import pack_mesh
@@ -37,10 +48,11 @@ from revisit.service.application.contract.errors import NoAnswer, StaleLease, St
 from revisit.service.application.contract.identity import SubmapKey
 from revisit.service.application.contract.index import VectorFilter
 from revisit.service.application.contract.job_queue import CANCELLED, Lease
-from revisit.service.application.contract.map_frames import MapPose, submap_in_map
+from revisit.service.application.contract.loop_claims import drive_before, evidence_of, station
+from revisit.service.application.contract.map_frames import MapFrames, MapPose, submap_in_map
 from revisit.service.application.contract.policy import Policy
-from revisit.service.application.contract.recogniser import LoopVerdict, PlaceRecogniser, SubmapDescription
-from revisit.service.application.contract.records import JobRecord, MapRecord, SubmapRecord
+from revisit.service.application.contract.recogniser import PlaceRecogniser, SubmapDescription
+from revisit.service.application.contract.records import JobRecord, LoopRecord, MapRecord, SubmapRecord
 from revisit.service.application.contract.states import LoopState, OperationKind, SubmapState
 from revisit.service.application.contract.storage import require_map
 from revisit.service.application.contract.storeys import comparable_sessions, storey_of
@@ -68,11 +80,9 @@ from revisit.service.application.recognise.description_commit import (
     DescriptionCommit,
     DescriptionTask,
     JudgedPlace,
+    RevisedLoop,
     StoredDescription,
 )
-from revisit.service.application.recognise.distinctiveness import with_distinctiveness
-from revisit.service.application.recognise.look_alikes import outdone_contacts
-from revisit.service.application.recognise.loops_beside import Beside, drive_before
 from revisit.service.application.recognise.proposed_loops import VerdictCommit, proposed_pair
 from revisit.service.application.recognise.recalled_loops import (
     RecallCommit,
@@ -80,8 +90,6 @@ from revisit.service.application.recognise.recalled_loops import (
     kept_near,
     loops_to_recall,
 )
-from revisit.service.application.recognise.rules_beside import agreeing, decided, replaced, standing_out
-from revisit.service.application.recognise.told_poses import Told, ToldPoses, poses_in_map
 from revisit.service.failpoints import failpoint
 
 log = structlog.get_logger(__name__)
@@ -93,7 +101,7 @@ INSPECTED_EVERY = 20
 LARGE_MAP_LOOPS = 2000
 """Accepted loops from which on optimising a map takes so much memory, and so long, that room is made for it."""
 
-LOST = LoopVerdict(False, "PLACE_LOST", 0.0, None, {})
+LOST = RejectedLoop(RejectionReason.PLACE_LOST)
 """The verdict on a pair of which a place is damaged."""
 
 
@@ -248,44 +256,79 @@ class Recognition:
         Every repetition means that another worker has committed, so together the workers always get on.
         """
         where = partial(_loop_filter, submap=task.submap, config=config)
-        judged: dict[int, JudgedPlace] = {}
+        judged: dict[int, PairVerdict] = {}
         while True:
             recall = self._memory.recall(task.map, described.description.descriptor, config.loop.candidates, where)
-            kept = self._judge_in_turn(described.description.place, recall, config, judged)
-            kept, earlier = self._with_support(task.submap, described.description.place, kept, config)
+            kept, earlier = self._judged(task.submap, described.description.place, recall, config, judged)
             now, now_ns = self._clock.instant(), self._clock.wall_ns()
             commit = DescriptionCommit(
                 self._blobs, self._policy, lease, task, described, kept, earlier, where, recall.seq, now, now_ns
             )
             failpoint("job.before_commit")
             if self._transactions.write(commit).result():
-                if earlier or any(one.verdict.accepted for one in kept):
+                if earlier or any(one.claim.accepted for one in kept):
                     self._maps.early.take_in(task.map.tenant, task.map.map_id)
                 return
 
-    def _judge_in_turn(
-        self, place: bytes, recall: Recall, config: PipelineConfig, judged: dict[int, JudgedPlace]
-    ) -> list[JudgedPlace]:
-        """The recalled places, most similar first, with verdicts, those in `judged` as they are.
+    def _judged(
+        self,
+        submap: SubmapRecord,
+        place: bytes,
+        recall: Recall,
+        config: PipelineConfig,
+        judged: dict[int, PairVerdict],
+    ) -> tuple[list[JudgedPlace], list[RevisedLoop]]:
+        """The recalled places with their claims; and the earlier loops of the drive whose claims change with them.
 
-        Without those whose pose enough accepted loops before them tell (docs/decisions/0205).
+        `judged`: verdicts by number of submap; those that are there stand, new ones are added. Places whose pose enough
+        accepted pairs predict are left out (docs/decisions/0205).
         """
         recalled = [one.submap for one in recall.places]
-        loops, kept = ToldPoses(config, partial(poses_in_map, self._transactions, recalled)), []
-        for one in recall.places:
-            number = one.submap.number
-            told = loops.of(one.submap)
-            if number not in judged and not _is_known(told):
-                judged[number] = self._judge(place, one, config, expected=_expected(told))
-            if number in judged:
-                kept.append(judged[number])
-                loops.take_in(judged[number].place.submap, judged[number].verdict)
-        return kept
+        predicted = PredictedPoses(
+            [station(one) for one in recalled], config, partial(_in_map_now, self._transactions, recalled)
+        )
+        known = {row: judged[one.number] for row, one in enumerate(recalled) if one.number in judged}
 
-    def _judge_all(self, place: bytes, recalled: Iterable[RecalledPlace], config: PipelineConfig) -> list[JudgedPlace]:
-        return [self._judge(place, one, config) for one in recalled]
+        def verify(row: int, expected: Matrix4 | None) -> PairVerdict:
+            return self._verify(place, recall.places[row], config, expected=expected)
 
-    def _judge(
+        verdicts = verify_in_turn(predicted, len(recalled), verify, known)
+        judged.update({recalled[row].number: verdict for row, verdict in verdicts.items()})
+        places = [recall.places[row] for row in verdicts]
+        new = [
+            LoopClaim(station(submap), station(one.submap), verdict)
+            for one, verdict in zip(places, verdicts.values(), strict=True)
+        ]
+        decided, records = self._accept(submap, place, places, new, config)
+        kept = [JudgedPlace(one, claim) for one, claim in zip(places, decided.new, strict=True)]
+        return kept, [RevisedLoop(records[row], claim) for row, claim in decided.revised.items()]
+
+    def _accept(
+        self,
+        submap: SubmapRecord,
+        place: bytes,
+        places: list[RecalledPlace],
+        new: list[LoopClaim],
+        config: PipelineConfig,
+    ) -> tuple[Decided, list[LoopRecord]]:
+        """The claims of `submap` on `places` judged with its drive before it; and the rows of the earlier claims."""
+        before = self._transactions.read(partial(drive_before, submap=submap, config=config)).result()
+        pairs = [
+            *(
+                (query, RecalledPlace(match, loop.similarity))
+                for loop, (query, match) in zip(before.loops, before.pairs, strict=True)
+            ),
+            *((submap, one) for one in places),
+        ]
+
+        def verify_near(row: int, near: Matrix4) -> PairVerdict:
+            query, match = pairs[row]
+            asked = place if query is submap else self._stored_place(query)
+            return LOST if asked is None else self._verify(asked, match, config, near)
+
+        return accept(new, before.drive, config, verify_near), before.loops
+
+    def _verify(
         self,
         place: bytes,
         recalled: RecalledPlace,
@@ -293,17 +336,16 @@ class Recognition:
         near: Matrix4 | None = None,
         near_decides: bool = True,
         expected: Matrix4 | None = None,
-    ) -> JudgedPlace:
+    ) -> PairVerdict:
         submap = recalled.submap
         try:
             blob = self._blobs.get(submap.tenant, PLACE_BLOB, str(submap.place_sha256))
-            verdict = self._recogniser.verify(
+            return self._recogniser.verify(
                 place, blob, recalled.similarity, config, near, near_decides=near_decides, expected=expected
             )
         except DataLoss as error:
             log.error("place_lost", submap=submap_key(submap).name, reason=error.message)
-            verdict = replace(LOST, evidence={"message": error.message})
-        return JudgedPlace(recalled, verdict)
+            return replace(LOST, message=error.message)
 
     def _stored_place(self, submap: SubmapRecord) -> bytes | None:
         """The blob of a described submap's place; None where it is damaged."""
@@ -312,32 +354,6 @@ class Recognition:
         except DataLoss as error:
             log.error("place_lost", submap=submap_key(submap).name, reason=error.message)
             return None
-
-    def _with_support(
-        self, submap: SubmapRecord, place: bytes, judged: list[JudgedPlace], config: PipelineConfig
-    ) -> tuple[list[JudgedPlace], list[Beside]]:
-        """The places of `submap`, how distinct it is, and earlier loops of its drive, where loops beside one decide it.
-
-        Of the earlier loops only those that are decided now.
-        """
-        new = [Beside(submap, one.place.submap, one.place.similarity, one.verdict) for one in judged]
-        if not any(loop.hypotheses for loop in new):
-            return judged, []
-        before = self._transactions.read(partial(drive_before, submap=submap, config=config)).result()
-        new = standing_out(new, config)
-        new = replaced(new, outdone_contacts(new, before.loops, config))
-
-        def register(query: SubmapRecord, match: SubmapRecord, similarity: float, near: Matrix4) -> LoopVerdict:
-            asked = place if query is submap else self._stored_place(query)
-            return LOST if asked is None else self._judge(asked, RecalledPlace(match, similarity), config, near).verdict
-
-        loops, revised = decided([*before.loops, *new], config.verification, before.stride_m, register)
-        new = loops[len(before.loops) :]
-        kept = [
-            replace(one, verdict=with_distinctiveness(loop, new, config.submap.stride))
-            for one, loop in zip(judged, new, strict=True)
-        ]
-        return kept, [loop for loop in revised if loop.record is not None]
 
     def _require_same_model(self, record: MapRecord) -> None:
         own = model_for_map(record, self._recogniser.model_version)
@@ -362,11 +378,11 @@ class Recognition:
         verdict = None
         if pair is not None:
             place = self._blobs.get(pair.query.tenant, PLACE_BLOB, str(pair.query.place_sha256))
-            verdict = self._judge(place, pair.match, self._policy.for_map(pair.map), pair.near).verdict
+            verdict = self._verify(place, pair.match, self._policy.for_map(pair.map), pair.near)
         now, now_ns = self._clock.instant(), self._clock.wall_ns()
         commit = VerdictCommit(lease, self._recogniser.model_version, self._policy, pair, verdict, now, now_ns)
         self._transactions.write(commit).result()
-        if pair is not None and verdict is not None and verdict.accepted:
+        if pair is not None and isinstance(verdict, VerifiedLoop):
             self._maps.early.take_in(pair.map.tenant, pair.map.map_id)
 
     def _recall_loops(self, lease: Lease) -> None:
@@ -394,7 +410,7 @@ class Recognition:
             return replace(loop, verdict=LOST)
         config = self._policy.for_map(loop.map)
         match = RecalledPlace(loop.match, loop.record.similarity)
-        verdict = self._judge(place, match, config, loop.T_match_query, near_decides=False).verdict
+        verdict = self._verify(place, match, config, loop.T_match_query, near_decides=False)
         return kept_near(loop, verdict)
 
     # -- searching by cloud
@@ -412,8 +428,15 @@ class Recognition:
         config = self._policy.for_map(map_record)
         k = criteria_from_json(lease.job.payload["criteria"]).k
         recall = self._memory.recall(map_record, description.descriptor, k, lambda _: where)
-        judged = _agreeing(self._judge_all(description.place, recall.places, config), config)
-        found = _localization(judged)
+        verdicts = [self._verify(description.place, one, config) for one in recall.places]
+        # A cloud is of no drive and has no odometry: its own frame is all there is.
+        query = Station(None, 0, np.eye(4))
+        claims = [
+            LoopClaim(query, station(one.submap), verdict) for one, verdict in zip(recall.places, verdicts, strict=True)
+        ]
+        claims = accept_cloud(claims, config)
+        judged = [JudgedPlace(one, claim) for one, claim in zip(recall.places, claims, strict=True)]
+        found = _localization(judged, config)
         in_map = self._transactions.read(partial(_in_map, found=found, judged=judged)).result()
         left_out = self._memory.on_other_storeys(map_record, where)
         self._complete(lease, localization_to_json(replace(found, in_map=in_map, on_other_storeys=left_out)))
@@ -466,45 +489,42 @@ def _loop_filter(uow: UnitOfWork, submap: SubmapRecord, config: PipelineConfig) 
     )
 
 
-def _agreeing(judged: list[JudgedPlace], config: PipelineConfig) -> list[JudgedPlace]:
-    """The candidates of a cloud; where accepted ones put it at different spots of a drive, they are ambiguous."""
-    # Any submap stands for the cloud, the same one for all candidates, but is of no drive: there is no odometry.
-    loops = [
-        Beside(replace(judged[0].place.submap, session_number=0), one.place.submap, 0.0, one.verdict) for one in judged
-    ]
-    changed = agreeing(loops, config)
-    return [replace(one, verdict=loop.verdict) for one, loop in zip(judged, changed, strict=True)]
+def _in_map_now(transactions: Transactions, submaps: Sequence[SubmapRecord]) -> list[StationInMap | None]:
+    """Where submaps of one map lie in its version in force; None for those that have no place there."""
+    if not submaps:
+        return []
+    poses = transactions.read(partial(_poses_in_map, submaps=submaps)).result()
+    return [None if pose is None else StationInMap(pose.frame, pose_matrix(pose.T_map)) for pose in poses]
 
 
-def _is_known(told: Told | None) -> bool:
-    return told is not None and told.is_known
+def _poses_in_map(uow: UnitOfWork, submaps: Sequence[SubmapRecord]) -> list[MapPose | None]:
+    frames = MapFrames(uow, submaps[0].tenant, submaps[0].map_id)
+    return [frames.submap(one) for one in submaps]
 
 
-def _expected(told: Told | None) -> Matrix4 | None:
-    return told.T_match_query if told is not None and told.within_reach else None
-
-
-def _localization(judged: list[JudgedPlace]) -> Localization:
-    candidates = [
-        LocalizedCandidate(
-            submap=submap_key(item.place.submap),
-            accepted=item.verdict.accepted,
-            reason=item.verdict.reason,
-            similarity=item.place.similarity,
-            score=item.verdict.score,
-            T_match_query=item.verdict.T_match_query,
-            evidence=item.verdict.evidence,
-        )
-        for item in judged
-    ]
-    accepted = [index for index, candidate in enumerate(candidates) if candidate.accepted]
+def _localization(judged: list[JudgedPlace], config: PipelineConfig) -> Localization:
+    candidates = [_candidate(one, config) for one in judged]
+    accepted = [row for row, candidate in enumerate(candidates) if candidate.accepted]
     if not accepted:
         return Localization(None, None, tuple(candidates))
-    best = max(accepted, key=lambda index: (candidates[index].score, -index))
+    best = max(accepted, key=lambda row: (candidates[row].score, -row))
     T_match_query = candidates[best].T_match_query
     T_odom_match = pose_matrix(judged[best].place.submap.T_odom_submap)
     T_odom_query = None if T_match_query is None else T_odom_match @ T_match_query
     return Localization(candidates[best], T_odom_query, tuple(candidates))
+
+
+def _candidate(judged: JudgedPlace, config: PipelineConfig) -> LocalizedCandidate:
+    claim = judged.claim
+    return LocalizedCandidate(
+        submap=submap_key(judged.place.submap),
+        accepted=claim.accepted,
+        reason=None if claim.reason is None else claim.reason.value,
+        similarity=judged.place.similarity,
+        score=claim.score,
+        T_match_query=claim.T_match_query,
+        evidence=evidence_of(claim, config.verification),
+    )
 
 
 def _is_inspected(submap: SubmapRecord) -> bool:

@@ -105,7 +105,7 @@ def test_a_loop_by_hand_that_geometry_rejects_may_be_accepted_all_the_same(clien
     a, b = (f"{session.name}/submaps/{name}" for name in "ab")
     done = client.wait(client.create_loop_closure(b, a, T_match_query=pose(1.0)))
     rejected = client.get_loop_closure(done.subject)
-    assert (rejected.state, rejected.reason) == ("REJECTED", "TOO_DIFFERENT")
+    assert (rejected.state, rejected.reason) == ("REJECTED", "LOW_OVERLAP")
     accepted = client.accept_loop_closure(rejected, note="the wall was painted")
     assert (accepted.state, accepted.reason) == ("ACCEPTED", None)
     assert client.revert_loop_closure(accepted) == rejected

@@ -163,7 +163,7 @@ def test_an_unknown_place_is_an_answer_and_no_error(client, session, town):
     client.wait(post(client, session, place=1))
     lost = client.localize(town, cloud_points(2))
     assert (lost.best, lost.T_odom_query, lost.session) == (None, None, None)
-    assert {candidate.reason for candidate in lost.candidates} == {"TOO_DIFFERENT"}
+    assert {candidate.reason for candidate in lost.candidates} == {"LOW_OVERLAP"}
     assert client.localize(client.create_map(f"{town[5:]}-empty"), cloud_points(2)).candidates == ()
     assert client.search(f"{town}-empty", points=cloud_points(2)) == []
 

@@ -2,57 +2,60 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from revisit.core.acceptance import PredictedPoses, Station, StationInMap, verify_in_turn
 from revisit.core.config import PipelineConfig
-from revisit.core.geometry import se3
-from revisit.core.geometry.se3 import pose_row
-from revisit.service.application.contract.map_frames import MapPose
-from revisit.service.application.contract.recogniser import LoopVerdict
-from revisit.service.application.contract.records import SubmapRecord
-from revisit.service.application.recognise.told_poses import ToldPoses
-from tests.support.records import a_submap
+from revisit.core.verification import PairVerdict
+from tests.support.claims import STRIDE_M, along_x
+from tests.support.verdicts import rejected, verified
 
-STRIDE_M = 5.0
 DEFAULT = PipelineConfig()
 CONFIG = replace(DEFAULT, loop=replace(DEFAULT.loop, enough=2))
 
-
-def drive(station: int, session: int = 1) -> SubmapRecord:
-    """A submap every 5 m along x by the odometry of a drive, which begins each drive at 0."""
-    pose = se3.from_yaw(0.0, (STRIDE_M * station, 0.0, 0.0))
-    position = tuple(float(value) for value in pose[:3, 3])
-    number = 1000 * session + station
-    return a_submap(
-        f"{session}-{station}", station, session_number=session, number=number, T_odom_submap=pose_row(pose),
-        position_m=position,
-    )  # fmt: skip
+Named = tuple[int, int]
+"""A submap by its number on its drive, and the drive."""
 
 
-def seen_at(x_m: float, station: int, y_m: float = 0.0, accepted: bool = True) -> LoopVerdict:
+def seen_at(x_m: float, station: int, y_m: float = 0.0, accepted: bool = True) -> PairVerdict:
     """The verdict on station `station` of a query that stands at (x, y) in the odometry of that drive."""
-    pose = se3.from_yaw(0.0, (x_m - STRIDE_M * station, y_m, 0.0))
-    return LoopVerdict(accepted, None if accepted else "LOW_OVERLAP", 0.9, pose, {})
+    pose = along_x(x_m - STRIDE_M * station, y_m)
+    return verified(pose) if accepted else rejected("LOW_OVERLAP", pose)
 
 
-def told_by(*loops: tuple[SubmapRecord, LoopVerdict], config=CONFIG, in_map=()) -> ToldPoses:
-    told = ToldPoses(config, lambda: dict(in_map))
-    for match, verdict in loops:
-        told.take_in(match, verdict)
-    return told
+def drive(station: int, session: int = 1) -> Named:
+    return station, session
 
 
-def placed(x_m: float, frame: str = "frame-1") -> MapPose:
-    return MapPose(pose_row(se3.from_yaw(0.0, (x_m, 0.0, 0.0))), frame, 1)
+class told_by:
+    """What accepted pairs of a query predict; a submap every 5 m along x by the odometry of each drive, from 0 on."""
+
+    def __init__(
+        self, *loops: tuple[Named, PairVerdict], config=CONFIG, in_map: Mapping[Named, StationInMap] | None = None
+    ) -> None:
+        self._loops, self._config, self._in_map = loops, config, in_map or {}
+
+    def of(self, asked: Named):
+        named = [*(one for one, _ in self._loops), asked]
+        stations = [Station(session, number, along_x(STRIDE_M * number)) for number, session in named]
+        told = PredictedPoses(stations, self._config, lambda: [self._in_map.get(one) for one in named])
+        for row, (_, verdict) in enumerate(self._loops):
+            told.add(row, verdict)
+        return told.of(len(self._loops))
+
+
+def placed(x_m: float, frame: str = "frame-1") -> StationInMap:
+    return StationInMap(frame, along_x(x_m))
 
 
 def test_one_loop_tells_where_the_next_submap_of_its_drive_lies_and_leaves_it_to_be_compared():
     told = told_by((drive(4), seen_at(22.0, 4))).of(drive(6))
     assert told is not None and told.within_reach and not told.is_known
-    np.testing.assert_allclose(told.T_match_query, se3.from_yaw(0.0, (22.0 - 30.0, 0.0, 0.0)), atol=1e-12)
+    np.testing.assert_allclose(told.T_match_query, along_x(22.0 - 30.0), atol=1e-12)
 
 
 def test_a_rejected_candidate_tells_nothing():
@@ -83,8 +86,8 @@ def test_nothing_is_left_out_where_all_candidates_are_wanted():
     assert told is not None and told.within_reach and not told.is_known
 
 
-IN_MAP = {drive(4).number: placed(20.0), drive(5).number: placed(25.0), drive(3, 2).number: placed(21.0),
-          drive(11, 2).number: placed(61.0)}  # fmt: skip
+IN_MAP = {drive(4): placed(20.0), drive(5): placed(25.0), drive(3, 2): placed(21.0),
+          drive(11, 2): placed(61.0)}  # fmt: skip
 """Two drives in one frame of the map; the second one's odometry begins 6 m farther on."""
 
 
@@ -97,6 +100,22 @@ def test_by_the_map_a_submap_of_another_drive_is_known_where_it_is_near():
 
 
 def test_frames_of_the_map_that_nothing_joins_tell_nothing_of_each_other():
-    apart = {**IN_MAP, drive(3, 2).number: placed(21.0, "frame-2")}
+    apart = {**IN_MAP, drive(3, 2): placed(21.0, "frame-2")}
     told = told_by((drive(4), seen_at(22.0, 4)), (drive(5), seen_at(22.1, 5)), in_map=apart)
     assert told.of(drive(3, 2)) is None
+
+
+def test_candidates_are_verified_in_turn_from_what_the_others_predict_until_enough_agree():
+    stations = [Station(1, number, along_x(STRIDE_M * number)) for number in (4, 5, 6, 7)]
+    asked = []
+
+    def verify(row: int, expected):
+        asked.append((row, expected is not None))
+        return seen_at(22.0, stations[row].ordinal)
+
+    verdicts = verify_in_turn(PredictedPoses(stations, CONFIG), 4, verify, {1: seen_at(22.0, 5)})
+    assert list(verdicts) == [0, 1] and asked == [(0, False)]
+    asked.clear()
+    every = replace(DEFAULT, loop=replace(DEFAULT.loop, enough=0))
+    assert list(verify_in_turn(PredictedPoses(stations, every), 4, verify, {})) == [0, 1, 2, 3]
+    assert asked == [(0, False), (1, True), (2, True), (3, True)]

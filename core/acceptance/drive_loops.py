@@ -9,55 +9,25 @@ is held against the odometry of that drive, too. Heights are held to what both o
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from revisit.core.acceptance.claim import LoopClaim, Station
+from revisit.core.acceptance.height_drift import allowed_rises_m, height_drift
+from revisit.core.acceptance.neighbour_support import NeighbourLoop, agrees
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
-from revisit.core.height_drift import allowed_rises_m, height_drift
-from revisit.core.neighbour_support import NeighbourLoop, agrees
 
 Array = NDArray[np.float64]
 Poses = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class DriveSubmap:
-    """Where a submap lies on its drive: T_odom_submap (4, 4), metres, and its number on the drive."""
-
-    T_odom_submap: se3.Matrix4
-    ordinal: int
-
-
-@dataclass(frozen=True)
-class DrivePair:
-    """A submap of a drive and one of another, and the poses T_match_query (4, 4) that fit: best first, one at least."""
-
-    query: DriveSubmap
-    match: DriveSubmap
-    poses: Sequence[se3.Matrix4]
-
-
-@dataclass(frozen=True)
-class DriveLoop(DrivePair):
-    """A loop between two drives; its poses are its hypotheses.
-
-    accepted: and not for the sake of other loops. one_drive: both submaps are of the same drive. height_m: the standard
-    deviation of its height, metres.
-    """
-
-    accepted: bool
-    one_drive: bool = False
-    height_m: float = 0.0
-
-
 class DriveLoops:
-    """All loops between the same two drives."""
+    """All claims between the same two drives; each must say a pose."""
 
-    def __init__(self, loops: Sequence[DriveLoop], stride_m: float, config: VerificationConfig) -> None:
+    def __init__(self, loops: Sequence[LoopClaim], stride_m: float, config: VerificationConfig) -> None:
         """`stride_m`: how far apart neighbouring submaps of a drive were begun."""
         self._loops, self._stride_m, self._config = loops, stride_m, config
         self._T_odom_query = np.array([loop.query.T_odom_submap for loop in loops])
@@ -71,7 +41,7 @@ class DriveLoops:
         off = self._at_query.diagonal(axis1=0, axis2=1).T - self._T_odom_query[:, :3, 3]
         far = np.linalg.norm(off, axis=1) > self._config.rival_distance + _LONG_DRIFT * self._own_way_m
         risen = np.abs(off[:, 2]) > allowed_rises_m(self._own_way_m, self._height_drift) + _SURE * self._height_m
-        of_one = np.array([loop.one_drive for loop in self._loops])
+        of_one = np.array([loop.of_one_drive for loop in self._loops])
         return np.asarray(of_one & (far | (risen & (self._own_way_m <= _FAR_HEIGHTS * self._config.support_reach))))
 
     def contradicted(self) -> NDArray[np.bool_]:
@@ -107,13 +77,13 @@ class DriveLoops:
 
     def agrees_with_any(self, row: int, which: Sequence[bool]) -> bool:
         """Whether the first pose of the loop in `row` is that of any of its neighbours of `which` (n,)."""
-        T_match_query = self._loops[row].poses[0]
+        T_match_query = self._loops[row].hypotheses[0]
         firsts = (self._neighbour(row, other).with_first() for other in self._near(row) if which[other])
         return any(agrees(T_match_query, one, self._config) for one in firsts)
 
     def has_accepted_neighbour(self, row: int) -> bool:
         """Whether any of `neighbours` is accepted."""
-        return any(self._loops[other].accepted for other in self._near(row))
+        return any(self._loops[other].accepted_by_itself for other in self._near(row))
 
     def _near(self, row: int) -> list[int]:
         return [other for other in np.flatnonzero(self._within_reach[row]).tolist() if other != row]
@@ -199,24 +169,25 @@ class DriveLoops:
     @cached_property
     def _frames(self) -> list[Poses]:
         """T_odom_match_odom_query of each hypothesis, by loop."""
-        return frames_between(self._loops)
+        return frames_between(self._loops, [loop.hypotheses for loop in self._loops])
 
     def _neighbour(self, row: int, other: int) -> NeighbourLoop:
         poses = se3.inverse(self._T_odom_match[row]) @ self._frames[other] @ self._T_odom_query[row]
         one, told = self._loops[row], self._loops[other]
         query_m, match_m = _ahead_m(one.query, told.query), _ahead_m(one.match, told.match)
-        return NeighbourLoop(told.accepted, tuple(poses), query_m, match_m, float(self._way_m[row, other]))
+        return NeighbourLoop(told.accepted_by_itself, tuple(poses), query_m, match_m, float(self._way_m[row, other]))
 
 
-def frames_between(pairs: Sequence[DrivePair]) -> list[Poses]:
-    """T_odom_match_odom_query (p, 4, 4) of each of the poses, by pair."""
-    T_query_odom = np.linalg.inv([pair.query.T_odom_submap for pair in pairs])
+def frames_between(claims: Sequence[LoopClaim], poses: Sequence[Sequence[se3.Matrix4]]) -> list[Poses]:
+    """T_odom_match_odom_query (p, 4, 4) of each of the `poses` T_match_query of each claim."""
+    T_query_odom = np.linalg.inv([claim.query.T_odom_submap for claim in claims])
     return [
-        np.array(pair.match.T_odom_submap @ np.array(pair.poses) @ T_query_odom[row]) for row, pair in enumerate(pairs)
+        np.array(claim.match.T_odom_submap @ np.array(poses[row]) @ T_query_odom[row])
+        for row, claim in enumerate(claims)
     ]
 
 
-def ways_m(submaps: Sequence[DriveSubmap], stride_m: float) -> Array:
+def ways_m(submaps: Sequence[Station], stride_m: float) -> Array:
     """At least so many metres of way lie between each two of these submaps (n,) of a drive, (n, n)."""
     position_m = np.array([one.T_odom_submap[:3, 3] for one in submaps])
     ordinals = np.array([one.ordinal for one in submaps])
@@ -232,7 +203,7 @@ def least_way_m(apart_m: ArrayLike, ordinals_apart: ArrayLike, stride_m: float) 
     return np.maximum(apart_m, stride_m * np.abs(ordinals_apart))
 
 
-def _ahead_m(submap: DriveSubmap, other: DriveSubmap) -> float:
+def _ahead_m(submap: Station, other: Station) -> float:
     """How far ahead `other` lies on the drive of `submap`, as the crow flies; behind it is negative."""
     distance = float(np.linalg.norm(other.T_odom_submap[:3, 3] - submap.T_odom_submap[:3, 3]))
     return distance if other.ordinal > submap.ordinal else -distance

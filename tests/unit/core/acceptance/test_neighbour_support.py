@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from revisit.core.acceptance.neighbour_support import NeighbourLoop, find_support
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
-from revisit.core.neighbour_support import NeighbourLoop, find_support
 
 CONFIG = VerificationConfig()
 

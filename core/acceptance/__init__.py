@@ -1,0 +1,21 @@
+"""Acceptance: candidate pairs become loops by judging the claims of a drive together (beyond the paper).
+
+claim               a candidate pair: verdict of its pair, doubts, support
+prediction          accepted pairs predict the pose of further candidates
+alternatives        PERCEPTUAL_ALIAS, BETTER_ALTERNATIVE
+consistent_share    LOW_CONSISTENT_SHARE
+consistency         PAIRWISE_INCONSISTENT, ODOMETRY_INCONSISTENT
+support             ambiguous claims decided by those beside them, SUPPORT_LOST
+distinctiveness     other spots where a submap would pass
+rules               all of them, in order
+"""
+
+from revisit.core.acceptance.claim import Distinctiveness, Doubt, Grounds, LoopClaim, Station, Support
+from revisit.core.acceptance.prediction import PredictedPoses, StationInMap, verify_in_turn
+from revisit.core.acceptance.rules import Decided, Drive, accept, accept_cloud, stride_of_drive, submaps_asked
+from revisit.core.acceptance.support import VerifyNear
+
+__all__ = [
+    "Decided", "Distinctiveness", "Doubt", "Drive", "Grounds", "LoopClaim", "PredictedPoses", "Station", "StationInMap",
+    "Support", "VerifyNear", "accept", "accept_cloud", "stride_of_drive", "submaps_asked", "verify_in_turn",
+]  # fmt: skip

@@ -1,0 +1,214 @@
+"""Claims: candidate pairs of submaps with the verdict on each pair, and the doubts that other claims raise.
+
+A pair is judged by itself first (`core.verification`). Then the claims of a drive are judged together: a pair that
+passed every check may be doubted, and an ambiguous one may be decided by the claims beside it.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+import numpy as np
+
+from revisit.core.geometry.se3 import Matrix4
+from revisit.core.verification import Hypothesis, LoopMeasurement, PairVerdict, RejectionReason, VerifiedLoop
+
+
+class Doubt(StrEnum):
+    """Why a pair that passed every check by itself is ambiguous all the same."""
+
+    PAIRWISE_INCONSISTENT = "PAIRWISE_INCONSISTENT"  # other loops between the two drives say another pose
+    ODOMETRY_INCONSISTENT = "ODOMETRY_INCONSISTENT"  # the odometry of its own drive says another pose
+    PERCEPTUAL_ALIAS = "PERCEPTUAL_ALIAS"  # nearly every other place of the drive looks like it
+    BETTER_ALTERNATIVE = "BETTER_ALTERNATIVE"  # another place explains more of the submap
+    LOW_CONSISTENT_SHARE = "LOW_CONSISTENT_SHARE"  # most pairs that its pose explains did not pass
+    SUPPORT_LOST = "SUPPORT_LOST"  # the claims that had decided it are doubted themselves
+
+
+@dataclass(frozen=True)
+class Grounds:
+    """Why a doubt was raised: a sentence for people, and the numbers in it."""
+
+    words: str
+    figures: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Support:
+    """Claims beside an ambiguous one that single out its pose.
+
+    anchors: submaps of the query's drive whose accepted loops agree; agreeing: all loops that do; along_m: metres of
+    both drives that they cover; ruled_out: the other poses T_match_query (4, 4) that had fitted as well.
+    """
+
+    anchors: int
+    agreeing: int
+    along_m: float
+    ruled_out: tuple[Matrix4, ...]
+
+    @property
+    def words(self) -> str:
+        """The support as a sentence."""
+        return (
+            f"{len(self.ruled_out)} other poses fit as well; accepted loops of {self.anchors} submaps beside it, "
+            f"{self.agreeing} loops over {self.along_m:.0f} m of both drives, agree with this one alone"
+        )
+
+
+@dataclass(frozen=True)
+class Distinctiveness:
+    """How distinct a place is among the candidates of its query (docs/decisions/0162).
+
+    compared: candidates; passing: those accepted or ambiguous; other_spots: other spots of the matched drive where the
+    query would stand by one of their poses.
+    """
+
+    compared: int
+    passing: int
+    other_spots: int
+
+
+@dataclass(frozen=True)
+class Station:
+    """A submap on its drive: T_odom_submap (4, 4), metres, and its number on the drive.
+
+    drive: any number that tells drives apart; None for a cloud of no drive, which has no odometry.
+    """
+
+    drive: int | None
+    ordinal: int
+    T_odom_submap: Matrix4
+
+
+@dataclass(frozen=True)
+class LoopClaim:
+    """One candidate pair: its two stations, the verdict on the pair alone, and the judgement of the claims beside it.
+
+    by_hand: a person has made it; no rule changes it.
+    """
+
+    query: Station
+    match: Station
+    verdict: PairVerdict
+    doubts: Mapping[Doubt, Grounds] = field(default_factory=dict)
+    support: Support | None = None
+    distinctiveness: Distinctiveness | None = None
+    by_hand: bool = False
+
+    @property
+    def accepted(self) -> bool:
+        """Whether it is a loop: the pair passed, and no doubt stands against it without support."""
+        return isinstance(self.verdict, VerifiedLoop) and (self.support is not None or not self.doubts)
+
+    @property
+    def accepted_by_itself(self) -> bool:
+        """Whether it is a loop without the help of others."""
+        return self.accepted and self.support is None
+
+    @property
+    def decided_by_others(self) -> bool:
+        """Whether it is a loop for the sake of others."""
+        return self.accepted and self.support is not None
+
+    @property
+    def reason(self) -> RejectionReason | None:
+        """Why it is no loop; None where it is one."""
+        if self.accepted:
+            return None
+        return RejectionReason.AMBIGUOUS if isinstance(self.verdict, VerifiedLoop) else self.verdict.reason
+
+    @property
+    def ambiguous(self) -> bool:
+        """Whether several poses fit it, or others doubt its own."""
+        return self.reason == RejectionReason.AMBIGUOUS
+
+    @property
+    def speaks(self) -> bool:
+        """Whether its pair passed by itself: then it may contradict others, though it is not believed."""
+        return self.accepted_by_itself or (self.ambiguous and not self.doubts.keys().isdisjoint(_OF_A_PASSED_PAIR))
+
+    @property
+    def withdrawn(self) -> bool:
+        """Whether it was accepted by itself, until others doubted it."""
+        return self.ambiguous and not self.doubts.keys().isdisjoint(_WITHDRAWING)
+
+    @property
+    def measurement(self) -> LoopMeasurement | None:
+        """The measurement of its pair, None where the geometry was not looked at."""
+        return self.verdict.measurement
+
+    @property
+    def T_match_query(self) -> Matrix4 | None:
+        """Its best pose (4, 4), accepted or not; None where there is none."""
+        return None if self.measurement is None else self.measurement.T_match_query
+
+    @property
+    def score(self) -> float:
+        """The score 0..1 of its pair."""
+        return 0.0 if self.measurement is None else float(self.measurement.score)
+
+    @property
+    def overlap(self) -> float:
+        """The overlap 0..1 of its surfaces."""
+        return 0.0 if self.measurement is None else float(self.measurement.overlap)
+
+    @property
+    def height_m(self) -> float:
+        """The standard deviation of its height, metres; 0 where nobody measured it."""
+        variance = 0.0 if self.measurement is None else float(np.nan_to_num(self.measurement.covariance[2, 2]))
+        return float(np.sqrt(max(variance, 0.0)))
+
+    @property
+    def hypotheses(self) -> tuple[Matrix4, ...]:
+        """Its poses T_match_query (4, 4), the best first; none where it says nothing of a pose."""
+        if self.measurement is None or not (self.accepted or self.ambiguous):
+            return ()
+        rivals = self.measurement.rivals if self.ambiguous else ()
+        return (self.measurement.T_match_query, *(rival.T_match_query for rival in rivals))
+
+    @property
+    def of_one_drive(self) -> bool:
+        """Whether both submaps are of the same drive."""
+        return self.query.drive is not None and self.query.drive == self.match.drive
+
+    def doubted(self, doubt: Doubt, grounds: Grounds, instead: Sequence[Hypothesis] | None = None) -> LoopClaim:
+        """The claim with a doubt, and the poses that are said `instead`, if the doubt names any."""
+        doubts = {**self.doubts, doubt: grounds}
+        if instead is None or self.measurement is None:
+            return replace(self, doubts=doubts)
+        measured = replace(self.measurement, rivals=tuple(instead))
+        return replace(self, doubts=doubts, verdict=replace(self.verdict, measurement=measured))
+
+    def without(self, *doubts: Doubt) -> LoopClaim:
+        """The claim without some doubts."""
+        return replace(self, doubts={one: grounds for one, grounds in self.doubts.items() if one not in doubts})
+
+
+_OF_A_PASSED_PAIR = frozenset(
+    {
+        Doubt.PAIRWISE_INCONSISTENT,
+        Doubt.PERCEPTUAL_ALIAS,
+        Doubt.BETTER_ALTERNATIVE,
+        Doubt.LOW_CONSISTENT_SHARE,
+    }
+)
+"""Doubts that leave a claim its say. Odometry that refutes a claim takes it away."""
+
+_WITHDRAWING = frozenset({Doubt.PAIRWISE_INCONSISTENT, Doubt.LOW_CONSISTENT_SHARE})
+
+
+def by_matched_drive(claims: Sequence[LoopClaim], counts: Callable[[LoopClaim], bool]) -> list[list[int]]:
+    """The rows of the claims that count, by the drive that was matched."""
+    rows: dict[int | None, list[int]] = defaultdict(list)
+    for row, claim in enumerate(claims):
+        if counts(claim):
+            rows[claim.match.drive].append(row)
+    return list(rows.values())
+
+
+def says_a_pose(claim: LoopClaim) -> bool:
+    """Whether a claim says anything of a pose."""
+    return bool(claim.hypotheses)

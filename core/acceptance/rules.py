@@ -1,0 +1,83 @@
+"""Acceptance: the rules that judge the claims of a drive together, one after the other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from revisit.core.acceptance.alternatives import not_standing_out, outdone_contacts
+from revisit.core.acceptance.claim import LoopClaim, Station
+from revisit.core.acceptance.consistency import inconsistent
+from revisit.core.acceptance.consistent_share import REACH_M, low_consistent_share
+from revisit.core.acceptance.distinctiveness import with_distinctiveness
+from revisit.core.acceptance.support import VerifyNear, with_support, without_lost_support
+from revisit.core.config import PipelineConfig
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A drive before one of its submaps: the claims that say anything there, and the way between two submaps, metres.
+
+    Claims: of the `submaps_asked` submaps before, those accepted and not set aside since, those ambiguous, and those
+    with too low a score.
+    """
+
+    claims: Sequence[LoopClaim]
+    stride_m: float
+
+
+@dataclass(frozen=True)
+class Decided:
+    """The claims of a query, judged together with the drive before it; and earlier claims that changed, by row."""
+
+    new: list[LoopClaim]
+    revised: dict[int, LoopClaim]
+
+
+def submaps_asked(config: PipelineConfig) -> int:
+    """How many submaps before one on its drive the rules ask about."""
+    return math.ceil(REACH_M / config.submap.stride)
+
+
+def stride_of_drive(query: Station, before: Sequence[Station], config: PipelineConfig) -> float:
+    """How far apart neighbouring submaps of a drive were begun, metres: a client posts them where it likes."""
+    apart = [
+        float(np.linalg.norm(query.T_odom_submap[:3, 3] - one.T_odom_submap[:3, 3])) / (query.ordinal - one.ordinal)
+        for one in before
+    ]
+    return max([config.submap.stride, *apart])
+
+
+def accept(new: Sequence[LoopClaim], drive: Drive, config: PipelineConfig, verify_near: VerifyNear) -> Decided:
+    """Judge the claims of one query together, and with the earlier claims of its drive.
+
+    `verify_near` is asked by rows of the earlier claims followed by the new ones. Independent of the order of the
+    claims, and of all drives but those of the pairs.
+    """
+    if not any(claim.hypotheses for claim in new):
+        return Decided(list(new), {})
+    claims = _with(new, not_standing_out(new, config))
+    claims = _with(claims, outdone_contacts(claims, drive.claims, config))
+    claims, rules = [*drive.claims, *claims], config.verification
+    claims = _with(claims, low_consistent_share(claims, drive.stride_m))
+    claims = _with(claims, inconsistent(claims, rules, drive.stride_m))
+    claims = _with(claims, without_lost_support(claims, rules, drive.stride_m))
+    claims = _with(claims, with_support(claims, rules, drive.stride_m, verify_near))
+    before = len(drive.claims)
+    revised = {row: claims[row] for row, known in enumerate(drive.claims) if claims[row] is not known}
+    return Decided(with_distinctiveness(claims[before:], config.submap.stride), revised)
+
+
+def accept_cloud(claims: Sequence[LoopClaim], config: PipelineConfig) -> list[LoopClaim]:
+    """Judge the claims of a cloud of no drive together."""
+    judged = _with(claims, not_standing_out(claims, config))
+    judged = _with(judged, low_consistent_share(judged, config.submap.stride))
+    return _with(judged, inconsistent(judged, config.verification, config.submap.stride))
+
+
+def _with(claims: Sequence[LoopClaim], changed: dict[int, LoopClaim]) -> list[LoopClaim]:
+    """The claims, those in the rows that changed replaced."""
+    return [changed.get(row, claim) for row, claim in enumerate(claims)]

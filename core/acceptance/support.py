@@ -1,0 +1,92 @@
+"""Support for claims that are ambiguous by geometry alone, from the claims beside them; and SUPPORT_LOST.
+
+An ambiguous claim of which the accepted ones beside it single out one pose is registered again from there, and accepted
+(docs/decisions/0161). Where those are doubted later, it is ambiguous again (docs/decisions/0263).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from revisit.core.acceptance.claim import Doubt, Grounds, LoopClaim, Support, by_matched_drive, says_a_pose
+from revisit.core.acceptance.drive_loops import DriveLoops
+from revisit.core.acceptance.neighbour_support import NeighbourSupport, find_support
+from revisit.core.config import VerificationConfig
+from revisit.core.geometry.se3 import Matrix4
+from revisit.core.verification import Hypothesis, PairVerdict, VerifiedLoop
+
+VerifyNear = Callable[[int, Matrix4], PairVerdict]
+"""Verify the pair of the claim in a row again, around a T_match_query (4, 4)."""
+
+
+def without_lost_support(
+    claims: Sequence[LoopClaim], config: VerificationConfig, stride_m: float
+) -> dict[int, LoopClaim]:
+    """The claims accepted for the sake of others that have lost these, by row, with that doubt.
+
+    One that agrees must have been doubted since, and those that are left must not support the pose any more.
+    """
+    lost = dict[int, LoopClaim]()
+    for rows in by_matched_drive(claims, says_a_pose):
+        told = [claims[row] for row in rows]
+        gone = [one.withdrawn for one in told]
+        if not any(gone):
+            continue
+        between = DriveLoops(told, stride_m, config)
+        for n, claim in enumerate(told):
+            if not claim.decided_by_others or claim.by_hand or not between.agrees_with_any(n, gone):
+                continue
+            poses = (claim.hypotheses[0], *_ruled_out(claim))
+            support = find_support(poses, between.neighbours(n), config)
+            if support is None or support.hypothesis != 0:
+                lost[rows[n]] = _unsupported(claim)
+    return lost
+
+
+def _ruled_out(claim: LoopClaim) -> tuple[Matrix4, ...]:
+    return () if claim.support is None else claim.support.ruled_out
+
+
+def _unsupported(claim: LoopClaim) -> LoopClaim:
+    """The claim without its support: the poses that it had ruled out are rivals again."""
+    grounds = Grounds("loops beside it had decided it, and were contradicted since")
+    rivals = [Hypothesis(claim.overlap, pose) for pose in _ruled_out(claim)]
+    return replace(claim, support=None).doubted(Doubt.SUPPORT_LOST, grounds, rivals)
+
+
+def with_support(
+    claims: Sequence[LoopClaim], config: VerificationConfig, stride_m: float, verify_near: VerifyNear
+) -> dict[int, LoopClaim]:
+    """The ambiguous claims that the others decide, by row, as they are then."""
+    decided = dict[int, LoopClaim]()
+    for rows in by_matched_drive(claims, says_a_pose):
+        told = [claims[row] for row in rows]
+        between = DriveLoops(told, stride_m, config)
+        for n, claim in enumerate(told):
+            if not (claim.ambiguous and between.has_accepted_neighbour(n)):
+                continue
+            support = find_support(claim.hypotheses, between.neighbours(n), config)
+            found = None if support is None else _registered(rows[n], claim, support, config, verify_near)
+            if found is not None:
+                decided[rows[n]] = found
+    return decided
+
+
+def _registered(
+    row: int, claim: LoopClaim, support: NeighbourSupport, config: VerificationConfig, verify_near: VerifyNear
+) -> LoopClaim | None:
+    """The claim around the pose that has support; None where it is not accepted there, or moved away from it."""
+    hypothesis = claim.hypotheses[support.hypothesis]
+    verdict = verify_near(row, hypothesis)
+    if not isinstance(verdict, VerifiedLoop):
+        return None
+    moved_m = float(np.linalg.norm(verdict.measurement.T_match_query[:3, 3] - hypothesis[:3, 3]))
+    if moved_m > 0.5 * config.rival_distance:
+        return None
+    others = tuple(pose for n, pose in enumerate(claim.hypotheses) if n != support.hypothesis)
+    found = Support(support.anchors, support.agreeing, support.along_m, others)
+    asked_anew = claim.without(Doubt.SUPPORT_LOST, Doubt.LOW_CONSISTENT_SHARE)
+    return replace(asked_anew, verdict=verdict, support=found)

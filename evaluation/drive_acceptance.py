@@ -1,0 +1,206 @@
+"""The acceptance rules on a drive that is evaluated: pairs verified in turn, claims judged as in the service."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+from revisit.core.acceptance import (
+    Drive,
+    LoopClaim,
+    PredictedPoses,
+    Station,
+    accept,
+    stride_of_drive,
+    submaps_asked,
+    verify_in_turn,
+)
+from revisit.core.config import PipelineConfig
+from revisit.core.geometry import se3
+from revisit.core.index import Match
+from revisit.core.verification import PairVerdict, RejectionReason, VerifiedLoop
+from revisit.evaluation.described_submaps import DescribedSubmap, in_processes
+from revisit.evaluation.loop_closure_method import verdict_of_pair
+from revisit.evaluation.matching import QueryMatches, RankedCandidate, pose_error, ranked_candidate
+
+RIGHT_M, RIGHT_DEG = 2.0, 5.0
+"""A pose farther off is false."""
+
+_TELLING = RejectionReason.AMBIGUOUS, RejectionReason.LOW_SCORE
+
+
+@runtime_checkable
+class PairMethod(Protocol):
+    """A method whose pairs can be judged together: the product, under any profile."""
+
+    config: PipelineConfig
+
+    def verify_pair(
+        self,
+        query: bytes,
+        match: bytes,
+        similarity: float,
+        near: se3.Matrix4 | None = None,
+        expected: se3.Matrix4 | None = None,
+    ) -> PairVerdict:
+        """The verdict on a pair by itself, around a T_match_query `near`, or tried at `expected` first."""
+
+
+@dataclass(frozen=True)
+class JudgedCandidate:
+    """A candidate of a query: its row in the drive, its cosine, and the claim on it."""
+
+    match: Match
+    claim: LoopClaim
+
+
+@dataclass(frozen=True)
+class JudgedDrive:
+    """All submaps of a drive with their claims as they stand after its last one; seconds by query."""
+
+    candidates: list[list[JudgedCandidate]]
+    seconds: list[float]
+
+
+@dataclass(frozen=True)
+class RulePrice:
+    """What a doubt costs and saves on a drive: pairs that passed by themselves with a right pose, and a wrong one."""
+
+    right_lost: int
+    false_stopped: int
+
+
+@dataclass(frozen=True)
+class _DriveWork:
+    places: Sequence[DescribedSubmap]
+    method: PairMethod
+
+
+def judge_drive(
+    places: Sequence[DescribedSubmap],
+    method: PairMethod,
+    candidates: Sequence[tuple[Match, ...]],
+    jobs: int,
+    progress: Callable[[int], None],
+) -> JudgedDrive:
+    """Verify and judge the candidates of each submap of a drive, in its order; progress(queries verified)."""
+    work, verified = _DriveWork(places, method), list[tuple[dict[int, PairVerdict], float]]()
+    for one in in_processes(_verify_query, work, list(enumerate(candidates)), jobs):
+        verified.append(one)
+        progress(len(verified))
+    return _judged(work, candidates, verified)
+
+
+def _verify_query(work: _DriveWork, task: tuple[int, tuple[Match, ...]]) -> tuple[dict[int, PairVerdict], float]:
+    """The verdicts on the candidates of a query by row, those left out whose pose others predict; CPU seconds."""
+    number, matches = task
+    started = time.process_time()
+    predicted = PredictedPoses([station(work.places[one.id]) for one in matches], work.method.config)
+
+    def verify(row: int, expected: se3.Matrix4 | None) -> PairVerdict:
+        return _verified(work, number, matches[row], expected=expected)
+
+    verdicts = verify_in_turn(predicted, len(matches), verify, {})
+    return verdicts, time.process_time() - started
+
+
+def _verified(
+    work: _DriveWork,
+    query: int,
+    match: Match,
+    near: se3.Matrix4 | None = None,
+    expected: se3.Matrix4 | None = None,
+) -> PairVerdict:
+    asked, known = work.places[query].description, work.places[match.id].description
+    if asked is None or known is None:
+        raise ValueError(f"submaps {query} and {match.id} were matched without descriptions")
+    return work.method.verify_pair(asked.place, known.place, match.similarity, near, expected)
+
+
+def _judged(
+    work: _DriveWork,
+    candidates: Sequence[tuple[Match, ...]],
+    verified: Sequence[tuple[dict[int, PairVerdict], float]],
+) -> JudgedDrive:
+    judged = list[list[JudgedCandidate]]()
+    for number, (matches, (verdicts, _)) in enumerate(zip(candidates, verified, strict=True)):
+        query = station(work.places[number])
+        new = [
+            JudgedCandidate(matches[row], LoopClaim(query, station(work.places[matches[row].id]), verdict))
+            for row, verdict in verdicts.items()
+        ]
+        judged.append(_accepted(work, number, new, judged))
+    return JudgedDrive(judged, [seconds for _, seconds in verified])
+
+
+def _accepted(
+    work: _DriveWork, number: int, new: list[JudgedCandidate], judged: list[list[JudgedCandidate]]
+) -> list[JudgedCandidate]:
+    """The candidates of a query judged with its drive before it, whose earlier claims are revised in place."""
+    config, first = work.method.config, max(0, number - submaps_asked(work.method.config))
+    where = [
+        (query, row) for query in range(first, number) for row, one in enumerate(judged[query]) if _says(one.claim)
+    ]
+    before, query = [station(one) for one in work.places[first:number]], station(work.places[number])
+    drive = Drive([judged[one][row].claim for one, row in where], stride_of_drive(query, before, config))
+    pairs = [*((one, judged[one][row].match) for one, row in where), *((number, one.match) for one in new)]
+    decided = accept(
+        [one.claim for one in new], drive, config, lambda row, near: _verified(work, *pairs[row], near=near)
+    )
+    for row, claim in decided.revised.items():
+        one, place = where[row]
+        judged[one][place] = dataclasses.replace(judged[one][place], claim=claim)
+    return [dataclasses.replace(one, claim=claim) for one, claim in zip(new, decided.new, strict=True)]
+
+
+def _says(claim: LoopClaim) -> bool:
+    return claim.T_match_query is not None and (claim.accepted or claim.reason in _TELLING)
+
+
+def station(place: DescribedSubmap) -> Station:
+    """A submap on the drive that is evaluated, in the frame that it was described in: its pose is its odometry."""
+    return Station(0, place.id, place.T_world_submap @ se3.from_yaw(-place.yaw))
+
+
+def ranked_matches(
+    places: Sequence[DescribedSubmap], candidates: Sequence[tuple[Match, ...]], drive: JudgedDrive, radius_m: float
+) -> list[QueryMatches]:
+    """The judged candidates of each query, ranked as `matching.verify_query` ranks them."""
+    found = []
+    for number, (matches, judged) in enumerate(zip(candidates, drive.candidates, strict=True)):
+        ranked = [_ranked(places, number, one, radius_m) for one in judged]
+        ranked.sort(key=lambda candidate: (-candidate.score, -candidate.similarity))
+        found.append(QueryMatches(matches, tuple(ranked), drive.seconds[number]))
+    return found
+
+
+def _ranked(
+    places: Sequence[DescribedSubmap], number: int, judged: JudgedCandidate, radius_m: float
+) -> RankedCandidate:
+    claim = judged.claim
+    verdict = dataclasses.replace(verdict_of_pair(claim.verdict), reason=None if claim.accepted else str(claim.reason))
+    verdict = dataclasses.replace(verdict, doubts=tuple(doubt.value for doubt in claim.doubts))
+    return ranked_candidate(places[number], places[judged.match.id], judged.match, verdict, radius_m)
+
+
+def rule_prices(places: Sequence[DescribedSubmap], drive: JudgedDrive) -> dict[str, RulePrice]:
+    """Right loops lost and false ones stopped by each doubt on a drive whose true poses are known."""
+    lost, stopped = Counter[str](), Counter[str]()
+    for number, judged in enumerate(drive.candidates):
+        for one in judged:
+            if isinstance(one.claim.verdict, VerifiedLoop) and not one.claim.accepted:
+                counts = lost if _is_right(places[number], places[one.match.id], one.claim) else stopped
+                counts.update(doubt.value for doubt in one.claim.doubts)
+    return {name: RulePrice(lost[name], stopped[name]) for name in sorted(lost.keys() | stopped.keys())}
+
+
+def _is_right(query: DescribedSubmap, match: DescribedSubmap, claim: LoopClaim) -> bool:
+    if claim.T_match_query is None:
+        return False
+    T_match_query = se3.from_yaw(-match.yaw) @ claim.T_match_query @ se3.from_yaw(query.yaw)
+    off_m, off_deg = pose_error(query, match, T_match_query)
+    return off_m <= RIGHT_M and off_deg <= RIGHT_DEG

@@ -1,0 +1,82 @@
+"""A loop that others have decided falls with them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from revisit.core.acceptance import Doubt, LoopClaim, Support
+from revisit.core.acceptance.support import with_support, without_lost_support
+from revisit.core.config import VerificationConfig
+from revisit.core.verification import PairVerdict
+from tests.support.claims import STRIDE_M, along_x, at, doubted, pair
+from tests.support.verdicts import verified
+
+CONFIG = VerificationConfig()
+PERIOD = along_x(16.0)
+
+
+def loop(place: int, *, pose: np.ndarray = along_x(0.0)) -> LoopClaim:
+    """Two drives in one frame meet at `place`: a loop of what both saw there."""
+    return pair(at(STRIDE_M * place, 2), at(STRIDE_M * place, 1), [pose], overlap=0.5)
+
+
+def withdrawn(place: int, **told) -> LoopClaim:
+    return doubted(loop(place, **told), Doubt.PAIRWISE_INCONSISTENT)
+
+
+DECIDED = replace(loop(3), support=Support(2, 2, 15.0, (PERIOD,)))
+STANDING = [loop(0), loop(1)]
+FALLEN = [withdrawn(0), withdrawn(1)]
+
+
+def lost(claims: list[LoopClaim]) -> dict[int, LoopClaim]:
+    return without_lost_support(claims, CONFIG, STRIDE_M)
+
+
+def test_a_loop_whose_anchors_were_contradicted_is_ambiguous_again() -> None:
+    changed = lost([*FALLEN, DECIDED])
+    assert changed.keys() == {2} and (changed[2].accepted, changed[2].reason) == (False, "AMBIGUOUS")
+    assert changed[2].support is None and changed[2].doubts[Doubt.SUPPORT_LOST].words
+    rivals = changed[2].measurement.rivals
+    assert [(one.overlap, one.T_match_query.tolist()) for one in rivals] == [(0.5, PERIOD.tolist())]
+    assert len(changed[2].hypotheses) == 2
+
+
+def test_a_loop_keeps_its_support_where_enough_anchors_are_left() -> None:
+    assert lost([*STANDING, DECIDED]) == {}
+    assert lost([*STANDING, loop(4), withdrawn(2), DECIDED]) == {}
+
+
+def test_a_loop_does_not_fall_with_one_that_had_said_something_else() -> None:
+    assert lost([withdrawn(0, pose=PERIOD), DECIDED]) == {}
+
+
+def test_what_a_person_has_made_stays_and_what_stands_by_itself_needs_no_support() -> None:
+    assert lost([*FALLEN, loop(3)]) == {}
+    assert lost([*FALLEN, replace(DECIDED, by_hand=True)]) == {}
+
+
+def test_loops_that_stand_out_from_no_other_place_support_none() -> None:
+    asked = pair(at(15.0, 2), at(15.0, 1), [along_x(0.0), PERIOD], "AMBIGUOUS", overlap=0.5)
+    by_themselves = [loop(place) for place in range(3)]
+    alike = [doubted(one, Doubt.PERCEPTUAL_ALIAS) for one in by_themselves]
+
+    def near(_row: int, _pose: np.ndarray) -> PairVerdict:
+        return verified(along_x(0.0))
+
+    assert with_support([*alike, asked], CONFIG, STRIDE_M, near) == {}
+    decided = with_support([*by_themselves, asked], CONFIG, STRIDE_M, near)
+    assert decided[3].accepted and decided[3].support is not None and decided[3].support.anchors == 3
+
+
+def test_a_loop_with_support_keeps_the_doubts_that_support_overrules_and_loses_those_asked_anew() -> None:
+    asked = pair(at(15.0, 2), at(15.0, 1), [along_x(0.0)], overlap=0.5)
+    asked = doubted(asked, Doubt.PAIRWISE_INCONSISTENT, Doubt.SUPPORT_LOST)
+
+    def near(_row: int, pose: np.ndarray) -> PairVerdict:
+        return verified(pose)
+
+    decided = with_support([*[loop(place) for place in range(3)], asked], CONFIG, STRIDE_M, near)[3]
+    assert decided.accepted and decided.doubts.keys() == {Doubt.PAIRWISE_INCONSISTENT}
