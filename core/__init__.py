@@ -15,8 +15,9 @@ The modules in the order of the paper:
     place                   what is kept of a submap for verification              III-E
     correspondences         keypoints of two places that look alike                III-E
     verification            start, registration, evidence, verdict                 III-E
-    neighbour_support       which loops decide an ambiguous one beside them        decision 0161
+    acceptance              the claims of a drive judged together                  beyond the paper
     pose_graph              consistent loops, robust optimisation                  beyond the paper
+    merge                   one map out of several                                 beyond the paper
     pipeline                the steps above, in order
 
 Beside them: geometry (transforms, level frame, voxel keys), kernels (compiled inner loops), config (all parameters),

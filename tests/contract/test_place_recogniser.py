@@ -16,7 +16,9 @@ from revisit.core.place import Place
 from revisit.core.scan import Scan
 from revisit.core.scan_disagreement import ScanDisagreement
 from revisit.core.submap import Submap
+from revisit.core.verification import RejectedLoop, VerifiedLoop
 from revisit.service.adapters.core_recogniser import CoreRecogniser, load_recogniser
+from revisit.service.application.contract.loop_claims import verdict_evidence
 from tests.support.fake_recogniser import FakeRecogniser
 
 CONFIG = PipelineConfig()
@@ -79,7 +81,7 @@ def test_a_stored_neural_map_is_enough_to_describe_a_submap_again(recogniser, de
     again = recogniser.describe_again(described.neural_map, described.place, CONFIG)
     assert again.descriptor.shape == described.descriptor.shape
     assert np.linalg.norm(again.descriptor) == pytest.approx(1.0, abs=1e-5)
-    assert recogniser.verify(again.place, again.place, 1.0, CONFIG).accepted
+    assert isinstance(recogniser.verify(again.place, again.place, 1.0, CONFIG), VerifiedLoop)
     with pytest.raises(DataLoss):
         recogniser.describe_again(b"damaged" + described.neural_map, described.place, CONFIG)
 
@@ -99,8 +101,9 @@ def test_what_scans_disagree_on_outlives_a_new_description():
 
 def test_a_place_matches_itself_and_the_evidence_is_json(recogniser, described):
     verdict = recogniser.verify(described.place, described.place, 1.0, CONFIG)
-    assert verdict.accepted and verdict.reason is None and 0.9 < verdict.score <= 1.0 + 1e-6
-    assert json.loads(json.dumps(verdict.evidence, allow_nan=False)) == verdict.evidence
+    assert isinstance(verdict, VerifiedLoop) and 0.9 < verdict.measurement.score <= 1.0 + 1e-6
+    evidence = verdict_evidence(verdict, CONFIG.verification)
+    assert json.loads(json.dumps(evidence, allow_nan=False)) == evidence
 
 
 def test_what_was_let_go_of_is_made_again_with_the_same_verdict(recogniser, described):
@@ -108,13 +111,9 @@ def test_what_was_let_go_of_is_made_again_with_the_same_verdict(recogniser, desc
     before = recogniser.verify(described.place, other, 0.9, CONFIG)
     recogniser.let_go()
     after = recogniser.verify(described.place, other, 0.9, CONFIG)
-    assert (after.accepted, after.reason, after.score, after.evidence) == (
-        before.accepted,
-        before.reason,
-        before.score,
-        before.evidence,
-    )
-    np.testing.assert_array_equal(after.T_match_query, before.T_match_query)
+    assert type(after) is type(before)
+    told = [verdict_evidence(one, CONFIG.verification) for one in (before, after)]
+    assert told[0] == told[1] and told[0]["measurement"]["T_match_query"]
 
 
 def test_the_verdict_names_its_rules_and_tells_other_rules_apart():
@@ -123,22 +122,22 @@ def test_the_verdict_names_its_rules_and_tells_other_rules_apart():
 
     def judged(**rules):
         config = replace(CONFIG, verification=replace(CONFIG.verification, **rules))
-        return method.verify(place, place, 1.0, config)
+        return verdict_evidence(method.verify(place, place, 1.0, config), config.verification)
 
     usual, strict = judged(), judged(min_overlap=1.0, max_tilt=14.0)
     rules = CONFIG.verification
     told = {"min_score": rules.min_score, "min_overlap": rules.min_overlap, "max_seen_through": rules.max_seen_through}
-    assert usual.evidence["thresholds"] == told
-    assert strict.evidence["thresholds"] == {**told, "min_overlap": 1.0, "max_tilt": 14.0}
-    assert usual.evidence["thresholds_version"] != strict.evidence["thresholds_version"]
-    assert len(json.dumps(usual.evidence)) < 1500
+    assert usual["thresholds"] == told
+    assert strict["thresholds"] == {**told, "min_overlap": 1.0, "max_tilt": 14.0}
+    assert usual["thresholds_version"] != strict["thresholds_version"]
+    assert len(json.dumps(usual)) < 1500
 
 
 def test_another_place_is_rejected_with_a_reason(recogniser, described):
     other = recogniser.describe(seen_from(np.eye(4), 2), CONFIG)
     verdict = recogniser.verify(described.place, other.place, 0.1, CONFIG)
-    assert not verdict.accepted and verdict.reason
-    json.dumps(verdict.evidence, allow_nan=False)
+    assert isinstance(verdict, RejectedLoop) and verdict.reason
+    json.dumps(verdict_evidence(verdict, CONFIG.verification), allow_nan=False)
 
 
 def test_the_mesh_of_the_method_lies_in_the_frame_of_the_submap():

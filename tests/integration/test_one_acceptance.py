@@ -57,7 +57,9 @@ def described(submaps, places) -> list[DescribedSubmap]:
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize("recogniser", [RowOfHouses(30.0), RowOfHouses(1e9), EqualBlocks()], ids=["end", "row", "blocks"])
+@pytest.mark.parametrize(
+    "recogniser", [RowOfHouses(30.0), RowOfHouses(1e9), EqualBlocks()], ids=["end", "row", "blocks"]
+)
 async def test_evaluation_judges_a_drive_as_the_service_does(recogniser):
     submaps, blobs, loops = await driven(recogniser)
     method, places = AsMethod(recogniser), described(submaps, blobs)
