@@ -9,19 +9,6 @@ from typing import TypeVar
 
 from revisit.service.adapters.fair_turns import FairTurns
 from revisit.service.adapters.leased_jobs import LeasedJobs
-from revisit.service.adapters.memory.access import MemoryAuditTrail, MemoryKeyRing
-from revisit.service.adapters.memory.repositories import (
-    MemoryChangeLog,
-    MemoryEventLog,
-    MemoryJobs,
-    MemoryLoops,
-    MemoryRepository,
-    MemoryScans,
-    MemorySubmaps,
-    MemoryTenantTurns,
-    MemoryWorkerLog,
-    Rows,
-)
 from revisit.service.application.contract.events import on_job_change, on_loop_change, on_version_change
 from revisit.service.application.contract.records import (
     EarlyCorrectionRecord,
@@ -37,6 +24,19 @@ from revisit.service.application.contract.records import (
 )
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.webhooks import DeliveryRecord, WebhookRecord
+from tests.support.memory.access import MemoryAuditTrail, MemoryKeyRing
+from tests.support.memory.repositories import (
+    MemoryChangeLog,
+    MemoryEventLog,
+    MemoryJobs,
+    MemoryLoops,
+    MemoryRepository,
+    MemoryScans,
+    MemorySubmaps,
+    MemoryTenantTurns,
+    MemoryWorkerLog,
+    Rows,
+)
 
 T = TypeVar("T")
 
