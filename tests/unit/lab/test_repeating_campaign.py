@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from revisit.evaluation.repeating_campaign import Counts, summary, upper_bound
+from lab.repeating_campaign import Counts, summary, upper_bound
 
 
 def test_none_wrong_in_a_thousand_excludes_three_in_a_thousand() -> None:

@@ -1,6 +1,6 @@
 """The paper's form of the method beside the product's, in the units of the paper's tables (docs/decisions/0163).
 
-`python -m revisit.evaluation.profile_tables OUT DOMAIN [DOMAIN ...]` prints a table for each domain, half of its way:
+`python -m lab.profile_tables OUT DOMAIN [DOMAIN ...]` prints a table for each domain, half of its way:
 area under the curve and largest F1 with bootstrap intervals, without a part each (the paper's Table III), by the cosine
 as it is (Eq. 15) and standardised by the map; seconds of the processor and bytes of a submap (Tables IV and V).
 """

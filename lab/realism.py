@@ -1,6 +1,6 @@
 """How near the simulated scans are to recorded ones: ranges, density, and the shape of the surroundings of a return.
 
-`python -m revisit.evaluation.realism FOLDER [FOLDER ...]` prints one column a KITTI folder.
+`python -m lab.realism FOLDER [FOLDER ...]` prints one column a KITTI folder.
 """
 
 from __future__ import annotations

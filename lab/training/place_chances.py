@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lab.training.corpus import training_places
 from revisit.core import place_keypoints, place_surface
 from revisit.core.config import PipelineConfig
 from revisit.core.kernels.keypoint_models import KEYPOINT_MODELS
@@ -19,7 +20,6 @@ from revisit.core.pipeline import describe
 from revisit.core.place import Place
 from revisit.core.place_form import coded_form
 from revisit.core.place_surface import MODELS, coded, kinds, rounded
-from revisit.evaluation.training.corpus import training_places
 
 Counts = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ _LEAST, _ALL = 64, 1 << 16
 
 def main() -> None:
     """Describe places of the training towns and write the chances of surfaces and of keypoints where there are none."""
-    parser = argparse.ArgumentParser(prog="python -m revisit.evaluation.training.place_chances", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m lab.training.place_chances", description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("core/weights"), help="folder")
     parser.add_argument("--districts", type=int, default=12, help="simulated towns")
     parser.add_argument("--places", type=int, default=4, help="places of each town, three views each")

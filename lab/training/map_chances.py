@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lab.training.corpus import training_drive
+from lab.training.place_chances import keep
 from revisit.core.config import PipelineConfig, SubmapConfig
 from revisit.core.implicit_map import fit_implicit_map
 from revisit.core.implicit_map.coded import write_points
@@ -19,8 +21,6 @@ from revisit.core.model_bundle import load_packaged_models
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
 from revisit.evaluation.perturbations import Perturbation
-from revisit.evaluation.training.corpus import training_drive
-from revisit.evaluation.training.place_chances import keep
 
 SURE = 50
 """A chance begins as if it had been seen so often at most: what a map itself shows soon counts more."""
@@ -31,7 +31,7 @@ _FEW_BEAMS = Perturbation(keep_beams=16)
 
 def main() -> None:
     """Fit maps of the training towns and write what their models have learned where there is no such file."""
-    parser = argparse.ArgumentParser(prog="python -m revisit.evaluation.training.map_chances", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m lab.training.map_chances", description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("core/weights"), help="folder")
     parser.add_argument("--districts", type=int, default=12, help="simulated towns")
     options = parser.parse_args()

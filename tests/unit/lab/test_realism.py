@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from lab.realism import scan_statistics, table
 from revisit.core.scan import Scan
-from revisit.evaluation.realism import scan_statistics, table
 
 
 def a_scan(points: np.ndarray) -> Scan:

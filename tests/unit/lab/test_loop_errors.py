@@ -7,10 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from revisit.core.geometry import se3
-from revisit.evaluation.described_submaps import DescribedSubmap
-from revisit.evaluation.loop_closure_method import Description
-from revisit.evaluation.loop_errors import (
+from lab.loop_errors import (
     BOUND,
     ErrorRow,
     LoopError,
@@ -21,6 +18,9 @@ from revisit.evaluation.loop_errors import (
     near_pairs,
     table,
 )
+from revisit.core.geometry import se3
+from revisit.evaluation.described_submaps import DescribedSubmap
+from revisit.evaluation.loop_closure_method import Description
 from tests.support.yards import CONFIG, moved, recognised, thinned, yard
 
 COVARIANCE = np.diag(np.square([0.1, 0.1, 0.05, 0.01, 0.01, 0.02]))

@@ -1,6 +1,6 @@
 """What the options that the paper's text leaves open are worth: the paper's form with one of them changed.
 
-`python -m revisit.evaluation.profile_options OUT DOMAIN [DOMAIN ...]` prints a row for each option, in the units of
+`python -m lab.profile_options OUT DOMAIN [DOMAIN ...]` prints a row for each option, in the units of
 `profile_tables`. The surface of a submap is fitted once for all options of its description.
 """
 
@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from lab.profile_tables import SHARE, Drives, judged
 from revisit.core.config import Evaluation, Fitting, ImplicitMapConfig, KeypointSource, PipelineConfig, SurfaceConfig
 from revisit.core.errors import RevisitError
 from revisit.core.implicit_map import DecoderWeights, fit_implicit_map
@@ -29,7 +30,6 @@ from revisit.evaluation.described_submaps import DescribedSubmap
 from revisit.evaluation.domains.catalogue import DOMAINS, Domain, Setting
 from revisit.evaluation.loop_closure_method import Description
 from revisit.evaluation.perturbations import Perturbation, turned
-from revisit.evaluation.profile_tables import SHARE, Drives, judged
 
 Option = Callable[[PipelineConfig], PipelineConfig]
 

@@ -1,6 +1,6 @@
 """How many pairs of places in worlds that repeat are accepted with a wrong pose: many worlds, pairs drawn at random.
 
-`python -m revisit.evaluation.repeating_campaign SEED ROUNDS FILE.jsonl` appends a line for each world and round;
+`python -m lab.repeating_campaign SEED ROUNDS FILE.jsonl` appends a line for each world and round;
 without SEED and ROUNDS it sums up the lines. Each round makes each world anew.
 """
 
@@ -15,9 +15,9 @@ from pathlib import Path
 import torch
 from scipy.stats import beta
 
+from lab.repeating_worlds import WORLDS, World, drawn_pairs, judge, visits_of
 from revisit.core.config import PipelineConfig
 from revisit.core.model_bundle import load_packaged_models
-from revisit.evaluation.repeating_worlds import WORLDS, World, drawn_pairs, judge, visits_of
 
 VISITS, PAIRS = 12, 24
 """Visits to a world in a round, and pairs drawn of them: half of one place, half a period or an aisle apart."""

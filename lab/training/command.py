@@ -16,6 +16,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from lab.training.codebooks import Features, train_codebooks
+from lab.training.corpus import TRAINING_SEED, training_places
+from lab.training.decoder import initial_decoder, train_decoder, training_set
 from revisit.core.bev import describe_bev
 from revisit.core.clusters import segment_clusters
 from revisit.core.config import PipelineConfig
@@ -28,9 +31,6 @@ from revisit.core.profiles import Profile, profile_config
 from revisit.core.spectra import describe_spectra
 from revisit.core.submap import Submap
 from revisit.core.surface import extract_surface
-from revisit.evaluation.training.codebooks import Features, train_codebooks
-from revisit.evaluation.training.corpus import TRAINING_SEED, training_places
-from revisit.evaluation.training.decoder import initial_decoder, train_decoder, training_set
 
 DECODER_PLACES_EACH = 4
 DECODER_WIDTH = 32
@@ -38,7 +38,7 @@ DECODER_WIDTH = 32
 
 def main() -> None:
     """Train what is asked for and write the weights and the report."""
-    parser = argparse.ArgumentParser(prog="python -m revisit.evaluation.training", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m lab.training", description=__doc__)
     parser.add_argument("--profile", type=Profile, default=Profile.PRODUCT, help="product or paper")
     parser.add_argument("--out", type=Path, default=Path("core/weights/revisit-1.npz"))
     parser.add_argument("--decoder", type=Path, help="keep the decoder of this file and train the codebooks only")
@@ -53,7 +53,7 @@ def main() -> None:
     report = [
         "# Training of the shipped models",
         "",
-        "By `python -m revisit.evaluation.training`, on simulated data only.",
+        "By `python -m lab.training`, on simulated data only.",
         "",
     ]
     if options.decoder:

@@ -1,6 +1,6 @@
 """What each part of the product's descriptor is worth where sensor, density or day differ (paper Table III).
 
-`python -m revisit.evaluation.part_tables OUT [DRIVE ...]` prints, for each condition, the mean area under the curve of
+`python -m lab.part_tables OUT [DRIVE ...]` prints, for each condition, the mean area under the curve of
 the simulated test drives (`protocols.towns`), whole and without a part each, with intervals of paired draws. OUT keeps
 the drives and the descriptors; a second run goes on where the first ended. Similarities are standardised by the map.
 """

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from lab.profile_tables import Drives, _masked, judged, plain_candidates
 from revisit.core.profiles import Profile, profile_config
 from revisit.evaluation.described_submaps import DescribedSubmap
 from revisit.evaluation.domains.catalogue import DOMAINS
 from revisit.evaluation.loop_closure_method import Description
 from revisit.evaluation.metrics import LoopProtocol
-from revisit.evaluation.profile_tables import Drives, _masked, judged, plain_candidates
 
 DOMAIN = replace(DOMAINS[0], loops=LoopProtocol(min_index_gap=3))
 

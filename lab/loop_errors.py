@@ -1,6 +1,6 @@
 """How far accepted loops are off, and whether their covariances say so.
 
-`python -m revisit.evaluation.loop_errors OUT` prints the tables and draws the picture for a real street (where
+`python -m lab.loop_errors OUT` prints the tables and draws the picture for a real street (where
 REVISIT_DATA names its folder) and made-up towns and roads; truth is the recording's own pose, or exact.
 """
 

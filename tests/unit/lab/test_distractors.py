@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from revisit.evaluation.distractors import fleet_recall, made_up_places
+from lab.distractors import fleet_recall, made_up_places
 from revisit.evaluation.metrics import LoopProtocol
 
 

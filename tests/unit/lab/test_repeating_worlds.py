@@ -7,12 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from revisit.core.config import PipelineConfig
-from revisit.core.geometry import se3
-from revisit.core.model_bundle import load_packaged_models
-from revisit.core.verification import RejectedLoop, RejectionReason, verify
-from revisit.core.verification.oriented_points import OrientedPoints, contact
-from revisit.evaluation.repeating_worlds import (
+from lab.repeating_worlds import (
     WORLDS,
     Judgement,
     RepeatingPair,
@@ -22,6 +17,11 @@ from revisit.evaluation.repeating_worlds import (
     repeating_pairs,
     visits_of,
 )
+from revisit.core.config import PipelineConfig
+from revisit.core.geometry import se3
+from revisit.core.model_bundle import load_packaged_models
+from revisit.core.verification import RejectedLoop, RejectionReason, verify
+from revisit.core.verification.oriented_points import OrientedPoints, contact
 from tests.support.campaigns import Campaign, sizes
 
 CONFIG = PipelineConfig()

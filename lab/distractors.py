@@ -1,6 +1,6 @@
 """Recall in maps of a fleet's size: true places among many that are none, by the index that the service uses.
 
-`python -m revisit.evaluation.distractors DRIVE.npz OTHER.npz [OTHER.npz ...]` prints a table for the descriptors of a
+`python -m lab.distractors DRIVE.npz OTHER.npz [OTHER.npz ...]` prints a table for the descriptors of a
 drive that `revisit bench domains` has kept, among places made up from those of other drives.
 """
 
