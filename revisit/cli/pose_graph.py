@@ -1,4 +1,4 @@
-"""`revisit optimise`: where the sessions of a map lie to each other, and which loops that rests on."""
+"""`revisit pose-graph`: where the sessions of a map lie to each other, and which loops that rests on."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @needs("service")
-def optimise(
+def pose_graph(
     map_id: MapName = "default",
     out: Annotated[
         Path | None, typer.Option(help="Folder for graph.g2o and one trajectory (TUM, in the map) a session.")
@@ -32,14 +32,14 @@ def optimise(
     Shows the corrections of its sessions, and which loops they rest on or set aside. `revisit map optimise` changes the
     map.
     """
-    from revisit.cli.pose_graph_files import pose_graph, read_graph
-    from revisit.core.pose_graph import optimise as optimised_graph
+    from revisit.cli import pose_graph_files
+    from revisit.core.pose_graph import optimise
 
-    read = read_graph(http, map_id)
-    graph = pose_graph(read)
+    read = pose_graph_files.read_graph(http, map_id)
+    graph = pose_graph_files.pose_graph(read)
     if not graph.trajectories:
         raise refuse(f"map {map_id} holds no submaps")
-    optimised = optimised_graph(graph)
+    optimised = optimise(graph)
     if out is not None:
         _write(out, read, graph, optimised)
     if json:
