@@ -54,5 +54,10 @@ def compare(kept: Path) -> int:
 
 
 if __name__ == "__main__":
-    command, *paths = sys.argv[1:]
-    sys.exit({"note": note, "compare": compare}[command](*map(Path, paths)))
+    match sys.argv[1:]:
+        case ["note", log, kept]:
+            sys.exit(note(Path(log), Path(kept)))
+        case ["compare", kept]:
+            sys.exit(compare(Path(kept)))
+        case _:
+            sys.exit(__doc__)
