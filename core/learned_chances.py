@@ -1,4 +1,4 @@
-"""The chances with which models of stored bits begin, as `evaluation.training` has learned them."""
+"""The chances with which models of stored bits begin, as `lab.training` has learned them."""
 
 from __future__ import annotations
 

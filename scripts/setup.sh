@@ -30,15 +30,6 @@ ensure_system_libraries() {
     fi
 }
 
-# The tests that replay power cuts record system calls with it; without it they are skipped.
-offer_strace() {
-    if [ "$(uname -s)" != Linux ] || command -v strace >/dev/null; then return 0; fi
-    if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
-        { apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends strace; } \
-            >/dev/null || true
-    fi
-}
-
 find_python() {
     local candidate
     for candidate in "${PYTHON:-python3}" python3.13 python3.12 python3.11; do
@@ -53,7 +44,6 @@ find_python() {
 }
 
 ensure_system_libraries
-offer_strace
 python="$(find_python)"
 [ -x .venv/bin/python ] || "$python" -m venv .venv
 echo "Installing into .venv (2 to 4 minutes the first time)"

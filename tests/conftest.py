@@ -1,8 +1,9 @@
-"""What every test gets: no limit of time that a busy machine could miss, and the log of the service where one fails."""
+"""What every test gets: no limit of time that a busy machine could miss, no silent skip in continuous integration."""
 
 from __future__ import annotations
 
 import inspect
+from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
@@ -11,9 +12,12 @@ import structlog
 from hypothesis import HealthCheck, settings
 
 from tests.support.patience import PATIENCE_S
+from tests.support.skips import IN_CI, judged
 
-settings.register_profile("steady", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
-settings.load_profile("steady")
+settings.register_profile(
+    "ours", deadline=None, derandomize=IN_CI, print_blob=True, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("ours")
 
 _timeout = inspect.signature(httpx.Client).parameters["timeout"].default
 """What every call of httpx that names no limit shares."""
@@ -31,6 +35,18 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """
     folders = [*FIRST, *sorted({item.path.relative_to(TESTS).parts[0] for item in items}.difference(FIRST))]
     items.sort(key=lambda item: folders.index(item.path.relative_to(TESTS).parts[0]))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Iterator[None]:
+    """A test that is skipped in continuous integration fails, but for the reasons that are allowed."""
+    return judged((yield))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report() -> Iterator[None]:
+    """So does a file."""
+    return judged((yield))
 
 
 @pytest.fixture(autouse=True)

@@ -1,4 +1,4 @@
-"""The chances and weights with which the models of a stored map begin (`evaluation.training.map_chances`)."""
+"""The chances and weights with which the models of a stored map begin (`lab.training.map_chances`)."""
 
 from __future__ import annotations
 

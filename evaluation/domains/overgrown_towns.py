@@ -1,6 +1,6 @@
 """The test towns as real streets are: loose leaves, herbs along the ways, and the errors of a real recording.
 
-Of the returns of the older towns 9 % are scatter, of a real street 35 % (`evaluation.realism`); their poses are exact,
+Of the returns of the older towns 9 % are scatter, of a real street 35 % (`lab.realism`); their poses are exact,
 and their sensor is without fault. The older drives stay as they are, for comparison.
 """
 

@@ -1,7 +1,7 @@
 """Vegetation that scatters as real crowns, hedges and bushes do: small leaves, densest near the rim.
 
 Towns of `evaluation.simulator` have larger and fewer leaves; of their returns 9 % are scatter, of real ones 35 %
-(`evaluation.realism`).
+(`lab.realism`).
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ from revisit.cli import (
     maps,
     merging,
     operations,
-    optimise,
+    pose_graph,
     queries,
     reembed,
     serve,
@@ -50,7 +50,7 @@ def _version(wanted: bool) -> None:
 
 COMMANDS = (
     serve.serve, serve.worker, serve.migrate, inspect.inspect, ingest.ingest, spool.spool, queries.query,
-    queries.loops, watch.watch, explain.explain, export.export, optimise.optimise, merging.merge, demo.demo,
+    queries.loops, watch.watch, explain.explain, export.export, pose_graph.pose_graph, merging.merge, demo.demo,
     evaluate.evaluate, doctor.doctor, reembed.reembed, backup.backup, backup.restore,
     backup.scrub,
 )  # fmt: skip

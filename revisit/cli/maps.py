@@ -59,7 +59,7 @@ def status(map_id: MapName = "default", http: Http = HTTP, json: Json = False) -
 def optimise(map_id: MapName = "default", http: Http = HTTP, json: Json = False) -> None:
     """Have a worker optimise the pose graph of a map, which becomes its new version.
 
-    `revisit optimise` does it on this machine and changes nothing.
+    `revisit pose-graph` does it on this machine and changes nothing.
     """
     from revisit.sdk.client import Client
 

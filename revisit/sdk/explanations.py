@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from revisit.sdk.resources import LoopClosure, LoopClosureEvent, Map, SearchHit, Submap
-
-if TYPE_CHECKING:
-    from revisit.sdk.client import Client
 
 RULES = {"LOW_SCORE": "min_score", "LOW_OVERLAP": "min_overlap", "SEEN_THROUGH": "max_seen_through"}
 """The rule of a loop policy behind each gate that has one."""
@@ -27,6 +24,30 @@ NOT_VERIFIED = "NOT_VERIFIED"
 KNOWN_ALREADY = "KNOWN_ALREADY"
 """Accepted loops of the later one told already where the other lies: geometry was never asked. The service's setting
 REVISIT_LOOPS_ENOUGH says how many of them it takes."""
+
+
+class Lookups(Protocol):
+    """The calls of a `Client` that an explanation needs."""
+
+    def get_map(self, name: str) -> Map:
+        """See `Client`."""
+        ...
+
+    def get_submap(self, name: str) -> Submap:
+        """See `Client`."""
+        ...
+
+    def search(self, map_: Map, *, submap: Submap, k: int) -> list[SearchHit]:
+        """See `Client`."""
+        ...
+
+    def loop_closures(self, map_: Map, *, session: str) -> list[LoopClosure]:
+        """See `Client`."""
+        ...
+
+    def loop_closure_events(self, loop: LoopClosure) -> list[LoopClosureEvent]:
+        """See `Client`."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -56,7 +77,7 @@ class NearMiss:
         return f"{self.rule} = {self.measured:g}"
 
 
-def explain(client: Client, submap: Submap, k: int) -> list[NearMiss]:
+def explain(client: Lookups, submap: Submap, k: int) -> list[NearMiss]:
     """The near misses among the `k` submaps most like one that is described, most similar first."""
     map_ = client.get_map("/".join(submap.name.split("/")[:2]))
     hits = client.search(map_, submap=submap, k=k)
@@ -65,7 +86,7 @@ def explain(client: Client, submap: Submap, k: int) -> list[NearMiss]:
     return [miss for miss in found if miss is not None]
 
 
-def _loops_of(client: Client, map_: Map, submap: Submap, hits: list[SearchHit]) -> dict[str, LoopClosure]:
+def _loops_of(client: Lookups, map_: Map, submap: Submap, hits: list[SearchHit]) -> dict[str, LoopClosure]:
     """The loops of a submap with its hits, by the name of the other one; of several the last."""
     sessions = {name.rpartition("/submaps/")[0] for name in (submap.name, *(hit.submap for hit in hits))}
     loops = (loop for session in sorted(sessions) for loop in client.loop_closures(map_, session=session))
@@ -74,7 +95,7 @@ def _loops_of(client: Client, map_: Map, submap: Submap, hits: list[SearchHit]) 
 
 
 def _near_miss(
-    client: Client, map_: Map, submap: Submap, rank: int, hit: SearchHit, loops: Mapping[str, LoopClosure]
+    client: Lookups, map_: Map, submap: Submap, rank: int, hit: SearchHit, loops: Mapping[str, LoopClosure]
 ) -> NearMiss | None:
     """What stopped one hit, None where nothing did; `loops` are those of the submap with all hits."""
     loop = loops.get(hit.submap)
@@ -104,7 +125,7 @@ def _rejected(hit: SearchHit, loop: LoopClosure) -> NearMiss:
     return NearMiss(hit.submap, hit.similarity, gate, measured, threshold, rule, loop.name)
 
 
-def _gap(client: Client, submap: Submap, other: str) -> int | None:
+def _gap(client: Lookups, submap: Submap, other: str) -> int | None:
     """How far apart two submaps of one session are in its order, None where they are of two."""
     if submap.name.rpartition("/")[0] != other.rpartition("/")[0]:
         return None

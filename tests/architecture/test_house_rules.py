@@ -9,7 +9,7 @@ from pathlib import PurePath
 
 from tests.support.sources import ROOT, modules
 
-OURS = modules("core", "service", "revisit", "evaluation", "scripts")
+OURS = modules("core", "service", "revisit", "evaluation", "lab", "scripts")
 MAX_FUNCTION_LINES = 40
 FORBIDDEN_MODULES = {"utils", "util", "helpers", "helper", "common", "base", "types", "models", "manager", "misc"}
 
@@ -65,7 +65,7 @@ def test_no_module_is_a_drawer_for_homeless_functions():
 
 
 def test_folders_that_would_shadow_installed_packages_are_no_packages():
-    folders = [ROOT / name for name in ("proto", "docker", "migrations", "tests", "scripts", "docs")]
+    folders = [ROOT / name for name in ("proto", "docker", "lab", "migrations", "tests", "scripts", "docs")]
     assert [path for folder in folders for path in folder.rglob("__init__.py")] == []
 
 

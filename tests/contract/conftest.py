@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from revisit.service.adapters.memory import MemoryTransactions
 from revisit.service.adapters.sqlite.transactions import SqliteTransactions
 from tests.support.made_database import made_database
+from tests.support.memory.transactions import MemoryTransactions
 from tests.support.plain_engine import PlainTransactions
 
 

@@ -8,8 +8,8 @@ import pytest
 
 from revisit.core.errors import DataLoss
 from revisit.service.adapters.files.blobs import FileBlobStore
-from revisit.service.adapters.memory import MemoryBlobStore
 from revisit.service.application.contract.identity import TenantId
+from tests.support.memory.blobs import MemoryBlobStore
 
 TENANT, OTHER = TenantId("default"), TenantId("other")
 

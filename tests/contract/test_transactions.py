@@ -12,6 +12,7 @@ from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.records import WorkerRecord
 from revisit.service.application.contract.repositories import FoundSubmap
 from revisit.service.application.contract.storage import require_map
+from tests.support.plain_engine import PlainTransactions
 from tests.support.records import TENANT, a_loop, a_map, a_robot, a_scan, a_session, a_submap
 
 OTHER = TenantId("other")
@@ -48,12 +49,11 @@ def test_an_exception_undoes_the_whole_transaction(write, read):
 
 
 def test_the_version_is_another_one_after_every_commit_and_after_nothing_else(transactions, write, read):
-    if transactions.version() is None:
-        pytest.skip("these transactions do not tell")
+    untold = isinstance(transactions, PlainTransactions)
     seen = [transactions.version()]
     for name in ("a", "b"):
         write(lambda uow, name=name: uow.maps.add(a_map(name)))
-        assert transactions.version() not in seen
+        assert untold or transactions.version() not in seen
         seen.append(transactions.version())
     assert read(lambda uow: uow.maps.count(TENANT)) == 2
     assert transactions.version() == seen[-1]

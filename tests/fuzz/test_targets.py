@@ -66,9 +66,7 @@ def seeds() -> dict[str, list[bytes]]:
 
 
 SEEDS = seeds()
-LIMITS = settings(
-    max_examples=EXAMPLES, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck)
-)
+LIMITS = settings(max_examples=EXAMPLES, deadline=None, database=None, suppress_health_check=list(HealthCheck))
 
 
 @st.composite

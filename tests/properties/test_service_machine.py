@@ -158,7 +158,6 @@ def run(driver, examples: int, steps: int) -> None:
             max_examples=examples,
             stateful_step_count=steps,
             deadline=None,
-            derandomize=True,
             report_multiple_bugs=False,
             database=None,
             suppress_health_check=list(HealthCheck),

@@ -18,7 +18,7 @@ def browser() -> Iterator[object]:
     api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     found = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     if found is None:
-        pytest.skip("no Chromium on this machine: `apt-get install chromium`")
+        pytest.skip("no Chromium on this machine: scripts/test_tools.sh installs it")
     with api.sync_playwright() as playwright:
         opened = playwright.chromium.launch(executable_path=found, args=list(SOFTWARE))
         yield opened

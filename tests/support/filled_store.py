@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import insert
 
-from revisit.evaluation.distractors import made_up_places
+from lab.distractors import made_up_places
 from revisit.service.adapters.files.blobs import FileBlobStore
 from revisit.service.adapters.sql import tables
 from revisit.service.adapters.sqlite.migration import migrate

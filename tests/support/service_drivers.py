@@ -15,13 +15,13 @@ import numpy as np
 
 from revisit.core.errors import RevisitError
 from revisit.formats import NPY, encode_npy
-from revisit.service.adapters.memory import MemoryVectorIndex
 from revisit.service.application import SessionKey, SubmapKey, UseCases
 from revisit.service.application.catalogue.maps import CreateMap
 from revisit.service.application.catalogue.paging import PageRequest
 from revisit.service.application.catalogue.sessions import CreateSession
 from revisit.service.application.query.search_answers import SearchCriteria
 from tests.support.live_service import live_service
+from tests.support.memory.vector_index import MemoryVectorIndex
 from tests.support.patience import PATIENCE_S
 from tests.support.service_world import TENANT, World, cloud_points, memory_world, scan, sqlite_world, submap
 

@@ -14,7 +14,6 @@ from revisit.core.config import PipelineConfig
 from revisit.formats import DecodedCloud
 from revisit.service.adapters.core_map_optimiser import CoreMapOptimiser
 from revisit.service.adapters.files.blobs import FileBlobStore
-from revisit.service.adapters.memory import MemoryBlobStore, MemoryTransactions, MemoryVectorIndex
 from revisit.service.adapters.sqlite.transactions import SqliteTransactions
 from revisit.service.application import DEFAULT_TENANT, Installation, Policy, SessionKey, SubmapKey, UseCases
 from revisit.service.application.catalogue.maps import CreateMap
@@ -31,6 +30,9 @@ from tests.support.fake_merger import FakeMerger
 from tests.support.fake_recogniser import FakeRecogniser
 from tests.support.fake_tiler import FakeTiler
 from tests.support.made_database import made_database
+from tests.support.memory.blobs import MemoryBlobStore
+from tests.support.memory.transactions import MemoryTransactions
+from tests.support.memory.vector_index import MemoryVectorIndex
 
 TENANT = DEFAULT_TENANT
 SESSION = SessionKey("town", "monday")

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from sqlalchemy import (
     BindParameter,
@@ -35,21 +35,17 @@ from sqlalchemy.sql.dml import ReturningInsert
 from revisit.service.adapters.sql import tables
 from revisit.service.adapters.sql.engine import DatabaseEngine
 from revisit.service.application.contract.errors import AlreadyExists, NotFound
-from revisit.service.application.contract.events import ChangeOf, EventLog
+from revisit.service.application.contract.events import ChangeOf
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.records import ScanRecord, SubmapRecord
 from revisit.service.application.contract.repositories import FoundSubmap, PlacedSubmap
 from revisit.service.application.contract.states import SubmapState
-
-if TYPE_CHECKING:
-    from revisit.service.adapters.sql.unit_of_work import SqlUnitOfWork
 
 Scalar = str | int | None
 Asked = Mapping[str, Scalar]
 """The value that each named column must have; also the parameters of the statements that are built from it."""
 
 R = TypeVar("R")
-Kind = TypeVar("Kind", bound="SqlRepository[Any]")
 
 REVISED_AT_ONCE = 500
 """Rows that one statement changes: each is a parameter of it."""
@@ -174,37 +170,6 @@ class SqlRepository(Generic[R]):
     def _of(self, row: Row[Any]) -> R:
         fields = _in_order_of_fields(self._table, self._record)  # type: ignore[arg-type]  # classes are hashable
         return self._record(*fields(row))
-
-
-class Stored(Generic[Kind]):
-    """An attribute of a unit of work: the repository of a table, made when it is first asked for."""
-
-    def __init__(
-        self, kind: Callable[..., Kind], table: Table, record: type, told: Callable[[EventLog], Any] | None = None
-    ) -> None:
-        """`told` gives what hears each add and replace, and notes it as an event."""
-        self._kind = kind
-        self._table = table
-        self._record = record
-        self._told = told
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        """The attribute's name."""
-        self._name = name
-
-    def __get__(self, work: SqlUnitOfWork, owner: type) -> Kind:
-        """The repository; from now on it is found in the unit of work itself."""
-        on_change = None if self._told is None else self._told(work.events)
-        made = self._kind(work.connection, work.engine, self._table, self._record, on_change)
-        vars(work)[self._name] = made
-        return made
-
-
-def stored(
-    table: Table, record: type[R], told: Callable[[EventLog], ChangeOf[R]] | None = None
-) -> Stored[SqlRepository[R]]:
-    """A table that no use case asks more of than `Repository` can do."""
-    return Stored(SqlRepository, table, record, told)
 
 
 class SqlScans(SqlRepository[ScanRecord]):

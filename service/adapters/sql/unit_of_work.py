@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, Generic, TypeVar
 
-from sqlalchemy import Connection
+from sqlalchemy import Connection, Table
 
 from revisit.service.adapters.fair_turns import FairTurns
 from revisit.service.adapters.leased_jobs import LeasedJobs
@@ -16,10 +18,16 @@ from revisit.service.adapters.sql.engine import DatabaseEngine
 from revisit.service.adapters.sql.event_log import SqlEventLog
 from revisit.service.adapters.sql.jobs import SqlJobs
 from revisit.service.adapters.sql.loops import SqlLoops
-from revisit.service.adapters.sql.repositories import SqlScans, SqlSubmaps, Stored, stored
+from revisit.service.adapters.sql.repositories import SqlRepository, SqlScans, SqlSubmaps
 from revisit.service.adapters.sql.turns import SqlTenantTurns
 from revisit.service.adapters.sql.worker_log import SqlWorkerLog
-from revisit.service.application.contract.events import on_job_change, on_loop_change, on_version_change
+from revisit.service.application.contract.events import (
+    ChangeOf,
+    EventLog,
+    on_job_change,
+    on_loop_change,
+    on_version_change,
+)
 from revisit.service.application.contract.records import (
     EarlyCorrectionRecord,
     JobRecord,
@@ -37,6 +45,40 @@ from revisit.service.application.contract.records import (
     SubmapRecord,
 )
 from revisit.service.application.contract.webhooks import DeliveryRecord, WebhookRecord
+
+R = TypeVar("R")
+Kind = TypeVar("Kind", bound=SqlRepository[Any])
+
+
+class Stored(Generic[Kind]):
+    """An attribute of a unit of work: the repository of a table, made when it is first asked for."""
+
+    def __init__(
+        self, kind: Callable[..., Kind], table: Table, record: type, told: Callable[[EventLog], Any] | None = None
+    ) -> None:
+        """`told` gives what hears each add and replace, and notes it as an event."""
+        self._kind = kind
+        self._table = table
+        self._record = record
+        self._told = told
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        """The attribute's name."""
+        self._name = name
+
+    def __get__(self, work: SqlUnitOfWork, owner: type) -> Kind:
+        """The repository; from now on it is found in the unit of work itself."""
+        on_change = None if self._told is None else self._told(work.events)
+        made = self._kind(work.connection, work.engine, self._table, self._record, on_change)
+        vars(work)[self._name] = made
+        return made
+
+
+def stored(
+    table: Table, record: type[R], told: Callable[[EventLog], ChangeOf[R]] | None = None
+) -> Stored[SqlRepository[R]]:
+    """A table that no use case asks more of than `Repository` can do."""
+    return Stored(SqlRepository, table, record, told)
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ T = TypeVar("T")
 class UnitOfWork(Protocol):
     """One transaction: all of it is committed, or none.
 
-    Twenty-one properties and no methods: one for each kind of record, so that a transaction can change any of them.
+    No methods, and one property for each kind of record, so that a transaction can change any of them.
     """
 
     @property

@@ -22,9 +22,7 @@ from tests.support.cloud_files import records, valid_files
 from tests.support.patience import PATIENCE_S
 
 EXAMPLES = int(os.environ.get("REVISIT_GRPC_EXAMPLES", "20"))
-LIMITS = settings(
-    max_examples=EXAMPLES, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck)
-)
+LIMITS = settings(max_examples=EXAMPLES, deadline=None, database=None, suppress_health_check=list(HealthCheck))
 # A watch ends only with its deadline.
 DEADLINE_S = {"WatchLoopClosures": 0.1, "WatchCorrections": 0.1, "WatchEvents": 0.1, "WaitOperation": 0.3}
 DOCUMENTED = {status.grpc for status in STATUS.values()} - {"INTERNAL"} | {"OK", "UNIMPLEMENTED", "DEADLINE_EXCEEDED"}

@@ -104,7 +104,6 @@ def generated(operation, mode, examples):
         limits = settings(
             max_examples=examples,
             deadline=None,
-            derandomize=True,
             database=None,
             suppress_health_check=list(HealthCheck),
         )

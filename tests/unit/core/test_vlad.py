@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lab.training.codebooks import discriminant_directions, random_folds
 from revisit.core.descriptor.vlad import Codebooks, aggregate, fold
 from revisit.core.errors import DataLoss
-from revisit.evaluation.training.codebooks import discriminant_directions, random_folds
 
 
 def small_books() -> Codebooks:

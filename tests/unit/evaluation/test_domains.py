@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from lab.realism import scan_statistics
 from revisit.cli.app import app
 from revisit.core.errors import EmptyCloud
 from revisit.core.geometry import se3
@@ -24,7 +25,6 @@ from revisit.evaluation.domains.resimulation import beside_where_free
 from revisit.evaluation.domains.verge import CANYON, MIXED, WOODS, Style, grow
 from revisit.evaluation.loop_closure_method import Description, RememberedVerdicts, Verdict
 from revisit.evaluation.metrics import LoopProtocol
-from revisit.evaluation.realism import scan_statistics
 from revisit.evaluation.simulator import HDL32, VLP16, Path
 from revisit.evaluation.simulator.blocks import Material, block
 from tests.support.real_data import needs_real_data

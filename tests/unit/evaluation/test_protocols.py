@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lab.training.corpus import TRAINING_SEED
 from revisit.core.config import SubmapConfig
 from revisit.core.geometry import se3
 from revisit.core.submap import Submap
@@ -31,7 +32,6 @@ from revisit.evaluation.report.recognition import write_report
 from revisit.evaluation.simulator import VLP16, Changes, build_city, changed
 from revisit.evaluation.simulator import Path as Way
 from revisit.evaluation.simulator.blocks import Material
-from revisit.evaluation.training.corpus import TRAINING_SEED
 
 RADIUS_M = 40.0
 PER_LAP = 60

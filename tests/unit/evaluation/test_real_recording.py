@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lab.interleaved import evaluate_interleaved
 from revisit.evaluation.datasets import KittiRecording
-from revisit.evaluation.interleaved import evaluate_interleaved
 from revisit.evaluation.recording_evaluation import EvaluationOptions
 from tests.support.real_data import needs_real_data, unpacked_drive
 

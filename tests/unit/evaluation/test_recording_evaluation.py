@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lab.interleaved import evaluate_interleaved
 from revisit.core.errors import DegenerateCloud
 from revisit.core.geometry import se3
 from revisit.core.submap import Submap
 from revisit.evaluation.cutting import cut
 from revisit.evaluation.datasets import KittiRecording, write_kitti
-from revisit.evaluation.interleaved import evaluate_interleaved
 from revisit.evaluation.loop_closure_method import Description, Verdict
 from revisit.evaluation.perturbations import Perturbation, keep_beams
 from revisit.evaluation.recording_evaluation import EvaluationOptions, evaluate

@@ -99,9 +99,9 @@ def shown(monkeypatch, graph, *arguments):
     return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
-def test_optimise_says_where_sessions_lie_and_which_loops_that_rests_on(monkeypatch, tmp_path):
+def test_pose_graph_says_where_sessions_lie_and_which_loops_that_rests_on(monkeypatch, tmp_path):
     graph = two_days(wrong=(4,))
-    answer = json.loads(shown(monkeypatch, graph, "optimise", "--out", tmp_path / "town", "--json").stdout)
+    answer = json.loads(shown(monkeypatch, graph, "pose-graph", "--out", tmp_path / "town", "--json").stdout)
     monday, tuesday = answer["sessions"]
     assert [one["frame"] for one in (monday, tuesday)] == ["maps/town/sessions/monday"] * 2
     found = [tuesday["T_map_odom"]["translation"][axis] for axis in "xyz"]
@@ -111,10 +111,10 @@ def test_optimise_says_where_sessions_lie_and_which_loops_that_rests_on(monkeypa
     # In the map, the two drives are one.
     first, second = (np.loadtxt(tmp_path / "town" / f"{day}.tum") for day in ("monday", "tuesday"))
     np.testing.assert_allclose(first[:, 1:4], second[:, 1:4], atol=0.05)
-    assert "9 in the map, 1 set aside" in shown(monkeypatch, graph, "optimise").stdout
+    assert "9 in the map, 1 set aside" in shown(monkeypatch, graph, "pose-graph").stdout
 
 
-@pytest.mark.parametrize("command", ["optimise", "export"])
+@pytest.mark.parametrize("command", ["pose-graph", "export"])
 def test_without_scipy_one_line_says_what_to_install(monkeypatch, command):
     for name in [name for name in sys.modules if name.startswith("revisit.core.pose_graph")]:
         monkeypatch.delitem(sys.modules, name)

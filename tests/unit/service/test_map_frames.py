@@ -9,11 +9,11 @@ import pytest
 
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import pose_row
-from revisit.service.adapters.memory import MemoryTransactions
 from revisit.service.application.contract.map_frames import KeptSessions, MapFrames
 from revisit.service.application.contract.records import SessionPosesRecord
 from revisit.service.application.contract.repositories import FoundSubmap
 from revisit.service.application.contract.session_poses import PackedSubmaps
+from tests.support.memory.transactions import MemoryTransactions
 from tests.support.records import TENANT, a_map, a_session
 
 AT_HOME = pose_row(np.eye(4))

@@ -1,1 +1,0 @@
-"""Training of what is shipped in core/weights: the SDF decoder and the codebooks."""

@@ -1,0 +1,141 @@
+"""Transactions in memory: each works on a copy of all rows, which replaces the original at its end."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import TypeVar
+
+from revisit.service.adapters.fair_turns import FairTurns
+from revisit.service.adapters.leased_jobs import LeasedJobs
+from revisit.service.application.contract.events import on_job_change, on_loop_change, on_version_change
+from revisit.service.application.contract.records import (
+    EarlyCorrectionRecord,
+    LoopEventRecord,
+    MapFileRecord,
+    MapMergeRecord,
+    MapRecord,
+    MapTileRecord,
+    MapVersionRecord,
+    RobotRecord,
+    SessionPosesRecord,
+    SessionRecord,
+)
+from revisit.service.application.contract.transactions import UnitOfWork
+from revisit.service.application.contract.webhooks import DeliveryRecord, WebhookRecord
+from tests.support.memory.access import MemoryAuditTrail, MemoryKeyRing
+from tests.support.memory.repositories import (
+    MemoryChangeLog,
+    MemoryEventLog,
+    MemoryJobs,
+    MemoryLoops,
+    MemoryRepository,
+    MemoryScans,
+    MemorySubmaps,
+    MemoryTenantTurns,
+    MemoryWorkerLog,
+    Rows,
+)
+
+T = TypeVar("T")
+
+_TABLES = (
+    *("maps", "robots", "sessions", "scans", "submaps", "loops"),
+    *("loop_events", "map_versions", "session_poses", "early_corrections", "map_merges", "map_tiles", "map_files"),
+    *("jobs", "turns", "changes", "events", "webhooks", "webhook_deliveries", "workers", "keys", "audit"),
+)
+
+
+class MemoryUnitOfWork:
+    """`UnitOfWork` over a copy of every table."""
+
+    def __init__(self, tables: dict[str, Rows], lease_ms: int) -> None:
+        """Changes `tables` in place."""
+        self.maps: MemoryRepository[MapRecord] = MemoryRepository(tables["maps"], ("map_id",))
+        self.robots: MemoryRepository[RobotRecord] = MemoryRepository(tables["robots"], ("robot_id",))
+        self.sessions: MemoryRepository[SessionRecord] = MemoryRepository(tables["sessions"], ("map_id", "session_id"))
+        self.scans = MemoryScans(tables["scans"], ("map_id", "session_id", "seq"))
+        self.submaps = MemorySubmaps(tables["submaps"], ("map_id", "session_id", "submap_id"))
+        self.events = MemoryEventLog(tables["events"])
+        self.webhooks: MemoryRepository[WebhookRecord] = MemoryRepository(tables["webhooks"], ("webhook_id",))
+        self.webhook_deliveries: MemoryRepository[DeliveryRecord] = MemoryRepository(
+            tables["webhook_deliveries"], ("number",)
+        )
+        told = on_loop_change(self.events)
+        self.loops = MemoryLoops(tables["loops"], ("map_id", "loop_id"), told)
+        self.jobs = MemoryJobs(tables["jobs"], ("operation_id",), on_job_change(self.events))
+        self.loop_events: MemoryRepository[LoopEventRecord] = MemoryRepository(tables["loop_events"], ("number",))
+        self.map_versions: MemoryRepository[MapVersionRecord] = MemoryRepository(
+            tables["map_versions"], ("map_id", "version"), on_version_change(self.events)
+        )
+        self.session_poses: MemoryRepository[SessionPosesRecord] = MemoryRepository(
+            tables["session_poses"], ("map_id", "version", "session_id")
+        )
+        self.early_corrections: MemoryRepository[EarlyCorrectionRecord] = MemoryRepository(
+            tables["early_corrections"], ("map_id", "session_id")
+        )
+        self.map_merges: MemoryRepository[MapMergeRecord] = MemoryRepository(
+            tables["map_merges"], ("map_id", "merge_id")
+        )
+        self.map_tiles: MemoryRepository[MapTileRecord] = MemoryRepository(
+            tables["map_tiles"], ("map_id", "version", "tile_id")
+        )
+        self.map_files: MemoryRepository[MapFileRecord] = MemoryRepository(tables["map_files"], ("map_id", "version"))
+        self.queue = LeasedJobs(self.jobs, FairTurns(MemoryTenantTurns(tables["turns"], self.jobs)), lease_ms)
+        self.changes = MemoryChangeLog(tables["changes"], tables["submaps"])
+        self.workers = MemoryWorkerLog(tables["workers"])
+        self.keys = MemoryKeyRing(tables["keys"].by_number)
+        self.audit = MemoryAuditTrail(tables["audit"].by_number)
+
+
+class MemoryTransactions:
+    """`Transactions` without a disk: a transaction works on a copy, which replaces the original at the end."""
+
+    def __init__(self, lease_ms: int = 10_000) -> None:
+        """Begins empty."""
+        self._tables = {name: Rows() for name in _TABLES}
+        self._lease_ms = lease_ms
+        self._lock = threading.Lock()
+        self._commits = 0
+
+    def write(self, work: Callable[[UnitOfWork], T], *, alone: bool = False) -> Future[T]:
+        """See `Transactions`."""
+        return _settled(lambda: self._write(work))
+
+    def read(self, work: Callable[[UnitOfWork], T]) -> Future[T]:
+        """See `Transactions`."""
+        return _settled(lambda: self.read_here(work))
+
+    def read_here(self, work: Callable[[UnitOfWork], T]) -> T:
+        """See `Transactions`."""
+        with self._lock:
+            snapshot = self._copy()
+        return work(MemoryUnitOfWork(snapshot, self._lease_ms))
+
+    def version(self) -> int | None:
+        """See `Transactions`."""
+        return self._commits
+
+    def close(self) -> None:
+        """See `Transactions`."""
+
+    def _write(self, work: Callable[[UnitOfWork], T]) -> T:
+        with self._lock:
+            tables = self._copy()
+            result = work(MemoryUnitOfWork(tables, self._lease_ms))
+            self._tables = tables
+            self._commits += 1
+            return result
+
+    def _copy(self) -> dict[str, Rows]:
+        return {name: rows.copy() for name, rows in self._tables.items()}
+
+
+def _settled(work: Callable[[], T]) -> Future[T]:
+    future: Future[T] = Future()
+    try:
+        future.set_result(work())
+    except Exception as error:  # noqa: BLE001  # a future carries whatever the work raised
+        future.set_exception(error)
+    return future
