@@ -180,7 +180,6 @@ submaps = _numbered(
     Column("signature_sha256", String(64), key="place_sha256", nullable=True),
     _text("neural_map_sha256", nullable=True),
     _integer("neural_map_bytes", nullable=True),
-    _text("mesh_sha256", nullable=True),
     _text("failure_code", nullable=True),
     Column("failure_message", Text, nullable=True),
     ForeignKeyConstraint(
@@ -190,7 +189,6 @@ submaps = _numbered(
     Index(None, "tenant", "cloud_sha256"),
     Index(None, "tenant", "place_sha256"),
     Index(None, "tenant", "neural_map_sha256"),
-    Index(None, "tenant", "mesh_sha256"),
 )
 
 loops = _numbered(
