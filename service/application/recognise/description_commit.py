@@ -30,6 +30,7 @@ from revisit.service.application.mapping.loop_events import (
 )
 from revisit.service.application.mapping.optimisation import optimise_soon
 from revisit.service.application.query.place_memory import ReadFilter, RecalledPlace
+from revisit.service.application.recognise.kept_evidence import kept_evidence
 from revisit.service.application.recognise.loops_beside import Beside, revised_evidence
 from revisit.service.application.recognise.proposed_loops import rules_of
 from revisit.service.failpoints import failpoint
@@ -161,7 +162,7 @@ class DescriptionCommit:
             similarity=item.place.similarity,
             score=verdict.score,
             T_match_query=None if verdict.T_match_query is None else pose_row(verdict.T_match_query),
-            evidence={**verdict.evidence, "model_version": self.described.row.model_version},
+            evidence={**kept_evidence(verdict), "model_version": self.described.row.model_version},
             created_at_ns=self.now_ns,
         )
 
