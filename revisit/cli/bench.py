@@ -154,6 +154,24 @@ def stored(
     say(f"{out / 'bytes.md'}")
 
 
+@group.command("store")
+@needs("evaluation")
+def store(
+    out: Annotated[Path, typer.Option(help="Folder for the table, the services' data and unpacked recordings.")] = Path(
+        "out/store"
+    ),
+) -> None:
+    """What drives take on the disk, each streamed into a service of its own: blobs, database and all, as du has it."""
+    from revisit.cli.stored_drives import stored_drives
+    from revisit.evaluation.benchmark.store import store_table
+
+    out.mkdir(parents=True, exist_ok=True)
+    with progress_bar(quiet=False) as bar:
+        stores = stored_drives(out, reporter(bar))
+    (out / "store.md").write_text(store_table(stores))
+    say(f"{out / 'store.md'}")
+
+
 @group.command("graphs")
 @needs("evaluation")
 def graphs(

@@ -31,6 +31,7 @@ class Operation(_message.Message):
         MEASURE_MAP: _ClassVar[Operation.Kind]
         PUBLISH_MAP: _ClassVar[Operation.Kind]
         RECALL_LOOPS: _ClassVar[Operation.Kind]
+        MAKE_MESH: _ClassVar[Operation.Kind]
     KIND_UNSPECIFIED: Operation.Kind
     DESCRIBE_SUBMAP: Operation.Kind
     SEARCH_CLOUD: Operation.Kind
@@ -42,6 +43,7 @@ class Operation(_message.Message):
     MEASURE_MAP: Operation.Kind
     PUBLISH_MAP: Operation.Kind
     RECALL_LOOPS: Operation.Kind
+    MAKE_MESH: Operation.Kind
     class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STATE_UNSPECIFIED: _ClassVar[Operation.State]

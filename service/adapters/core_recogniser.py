@@ -15,13 +15,14 @@ from revisit.core.implicit_map import NeuralMap
 from revisit.core.kernels.intermediate_code import pack_intermediate_code
 from revisit.core.kernels.plane_votes import plane_scores
 from revisit.core.model_bundle import ModelBundle, load_packaged_models
-from revisit.core.pipeline import DescribedPlace, describe_again, describe_fitted, fit, verify
+from revisit.core.pipeline import describe_again, describe_fitted, fit, verify
 from revisit.core.place import Place
 from revisit.core.sanity.window import window_findings
 from revisit.core.scan import Scan
 from revisit.core.scan_disagreement import ScanDisagreement
 from revisit.core.stages import stage_times
 from revisit.core.submap import Submap
+from revisit.core.surface import extract_surface
 from revisit.core.verification import PairVerdict
 from revisit.service.adapters.rehearsal import accompany, rehearse
 from revisit.service.application.contract.recogniser import Mesh, Redescription, SubmapDescription
@@ -66,17 +67,27 @@ class CoreRecogniser:
             descriptor=described.descriptor.vector,
             place=described.place.to_blob(),
             neural_map=described.neural_map.to_blob(),
-            mesh=_mesh(described),
             flags=described.flags,
             timings_s=timings_s,
         )
 
     def describe_again(self, neural_map: bytes, place: bytes | None, config: PipelineConfig) -> Redescription:
         """See `PlaceRecogniser`."""
-        stored = NeuralMap.from_blob(neural_map, self._models.decoder, config.implicit_map)
-        described = describe_again(stored, self._models, config)
+        described = describe_again(self._neural_map(neural_map, config), self._models, config)
         again = dataclasses.replace(described.place, scan_disagreement=_disagreement_of(place))
         return Redescription(described.descriptor.vector, again.to_blob())
+
+    def mesh(self, neural_map: bytes, config: PipelineConfig) -> Mesh:
+        """See `PlaceRecogniser`."""
+        stored = self._neural_map(neural_map, config)
+        surface = extract_surface(stored, config.surface)
+        normals = stored.frame.normals_to_submap(surface.normals)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        vertices = stored.frame.points_to_submap(surface.vertices)
+        return Mesh(vertices.astype(np.float32), normals.astype(np.float32), surface.faces)
+
+    def _neural_map(self, blob: bytes, config: PipelineConfig) -> NeuralMap:
+        return NeuralMap.from_blob(blob, self._models.decoder, config.implicit_map)
 
     def verify(
         self,
@@ -124,11 +135,3 @@ def _disagreement_of(place: bytes | None) -> ScanDisagreement | None:
         return Place.from_blob(place).scan_disagreement
     except DataLoss:
         return None
-
-
-def _mesh(described: DescribedPlace) -> Mesh:
-    """The surface in the frame of the submap."""
-    normals = described.frame.normals_to_submap(described.surface.normals)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    vertices = described.frame.points_to_submap(described.surface.vertices)
-    return Mesh(vertices.astype(np.float32), normals.astype(np.float32), described.surface.faces)

@@ -52,6 +52,8 @@ from revisit.service.application.query.loop_keypoints import LoopKeypointReading
 from revisit.service.application.query.loops import Loops
 from revisit.service.application.query.operations import Operations
 from revisit.service.application.query.searches import Searches
+from revisit.service.application.query.submap_meshes import SubmapMeshes
+from revisit.service.application.query.worker_answers import WorkerAnswers
 
 
 @dataclass(frozen=True)
@@ -93,14 +95,16 @@ class UseCases:
         jobs, collector = JobPosting(backlog, clock, policy), BlobCollector(storage)
         glance, writes = Glance(storage, admission), ReadYourWrites(storage, admission)
         operations, audit = Operations(storage, lists, admission, clock), AuditLog(storage, clock)
+        answers = WorkerAnswers(storage, admission, jobs, operations)
+        meshes = SubmapMeshes(storage, admission, answers)
         return cls(
             maps=Maps(storage, lists, admission, collector, of.index, streams, clock, policy),
             robots=Robots(storage, lists, admission, clock),
             sessions=Sessions(storage, lists, admission, jobs, collector, streams, clock),
             scans=Scans(storage, admission, decoder, jobs, of.in_flight, streams, clock, policy),
             posting=SubmapPosting(storage, admission, decoder, jobs, clock),
-            submaps=Submaps(storage, lists, admission, collector, clock, policy),
-            searches=Searches(storage, admission, decoder, jobs, of.memory, operations, writes),
+            submaps=Submaps(storage, lists, admission, collector, clock, policy, meshes),
+            searches=Searches(storage, admission, decoder, of.memory, answers, writes),
             loops=Loops(storage, lists, admission, glance, writes),
             loop_keypoints=LoopKeypointReading(storage, admission, policy),
             operations=operations,

@@ -8,15 +8,15 @@ from fastapi import Response
 from starlette.types import Receive, Scope, Send
 
 from revisit.service.application.capacity.byte_budget import ByteBudget
-from revisit.service.application.catalogue.downloads import RENDERING_BYTES, Download
+from revisit.service.application.catalogue.downloads import Download, Room
 from revisit.service.application.contract.identity import TenantId
 
 
 class FileInPieces(Response):
     """A download that counts in the budget until its last piece is handed over, or its connection is lost."""
 
-    def __init__(self, budget: ByteBudget, tenant: TenantId, make: Callable[[], Awaitable[Download]]) -> None:
-        """`make` makes the file; what it raises is the answer."""
+    def __init__(self, budget: ByteBudget, tenant: TenantId, make: Callable[[Room], Awaitable[Download]]) -> None:
+        """`make` makes the file when the budget has room; what it raises is the answer."""
         super().__init__()
         self._budget = budget
         self._tenant = tenant
@@ -25,8 +25,7 @@ class FileInPieces(Response):
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Make the file and send it. Raises WorkersBusy where the budget has no room, and what `make` raises."""
         with self._budget.hold(self._tenant) as held:
-            await held.wait_for(RENDERING_BYTES)
-            file = await self._make()
+            file = await self._make(held.wait_for)
             held.set(len(file.data))
             await send({"type": "http.response.start", "status": 200, "headers": _headers(file)})
             await send_body(send, _in_turn(file.pieces()))

@@ -57,8 +57,14 @@ def test_a_description_is_complete(recogniser, described):
     assert described.descriptor.dtype == np.float32 and described.descriptor.ndim == 1
     assert np.linalg.norm(described.descriptor) == pytest.approx(1.0, abs=1e-5)
     assert described.place and described.neural_map
-    assert len(described.mesh.normals) == len(described.mesh.vertices) > 0
-    assert 0 <= described.mesh.faces.min() <= described.mesh.faces.max() < len(described.mesh.vertices)
+
+
+def test_a_mesh_is_made_of_a_stored_neural_map(recogniser, described):
+    mesh = recogniser.mesh(described.neural_map, CONFIG)
+    assert len(mesh.normals) == len(mesh.vertices) > 0
+    assert 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.vertices)
+    with pytest.raises(DataLoss):
+        recogniser.mesh(described.neural_map[5:], CONFIG)
 
 
 def test_scans_behind_a_jump_are_noticed_and_sound_ones_are_not(recogniser):
@@ -141,7 +147,8 @@ def test_another_place_is_rejected_with_a_reason(recogniser, described):
 
 
 def test_the_mesh_of_the_method_lies_in_the_frame_of_the_submap():
-    mesh = load_recogniser().describe(seen_from(TILTED, 1), CONFIG).mesh
+    own = load_recogniser()
+    mesh = own.mesh(own.describe(seen_from(TILTED, 1), CONFIG).neural_map, CONFIG)
     height = se3.apply(TILTED, mesh.vertices)[:, 2]
     ground = np.abs(height + 1.7) < 0.3
     # Most of the street is ground at -1.7 m of the world. In the levelled frame, taken for the submap's, the sensor's

@@ -13,11 +13,11 @@ from revisit.service.adapters.files.blobs import FileBlobStore
 from revisit.service.application import SubmapKey
 from revisit.service.application.catalogue.blob_references import blobs_of_submap
 from revisit.service.application.catalogue.downloads import DownloadKind
-from revisit.service.application.contract.blobs import CLOUD_BLOB, MESH_BLOB, NEURAL_MAP_BLOB
+from revisit.service.application.contract.blobs import CLOUD_BLOB, NEURAL_MAP_BLOB
 from tests.support.campaigns import Campaign, sizes
 from tests.support.service_world import SESSION, TENANT, World, open_session, sqlite_world, submap
 
-SERVED_AS = {CLOUD_BLOB: DownloadKind.POINTS, MESH_BLOB: DownloadKind.MESH, NEURAL_MAP_BLOB: DownloadKind.NEURAL}
+SERVED_AS = {CLOUD_BLOB: DownloadKind.POINTS, NEURAL_MAP_BLOB: DownloadKind.NEURAL}
 """What a client asks for to be given a stored file; the places are for the workers alone."""
 
 SUBMAPS = ("a", "b", "c")
@@ -65,7 +65,7 @@ def flipped(data: bytes, rng: random.Random) -> bytes:
 def test_a_flipped_bit_is_noticed_and_harms_its_own_submap_only(world, folder, flips):
     rng, blobs = random.Random(28), FileBlobStore(folder / "home/blobs")
     files = stored_files(world, folder / "home")
-    assert len(files) == 4 * len(SUBMAPS)
+    assert len(files) == 3 * len(SUBMAPS)
     campaign = Campaign("P28", flips)
     for number in campaign:
         path, submap_id, kind = files[number % len(files)]

@@ -17,10 +17,10 @@ from revisit.core.implicit_map import blob
 from revisit.core.place import Place
 from revisit.core.scan import validate_cloud
 from revisit.formats import MEDIA_TYPES, CloudLimits, PackedCloud, decode_cloud, decode_content
-from revisit.service.application.catalogue.meshes import unpack_mesh
 from revisit.service.application.catalogue.paging import PageTokens
 from revisit.service.application.contract.identity import DEFAULT_TENANT
 from revisit.service.application.ingest.clouds import unpack_cloud
+from revisit.service.application.mapping.packed_meshes import unpack_mesh
 from revisit.service.rest.bodies import parse_json
 from revisit.service.rest.limits import HttpLimits
 from revisit.service.rest.schemas import CreateMapRequest, SearchRequest

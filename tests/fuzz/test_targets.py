@@ -17,9 +17,9 @@ from revisit.core import place_form
 from revisit.core.errors import DataLoss
 from revisit.core.implicit_map import blob
 from revisit.formats import MEDIA_TYPES, QUANTISED
-from revisit.service.application.catalogue.meshes import pack_mesh
 from revisit.service.application.contract.recogniser import Mesh
 from revisit.service.application.ingest.clouds import StoredCloud, pack_cloud
+from revisit.service.application.mapping.packed_meshes import pack_mesh
 from tests.fuzz.targets import DIGEST_BYTES, FILES, TARGETS, refusing
 from tests.support.campaigns import Campaign
 from tests.support.cloud_files import records, valid_files

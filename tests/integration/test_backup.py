@@ -25,7 +25,7 @@ from revisit.service.adapters.sqlite.examination import examine, scrub
 from revisit.service.application.catalogue.downloads import DownloadKind
 from revisit.service.application.contract.blobs import PLACE_BLOB
 from tests.support.patience import PATIENCE_S
-from tests.support.service_world import TENANT, open_session, sqlite_world, submap
+from tests.support.service_world import TENANT, answered, open_session, sqlite_world, submap
 
 
 @pytest.fixture
@@ -35,7 +35,7 @@ def home(tmp_path):
 
 @pytest.fixture
 async def world(home):
-    """Four described submaps in one session, each with a cloud, place, mesh and neural map."""
+    """Four described submaps in one session, each with a cloud, place and neural map."""
     opened = sqlite_world(home)
     await open_session(opened)
     for number in range(4):
@@ -75,12 +75,12 @@ def healthy(home: Path) -> bool:
 
 async def test_a_restored_backup_is_what_was_backed_up(world, home, archive, tmp_path):
     manifest = restore_backup(archive, tmp_path / "restored", own_key(home))
-    assert (manifest.blobs, manifest.lost) == (16, ())
+    assert (manifest.blobs, manifest.lost) == (12, ())
     assert blobs(tmp_path / "restored") == blobs(home)
     assert names(tmp_path / "restored") == {"s0", "s1", "s2", "s3"}
     assert healthy(tmp_path / "restored")
     restored = sqlite_world(tmp_path / "restored")
-    mesh = await restored.use_cases.submaps.download(TENANT, submap("s1", 1).key, DownloadKind.MESH)
+    mesh = await answered(restored, restored.use_cases.submaps.download(TENANT, submap("s1", 1).key, DownloadKind.MESH))
     assert mesh.data.startswith(b"ply\n")
     assert (await restored.use_cases.posting.post(TENANT, submap("s1", 1))).replay
     restored.context.transactions.close()
@@ -124,9 +124,9 @@ async def test_what_is_deleted_during_a_backup_is_whole_in_it_and_is_swept_later
     assert manifest.lost == ()
     restore_backup(tmp_path / "backup", tmp_path / "restored", own_key(home))
     assert names(tmp_path / "restored") == {"s0", "s1", "s2", "s3"}
-    assert names(home) == {"s1", "s2", "s3"} and len(blobs(home)) == 16, "its blobs wait for the sweep"
+    assert names(home) == {"s1", "s2", "s3"} and len(blobs(home)) == 12, "its blobs wait for the sweep"
     await world.use_cases.submaps.delete(TENANT, submap("s1", 1).key)
-    assert len(blobs(home)) == 12
+    assert len(blobs(home)) == 9
 
 
 def damage_database(archive: Path) -> None:
@@ -199,21 +199,21 @@ async def test_a_backup_says_what_was_lost_before_it_and_can_still_be_restored(w
     victim = sorted(blobs(home))[0]
     flip_a_bit(home / victim)
     manifest = make_backup(home, tmp_path / "backup", "1.0")
-    assert len(manifest.lost) == 1 and manifest.lost[0].endswith(Path(victim).name) and manifest.blobs == 15
+    assert len(manifest.lost) == 1 and manifest.lost[0].endswith(Path(victim).name) and manifest.blobs == 11
     restore_backup(tmp_path / "backup", tmp_path / "restored", own_key(home))
-    assert len(blobs(tmp_path / "restored")) == 15
+    assert len(blobs(tmp_path / "restored")) == 11
     assert not healthy(tmp_path / "restored")
 
 
-@pytest.mark.parametrize("kind", ["cloud", PLACE_BLOB, "mesh", "neural-map"])
+@pytest.mark.parametrize("kind", ["cloud", PLACE_BLOB, "neural-map"])
 async def test_a_flipped_bit_is_found_moved_aside_and_hurts_one_item_only(world, home, kind):
     victim = next(home / name for name in sorted(blobs(home)) if f"/{kind}/" in name)
     flip_a_bit(victim)
     assert not healthy(home) and victim.exists(), "doctor changes nothing"
     found = scrub(home)
-    assert (found.checked, len(found.damaged), found.missing, found.database) == (16, 1, (), "ok")
+    assert (found.checked, len(found.damaged), found.missing, found.database) == (12, 1, (), "ok")
     assert not victim.exists() and len(list((home / "blobs" / ".quarantine").iterdir())) == 1
-    downloads = {"cloud": DownloadKind.POINTS, "mesh": DownloadKind.MESH, "neural-map": DownloadKind.NEURAL}
+    downloads = {"cloud": DownloadKind.POINTS, "neural-map": DownloadKind.NEURAL}
     if kind in downloads:
         lost = 0
         for number in range(4):
@@ -239,7 +239,7 @@ async def test_the_doctor_names_what_is_wrong(world, home):
         return {finding.check: finding for finding in examine(home, full=full)}
 
     assert all(finding.ok for finding in findings(full=True).values())
-    assert "16 of 16 read" in findings(full=True)["blobs"].detail
+    assert "12 of 12 read" in findings(full=True)["blobs"].detail
 
     def become_newer(uow):
         uow.connection.exec_driver_sql("UPDATE alembic_version SET version_num = '9999'")
@@ -248,17 +248,17 @@ async def test_the_doctor_names_what_is_wrong(world, home):
     assert findings()["schema"].ok is False and "newer" in findings()["schema"].detail
     for name in blobs(home):
         (home / name).unlink()
-    assert findings()["blobs"].ok is False and "16 missing or damaged" in findings()["blobs"].detail
+    assert findings()["blobs"].ok is False and "12 missing or damaged" in findings()["blobs"].detail
 
 
 async def test_the_commands_back_up_restore_and_scrub(world, home, tmp_path):
     run = CliRunner()
     made = run.invoke(app, ["backup", str(tmp_path / "b"), "--home", str(home), "--json"])
-    assert made.exit_code == 0 and json.loads(made.stdout)["blobs"] == 16
+    assert made.exit_code == 0 and json.loads(made.stdout)["blobs"] == 12
     restored = run.invoke(
         app, ["restore", str(tmp_path / "b"), "--home", str(tmp_path / "r"), "--key", str(home / KEY_FILE)]
     )
-    assert restored.exit_code == 0 and "16 blobs" in restored.stdout
+    assert restored.exit_code == 0 and "12 blobs" in restored.stdout
     flip_a_bit(tmp_path / "r" / sorted(blobs(tmp_path / "r"))[0])
     scrubbed = run.invoke(app, ["scrub", "--home", str(tmp_path / "r")])
     assert scrubbed.exit_code == 1 and "damaged, moved aside" in scrubbed.output
@@ -280,7 +280,7 @@ async def test_of_two_backups_into_one_folder_at_once_one_is_refused(world, home
     with pytest.raises(FileExistsError, match="another process"):
         make_backup(home, tmp_path / "backup", "1.0")
     go_on.set()
-    assert (await first).blobs == 16
+    assert (await first).blobs == 12
     restore_backup(tmp_path / "backup", tmp_path / "restored", own_key(home))
     assert healthy(tmp_path / "restored")
 
@@ -292,7 +292,7 @@ async def test_what_an_interrupted_backup_left_is_not_in_the_next(world, home, t
     (left / "revisit.db").write_bytes(b"half a database")
     make_backup(home, tmp_path / "backup", "1.0")
     assert not left.exists()
-    assert len(blobs(tmp_path / "backup")) == 16
+    assert len(blobs(tmp_path / "backup")) == 12
 
 
 @pytest.mark.parametrize("umask", [0o000, 0o022])

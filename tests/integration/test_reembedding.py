@@ -87,7 +87,7 @@ async def test_every_submap_gets_the_new_model_and_is_found_by_it(world, drafts)
     assert newer.places_before == [world.context.blobs.get(TENANT, PLACE_BLOB, row.place_sha256) for row in before]
     for old, new in zip(before, rows_of(world), strict=True):
         assert new.descriptor == np.frombuffer(old.descriptor, "<f4")[::-1].tobytes()
-        assert (new.model_version, new.mesh_sha256) == ("fake-2", old.mesh_sha256)
+        assert (new.model_version, new.neural_map_sha256) == ("fake-2", old.neural_map_sha256)
         assert world.context.blobs.get(TENANT, PLACE_BLOB, new.place_sha256) == new.descriptor
         found = memory.recall(map_of(world), np.frombuffer(new.descriptor, "<f4"), 1, anywhere)
         assert found.places[0].submap.submap_id == new.submap_id

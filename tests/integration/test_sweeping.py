@@ -18,7 +18,7 @@ OTHER = TenantId("other")
 
 @pytest.fixture
 async def world(tmp_path):
-    """Two described submaps: 8 blobs."""
+    """Two described submaps: 6 blobs."""
     opened = sqlite_world(tmp_path)
     await open_session(opened)
     for number in range(2):
@@ -42,7 +42,7 @@ async def test_orphans_of_every_tenant_and_kind_go_and_what_is_named_stays(world
     for tenant, kind in ((TENANT, "cloud"), (TENANT, "mesh"), (OTHER, "neural-map"), (OTHER, "query-cloud")):
         world.context.blobs.put(tenant, kind, b"nobody names me")
     age(tmp_path)
-    assert len(kept) == 8
+    assert len(kept) == 6
     assert await sweep(world.context.storage) == 4
     assert files(tmp_path) == kept
     assert await sweep(world.context.storage) == 0
@@ -53,13 +53,13 @@ async def test_the_same_content_of_another_tenant_is_another_blob(world, tmp_pat
     world.context.blobs.put(OTHER, "cloud", named.read_bytes())
     age(tmp_path)
     assert await sweep(world.context.storage) == 1
-    assert named.exists() and len(files(tmp_path)) == 8
+    assert named.exists() and len(files(tmp_path)) == 6
 
 
 async def test_what_is_young_may_still_get_its_row(world, tmp_path):
     world.context.blobs.put(TENANT, "cloud", b"its row comes in a moment")
     assert await sweep(world.context.storage) == 0
-    assert len(files(tmp_path)) == 9
+    assert len(files(tmp_path)) == 7
 
 
 async def test_files_that_a_crash_left_half_written_go(world, tmp_path):
@@ -75,13 +75,13 @@ async def test_a_kind_of_another_version_stays(world, tmp_path):
     world.context.blobs.put(TENANT, "hologram", b"from the future")
     age(tmp_path)
     assert await sweep(world.context.storage) == 0
-    assert len(files(tmp_path)) == 9
+    assert len(files(tmp_path)) == 7
 
 
 async def test_what_was_deleted_during_a_backup_goes_with_the_next_sweep(world, tmp_path):
     with nothing_deleted(tmp_path / "blobs"):
         await world.use_cases.submaps.delete(TENANT, submap("s0", 0).key)
-        assert len(files(tmp_path)) == 8
+        assert len(files(tmp_path)) == 6
     age(tmp_path)
-    assert await sweep(world.context.storage) == 4
+    assert await sweep(world.context.storage) == 3
     assert len(files(tmp_path)) == 4

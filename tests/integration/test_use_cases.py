@@ -35,6 +35,7 @@ from tests.support.patience import PATIENCE_S
 from tests.support.service_world import (
     SESSION,
     TENANT,
+    answered,
     cloud,
     cloud_points,
     described,
@@ -239,15 +240,6 @@ async def test_a_worker_with_another_model_does_not_add_to_a_map(world):
     assert (operation.state, operation.failure.code) == (OperationState.FAILED, "DESCRIPTOR_MODEL_MISMATCH")
 
 
-async def answered(world, call):
-    """What a query by cloud is answered while the jobs are worked off."""
-    task = asyncio.create_task(call)
-    while not task.done():
-        await asyncio.sleep(0.01)
-        await asyncio.to_thread(world.work_off)
-    return await task
-
-
 async def test_a_cloud_is_searched_and_localised_without_being_stored(world):
     await described(world, a=7, b=8)
     found = await answered(world, world.use_cases.searches.by_cloud(TENANT, "town", cloud(7), SearchCriteria(k=1)))
@@ -440,7 +432,7 @@ async def test_downloads_give_back_what_was_sent_and_what_was_made(world):
     with pytest.raises(NotReady):
         await world.use_cases.submaps.download(TENANT, key("a"), DownloadKind.MESH)
     world.work_off()
-    mesh = await world.use_cases.submaps.download(TENANT, key("a"), DownloadKind.MESH)
+    mesh = await answered(world, world.use_cases.submaps.download(TENANT, key("a"), DownloadKind.MESH))
     assert b"element vertex 3" in mesh.data and b"element face 1" in mesh.data
     neural = await world.use_cases.submaps.download(TENANT, key("a"), DownloadKind.NEURAL)
     assert neural.data.startswith(b"neural ")

@@ -100,9 +100,8 @@ class FakeRecogniser:
             raise DegenerateCloud
         counts, _ = np.histogram(submap.levelled().points[:, 2], bins=BINS, range=(-8.0, 8.0))
         descriptor = (counts / np.linalg.norm(counts)).astype(np.float32)
-        mesh = Mesh(submap.points[:3], np.tile(np.float32([0, 0, 1]), (3, 1)), np.array([[0, 1, 2]], dtype=np.int32))
         neural_map = b"neural " + descriptor.tobytes()
-        return SubmapDescription(descriptor, descriptor.tobytes(), neural_map, mesh, (), {"all": 0.0})
+        return SubmapDescription(descriptor, descriptor.tobytes(), neural_map, (), {"all": 0.0})
 
     def let_go(self) -> None:
         """See `PlaceRecogniser`; it keeps nothing."""
@@ -113,6 +112,13 @@ class FakeRecogniser:
             raise DataLoss("not a neural map")
         descriptor = np.frombuffer(neural_map.removeprefix(b"neural "), dtype=np.float32)[::-1].copy()
         return Redescription(descriptor, descriptor.tobytes())
+
+    def mesh(self, neural_map: bytes, config: PipelineConfig) -> Mesh:
+        """One triangle."""
+        if not neural_map.startswith(b"neural "):
+            raise DataLoss("not a neural map")
+        corners, up = np.eye(3, dtype=np.float32), np.tile(np.float32([0, 0, 1]), (3, 1))
+        return Mesh(corners, up, np.array([[0, 1, 2]], dtype=np.int32))
 
     def verify(
         self,

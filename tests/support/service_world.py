@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import threading
+from collections.abc import Awaitable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +35,8 @@ from tests.support.made_database import made_database
 from tests.support.memory.blobs import MemoryBlobStore
 from tests.support.memory.transactions import MemoryTransactions
 from tests.support.memory.vector_index import MemoryVectorIndex
+
+T = TypeVar("T")
 
 TENANT = DEFAULT_TENANT
 SESSION = SessionKey("town", "monday")
@@ -82,6 +86,15 @@ class World:
             worker.run(lease)
             done += 1
         return done
+
+
+async def answered(world: World, question: Awaitable[T], recogniser: PlaceRecogniser | None = None) -> T:
+    """The answer to a question for which workers must do something."""
+    asked = asyncio.ensure_future(question)
+    while not asked.done():
+        await asyncio.to_thread(world.work_off, recogniser)
+        await asyncio.sleep(0.005)
+    return await asked
 
 
 def policy(pipeline: PipelineConfig = PipelineConfig(), **overrides) -> Policy:

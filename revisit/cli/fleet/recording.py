@@ -35,7 +35,7 @@ def recorded(out: Path, seed: int, report: Report) -> list[PlacedSubmap]:
         home.mkdir(parents=True)
         with running_service(home, SETTINGS) as addresses, Client.grpc(addresses.grpc) as client:
             submaps = _streamed(client, fleet_drives(seed), report)
-            _wait_for_descriptions(client, len(submaps), report)
+            wait_for_descriptions(client, len(submaps), report)
         known.write_text(json.dumps([{**vars(one), "T_world_submap": one.T_world_submap.tolist()} for one in submaps]))
     rows = json.loads(known.read_text())
     return [PlacedSubmap(**{**row, "T_world_submap": np.array(row["T_world_submap"])}) for row in rows]
@@ -71,7 +71,7 @@ def _middle(first_seq: int | None, last_seq: int | None) -> int:
     return first_seq - 1 + (last_seq - first_seq + 1) // 2
 
 
-def _wait_for_descriptions(client: Client, submaps: int, report: Report) -> None:
+def wait_for_descriptions(client: Client, submaps: int, report: Report) -> None:
     """Until no job waits or runs. Raises RuntimeError for a failed job, TimeoutError after an hour."""
     deadline = time.monotonic() + _DESCRIBED_WITHIN_S
     while (status := client.status()).queued_jobs + status.running_jobs:

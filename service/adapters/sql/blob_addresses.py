@@ -10,7 +10,6 @@ from revisit.service.adapters.sql.tables import map_files, map_tiles, scans, sub
 from revisit.service.application.contract.blobs import (
     CLOUD_BLOB,
     MAP_LAYOUT_BLOB,
-    MESH_BLOB,
     NEURAL_MAP_BLOB,
     PLACE_BLOB,
     TILE_BLOB,
@@ -21,7 +20,6 @@ REFERENCES: tuple[tuple[str, Column[Any]], ...] = (
     (CLOUD_BLOB, submaps.c.cloud_sha256),
     (PLACE_BLOB, submaps.c.place_sha256),
     (NEURAL_MAP_BLOB, submaps.c.neural_map_sha256),
-    (MESH_BLOB, submaps.c.mesh_sha256),
     (TILE_BLOB, map_tiles.c.tile_sha256),
     (MAP_LAYOUT_BLOB, map_files.c.layout_sha256),
 )

@@ -27,6 +27,8 @@ from sqlalchemy import (
 )
 from sqlalchemy.types import TypeDecorator
 
+from revisit.service.adapters.sql.packed_columns import PackedEvidence, PackedPose
+
 NAMING = {
     "ix": "ix_%(table_name)s_%(column_0_N_name)s",
     "uq": "uq_%(table_name)s_%(column_0_N_name)s",
@@ -81,6 +83,10 @@ def _json(name: str, *, nullable: bool = False) -> Column[Any]:
 
 def _tuple(name: str, *, nullable: bool = False) -> Column[tuple[Any, ...]]:
     return Column(name, JsonTuple(), nullable=nullable)
+
+
+def _pose(name: str, *, nullable: bool = False) -> Column[tuple[float, ...]]:
+    return Column(name, PackedPose(), nullable=nullable)
 
 
 maps = _numbered(
@@ -142,7 +148,7 @@ scans = _numbered(
     _text("session_id"),
     _integer("seq"),
     _integer("stamp_ns"),
-    _tuple("T_odom_sensor"),
+    _pose("T_odom_sensor"),
     _real("travelled_m"),
     _integer("point_count"),
     _text("cloud_sha256"),
@@ -163,7 +169,7 @@ submaps = _numbered(
     _text("state", length=16),
     _integer("ordinal"),
     _integer("session_number"),
-    _tuple("T_odom_submap"),
+    _pose("T_odom_submap"),
     _tuple("position_m"),
     _integer("stamp_ns"),
     _text("cloud_sha256", nullable=True),
@@ -180,7 +186,6 @@ submaps = _numbered(
     Column("signature_sha256", String(64), key="place_sha256", nullable=True),
     _text("neural_map_sha256", nullable=True),
     _integer("neural_map_bytes", nullable=True),
-    _text("mesh_sha256", nullable=True),
     _text("failure_code", nullable=True),
     Column("failure_message", Text, nullable=True),
     ForeignKeyConstraint(
@@ -191,7 +196,6 @@ submaps = _numbered(
     Index(None, "tenant", "cloud_sha256"),
     Index(None, "tenant", "place_sha256"),
     Index(None, "tenant", "neural_map_sha256"),
-    Index(None, "tenant", "mesh_sha256"),
 )
 
 loops = _numbered(
@@ -209,8 +213,8 @@ loops = _numbered(
     _text("reason", nullable=True),
     _real("similarity"),
     _real("score"),
-    _tuple("T_match_query", nullable=True),
-    _json("evidence"),
+    _pose("T_match_query", nullable=True),
+    Column("evidence", PackedEvidence(), nullable=False),
     _integer("created_at_ns"),
     _text("graph_state", length=16, nullable=True),
     Column("manual", Boolean, nullable=False, server_default="0"),
@@ -231,11 +235,11 @@ loop_events = _numbered(
     _text("state", length=16),
     _text("reason", nullable=True),
     _text("graph_state", length=16, nullable=True),
-    _tuple("T_match_query", nullable=True),
+    _pose("T_match_query", nullable=True),
     _text("actor", length=128),
     Column("note", Text, nullable=False),
     _integer("map_version"),
-    _json("details"),
+    Column("details", PackedEvidence(), nullable=False),
     Column("query_number", Integer, nullable=False),
     Column("match_number", Integer, nullable=False),
     _text("query_session_id"),
@@ -269,7 +273,7 @@ session_poses = _numbered(
     _text("session_id"),
     _integer("session_number"),
     _text("frame"),
-    _tuple("T_map_odom"),
+    _pose("T_map_odom"),
     Column("submaps", LargeBinary, nullable=False),
     _text("content_hash"),
     _integer("created_at_ns"),
@@ -289,7 +293,7 @@ early_corrections = _numbered(
     _text("session_id"),
     _integer("version"),
     _integer("loops"),
-    _tuple("T_map_odom"),
+    _pose("T_map_odom"),
     _integer("created_at_ns"),
     ForeignKeyConstraint(
         ["tenant", "map_id", "session_id"], ["sessions.tenant", "sessions.map_id", "sessions.session_id"]

@@ -32,7 +32,6 @@ FIELDS = {
     CLOUD_BLOB: "cloud_sha256",
     PLACE_BLOB: "place_sha256",
     NEURAL_MAP_BLOB: "neural_map_sha256",
-    MESH_BLOB: "mesh_sha256",
 }
 """Where a submap's row names its blob of a kind."""
 
@@ -102,10 +101,10 @@ def collect_blobs(uow: UnitOfWork, blobs: BlobStore, tenant: TenantId, doomed: I
 
 
 def is_referenced(uow: UnitOfWork, tenant: TenantId, kind: str, sha256: str) -> bool:
-    """Whether a row names the blob. No row names the cloud of a query: who asked deletes it with the answer."""
+    """Whether a row names the blob. None names the cloud of a query, or a mesh: who asked deletes it."""
     if kind == CLOUD_BLOB:
         return bool(uow.submaps.count(tenant, cloud_sha256=sha256) or uow.scans.count(tenant, cloud_sha256=sha256))
-    if kind == QUERY_CLOUD_BLOB:
+    if kind in (QUERY_CLOUD_BLOB, MESH_BLOB):
         return False
     if kind == TILE_BLOB:
         return uow.map_tiles.count(tenant, tile_sha256=sha256) > 0

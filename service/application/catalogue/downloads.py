@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -13,9 +13,9 @@ from revisit.core.errors import UnsupportedEncoding
 from revisit.formats import NPY, PCD, PLY, encode_npy, encode_pcd, encode_ply, encode_ply_mesh
 from revisit.formats.glb import MEDIA_TYPE as GLB
 from revisit.formats.glb import encode_scene
-from revisit.service.application.catalogue.meshes import unpack_mesh
-from revisit.service.application.contract.blobs import CLOUD_BLOB, MESH_BLOB, NEURAL_MAP_BLOB, BlobStore
+from revisit.service.application.contract.blobs import CLOUD_BLOB, NEURAL_MAP_BLOB, BlobStore
 from revisit.service.application.contract.errors import NotFound, NotReady
+from revisit.service.application.contract.recogniser import Mesh
 from revisit.service.application.contract.records import SubmapRecord
 from revisit.service.application.ingest.clouds import StoredCloud, unpack_cloud
 from revisit.service.application.ingest.submap_source import SubmapSource, load_submap
@@ -50,6 +50,9 @@ MEDIA_TYPES = {
 RENDERING_BYTES = 48 * 2**20
 """What a file is counted as in the budget until it is made and its size is known, as that of 2,000,000 points."""
 
+Room = Callable[[int], Awaitable[None]]
+"""Waits until the budget has room for so many bytes of a file. Raises WorkersBusy."""
+
 PIECE_BYTES = 2**18
 """A file is sent in pieces: the next is handed over once the client has taken most of the one before."""
 
@@ -68,36 +71,52 @@ class Download:
             yield self.data[start : start + PIECE_BYTES]
 
 
-def render_download(
-    blobs: BlobStore, record: SubmapRecord, source: SubmapSource, kind: DownloadKind, file_format: str | None
-) -> Download:
-    """The file. Raises UnsupportedEncoding, NotReady, NotFound, DataLoss."""
+async def any_room(count: int) -> None:
+    """The `Room` of a caller that is no client of the gateway."""
+
+
+def extension_of(kind: DownloadKind, file_format: str | None) -> str:
+    """The format asked for, or that of the kind. Raises UnsupportedEncoding."""
     extension = file_format or FORMATS[kind][0]
     if extension not in FORMATS[kind]:
         raise UnsupportedEncoding(f"{kind.value} can be had as {' or '.join(FORMATS[kind])}", field="format")
-    data = _rendered(blobs, record, source, kind, extension)
+    return extension
+
+
+def named(data: bytes, record: SubmapRecord, kind: DownloadKind, extension: str) -> Download:
+    """A file of a submap with its media type and name."""
     return Download(data, MEDIA_TYPES[extension], f"{record.session_id}-{record.submap_id}-{kind.value}.{extension}")
 
 
-def _rendered(
-    blobs: BlobStore, record: SubmapRecord, source: SubmapSource, kind: DownloadKind, extension: str
-) -> bytes:
-    if kind is DownloadKind.POINTS:
-        return _points_file(_points(blobs, record, source), extension)
+def require_neural_map(record: SubmapRecord) -> str:
+    """The hash of a submap's neural map. Raises NotReady before it is described, NotFound where it has none."""
     if record.descriptor is None:
         raise NotReady
-    if kind is DownloadKind.DESCRIPTOR:
-        buffer = io.BytesIO()
-        np.save(buffer, np.frombuffer(record.descriptor, dtype="<f4"), allow_pickle=False)
-        return buffer.getvalue()
-    if kind is DownloadKind.MESH:
-        mesh = unpack_mesh(blobs.get(record.tenant, MESH_BLOB, str(record.mesh_sha256)))
-        if extension == "glb":
-            return encode_scene(mesh.vertices, mesh.faces)
-        return encode_ply_mesh(mesh.vertices, mesh.normals, mesh.faces)
     if record.neural_map_sha256 is None:
         raise NotFound("this submap was described without a neural map")
-    return blobs.get(record.tenant, NEURAL_MAP_BLOB, record.neural_map_sha256)
+    return record.neural_map_sha256
+
+
+def mesh_file(mesh: Mesh, extension: str) -> bytes:
+    """A mesh as PLY, or as GLB with meshopt."""
+    if extension == "glb":
+        return encode_scene(mesh.vertices, mesh.faces)
+    return encode_ply_mesh(mesh.vertices, mesh.normals, mesh.faces)
+
+
+def stored_file(
+    blobs: BlobStore, record: SubmapRecord, source: SubmapSource, kind: DownloadKind, extension: str
+) -> bytes:
+    """The file of anything but a mesh. Raises NotReady, NotFound, DataLoss."""
+    if kind is DownloadKind.POINTS:
+        return _points_file(_points(blobs, record, source), extension)
+    if kind is DownloadKind.NEURAL:
+        return blobs.get(record.tenant, NEURAL_MAP_BLOB, require_neural_map(record))
+    if record.descriptor is None:
+        raise NotReady
+    buffer = io.BytesIO()
+    np.save(buffer, np.frombuffer(record.descriptor, dtype="<f4"), allow_pickle=False)
+    return buffer.getvalue()
 
 
 def _points(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) -> StoredCloud:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Protocol
 
 import numpy as np
 
@@ -13,7 +14,17 @@ from revisit.service.application.access.audit import AuditEntry
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.catalogue.blob_references import Blob, BlobCollector
 from revisit.service.application.catalogue.deletion import delete_submap
-from revisit.service.application.catalogue.downloads import Download, DownloadKind, render_download
+from revisit.service.application.catalogue.downloads import (
+    RENDERING_BYTES,
+    Download,
+    DownloadKind,
+    Room,
+    any_room,
+    extension_of,
+    named,
+    require_neural_map,
+    stored_file,
+)
 from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.identity import SessionKey, SubmapKey, TenantId
@@ -27,6 +38,14 @@ from revisit.service.application.ingest.submap_source import SubmapSource, subma
 from revisit.service.failpoints import failpoint
 
 
+class Meshes(Protocol):
+    """Meshes of submaps, made when they are asked for."""
+
+    async def file(self, tenant: TenantId, key: SubmapKey, extension: str, room: Room) -> bytes:
+        """The mesh of a submap as a file, once `room` has room for it. Raises NoAnswer, and what its maker met."""
+        ...
+
+
 class Submaps:
     """Get, list, delete and download submaps."""
 
@@ -38,6 +57,7 @@ class Submaps:
         collector: BlobCollector,
         clock: Clock,
         policy: Policy,
+        meshes: Meshes,
     ) -> None:
         """`collector` deletes the blobs of what was deleted."""
         self._storage = storage
@@ -46,6 +66,7 @@ class Submaps:
         self._collector = collector
         self._clock = clock
         self._policy = policy
+        self._meshes = meshes
         self._rendering = asyncio.Lock()
 
     async def get(self, tenant: TenantId, key: SubmapKey, *, full: bool = False) -> SubmapView:
@@ -69,16 +90,29 @@ class Submaps:
         await self._collector.collect(tenant, doomed)
 
     async def download(
-        self, tenant: TenantId, key: SubmapKey, kind: DownloadKind, file_format: str | None = None
+        self,
+        tenant: TenantId,
+        key: SubmapKey,
+        kind: DownloadKind,
+        file_format: str | None = None,
+        room: Room = any_room,
     ) -> Download:
-        """The submap as a file. Formats: mesh ply; points pcd, ply or npy; neural and descriptor have one of their own.
+        """The submap as a file. Formats: mesh ply or glb; points pcd, ply or npy; neural and descriptor have their own.
 
-        Raises NotFound; NotReady where it is not described yet; UnsupportedEncoding for another format; DataLoss.
+        Points are put together when `room` has room for them; a mesh is made by a worker, which is waited for. Raises
+        NotFound; NotReady where it is not described yet; UnsupportedEncoding for another format; DataLoss; for a mesh
+        also NoAnswer, WorkersBusy, RateLimited, StorageFull.
         """
         record, source = await self._storage.read(partial(self._with_source, tenant=tenant, key=key))
+        extension = extension_of(kind, file_format)
+        if kind is DownloadKind.MESH:
+            require_neural_map(record)
+            return named(await self._meshes.file(tenant, key, extension, room), record, kind, extension)
+        await room(RENDERING_BYTES)
         # One at a time: to make the largest takes several times its size for a moment.
         async with self._rendering:
-            return await asyncio.to_thread(render_download, self._storage.blobs, record, source, kind, file_format)
+            data = await asyncio.to_thread(stored_file, self._storage.blobs, record, source, kind, extension)
+        return named(data, record, kind, extension)
 
     def _with_source(self, uow: UnitOfWork, tenant: TenantId, key: SubmapKey) -> tuple[SubmapRecord, SubmapSource]:
         record = require_submap(uow, tenant, key)

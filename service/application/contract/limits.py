@@ -98,7 +98,7 @@ MAP_POINTS = Range(1, 2000)
 QUERY_TILES = 16
 """Tiles that one question may reach."""
 TILE_WAIT_S = 60.0
-"""How long an answer waits for the worker that makes its tiles, seconds."""
+"""How long an answer waits for the worker that makes its tiles or its mesh, seconds."""
 MAP_FILES = 50
 """Of a map: the oldest that is not ENABLED is deleted when one more is published."""
 

@@ -48,6 +48,12 @@ TELLING = RejectionReason.AMBIGUOUS, RejectionReason.LOW_SCORE
 SETTABLE = ("min_score", "min_overlap", "max_seen_through")
 """The thresholds that an operator may set (see `contract.loop_policy`): written beside each verdict."""
 
+BRIEF = (
+    "inliers", "overlap", "contrast", "seen_through", "rmse_m", "common_share", "enough_share", "covariance",
+)  # fmt: skip
+"""The measurement of a rejected pair that people and clients are told. Its pose, score and similarity are members of
+the loop itself; the covariance counts where a person accepts it all the same."""
+
 VERSION_DIGITS = 12
 
 _RULES = ("thresholds", "thresholds_version")
@@ -118,6 +124,15 @@ def loop_state(claim: LoopClaim) -> LoopState:
 def evidence_of(claim: LoopClaim, rules: VerificationConfig) -> Evidence:
     """The evidence of a claim whose pair was verified by `rules`."""
     return {**verdict_evidence(claim.verdict, rules), **_judgement(claim)}
+
+
+def kept_evidence(claim: LoopClaim, rules: VerificationConfig) -> Evidence:
+    """As `evidence_of`; in brief where a pair was rejected for a reason that no rule reads (docs/decisions/0314)."""
+    evidence = evidence_of(claim, rules)
+    if claim.accepted or claim.reason in TELLING:
+        return evidence
+    measured = evidence["measurement"]
+    return {**evidence, "measurement": {name: measured[name] for name in BRIEF if name in measured}}
 
 
 def revised_evidence(stored: Evidence, claim: LoopClaim, rules: VerificationConfig) -> Evidence:

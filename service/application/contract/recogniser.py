@@ -32,7 +32,6 @@ class SubmapDescription:
     descriptor: NDArray[np.float32]
     place: bytes
     neural_map: bytes | None
-    mesh: Mesh
     flags: tuple[str, ...]
     timings_s: dict[str, float]
 
@@ -74,6 +73,10 @@ class PlaceRecogniser(PlaceKeeper, Protocol):
 
         What only the scans tell is taken over from the `place` that was made of them, where it is there and readable.
         """
+        ...
+
+    def mesh(self, neural_map: bytes, config: PipelineConfig) -> Mesh:
+        """The surface of a submap from its stored neural map. Raises DataLoss, DescriptorModelMismatch."""
         ...
 
     def verify(

@@ -126,7 +126,6 @@ class SubmapRecord:
     place_sha256: str | None = None
     neural_map_sha256: str | None = None
     neural_map_bytes: int | None = None
-    mesh_sha256: str | None = None
     failure_code: str | None = None
     failure_message: str | None = None
     number: int = 0

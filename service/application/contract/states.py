@@ -77,6 +77,7 @@ class OperationKind(StrEnum):
     MEASURE_MAP = "MEASURE_MAP"
     PUBLISH_MAP = "PUBLISH_MAP"
     RECALL_LOOPS = "RECALL_LOOPS"
+    MAKE_MESH = "MAKE_MESH"
 
 
 class MapFileState(StrEnum):

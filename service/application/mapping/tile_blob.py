@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from revisit.core.container import Container
 from revisit.core.errors import DataLoss
-from revisit.service.application.catalogue.meshes import pack_mesh, unpack_mesh
 from revisit.service.application.contract.map_tiles import FusedTile
 from revisit.service.application.contract.recogniser import Mesh
+from revisit.service.application.mapping.packed_meshes import pack_mesh, unpack_mesh
 
 # What it holds is compressed already.
 _CONTAINER = Container(b"RVMT\x01", "stored tile", level=1, max_body_bytes=2**29)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from revisit.core.errors import BadField
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.capacity.backlog import JobPosting, same_job
-from revisit.service.application.catalogue.downloads import Download, DownloadKind
+from revisit.service.application.catalogue.downloads import RENDERING_BYTES, Download, DownloadKind, Room, any_room
 from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.blobs import TILE_BLOB
@@ -114,14 +114,22 @@ class MapTiles:
         await self._made(tenant, key)
 
     async def download(
-        self, tenant: TenantId, key: TileKey, kind: DownloadKind, file_format: str | None = None
+        self,
+        tenant: TenantId,
+        key: TileKey,
+        kind: DownloadKind,
+        file_format: str | None = None,
+        room: Room = any_room,
     ) -> Download:
         """The surface of a tile as a file, in the frame of the map: mesh ply or glb; points pcd, ply or npy; neural.
+
+        It is read and rendered when `room` has room.
 
         Raises NotFound, NoAnswer where no worker made it in time, UnsupportedEncoding, DataLoss, and what the method
         raised.
         """
         sha256 = await self._made(tenant, key)
+        await room(RENDERING_BYTES)
         blob = await asyncio.to_thread(self._storage.blobs.get, tenant, TILE_BLOB, sha256)
         async with self._rendering:
             return await asyncio.to_thread(render_tile, blob, key, kind, file_format)

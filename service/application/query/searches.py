@@ -16,16 +16,13 @@ from revisit.core.errors import BadField, DescriptorModelMismatch
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4, pose_row
 from revisit.service.application.capacity.admission import Admission
-from revisit.service.application.capacity.backlog import JobPosting
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.blobs import QUERY_CLOUD_BLOB
-from revisit.service.application.contract.errors import NoAnswer, NotReady, error_of
+from revisit.service.application.contract.errors import NotReady
 from revisit.service.application.contract.identity import SubmapKey, TenantId
-from revisit.service.application.contract.records import JobRecord
-from revisit.service.application.contract.states import OperationKind, OperationState
+from revisit.service.application.contract.states import OperationKind
 from revisit.service.application.contract.storage import Storage, require_map, require_submap
 from revisit.service.application.contract.transactions import UnitOfWork
-from revisit.service.application.contract.views import OperationView
 from revisit.service.application.ingest.clouds import (
     QUERY_NONCE_BYTES,
     CloudDecoder,
@@ -35,7 +32,6 @@ from revisit.service.application.ingest.clouds import (
     reading_points,
 )
 from revisit.service.application.query.freshness import Freshness, ReadYourWrites
-from revisit.service.application.query.operations import Operations
 from revisit.service.application.query.place_memory import PlaceMemory, Question, vector_filter
 from revisit.service.application.query.search_answers import (
     Localization,
@@ -47,6 +43,7 @@ from revisit.service.application.query.search_answers import (
     search_result_from_json,
     validated_criteria,
 )
+from revisit.service.application.query.worker_answers import WorkerAnswers
 
 
 @dataclass(frozen=True)
@@ -76,18 +73,16 @@ class Searches:
         storage: Storage,
         admission: Admission,
         decoder: CloudDecoder,
-        jobs: JobPosting,
         memory: PlaceMemory,
-        operations: Operations,
+        answers: WorkerAnswers,
         writes: ReadYourWrites,
     ) -> None:
-        """Clouds are described by jobs posted through `jobs`; `operations` waits for their answers."""
+        """Clouds are described by workers, which `answers` asks."""
         self._storage = storage
         self._admission = admission
         self._decoder = decoder
-        self._jobs = jobs
         self._memory = memory
-        self._operations = operations
+        self._answers = answers
         self._writes = writes
 
     async def by_submap(
@@ -173,29 +168,12 @@ class Searches:
             packed, points = await self._decoder.run(tenant, _accept, cloud)
             decoded(points)
             sha256 = await self._storage.put_blob(tenant, QUERY_CLOUD_BLOB, packed)
-        posted: list[JobRecord] = []
-        operation: OperationView | None = None
         try:
-            subject, content = f"maps/{payload['map_id']}", {**payload, "cloud_sha256": sha256}
-            post = partial(self._jobs.post, tenant=tenant, kind=kind, subject=subject, payload=content)
-            # Noted by the writer: a caller that leaves meanwhile does not undo the job.
-            job = await self._storage.write(lambda uow: _noted(post(uow), posted))
-            operation = await self._operations.wait(tenant, job.operation_id, timeout_s)
+            content = {**payload, "cloud_sha256": sha256}
+            return await self._answers.answer(tenant, kind, f"maps/{payload['map_id']}", content, timeout_s)
         finally:
-            left = operation is None or not operation.done
-            await asyncio.shield(self._let_go(tenant, posted if left else None, sha256))
-        if operation.failure is not None:
-            raise error_of(operation.failure.code, operation.failure.message)
-        if operation.result is None:
-            self._admission.require_running()
-            raise NoAnswer(f"no worker answered within {timeout_s:g} s, and the query was dropped")
-        return operation.result
-
-    async def _let_go(self, tenant: TenantId, left: list[JobRecord] | None, sha256: str) -> None:
-        """Delete the cloud of a query; before it the job that nobody waits for any more, if one is `left`."""
-        if left is not None:
-            await self._storage.write(partial(_drop, left=left))
-        await asyncio.to_thread(self._storage.blobs.delete, tenant, QUERY_CLOUD_BLOB, sha256)
+            gone = asyncio.to_thread(self._storage.blobs.delete, tenant, QUERY_CLOUD_BLOB, sha256)
+            await asyncio.shield(gone)
 
 
 def _require_searchable(uow: UnitOfWork, tenant: TenantId, payload: dict[str, Any]) -> None:
@@ -208,22 +186,6 @@ def _payload(map_id: str, criteria: SearchCriteria, T_level_query: Matrix4 | Non
     """What a worker needs to know of a query by cloud. Raises BadTransform."""
     level = {} if T_level_query is None else {"T_level_query": pose_row(se3.validated(T_level_query))}
     return {"map_id": map_id, "criteria": criteria_to_json(criteria), **level}
-
-
-def _noted(job: JobRecord, posted: list[JobRecord]) -> JobRecord:
-    posted.append(job)
-    return job
-
-
-def _drop(uow: UnitOfWork, left: list[JobRecord]) -> None:
-    """Forget a query's job unless it has ended: a worker that runs it finds its lease gone, and its result is refused.
-
-    Runs behind the write that posted it, so `left` holds the job, also where its caller left before that write.
-    """
-    for job in left:
-        now = uow.jobs.get(job.tenant, job.operation_id)
-        if now is not None and now.state in (OperationState.QUEUED.value, OperationState.RUNNING.value):
-            uow.jobs.delete(job.tenant, operation_id=job.operation_id)
 
 
 def _asked_by(uow: UnitOfWork, tenant: TenantId, key: SubmapKey, criteria: SearchCriteria) -> Question:

@@ -15,7 +15,7 @@ from revisit.service.application.contract.blobs import BlobStore
 from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.index import IndexChange, VectorFilter
 from revisit.service.application.contract.job_queue import Lease
-from revisit.service.application.contract.loop_claims import evidence_of, loop_state, revised_evidence, rules_of
+from revisit.service.application.contract.loop_claims import kept_evidence, loop_state, revised_evidence, rules_of
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.recogniser import SubmapDescription
 from revisit.service.application.contract.records import LoopRecord, MapRecord, SubmapRecord
@@ -176,7 +176,7 @@ class DescriptionCommit:
             similarity=item.place.similarity,
             score=claim.score,
             T_match_query=None if claim.T_match_query is None else pose_row(claim.T_match_query),
-            evidence={**evidence_of(claim, self._rules), "model_version": self.described.row.model_version},
+            evidence={**kept_evidence(claim, self._rules), "model_version": self.described.row.model_version},
             created_at_ns=self.now_ns,
         )
 

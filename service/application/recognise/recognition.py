@@ -35,14 +35,8 @@ from revisit.core.upright import levelling
 from revisit.core.verification import PairVerdict, RejectedLoop, RejectionReason, VerifiedLoop
 from revisit.service.application.catalogue.deletion import SUBMAP_DELETED
 from revisit.service.application.catalogue.maps import model_for_map
-from revisit.service.application.catalogue.meshes import pack_mesh
-from revisit.service.application.contract.blobs import (
-    MESH_BLOB,
-    NEURAL_MAP_BLOB,
-    PLACE_BLOB,
-    QUERY_CLOUD_BLOB,
-    BlobStore,
-)
+from revisit.service.application.catalogue.mesh_making import MeshMaking
+from revisit.service.application.contract.blobs import NEURAL_MAP_BLOB, PLACE_BLOB, QUERY_CLOUD_BLOB, BlobStore
 from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.errors import NoAnswer, StaleLease, StorageFull, Unavailable
 from revisit.service.application.contract.identity import SubmapKey
@@ -137,6 +131,7 @@ class Recognition:
         self._policy = policy
         self._recogniser = recogniser
         self._maps = maps
+        self._meshes = MeshMaking(transactions, blobs, clock, policy, recogniser)
 
     def run(self, lease: Lease) -> None:
         """Run a job and commit its end, good or bad. Raises only what storage raises while the end is committed."""
@@ -151,6 +146,7 @@ class Recognition:
             OperationKind.MEASURE_MAP: self._maps.tiles.measure,
             OperationKind.PUBLISH_MAP: self._maps.filing.run,
             OperationKind.RECALL_LOOPS: self._recall_loops,
+            OperationKind.MAKE_MESH: self._meshes.run,
         }
         try:
             failpoint("job.after_claim")
@@ -229,7 +225,7 @@ class Recognition:
     def _store(self, task: DescriptionTask, description: SubmapDescription) -> StoredDescription:
         """Make the blobs of a description durable before any row names them."""
         submap = task.submap
-        blobs = [(PLACE_BLOB, description.place), (MESH_BLOB, pack_mesh(description.mesh))]
+        blobs = [(PLACE_BLOB, description.place)]
         if description.neural_map is not None:
             blobs.append((NEURAL_MAP_BLOB, description.neural_map))
         failpoint("job.after_description")
@@ -242,7 +238,6 @@ class Recognition:
             model_version=model_for_map(task.map, self._recogniser.model_version),
             descriptor=np.asarray(description.descriptor, dtype="<f4").tobytes(),
             place_sha256=sha256[PLACE_BLOB],
-            mesh_sha256=sha256[MESH_BLOB],
             neural_map_sha256=sha256.get(NEURAL_MAP_BLOB),
             neural_map_bytes=None if description.neural_map is None else len(description.neural_map),
         )

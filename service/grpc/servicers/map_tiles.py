@@ -6,7 +6,6 @@ from collections.abc import AsyncIterator
 from typing import Any
 
 from revisit.service.application import UseCases
-from revisit.service.application.catalogue.downloads import RENDERING_BYTES
 from revisit.service.grpc.tenancy import tenant_of
 from revisit.service.wire import map_parts, names, requests
 from revisit.service.wire.rendering import page_message
@@ -35,8 +34,7 @@ class MapTileServicer(map_tile_pb2_grpc.MapTileServiceServicer):
         key, what = map_parts.tile_key(request.name), map_parts.tile_download(request)
         await self._tiles.make(tenant_of(context), key)
         with self._budget.hold(tenant_of(context)) as held:
-            await held.wait_for(RENDERING_BYTES)
-            file = await self._tiles.download(tenant_of(context), key, *what)
+            file = await self._tiles.download(tenant_of(context), key, *what, room=held.wait_for)
             held.set(len(file.data))
             yield pb.DownloadMapTileResponse(media_type=file.media_type, filename=file.filename)
             for piece in file.pieces():

@@ -6,7 +6,6 @@ from collections.abc import AsyncIterator
 from typing import Any
 
 from revisit.service.application import UseCases
-from revisit.service.application.catalogue.downloads import RENDERING_BYTES
 from revisit.service.grpc.tenancy import tenant_of
 from revisit.service.wire import answers, names, requests
 from revisit.service.wire.rendering import page_message
@@ -51,8 +50,7 @@ class SubmapServicer(submap_pb2_grpc.SubmapServiceServicer):
         """A file in chunks; the first one says what it is."""
         key, what = names.submap_key(request.name), requests.download(request)
         with self._budget.hold(tenant_of(context)) as held:
-            await held.wait_for(RENDERING_BYTES)
-            file = await self._submaps.download(tenant_of(context), key, *what)
+            file = await self._submaps.download(tenant_of(context), key, *what, room=held.wait_for)
             held.set(len(file.data))
             yield pb.DownloadSubmapResponse(media_type=file.media_type, filename=file.filename)
             for piece in file.pieces():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query, Response
@@ -92,7 +93,8 @@ async def download_submap(
 ) -> Response:
     """Download a submap as a file."""
     kind, points_format = file_format.what()
-    return FileInPieces(cases.budget, tenant, lambda: cases.submaps.download(tenant, key, kind, points_format))
+    make = partial(cases.submaps.download, tenant, key, kind, points_format)
+    return FileInPieces(cases.budget, tenant, make)
 
 
 @router.get("/{submap_id}", **answers(Submap), dependencies=[allows(Scope.INGEST, Scope.QUERY)])

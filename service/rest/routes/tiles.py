@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -78,7 +79,7 @@ async def download_map_tile(
     """Download the surface of a tile as a file; a worker makes it when it is asked for first."""
     key, what = TileKey.of(map_id, names.version_number(version_id), tile_id), file_format.what()
     await cases.map_tiles.make(tenant, key)
-    return FileInPieces(cases.budget, tenant, lambda: cases.map_tiles.download(tenant, key, *what))
+    return FileInPieces(cases.budget, tenant, partial(cases.map_tiles.download, tenant, key, *what))
 
 
 @router.post(

@@ -1,4 +1,4 @@
-"""Meshes: kept packed beside each submap, so that a download needs neither a worker nor the neural map's decoder."""
+"""Meshes and points of tiles as they are stored: on a grid of a millimetre, as differences, compressed."""
 
 from __future__ import annotations
 

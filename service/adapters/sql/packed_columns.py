@@ -1,0 +1,154 @@
+"""Columns of which a database has very many, packed: poses, and the evidence of rejected pairs (docs/decisions/0314).
+
+What an earlier version wrote is JSON, and is read as it is.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from sqlalchemy import Dialect, LargeBinary
+from sqlalchemy.types import TypeDecorator
+
+Pose = tuple[float, ...]
+
+_RIGID = b"\x01"
+_ROWS = struct.Struct("<c12d")
+_LAST_ROW = (0.0, 0.0, 0.0, 1.0)
+
+
+class PackedPose(TypeDecorator[Pose]):
+    """A rigid transform, 16 numbers row by row, as the 96 bytes of its first three rows: every bit is kept."""
+
+    impl = LargeBinary
+    cache_ok = True
+
+    def process_bind_param(self, value: Pose | None, dialect: Dialect) -> bytes | None:
+        """The three rows; JSON where the last one is not that of a rigid transform."""
+        if value is None:
+            return None
+        rigid = tuple(value[12:]) == _LAST_ROW
+        return _ROWS.pack(_RIGID, *value[:12]) if rigid else json.dumps(list(value)).encode()
+
+    def process_result_value(self, value: bytes | None, dialect: Dialect) -> Pose | None:
+        """The 16 numbers."""
+        if value is None:
+            return None
+        if value[:1] != _RIGID:
+            return tuple(json.loads(value))
+        return (*_ROWS.unpack(value)[1:], *_LAST_ROW)
+
+
+class PackedEvidence(TypeDecorator[dict[str, Any]]):
+    """JSON, in less than 100 bytes where it is no more than the evidence kept of a rejected pair, or the rules that
+    gave a verdict.
+    """
+
+    impl = LargeBinary
+    cache_ok = True
+
+    def process_bind_param(self, value: dict[str, Any] | None, dialect: Dialect) -> bytes | None:
+        """The evidence in few bytes, or as JSON."""
+        if value is None:
+            return None
+        return packed_brief(value) or json.dumps(value, separators=(",", ":")).encode()
+
+    def process_result_value(self, value: bytes | None, dialect: Dialect) -> dict[str, Any] | None:
+        """The evidence."""
+        if value is None:
+            return None
+        return unpacked_brief(value) if value[:1] in (_OF_PAIR, _OF_RULES) else dict(json.loads(value))
+
+
+_OF_PAIR, _OF_RULES = b"\x01", b"\x02"
+_SHARES = ("overlap", "contrast", "seen_through", "rmse_m", "common_share", "enough_share")
+_STEP = 1e-4
+_UNKNOWN = -(2**15)
+_THRESHOLDS = ("min_score", "min_overlap", "max_seen_through")
+_RULES = {"thresholds", "thresholds_version", "model_version"}
+_VERSION_BYTES = 6
+_LOWER = np.tril_indices(6)
+_MEASURED = struct.Struct(f"<{1 + len(_SHARES)}h6b21e")
+_CHOSEN = struct.Struct(f"<{len(_THRESHOLDS)}h{_VERSION_BYTES}s")
+
+
+def packed_brief(evidence: dict[str, Any]) -> bytes | None:
+    """Brief evidence as bytes: shares and metres to 0.0001, the covariance to a thousandth, the rules as they are.
+
+    None for any other members, or where the bytes would lose more.
+    """
+    try:
+        if evidence.keys() == _RULES:
+            return _OF_RULES + _packed_rules(evidence)
+        if evidence.keys() == _RULES | {"measurement"}:
+            return _OF_PAIR + _packed_measurement(evidence["measurement"]) + _packed_rules(evidence)
+    except (ValueError, TypeError, OverflowError, struct.error, np.linalg.LinAlgError):
+        pass  # a number beyond what the bytes hold
+    return None
+
+
+def unpacked_brief(data: bytes) -> dict[str, Any]:
+    """The evidence of `packed_brief`."""
+    form, rest = data[:1], data[1:]
+    if form == _OF_RULES:
+        return _rules(rest)
+    return {"measurement": _measurement(rest[: _MEASURED.size]), **_rules(rest[_MEASURED.size :])}
+
+
+def _packed_measurement(measured: dict[str, Any]) -> bytes:
+    """Raises ValueError for other members."""
+    if measured.keys() != {"inliers", "covariance", *_SHARES}:
+        raise ValueError("other members")
+    shares = (measured[name] for name in _SHARES)
+    steps = [_UNKNOWN if share is None else round(share / _STEP) for share in shares]
+    return _MEASURED.pack(measured["inliers"], *steps, *_packed_covariance(measured["covariance"]))
+
+
+def _measurement(data: bytes) -> dict[str, Any]:
+    inliers, *numbers = _MEASURED.unpack(data)
+    steps, factor = numbers[: len(_SHARES)], numbers[len(_SHARES) :]
+    shares = (None if step == _UNKNOWN else round(step * _STEP, 4) for step in steps)
+    return {"inliers": inliers, **dict(zip(_SHARES, shares, strict=True)), "covariance": _covariance(factor)}
+
+
+def _packed_rules(evidence: dict[str, Any]) -> bytes:
+    """Raises ValueError where a threshold has more digits."""
+    told, version = evidence["thresholds"], bytes.fromhex(evidence["thresholds_version"])
+    steps = [round(told[name] / _STEP) for name in _THRESHOLDS if name in told]
+    data = _CHOSEN.pack(*steps, version) + evidence["model_version"].encode()
+    if len(version) != _VERSION_BYTES or _rules(data) != {name: evidence[name] for name in _RULES}:
+        raise ValueError("other thresholds")
+    return data
+
+
+def _rules(data: bytes) -> dict[str, Any]:
+    *steps, version = _CHOSEN.unpack_from(data)
+    thresholds = (round(step * _STEP, 4) for step in steps)
+    return {
+        "thresholds": dict(zip(_THRESHOLDS, thresholds, strict=True)),
+        "thresholds_version": version.hex(),
+        "model_version": data[_CHOSEN.size :].decode(),
+    }
+
+
+def _packed_covariance(covariance: list[list[float]]) -> list[float]:
+    """The factor L of L L^T = covariance: an exponent of each of its 6 rows, and 21 numbers at most 1.
+
+    Whatever rounding does to a factor, the product is the covariance of something.
+    """
+    factor = np.linalg.cholesky(np.array(covariance, dtype=np.float64))
+    exponents = np.frexp(np.abs(factor).max(axis=1))[1]
+    return [*exponents.tolist(), *np.ldexp(factor, -exponents[:, None])[_LOWER].tolist()]
+
+
+def _covariance(packed: Sequence[float]) -> list[list[float]]:
+    factor: NDArray[np.float64] = np.zeros((6, 6))
+    factor[_LOWER] = packed[6:]
+    factor = np.ldexp(factor, np.array(packed[:6], dtype=np.int64)[:, None])
+    covariance: list[list[float]] = (factor @ factor.T).tolist()
+    return covariance
