@@ -126,9 +126,13 @@ def _serve(settings: Settings) -> int:
             "Listen on 127.0.0.1, or set REVISIT_INSECURE_BIND=1 if you mean it."
         )
     from revisit.service.adapters.files.home_lock import HomeTaken, sole_gateway
-    from revisit.service.gateway import serve
+    from revisit.service.compiled_kernels import choose_cache
 
     try:
+        # Before numba is imported: the gateway has kernels, too.
+        choose_cache(settings.home)
+        from revisit.service.gateway import serve
+
         with sole_gateway(settings.home):
             return serve(settings)
     except HomeTaken as error:

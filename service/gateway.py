@@ -25,6 +25,7 @@ from revisit.service.large_blocks import return_large_blocks
 from revisit.service.metrics import LoadMetrics, MetricsServer, RequestMetrics, StoreMetrics
 from revisit.service.open_files import allow_open_files
 from revisit.service.settings import Settings
+from revisit.service.supervised import READY, STOPPING, tell_supervisor
 from revisit.service.tls import grpc_credentials, http_context
 from revisit.service.worker.ends import STORAGE_FAILED
 from revisit.service.worker.metrics import WorkerMetrics
@@ -87,6 +88,7 @@ class _Gateway:
         gc.freeze()
         self._watch_load(installation)
         self._announce(http_port, grpc_port)
+        tell_supervisor(READY)
         await self._warn_of_access(use_cases)
         stopped = asyncio.create_task(stop.wait(), name="stop")
         await asyncio.wait([stopped, serving], return_when=asyncio.FIRST_COMPLETED)
@@ -143,6 +145,7 @@ class _Gateway:
     ) -> None:
         """Refuse new work, let what is under way end, within `drain_s` altogether."""
         log.info("draining")
+        tell_supervisor(STOPPING)
         use_cases.system.drain()
         http.should_exit = True
         await asyncio.gather(rpc.stop(grace=self._settings.drain_s), serving, supervisor.stop(self._settings.drain_s))

@@ -43,7 +43,7 @@ export class KeypointView {
   sentence() {
     const { query, match, pairs, agreeing } = this.shown;
     const counted = `${plural(query.keypoints.length, "keypoint")} and ${match.keypoints.length}, ${plural(pairs.length, "pair")} alike`;
-    return agreeing ? `${counted}, of which the pose joins ${agreeing}` : `${counted}, none of which a pose joins`;
+    return agreeing ? `${counted}, of which the final pose joins ${agreeing}` : `${counted}, none of which the final pose joins`;
   }
 
   /** `share` 0 shows the query as its robot saw it, 1 turned as the loop closure has it. */

@@ -19,6 +19,7 @@ const RELISTED_FROM = 20;
 const model = {
   map: null,
   maps: [],
+  missing: "",
   sessions: new Map(),
   submaps: new Map(),
   loops: new Map(),
@@ -42,14 +43,20 @@ const pair = new PairView({ onStep: stepPair, onClose: () => select(model.select
 async function openMap(name) {
   // The first map counts from the request of the page.
   const began_ms = model.map ? performance.now() : 0;
-  watch?.stop();
-  Object.assign(model, { map: name, rejectedRead: false, selected: null, listed: LISTED_AT_ONCE });
-  for (const held of [model.sessions, model.submaps, model.loops, model.operations, model.hidden]) held.clear();
+  forgetMap();
+  model.map = name;
   watch = new Watch(name, { onEvent: take, onState: tellConnection, onForgotten: readMap });
   await watch.opened;
   await readMap();
+  if (name !== model.map) return;
   render(true);
   document.body.dataset.drawnMs = String(Math.round(performance.now() - began_ms));
+}
+
+function forgetMap() {
+  watch?.stop();
+  Object.assign(model, { map: null, missing: "", rejectedRead: false, selected: null, listed: LISTED_AT_ONCE });
+  for (const held of [model.sessions, model.submaps, model.loops, model.operations, model.hidden]) held.clear();
 }
 
 /** Everything of the map but its rejected candidates, which are many and seldom wanted. */
@@ -206,7 +213,9 @@ function driftInWords(drawn) {
 }
 
 function tellEmpty(submaps) {
-  if (!model.maps.length) {
+  if (model.missing) {
+    showEmpty(`There is no map ${lastOf(model.missing)}`, "The address of this page names it. It was deleted, or its name is spelt otherwise: the list above has every map there is.");
+  } else if (!model.maps.length) {
     showEmpty("Nothing here yet", "Stream a recording, or let the demonstration drive two simulated robots through a town.", "revisit ingest DIR --map town      a recording\nrevisit demo                       a simulated drive");
   } else if (!submaps) {
     showEmpty("This map has no submaps yet", "A submap appears once a robot has travelled far enough (10 m by default), or when one is posted. This page shows it at once.", `revisit ingest DIR --map ${lastOf(model.map)}`);
@@ -295,9 +304,9 @@ function showMore() {
 function loopRow(loop) {
   const state = stateOf(loop);
   const within = sessionOf(loop.query) === sessionOf(loop.match);
-  const pairText = within
-    ? [element("em", {}, lastOf(sessionOf(loop.query))), ` ${lastOf(loop.query)} \u2192 ${lastOf(loop.match)}`]
-    : [element("em", {}, lastOf(sessionOf(loop.query))), ` ${lastOf(loop.query)} \u2192 `, element("em", {}, lastOf(sessionOf(loop.match))), ` ${lastOf(loop.match)}`];
+  const nameOf = (submap) => [element("em", {}, lastOf(sessionOf(submap))), ` ${lastOf(submap)}`];
+  // Each end is kept on one line: where both do not fit, the second one begins a line.
+  const pairText = [element("span", { class: "end" }, ...nameOf(loop.query)), " ", element("span", { class: "end" }, "\u2192 ", ...(within ? [lastOf(loop.match)] : nameOf(loop.match)))];
   return element(
     "li",
     { "data-name": loop.name, class: loop.name === model.selected?.loop ? "chosen" : null },
@@ -426,6 +435,18 @@ function setStates(state) {
   render();
 }
 
+function setSearch(text) {
+  byId("search").value = model.search = text;
+  model.listed = LISTED_AT_ONCE;
+  renderSoon();
+}
+
+/** Close what was chosen; where nothing is, end the search. */
+function stepBack() {
+  if (model.selected) select(null);
+  else setSearch("");
+}
+
 function setSurface(surface) {
   press(byId("surface"), "surface", surface);
   view?.showSurface(surface);
@@ -483,7 +504,7 @@ listen(
     [["3"], "rejected loop closures", () => setStates("rejected")],
     [["d"], "light or dark", switchTheme, true],
     [["?"], "this list", () => byId("help").showModal()],
-    [["Escape"], "close, or choose nothing", () => select(null)],
+    [["Escape"], "close, choose nothing, end the search", stepBack],
   ],
   () => pair.isOpen || byId("help").open,
 );
@@ -516,12 +537,26 @@ async function refreshStatus() {
   else if (!maps.length) tellEmpty(0);
 }
 
+/** The map that the address names: `/#maps/town`, `/#town` or `/?map=town`. */
+function mapOfAddress() {
+  const name = decoded(location.hash.slice(1)) || new URLSearchParams(location.search).get("map") || "";
+  return !name || name.startsWith("maps/") ? name : `maps/${name}`;
+}
+
+function decoded(text) {
+  try {
+    return decodeURIComponent(text);
+  } catch {
+    return text;
+  }
+}
+
+/** Show the map that the address names; where it names none, the one that is shown, or the newest. */
 async function chooseMap() {
   const select = byId("map");
-  // A link may name the map (`/#maps/town`, `/?map=town`); else the newest one is shown.
-  const asked = new URLSearchParams(location.search).get("map");
-  const wished = [decodeURIComponent(location.hash.slice(1)), model.map, asked, `maps/${asked}`, model.maps.at(-1)?.name];
-  const chosen = wished.find((name) => model.maps.some((map) => map.name === name));
+  const known = (name) => model.maps.some((map) => map.name === name);
+  const asked = mapOfAddress();
+  const chosen = asked || (known(model.map) ? model.map : model.maps.at(-1)?.name);
   select.replaceChildren(
     ...model.maps.map((map) => {
       const option = element("option", { value: map.name }, map.display_name ? `${map.display_name} (${lastOf(map.name)})` : lastOf(map.name));
@@ -529,9 +564,19 @@ async function chooseMap() {
     }),
   );
   select.disabled = !model.maps.length;
-  if (!chosen) return render();
-  select.value = chosen;
+  select.value = chosen ?? "";
+  if (!chosen || !known(chosen)) {
+    forgetMap();
+    model.missing = model.maps.length ? asked : "";
+    return render(true);
+  }
   if (chosen !== model.map) await openMap(chosen);
+}
+
+/** The address was changed by hand, by a link, or back in the history. */
+async function followAddress() {
+  model.maps = await readAll("/v1/maps", "maps");
+  await chooseMap();
 }
 
 function tellError(error) {
@@ -580,11 +625,9 @@ function connect() {
     const button = target.closest("button");
     if (button) setStates(button.dataset.state);
   });
-  byId("search").addEventListener("input", ({ target }) => {
-    model.search = target.value;
-    model.listed = LISTED_AT_ONCE;
-    renderSoon();
-  });
+  byId("search").addEventListener("input", ({ target }) => setSearch(target.value));
+  byId("search").addEventListener("keydown", ({ key }) => key === "Escape" && setSearch(""));
+  window.addEventListener("hashchange", () => followAddress().catch(tellError));
   byId("surface").addEventListener("click", ({ target }) => target.dataset.surface && setSurface(target.dataset.surface));
   byId("camera").addEventListener("click", ({ target }) => target.dataset.view && setView(target.dataset.view));
   byId("frames").addEventListener("click", ({ target }) => target.dataset.frames && setFrames(target.dataset.frames));
@@ -597,12 +640,17 @@ function connect() {
 function connectStage() {
   const canvas = byId("view");
   let pressed = null;
+  let still = false;
   canvas.addEventListener("pointerdown", (event) => (pressed = [event.clientX, event.clientY]));
   canvas.addEventListener("pointermove", (event) => tellPointed(event));
   canvas.addEventListener("pointerleave", () => (byId("tip").hidden = true));
   canvas.addEventListener("pointerup", (event) => {
-    const still = pressed && Math.hypot(event.clientX - pressed[0], event.clientY - pressed[1]) < 4;
-    if (!still) return view.surface !== "none" && view.showSurface(view.surface);
+    still = pressed !== null && Math.hypot(event.clientX - pressed[0], event.clientY - pressed[1]) < 4;
+    if (!still && view.surface !== "none") view.showSurface(view.surface);
+  });
+  // Not earlier: the click that ends a touch would go to the card that appears under the finger.
+  canvas.addEventListener("click", (event) => {
+    if (!still) return;
     const found = view.nearest(event.offsetX, event.offsetY);
     if (found?.loop) openPair(found.loop.name);
     else select(found ? { submap: found.submap.name } : null);
@@ -638,4 +686,4 @@ connect();
 run();
 
 /** For tests: where a submap is drawn, and what is drawn. */
-globalThis.revisitPage = { model, whereIs: (name) => view?.whereIs(name), view: () => view, openPair, pair };
+globalThis.revisitPage = { model, whereIs: (name) => view?.whereIs(name), view: () => view, openPair, select, pair };

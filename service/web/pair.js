@@ -12,6 +12,8 @@ import { pointsMaterial, surfaceMaterial } from "/scene.js";
 import { apart, measures, rivalsOf, sentences, stateOf, verdictOf } from "/words.js";
 
 const SLIDE_MS = 900;
+/** The same in page.css: there the overlaid pane lies below the two others, not beside them. */
+const NARROW = window.matchMedia("(max-width: 36rem)");
 
 /** The dialog of a loop closure. `steps` leads to the previous and the next one, `actions` are the buttons it offers. */
 export class PairView {
@@ -205,14 +207,13 @@ export class PairView {
     this.renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, 2));
     this.renderer.setSize(width, height, false);
     this.renderer.setScissorTest(true);
-    const left = Math.round(0.36 * width);
-    const half = Math.round(height / 2);
-    this.pane(0, half, left - 1, height - half, this.T_after ?? new THREE.Matrix4(), true, false);
-    this.pane(0, 0, left - 1, half - 1, null, false, true);
-    this.pane(left, 0, width - left, height, this.poseAt(this.share), true, true);
+    const [query, match, both] = panes(width, height);
+    this.pane(query, this.T_after ?? new THREE.Matrix4(), true, false);
+    this.pane(match, null, false, true);
+    this.pane(both, this.poseAt(this.share), true, true);
   }
 
-  pane(x, y, width, height, T_match_query, query, match) {
+  pane([x, y, width, height], T_match_query, query, match) {
     this.query.visible = query;
     this.match.visible = match;
     if (T_match_query) this.query.matrix.copy(T_match_query);
@@ -238,7 +239,7 @@ export class PairView {
     const verdict = byId("pair-verdict");
     verdict.className = `verdict ${state}`;
     verdict.replaceChildren(element("i", { class: `sign ${state}` }), verdictOf(loop), element("span", { class: "soft" }, position));
-    byId("pair-title").textContent = `${shortName(loop.query)} \u2192 ${shortName(loop.match)}`;
+    byId("pair-title").replaceChildren(element("span", { class: "end" }, shortName(loop.query)), " ", element("span", { class: "end" }, `\u2192 ${shortName(loop.match)}`));
     byId("query-name").textContent = shortName(loop.query);
     byId("match-name").textContent = shortName(loop.match);
     byId("evidence").replaceChildren(...this.evidence(loop));
@@ -279,6 +280,17 @@ export class PairView {
     }
     return list;
   }
+}
+
+/** Where the query, the match and both overlaid are drawn: [x, y, width, height] each, from the lower left. */
+function panes(width, height) {
+  if (NARROW.matches) {
+    const [half, below] = [Math.round(width / 2), Math.round(0.64 * height)];
+    const above = height - below - 1;
+    return [[0, below + 1, half - 1, above], [half, below + 1, width - half, above], [0, 0, width, below]];
+  }
+  const [left, half] = [Math.round(0.36 * width), Math.round(height / 2)];
+  return [[0, half, left - 1, height - half], [0, 0, left - 1, half - 1], [left, 0, width - left, height]];
 }
 
 function bar([name, value, threshold, more, help]) {

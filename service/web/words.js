@@ -55,7 +55,7 @@ export function sentences(loop) {
         : `${percent(measured.seen_through)} of what stands in one place was looked through by the other.`,
     );
   }
-  if (measured.inliers) said.push(`${measured.inliers} keypoints agree with one motion.`);
+  if (measured.inliers) said.push(`${measured.inliers} keypoints agree on a first guess of the pose.`);
   const pose = precision(measured.covariance);
   if (pose && loop.state === "ACCEPTED") said.push(`The pose is known to about ${pose}.`);
   if (loop.graph_state === "SET_ASIDE") said.push("It does not fit the other loop closures of the map, so the map does not rest on it.");

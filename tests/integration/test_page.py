@@ -14,26 +14,22 @@ import numpy as np
 import pytest
 
 from revisit import Client
-from revisit.core.config import PipelineConfig, VerificationConfig
 from revisit.formats.glb import encode_scene
 from revisit.service.application.access.callers import Scope
 from tests.support.browser import Page, browser
 from tests.support.credentials import a_key
 from tests.support.fleet_in_service import fleet_in
 from tests.support.live_service import live_service
+from tests.support.page_town import EACH_BY_ITSELF, fill
 from tests.support.patience import eventually, in_time
 from tests.support.places import places_of
 from tests.support.records import a_loop, a_map, a_session, a_submap
 from tests.support.service_world import cloud_points, memory_world, pose, sqlite_world
 
 REFERENCE = Path(__file__).with_name("page.png")
-PLACES = {"monday": (1, 30, 60, 90, 1), "tuesday": (30, 1, 60)}
 MANY = 1000
 READ, READ_WRITE = frozenset({Scope.QUERY}), frozenset({Scope.QUERY, Scope.INGEST})
 SECONDS_FOR_MANY = 3.0
-
-EACH_BY_ITSELF = PipelineConfig(verification=VerificationConfig(support_reach=0.01, rival_distance=50.0))
-"""The fake puts every pair 1 m apart, whatever odometry says of it: no loop is held against those beside it."""
 
 
 @pytest.fixture(scope="module")
@@ -56,17 +52,6 @@ def page(chromium, service):
     shown.drawn()
     yield shown
     shown.tab.close()
-
-
-def fill(client, town="town"):
-    client.create_map(town, display_name="The town")
-    for number, (name, places) in enumerate(PLACES.items()):
-        session = client.create_session(f"maps/{town}", name)
-        for index, place in enumerate(places):
-            T_odom_submap = pose(12.0 * index)
-            T_odom_submap[1, 3] = 8.0 * np.sin(index) + 3.0 * number
-            submap_id = f"{name[0]}{index}"
-            client.wait(client.post_submap(session, submap_id, cloud_points(place), T_odom_submap, 1_000 + index))
 
 
 def loops_of(service, town="maps/town"):
@@ -153,6 +138,54 @@ def test_loop_closures_are_filtered_by_state_and_searched(page, service):
     assert page.tab.locator("#loops").inner_text() == "Nothing matches the search"
 
 
+def test_escape_empties_the_search_and_shows_every_loop_closure_again(page):
+    page.tab.keyboard.press("/")
+    page.tab.keyboard.type("t1 m4")
+    page.until("listed-loops", 1)
+    page.tab.keyboard.press("Escape")
+    page.until("listed-loops", 5)
+    assert page.tab.locator("#search").input_value() == ""
+    page.tab.keyboard.press("/")
+    page.tab.keyboard.type("t1 m4")
+    page.until("listed-loops", 1)
+    page.tab.locator("#view").focus()
+    page.tab.keyboard.press("Escape")
+    page.until("listed-loops", 5)
+
+
+def test_a_map_that_the_address_names_later_is_shown(chromium, service):
+    with Client(service.http) as client:
+        client.create_map("village")
+        shown = Page(chromium, service.http, "/#maps/town")
+        shown.until("drawn-submaps", 8)
+        shown.tab.evaluate("location.hash = 'village'")
+        shown.tab.get_by_text("This map has no submaps yet").wait_for()
+        assert shown.tab.locator("#map").input_value() == "maps/village"
+        client.create_map("hamlet")
+        shown.tab.evaluate("location.hash = 'maps/hamlet'")
+        shown.tab.get_by_text("revisit ingest DIR --map hamlet").wait_for()
+        shown.tab.go_back()
+        shown.tab.go_back()
+        shown.until("drawn-submaps", 8)
+        assert shown.complaints == []
+        shown.tab.close()
+
+
+@pytest.mark.parametrize("address", ["/#maps/twon", "/?map=twon", "/#twon"])
+def test_a_map_that_does_not_exist_is_said_not_to_and_no_other_is_shown(chromium, service, address):
+    shown = Page(chromium, service.http, address)
+    shown.tab.get_by_text("There is no map twon").wait_for()
+    assert shown.data("submaps") in (None, "0")
+    assert shown.tab.locator("#map").input_value() == ""
+    shown.tab.locator("#map").select_option("maps/town")
+    shown.until("drawn-submaps", 8)
+    shown.tab.evaluate("location.hash = 'maps/%'")
+    shown.tab.get_by_text("There is no map %").wait_for()
+    assert (shown.data("submaps"), shown.data("drawn-loops")) == ("0", "0")
+    assert shown.complaints == []
+    shown.tab.close()
+
+
 def test_a_loop_closure_is_opened_with_its_evidence_and_stepped_through_by_keys(page):
     page.tab.locator("#loops button").first.click()
     dialog = page.tab.locator("#pair")
@@ -178,7 +211,7 @@ def test_the_keypoints_that_were_compared_are_drawn_from_above(page, service):
     places_of(service, loop, count=12, elsewhere=3)
     page.tab.locator("#loops button").first.click()
     page.tab.keyboard.press("v")
-    page.tab.get_by_text("12 keypoints and 12, 12 pairs alike, of which the pose joins 9").wait_for()
+    page.tab.get_by_text("12 keypoints and 12, 12 pairs alike, of which the final pose joins 9").wait_for()
     assert page.tab.locator("#pair-keypoints").is_visible()
     pixels = "canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data.buffer"
     colours = f"(canvas => new Set(new Uint32Array({pixels})).size)(document.getElementById('pair-keypoints'))"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -12,19 +13,20 @@ import pytest
 from revisit.service import compiled_kernels
 from revisit.service.__main__ import main
 from revisit.service.compiled_kernels import choose_cache
+from tests.support.processes import ServiceProcess
 
 ROOT = Path(__file__).resolve().parents[2]
 KERNELS = ROOT / "core" / "kernels"
 READ_ONLY = 'mount --bind "$0" "$0" && mount -o remount,ro,bind "$0" && exec "$@"'
+NAMESPACE = ("unshare", "--mount", "--map-root-user", "sh", "-c", READ_ONLY, str(KERNELS))
 
 
 def in_read_only_install(*command: str, home: Path) -> subprocess.CompletedProcess[str]:
     """Run where the kernels' folder cannot be written to, and there is no home directory."""
-    namespace = ["unshare", "--mount", "--map-root-user", "sh", "-c", READ_ONLY, str(KERNELS)]
     kept = {name: value for name, value in os.environ.items() if name not in ("HOME", "NUMBA_CACHE_DIR")}
     environment = {**kept, "HOME": "/proc/none", "REVISIT_HOME": str(home), "PYTHONPATH": str(ROOT)}
     return subprocess.run(
-        [*namespace, *command], env=environment, capture_output=True, text=True, check=False, timeout=240
+        [*NAMESPACE, *command], env=environment, capture_output=True, text=True, check=False, timeout=240
     )
 
 
@@ -49,6 +51,19 @@ def test_kernels_compile_in_an_installation_that_is_read_only_and_without_a_home
     chosen = in_read_only_install(sys.executable, "-c", f"{CHOOSES}; {CHOSEN}; {COMPILES}", home=tmp_path)
     assert chosen.returncode == 0, chosen.stderr
     assert chosen.stdout.strip() == str(tmp_path / "compiled-kernels")
+
+
+class ReadOnlyService(ServiceProcess):
+    """A gateway with an installation that it may not write to, and without a home directory."""
+
+    launcher = ("env", "-u", "NUMBA_CACHE_DIR", "HOME=/proc/none", *NAMESPACE)
+
+
+@needs_mount
+def test_a_gateway_starts_in_an_installation_that_is_read_only_and_without_a_home_directory(tmp_path):
+    with closing(ReadOnlyService(tmp_path, workers=0)) as service:
+        assert (tmp_path / "compiled-kernels").is_dir()
+        assert service.terminate()[0] == 0
 
 
 def test_a_worker_chooses_a_folder_in_its_home_where_the_code_is_read_only(tmp_path, monkeypatch):

@@ -30,8 +30,7 @@ class Page:
 
     def __init__(self, opened, address: str, path: str = "/", **options) -> None:
         # Only so can a test look into the page: the service's Content-Security-Policy forbids it, which another checks.
-        bypass = options.pop("bypass_csp", True)
-        self.tab = opened.new_page(viewport=SIZE, bypass_csp=bypass, reduced_motion="reduce", **options)
+        self.tab = opened.new_page(**{"viewport": SIZE, "bypass_csp": True, "reduced_motion": "reduce", **options})
         self.complaints: list[str] = []
         self.asked: list[str] = []
         self.tab.on("console", lambda said: self.complaints.append(said.text) if said.type == "error" else None)

@@ -59,10 +59,23 @@ def test_a_target_has_a_health_check_and_a_command_that_gets_its_signals(target)
     assert command[0] == "python" or (command[:2] == ["sh", "-c"] and command[2].startswith("exec "))
 
 
-def test_every_base_image_has_a_full_version():
-    bases = [image for image, _ in STAGES.values() if image not in STAGES]
-    assert bases
-    assert all(re.fullmatch(r"python:3\.\d+\.\d+-slim-bookworm", image) for image in bases)
+def test_all_stages_begin_with_one_base_of_a_full_version_for_which_a_build_may_name_a_digest():
+    arguments = dict(rest.split("=", 1) for word, rest in instructions(DOCKERFILE) if word == "ARG")
+    assert re.fullmatch(r"python:3\.\d+\.\d+-slim-bookworm", arguments["BASE"])
+    assert {image for image, _ in STAGES.values() if image not in STAGES} == {"${BASE}"}
+    # Only what stands before the first stage can be named in FROM.
+    assert instructions(DOCKERFILE)[0][0] == "ARG"
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_compiled_kernels_are_kept_on_the_volume(target):
+    steps = own_and_inherited(target)
+    (folder,) = [
+        re.search(r"NUMBA_CACHE_DIR=(\S+)", rest)[1] for word, rest in steps if word == "ENV" and "NUMBA" in rest
+    ]
+    (volume,) = [rest for word, rest in steps if word == "VOLUME"]
+    assert Path(volume) in Path(folder).parents
+    assert f"volumes: [data:{volume}]" in compose_service(target)
 
 
 def test_nothing_is_added_from_elsewhere():
