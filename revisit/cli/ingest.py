@@ -168,7 +168,7 @@ def _transfer(recording: Recording, target: Target, extent: Extent, as_json: boo
     with Client.grpc(target.grpc) as client:
         session, sent = _sent(client, _open_session(client, target), recording, extent, as_json)
         submaps = _described(client, session, as_json) if extent.wait else client.list_submaps(session)
-        found = client.loop_closures(f"maps/{target.map_id}", state="ACCEPTED", session=session)
+        found = client.loop_closures(f"maps/{target.map_id}", session=session)
         session = client.get_session(session.name)
     states = [submap.state for submap in submaps]
     done = Ingested(

@@ -357,22 +357,27 @@ class Client:
         map_: str | Map,
         *,
         state: str | None = None,
+        graph_state: str | None = None,
         session: str | Session | None = None,
         reason: str | None = None,
         **freshness: Any,
     ) -> list[LoopClosure]:
-        """The loop closures of a map, oldest first; `state` ACCEPTED, REJECTED or ALL.
+        """The loop closures of a map to rely on, oldest first: accepted, and not set aside by the map.
 
-        `session` (a session, its name or id) keeps those whose query submap is of it; NotFound where there is none.
-        `reason` keeps those that were rejected for it, e.g. AMBIGUOUS.
-
-        `freshness`: min_seq with min_seq_timeout_s, as in `search`.
+        Any of three filters asks for others in their place: `state` ACCEPTED, REJECTED, PROPOSED or ALL, `graph_state`
+        IN_MAP, SET_ASIDE or UNCONNECTED (the map's verdict on an accepted loop), and the `reason` of a rejection, e.g.
+        AMBIGUOUS. `session` (a session, its name or id) keeps the loops of its query submaps; NotFound where there is
+        none. `freshness`: min_seq with min_seq_timeout_s, as in `search`.
         """
+        asked = {"state": None if state == "ALL" else state, "graph_state": graph_state, "reason": reason}
+        reliable = state is None and not any(asked.values())
+        if reliable:
+            asked["state"] = "ACCEPTED"
         of_session = None if session is None else _session_name(map_, session)
-        state = None if state == "ALL" else state
-        fields = {"parent": _name(map_), "state": state, "session": of_session, "reason": reason, **freshness}
+        fields = {"parent": _name(map_), "session": of_session, **asked, **freshness}
         request = request_of(loop_closure_pb2.ListLoopClosuresRequest, fields)
-        return [LoopClosure.of(item) for item in self._transport.list("loopClosures", request)]
+        found = (LoopClosure.of(item) for item in self._transport.list("loopClosures", request))
+        return [loop for loop in found if not (reliable and loop.graph_state == "SET_ASIDE")]
 
     def get_loop_closure(self, name: str) -> LoopClosure:
         """Get `maps/{map}/loopClosures/{loop_closure}` with its evidence."""
