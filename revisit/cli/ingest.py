@@ -109,7 +109,7 @@ class Extent:
         return self.count(recording) == len(recording) if self.finish is None else self.finish
 
 
-@needs("evaluation")
+@needs("service")
 def ingest(
     folder: Annotated[Path, typer.Argument(exists=True, help="The recording.")],
     map_id: MapName = "default",

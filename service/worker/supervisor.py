@@ -95,10 +95,8 @@ class WorkerSupervisor:
     async def _run_once(self) -> WorkerEnd:
         """Run one worker process to its end, and let go of what it held; how it ended."""
         worker_id, killed_before = f"worker-{secrets.token_hex(4)}", out_of_memory_kills()
-        arguments = ("worker", "--id", worker_id, "--parent", str(os.getpid()))
-        process = await asyncio.create_subprocess_exec(
-            *own_python.command("-m", "revisit.service", *arguments), env=_environment(), stdin=asyncio.subprocess.DEVNULL
-        )
+        command = own_python.command("-m", "revisit.service", "worker", "--id", worker_id, "--parent", str(os.getpid()))
+        process = await asyncio.create_subprocess_exec(*command, env=_environment(), stdin=asyncio.subprocess.DEVNULL)
         self._processes.add(process)
         log.info("worker_started", worker=worker_id, pid=process.pid)
         if self._stopping:

@@ -1,4 +1,4 @@
-"""A robot's own folder may hold packages with the names of ours and of our libraries: the service takes none of them."""
+"""A robot's own folder may hold packages named as ours or our libraries: the service takes none of them."""
 
 from __future__ import annotations
 

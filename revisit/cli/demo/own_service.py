@@ -32,7 +32,8 @@ def running_service(home: Path, settings: Mapping[str, str] | None = None) -> It
     from revisit.service import own_python
 
     environment = {
-        **own_python.environment(), "REVISIT_HOME": str(home / "data"), "REVISIT_HTTP_PORT": "0", "REVISIT_GRPC_PORT": "0",
+        **own_python.environment(),
+        "REVISIT_HOME": str(home / "data"), "REVISIT_HTTP_PORT": "0", "REVISIT_GRPC_PORT": "0",
         "REVISIT_HOST": "127.0.0.1", "REVISIT_WORKERS": str(os.cpu_count() or 1), "REVISIT_LOG_LEVEL": "INFO",
         **(settings or {}),
     }  # fmt: skip
