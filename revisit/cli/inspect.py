@@ -12,7 +12,7 @@ import typer
 
 from revisit.cli.extras import needs
 from revisit.cli.options import HTTP, Http, Json
-from revisit.cli.output import emit_json, emit_table, refuse, say
+from revisit.cli.output import emit_json, emit_table, refuse, say, signs
 from revisit.cli.recordings import Format, Mounting, Odometry, Topic, opened
 
 if TYPE_CHECKING:
@@ -104,6 +104,7 @@ def warn(recording: Recording) -> None:
     """Say on stderr what is suspicious about a recording."""
     from revisit.evaluation.inspection import inspect_recording
 
+    signs.doing(f"looking at scans of {recording.name}")
     for finding in inspect_recording(recording).findings:
         told = f"{finding.measured}. Likely cause: {finding.cause}. {finding.advice[:1].upper()}{finding.advice[1:]}."
         typer.echo(f"{recording.name}: warning: {finding.code}: {told}", err=True)

@@ -53,7 +53,7 @@ from revisit.sdk.resources import (
 from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.spool import DEFAULT_MAX_BYTES, Spool
 from revisit.sdk.spooled_stream import RECONNECT, SpooledStream
-from revisit.sdk.transport import Refusal, ScanSink, Transport
+from revisit.sdk.transport import Forgetful, OnDelay, Refusal, ScanSink, Transport
 from revisit.sdk.watching import Watch
 from revisit.v1 import (
     event_pb2,
@@ -241,6 +241,7 @@ class Client:
         max_bytes: int = DEFAULT_MAX_BYTES,
         full_wait_s: float = 0.0,
         prepare: Callable[[], None] | None = None,
+        on_delay: OnDelay | None = None,
     ) -> Iterator[SpooledStream]:
         """A stream by way of the file `spool` on this machine's disk; needs no connection to be opened.
 
@@ -248,10 +249,11 @@ class Client:
         `SpoolFull`. On leaving, what was not acknowledged stays in the file, for the next stream on it.
 
         `prepare` is called in the sending thread before the first connection, again after a retryable error: a robot
-        that starts without a link creates its session there.
+        that starts without a link creates its session there. `on_delay`: see `stream`.
         """
         name = name_of(session, names.SESSION)
         opened = Spool(Path(spool), name, max_bytes)
+        opened.on_delay = on_delay
         stream = SpooledStream(self._transport, name, opened, full_wait_s, RECONNECT, prepare)
         try:
             yield stream
@@ -259,12 +261,13 @@ class Client:
             stream.close()
 
     @contextmanager
-    def stream(self, session: str | Session) -> Iterator[ScanStream]:
+    def stream(self, session: str | Session, *, on_delay: OnDelay | None = None) -> Iterator[ScanStream]:
         """A stream of scans; on leaving, every scan was answered. Resumes by itself after a disconnect.
 
-        It keeps what is not acknowledged in memory; `spooled_stream` keeps it on disk.
+        It keeps what is not acknowledged in memory; `spooled_stream` keeps it on disk. Over gRPC it waits where the
+        service takes no scan now (a full quota, busy workers): `on_delay` is then called with reason and message.
         """
-        stream = ScanStream(self._transport.open_stream(name_of(session, names.SESSION)))
+        stream = ScanStream(self._transport.open_stream(name_of(session, names.SESSION), Forgetful(on_delay)))
         try:
             yield stream
             stream.flush()
