@@ -8,9 +8,7 @@ import multiprocessing
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-from pydantic import ValidationError
+from typing import TYPE_CHECKING
 
 from revisit.service import ONE_THREAD
 from revisit.service.worker.optional_libraries import leave_out_optional_libraries
@@ -43,14 +41,14 @@ def main(arguments: list[str] | None = None) -> int:
         print(_unit(), end="")
         return 0
     from revisit.service.failpoints import arm
-    from revisit.service.settings import Settings
+    from revisit.service.settings_here import UnusableSettings, settings_here
     from revisit.service.telemetry import configure_logging
 
     try:
-        settings = Settings()
+        settings = settings_here()
         configure_logging(settings.log_level, hash_tenants=settings.hash_tenants_in_logs)
-    except ValidationError as error:
-        return _refuse("\n".join(_named(finding) for finding in error.errors()))
+    except UnusableSettings as error:
+        return _refuse(str(error))
     except ValueError as error:
         return _refuse(f"REVISIT_LOG_LEVEL: {error}")
     try:
@@ -163,12 +161,6 @@ def _has_live_key(settings: Settings) -> bool:
     migrate(settings.database)
     with offline_use_cases(settings) as use_cases:
         return asyncio.run(use_cases.keys.any_live())
-
-
-def _named(finding: Any) -> str:
-    """What is wrong with a setting, by its variable; a rule about several of them names them itself."""
-    where = f"REVISIT_{str(finding['loc'][0]).upper()}: " if finding["loc"] else ""
-    return where + str(finding["msg"]).removeprefix("Value error, ")
 
 
 def _parser() -> argparse.ArgumentParser:

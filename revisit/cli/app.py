@@ -80,13 +80,15 @@ for name, group in GROUPS.items():
 
 def run() -> None:
     """Run a command; what the service refuses is told in one line, with exit status 1."""
+    from revisit.cli.output import signs
     from revisit.core.errors import RevisitError
     from revisit.sdk.errors import ApiError
 
     # gRPC writes lines of its own where the service it talks to stops or falls idle, in the middle of a bar.
     os.environ.setdefault("GRPC_VERBOSITY", "NONE")
     try:
-        app()
+        with signs:
+            app()
     except (ApiError, RevisitError, OSError, TimeoutError) as error:
         typer.echo(f"revisit: {error}", err=True)
         raise SystemExit(1) from error

@@ -79,9 +79,9 @@ def _checked(check: str, examine: Callable[[], str]) -> Finding:
 def _device() -> str:
     """Where workers started like this command would describe."""
     from revisit.core.device import open_device
-    from revisit.service.settings import Settings
+    from revisit.service.settings_here import settings_here
 
-    return open_device(Settings().device).name
+    return open_device(settings_here().device).name
 
 
 def _models() -> str:

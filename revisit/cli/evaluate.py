@@ -22,7 +22,7 @@ PROFILES = ("product", "paper")
 ABLATIONS = ("none", "no-implicit", "bev-only", "normals-only")
 
 
-@needs("evaluation")
+@needs("service")
 def evaluate(
     folder: Annotated[Path, typer.Argument(exists=True, help="The recording.")],
     file_format: Format = "auto",

@@ -21,7 +21,7 @@ def needs(extra: Extra) -> Callable[[Callable[P, R]], Callable[P, R]]:
         def checked(*args: P.args, **kwargs: P.kwargs) -> R:
             try:
                 return command(*args, **kwargs)
-            except ModuleNotFoundError as error:
+            except ImportError as error:
                 raise SystemExit(what_is_missing(extra, error)) from error
 
         return checked
@@ -29,8 +29,13 @@ def needs(extra: Extra) -> Callable[[Callable[P, R]], Callable[P, R]]:
     return marked
 
 
-def what_is_missing(extra: Extra, error: ModuleNotFoundError) -> str:
-    """One line that says what to install. Raises `error` itself where a module of Revisit's own is missing."""
+def what_is_missing(extra: Extra, error: ImportError) -> str:
+    """One line that says what to install: `extra`, or as the error itself says.
+
+    Raises `error` where a part of Revisit's own is missing.
+    """
     if error.name is None or error.name.partition(".")[0] == "revisit":
         raise error
+    if not isinstance(error, ModuleNotFoundError):
+        return f"revisit: {error}"
     return f"revisit: {error.name} is not installed; this needs: pip install '{DISTRIBUTION}[{extra}]'"

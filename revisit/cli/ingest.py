@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,7 +16,7 @@ from revisit.cli.extras import needs
 from revisit.cli.ids import id_of, require_id
 from revisit.cli.inspect import warn, warn_of_findings
 from revisit.cli.options import GRPC, Grpc, Json, MapName
-from revisit.cli.output import emit_json, emit_table, progress_bar, refuse
+from revisit.cli.output import emit_json, emit_table, progress_bar, refuse, signs, tell
 from revisit.cli.recordings import Format, Mounting, Odometry, Topic, opened
 from revisit.core.errors import RevisitError
 from revisit.sdk.errors import NotFound
@@ -109,7 +110,7 @@ class Extent:
         return self.count(recording) == len(recording) if self.finish is None else self.finish
 
 
-@needs("evaluation")
+@needs("service")
 def ingest(
     folder: Annotated[Path, typer.Argument(exists=True, help="The recording.")],
     map_id: MapName = "default",
@@ -164,11 +165,12 @@ def _transfer(recording: Recording, target: Target, extent: Extent, as_json: boo
     """
     from revisit.sdk.client import Client
 
+    signs.doing(f"asking the service at {target.grpc}")
     started = time.monotonic()
     with Client.grpc(target.grpc) as client:
         session, sent = _sent(client, _open_session(client, target), recording, extent, as_json)
         submaps = _described(client, session, as_json) if extent.wait else client.list_submaps(session)
-        found = client.loop_closures(f"maps/{target.map_id}", state="ACCEPTED", session=session)
+        found = client.loop_closures(f"maps/{target.map_id}", session=session)
         session = client.get_session(session.name)
     states = [submap.state for submap in submaps]
     done = Ingested(
@@ -308,8 +310,20 @@ def _stream_of(
     client: Client, session: Session, spool: Path | None
 ) -> AbstractContextManager[ScanStream] | AbstractContextManager[SpooledStream]:
     if spool is None:
-        return client.stream(session)
-    return client.spooled_stream(session, spool, full_wait_s=float("inf"))
+        return client.stream(session, on_delay=_teller_of_delays())
+    return client.spooled_stream(session, spool, full_wait_s=float("inf"), on_delay=_teller_of_delays())
+
+
+def _teller_of_delays() -> Callable[[str, str], None]:
+    """Says on stderr why the service takes no scan; each reason once."""
+    told: set[str] = set()
+
+    def delayed(reason: str, message: str) -> None:
+        if reason not in told:
+            told.add(reason)
+            tell(f"revisit: the service takes no scan now: {reason}: {message}; this waits, and goes on by itself")
+
+    return delayed
 
 
 def _described(client: Client, session: Session, quiet: bool) -> list[Submap]:

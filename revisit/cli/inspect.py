@@ -12,11 +12,12 @@ import typer
 
 from revisit.cli.extras import needs
 from revisit.cli.options import HTTP, Http, Json
-from revisit.cli.output import emit_json, emit_table, refuse, say
+from revisit.cli.output import emit_json, emit_table, refuse, say, signs
 from revisit.cli.recordings import Format, Mounting, Odometry, Topic, opened
 
 if TYPE_CHECKING:
     from revisit.evaluation.datasets import Recording
+    from revisit.evaluation.inspection import Inspection
     from revisit.sdk.resources import Session
 
 _SESSION = re.compile(r"maps/[^/]+/sessions/[^/]+")
@@ -59,7 +60,7 @@ def _inspect_session(name: str, http: str, as_json: bool) -> None:
     _report(session.name, figures, findings, as_json)
 
 
-@needs("evaluation")
+@needs("service")
 def _inspect_recording(
     folder: Path,
     file_format: str,
@@ -74,10 +75,15 @@ def _inspect_recording(
     recording = opened(folder, file_format, topic, odometry, mounting)
     inspection = inspect_recording(recording)
     if picture is not None:
-        from revisit.evaluation.report.inspection_picture import draw_inspection
-
-        draw_inspection(recording, inspection, picture)
+        _draw(recording, inspection, picture)
     _report(recording.name, inspection.figures, [asdict(finding) for finding in inspection.findings], as_json)
+
+
+@needs("evaluation")
+def _draw(recording: Recording, inspection: Inspection, picture: Path) -> None:
+    from revisit.evaluation.report.inspection_picture import draw_inspection
+
+    draw_inspection(recording, inspection, picture)
 
 
 def _report(name: str, figures: Mapping[str, Any], findings: list[dict[str, Any]], as_json: bool) -> None:
@@ -98,6 +104,7 @@ def warn(recording: Recording) -> None:
     """Say on stderr what is suspicious about a recording."""
     from revisit.evaluation.inspection import inspect_recording
 
+    signs.doing(f"looking at scans of {recording.name}")
     for finding in inspect_recording(recording).findings:
         told = f"{finding.measured}. Likely cause: {finding.cause}. {finding.advice[:1].upper()}{finding.advice[1:]}."
         typer.echo(f"{recording.name}: warning: {finding.code}: {told}", err=True)

@@ -39,7 +39,7 @@ def status(map_id: MapName = "default", http: Http = HTTP, json: Json = False) -
     with Client(http) as client:
         found = client.get_map(f"maps/{map_id}")
         corrections = _corrections(client, found.name)
-        loops = client.loop_closures(found.name, state=None)
+        loops = client.loop_closures(found.name, state="ALL")
     if json:
         emit_json(
             {

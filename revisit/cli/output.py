@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 import typer
 
+from revisit.cli.signs_of_life import SignsOfLife
+
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
 PIPE_WIDTH = 400
+
+signs = SignsOfLife("at work", lambda doing: typer.echo(f"revisit: {doing} ...", err=True))
+"""What this process is doing; `revisit.cli.app.run` begins to watch."""
 
 
 def emit_json(value: Any) -> None:
@@ -52,20 +58,33 @@ def refuse(message: str) -> typer.Exit:
     return typer.Exit(1)
 
 
-def progress_bar(quiet: bool) -> Progress:
-    """Progress on stderr; nothing where `quiet`."""
+@contextmanager
+def progress_bar(quiet: bool) -> Iterator[Progress]:
+    """Progress on stderr: a bar on a terminal, else lines; nothing where `quiet`."""
     from rich import progress
     from rich.console import Console
 
-    return progress.Progress(
+    from revisit.cli.progress_lines import ProgressLines
+
+    if quiet:
+        yield progress.Progress(disable=True)
+        return
+    columns = (
         progress.TextColumn("{task.description}", markup=False),
         progress.BarColumn(),
         progress.MofNCompleteColumn(),
         progress.TimeElapsedColumn(),
         progress.TimeRemainingColumn(),
-        console=Console(stderr=True),
-        disable=quiet,
     )
+    console = Console(stderr=True)
+    shown = progress.Progress(*columns, console=console) if console.is_terminal else ProgressLines(tell)
+    with signs.shown(), shown:
+        yield shown
+
+
+def tell(line: str) -> None:
+    """A line on stderr."""
+    typer.echo(line, err=True)
 
 
 def reporter(bar: Progress) -> Callable[[str, int, int], None]:

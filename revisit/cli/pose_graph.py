@@ -11,7 +11,7 @@ import typer
 
 from revisit.cli.extras import needs
 from revisit.cli.options import HTTP, Http, Json, MapName
-from revisit.cli.output import emit_json, emit_table, refuse, say
+from revisit.cli.output import emit_json, emit_table, refuse, say, signs
 
 if TYPE_CHECKING:
     from revisit.cli.pose_graph_files import Graph
@@ -35,6 +35,7 @@ def pose_graph(
     from revisit.cli import pose_graph_files
     from revisit.core.pose_graph import optimise
 
+    signs.doing("optimising here; the first time it compiles its kernels, for some 20 s")
     read = pose_graph_files.read_graph(http, map_id)
     graph = pose_graph_files.pose_graph(read)
     if not graph.trajectories:

@@ -57,7 +57,10 @@ def query(
 
 def loops(
     map_id: MapName = "default",
-    state: Annotated[str, typer.Option(help="ACCEPTED, REJECTED or ALL.")] = "ACCEPTED",
+    state: Annotated[
+        str | None,
+        typer.Option(help="ACCEPTED, REJECTED or ALL; by default the accepted ones that the map did not set aside."),
+    ] = None,
     session_id: Annotated[str, typer.Option("--session", help="Only those found by this session.")] = "",
     http: Http = HTTP,
     json: Json = False,
@@ -65,12 +68,12 @@ def loops(
     """List the loop closures of a map."""
     from revisit.sdk.client import Client
 
-    state = state.upper()
-    if state not in ("ACCEPTED", "REJECTED", "ALL"):
+    state = state and state.upper()
+    if state not in (None, "ACCEPTED", "REJECTED", "ALL"):
         raise refuse("--state is ACCEPTED, REJECTED or ALL")
     with Client(http) as client:
         session = f"maps/{map_id}/sessions/{session_id}" if session_id else None
-        found = client.loop_closures(f"maps/{map_id}", state=None if state == "ALL" else state, session=session)
+        found = client.loop_closures(f"maps/{map_id}", state=state, session=session)
     if json:
         emit_json([asdict(loop) for loop in found])
         return
@@ -79,7 +82,7 @@ def loops(
             short_name(loop.query),
             short_name(loop.match),
             loop.state,
-            loop.reason,
+            "SET_ASIDE" if loop.graph_state == "SET_ASIDE" else loop.reason,
             loop.similarity,
             loop.score,
             *_planar(loop.T_match_query),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from revisit.cli.options import RECORDINGS
-from revisit.cli.output import refuse
+from revisit.cli.output import refuse, signs
 
 if TYPE_CHECKING:
     from revisit.core.geometry.se3 import Matrix4
@@ -30,6 +30,7 @@ Mounting = Annotated[
 
 def opened(folder: Path, file_format: str, topic: str | None, odometry: str | None, mounting: str | None) -> Recording:
     """The recording; which topics of a bag were taken, and why, goes to stderr. Exits for an unusable option."""
+    signs.doing(f"reading {folder}")
     from revisit.evaluation.datasets import AUTO, FORMATS, WantedTopics, notes_of, open_recording
 
     if file_format not in (AUTO, *FORMATS):

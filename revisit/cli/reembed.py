@@ -29,12 +29,12 @@ def reembed(
     Each map changes in one step at its end; an interrupted run goes on where it ended. Loop closures stay as they are.
     """
     from revisit.service.composition import offline_reembedding
-    from revisit.service.settings import Settings
+    from revisit.service.settings_here import settings_here
 
     with use_cases_on(home):
         pass  # the database is there and of this version
     done = []
-    with offline_reembedding(Settings(home=home) if home else Settings()) as work, progress_bar(quiet=json) as bar:
+    with offline_reembedding(settings_here(home)) as work, progress_bar(quiet=json) as bar:
         stale = [record for record in work.stale_maps() if not maps or record.map_id in maps]
         report = reporter(bar)
         for record in stale:

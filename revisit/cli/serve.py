@@ -10,6 +10,7 @@ import typer
 
 from revisit.cli.extras import needs
 from revisit.cli.options import Home
+from revisit.cli.output import signs
 
 
 @needs("service")
@@ -41,6 +42,7 @@ def _run(command: str, **settings: Path | str | int | None) -> None:
     for name, value in settings.items():
         if value is not None:
             os.environ[f"REVISIT_{name.upper()}"] = str(value)
+    signs.end()  # what follows on stderr is the log
     from revisit.service.__main__ import main
 
     raise typer.Exit(main([command]))

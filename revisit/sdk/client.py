@@ -14,6 +14,7 @@ import numpy as np
 from google.protobuf.json_format import ParseDict
 
 from revisit.core.errors import RevisitError
+from revisit.sdk import names
 from revisit.sdk.clouds import PointsLike, encoded
 from revisit.sdk.corrections import CorrectionWatch
 from revisit.sdk.credentials import Credentials
@@ -22,6 +23,7 @@ from revisit.sdk.explanations import NearMiss, explain
 from revisit.sdk.input_watch import InputWatch, warn_of_session
 from revisit.sdk.map_downloads import fetch_file
 from revisit.sdk.messages import cloud_message, request_of, vector
+from revisit.sdk.names import name_in_map, name_of
 from revisit.sdk.resources import (
     Correction,
     Json,
@@ -51,7 +53,7 @@ from revisit.sdk.resources import (
 from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.spool import DEFAULT_MAX_BYTES, Spool
 from revisit.sdk.spooled_stream import RECONNECT, SpooledStream
-from revisit.sdk.transport import Refusal, ScanSink, Transport
+from revisit.sdk.transport import Forgetful, OnDelay, Refusal, ScanSink, Transport
 from revisit.sdk.watching import Watch
 from revisit.v1 import (
     event_pb2,
@@ -75,6 +77,8 @@ MAX_PAGE = 500
 
 class Client:
     """A connection to the service. Resources are named as in the API: `maps/yard/sessions/monday`.
+
+    A map, a robot, an operation and a webhook may be named by their id alone: `yard`.
 
     Creates are idempotent: the same id with the same content answers again. Retryable errors are retried. Every call
     raises `revisit.sdk.errors.ApiError`.
@@ -147,7 +151,7 @@ class Client:
 
     def get_map(self, name: str) -> Map:
         """Get `maps/{map}`."""
-        return Map.of(self._transport.get(name))
+        return Map.of(self._transport.get(name_of(name, names.MAP)))
 
     def list_maps(self) -> list[Map]:
         """All maps, oldest first."""
@@ -155,7 +159,7 @@ class Client:
 
     def delete(self, resource: str | Map | Session | Submap | Webhook | MapFile) -> None:
         """Delete a map, a session or a submap, with everything in it; or a webhook, or a file of a map."""
-        self._transport.delete(_name(resource))
+        self._transport.delete(name_of(resource, names.ANY))
 
     def create_robot(self, robot_id: str, *, display_name: str = "") -> Robot:
         """Create a robot."""
@@ -164,7 +168,7 @@ class Client:
 
     def get_robot(self, name: str) -> Robot:
         """Get `robots/{robot}`."""
-        return Robot.of(self._transport.get(name))
+        return Robot.of(self._transport.get(name_of(name, names.ROBOT)))
 
     def list_robots(self) -> list[Robot]:
         """All robots, oldest first."""
@@ -178,17 +182,17 @@ class Client:
         `storey` is the storey of a building that all of it is driven on, as B2: it is never compared with sessions on
         storeys of another name. Without it, it is compared with all.
         """
-        of_robot = None if robot is None else _name(robot)
-        fields = {"parent": _name(map_), "session_id": session_id, "robot": of_robot, "storey": storey}
+        of_robot = None if robot is None else name_of(robot, names.ROBOT)
+        fields = {"parent": name_of(map_, names.MAP), "session_id": session_id, "robot": of_robot, "storey": storey}
         return Session.of(self._transport.create("sessions", request_of(session_pb2.CreateSessionRequest, fields)))
 
     def get_session(self, name: str) -> Session:
         """Get `maps/{map}/sessions/{session}`."""
-        return Session.of(self._transport.get(name))
+        return Session.of(self._transport.get(name_of(name, names.SESSION)))
 
     def list_sessions(self, map_: str | Map) -> list[Session]:
         """The sessions of a map, oldest first."""
-        request = session_pb2.ListSessionsRequest(parent=_name(map_))
+        request = session_pb2.ListSessionsRequest(parent=name_of(map_, names.MAP))
         return [Session.of(item) for item in self._transport.list("sessions", request)]
 
     def finish_session(self, session: str | Session) -> Session:
@@ -196,7 +200,7 @@ class Client:
 
         Warns of what the service has found in it so far (`SuspiciousInput`, `Session.findings`).
         """
-        finished = Session.of(self._transport.finish_session(_name(session)))
+        finished = Session.of(self._transport.finish_session(name_of(session, names.SESSION)))
         warn_of_session(finished.findings)
         return finished
 
@@ -205,7 +209,7 @@ class Client:
     ) -> Operation:
         """Store a submap, (n, 3) or (n, 4) points in its own frame; the operation that describes it."""
         fields = {
-            "parent": _name(session),
+            "parent": name_of(session, names.SESSION),
             "submap_id": submap_id,
             "t_odom_submap": _pose(T_odom_submap, "T_odom_submap"),
             "stamp_ns": stamp_ns,
@@ -217,16 +221,16 @@ class Client:
 
     def get_submap(self, name: str, *, full: bool = False) -> Submap:
         """Get `maps/{map}/sessions/{session}/submaps/{submap}`; with its descriptor where `full`."""
-        return Submap.of(self._transport.get(name, full=full))
+        return Submap.of(self._transport.get(name_of(name, names.SUBMAP), full=full))
 
     def list_submaps(self, session: str | Session) -> list[Submap]:
         """The submaps of a session in their order."""
-        request = submap_pb2.ListSubmapsRequest(parent=_name(session))
+        request = submap_pb2.ListSubmapsRequest(parent=name_of(session, names.SESSION))
         return [Submap.of(item) for item in self._transport.list("submaps", request)]
 
     def download(self, submap: str | Submap, file_format: str = "ply") -> bytes:
         """A submap as a file: pcd, ply, npy, mesh, neural or descriptor."""
-        return self._transport.download(_name(submap), file_format)
+        return self._transport.download(name_of(submap, names.SUBMAP), file_format)
 
     @contextmanager
     def spooled_stream(
@@ -237,6 +241,7 @@ class Client:
         max_bytes: int = DEFAULT_MAX_BYTES,
         full_wait_s: float = 0.0,
         prepare: Callable[[], None] | None = None,
+        on_delay: OnDelay | None = None,
     ) -> Iterator[SpooledStream]:
         """A stream by way of the file `spool` on this machine's disk; needs no connection to be opened.
 
@@ -244,10 +249,11 @@ class Client:
         `SpoolFull`. On leaving, what was not acknowledged stays in the file, for the next stream on it.
 
         `prepare` is called in the sending thread before the first connection, again after a retryable error: a robot
-        that starts without a link creates its session there.
+        that starts without a link creates its session there. `on_delay`: see `stream`.
         """
-        name = _name(session)
+        name = name_of(session, names.SESSION)
         opened = Spool(Path(spool), name, max_bytes)
+        opened.on_delay = on_delay
         stream = SpooledStream(self._transport, name, opened, full_wait_s, RECONNECT, prepare)
         try:
             yield stream
@@ -255,12 +261,13 @@ class Client:
             stream.close()
 
     @contextmanager
-    def stream(self, session: str | Session) -> Iterator[ScanStream]:
+    def stream(self, session: str | Session, *, on_delay: OnDelay | None = None) -> Iterator[ScanStream]:
         """A stream of scans; on leaving, every scan was answered. Resumes by itself after a disconnect.
 
-        It keeps what is not acknowledged in memory; `spooled_stream` keeps it on disk.
+        It keeps what is not acknowledged in memory; `spooled_stream` keeps it on disk. Over gRPC it waits where the
+        service takes no scan now (a full quota, busy workers): `on_delay` is then called with reason and message.
         """
-        stream = ScanStream(self._transport.open_stream(_name(session)))
+        stream = ScanStream(self._transport.open_stream(name_of(session, names.SESSION), Forgetful(on_delay)))
         try:
             yield stream
             stream.flush()
@@ -275,7 +282,7 @@ class Client:
         Over gRPC it ends a stream of the session that is open, and raises FailedPrecondition of a finished session.
         """
         pose = _pose(T_odom_sensor, "T_odom_sensor")
-        return self._transport.holds_scan(_name(session), seq, encoded(points), pose, stamp_ns)
+        return self._transport.holds_scan(name_of(session, names.SESSION), seq, encoded(points), pose, stamp_ns)
 
     def search(
         self,
@@ -301,12 +308,14 @@ class Client:
         """
         for field in ("exclude_session", "only_session"):
             if criteria.get(field) is not None:
-                criteria[field] = _session_name(map_, criteria[field])
+                criteria[field] = name_in_map(map_, criteria[field])
         if criteria.get("prior_position_m") is not None:
             criteria["prior_position_m"] = vector(criteria["prior_position_m"])
-        request = request_of(loop_closure_pb2.SearchSubmapsRequest, {"parent": _name(map_), "k": k, **criteria})
+        request = request_of(
+            loop_closure_pb2.SearchSubmapsRequest, {"parent": name_of(map_, names.MAP), "k": k, **criteria}
+        )
         if submap is not None:
-            request.submap = _name(submap)
+            request.submap = name_of(submap, names.SUBMAP)
         elif points is not None:
             request.cloud.CopyFrom(cloud_message(encoded(points)))
             _turn_upright(request, T_level_query)
@@ -339,13 +348,13 @@ class Client:
         as in `search`.
         """
         fields = {
-            "parent": _name(map_),
+            "parent": name_of(map_, names.MAP),
             "storey": storey,
             "prior_position_m": None if prior_position_m is None else vector(prior_position_m),
             "radius_m": radius_m,
             "candidates": candidates,
-            "exclude_session": None if exclude_session is None else _session_name(map_, exclude_session),
-            "only_session": None if only_session is None else _session_name(map_, only_session),
+            "exclude_session": None if exclude_session is None else name_in_map(map_, exclude_session),
+            "only_session": None if only_session is None else name_in_map(map_, only_session),
         }
         request = request_of(loop_closure_pb2.LocalizeRequest, {**fields, **freshness})
         request.cloud.CopyFrom(cloud_message(encoded(points)))
@@ -357,26 +366,31 @@ class Client:
         map_: str | Map,
         *,
         state: str | None = None,
+        graph_state: str | None = None,
         session: str | Session | None = None,
         reason: str | None = None,
         **freshness: Any,
     ) -> list[LoopClosure]:
-        """The loop closures of a map, oldest first; `state` ACCEPTED, REJECTED or ALL.
+        """The loop closures of a map to rely on, oldest first: accepted, and not set aside by the map.
 
-        `session` (a session, its name or id) keeps those whose query submap is of it; NotFound where there is none.
-        `reason` keeps those that were rejected for it, e.g. AMBIGUOUS.
-
-        `freshness`: min_seq with min_seq_timeout_s, as in `search`.
+        Any of three filters asks for others in their place: `state` ACCEPTED, REJECTED, PROPOSED or ALL, `graph_state`
+        IN_MAP, SET_ASIDE or UNCONNECTED (the map's verdict on an accepted loop), and the `reason` of a rejection, e.g.
+        AMBIGUOUS. `session` (a session, its name or id) keeps the loops of its query submaps; NotFound where there is
+        none. `freshness`: min_seq with min_seq_timeout_s, as in `search`.
         """
-        of_session = None if session is None else _session_name(map_, session)
-        state = None if state == "ALL" else state
-        fields = {"parent": _name(map_), "state": state, "session": of_session, "reason": reason, **freshness}
+        asked = {"state": None if state == "ALL" else state, "graph_state": graph_state, "reason": reason}
+        reliable = state is None and not any(asked.values())
+        if reliable:
+            asked["state"] = "ACCEPTED"
+        of_session = None if session is None else name_in_map(map_, session)
+        fields = {"parent": name_of(map_, names.MAP), "session": of_session, **asked, **freshness}
         request = request_of(loop_closure_pb2.ListLoopClosuresRequest, fields)
-        return [LoopClosure.of(item) for item in self._transport.list("loopClosures", request)]
+        found = (LoopClosure.of(item) for item in self._transport.list("loopClosures", request))
+        return [loop for loop in found if not (reliable and loop.graph_state == "SET_ASIDE")]
 
     def get_loop_closure(self, name: str) -> LoopClosure:
         """Get `maps/{map}/loopClosures/{loop_closure}` with its evidence."""
-        return LoopClosure.of(self._transport.get(name))
+        return LoopClosure.of(self._transport.get(name_of(name, names.LOOP_CLOSURE)))
 
     def create_webhook(
         self, webhook_id: str, url: str, *, map_: str | Map | None = None, kinds: Sequence[str] = ()
@@ -385,14 +399,14 @@ class Client:
 
         The answer holds the `secret` that signs them, this once: `revisit.sdk.webhooks.verified` checks with it.
         """
-        of_map = "" if map_ is None else _name(map_)
+        of_map = "" if map_ is None else name_of(map_, names.MAP)
         fields = {"webhook_id": webhook_id, "url": url, "map": of_map, "kinds": list(kinds)}
         created = self._transport.create_webhook(request_of(webhook_pb2.CreateWebhookRequest, fields))
         return Webhook.of(created.webhook, created.secret)
 
     def get_webhook(self, name: str) -> Webhook:
         """Get `webhooks/{webhook}`."""
-        return Webhook.of(self._transport.get(name))
+        return Webhook.of(self._transport.get(name_of(name, names.WEBHOOK)))
 
     def list_webhooks(self) -> list[Webhook]:
         """All webhooks, oldest first."""
@@ -400,11 +414,13 @@ class Client:
 
     def resume_webhook(self, webhook: str | Webhook) -> Webhook:
         """Try again at once, also where it was suspended."""
-        return Webhook.of(self._transport.resume_webhook(_name(webhook)))
+        return Webhook.of(self._transport.resume_webhook(name_of(webhook, names.WEBHOOK)))
 
     def webhook_deliveries(self, webhook: str | Webhook) -> list[WebhookDelivery]:
         """The last attempts to deliver, oldest first."""
-        return [WebhookDelivery.of(item) for item in self._transport.webhook_deliveries(_name(webhook))]
+        return [
+            WebhookDelivery.of(item) for item in self._transport.webhook_deliveries(name_of(webhook, names.WEBHOOK))
+        ]
 
     def create_loop_closure(
         self, query: str | Submap, match: str | Submap, *, T_match_query: Any = None, note: str = ""
@@ -414,9 +430,9 @@ class Client:
         `T_match_query` (4, 4) is roughly how the two lie to each other: where registration starts.
         """
         fields = {
-            "parent": "/".join(_name(query).split("/")[:2]),
-            "query": _name(query),
-            "match": _name(match),
+            "parent": "/".join(name_of(query, names.SUBMAP).split("/")[:2]),
+            "query": name_of(query, names.SUBMAP),
+            "match": name_of(match, names.SUBMAP),
             "t_match_query": None if T_match_query is None else _pose(T_match_query, "T_match_query"),
             "note": note,
         }
@@ -425,24 +441,24 @@ class Client:
 
     def accept_loop_closure(self, loop: str | LoopClosure, *, note: str = "") -> LoopClosure:
         """Accept a loop closure whatever its verdict was; `note` says why."""
-        return LoopClosure.of(self._transport.decide_loop("accept", _name(loop), note))
+        return LoopClosure.of(self._transport.decide_loop("accept", name_of(loop, names.LOOP_CLOSURE), note))
 
     def reject_loop_closure(self, loop: str | LoopClosure, *, note: str = "") -> LoopClosure:
         """Reject a loop closure, so that the map does not rest on it; `note` says why."""
-        return LoopClosure.of(self._transport.decide_loop("reject", _name(loop), note))
+        return LoopClosure.of(self._transport.decide_loop("reject", name_of(loop, names.LOOP_CLOSURE), note))
 
     def revert_loop_closure(self, loop: str | LoopClosure, *, note: str = "") -> LoopClosure:
         """Take back the last decision of a person on a loop closure."""
-        return LoopClosure.of(self._transport.decide_loop("revert", _name(loop), note))
+        return LoopClosure.of(self._transport.decide_loop("revert", name_of(loop, names.LOOP_CLOSURE), note))
 
     def loop_closure_events(self, loop: str | LoopClosure) -> list[LoopClosureEvent]:
         """What happened to a loop closure, oldest first."""
-        request = loop_closure_pb2.ListLoopClosureEventsRequest(parent=_name(loop))
+        request = loop_closure_pb2.ListLoopClosureEventsRequest(parent=name_of(loop, names.LOOP_CLOSURE))
         return [LoopClosureEvent.of(item) for item in self._transport.list("events", request)]
 
     def loop_keypoints(self, loop: str | LoopClosure) -> LoopKeypoints:
         """What was compared: the keypoints of both submaps, which look alike, and which of these the pose joins."""
-        return LoopKeypoints.of(self._transport.loop_keypoints(_name(loop)))
+        return LoopKeypoints.of(self._transport.loop_keypoints(name_of(loop, names.LOOP_CLOSURE)))
 
     def watch(self, map_: str | Map, *, after: int | None = None, kinds: Sequence[str] = ()) -> Watch:
         """The events of a map as they happen, in a loop: `for event in client.watch("maps/yard"): ...`.
@@ -450,29 +466,29 @@ class Client:
         `after` is the number of the last event that was seen, 0 for all that are kept; without it, from now on.
         `kinds` keeps LOOP_CLOSURE, OPERATION or MAP_VERSION. It bridges lost connections; leave the loop to end it.
         """
-        fields = {"parent": _name(map_), "after": after, "kinds": list(kinds)}
+        fields = {"parent": name_of(map_, names.MAP), "after": after, "kinds": list(kinds)}
         return Watch(self._transport, request_of(event_pb2.WatchEventsRequest, fields))
 
     def explain(self, submap: str | Submap, *, k: int = 20) -> list[NearMiss]:
         """Why a described submap has no loop with others of the `k` most like it: the gate that stopped each."""
-        return explain(self, self.get_submap(_name(submap)), k)
+        return explain(self, self.get_submap(name_of(submap, names.SUBMAP)), k)
 
     def optimise_map(self, map_: str | Map) -> Operation:
         """Optimise the pose graph of a map: the operation whose end is a new version. One that waits is answered."""
-        return Operation.of(self._transport.optimise_map(_name(map_)))
+        return Operation.of(self._transport.optimise_map(name_of(map_, names.MAP)))
 
     def map_versions(self, map_: str | Map) -> list[MapVersion]:
         """The versions of a map that are kept, oldest first."""
-        request = mapping_pb2.ListMapVersionsRequest(parent=_name(map_))
+        request = mapping_pb2.ListMapVersionsRequest(parent=name_of(map_, names.MAP))
         return [MapVersion.of(item) for item in self._transport.list("versions", request)]
 
     def get_map_version(self, name: str) -> MapVersion:
         """Get `maps/{map}/versions/{version}`."""
-        return MapVersion.of(self._transport.get(name))
+        return MapVersion.of(self._transport.get(name_of(name, names.VERSION)))
 
     def submap_poses(self, version: str | MapVersion) -> list[SubmapPose]:
         """The poses of the submaps in a version of a map, by session and in the order of their drive."""
-        request = mapping_pb2.ListSubmapPosesRequest(parent=_name(version), page_size=MAX_PAGE)
+        request = mapping_pb2.ListSubmapPosesRequest(parent=name_of(version, names.VERSION), page_size=MAX_PAGE)
         return [SubmapPose.of(item) for item in self._transport.list("poses", request)]
 
     def map_tiles(self, version: str | Map | MapVersion) -> list[MapTile]:
@@ -485,7 +501,7 @@ class Client:
 
         A worker makes it when it is asked for first. Raises DeadlineExceeded (NO_ANSWER) where that takes long.
         """
-        return self._transport.download_tile(_name(tile), file_format)
+        return self._transport.download_tile(name_of(tile, names.TILE), file_format)
 
     def map_distances(self, version: str | Map | MapVersion, points_m: Any, *, frame: str = "") -> MapDistances:
         """Signed distances of up to 1000 points (n, 3) to the surface of a map, in one of its frames ("": the only)."""
@@ -509,36 +525,36 @@ class Client:
 
     def map_files(self, map_: str | Map) -> list[MapFile]:
         """The files of a map, oldest first."""
-        request = map_file_pb2.ListMapFilesRequest(parent=_name(map_))
+        request = map_file_pb2.ListMapFilesRequest(parent=name_of(map_, names.MAP))
         return [MapFile.of(item) for item in self._transport.list("files", request)]
 
     def get_map_file(self, name: str) -> MapFile:
         """Get `maps/{map}/files/{version}`."""
-        return MapFile.of(self._transport.get(name))
+        return MapFile.of(self._transport.get(name_of(name, names.MAP_FILE)))
 
     def enable_map_file(self, file: str | MapFile) -> MapFile:
         """Say that robots are to use this file, and no other of its map."""
-        return MapFile.of(self._transport.enable_map_file(_name(file)))
+        return MapFile.of(self._transport.enable_map_file(name_of(file, names.MAP_FILE)))
 
     def download_map_file(self, file: str | MapFile, out: Path | str) -> MapFile:
         """Download a file; what a download before has left in OUT.part is not sent again.
 
         Raises DataLoss where the bytes do not have the hash that the service names: then OUT.part is deleted.
         """
-        found = self.get_map_file(_name(file))
+        found = self.get_map_file(name_of(file, names.MAP_FILE))
         fetch_file(found, Path(out), self._transport.map_file_bytes, self._retry)
         return found
 
     def _version(self, version: str | Map | MapVersion) -> str:
         """The name of a version; of a map, that of the one in force."""
-        name = _name(version)
+        name = name_of(version, names.MAP)
         if name.count("/") != 1:
             return name
         return f"{name}/versions/{self.get_map(name).map_version}"
 
     def revert_map(self, map_: str | Map, version: int) -> MapVersion:
         """Bring back the poses of an earlier version, bit for bit, as a new version."""
-        return MapVersion.of(self._transport.revert_map(_name(map_), version))
+        return MapVersion.of(self._transport.revert_map(name_of(map_, names.MAP), version))
 
     def merge_map(
         self,
@@ -554,33 +570,34 @@ class Client:
         Its result has `verdict` MERGED, REFUSED (with `refusal`) or, with `validate_only`, MERGEABLE, and alignment and
         evidence. `T_map_source` (4, 4) is roughly where the frame of the source lies in that of the map.
         """
-        fields = {"name": _name(map_), "source": _name(source), "validate_only": validate_only, "radius_m": radius_m}
+        into, of = name_of(map_, names.MAP), name_of(source, names.MAP)
+        fields = {"name": into, "source": of, "validate_only": validate_only, "radius_m": radius_m}
         near = {} if T_map_source is None else {"t_map_source": _pose(T_map_source, "T_map_source")}
         return Operation.of(self._transport.merge_map(request_of(mapping_pb2.MergeMapRequest, {**fields, **near})))
 
     def map_merges(self, map_: str | Map) -> list[MapMerge]:
         """The merges into a map, oldest first, with what changed between the days."""
-        request = mapping_pb2.ListMapMergesRequest(parent=_name(map_))
+        request = mapping_pb2.ListMapMergesRequest(parent=name_of(map_, names.MAP))
         return [MapMerge.of(item) for item in self._transport.list("merges", request)]
 
     def get_map_merge(self, name: str) -> MapMerge:
         """Get `maps/{map}/merges/{merge}`."""
-        return MapMerge.of(self._transport.get(name))
+        return MapMerge.of(self._transport.get(name_of(name, names.MERGE)))
 
     def revert_merge(self, merge: str | MapMerge) -> MapMerge:
         """Take the last merge into a map back: its copies are deleted, the poses from before it come back."""
-        return MapMerge.of(self._transport.revert_merge(_name(merge)))
+        return MapMerge.of(self._transport.revert_merge(name_of(merge, names.MERGE)))
 
     def cancel_operation(self, operation: str | Operation) -> Operation:
         """End an operation that optimises or merges maps, at once or at its next step; it changes nothing then."""
-        return Operation.of(self._transport.cancel_operation(_name(operation)))
+        return Operation.of(self._transport.cancel_operation(name_of(operation, names.OPERATION)))
 
     def correction(self, session: str | Session) -> Correction:
         """Where the odometry frame of a session lies in the map.
 
         Raises FailedPrecondition (NOT_READY) where no version of the map has the session yet.
         """
-        return Correction.of(self._transport.correction(_name(session)))
+        return Correction.of(self._transport.correction(name_of(session, names.SESSION)))
 
     def watch_corrections(
         self, map_: str | Map, *, session: str | Session | None = None, after: int = 0
@@ -589,12 +606,12 @@ class Client:
 
         `session` (a session, its name or id) keeps those of one.
         """
-        of_session = "" if session is None else _session_name(map_, session)
-        return CorrectionWatch(self._transport, _name(map_), of_session, after)
+        of_session = "" if session is None else name_in_map(map_, session)
+        return CorrectionWatch(self._transport, name_of(map_, names.MAP), of_session, after)
 
     def get_operation(self, name: str) -> Operation:
         """Get `operations/{operation}`."""
-        return Operation.of(self._transport.get(name))
+        return Operation.of(self._transport.get(name_of(name, names.OPERATION)))
 
     def list_operations(self, *, state: str | None = None) -> list[Operation]:
         """The operations, oldest first; `state` QUEUED, RUNNING, DONE or FAILED."""
@@ -603,14 +620,16 @@ class Client:
 
     def retry_operation(self, operation: str | Operation) -> Operation:
         """Queue a failed description again; an operation that has not failed is left as it is."""
-        return Operation.of(self._transport.retry_operation(_name(operation)))
+        return Operation.of(self._transport.retry_operation(name_of(operation, names.OPERATION)))
 
     def wait(self, operation: str | Operation, timeout_s: float = 300.0) -> Operation:
         """The operation once it is DONE. Raises OperationFailed; TimeoutError after `timeout_s`."""
         deadline = time.monotonic() + timeout_s
         while True:
             left_s = max(0.0, deadline - time.monotonic())
-            current = Operation.of(self._transport.wait_operation(_name(operation), min(left_s, MAX_WAIT_S)))
+            current = Operation.of(
+                self._transport.wait_operation(name_of(operation, names.OPERATION), min(left_s, MAX_WAIT_S))
+            )
             if current.state == "FAILED":
                 details = ErrorDetails("UNKNOWN", current.failure_reason or "", current.failure_message or "")
                 raise OperationFailed(details)
@@ -680,15 +699,6 @@ class ScanStream:
     def close(self) -> None:
         """Let go of the stream."""
         self._sink.close()
-
-
-def _name(resource: Any) -> str:
-    return resource if isinstance(resource, str) else str(resource.name)
-
-
-def _session_name(map_: Any, session: Any) -> str:
-    name = _name(session)
-    return name if "/" in name else f"{_name(map_)}/sessions/{name}"
 
 
 def _turn_upright(request: Any, T_level_query: Any) -> None:

@@ -36,7 +36,12 @@ class Credentials:
 
     def ssl_context(self) -> ssl.SSLContext:
         """For HTTPS. Raises OSError where a file cannot be used."""
-        context = ssl.create_default_context(cafile=self.ca)
+        try:
+            context = ssl.create_default_context(cafile=self.ca)
+        except ssl.SSLError as error:
+            raise OSError(f"REVISIT_CA (or ca): {self.ca} holds no certificate in PEM form") from error
+        except OSError as error:
+            raise OSError(f"REVISIT_CA (or ca): {self.ca} cannot be read: {error.strerror}") from error
         if self.certificate is not None:
             context.load_cert_chain(self.certificate, self.key)
         return context

@@ -101,6 +101,16 @@ _SIGNS = (
 """What libraries say of an address that is not the service's, and what is to be done."""
 
 
+_DISTRUST = (
+    ("certificate is not valid for", "is for another name than this address: write the name that it holds"),
+    ("Hostname Verification Check failed", "is for another name than this address: write the name that it holds"),
+    ("certificate has expired", "has expired: renew it, or set the clock of this machine"),
+    ("certificate is not yet valid", "is not valid yet: set the clock of this machine"),
+    ("CERTIFICATE_VERIFY_FAILED", "is signed by an unknown authority; set REVISIT_CA to its file"),
+)
+"""What libraries say of a certificate that is not trusted, and what is wrong with it."""
+
+
 def error_of(details: ErrorDetails) -> ApiError:
     """The exception for an error answer."""
     return _CLASSES.get(details.code, ApiError)(details)
@@ -109,8 +119,10 @@ def error_of(details: ErrorDetails) -> ApiError:
 def unreachable(address: str, cause: object) -> Unavailable:
     """The service did not answer at all; the message says what to try."""
     text = str(cause).rstrip(".")
+    distrust = next((wrong for sign, wrong in _DISTRUST if sign in text), None)
     advice = next((advice for sign, advice in _SIGNS if sign in text), "is it running? `revisit serve` starts it")
-    return Unavailable(ErrorDetails("UNAVAILABLE", "UNREACHABLE", f"no answer from {address}: {text} - {advice}", True))
+    told = f"{text} - {advice}" if distrust is None else f"the service's certificate {distrust}"
+    return Unavailable(ErrorDetails("UNAVAILABLE", "UNREACHABLE", f"no answer from {address}: {told}", True))
 
 
 def closed() -> FailedPrecondition:

@@ -89,7 +89,7 @@ def explain(client: Lookups, submap: Submap, k: int) -> list[NearMiss]:
 def _loops_of(client: Lookups, map_: Map, submap: Submap, hits: list[SearchHit]) -> dict[str, LoopClosure]:
     """The loops of a submap with its hits, by the name of the other one; of several the last."""
     sessions = {name.rpartition("/submaps/")[0] for name in (submap.name, *(hit.submap for hit in hits))}
-    loops = (loop for session in sorted(sessions) for loop in client.loop_closures(map_, session=session))
+    loops = (loop for session in sorted(sessions) for loop in client.loop_closures(map_, state="ALL", session=session))
     pairs = ((loop, {loop.query, loop.match}) for loop in loops)
     return {next(iter(ends - {submap.name})): loop for loop, ends in pairs if submap.name in ends}
 

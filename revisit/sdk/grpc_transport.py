@@ -394,6 +394,7 @@ class GrpcCorrectionFeed:
 
 
 def _channel_credentials(credentials: Credentials) -> grpc.ChannelCredentials:
+    credentials.ssl_context()  # refuses files that gRPC would only log
     files = (credentials.ca, credentials.key, credentials.certificate)
     return grpc.ssl_channel_credentials(*(None if file is None else file.read_bytes() for file in files))
 

@@ -248,6 +248,8 @@ class GrpcScanSink:
             self._journal.refused(nack.seq, nack.reason, nack.message)
             self._drop_first()
             self.refusals.append(Refusal(nack.seq, nack.reason, nack.message))
+        else:
+            self._journal.delayed(nack.reason, nack.message)
         # What was sent behind the refused scan is refused for the gap; it is sent again once that is answered.
         self._resend_at = max(self._resend_at or 0.0, time.monotonic())
 

@@ -21,6 +21,7 @@ from pathlib import Path
 from revisit.core.errors import ErrorCode, RevisitError
 from revisit.sdk.clouds import Cloud
 from revisit.sdk.resources import Json
+from revisit.sdk.transport import OnDelay
 
 DEFAULT_MAX_BYTES = 4 * 2**30
 FORMAT = 1
@@ -105,6 +106,7 @@ class Spool:
         Raises SpoolUnusable.
         """
         self._max_bytes = max_bytes
+        self.on_delay: OnDelay | None = None
         self._changed = threading.Condition(threading.RLock())
         self._lock_file = _locked(path)
         try:
@@ -203,6 +205,11 @@ class Spool:
                     freed_bytes = self._forget_first(newly)
                     self._db.execute("UPDATE stream SET committed_seq = ?", (committed_seq,))
                 self._count(-newly, -freed_bytes)
+
+    def delayed(self, reason: str, message: str) -> None:
+        """See `revisit.sdk.transport.StreamJournal`."""
+        if self.on_delay is not None:
+            self.on_delay(reason, message)
 
     def refused(self, seq: int, reason: str, message: str) -> None:
         """See `revisit.sdk.transport.StreamJournal`."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -63,6 +63,10 @@ class ScanSink(Protocol):
         ...
 
 
+OnDelay = Callable[[str, str], None]
+"""Hears the reason and the message of each delay, in a thread of the stream."""
+
+
 class StreamJournal(Protocol):
     """What a stream must not forget: told of every answer before the stream goes on. Calls come from one thread."""
 
@@ -82,9 +86,16 @@ class StreamJournal(Protocol):
         """The first scan that is not committed will never be taken; the next one gets its number."""
         ...
 
+    def delayed(self, reason: str, message: str) -> None:
+        """The first scan that is not committed is not taken now; it is sent again after a pause."""
+        ...
+
 
 class Forgetful:
-    """`StreamJournal` of a stream whose scans live in memory alone."""
+    """`StreamJournal` of a stream whose scans live in memory alone; `on_delay` hears of delays."""
+
+    def __init__(self, on_delay: OnDelay | None = None) -> None:
+        self._on_delay = on_delay
 
     def resume_point(self) -> tuple[str, int]:
         """See StreamJournal."""
@@ -98,6 +109,11 @@ class Forgetful:
 
     def refused(self, seq: int, reason: str, message: str) -> None:
         """See StreamJournal."""
+
+    def delayed(self, reason: str, message: str) -> None:
+        """See StreamJournal."""
+        if self._on_delay is not None:
+            self._on_delay(reason, message)
 
 
 class CorrectionFeed(Protocol):

@@ -12,7 +12,6 @@ import fcntl
 import os
 import signal
 import subprocess
-import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
@@ -38,6 +37,7 @@ from revisit.core.scan import Scan
 from revisit.core.submap import Submap
 from revisit.formats import quantised_columns
 from revisit.formats.glb import encode_scene
+from revisit.service import own_python
 from revisit.service.application.contract.recogniser import PlaceRecogniser
 
 Array64 = NDArray[np.float64]
@@ -135,7 +135,9 @@ def _take(folder: int) -> bool:
 def _companion() -> Iterator[None]:
     """Another process, which compiles from the other end meanwhile."""
     try:
-        process = subprocess.Popen([sys.executable, "-c", COMPANION], stdin=subprocess.DEVNULL)
+        process = subprocess.Popen(
+            own_python.command("-c", COMPANION), env=own_python.environment(), stdin=subprocess.DEVNULL
+        )
     except OSError:  # no process is free just now: then it takes longer
         yield
         return

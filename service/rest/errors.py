@@ -25,7 +25,7 @@ _log = structlog.get_logger(__name__)
 
 
 class UnknownPath(RevisitError):
-    """There is nothing at this path."""
+    """No call has this path. Resources are named maps/MAP, maps/MAP/sessions/SESSION and so on; /docs lists calls."""
 
     code = ErrorCode.NOT_FOUND
 

@@ -6,17 +6,14 @@ import asyncio
 import os
 import secrets
 import signal
-import sys
 from asyncio.subprocess import Process
 from collections import Counter
 from contextlib import suppress
 from functools import partial
-from pathlib import Path
 
 import structlog
 
-import revisit
-from revisit.service import ONE_THREAD
+from revisit.service import ONE_THREAD, own_python
 from revisit.service.application.contract.clock import Clock, Instant
 from revisit.service.application.contract.errors import Unavailable
 from revisit.service.application.contract.storage import Storage
@@ -98,10 +95,8 @@ class WorkerSupervisor:
     async def _run_once(self) -> WorkerEnd:
         """Run one worker process to its end, and let go of what it held; how it ended."""
         worker_id, killed_before = f"worker-{secrets.token_hex(4)}", out_of_memory_kills()
-        arguments = ("worker", "--id", worker_id, "--parent", str(os.getpid()))
-        process = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", "revisit.service", *arguments, env=_environment(), stdin=asyncio.subprocess.DEVNULL
-        )
+        command = own_python.command("-m", "revisit.service", "worker", "--id", worker_id, "--parent", str(os.getpid()))
+        process = await asyncio.create_subprocess_exec(*command, env=_environment(), stdin=asyncio.subprocess.DEVNULL)
         self._processes.add(process)
         log.info("worker_started", worker=worker_id, pid=process.pid)
         if self._stopping:
@@ -167,12 +162,4 @@ def _release(uow: UnitOfWork, worker_id: str, now: Instant, reason: str, *, inno
 
 
 def _environment() -> dict[str, str]:
-    """The gateway's environment, in which `revisit` can be found from any directory."""
-    root = str(Path(revisit.__file__).resolve().parents[1])
-    path = os.environ.get("PYTHONPATH")
-    return {
-        **os.environ,
-        **ONE_THREAD,
-        "MALLOC_ARENA_MAX": "2",
-        "PYTHONPATH": root if path is None else f"{root}{os.pathsep}{path}",
-    }
+    return {**own_python.environment(), **ONE_THREAD, "MALLOC_ARENA_MAX": "2"}

@@ -13,9 +13,11 @@ from pathlib import Path
 
 import pytest
 
+from revisit.evaluation.datasets import write_kitti
 from tests.support.live_service import live_service
 from tests.support.patience import in_time
 from tests.support.requirements import ROOT, distributions
+from tests.support.service_world import cloud_points, pose
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="links the dependencies into a new environment")
 
@@ -149,7 +151,7 @@ def test_the_sdk_alone_posts_a_cloud_and_streams_a_scan(environment, project):
     assert shown.splitlines() == ["['maps/yard/sessions/drive/submaps/gate']", "[]"]
 
 
-def test_the_command_says_in_one_line_what_to_install(environment, project):
+def test_the_command_says_in_one_line_what_to_install(environment, project, tmp_path):
     def told(*words: str) -> str:
         (line,) = run([str(environment / "bin/revisit"), *words], project, status=1).stderr.splitlines()
         return line
@@ -159,6 +161,9 @@ def test_the_command_says_in_one_line_what_to_install(environment, project):
     link(distributions("cli") - distributions(), site)
     assert "Usage" in python(environment, project, "-m", "revisit.cli", "--help")
     assert told("serve").endswith(" is not installed; this needs: pip install 'revisit-loops[service]'")
+    write_kitti(tmp_path / "drive", ((cloud_points(n), pose(float(n)), n * 10**8) for n in range(3)))
+    for command in ("ingest", "evaluate", "inspect"):
+        assert told(command, str(tmp_path / "drive")).endswith("pip install 'revisit-loops[service]'")
     for command in ("demo", "bench"):
         assert told(command).endswith("pip install 'revisit-loops[evaluation]'")
     assert told("loops", "--http", "http://127.0.0.1:1").startswith("revisit: UNREACHABLE")

@@ -23,6 +23,8 @@ class _Logging:
     """A process of the service over `home`, without a reserve on the disk, and what it logs; `launcher` goes before."""
 
     launcher: tuple[str, ...] = ()
+    python: tuple[str, ...] = (sys.executable,)
+    folder = ROOT
     command: tuple[str, ...]
 
     def __init__(self, home: Path, **settings: Any) -> None:
@@ -43,8 +45,8 @@ class _Logging:
     def start(self) -> None:
         """Start it (again)."""
         self._process = subprocess.Popen(
-            [*self.launcher, sys.executable, "-m", "revisit.service", *self.command],
-            cwd=ROOT,
+            [*self.launcher, *self.python, "-m", "revisit.service", *self.command],
+            cwd=self.folder,
             env=self._environment,
             stderr=subprocess.PIPE,
             text=True,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import subprocess
-import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -30,14 +29,17 @@ def running_service(home: Path, settings: Mapping[str, str] | None = None) -> It
     `settings` are further variables of its environment. Raises RuntimeError with the end of its log where it does not
     start.
     """
+    from revisit.service import own_python
+
     environment = {
-        **os.environ, "REVISIT_HOME": str(home / "data"), "REVISIT_HTTP_PORT": "0", "REVISIT_GRPC_PORT": "0",
+        **own_python.environment(),
+        "REVISIT_HOME": str(home / "data"), "REVISIT_HTTP_PORT": "0", "REVISIT_GRPC_PORT": "0",
         "REVISIT_HOST": "127.0.0.1", "REVISIT_WORKERS": str(os.cpu_count() or 1), "REVISIT_LOG_LEVEL": "INFO",
         **(settings or {}),
     }  # fmt: skip
     log = home / "service.log"
     with log.open("wb") as stream:
-        command = [sys.executable, "-m", "revisit.service", "serve"]
+        command = own_python.command("-m", "revisit.service", "serve")
         process = subprocess.Popen(command, env=environment, stdout=stream, stderr=subprocess.STDOUT)
     try:
         yield _when_listening(process, log)

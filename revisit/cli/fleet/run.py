@@ -90,7 +90,7 @@ def _optimised(client: Client, http: str) -> MapOfFleet:
     frames: dict[str, dict[str, Matrix4]] = {}
     for pose in client.submap_poses((done.result or {})["version"]):
         frames.setdefault(pose.frame, {})[pose.submap] = pose.T_map_submap
-    in_map = frozenset(loop.name for loop in client.loop_closures(f"maps/{MAP}") if loop.graph_state == "IN_MAP")
+    in_map = frozenset(loop.name for loop in client.loop_closures(f"maps/{MAP}", graph_state="IN_MAP"))
     return MapOfFleet(max(frames.values(), key=len), in_map, read_graph(http, MAP), seconds)
 
 

@@ -69,6 +69,11 @@ def _migrate(database: Path, revision: str) -> None:
     from alembic import command
     from alembic.util import CommandError
 
+    if present is not None and present not in known_revisions():
+        raise ForeignSchema(
+            f"it was written by a newer Revisit (schema {present}, this one knows up to {NEWEST_REVISION}). Start the "
+            "newer version, or restore a backup of this one"
+        )
     upwards = revision == "head" or present is None
     engine = writer_engine(database, checkpoints=True)
     try:

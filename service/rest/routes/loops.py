@@ -42,7 +42,7 @@ async def list_loop_closures(
     graph_state: GraphState | None = None,
     reason: Annotated[str | None, Query(max_length=limits.REASON_CHARACTERS)] = None,
 ) -> Response:
-    """List the loop closures of a map with their evidence, oldest first."""
+    """List the loop closures of a map with their evidence, oldest first; without `state`, rejected ones too."""
     page = await cases.loops.list(tenant, map_id, paging, state, session_id, fresh, graph_state, reason)
     return await page_answer(LoopClosurePage, "loop_closures", page, of_loop)
 

@@ -249,6 +249,17 @@ def test_a_map_is_optimised_looked_at_and_brought_back_by_typing(service):
     assert [one["in_force"] for one in json.loads(invoke("map", "versions", *at, "--json"))] == [False, False, True]
 
 
+def test_loops_that_the_map_set_aside_are_listed_only_where_they_are_asked_for(service):
+    made = fleet_in(service.world, "set-aside", 0.3, sessions=2, submaps=20, per_pair=8)
+    at = ("--map", made.map_id, "--http", service.http)
+    every = {loop["name"] for loop in json.loads(invoke("loops", *at, "--json"))}
+    invoke("map", "optimise", *at)
+    assert {loop["name"] for loop in json.loads(invoke("loops", *at, "--json"))} == made.right() < every
+    assert {loop["name"] for loop in json.loads(invoke("loops", *at, "--state", "accepted", "--json"))} == every
+    assert "SET_ASIDE" not in invoke("loops", *at)
+    assert invoke("loops", *at, "--state", "all").count("SET_ASIDE") == len(every - made.right())
+
+
 def test_a_map_is_merged_into_another_looked_at_and_taken_out_again_by_typing(service, tmp_path):
     made = fleet_in_two(service.world, ("typed-one", "typed-two"), sessions=2, submaps=20, per_pair=0)
     at = ("--http", service.http)

@@ -82,7 +82,7 @@ def fill(client):
     client.wait(client.publish_map("maps/town/versions/1"))
     client.download_tile(client.map_tiles("maps/town/versions/1")[0], "mesh")
     client.create_webhook("hook", "https://hooks.example.com/revisit", map_="maps/town")
-    loops = client.loop_closures("maps/town", state=None)
+    loops = client.loop_closures("maps/town", state="ALL")
     loop = loops[0].name.rpartition("/")[2] if loops else "loop-guess"
     return {**UNIVERSE, "operation": operation.name.removeprefix("operations/"), "loop": loop, "merge": merge}
 

@@ -36,6 +36,13 @@ def test_a_verdict_is_the_first_event_of_a_loop(client, loops):
     np.testing.assert_allclose(event.T_match_query, loops["ACCEPTED"].T_match_query)
 
 
+def test_a_client_that_names_no_state_is_told_the_accepted_loops_alone(client, loops, town):
+    assert {loop.state for loop in client.loop_closures(town, state="ALL")} == {"ACCEPTED", "REJECTED"}
+    assert [loop.name for loop in client.loop_closures(town)] == [loops["ACCEPTED"].name]
+    rejected = loops["REJECTED"]
+    assert rejected.name in {loop.name for loop in client.loop_closures(town, reason=rejected.reason)}
+
+
 def test_a_loop_is_rejected_taken_back_and_rejected_again(client, loops, town):
     loop = loops["ACCEPTED"]
     rejected = client.reject_loop_closure(loop, note="two halls that look alike")

@@ -38,12 +38,20 @@ def test_a_map_is_optimised_into_a_version_that_tells_what_it_rests_on(client, f
     assert client.map_versions(fleet.name) == [first]
     rests = first.summary
     assert (rests.sessions, rests.submaps, rests.frames, rests.mean_change_m) == (2, 60, 1, None)
-    states = {loop.name: loop.graph_state for loop in client.loop_closures(fleet.name, state=None)}
+    states = {loop.name: loop.graph_state for loop in client.loop_closures(fleet.name, state="ALL")}
     assert {name for name, state in states.items() if state == "IN_MAP"} == fleet.right()
     assert rests.loops_in_map == len(fleet.right())
     assert rests.loops_set_aside == len(states) - len(fleet.right()) > 0
     aside = client.loop_closures(fleet.name, graph_state="SET_ASIDE")
     assert {loop.name for loop in aside} == states.keys() - fleet.right()
+
+
+def test_a_client_that_names_no_state_is_told_no_loop_that_the_map_set_aside(client, fleet):
+    accepted = {loop.name for loop in client.loop_closures(fleet.name)}
+    assert accepted == {loop.name for loop in client.loop_closures(fleet.name, state="ACCEPTED")} > fleet.right()
+    optimised(client, fleet.name)
+    assert {loop.name for loop in client.loop_closures(fleet.name)} == fleet.right()
+    assert {loop.name for loop in client.loop_closures(fleet.name, state="ACCEPTED")} == accepted
 
 
 def test_the_same_map_optimised_again_is_the_same_to_a_bit(client, fleet):
@@ -152,7 +160,7 @@ def test_corrections_are_watched_as_versions_come(client, fleet):
 def test_an_earlier_version_comes_back_to_a_bit_and_with_it_the_verdicts_on_loops(client, service, fleet):
     first = optimised(client, fleet.name)
     poses = client.submap_poses(first)
-    verdicts = {loop.name: loop.graph_state for loop in client.loop_closures(fleet.name, state=None)}
+    verdicts = {loop.name: loop.graph_state for loop in client.loop_closures(fleet.name, state="ALL")}
     client.delete(f"{fleet.name}/sessions/s1/submaps/029")
     wrong = next(name for name in verdicts if "wrong" in name)
     second = optimised(client, fleet.name)
@@ -164,7 +172,7 @@ def test_an_earlier_version_comes_back_to_a_bit_and_with_it_the_verdicts_on_loop
     again = {pose.submap: pose for pose in client.submap_poses(restored)}
     for pose_before in poses[:-1]:
         assert again[pose_before.submap].T_map_submap.tobytes() == pose_before.T_map_submap.tobytes()
-    now = {loop.name: loop.graph_state for loop in client.loop_closures(fleet.name, state=None)}
+    now = {loop.name: loop.graph_state for loop in client.loop_closures(fleet.name, state="ALL")}
     assert now == {name: verdicts[name] for name in now}
     assert now.get(wrong, "SET_ASIDE") == "SET_ASIDE"
     assert client.revert_map(fleet.name, 3) == client.get_map_version(restored.name)

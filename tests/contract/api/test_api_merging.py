@@ -38,7 +38,7 @@ def everything(client, map_name):
     return (
         [(one.name, one.state) for one in sessions],
         [client.list_submaps(session) for session in sessions],
-        client.loop_closures(map_name, state=None),
+        client.loop_closures(map_name, state="ALL"),
     )
 
 

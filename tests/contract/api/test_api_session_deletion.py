@@ -43,7 +43,7 @@ def test_a_deleted_session_takes_its_submaps_and_loops_and_nothing_else(client, 
     for name in (session.name, f"{session.name}/submaps/gone"):
         with pytest.raises(NotFound):
             client.get_submap(name) if "/submaps/" in name else client.get_session(name)
-    assert client.loop_closures(town, state=None) == []
+    assert client.loop_closures(town, state="ALL") == []
     assert [found.name for found in client.list_sessions(town)] == [other.name]
     assert [hit.submap for hit in client.search(town, points=cloud_points(1))] == [kept.subject]
     assert searched(service, town) == 1

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import queue
+import signal
+import subprocess
+import sys
+
 import pytest
 
 from revisit import ApiError
+from revisit.evaluation.datasets import write_kitti
 from revisit.service.application.capacity import storage_quota
 from revisit.service.application.capacity.storage_quota import POINT_BYTES
 from revisit.service.application.contract.errors import QuotaReached
 from revisit.service.application.contract.identity import TenantId
 from tests.support.live_service import connected, live_service
+from tests.support.patience import PATIENCE_S
+from tests.support.requirements import ROOT
 from tests.support.service_world import TENANT, cloud_points, memory_world, open_session, pose, posted, scan, submap
 
 POINTS = 300
@@ -74,3 +82,27 @@ async def test_without_a_setting_there_is_no_limit():
     world = memory_world()
     await posted(world, **{f"s{number}": number for number in range(5)})
     assert world.context.quota is None
+
+
+def test_a_stream_that_a_full_quota_stops_says_so_while_it_waits():
+    told = queue.SimpleQueue()
+    with live_service(tenant_storage_bytes=ROOM) as service, connected(service, "grpc") as client:
+        session = client.create_session(client.create_map("town"), "monday")
+        opened = client.stream(session, on_delay=lambda reason, message: told.put((reason, message)))
+        stream = opened.__enter__()
+        for number in range(1, 6):
+            stream.send(cloud_points(number, POINTS), pose(float(number)), number)
+        reason, message = told.get(timeout=PATIENCE_S)
+        stream.close()
+    assert reason == "QUOTA" and "all it may store" in message
+
+
+def test_an_ingest_that_a_full_quota_stops_says_so_at_once(tmp_path):
+    recording = tmp_path / "drive"
+    write_kitti(recording, ((cloud_points(n, POINTS), pose(float(n)), n * 10**8) for n in range(6)))
+    with live_service(tenant_storage_bytes=ROOM) as service:
+        command = [sys.executable, "-m", "revisit.cli", "ingest", str(recording), "--grpc", service.grpc]
+        with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True) as ingest:
+            line = next(line for line in ingest.stderr if "QUOTA" in line)
+            ingest.send_signal(signal.SIGINT)
+    assert line.startswith("revisit: the service takes no scan now: QUOTA: ") and "all it may store" in line

@@ -56,7 +56,7 @@ def test_what_names_no_storey_is_refused(client, garage, bad):
 def test_loops_are_closed_on_one_storey_alone(client, garage):
     for session_id, storey in (("first", "B1"), ("upstairs", "B2"), ("again", "B1"), ("anywhere", None)):
         driven(client, garage, session_id, storey)
-    pairs = {(loop.query.split("/")[3], loop.match.split("/")[3]) for loop in client.loop_closures(garage, state=None)}
+    pairs = {(loop.query.split("/")[3], loop.match.split("/")[3]) for loop in client.loop_closures(garage, state="ALL")}
     assert pairs == {("again", "first"), ("anywhere", "first"), ("anywhere", "upstairs"), ("anywhere", "again")}
 
 

@@ -47,6 +47,50 @@ def test_a_database_of_a_newer_version_is_refused_and_left_alone(home, capsys):
     assert current_revision(home / "revisit.db") == "9999"
 
 
+def test_a_database_of_a_newer_version_is_told_without_words_of_the_migrations(home, capsys):
+    main(["migrate"])
+    with sqlite3.connect(home / "revisit.db") as connection:
+        connection.execute("UPDATE alembic_version SET version_num = '9999'")
+    assert main(["serve"]) == 78
+    told = capsys.readouterr().err
+    assert f"it was written by a newer Revisit (schema 9999, this one knows up to {NEWEST_REVISION})" in told
+    assert "newer version, or restore a backup" in told and "revision" not in told and told.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("variable", "nearest"),
+    [
+        ("REVISIT_WORKRES", "REVISIT_WORKERS"),
+        ("REVISIT_HOEM", "REVISIT_HOME"),
+        ("REVISIT_HTTPPORT", "REVISIT_HTTP_PORT"),
+        ("REVISIT_TAU", "REVISIT_TAU_M"),
+    ],
+)
+def test_a_misspelt_setting_ends_the_start_with_the_nearest_name(variable, nearest, monkeypatch, capsys):
+    monkeypatch.setenv(variable, "4")
+    assert main(["serve"]) == 78
+    assert capsys.readouterr().err == f"{variable} is no setting: did you mean {nearest}?\n"
+
+
+def test_a_command_refuses_a_misspelt_setting_in_one_line(monkeypatch, capsys):
+    monkeypatch.setenv("REVISIT_HOEM", "elsewhere")
+    monkeypatch.setattr("sys.argv", ["revisit", "keys", "list"])
+    with pytest.raises(SystemExit) as refused:
+        run()
+    assert refused.value.code == 1
+    assert capsys.readouterr().err == "revisit: REVISIT_HOEM is no setting: did you mean REVISIT_HOME?\n"
+
+
+FOREIGN = ("SERVICE_HOST", "SERVICE_PORT", "SERVICE_PORT_HTTP", "PORT", "PORT_8080_TCP_ADDR", "DATA", "TEST_TIMES")
+
+
+def test_variables_of_clients_of_tests_and_of_kubernetes_are_no_misspelt_settings(monkeypatch):
+    # Kubernetes sets REVISIT_PORT and others in every container beside a service named revisit.
+    for name in (*FOREIGN, "URL", "GRPC", "API_KEY", "CA", "CERTIFICATE", "CERTIFICATE_KEY"):
+        monkeypatch.setenv(f"REVISIT_{name}", "1")
+    assert main(["migrate"]) == 0
+
+
 @pytest.mark.parametrize("command", ["serve", "migrate", "worker"])
 def test_a_file_that_is_no_database_is_refused_in_one_line_and_left_alone(command, home, capsys):
     (home / "revisit.db").write_bytes(b"no database" * 500)

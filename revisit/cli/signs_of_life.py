@@ -1,0 +1,67 @@
+"""Signs of life: a line where a command has shown nothing for a while."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import TracebackType
+from typing import Self
+
+AFTER_S = 1.5
+LOOK_S = 0.25
+
+
+class SignsOfLife:
+    """Tells, once each, what a command is doing that takes longer than `after_s`; nothing while a bar is shown."""
+
+    def __init__(
+        self, doing: str, tell: Callable[[str], None], *, after_s: float = AFTER_S, look_s: float = LOOK_S
+    ) -> None:
+        """`doing` is the first piece of work; each line is given to `tell`, in a thread of its own."""
+        self._tell = tell
+        self._after_s = after_s
+        self._look_s = look_s
+        self._bars = 0
+        self._ended = threading.Event()
+        self.doing(doing)
+
+    def doing(self, doing: str) -> None:
+        """Another piece of work begins."""
+        self._doing, self._since, self._told = doing, time.monotonic(), False
+
+    @contextmanager
+    def shown(self) -> Iterator[None]:
+        """Something else shows meanwhile how far the work is."""
+        self._bars += 1
+        try:
+            yield
+        finally:
+            self._bars -= 1
+            self._since = time.monotonic()
+
+    def end(self) -> None:
+        """Tell nothing any more."""
+        self._ended.set()
+
+    def is_due(self) -> bool:
+        """Whether a line is to be told now."""
+        return not self._bars and not self._told and time.monotonic() >= self._since + self._after_s
+
+    def _watch(self) -> None:
+        while not self._ended.wait(self._look_s):
+            if self.is_due():
+                self._told = True
+                self._tell(self._doing)
+
+    def __enter__(self) -> Self:
+        """Begin to watch."""
+        threading.Thread(target=self._watch, name="signs of life", daemon=True).start()
+        return self
+
+    def __exit__(
+        self, _kind: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
+    ) -> None:
+        """See `end`."""
+        self.end()
