@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 from fastapi import Depends, FastAPI, Security
@@ -16,7 +17,9 @@ from starlette.routing import BaseRoute
 from revisit.core.errors import RevisitError
 from revisit.service.application.access.admission import STREAM_RECHECK_S, Credential
 from revisit.service.application.access.callers import Scope, enter
+from revisit.service.application.capacity.call_slots import CallSlots
 from revisit.service.application.contract.errors import PermissionDenied, TooManyFailures, Unauthenticated
+from revisit.service.rest.event_stream import gone
 from revisit.service.rest.tracing import call_of
 
 SCHEME = "bearer"
@@ -28,12 +31,18 @@ FRAMEWORK_PATHS = frozenset({"/openapi.json"})
 async def admitted(request: Request, needed: SecurityScopes) -> None:
     """Admit the caller where its credential has one of the scopes `needed`, before anything of the request is read.
 
+    The request holds one of its slots from now on, until it is answered.
+
     Raises Unauthenticated, PermissionDenied, TooManyFailures, RateLimited.
     """
     scopes = frozenset(Scope(scope) for scope in needed.scopes)
     path = f"{request.method} {request.url.path}"
     access = request.app.state.use_cases.access
-    enter(await access.admit_call(credential_of(request), scopes, call_of(request.scope), path))
+    caller = await access.admit_call(credential_of(request), scopes, call_of(request.scope), path)
+    enter(caller)
+    slots: CallSlots = request.app.state.slots
+    held = slots.hold(slots.calls, caller.tenant, caller.name, partial(gone, request.receive))
+    request.state.held.enter_context(held)
 
 
 async def until_refused(request: Request, scopes: frozenset[Scope]) -> RevisitError:
