@@ -188,13 +188,13 @@ def _public(handler: Any, gate: Gate, calls: PublicCalls) -> Any:
         async def stream(requests: AsyncIterator[Any], context: Any) -> AsyncIterator[Any]:
             peer = str(context.peer())
             try:
+                await gate.admit_public(peer)
                 with calls.watch(peer):
                     given = requests if handler.request_streaming else await _only(requests, PUBLIC_MESSAGE_S)
                     answer = handler.stream_stream if handler.request_streaming else handler.unary_stream
                     async for response in answer(given, context):
                         yield response
             except RevisitError as error:
-                await gate.delay_refusal(peer)
                 _refuse(context, error)
 
         return grpc.stream_stream_rpc_method_handler(stream, *parts)

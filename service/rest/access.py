@@ -20,7 +20,7 @@ from revisit.service.application.access.callers import Scope, enter
 from revisit.service.application.capacity.call_slots import CallSlots
 from revisit.service.application.contract.errors import PermissionDenied, TooManyFailures, Unauthenticated
 from revisit.service.rest.event_stream import gone
-from revisit.service.rest.tracing import call_of
+from revisit.service.rest.tracing import PROBES, call_of
 
 SCHEME = "bearer"
 
@@ -59,8 +59,10 @@ async def until_refused(request: Request, scopes: frozenset[Scope]) -> RevisitEr
             continue
 
 
-async def anyone() -> None:
-    """Declares a route that holds nobody's data."""
+async def anyone(request: Request) -> None:
+    """Declares a route that holds nobody's data. Raises RateLimited, but where health is asked for."""
+    if request.url.path not in PROBES:
+        await request.app.state.use_cases.access.admit_public(_address_of(request))
 
 
 def allows(*scopes: Scope) -> Any:
@@ -79,8 +81,11 @@ def credential_of(request: Request) -> Credential:
     if len(request.headers.getlist("authorization")) > 1:
         raise Unauthenticated("send one Authorization header")
     scheme, _, token = request.headers.get("authorization", "").partition(" ")
-    address = request.client.host if request.client is not None else ""
-    return Credential(token.strip() if scheme.lower() == "bearer" else None, address=address)
+    return Credential(token.strip() if scheme.lower() == "bearer" else None, address=_address_of(request))
+
+
+def _address_of(request: Request) -> str:
+    return request.client.host if request.client is not None else ""
 
 
 def require_declared_scopes(app: FastAPI) -> None:
