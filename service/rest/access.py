@@ -19,6 +19,7 @@ from revisit.service.application.access.admission import STREAM_RECHECK_S, Crede
 from revisit.service.application.access.callers import Scope, enter
 from revisit.service.application.capacity.call_slots import CallSlots
 from revisit.service.application.contract.errors import PermissionDenied, TooManyFailures, Unauthenticated
+from revisit.service.rest.door import VOUCH
 from revisit.service.rest.event_stream import gone
 from revisit.service.rest.tracing import PROBES, call_of
 
@@ -38,8 +39,11 @@ async def admitted(request: Request, needed: SecurityScopes) -> None:
     scopes = frozenset(Scope(scope) for scope in needed.scopes)
     path = f"{request.method} {request.url.path}"
     access = request.app.state.use_cases.access
-    caller = await access.admit_call(credential_of(request), scopes, call_of(request.scope), path)
+    shown = credential_of(request)
+    caller = await access.admit_call(shown, scopes, call_of(request.scope), path)
     enter(caller)
+    if (voucher := getattr(request.state, VOUCH, None)) is not None:
+        voucher.admitted(shown.bearer)
     slots: CallSlots = request.app.state.slots
     held = slots.hold(slots.calls, caller.tenant, caller.name, partial(gone, request.receive))
     request.state.held.enter_context(held)

@@ -153,10 +153,16 @@ class CallPace:
 
     def _bucket(self, caller: tuple[str, ...], per_s: float) -> TokenBucket:
         """The caller's bucket, which is now the last to be forgotten."""
-        now_s = self._now_s()
-        bucket = self._buckets.get(caller) or TokenBucket.full(per_s, self._limits.burst, now_s)
-        _remember(self._buckets, caller, bucket)
-        return bucket
+        return bucket_of(self._buckets, caller, per_s, self._limits.burst, self._now_s())
+
+
+def bucket_of(
+    buckets: dict[tuple[str, ...], TokenBucket], holder: tuple[str, ...], per_s: float, burst: float, now_s: float
+) -> TokenBucket:
+    """The bucket of a holder, who is now the last to be forgotten; a full one of a holder that is not known."""
+    bucket = buckets.get(holder) or TokenBucket.full(per_s, burst, now_s)
+    _remember(buckets, holder, bucket)
+    return bucket
 
 
 def _remember(known: dict[tuple[str, ...], Known], caller: tuple[str, ...], what: Known) -> None:
