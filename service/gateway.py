@@ -235,9 +235,11 @@ def _load_kernels() -> None:
 
 def _listen(host: str, port: int) -> socket.socket:
     """A listening socket. Raises OSError where the port is taken."""
+    from revisit.service.rest.listening import BACKLOG
+
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
-        return socket.create_server((host, port), family=family, backlog=2048)
+        return socket.create_server((host, port), family=family, backlog=BACKLOG)
     except OSError as error:
         reason = error.strerror.partition(" (")[0].lower() if error.strerror else str(error)
         raise OSError(f"port {port} for HTTP cannot be taken ({reason}); REVISIT_HTTP_PORT names another") from error

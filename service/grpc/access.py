@@ -127,6 +127,10 @@ class Gate:
         """As `admit`, again, for what the caller of an open stream has shown."""
         enter(await self._access.admit(shown, _scopes_of(method), method))
 
+    async def admit_public(self, peer: str) -> None:
+        """Return when a call that needs no credential may begin. Raises RateLimited."""
+        await self._access.admit_public(_address_of(peer))
+
     async def delay_refusal(self, peer: str) -> None:
         """Wait before a stranger is refused, where strangers at this address are refused too often."""
         await self._access.delay_refusal(_address_of(peer))

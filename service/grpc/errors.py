@@ -20,12 +20,14 @@ from google.protobuf.message import DecodeError, Message
 from google.rpc import error_details_pb2, status_pb2  # type: ignore[import-untyped]  # ships no types
 
 from revisit.core.errors import MalformedBody, RevisitError, TooLarge
-from revisit.service.application.access.callers import current_tenant
+from revisit.service.application.access.callers import current_actor, current_tenant
 from revisit.service.application.capacity.byte_budget import ByteBudget, HeldBytes
+from revisit.service.application.capacity.call_slots import CallSlots
+from revisit.service.application.capacity.slots import Slots
 from revisit.service.application.contract.errors import DeadlineExceeded
 from revisit.service.application.contract.tracing import current_request
 from revisit.service.grpc.access import Gate
-from revisit.service.grpc.places import CallPlaces
+from revisit.service.grpc.public_calls import PublicCalls
 from revisit.service.grpc.tracing import OWN_METHODS, REQUEST_ID
 from revisit.service.status import ERROR_DOMAIN, STATUS, retry_after_s
 
@@ -51,6 +53,9 @@ LARGEST_MESSAGE_BYTES = 16 * 2**20
 HELD_FORMS = 2
 """A message is held in so many forms until its call is answered: parsed, and as the bytes of its cloud."""
 
+_LASTING = frozenset({"WatchLoopClosures", "WatchCorrections", "WatchEvents"})
+_STREAMS = frozenset({"StreamScans"})
+
 M = TypeVar("M")
 
 _log = structlog.get_logger(__name__)
@@ -63,10 +68,11 @@ class ErrorInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  #
     message, whose bytes wait with the client until then.
     """
 
-    def __init__(self, gate: Gate, places: CallPlaces, budget: ByteBudget) -> None:
-        """`gate` admits the callers; `places` and `budget` bound what they hold open, in calls and in bytes."""
+    def __init__(self, gate: Gate, slots: CallSlots, budget: ByteBudget) -> None:
+        """`gate` admits the callers; `slots` and `budget` bound what they hold open, in calls and in bytes."""
         self._gate = gate
-        self._places = places
+        self._slots = slots
+        self._public_calls = PublicCalls()
         self._budget = budget
 
     async def intercept_service(
@@ -80,8 +86,8 @@ class ErrorInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  #
         if handler is None:
             return None
         if not method.startswith(OWN_METHODS):
-            return _public(handler, self._gate, self._places)
-        return _guarded(handler, method, self._gate, self._places, self._budget)
+            return _public(handler, self._gate, self._public_calls)
+        return _guarded(handler, method, self._gate, self._slots, self._budget)
 
 
 def rpc_status(error: RevisitError, request_id: str) -> status_pb2.Status:
@@ -114,15 +120,14 @@ def code_of(error: RevisitError) -> grpc.StatusCode:
     return grpc.StatusCode[STATUS[error.code].grpc]
 
 
-def _guarded(handler: Any, method: str, gate: Gate, places: CallPlaces, budget: ByteBudget) -> Any:
-    parse = handler.request_deserializer
+def _guarded(handler: Any, method: str, gate: Gate, slots: CallSlots, budget: ByteBudget) -> Any:
+    parse, kind = handler.request_deserializer, _kind_of(method, slots)
     if handler.response_streaming:
 
         async def stream(requests: AsyncIterator[bytes], context: Any) -> AsyncIterator[Any]:
             try:
-                peer = str(context.peer())
                 async with gate.watching(method, context):
-                    with places.of_caller(method, peer):
+                    with slots.hold(kind, current_tenant(), current_actor()):
                         async with asyncio.timeout(None) as unread:
                             async for response in _streamed(handler, parse, requests, context):
                                 unread.reschedule(asyncio.get_running_loop().time() + UNREAD_S)
@@ -135,14 +140,20 @@ def _guarded(handler: Any, method: str, gate: Gate, places: CallPlaces, budget: 
 
     async def unary(requests: AsyncIterator[bytes], context: Any) -> Any:
         try:
-            peer = str(context.peer())
             await gate.admit(method, context)
-            with places.of_caller(method, peer), budget.hold(current_tenant()) as held:
+            tenant = current_tenant()
+            with slots.hold(kind, tenant, current_actor()), budget.hold(tenant) as held:
                 return await handler.unary_unary(await _message(method, parse, requests, held), context)
         except Exception as error:  # noqa: BLE001  # the last resort of every call
             _refuse(context, error)
 
     return grpc.stream_unary_rpc_method_handler(unary, None, handler.response_serializer)
+
+
+def _kind_of(method: str, slots: CallSlots) -> Slots:
+    """The slots that the calls of `/revisit.v1.Service/Method` hold."""
+    name = method.rpartition("/")[2]
+    return slots.streams if name in _STREAMS else slots.watches if name in _LASTING else slots.calls
 
 
 async def _message(method: str, parse: Callable[[bytes], Any], requests: AsyncIterator[bytes], held: HeldBytes) -> Any:
@@ -169,7 +180,7 @@ async def _streamed(
         yield response
 
 
-def _public(handler: Any, gate: Gate, places: CallPlaces) -> Any:
+def _public(handler: Any, gate: Gate, calls: PublicCalls) -> Any:
     """A call that needs no credential: health and reflection, whose handlers parse their own messages."""
     parts = (handler.request_deserializer, handler.response_serializer)
     if handler.response_streaming:
@@ -177,13 +188,13 @@ def _public(handler: Any, gate: Gate, places: CallPlaces) -> Any:
         async def stream(requests: AsyncIterator[Any], context: Any) -> AsyncIterator[Any]:
             peer = str(context.peer())
             try:
-                with places.of_public(peer, lasting=True):
+                await gate.admit_public(peer)
+                with calls.watch(peer):
                     given = requests if handler.request_streaming else await _only(requests, PUBLIC_MESSAGE_S)
                     answer = handler.stream_stream if handler.request_streaming else handler.unary_stream
                     async for response in answer(given, context):
                         yield response
             except RevisitError as error:
-                await gate.delay_refusal(peer)
                 _refuse(context, error)
 
         return grpc.stream_stream_rpc_method_handler(stream, *parts)
@@ -191,8 +202,9 @@ def _public(handler: Any, gate: Gate, places: CallPlaces) -> Any:
     async def unary(requests: AsyncIterator[Any], context: Any) -> Any:
         peer = str(context.peer())
         try:
-            with places.of_public(peer, lasting=False):
-                return await handler.unary_unary(await _only(requests, PUBLIC_MESSAGE_S), context)
+            async with calls.message(peer):
+                message = await _only(requests, PUBLIC_MESSAGE_S)
+            return await handler.unary_unary(message, context)
         except RevisitError as error:
             await gate.delay_refusal(peer)
             _refuse(context, error)

@@ -10,10 +10,10 @@ from grpc_health.v1 import health_pb2, health_pb2_grpc
 from grpc_reflection.v1alpha import reflection
 
 from revisit.service.application import UseCases
+from revisit.service.application.capacity.call_slots import CallLimits, CallSlots
 from revisit.service.application.contract.tracing import NoTracer, Tracer
 from revisit.service.grpc.access import Gate, require_declared_scopes
 from revisit.service.grpc.errors import LARGEST_MESSAGE_BYTES, ErrorInterceptor
-from revisit.service.grpc.places import CallLimits, CallPlaces
 from revisit.service.grpc.servicers.events import EventServicer
 from revisit.service.grpc.servicers.health import HealthServicer
 from revisit.service.grpc.servicers.ingest import IngestServicer
@@ -65,6 +65,10 @@ MAX_MESSAGE_BYTES = LARGEST_MESSAGE_BYTES
 MAX_METADATA_BYTES = 16 * 2**10
 MAX_CONCURRENT_CALLS = 256
 """Of one connection. `CallLimits` bounds what all together hold open."""
+
+PUBLIC_CALLS = 128
+"""What calls without a credential add to the bound of all calls: that is twice what may be open, for as many again may
+be on their way in or out."""
 
 CONNECTIONS = 4096
 """Open connections; each takes about 17 KiB while it is idle (VmRSS of a gateway with 3,000 of them)."""
@@ -119,11 +123,11 @@ def create_server(
     services = [service for module, *_ in _SERVICES for service in module.DESCRIPTOR.services_by_name.values()]
     require_declared_scopes(services)
     timers = [] if requests is None else [CallTimer(requests)]
-    guard = ErrorInterceptor(Gate(use_cases, strangers), CallPlaces(call_limits), use_cases.budget)
+    guard = ErrorInterceptor(Gate(use_cases, strangers), CallSlots(call_limits), use_cases.budget)
     server = grpc.aio.server(
         interceptors=[CallTracing(tracer), *timers, guard],
         options=(*OPTIONS, ("grpc.max_allowed_incoming_connections", connections)),
-        maximum_concurrent_rpcs=call_limits.total,
+        maximum_concurrent_rpcs=2 * (call_limits.total + PUBLIC_CALLS),
     )
     health = health_pb2.DESCRIPTOR.services_by_name["Health"].full_name
     names = [health, *(service.full_name for service in services)]

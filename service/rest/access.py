@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 from fastapi import Depends, FastAPI, Security
@@ -16,8 +17,11 @@ from starlette.routing import BaseRoute
 from revisit.core.errors import RevisitError
 from revisit.service.application.access.admission import STREAM_RECHECK_S, Credential
 from revisit.service.application.access.callers import Scope, enter
+from revisit.service.application.capacity.call_slots import CallSlots
 from revisit.service.application.contract.errors import PermissionDenied, TooManyFailures, Unauthenticated
-from revisit.service.rest.tracing import call_of
+from revisit.service.rest.door import VOUCH
+from revisit.service.rest.event_stream import gone
+from revisit.service.rest.tracing import PROBES, call_of
 
 SCHEME = "bearer"
 
@@ -28,12 +32,21 @@ FRAMEWORK_PATHS = frozenset({"/openapi.json"})
 async def admitted(request: Request, needed: SecurityScopes) -> None:
     """Admit the caller where its credential has one of the scopes `needed`, before anything of the request is read.
 
+    The request holds one of its slots from now on, until it is answered.
+
     Raises Unauthenticated, PermissionDenied, TooManyFailures, RateLimited.
     """
     scopes = frozenset(Scope(scope) for scope in needed.scopes)
     path = f"{request.method} {request.url.path}"
     access = request.app.state.use_cases.access
-    enter(await access.admit_call(credential_of(request), scopes, call_of(request.scope), path))
+    shown = credential_of(request)
+    caller = await access.admit_call(shown, scopes, call_of(request.scope), path)
+    enter(caller)
+    if (voucher := getattr(request.state, VOUCH, None)) is not None:
+        voucher.admitted(shown.bearer)
+    slots: CallSlots = request.app.state.slots
+    held = slots.hold(slots.calls, caller.tenant, caller.name, partial(gone, request.receive))
+    request.state.held.enter_context(held)
 
 
 async def until_refused(request: Request, scopes: frozenset[Scope]) -> RevisitError:
@@ -50,8 +63,10 @@ async def until_refused(request: Request, scopes: frozenset[Scope]) -> RevisitEr
             continue
 
 
-async def anyone() -> None:
-    """Declares a route that holds nobody's data."""
+async def anyone(request: Request) -> None:
+    """Declares a route that holds nobody's data. Raises RateLimited, but where health is asked for."""
+    if request.url.path not in PROBES:
+        await request.app.state.use_cases.access.admit_public(_address_of(request))
 
 
 def allows(*scopes: Scope) -> Any:
@@ -70,8 +85,11 @@ def credential_of(request: Request) -> Credential:
     if len(request.headers.getlist("authorization")) > 1:
         raise Unauthenticated("send one Authorization header")
     scheme, _, token = request.headers.get("authorization", "").partition(" ")
-    address = request.client.host if request.client is not None else ""
-    return Credential(token.strip() if scheme.lower() == "bearer" else None, address=address)
+    return Credential(token.strip() if scheme.lower() == "bearer" else None, address=_address_of(request))
+
+
+def _address_of(request: Request) -> str:
+    return request.client.host if request.client is not None else ""
 
 
 def require_declared_scopes(app: FastAPI) -> None:

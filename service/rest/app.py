@@ -7,8 +7,8 @@ from typing import Any
 from fastapi import FastAPI
 
 from revisit.service.application import UseCases
+from revisit.service.application.capacity.call_slots import CallSlots
 from revisit.service.application.capacity.in_flight import Turns
-from revisit.service.application.capacity.places import Places
 from revisit.service.application.contract.tracing import NoTracer, Tracer
 from revisit.service.metrics import RequestMetrics
 from revisit.service.rest.access import describe_access, require_declared_scopes
@@ -21,7 +21,7 @@ from revisit.service.rest.middleware import (
     HostGuard,
     OriginGuard,
     RequestEnvelope,
-    RequestPlaces,
+    RequestSlots,
     RequestTimer,
 )
 from revisit.service.rest.routes import (
@@ -77,7 +77,7 @@ def create_app(
     app.state.use_cases = use_cases
     app.state.limits = limits
     app.state.long_bodies = Turns(LONG_BODIES_AT_A_TIME, of_tenant=1)
-    app.state.watches = Places()
+    app.state.slots = CallSlots(limits.calls)
     for module in ROUTES:
         app.include_router(module.router)
     require_declared_scopes(app)
@@ -86,7 +86,7 @@ def create_app(
     app.add_middleware(OriginGuard)
     app.add_middleware(HostGuard, hosts=hosts)
     app.add_middleware(RequestTracing, tracer=tracer)
-    app.add_middleware(RequestPlaces, limits=limits)
+    app.add_middleware(RequestSlots, limits=limits)
     app.add_middleware(RequestEnvelope)
     if requests is not None:
         app.add_middleware(RequestTimer, requests=requests)

@@ -14,11 +14,9 @@ from pydantic_core import to_json
 from starlette.types import Message, Receive, Scope, Send
 
 from revisit.core.errors import RevisitError
-from revisit.service.application.access.callers import current_actor, current_tenant
-from revisit.service.application.capacity.places import Claim, Places
+from revisit.service.application.capacity.call_slots import watching
 from revisit.service.application.push.events import EventView
 from revisit.service.rest.errors import problem
-from revisit.service.rest.limits import HttpLimits
 from revisit.service.wire.answers import of_event
 from revisit.service.wire.json_form import json_form
 from revisit.v1 import event_pb2
@@ -46,31 +44,27 @@ class EventStream(Response):
     def __init__(
         self,
         events: AsyncIterator[EventView | None],
-        places: Places,
-        limits: HttpLimits,
         refused: Callable[[], Coroutine[Any, Any, RevisitError]],
     ) -> None:
         """`refused` returns once the client has lost its right to read, with the reason."""
         super().__init__()
         self._events = events
-        self._places = places
-        self._limits = limits
         self._refused = refused
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send the events. Raises RateLimited, and what the first of them raises."""
-        with self._places.hold(*_claims(self._limits)):
+        with watching():
             first = await anext(self._events)
             await send({"type": "http.response.start", "status": 200, "headers": HEADERS})
             await send(_piece(f"retry: {RECONNECT_MS}\n\n{text_of(first)}"))
             sending = asyncio.create_task(self._send(send))
-            gone, refused = asyncio.create_task(_gone(receive)), asyncio.create_task(self._refused())
+            left, refused = asyncio.create_task(gone(receive)), asyncio.create_task(self._refused())
             try:
-                await asyncio.wait((sending, gone, refused), return_when=asyncio.FIRST_COMPLETED)
+                await asyncio.wait((sending, left, refused), return_when=asyncio.FIRST_COMPLETED)
             finally:
-                for task in (sending, gone, refused):
+                for task in (sending, left, refused):
                     task.cancel()
-            ends = await asyncio.gather(sending, refused, gone, return_exceptions=True)
+            ends = await asyncio.gather(sending, refused, left, return_exceptions=True)
             error = next((end for end in ends if isinstance(end, RevisitError)), None)
             if error is not None:
                 await send(_piece(_problem_text(error, scope["state"]["request_id"])))
@@ -100,15 +94,7 @@ def _piece(text: str) -> Message:
     return {"type": "http.response.body", "body": text.encode(), "more_body": True}
 
 
-def _claims(limits: HttpLimits) -> tuple[Claim, ...]:
-    tenant, client = current_tenant(), current_actor()
-    return (
-        Claim(("watches", tenant, client), limits.client_watches, "watches of this client"),
-        Claim(("watches", tenant), limits.tenant_watches, "watches of this tenant"),
-        Claim(("watches",), limits.watches, "watches"),
-    )
-
-
-async def _gone(receive: Receive) -> None:
+async def gone(receive: Receive) -> None:
+    """Return once the client has left."""
     while (await receive())["type"] != "http.disconnect":
         pass

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from revisit.service.application.capacity.call_slots import CallLimits
+from revisit.service.application.capacity.slots import Share
+
 MIB = 2**20
 
 
@@ -21,10 +24,8 @@ class HttpLimits:
     """Time that any body may take."""
     body_bytes_per_s: int = 8 * 1024
     """The rate above which a body may take longer, on average since it began."""
-    requests: int = 1024
-    """Requests that are being answered at the same time; health is told beyond them."""
-    watches: int = 128
-    """Streams of events that are open at the same time."""
-    tenant_watches: int = 64
-    client_watches: int = 16
-    """Of one API key; a page in a browser holds one."""
+    requests: int = 1536
+    """Requests that are being answered at the same time: those that hold a slot, those that wait for their turn, and
+    those whose caller is being admitted. Health is told beyond them."""
+    calls: CallLimits = CallLimits(watches=Share("watches", 128, 64, 16))
+    """Those of admitted callers; a page in a browser holds one watch."""

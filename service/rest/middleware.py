@@ -84,8 +84,11 @@ class RequestEnvelope:
             await unexpected(error, request_id)(scope, receive, send_with_headers)
 
 
-class RequestPlaces:
-    """Refuses a request where as many as may be are being answered; health is told in any case."""
+class RequestSlots:
+    """Refuses a request where as many as may be are being answered; health is told in any case.
+
+    What a request holds from its admission on, in `scope["state"]["held"]`, is given back once it is answered.
+    """
 
     def __init__(self, app: ASGIApp, limits: HttpLimits) -> None:
         self._app = app
@@ -103,7 +106,8 @@ class RequestPlaces:
             return
         self._answering += 1
         try:
-            await self._app(scope, receive, send)
+            with ExitStack() as scope["state"]["held"]:
+                await self._app(scope, receive, send)
         finally:
             self._answering -= 1
 

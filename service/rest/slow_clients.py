@@ -1,6 +1,6 @@
 """Slow clients: a connection that brings no request head, or takes no answer, in time is closed.
 
-For bodies see `BodyLimit`, for what is answered where all places are taken `RequestPlaces`.
+For bodies see `BodyLimit`, for what is answered where all slots are taken `RequestSlots`.
 """
 
 from __future__ import annotations
@@ -11,6 +11,8 @@ from typing import Any
 
 import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from revisit.service.rest.limits import HttpLimits
 
 HEAD_S = 10.0
 """Time for a request line with its headers, counted from the connection or from the first byte of the next request."""
@@ -23,10 +25,10 @@ HEAD_BYTES = 32 * 2**10
 
 CONNECTIONS = 512
 """Open connections. One more takes the place of the one that has been awaited the longest; where all are being
-answered it is let in, up to twice as many and `RESERVED`."""
+answered it is let in, up to as many as are answered at the same time and `RESERVED`."""
 
 RESERVED = 64
-"""Connections beyond those, on which only health is told: see `RequestPlaces`."""
+"""Connections beyond those, on which only health is told: see `RequestSlots`."""
 
 WRITE_S = 10.0
 """A client takes all of its answer that waits in our memory in so long, or `WRITE_BYTES` of it, or is cut off."""
@@ -73,7 +75,7 @@ class DeadlineProtocol(H11Protocol):
         super().connection_made(transport)
         self._heard_s = asyncio.get_running_loop().time()
         crowded = len(self.connections) > self.most_connections and not self._make_room()
-        if crowded and len(self.connections) > 2 * self.most_connections + RESERVED:
+        if crowded and len(self.connections) > self.most_connections + HttpLimits.requests + RESERVED:
             transport.abort()
             return
         self._watch()

@@ -35,6 +35,7 @@ QUEUE = "tests/contract/test_job_queue.py::"
 PLACES = "tests/contract/api/test_api_places.py::"
 LIMITS = "tests/contract/api/test_api_limits.py::"
 QUOTA = "tests/integration/test_cheap_requests_cost_quota.py::"
+WAITS = "tests/contract/api/test_api_waits.py::"
 PACE = "tests/contract/api/test_api_pace.py::"
 DELETION = "tests/contract/api/test_api_session_deletion.py::"
 
@@ -134,7 +135,7 @@ def _never_expires(caller_of_key):
     return lambda record, *shown: caller_of_key(record and replace(record, expires_at_ns=None), *shown)
 
 
-def _no_place(_place):
+def _no_slot(_slot):
     return lambda *_arguments, **_named: nullcontext()
 
 
@@ -353,13 +354,23 @@ SABOTAGES = (
     ),
     Sabotage(
         "a stranger may watch health as often as it likes",
-        {f"{SERVICE}grpc.places:CallPlaces.of_public": _no_place},
+        {f"{SERVICE}grpc.public_calls:PublicCalls.watch": _no_slot},
         f"{PLACES}test_whoever_watches_keeps_no_other_tenant_out[stranger-24]",
     ),
     Sabotage(
         "a key may watch loop closures as often as it likes",
-        {f"{SERVICE}grpc.places:CallPlaces.of_caller": _no_place},
+        {f"{USE_CASES}capacity.call_slots:CallSlots.hold": _no_slot},
         f"{PLACES}test_whoever_watches_keeps_no_other_tenant_out[greedy-32]",
+    ),
+    Sabotage(
+        "two tenants may hold all that there is",
+        {f"{USE_CASES}capacity.slots:Share.beside": lambda _beside: lambda share, others: share.most - others},
+        f"{WAITS}test_two_tenants_that_wait_as_often_as_they_can_keep_no_third_one_out[grpc]",
+    ),
+    Sabotage(
+        "a wait goes on when its client has left",
+        {f"{USE_CASES}capacity.call_slots:Wait.abandon": nothing},
+        f"{WAITS}test_a_wait_whose_client_has_left_ends[rest]",
     ),
     Sabotage(
         "a client that does not read is waited for",

@@ -14,8 +14,10 @@ import uvicorn
 
 from revisit import Client
 from revisit.sdk.retry import RetryPolicy
+from revisit.service.application.capacity.call_slots import CallLimits
 from revisit.service.grpc.server import create_server
 from revisit.service.rest.app import create_app
+from revisit.service.rest.limits import HttpLimits
 from revisit.service.rest.slow_clients import uvicorn_limits
 from tests.support.patience import PATIENCE_S
 from tests.support.service_world import World, memory_world
@@ -42,12 +44,12 @@ class LiveService:
 
 
 @contextlib.contextmanager
-def live_service(world: World | None = None, **policy) -> Iterator[LiveService]:
-    """Run until the block ends, over `world` where one is given."""
+def live_service(world: World | None = None, limits: CallLimits | None = None, **policy) -> Iterator[LiveService]:
+    """Run until the block ends, over `world` where one is given; `limits` are those of both transports."""
     world = world or memory_world(**policy)
     started: list[LiveService] = []
     ready, stop = threading.Event(), threading.Event()
-    thread = threading.Thread(target=lambda: asyncio.run(_serve(world, started, ready, stop)), daemon=True)
+    thread = threading.Thread(target=lambda: asyncio.run(_serve(world, limits, started, ready, stop)), daemon=True)
     thread.start()
     assert ready.wait(PATIENCE_S), "the service did not start"
     worker = threading.Thread(target=_work, args=(started[0], stop), daemon=True)
@@ -67,14 +69,24 @@ def connected(
     return Client(service.http, retry=retry) if transport == "rest" else Client.grpc(service.grpc, retry=retry)
 
 
-async def _serve(world: World, started: list[LiveService], ready: threading.Event, stop: threading.Event) -> None:
-    rpc = create_server(world.use_cases)
+async def _serve(
+    world: World,
+    limits: CallLimits | None,
+    started: list[LiveService],
+    ready: threading.Event,
+    stop: threading.Event,
+) -> None:
+    rpc = create_server(world.use_cases, call_limits=limits or CallLimits())
     grpc_port = rpc.add_insecure_port("127.0.0.1:0")
     await rpc.start()
     listener = socket.create_server(("127.0.0.1", 0))
     # asyncio, unlike the gateway's uvloop, leaves Nagle's algorithm on: 40 ms for each answer.
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    config = uvicorn.Config(create_app(world.use_cases), log_config=None, **uvicorn_limits())
+    config = uvicorn.Config(
+        create_app(world.use_cases, HttpLimits() if limits is None else HttpLimits(calls=limits)),
+        log_config=None,
+        **uvicorn_limits(),
+    )
     http = uvicorn.Server(config)
     http.capture_signals = contextlib.nullcontext
     serving = asyncio.create_task(http.serve(sockets=[listener]))

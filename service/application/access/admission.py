@@ -91,6 +91,10 @@ class Access:
         await self._pace.turn(caller.tenant, caller.name)
         return caller
 
+    async def admit_public(self, address: str) -> None:
+        """Return when a call that needs no credential may begin. Raises RateLimited where too many wait."""
+        await self._pace.public(address)
+
     def note_unread(self, unread_bytes: int) -> None:
         """The body of this call was refused before it was read: further calls of its caller wait longer for it."""
         tenant = current_tenant_or_none()

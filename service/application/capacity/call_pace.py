@@ -49,11 +49,23 @@ class PaceLimits:
     """Of a client that sends more than its rate limit takes: ten times what a service takes of large clouds."""
     refusals_per_s: float = 100.0
     """Of one address, to callers that nobody knows."""
+    public_calls_per_s: float = 100.0
+    """Of one address, without a credential; health is told beyond them."""
     burst: int = 20
     """Together they hold up the event loop for about 20 ms; as many of one address are refused at once."""
     most_wait_s: float = 3.0
     waiting: int = 640
-    """Calls of all callers that wait, fewer than there are places for calls."""
+    """Calls of all callers that wait; each holds a request or a call, but no slot yet."""
+    strangers_waiting: int = 160
+    """As `waiting`, of callers that nobody knows: they keep no one else from waiting."""
+
+
+@dataclass
+class _Line:
+    """Calls that wait, at most so many."""
+
+    most: int
+    length: int = 0
 
 
 class CallPace:
@@ -76,20 +88,20 @@ class CallPace:
         self._sleep = sleep
         self._buckets: dict[tuple[str, ...], TokenBucket] = {}
         self._refused_until_s: dict[tuple[str, ...], float] = {}
-        self._waiting = 0
+        self._callers, self._strangers = _Line(limits.waiting), _Line(limits.strangers_waiting)
 
     @property
     def waiting(self) -> int:
         """Calls that wait."""
-        return self._waiting
+        return self._callers.length + self._strangers.length
 
     async def turn(self, tenant: TenantId, client: str) -> None:
         """Return when a call of the tenant's client may begin. Raises RateLimited where too many wait."""
         buckets, over_rate = self._buckets_of(tenant, client), ("over rate", tenant, client)
         if self._refused_until_s.get(over_rate, 0.0) <= self._now_s():
-            await self._wait(buckets)
+            await self._wait(self._callers, buckets)
             return
-        await self._wait((*buckets, self._bucket(over_rate, self._limits.over_rate_calls_per_s)))
+        await self._wait(self._callers, (*buckets, self._bucket(over_rate, self._limits.over_rate_calls_per_s)))
         await wait_while(partial(self._others_wait, tenant), LOOK_S, LOOKS, self._sleep)
 
     def note_refused(self, tenant: TenantId, client: str) -> None:
@@ -111,23 +123,28 @@ class CallPace:
     async def refusal(self, address: str) -> None:
         """Return when a caller that nobody knows may be told so; at once where too many wait."""
         try:
-            await self._wait((self._bucket(("address", address), self._limits.refusals_per_s),))
+            await self._wait(self._strangers, (self._bucket(("address", address), self._limits.refusals_per_s),))
         except RateLimited:
             return
 
-    async def _wait(self, buckets: Iterable[TokenBucket]) -> None:
+    async def public(self, address: str) -> None:
+        """Return when a call without a credential may begin. Raises RateLimited where too many wait."""
+        await self._wait(self._strangers, (self._bucket(("public", address), self._limits.public_calls_per_s),))
+
+    async def _wait(self, line: _Line, buckets: Iterable[TokenBucket]) -> None:
+        """Spend a token of each bucket and wait until they are there; a call that is given up has spent them, too."""
         now_s = self._now_s()
         wait_s = max(bucket.wait_s(now_s, 1.0) for bucket in buckets)
-        if wait_s > self._limits.most_wait_s or (wait_s > 0.0 and self._waiting >= self._limits.waiting):
+        if wait_s > self._limits.most_wait_s or (wait_s > 0.0 and line.length >= line.most):
             raise RateLimited("too many calls wait already: begin fewer at a time", retry_after_s=wait_s)
         for bucket in buckets:
             bucket.take(1.0, now_s)
         if wait_s > 0.0:
-            self._waiting += 1
+            line.length += 1
             try:
                 await self._sleep(wait_s)
             finally:
-                self._waiting -= 1
+                line.length -= 1
 
     def _buckets_of(self, tenant: TenantId, client: str) -> tuple[TokenBucket, ...]:
         limits = self._limits
@@ -136,10 +153,16 @@ class CallPace:
 
     def _bucket(self, caller: tuple[str, ...], per_s: float) -> TokenBucket:
         """The caller's bucket, which is now the last to be forgotten."""
-        now_s = self._now_s()
-        bucket = self._buckets.get(caller) or TokenBucket.full(per_s, self._limits.burst, now_s)
-        _remember(self._buckets, caller, bucket)
-        return bucket
+        return bucket_of(self._buckets, caller, per_s, self._limits.burst, self._now_s())
+
+
+def bucket_of(
+    buckets: dict[tuple[str, ...], TokenBucket], holder: tuple[str, ...], per_s: float, burst: float, now_s: float
+) -> TokenBucket:
+    """The bucket of a holder, who is now the last to be forgotten; a full one of a holder that is not known."""
+    bucket = buckets.get(holder) or TokenBucket.full(per_s, burst, now_s)
+    _remember(buckets, holder, bucket)
+    return bucket
 
 
 def _remember(known: dict[tuple[str, ...], Known], caller: tuple[str, ...], what: Known) -> None:

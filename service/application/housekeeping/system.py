@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -66,13 +67,22 @@ class System:
         self._index = index
         self._clock = clock
         self._version = version
+        self._looking: asyncio.Task[Readiness] | None = None
 
     async def readiness(self) -> Readiness:
-        """Ready when the database answers, the index is loaded and the service is not draining."""
+        """Ready when the database answers, the index is loaded and the service is not draining.
+
+        All who ask at the same time look at the database together: a flood of probes is one look at a time.
+        """
         if self.draining:
             return Readiness(False, ("draining",))
         if self._index.loading:
             return Readiness(False, ("the index is being loaded",))
+        if self._looking is None or self._looking.done():
+            self._looking = asyncio.create_task(self._look())
+        return await asyncio.shield(self._looking)
+
+    async def _look(self) -> Readiness:
         try:
             workers = await self._storage.read(self._alive)
         except RevisitError as error:

@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass
 
 from revisit.service.application.capacity.admission import Admission
+from revisit.service.application.capacity.call_slots import Wait, waiting
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.errors import SeqNotReached
 from revisit.service.application.contract.identity import TenantId
@@ -49,22 +50,31 @@ class ReadYourWrites:
         """Return once whatever is read from now on holds what is `wanted`.
 
         Raises SeqNotReached after the time allowed, or at once for a number beyond the tenant's own submaps, whether or
-        not somebody else has it; Draining where the service stops meanwhile; NotFound for the map.
+        not somebody else has it; Draining where the service stops meanwhile; RateLimited where too many wait; NotFound
+        for the map.
         """
         min_seq = wanted.validated().min_seq
         if min_seq == 0:
             return
         if await self._storage.read(lambda uow: _last(uow, tenant, map_id)) < min_seq:
             raise SeqNotReached(f"no submap with seq {min_seq} was stored", field="min_seq")
-        deadline, pause, longer = time.monotonic() + wanted.timeout_s, 0.0, _PAUSE_S[0]
-        while not await self._looks.has_come((tenant, map_id), min_seq, pause):
-            self._admission.require_running()
-            left = deadline - time.monotonic()
-            if left <= 0.0:
+        if await self._looks.has_come((tenant, map_id), min_seq, 0.0):
+            return
+        with waiting() as wait:
+            if not await self._comes((tenant, map_id), wanted, wait):
                 raise SeqNotReached(
                     f"submaps up to seq {min_seq} are not described after {wanted.timeout_s:g} s", field="min_seq"
                 )
-            pause, longer = min(longer, left), min(longer * 1.5, _PAUSE_S[1])
+
+    async def _comes(self, of: tuple[TenantId, str], wanted: Freshness, wait: Wait) -> bool:
+        """Whether what is wanted comes in the time allowed, while somebody waits for it. Raises Draining."""
+        deadline, pause = time.monotonic() + wanted.timeout_s, _PAUSE_S[0]
+        while (left := deadline - time.monotonic()) > 0.0 and not wait.abandoned:
+            self._admission.require_running()
+            if await self._looks.has_come(of, wanted.min_seq, min(pause, left)):
+                return True
+            pause = min(pause * 1.5, _PAUSE_S[1])
+        return False
 
 
 def _last(uow: UnitOfWork, tenant: TenantId, map_id: str) -> int:

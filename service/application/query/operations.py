@@ -8,6 +8,7 @@ from functools import partial
 
 from revisit.core.errors import BadField
 from revisit.service.application.capacity.admission import Admission
+from revisit.service.application.capacity.call_slots import Wait, waiting
 from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.clock import Clock
@@ -77,19 +78,23 @@ class Operations:
     async def wait(self, tenant: TenantId, operation_id: str, timeout_s: float) -> OperationView:
         """The operation once it has ended, or as it stands after `timeout_s` (at most 60). Raises NotFound.
 
-        Returns early, as it stands, when the service stops.
+        Returns early, as it stands, when the service stops or the client has left. Raises RateLimited where too many
+        wait.
         """
-        deadline = time.monotonic() + min(max(timeout_s, 0.0), limits.WAIT_S.most)
-        pause = _PAUSE_S[0]
         operation = await self.get(tenant, operation_id)
-        ended = operation.done
-        while not ended:
-            left = deadline - time.monotonic()
-            if left <= 0 or self._admission.stopping:
-                break
-            ended = await self._looks.has_come(tenant, operation_id, min(pause, left))
+        if operation.done or timeout_s <= 0.0:
+            return operation
+        with waiting() as wait:
+            await self._wait(tenant, operation_id, min(timeout_s, limits.WAIT_S.most), wait)
+        return await self.get(tenant, operation_id)
+
+    async def _wait(self, tenant: TenantId, operation_id: str, timeout_s: float, wait: Wait) -> None:
+        """Return once the operation has ended, or nobody waits any longer, or so many seconds are over."""
+        deadline, pause = time.monotonic() + timeout_s, _PAUSE_S[0]
+        while (left := deadline - time.monotonic()) > 0 and not (self._admission.stopping or wait.abandoned):
+            if await self._looks.has_come(tenant, operation_id, min(pause, left)):
+                return
             pause = min(pause * 1.5, _PAUSE_S[1])
-        return operation if operation.done else await self.get(tenant, operation_id)
 
 
 def _unfinished(uow: UnitOfWork, tenant: TenantId, operation_ids: frozenset[str]) -> frozenset[str]:

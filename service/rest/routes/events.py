@@ -36,5 +36,4 @@ async def watch_events(
     """The events of a map as server-sent events, those to come too: loop closures and operations."""
     begin = after if last_event_id is None else last_event_id
     events = cases.events.watch(tenant, map_id, begin, frozenset(kinds or ()))
-    state = request.app.state
-    return EventStream(events, state.watches, state.limits, lambda: until_refused(request, frozenset({Scope.QUERY})))
+    return EventStream(events, lambda: until_refused(request, frozenset({Scope.QUERY})))

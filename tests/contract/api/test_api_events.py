@@ -215,7 +215,7 @@ def test_a_watch_needs_a_key_and_ends_when_the_key_is_revoked(guarded, monkeypat
 
 
 def test_watches_are_bounded_for_each_client(service, town):
-    most = HttpLimits().client_watches
+    most = HttpLimits().calls.watches.holder
     opened = [httpx.Client(base_url=service.http, trust_env=False) for _ in range(most + 1)]
     try:
         held = [client.send(client.build_request("GET", f"/v1/{town}/events"), stream=True) for client in opened]

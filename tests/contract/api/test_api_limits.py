@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import http.client
+import json
 import socket
 import ssl
 import threading
@@ -17,8 +18,10 @@ import uvicorn
 
 from revisit.formats import QUANTISED, encode_quantised
 from revisit.service.application.capacity.byte_budget import ByteBudget
-from revisit.service.application.capacity.newcomers import Newcomers
+from revisit.service.application.capacity.newcomers import ArrivalRates, Newcomers
 from revisit.service.rest.app import create_app
+from revisit.service.rest.door import AGAIN_S
+from revisit.service.rest.door import PATIENCE_S as PATIENCE_AT_THE_DOOR_S
 from revisit.service.rest.limits import HttpLimits
 from revisit.service.rest.listening import ListeningServer
 from revisit.service.rest.slow_clients import (
@@ -33,6 +36,7 @@ from revisit.service.rest.slow_clients import (
     uvicorn_limits,
 )
 from tests.support.clocked_loop import ClockedLoop
+from tests.support.credentials import a_key
 from tests.support.handshakes import half_hello
 from tests.support.patience import PATIENCE_S, eventually
 from tests.support.service_world import cloud_points, memory_world
@@ -70,9 +74,11 @@ class HttpServer:
 
 
 @contextlib.contextmanager
-def http_server(limits=HttpLimits(), hosts=frozenset(), budget=ByteBudget(), newcomers=None, tls=None, **settings):
+def http_server(
+    limits=HttpLimits(), hosts=frozenset(), budget=ByteBudget(), newcomers=None, tls=None, use_cases=None, **settings
+):
     """Serve until the block ends."""
-    use_cases = replace(memory_world().use_cases, budget=budget)
+    use_cases = replace(use_cases or memory_world().use_cases, budget=budget)
     listener = socket.create_server(("127.0.0.1", 0))
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 65_536)
     app = create_app(use_cases, limits, hosts=hosts)
@@ -394,3 +400,92 @@ def test_a_request_with_two_lengths_ends_its_connection_and_hides_no_other(serve
         said = rest_of(connection)
     assert said.count(b"HTTP/1.1") == 1
     assert said.startswith(b"HTTP/1.1 400")
+
+
+FEW = ArrivalRates(
+    stranger_per_s=3.0, unknown_per_s=3.0, network_times=3.0, all_times=3.0, client_per_s=9.0, burst_s=1.0
+)
+
+
+class Still:
+    """Arrivals of a service for which no time passes."""
+
+    now_s = 0.0
+
+    def newcomers(self):
+        return Newcomers(rates=FEW, now_s=lambda: self.now_s)
+
+
+def asked(server, path, source="127.0.0.1", **headers):
+    """The status of a request on a connection of its own."""
+    connection = http.client.HTTPConnection(*server.address, PATIENCE_S, source_address=(source, 0))
+    with contextlib.closing(connection):
+        connection.request("GET", path, headers=headers)
+        answer = connection.getresponse()
+        return answer.status, answer.read(), answer.headers
+
+
+@contextlib.contextmanager
+def guarded_door():
+    """A server with one key, whose time for arrivals stands still; yields it and the header with the key."""
+    world = memory_world()
+    key = a_key(world).text
+    with http_server(newcomers=Still().newcomers(), use_cases=world.use_cases) as server:
+        yield server, {"authorization": f"Bearer {key}"}
+
+
+def test_connections_without_a_credential_begin_at_a_pace_and_further_ones_are_sent_away_with_an_answer():
+    with guarded_door() as (server, _):
+        told = [asked(server, "/v1/maps") for _ in range(5)]
+        assert [status for status, *_ in told] == [401] * 3 + [429] * 2
+        _, body, headers = told[-1]
+        assert (json.loads(body)["reason"], headers["retry-after"], headers["connection"]) == ("RATE", "1", "close")
+        assert asked(server, "/v1/maps", "127.1.0.1")[0] == 401
+
+
+def test_beside_too_many_connections_of_its_address_a_known_key_is_served_and_health_is_told():
+    with guarded_door() as (server, key):
+        assert asked(server, "/v1/maps", **key)[0] == 200
+        while asked(server, "/v1/maps")[0] != 429:
+            pass
+        assert {asked(server, "/livez")[0] for _ in range(9)} == {200}
+        assert asked(server, "/readyz")[0] == 200
+        assert [asked(server, "/v1/maps", **key)[0] for _ in range(5)] == [200] * 5
+
+
+def test_a_key_that_is_not_known_yet_gets_in_beside_too_many_connections_without_one():
+    with guarded_door() as (server, key):
+        while asked(server, "/v1/maps")[0] != 429:
+            pass
+        assert asked(server, "/v1/maps", **key)[0] == 200
+
+
+def test_a_known_key_that_reopens_its_connection_too_often_is_sent_away():
+    with guarded_door() as (server, key):
+        told = [asked(server, "/v1/maps", **key)[0] for _ in range(20)]
+        assert told == [200] * (9 + 3) + [429] * 8
+
+
+def test_a_connection_that_shows_nothing_waits_at_the_door_until_it_does_or_its_time_is_up():
+    with guarded_door() as (server, key), contextlib.ExitStack() as held:
+        while asked(server, "/v1/maps")[0] != 429:
+            pass
+        silent, late = connected(held, server, b""), connected(held, server, b"")
+        assert asked(server, "/livez")[0] == 200
+        assert not gone(silent)
+        late.sendall(
+            f"GET /v1/maps HTTP/1.1\r\nHost: localhost\r\nAuthorization: {key['authorization']}\r\n\r\n".encode()
+        )
+        assert late.recv(65536).startswith(b"HTTP/1.1 200")
+        server.loop.forward(PATIENCE_AT_THE_DOOR_S + 0.5)
+        assert silent.recv(1) == b""
+
+
+def test_a_connection_whose_handshake_comes_too_early_waits_for_its_turn():
+    still = Still()
+    with http_server(newcomers=still.newcomers(), tls=tls_context()) as server, contextlib.ExitStack() as held:
+        begun = [connected(held, server, b"") for _ in range(4)]
+        eventually(lambda: len(server.server._door._waiting) == 1, "none waits")
+        still.now_s += 1.0
+        eventually(lambda: server.loop.forward(AGAIN_S) or not server.server._door._waiting, "it is not let in")
+        assert not any(gone(connection) for connection in begun)

@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 from dataclasses import replace
 
+import grpc
 import httpx
 import pytest
+from grpc_health.v1 import health_pb2, health_pb2_grpc
 
 from revisit import ApiError, Client
 from revisit.sdk.retry import RetryPolicy
@@ -18,7 +20,12 @@ from tests.support.service_world import World, memory_world
 
 BURST = 3
 LIMITS = PaceLimits(
-    client_calls_per_s=BURST, tenant_calls_per_s=BURST, refusals_per_s=BURST, burst=BURST, most_wait_s=1.0
+    client_calls_per_s=BURST,
+    tenant_calls_per_s=BURST,
+    refusals_per_s=BURST,
+    public_calls_per_s=BURST,
+    burst=BURST,
+    most_wait_s=1.0,
 )
 
 
@@ -113,3 +120,31 @@ def test_long_json_makes_further_calls_wait_whether_it_is_good_or_not(paced, lin
         assert http.post("/v1/maps/town/submaps:search", content=long).status_code == 422
         assert http.get("/v1/maps/nowhere").status_code == 404
     assert line.waited == 1
+
+
+def test_pages_without_a_key_come_at_a_pace_and_health_is_told_beyond_it(paced, line):
+    line.start_anew()
+    with httpx.Client(base_url=paced.http, trust_env=False) as http:
+        told = [http.get("/page.js").status_code for _ in range(2 * BURST + 1)]
+        assert (told, line.waited) == ([200] * 2 * BURST + [429], BURST)
+        assert {http.get(path).status_code for path in ("/livez", "/readyz") for _ in range(BURST)} == {200}
+
+
+def test_watches_of_health_come_at_a_pace_and_health_is_told_beyond_it(paced, line):
+    line.start_anew()
+    with grpc.insecure_channel(paced.grpc) as channel:
+        stub, asked = health_pb2_grpc.HealthStub(channel), health_pb2.HealthCheckRequest()
+        watches = [stub.Watch(asked) for _ in range(2 * BURST + 1)]
+        refused = [watch for watch in watches if _is_refused(watch)]
+        assert (len(refused), line.waited) == (1, BURST)
+        assert {stub.Check(asked).status for _ in range(2 * BURST + 1)} == {1}
+        for watch in watches:
+            watch.cancel()
+
+
+def _is_refused(watch):
+    """Whether a watch is told to come later, and not the state of the service."""
+    try:
+        return next(watch).status != 1
+    except grpc.RpcError as error:
+        return error.code() is grpc.StatusCode.RESOURCE_EXHAUSTED

@@ -15,9 +15,11 @@ LIMITS = PaceLimits(
     tenant_calls_per_s=15.0,
     over_rate_calls_per_s=4.0,
     refusals_per_s=5.0,
+    public_calls_per_s=5.0,
     burst=10,
     most_wait_s=2.0,
     waiting=25,
+    strangers_waiting=12,
 )
 
 
@@ -103,6 +105,37 @@ async def test_a_call_that_is_given_up_leaves_the_line(pace):
         call.cancel()
     await asyncio.gather(*calls, return_exceptions=True)
     assert pace.waiting == 0
+
+
+async def test_a_call_that_is_given_up_has_spent_its_token(pace, time):
+    calls = await begun(pace.turn("acme", "robot") for _ in range(20))
+    for call in calls:
+        call.cancel()
+    await asyncio.gather(*calls, return_exceptions=True)
+    time.waits.clear()
+    (after,) = await begun([pace.turn("acme", "robot")])
+    assert time.waits == [1.1]
+    after.cancel()
+
+
+async def test_calls_without_a_credential_come_at_the_pace_of_their_address(pace, time):
+    calls = await begun(pace.public("10.0.0.9") for _ in range(21))
+    assert [call.done() for call in calls] == [True] * 10 + [False] * 10 + [True]
+    assert isinstance(calls[-1].exception(), RateLimited)
+    time.waits.clear()
+    await pace.public("10.0.0.10")
+    assert not time.waits
+    for call in calls:
+        call.cancel()
+
+
+async def test_strangers_that_wait_keep_no_caller_from_waiting(pace):
+    strangers = await begun(pace.public(f"10.0.0.{host}") for host in range(3) for _ in range(20))
+    assert sum(not call.done() for call in strangers) == LIMITS.strangers_waiting
+    calls = await begun(pace.turn("acme", "robot") for _ in range(30))
+    assert sum(not call.done() for call in calls) == 20
+    for call in (*strangers, *calls):
+        call.cancel()
 
 
 async def test_strangers_of_one_address_are_refused_at_their_own_pace_and_at_once_where_too_many_wait(pace, time):

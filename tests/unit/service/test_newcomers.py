@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from revisit.service.application.capacity.newcomers import Newcomers, holder_of
+from revisit.service.application.capacity import call_pace, newcomers
+from revisit.service.application.capacity.newcomers import ArrivalRates, Newcomers, Shown, holder_of
 
 
 @pytest.fixture
@@ -45,3 +46,87 @@ def test_one_that_has_settled_leaves_no_more_and_makes_room_once(ended):
 )
 def test_an_ipv6_address_stands_for_its_network(address, holder):
     assert holder_of(address) == holder
+
+
+RATES = ArrivalRates(
+    stranger_per_s=2.0, unknown_per_s=4.0, network_times=1.5, all_times=2.5, client_per_s=2.0, burst_s=1.0
+)
+
+
+class Time:
+    now_s = 0.0
+
+
+@pytest.fixture
+def time():
+    return Time()
+
+
+@pytest.fixture
+def arrivals(time):
+    return Newcomers(rates=RATES, now_s=lambda: time.now_s)
+
+
+def begun(arrivals, *addresses):
+    return [arrivals.may_begin(address) for address in addresses]
+
+
+def test_connections_of_an_address_begin_at_its_pace_and_those_of_others_at_theirs(arrivals, time):
+    assert begun(arrivals, *["10.0.0.1"] * 3) == [True, True, False]
+    assert begun(arrivals, "10.1.0.1") == [True]
+    time.now_s += 0.5
+    assert begun(arrivals, *["10.0.0.1"] * 2) == [True, False]
+
+
+@pytest.mark.parametrize(
+    "addresses",
+    [["10.0.0.1", "10.0.0.2", "10.0.0.3", "10.0.0.4"], [f"2001:db8:1:2::{host}" for host in range(4)]],
+    ids=["/24", "/64"],
+)
+def test_addresses_that_begin_alike_have_a_pace_together(arrivals, addresses):
+    assert begun(arrivals, *addresses)[-1] is False
+
+
+def test_all_addresses_have_a_pace_together(arrivals):
+    assert begun(arrivals, *(f"10.{net}.0.1" for net in range(6))) == [True] * 5 + [False]
+
+
+def test_connections_over_which_somebody_is_admitted_do_not_count(arrivals):
+    for number in range(50):
+        assert arrivals.may_begin("10.0.0.1")
+        arrivals.vouch("10.0.0.1", f"rv_{number}")
+
+
+def test_connections_of_one_credential_count_where_they_are_too_many(arrivals):
+    begun_of_it = 0
+    while arrivals.may_begin("10.0.0.1"):
+        arrivals.vouch("10.0.0.1", "rv_key")
+        begun_of_it += 1
+    assert begun_of_it == 2 * 2
+
+
+def test_where_anyone_is_admitted_connections_do_not_count(arrivals):
+    for _ in range(50):
+        assert arrivals.may_begin("10.0.0.1")
+        arrivals.vouch("10.0.0.1", None)
+
+
+def test_a_credential_is_known_for_a_while_after_it_was_admitted_and_has_a_pace(arrivals, time):
+    assert not arrivals.is_known("rv_key")
+    arrivals.vouch("10.0.0.1", "rv_key")
+    assert (arrivals.is_known("rv_key"), arrivals.is_known("rv_other")) == (True, False)
+    assert [arrivals.may_return("rv_key") for _ in range(2)] == [True, False]
+    time.now_s += newcomers.KNOWN_S
+    assert not arrivals.is_known("rv_key")
+
+
+def test_connections_that_show_something_have_a_pace_of_their_own(arrivals):
+    assert begun(arrivals, *["10.0.0.1"] * 3)[-1] is False
+    assert [arrivals.may_begin("10.0.0.1", Shown.UNKNOWN) for _ in range(5)] == [True] * 4 + [False]
+
+
+def test_addresses_that_have_not_come_for_long_are_forgotten(arrivals, monkeypatch):
+    monkeypatch.setattr(call_pace, "MOST_BUCKETS", 20)
+    for host in range(100):
+        arrivals.may_begin(f"10.{host}.0.1")
+    assert len(arrivals._buckets) == 20
