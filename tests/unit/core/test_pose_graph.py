@@ -139,6 +139,20 @@ def test_what_a_graph_states_is_believed_where_few_circles_speak_against_it() ->
     assert variance_factor(replace(unsure, loops=(*unsure.loops, *apart))) > variance_factor(unsure)
 
 
+def test_one_stretch_taken_for_another_does_not_say_how_sure_a_graph_is() -> None:
+    """Aliases repeat one measurement: the circles between nine of them close far better than the graph states."""
+    graph = _twice_around(wrong=0)
+    sparse = [loop for loop in graph.loops if loop.match.ordinal % 9 == 0]
+    (track,) = graph.trajectories
+    T_odom_submap, aside = track.T_odom_submap, se3.from_yaw(0.3, (15.0, 8.0, 0.0))
+    motion = [se3.inverse(T_odom_submap[8]) @ T_odom_submap[8 + n] for n in range(9)]
+    back = [se3.inverse(T_odom_submap[95]) @ T_odom_submap[95 + n] for n in range(9)]
+    wrong = [_loop(f"wrong-{n}", 8 + n, 95 + n, se3.inverse(motion[n]) @ aside @ back[n]) for n in range(9)]
+    spoilt = PoseGraph.of([track], [*sparse, *wrong])
+    assert variance_factor(spoilt) == variance_factor(PoseGraph.of([track], sparse)) == 1.0
+    assert in_map(spoilt, optimise(spoilt).loops) == [loop.name for loop in sparse]
+
+
 def _twice_around(wrong: int = 20) -> PoseGraph:
     """A drive twice around a road, 20 right loops between its rounds, and wrong ones."""
     rng = np.random.default_rng(5)
