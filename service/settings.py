@@ -107,7 +107,12 @@ class Settings(AccessSettings):
         default=20, ge=1, description="versions of a map's poses that are kept; older ones cannot be brought back"
     )
     jobs_per_worker: int = Field(default=500, ge=1, description="jobs after which a worker is replaced")
-    job_timeout_s: float = Field(default=120.0, gt=0, description="a run of a job that takes longer is ended")
+    job_timeout_s: float = Field(
+        default=120.0,
+        gt=0,
+        description="CPU seconds after which a run of a job is ended; one that does nothing is ended after as many "
+        "seconds of the wall clock, any other one after ten times as many",
+    )
     worker_memory_mb: int = Field(
         default=4096,
         ge=256,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,8 @@ from revisit.core.descriptor.adaptation import SessionSums, by_session, learn_si
 
 Array = NDArray[np.float32]
 
-_ROWS = 2048
+_CELLS = 1 << 22
+"""Cosines, at most, that are computed at once: 16 MiB, and twice that for their order."""
 
 
 @dataclass(frozen=True)
@@ -39,19 +41,13 @@ def joining_candidates(
     if not len(first) or not len(second):
         return Candidates(np.zeros((0, 2), np.int64), np.zeros(0, np.float32))
     adapted = _standardised(np.concatenate([first, second]), np.concatenate(sessions))
-    alike = _products(adapted[: len(first)], adapted[len(first) :])
-    if storeys is not None:
-        one, other = storeys[0][:, None], storeys[1]
-        alike[(one != other) & (one >= 0) & (other >= 0)] = -np.inf
-    chosen = np.zeros(alike.shape, dtype=bool)
-    for axis in (0, 1):
-        count = min(k, alike.shape[axis])
-        likest = np.argpartition(-alike, count - 1, axis=axis).take(range(count), axis=axis)
-        np.put_along_axis(chosen, likest, True, axis=axis)
-    rows, columns = np.nonzero(chosen & np.isfinite(alike))
-    order = np.lexsort((columns, rows, -alike[rows, columns]))
-    pairs = np.column_stack([rows, columns])[order]
-    return Candidates(pairs.astype(np.int64), alike[rows, columns][order])
+    ours, theirs = np.split(adapted, [len(first)])
+    entries = _likest(ours, theirs, storeys, k)
+    pairs, at = np.unique(np.column_stack([entries.rows, entries.columns]), axis=0, return_index=True)
+    cosines = entries.cosines[at]
+    order = np.lexsort((pairs[:, 1], pairs[:, 0], -cosines))
+    order = order[np.isfinite(cosines[order])]
+    return Candidates(pairs[order].astype(np.int64), cosines[order])
 
 
 def _standardised(vectors: Array, sessions: NDArray[np.int64], config: AdaptationConfig = AdaptationConfig()) -> Array:
@@ -61,7 +57,54 @@ def _standardised(vectors: Array, sessions: NDArray[np.int64], config: Adaptatio
     return learn_site(sums, config).with_sessions(sums).adapted(vectors, sessions)
 
 
-def _products(first: Array, second: Array) -> Array:
-    """Scalar products (n, m) of rows, some rows at a time."""
-    parts = [first[start : start + _ROWS] @ second.T for start in range(0, len(first), _ROWS)]
-    return np.concatenate(parts).astype(np.float32)
+@dataclass(frozen=True)
+class _Entries:
+    """Some cells of the table of all cosines: rows, columns and cosines, all of one shape."""
+
+    rows: NDArray[np.int64]
+    columns: NDArray[np.int64]
+    cosines: Array
+
+    def likest(self, k: int, axis: int) -> _Entries:
+        """The `k` likest along an axis, or all where there are fewer."""
+        count = min(k, self.cosines.shape[axis])
+        chosen = np.argpartition(-self.cosines, count - 1, axis=axis).take(range(count), axis=axis)
+        return _Entries(*(np.take_along_axis(one, chosen, axis) for one in (self.rows, self.columns, self.cosines)))
+
+    def joined(self, other: _Entries) -> _Entries:
+        """These rows of cells, and others below them."""
+        pairs = ((self.rows, other.rows), (self.columns, other.columns), (self.cosines, other.cosines))
+        return _Entries(*(np.concatenate(pair) for pair in pairs))
+
+    def in_a_row(self) -> _Entries:
+        """The same, (n,)."""
+        return _Entries(self.rows.ravel(), self.columns.ravel(), self.cosines.ravel())
+
+
+def _likest(
+    first: Array, second: Array, storeys: tuple[NDArray[np.int64], NDArray[np.int64]] | None, k: int
+) -> _Entries:
+    """The `k` likest of each row and column of the table of all cosines, of which some rows are there at once."""
+    at_once = max(1, _CELLS // len(second))
+    of_rows: list[_Entries] = []
+    of_columns: _Entries | None = None
+    for start in range(0, len(first), at_once):
+        some = slice(start, start + at_once)
+        block = _block(first[some], second, start, None if storeys is None else (storeys[0][some], storeys[1]))
+        of_rows.append(block.likest(k, axis=1).in_a_row())
+        likest = block.likest(k, axis=0)
+        of_columns = likest if of_columns is None else of_columns.joined(likest).likest(k, axis=0)
+    found = of_rows if of_columns is None else [*of_rows, of_columns.in_a_row()]
+    return functools.reduce(_Entries.joined, found)
+
+
+def _block(
+    first: Array, second: Array, start: int, storeys: tuple[NDArray[np.int64], NDArray[np.int64]] | None
+) -> _Entries:
+    """All cells of some rows of the table, the first of which is `start`; places on different storeys are not alike."""
+    cosines = (first @ second.T).astype(np.float32, copy=False)
+    if storeys is not None:
+        one, other = storeys[0][:, None], storeys[1]
+        cosines[(one != other) & (one >= 0) & (other >= 0)] = -np.inf
+    rows, columns = np.arange(start, start + len(first))[:, None], np.arange(len(second))
+    return _Entries(np.broadcast_to(rows, cosines.shape), np.broadcast_to(columns, cosines.shape), cosines)

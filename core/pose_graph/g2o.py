@@ -6,7 +6,7 @@ quaternion is half the angle, so its information is four times that of the angle
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,9 @@ _UPPER = np.triu_indices(6)
 _HALF_ANGLES = np.diag([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
 _LARGEST = 1e15
 """No number of an edge is as large: what is would overflow where it is squared."""
+
+_UNKNOWN = np.diag([1e8] * 3 + [1e4] * 3)
+"""Covariance of a step that no edge states, m^2 and rad^2: it pulls at nothing."""
 
 _OUT_OF_PLANE = 1e-6
 """Variance of what an SE2 edge does not say: z, roll and pitch, m^2 and rad^2."""
@@ -49,13 +52,18 @@ def write_g2o(graph: PoseGraph, T_map_submap: dict[str, Array64]) -> str:
 def read_g2o(text: str, session: str = "g2o") -> PoseGraph:
     """The edges of a graph as one session: those between successive vertices are its steps, the others are loops.
 
+    A recording of several parts lacks steps: between two vertices without an edge lies what their lines say, and it
+    counts as unknown (see `_UNKNOWN`).
+
     Vertices may have any numbers, in any order: they are taken in ascending order. A step may be written backwards. A
     line that stands twice counts once: the second one measures nothing.
     Raises MalformedBody where a line cannot be read or is no measurement (a number that is not finite, information
-    that is not positive definite), or where a step is missing; BadField where an edge joins a vertex with itself.
+    that is not positive definite), or where neither an edge nor two vertices state a step; BadField where an edge joins
+    a vertex with itself.
     """
     edges = list(_edges(text))
-    vertices = sorted({end for edge in edges for end in edge[:2]} | set(_vertices(text)))
+    placed = dict(_vertices(text))
+    vertices = sorted({end for edge in edges for end in edge[:2]} | set(placed))
     ordinals = {vertex: row for row, vertex in enumerate(vertices)}
     steps: dict[int, tuple[se3.Matrix4, Array64]] = {}
     loops: list[LoopEdge] = []
@@ -71,7 +79,11 @@ def read_g2o(text: str, session: str = "g2o") -> PoseGraph:
             continue
         ends = Node(session, first), Node(session, second)
         loops.append(LoopEdge(f"{one}-{other}-{len(loops)}", *ends, T_first_second, in_first))
-    _require_steps(steps, vertices)
+    if not steps:
+        raise MalformedBody("the g2o graph has no EDGE_SE2 and no EDGE_SE3:QUAT between successive vertices")
+    steps |= {
+        row: _unknown_step(placed, *vertices[row : row + 2]) for row in range(len(vertices) - 1) if row not in steps
+    }
     poses = [np.eye(4)]
     for number in range(len(steps)):
         poses.append(poses[-1] @ steps[number][0])
@@ -79,25 +91,25 @@ def read_g2o(text: str, session: str = "g2o") -> PoseGraph:
     return PoseGraph.of([trajectory], loops)
 
 
-def _require_steps(steps: Collection[int], vertices: list[int]) -> None:
-    """Raises MalformedBody where two successive vertices have no edge, or where there is none at all."""
-    if not steps:
-        raise MalformedBody("the g2o graph has no EDGE_SE2 and no EDGE_SE3:QUAT")
-    missing = next((row for row in range(len(vertices) - 1) if row not in steps), None)
-    if missing is not None:
-        one, other = vertices[missing], vertices[missing + 1]
-        raise MalformedBody(f"the g2o graph lacks an edge between successive vertices: {one} and {other}")
+def _unknown_step(placed: Mapping[int, se3.Matrix4], one: int, other: int) -> tuple[se3.Matrix4, Array64]:
+    """The step between two vertices that no edge joins. Raises MalformedBody where one of them has no line."""
+    if one not in placed or other not in placed:
+        raise MalformedBody(f"the g2o graph lacks an edge, or two vertices, for the step from {one} to {other}")
+    return se3.inverse(placed[one]) @ placed[other], _UNKNOWN
 
 
-def _vertices(text: str) -> Iterator[int]:
-    """The numbers of the vertices that have a line."""
+def _vertices(text: str) -> Iterator[tuple[int, se3.Matrix4]]:
+    """The number and the pose of each vertex that has a line; those of others are not known."""
+    readers = {"VERTEX_SE3:QUAT": (_spatial_pose, 7), "VERTEX_SE2": (_planar_pose, 3)}
     for line in text.splitlines():
-        words = line.split()
-        if words and words[0] in ("VERTEX_SE2", "VERTEX_SE3:QUAT"):
-            try:
-                yield int(words[1])
-            except (ValueError, IndexError) as error:
-                raise MalformedBody(f"a g2o vertex cannot be read: {line[:80]!r}") from error
+        words = line.split("#")[0].split()
+        if not words or words[0] not in readers:
+            continue
+        read, count = readers[words[0]]
+        try:
+            yield int(words[1]), read(_numbers(words[2:], count))
+        except (ValueError, IndexError) as error:
+            raise MalformedBody(f"a g2o vertex cannot be read ({error}): {line[:80]!r}") from error
 
 
 def _edges(text: str) -> Iterator[tuple[int, int, se3.Matrix4, Array64]]:
@@ -109,12 +121,17 @@ def _edges(text: str) -> Iterator[tuple[int, int, se3.Matrix4, Array64]]:
             continue
         read, count = readers[words[0]]
         try:
-            numbers = [float(word) for word in words[3:]]
-            if len(numbers) != count or not np.abs(numbers).max() < _LARGEST:
-                raise ValueError(f"{count} finite numbers are wanted")
-            yield int(words[1]), int(words[2]), *read(numbers)
+            yield int(words[1]), int(words[2]), *read(_numbers(words[3:], count))
         except (ValueError, IndexError, np.linalg.LinAlgError) as error:
             raise MalformedBody(f"a g2o edge cannot be read ({error}): {line[:80]!r}") from error
+
+
+def _numbers(words: Sequence[str], count: int) -> list[float]:
+    """So many finite numbers. Raises ValueError."""
+    numbers = [float(word) for word in words]
+    if len(numbers) != count or not np.abs(numbers).max() < _LARGEST:
+        raise ValueError(f"{count} finite numbers are wanted")
+    return numbers
 
 
 def _inverted(information: Array64) -> Array64:
@@ -127,11 +144,14 @@ def _inverted(information: Array64) -> Array64:
 def _spatial(numbers: list[float]) -> tuple[se3.Matrix4, Array64]:
     information = np.zeros((6, 6))
     information[_UPPER] = numbers[7:28]
+    return _spatial_pose(numbers), _inverted(_HALF_ANGLES @ information @ _HALF_ANGLES)
+
+
+def _spatial_pose(numbers: list[float]) -> se3.Matrix4:
     norm = float(np.linalg.norm(numbers[3:7]))
     if not norm > 0.0:
         raise ValueError("the quaternion is zero")
-    pose = se3.from_quaternion(np.array(numbers[3:7]) / norm, numbers[:3])
-    return pose, _inverted(_HALF_ANGLES @ information @ _HALF_ANGLES)
+    return se3.from_quaternion(np.array(numbers[3:7]) / norm, numbers[:3])
 
 
 def _planar(numbers: list[float]) -> tuple[se3.Matrix4, Array64]:
@@ -139,7 +159,11 @@ def _planar(numbers: list[float]) -> tuple[se3.Matrix4, Array64]:
     information[np.triu_indices(3)] = numbers[3:9]
     covariance = np.eye(6) * _OUT_OF_PLANE
     covariance[np.ix_([0, 1, 5], [0, 1, 5])] = _inverted(information)
-    return se3.from_yaw(numbers[2], (numbers[0], numbers[1], 0.0)), covariance
+    return _planar_pose(numbers), covariance
+
+
+def _planar_pose(numbers: list[float]) -> se3.Matrix4:
+    return se3.from_yaw(numbers[2], (numbers[0], numbers[1], 0.0))
 
 
 def _pose_text(pose: se3.Matrix4) -> str:

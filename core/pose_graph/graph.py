@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,15 +23,23 @@ LEAST_VARIANCE = 1e-8
 """m^2 and rad^2: no measurement is surer, and an information matrix stays finite."""
 
 
+_ROUNDING = 1e-9
+"""Of the largest variance of a covariance: by so much its least one may be below zero."""
+
+
 def loop_covariance(measured: Array64 | None) -> Array64:
     """The covariance (6, 6) to weigh a loop with: what was measured with a floor, or an assumed one."""
     return loop_covariances([measured])[0]
 
 
 def loop_covariances(measured: Sequence[Array64 | None]) -> list[Array64]:
-    """`loop_covariance` of each of some loops."""
-    stated = [ASSUMED_COVARIANCE if one is None else one for one in measured]
-    variances, axes = np.linalg.eigh(np.reshape(stated, (-1, 6, 6)))
+    """`loop_covariance` of each of some loops. Raises BadField where one is not finite or has a negative variance."""
+    stated = np.reshape([ASSUMED_COVARIANCE if one is None else one for one in measured], (-1, 6, 6))
+    if not np.isfinite(stated).all():
+        raise BadField("a loop's covariance must be finite", field="covariance")
+    variances, axes = np.linalg.eigh(stated)
+    if (variances[:, 0] < -_ROUNDING * variances[:, -1]).any():
+        raise BadField("a loop's covariance must be positive semidefinite", field="covariance")
     floored = (axes * np.maximum(variances, LEAST_VARIANCE)[:, None, :]) @ axes.transpose(0, 2, 1)
     return [ASSUMED_COVARIANCE if one is None else known for one, known in zip(measured, floored, strict=True)]
 
@@ -136,6 +145,34 @@ class LoopEdge:
         return np.asarray(turn @ self.covariance @ turn.T)
 
 
+def _require_measured(trajectory: Trajectory) -> None:
+    """Raises BadField where a pose of a trajectory is not finite, or a step has no covariance."""
+    lost = np.flatnonzero(~np.isfinite(trajectory.T_odom_submap).all(axis=(1, 2)))
+    if len(lost):
+        raise BadField(f"submap {lost[0]} of {trajectory.session} has a pose that is not finite", field="T_odom_submap")
+    unknown = np.flatnonzero(~_are_covariances(trajectory.step_covariances))
+    if len(unknown):
+        message = f"step {unknown[0]} of {trajectory.session} has a covariance that is not finite and positive definite"
+        raise BadField(message, field="step_covariances")
+
+
+def _require_measurements(loops: Sequence[LoopEdge]) -> None:
+    """Raises BadField where the motion of a loop is not finite, or where it has no covariance."""
+    poses = np.reshape([one.T_match_query for one in loops], (-1, 4, 4))
+    for one in itertools.compress(loops, ~np.isfinite(poses).all(axis=(1, 2))):
+        raise BadField(f"loop {one.name} has a T_match_query that is not finite", field="loops")
+    known = _are_covariances(np.reshape([one.covariance for one in loops], (-1, 6, 6)))
+    for one in itertools.compress(loops, ~known):
+        raise BadField(f"loop {one.name} has a covariance that is not finite and positive definite", field="loops")
+
+
+def _are_covariances(matrices: Array64) -> NDArray[np.bool_]:
+    """Which matrices (n, 6, 6) are finite and positive definite."""
+    finite = np.isfinite(matrices).all(axis=(1, 2))
+    variances = np.linalg.eigvalsh(np.where(finite[:, None, None], matrices, np.eye(6)))
+    return np.asarray(finite & (variances[:, 0] > 0.0))
+
+
 @dataclass(frozen=True)
 class PoseGraph:
     """Sessions and loops, in an order of their own: the same content gives the same graph, bit for bit.
@@ -149,7 +186,14 @@ class PoseGraph:
 
     @classmethod
     def of(cls, trajectories: list[Trajectory], loops: list[LoopEdge], anchors: tuple[str, ...] = ()) -> PoseGraph:
-        """A graph in canonical order. Raises BadField where a loop names a submap that is not there, or itself."""
+        """A graph in canonical order.
+
+        Raises BadField where a loop names a submap that is not there, or itself, where a pose is not finite, and where
+        a covariance is not finite or not positive definite.
+        """
+        for one in trajectories:
+            _require_measured(one)
+        _require_measurements(loops)
         ordered = tuple(sorted(trajectories, key=lambda one: one.session))
         lengths = {one.session: len(one) for one in ordered}
         for loop in loops:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from revisit.core.geometry.path import travelled_m
 from revisit.core.pose_graph.consistency import MAX_CLOSING_ERROR, Circles
 from revisit.core.pose_graph.graph import LoopEdge, PoseGraph, Trajectory
-from revisit.core.pose_graph.support import have_support, loops_within, odometry_errors
+from revisit.core.pose_graph.support import have_support, loops_within, odometry_errors, places, votes
 
 Array64 = NDArray[np.float64]
 
@@ -27,7 +27,10 @@ ASKED_OF = 2000
 """Loops of a session, at most, that are asked."""
 
 REFUTED, EXPLAINED = 0.2, 0.8
-"""The share of loops with support that odometry refutes, from which on a bias is sought, and that it must explain."""
+"""The share of loops with support that odometry refutes, from which on a bias is sought, and that it must explain.
+
+A place counts once, however many loops show it (see `places`).
+"""
 
 MOST_RAD_PER_M, STEP_RAD_PER_M = float(np.radians(0.3)), float(np.radians(5e-4))
 _NEAR = 3.0
@@ -50,19 +53,25 @@ def heading_bias(trajectory: Trajectory, loops: list[LoopEdge]) -> float:
         return 0.0
     circles = Circles.of(loops, trajectory, trajectory)
     fits = odometry_errors(circles) < MAX_CLOSING_ERROR
-    if fits.mean() >= 1.0 - REFUTED:
+    if fits.all():
         return 0.0
     borne = np.flatnonzero(have_support(circles, np.arange(len(loops))))
-    if len(borne) < LEAST_LOOPS or fits[borne].mean() >= 1.0 - REFUTED:
+    if len(borne) < LEAST_LOOPS:
         return 0.0
-    bias = _most_agreed(circles, borne)
+    counts = votes(places(circles, borne))
+    if np.average(fits[borne], weights=counts) >= 1.0 - REFUTED:
+        return 0.0
+    bias = _most_agreed(circles, borne, counts)
     turned = _without(trajectory, bias)
     explained = odometry_errors(Circles.of([loops[row] for row in borne], turned, turned)) < MAX_CLOSING_ERROR
-    return bias if explained.mean() >= EXPLAINED else 0.0
+    return bias if np.average(explained, weights=counts) >= EXPLAINED else 0.0
 
 
-def _most_agreed(circles: Circles, rows: NDArray[np.int64]) -> float:
-    """The bias with which most of the loops `rows` agree, radians a metre; the smaller of two."""
+def _most_agreed(circles: Circles, rows: NDArray[np.int64], counts: Array64) -> float:
+    """The bias with which most votes of the loops `rows` (n,) agree, radians a metre; the smaller of two.
+
+    Each loop counts `counts` (n,).
+    """
     first, second = circles.ends[rows].T
     way_m = travelled_m(circles.second.T_odom_submap[:, :3, 3])
     apart_m = way_m[second] - way_m[first]
@@ -71,10 +80,10 @@ def _most_agreed(circles: Circles, rows: NDArray[np.int64]) -> float:
     near = _NEAR * np.sqrt(circles.variances[rows, 1] + circles.second.drift(first, second)[1])
     biases = np.arange(-MOST_RAD_PER_M, MOST_RAD_PER_M, STEP_RAD_PER_M)
     biases = biases[np.argsort(np.abs(biases), kind="stable")]
-    agreed = [int(np.count_nonzero(np.abs(_wrapped(turned - bias * apart_m)) < near)) for bias in biases]
-    bias = float(biases[int(np.argmax(agreed))])
+    agreed = [float(counts[np.abs(_wrapped(turned - bias * apart_m)) < near].sum()) for bias in biases]
+    bias = float(biases[int(np.argmax(np.round(agreed, 9)))])
     left = _wrapped(turned - bias * apart_m)
-    weights = (np.abs(left) < near) / near**2
+    weights = counts * (np.abs(left) < near) / near**2
     return bias + float((weights * apart_m * left).sum() / max((weights * apart_m**2).sum(), 1e-12))
 
 

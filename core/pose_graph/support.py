@@ -25,10 +25,10 @@ BESIDE = 10
 STRETCH = 20
 """Submaps of a stretch of which one loop speaks for all that agree with it, where loops are more than submaps."""
 
-_TYPICAL = 0.25
+_QUARTER = 0.25
 _SLACK = 100.0
-"""How much worse than typical circles (their lower quartile) one may close: stated covariances can be far too large,
-and the circles that close best show it.
+"""How much worse than typical circles (the lower quartile of places) one may close: stated covariances can be far too
+large, and the circles that close best show it.
 """
 
 
@@ -92,23 +92,68 @@ def have_support(circles: Circles, rows: NDArray[np.int64]) -> NDArray[np.bool_]
     """Which of the loops `rows` (n,) close a small circle with another one of them."""
     if len(rows) < 2:
         return np.zeros(len(rows), dtype=bool)
-    pairs = cKDTree(circles.ends[rows]).query_pairs(BESIDE, p=np.inf, output_type="ndarray")
-    errors = circles.errors(rows[pairs[:, 0]], rows[pairs[:, 1]])
+    beside = _beside(circles, rows)
     least = np.full(len(rows), np.inf)
     for side in (0, 1):
-        np.minimum.at(least, pairs[:, side], errors)
-    closing = least[np.isfinite(least)]
-    typical = float(np.quantile(closing, _TYPICAL)) if len(closing) else 0.0
-    return np.asarray(least <= min(MAX_CLOSING_ERROR, _SLACK * typical))
+        np.minimum.at(least, beside.pairs[:, side], beside.errors)
+    slack = _SLACK * _typical(least, _places(circles, rows, beside))
+    return np.asarray(least <= min(MAX_CLOSING_ERROR, slack))
+
+
+def _typical(least: Array64, places: NDArray[np.int64]) -> float:
+    """How well the best circles (n,) of loops close, as a quarter of the `places` (n,) where there are any do.
+
+    Never the best place alone: neighbours that take it for another one repeat one measurement.
+    """
+    closing = np.isfinite(least)
+    of_places = [np.quantile(least[closing & (places == one)], _QUARTER) for one in np.unique(places[closing])]
+    return float(np.quantile(of_places, _QUARTER, method="higher")) if of_places else 0.0
 
 
 def stretches(circles: Circles, rows: NDArray[np.int64]) -> list[NDArray[np.int64]]:
     """The loops `rows` (n,) by runs, which small circles hold together, and stretches of STRETCH submaps."""
-    pairs = cKDTree(circles.ends[rows]).query_pairs(BESIDE, p=np.inf, output_type="ndarray")
-    closing = pairs[circles.errors(rows[pairs[:, 0]], rows[pairs[:, 1]]) < MAX_CLOSING_ERROR]
-    links = coo_matrix((np.ones(len(closing)), (closing[:, 0], closing[:, 1])), shape=(len(rows), len(rows)))
-    _, runs = connected_components(links, directed=False)
-    places = np.column_stack([runs, circles.ends[rows, 1] // STRETCH])
-    _, group = np.unique(places, axis=0, return_inverse=True)
+    runs = _beside(circles, rows).runs(len(rows))
+    _, group = np.unique(np.column_stack([runs, circles.ends[rows, 1] // STRETCH]), axis=0, return_inverse=True)
     order = np.argsort(group.ravel(), kind="stable")
     return np.split(rows[order], np.flatnonzero(np.diff(group.ravel()[order])) + 1)
+
+
+def places(circles: Circles, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The number (n,) of the place where each of the loops `rows` (n,) was found: a run, or STRETCH submaps of it.
+
+    Neighbours that agree with each other show one place, and are one mistake where it is taken for another one: a place
+    has one vote. A run is counted from its own beginning, so that a short one is never two places.
+    """
+    return _places(circles, rows, _beside(circles, rows))
+
+
+def votes(places: NDArray[np.int64]) -> Array64:
+    """What each of some members of `places` (n,) counts: those of a place have one vote together."""
+    return np.asarray(1.0 / np.bincount(places)[places])
+
+
+@dataclass(frozen=True)
+class _Beside:
+    """Pairs (m, 2) of loops with both ends beside each other, and how their circles close (m,), in variances."""
+
+    pairs: NDArray[np.int64]
+    errors: Array64
+
+    def runs(self, count: int) -> NDArray[np.int64]:
+        """The number (n,) of the run of each of `count` loops: small circles hold it together."""
+        one, other = self.pairs[self.errors < MAX_CLOSING_ERROR].T
+        links = coo_matrix((np.ones(len(one)), (one, other)), shape=(count, count))
+        return np.asarray(connected_components(links, directed=False)[1], dtype=np.int64)
+
+
+def _beside(circles: Circles, rows: NDArray[np.int64]) -> _Beside:
+    pairs = cKDTree(circles.ends[rows]).query_pairs(BESIDE, p=np.inf, output_type="ndarray")
+    return _Beside(pairs, circles.errors(rows[pairs[:, 0]], rows[pairs[:, 1]]))
+
+
+def _places(circles: Circles, rows: NDArray[np.int64], beside: _Beside) -> NDArray[np.int64]:
+    runs, ends = beside.runs(len(rows)), circles.ends[rows]
+    begins = np.full((int(runs.max(initial=-1)) + 1, 2), np.iinfo(np.int64).max)
+    np.minimum.at(begins, runs, ends)
+    _, group = np.unique(np.column_stack([runs, (ends - begins[runs]) // STRETCH]), axis=0, return_inverse=True)
+    return np.asarray(group.ravel(), dtype=np.int64)

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from revisit.core.geometry import se3_rows
-from revisit.core.pose_graph.consistency import inverted, oriented
+from revisit.core.pose_graph.consistency import Circles, inverted, oriented
 from revisit.core.pose_graph.graph import LoopEdge, PoseGraph, Trajectory
+from revisit.core.pose_graph.support import places, votes
 
 Array64 = NDArray[np.float64]
 Ordinals = NDArray[np.int64]
@@ -27,8 +28,8 @@ BESIDE = 10
 CIRCLES = 400
 """Circles, at most, between two sessions or within one."""
 
-LEAST_CIRCLES = 20
-"""With fewer circles nothing is said."""
+LEAST_CIRCLES, LEAST_PLACES = 20, 3
+"""With fewer circles, or circles at fewer places, nothing is said: of two places one may be taken for another."""
 
 EXPECTED = 5.35
 """Median of the squared errors of circles whose sides state their uncertainty rightly: chi-square, 6 degrees of
@@ -45,11 +46,23 @@ LEAST = 1e-3
 
 
 def variance_factor(graph: PoseGraph) -> float:
-    """What to multiply all covariances of the graph with: 1 unless they are more than `SLACK` times too large."""
-    errors = np.concatenate([np.zeros(0), *(_errors(graph, *group) for group in _groups(graph))])
-    if len(errors) < LEAST_CIRCLES:
+    """What to multiply all covariances of the graph with: 1 unless they are more than `SLACK` times too large.
+
+    Places vote, not circles: neighbours that take one place for another repeat one measurement, and circles close.
+    """
+    groups = [_circles(graph, *group) for group in _groups(graph)]
+    errors = np.concatenate([np.zeros(0), *(errors for errors, _ in groups)])
+    counts = np.concatenate([np.zeros(0), *(votes(place) for _, place in groups)])
+    if len(errors) < LEAST_CIRCLES or round(counts.sum()) < LEAST_PLACES:
         return 1.0
-    return float(np.clip(SLACK * np.median(errors) / EXPECTED, LEAST, 1.0))
+    return float(np.clip(SLACK * _median(errors, counts) / EXPECTED, LEAST, 1.0))
+
+
+def _median(values: Array64, counts: Array64) -> float:
+    """The median of `values` (n,) of which each counts `counts` (n,)."""
+    order = np.argsort(values, kind="stable")
+    heard = np.cumsum(counts[order])
+    return float(values[order[np.searchsorted(heard, 0.5 * heard[-1])]])
 
 
 def rescaled(graph: PoseGraph, factor: float) -> PoseGraph:
@@ -74,17 +87,19 @@ def _forward(loop: LoopEdge) -> LoopEdge:
     return loop if loop.match.ordinal < loop.query.ordinal else inverted(loop)
 
 
-def _errors(graph: PoseGraph, first: str, second: str, loops: list[LoopEdge]) -> Array64:
-    """Squared errors (n,), in variances, of small circles."""
+def _circles(graph: PoseGraph, first: str, second: str, loops: list[LoopEdge]) -> tuple[Array64, Ordinals]:
+    """Squared errors (n,), in variances, of small circles, and the place (n,) of each."""
     ends = np.array([(loop.match.ordinal, loop.query.ordinal) for loop in loops])
     pairs = cKDTree(ends).query_pairs(BESIDE, p=np.inf, output_type="ndarray")
     pairs = pairs[np.lexsort(pairs.T[::-1])]
     pairs = pairs[:: -(-len(pairs) // CIRCLES) or 1]
     if not len(pairs):
-        return np.zeros(0)
-    sides = Side.of(graph.by_session[first]), Side.of(graph.by_session[second])
+        return np.zeros(0), np.zeros(0, np.int64)
+    tracks = graph.by_session[first], graph.by_session[second]
     poses = np.stack([loop.T_match_query for loop in loops])
-    return squared_errors(poses, np.stack([loop.covariance for loop in loops]), ends, pairs, *sides)
+    covariances = np.stack([loop.covariance for loop in loops])
+    found = places(Circles.of(loops, *tracks), np.arange(len(loops)))
+    return squared_errors(poses, covariances, ends, pairs, *map(Side.of, tracks)), found[pairs[:, 0]]
 
 
 class Side:

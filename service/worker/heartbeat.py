@@ -31,6 +31,12 @@ ORPHANED = 75
 OVERTIME = 124
 """Exit status of a worker whose job took too long (that of timeout(1))."""
 
+IDLE_SHARE = 0.02
+"""Of a core: a job that takes less waits for something that does not come."""
+
+MOST_WALL = 10.0
+"""How many times its limit a job may take by the wall clock, however loaded the machine is."""
+
 log = structlog.get_logger(__name__)
 
 
@@ -60,7 +66,9 @@ class Heartbeat:
         identity: WorkerIdentity,
         job_timeout_s: float,
     ) -> None:
-        """A job that takes longer than `job_timeout_s` is failed through `recognition`, and the process ends."""
+        """A job that takes longer than `job_timeout_s` (see `is_overtime`) is failed through `recognition`, and the
+        process ends.
+        """
         self._transactions = transactions
         self._clock = clock
         self._lease_ms = lease_ms
@@ -69,7 +77,7 @@ class Heartbeat:
         self._job_timeout_s = job_timeout_s
         self._lease: Lease | None = None
         self._missing: Lease | None = None  # at the last beat
-        self._began_s = 0.0
+        self._began_s, self._began_cpu_s = 0.0, 0.0
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._keep_alive, name="heartbeat", daemon=True)
 
@@ -89,7 +97,7 @@ class Heartbeat:
 
     def hold(self, lease: Lease) -> None:
         """Keep this lease from now on."""
-        self._began_s = time.monotonic()
+        self._began_s, self._began_cpu_s = time.monotonic(), time.process_time()
         self._lease = lease
 
     def let_go(self) -> None:
@@ -110,7 +118,8 @@ class Heartbeat:
     def _end_overtime(self) -> None:
         """Fail a job that takes too long. What hangs in it cannot be stopped, so the process ends with it."""
         lease = self._lease
-        if lease is None or time.monotonic() - self._began_s < self._job_timeout_s:
+        wall_s, cpu_s = time.monotonic() - self._began_s, time.process_time() - self._began_cpu_s
+        if lease is None or not is_overtime(wall_s, cpu_s, self._job_timeout_s):
             return
         try:
             self._recognition.fail(lease, f"the job took longer than {self._job_timeout_s:g} s")
@@ -145,3 +154,12 @@ class Heartbeat:
         except StaleLease:
             return False
         return True
+
+
+def is_overtime(wall_s: float, cpu_s: float, limit_s: float) -> bool:
+    """Whether a job takes too long: its work counts, in CPU time of its process, not the load of the machine.
+
+    A job that hardly works is held against the wall clock, and so is one that is starved for MOST_WALL times the limit.
+    """
+    waits = cpu_s < IDLE_SHARE * wall_s
+    return wall_s >= limit_s and (cpu_s >= limit_s or waits or wall_s >= MOST_WALL * limit_s)

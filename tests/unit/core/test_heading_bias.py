@@ -98,6 +98,28 @@ def test_wrong_loops_among_right_ones_are_no_bias_and_do_not_hide_one() -> None:
         assert not any(states[one.name] is LoopState.IN_MAP for one in wrong)
 
 
+def test_a_stretch_taken_for_another_has_one_vote_against_a_bias() -> None:
+    """Eighteen neighbours that agree are one mistake: right loops all over the way know better."""
+    poses, bias = true_way(), np.radians(0.1)
+    odometry, right = Trajectory.from_odometry("one", turned(poses, bias)), right_loops(poses)[::2]
+    wrong = a_stretch_for_another(odometry, 21, 98, 18)
+    graph = PoseGraph.of([odometry], right + wrong)
+    assert heading_bias(*of(graph)) == pytest.approx(bias, abs=2e-5)
+    states = dict(zip((one.name for one in graph.loops), optimise(graph).loops, strict=True))
+    assert all(states[one.name] is LoopState.IN_MAP for one in right)
+    assert not any(states[one.name] is LoopState.IN_MAP for one in wrong)
+
+
+def a_stretch_for_another(odometry: Trajectory, match: int, query: int, count: int) -> list[LoopEdge]:
+    """Wrong loops between two stretches of so many submaps that agree with each other as well as the odometry does."""
+    placed = np.linalg.inv(odometry.T_odom_submap) @ odometry.T_odom_submap[match] @ WRONG["a street beside it"]
+    moved = se3.inverse(odometry.T_odom_submap[query]) @ odometry.T_odom_submap
+    return [
+        LoopEdge(f"{a}-{b}", Node("one", a), Node("one", b), placed[a] @ moved[b], LOOP_COVARIANCE)
+        for a, b in zip(range(match, match + count), range(query, query + count), strict=True)
+    ]
+
+
 def test_a_bias_beyond_the_most_and_few_loops_are_left_alone() -> None:
     poses = true_way()
     beyond = Trajectory.from_odometry("one", turned(poses, 1.5 * MOST_RAD_PER_M))

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import tracemalloc
 
 import numpy as np
 import pytest
 
 from revisit.core.geometry import se3
 from revisit.core.merge import MergeLimits, MergeRefusal, loops_refusal, pairs_in_reach
-from revisit.core.merge.candidates import joining_candidates
+from revisit.core.merge.candidates import _standardised, joining_candidates
 from revisit.core.merge.joining import JoiningLoops
 from revisit.core.pose_graph import LoopEdge, PoseGraph, optimise
 from tests.support.made_up_fleet import fleet
@@ -99,6 +100,22 @@ def test_places_on_different_storeys_are_no_pair_and_take_no_others_place():
     assert pairs[1] == {(row, column) for row in range(3) for column in range(3)} - apart
     everywhere = joining_candidates(first, second, sessions, 3)
     assert {tuple(pair) for pair in everywhere.pairs.tolist()} >= apart
+
+
+def test_candidates_of_large_maps_take_bounded_memory_and_are_those_of_all_pairs_at_once():
+    rng = np.random.default_rng(1)
+    first, second = (rng.normal(size=(count, 8)).astype(np.float32) for count in (3000, 5000))
+    sessions = np.full(3000, 1), np.full(5000, 2)
+    tracemalloc.start()
+    found = joining_candidates(first, second, sessions, 2)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 100e6  # of all pairs the cosines alone take 60, and their order 120
+    adapted = _standardised(np.concatenate([first, second]), np.concatenate(sessions))
+    alike = adapted[:3000] @ adapted[3000:].T
+    of_rows, of_columns = np.sort(alike, axis=1)[:, -2, None], np.sort(alike, axis=0)[-2]
+    wanted = set(map(tuple, np.argwhere((alike >= of_rows) | (alike >= of_columns)).tolist()))
+    assert set(map(tuple, found.pairs.tolist())) == wanted
 
 
 def test_submaps_are_compared_with_their_neighbours_over_the_whole_overlap():

@@ -20,6 +20,7 @@ from revisit.core.pose_graph import (
     Trajectory,
     consistency,
     independence,
+    loop_covariance,
     optimisation,
     optimise,
 )
@@ -137,6 +138,20 @@ def test_what_a_graph_states_is_believed_where_few_circles_speak_against_it() ->
     rng = np.random.default_rng(1)
     apart = [replace(loop, T_match_query=random_motion(rng)) for loop in unsure.loops]
     assert variance_factor(replace(unsure, loops=(*unsure.loops, *apart))) > variance_factor(unsure)
+
+
+def test_one_stretch_taken_for_another_does_not_say_how_sure_a_graph_is() -> None:
+    """Aliases repeat one measurement: the circles between nine of them close far better than the graph states."""
+    graph = _twice_around(wrong=0)
+    sparse = [loop for loop in graph.loops if loop.match.ordinal % 9 == 0]
+    (track,) = graph.trajectories
+    T_odom_submap, aside = track.T_odom_submap, se3.from_yaw(0.3, (15.0, 8.0, 0.0))
+    motion = [se3.inverse(T_odom_submap[8]) @ T_odom_submap[8 + n] for n in range(9)]
+    back = [se3.inverse(T_odom_submap[95]) @ T_odom_submap[95 + n] for n in range(9)]
+    wrong = [_loop(f"wrong-{n}", 8 + n, 95 + n, se3.inverse(motion[n]) @ aside @ back[n]) for n in range(9)]
+    spoilt = PoseGraph.of([track], [*sparse, *wrong])
+    assert variance_factor(spoilt) == variance_factor(PoseGraph.of([track], sparse)) == 1.0
+    assert in_map(spoilt, optimise(spoilt).loops) == [loop.name for loop in sparse]
 
 
 def _twice_around(wrong: int = 20) -> PoseGraph:
@@ -276,6 +291,7 @@ def test_g2o_information_is_of_half_angles() -> None:
     [
         "EDGE_SE2 0 1 1 2",
         "VERTEX_SE2 1\nEDGE_SE2 0 2 0 0 0 1 0 0 1 0 1",
+        "VERTEX_SE2 1 0 nan 0\nVERTEX_SE2 2 0 1 0\nEDGE_SE2 0 1 0 0 0 1 0 0 1 0 1",
         "VERTEX_SE2 x",
         "EDGE_SE3:QUAT a b",
         "EDGE_SE2 0 1 0 0 0 0 0 0 0 0 0",
@@ -313,6 +329,22 @@ def test_g2o_in_any_order_and_numbering_is_the_same_graph() -> None:
         assert [(one.match, one.query) for one in other.loops] == [(one.match, one.query) for one in graph.loops]
 
 
+def test_a_step_that_no_edge_states_lies_where_the_vertices_say_and_binds_nothing() -> None:
+    """As in a recording of several parts: loops, not the gap, say where its second part lies."""
+    vertices = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (9.0, 5.0, 1.5), (9.0, 6.0, 1.5)]
+    lines = [f"VERTEX_SE2 {7 * n} {x} {y} {yaw}" for n, (x, y, yaw) in enumerate(vertices)]
+    edges = [(0, 7, 1, 0, 0), (14, 21, 1, 0, 0), (0, 14, 0, 2, 0), (7, 21, 0, 2, 0)]
+    lines += [f"EDGE_SE2 {a} {b} {x} {y} {yaw} 100 0 0 100 0 100" for a, b, x, y, yaw in edges]
+    graph = read_g2o("\n".join(lines))
+    (track,) = graph.trajectories
+    np.testing.assert_allclose(track.T_odom_submap[2], se3.from_yaw(1.5, (9.0, 5.0, 0.0)), atol=1e-9)
+    assert [(one.match.ordinal, one.query.ordinal) for one in graph.loops] == [(0, 2), (1, 3)]
+    answer = optimise(graph)
+    assert set(answer.loops) == {LoopState.IN_MAP}
+    placed = answer.T_map_submap["g2o"][:, :2, 3]
+    np.testing.assert_allclose(placed, [(0, 0), (1, 0), (0, 2), (1, 2)], atol=1e-4)
+
+
 def test_a_step_that_is_written_backwards_is_a_step() -> None:
     there = se3.from_yaw(0.3, (1.0, 0.1, 0.0))
     back = se3.inverse(there)
@@ -326,6 +358,43 @@ def test_a_loop_to_nowhere_is_refused() -> None:
     for end in (Node("s0", 999), Node("nobody", 0), made.graph.loops[0].match):
         with pytest.raises(BadField):
             PoseGraph.of(list(made.graph.trajectories), [replace(made.graph.loops[0], query=end)])
+
+
+NO_COVARIANCES = {
+    "not a number": np.full((6, 6), np.nan),
+    "infinite": np.diag([np.inf] + [1.0] * 5),
+    "indefinite": np.diag([-0.01] + [1.0] * 5),
+    "singular": np.zeros((6, 6)),
+}
+
+
+@pytest.mark.parametrize("covariance", NO_COVARIANCES.values(), ids=NO_COVARIANCES)
+def test_what_is_no_covariance_is_refused(covariance: np.ndarray) -> None:
+    made = fleet(9, 0.0, sessions=2)
+    spoilt = replace(made.graph.loops[0], name="right-0", covariance=covariance)
+    with pytest.raises(BadField, match="right-0"):
+        PoseGraph.of(list(made.graph.trajectories), [*made.graph.loops[1:], spoilt])
+    track = made.graph.trajectories[0]
+    steps = np.concatenate([track.step_covariances[:4], covariance[None], track.step_covariances[5:]])
+    with pytest.raises(BadField, match="step 4 of s0"):
+        PoseGraph.of([replace(track, step_covariances=steps)], [])
+
+
+@pytest.mark.parametrize("name", ["not a number", "infinite", "indefinite"])
+def test_a_floor_mends_no_covariance_that_is_none(name: str) -> None:
+    with pytest.raises(BadField, match="covariance"):
+        loop_covariance(NO_COVARIANCES[name])
+
+
+def test_poses_that_are_not_finite_are_refused() -> None:
+    made = fleet(9, 0.0, sessions=2)
+    nowhere = np.full((4, 4), np.nan)
+    with pytest.raises(BadField, match="T_match_query"):
+        PoseGraph.of(list(made.graph.trajectories), [replace(made.graph.loops[0], T_match_query=nowhere)])
+    track = made.graph.trajectories[0]
+    poses = np.concatenate([track.T_odom_submap[:-1], nowhere[None]])
+    with pytest.raises(BadField, match="submap 79 of s0"):
+        PoseGraph.of([replace(track, T_odom_submap=poses)], [])
 
 
 @pytest.mark.real_data

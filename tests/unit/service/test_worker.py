@@ -12,7 +12,7 @@ from structlog.testing import capture_logs
 
 from revisit.service import ONE_THREAD
 from revisit.service.worker import free_memory, heartbeat
-from revisit.service.worker.heartbeat import WorkerIdentity
+from revisit.service.worker.heartbeat import WorkerIdentity, is_overtime
 from revisit.service.worker.loop import Worker, WorkerLimits
 from tests.support.patience import PATIENCE_S
 from tests.support.processes import ROOT
@@ -166,3 +166,18 @@ def test_a_process_of_the_service_starts_others_afresh_and_never_forks_itself():
     )
     ran = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True)
     assert ran.stdout.splitlines()[-1] == "spawn"
+
+
+@pytest.mark.parametrize(
+    ("wall_s", "cpu_s", "over"),
+    [
+        (119.0, 119.0, False),
+        (121.0, 121.0, True),
+        (600.0, 60.0, False),  # others have nine tenths of its core
+        (1300.0, 121.0, True),
+        (121.0, 0.5, True),  # it waits for what does not come
+        (1300.0, 90.0, True),  # however loaded the machine is, its submap is not kept for ever
+    ],
+)
+def test_a_job_is_ended_by_the_work_that_it_does_and_not_by_the_load_of_the_machine(wall_s, cpu_s, over):
+    assert is_overtime(wall_s, cpu_s, limit_s=120.0) is over
