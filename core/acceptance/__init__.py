@@ -10,8 +10,16 @@ distinctiveness     other spots where a submap would pass
 rules               all of them, in order
 """
 
-from revisit.core.acceptance.claim import Distinctiveness, Doubt, Grounds, LoopClaim, Station, Support
-from revisit.core.acceptance.prediction import PredictedPoses, StationInMap, verify_in_turn
+from revisit.core.acceptance.claim import (
+    Distinctiveness,
+    Doubt,
+    Grounds,
+    LoopClaim,
+    Station,
+    StationInMap,
+    Support,
+)
+from revisit.core.acceptance.prediction import PredictedPoses, verify_in_turn
 from revisit.core.acceptance.rules import Decided, Drive, accept, accept_cloud, stride_of_drive, submaps_asked
 from revisit.core.acceptance.support import VerifyNear
 

@@ -15,8 +15,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.acceptance.claim import Doubt, Grounds, LoopClaim
-from revisit.core.acceptance.distinctiveness import are_one, spot_of
+from revisit.core.acceptance.claim import Doubt, Grounds, LoopClaim, StationInMap
+from revisit.core.acceptance.distinctiveness import SPOT_M, are_one, spot_of
 from revisit.core.config import PipelineConfig
 from revisit.core.verification import RejectionReason
 
@@ -25,6 +25,9 @@ _LEAST, _SHARE = 4, 0.75
 
 _WINDOWS = 3.0
 """Submaps of a drive farther apart than this many window lengths are elsewhere."""
+
+_COMPARABLE = 0.65
+"""Such a share of the overlap of a cloud's claim is too much for another place (docs/decisions/0324)."""
 
 Counts = Callable[[LoopClaim, PipelineConfig], bool]
 
@@ -54,6 +57,51 @@ def outdone_contacts(
             if doubt is not None:
                 changed[row] = claim.doubted(*doubt)
     return changed
+
+
+def without_twins(
+    claims: Sequence[LoopClaim], in_map: Sequence[StationInMap | None], config: PipelineConfig
+) -> dict[int, LoopClaim]:
+    """The accepted claims of one cloud that another place explains nearly as well, by row, with that doubt.
+
+    A cloud has no drive that could tell twins apart later. `in_map`: where the matches lie in the map. Of a drive that
+    nothing places beside that of a claim, ambiguous claims count alone: others may be of the same spot.
+    """
+    changed = dict[int, LoopClaim]()
+    for row, claim in _undoubted(claims):
+        there = [_same_spot(claims, in_map, row, other, config) for other in range(len(claims))]
+        own = max(one.overlap for one, same in zip(claims, there, strict=True) if same)
+        elsewhere = [
+            one.overlap
+            for one, same in zip(claims, there, strict=True)
+            if not same and (one.ambiguous if same is None else one.accepted or _overlaps(one, config))
+        ]
+        best = max(elsewhere, default=0.0)
+        if best >= _COMPARABLE * own:
+            words = f"it passed every check, but explains {own:.2f} of the cloud, and a place elsewhere {best:.2f}"
+            grounds = Grounds(words, {"overlap": own, "elsewhere": best})
+            changed[row] = claim.doubted(Doubt.BETTER_ALTERNATIVE, grounds)
+    return changed
+
+
+def _same_spot(
+    claims: Sequence[LoopClaim],
+    in_map: Sequence[StationInMap | None],
+    row: int,
+    other: int,
+    config: PipelineConfig,
+) -> bool | None:
+    """Whether a claim may say the spot of that in `row`, by any of its poses; None where nothing tells."""
+    claim, one = claims[row], claims[other]
+    if one.match.drive == claim.match.drive:
+        return other == row or _is_there(one, claim, config)
+    here, there = in_map[row], in_map[other]
+    if here is None or there is None or here.frame != there.frame:
+        return None
+    stands = (here.T_map_submap @ claim.hypotheses[0])[:3, 3]
+    poses = one.hypotheses or (one.T_match_query,)
+    spots = [(there.T_map_submap @ pose)[:3, 3] for pose in poses if pose is not None]
+    return any(float(np.linalg.norm(spot - stands)) < SPOT_M for spot in spots)
 
 
 def _undoubted(claims: Sequence[LoopClaim]) -> list[tuple[int, LoopClaim]]:

@@ -84,6 +84,14 @@ class Station:
 
 
 @dataclass(frozen=True)
+class StationInMap:
+    """Where a station lies in a map that was optimised: T_map_submap (4, 4) in the frame of that name."""
+
+    frame: str
+    T_map_submap: Matrix4
+
+
+@dataclass(frozen=True)
 class LoopClaim:
     """One candidate pair: its two stations, the verdict on the pair alone, and the judgement of the claims beside it.
 

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from revisit.core.acceptance.claim import Station
+from revisit.core.acceptance.claim import Station, StationInMap
 from revisit.core.acceptance.drive_loops import least_way_m
 from revisit.core.acceptance.neighbour_support import NeighbourLoop, told_pose
 from revisit.core.config import PipelineConfig
@@ -25,14 +25,6 @@ _WINDOWS = 3.0
 """Windows between two submaps up to which they share about half of what they have seen. What repeats within that is
 seen as a rival of each single loop (docs/decisions/0080); what repeats farther away, by farther candidates.
 """
-
-
-@dataclass(frozen=True)
-class StationInMap:
-    """Where a station lies in a map that was optimised: T_map_submap (4, 4) in the frame of that name."""
-
-    frame: str
-    T_map_submap: Matrix4
 
 
 @dataclass(frozen=True)

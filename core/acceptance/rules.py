@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from revisit.core.acceptance.alternatives import not_standing_out, outdone_contacts
-from revisit.core.acceptance.claim import LoopClaim, Station
+from revisit.core.acceptance.alternatives import not_standing_out, outdone_contacts, without_twins
+from revisit.core.acceptance.claim import LoopClaim, Station, StationInMap
 from revisit.core.acceptance.consistency import inconsistent
 from revisit.core.acceptance.consistent_share import REACH_M, low_consistent_share
 from revisit.core.acceptance.distinctiveness import with_distinctiveness
@@ -71,9 +71,15 @@ def accept(new: Sequence[LoopClaim], drive: Drive, config: PipelineConfig, verif
     return Decided(with_distinctiveness(claims[before:], config.submap.stride), revised)
 
 
-def accept_cloud(claims: Sequence[LoopClaim], config: PipelineConfig) -> list[LoopClaim]:
-    """Judge the claims of a cloud of no drive together."""
-    judged = _with(claims, not_standing_out(claims, config))
+def accept_cloud(
+    claims: Sequence[LoopClaim], in_map: Sequence[StationInMap | None], config: PipelineConfig
+) -> list[LoopClaim]:
+    """Judge the claims of a cloud of no drive together; `in_map`: where the matches lie in the map.
+
+    At least `config.loop.candidates` places should be claimed: a twin that nobody compares raises no doubt.
+    """
+    judged = _with(claims, without_twins(claims, in_map, config))
+    judged = _with(judged, not_standing_out(judged, config))
     judged = _with(judged, low_consistent_share(judged, config.submap.stride))
     return _with(judged, inconsistent(judged, config.verification, config.submap.stride))
 

@@ -12,7 +12,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.acceptance import LoopClaim, Station, accept_cloud
+from revisit.core.acceptance import LoopClaim, Station, StationInMap, accept_cloud
 from revisit.core.config import PipelineConfig
 from revisit.core.errors import DescriptorModelMismatch
 from revisit.core.geometry import se3
@@ -81,10 +81,13 @@ class AreaMap:
         DataLoss.
         """
         described = self._described(points, T_level_query)
+        compared = max(candidates, self._config.loop.candidates)
         found = self._recalled(
-            described, candidates, prior_position_m=prior_position_m, radius_m=radius_m, only_session=only_session
+            described, compared, prior_position_m=prior_position_m, radius_m=radius_m, only_session=only_session
         )
-        claims = accept_cloud([self._claim(described, match) for match in found], self._config)
+        claims = accept_cloud(
+            [self._claim(described, match) for match in found], [self._in_map(match) for match in found], self._config
+        )
         judged = [self._candidate(match, claim) for match, claim in zip(found, claims, strict=True)]
         accepted = [n for n, candidate in enumerate(judged) if candidate.accepted]
         best = max(accepted, key=lambda n: (judged[n].score, -n), default=None)
@@ -150,6 +153,10 @@ class AreaMap:
         verdict = verify(described.place, self._place(match.id), match.similarity, self._config.verification)
         station = Station(self._sessions[submap.session], submap.ordinal, submap.T_odom_submap)
         return LoopClaim(Station(None, 0, np.eye(4)), station, verdict)
+
+    def _in_map(self, match: Match) -> StationInMap:
+        submap = self.file.submaps[match.id]
+        return StationInMap(submap.frame, submap.T_map_submap)
 
     def _candidate(self, match: Match, claim: LoopClaim) -> Candidate:
         return Candidate(

@@ -422,16 +422,17 @@ class Recognition:
         description = self._describe_query(lease, map_record)
         config = self._policy.for_map(map_record)
         k = criteria_from_json(lease.job.payload["criteria"]).k
-        recall = self._memory.recall(map_record, description.descriptor, k, lambda _: where)
+        compared = max(k, config.loop.candidates)
+        recall = self._memory.recall(map_record, description.descriptor, compared, lambda _: where)
         verdicts = [self._verify(description.place, one, config) for one in recall.places]
         # A cloud is of no drive and has no odometry: its own frame is all there is.
         query = Station(None, 0, np.eye(4))
         claims = [
             LoopClaim(query, station(one.submap), verdict) for one, verdict in zip(recall.places, verdicts, strict=True)
         ]
-        claims = accept_cloud(claims, config)
+        claims = accept_cloud(claims, _in_map_now(self._transactions, [one.submap for one in recall.places]), config)
         judged = [JudgedPlace(one, claim) for one, claim in zip(recall.places, claims, strict=True)]
-        found = _localization(judged, config)
+        found = _localization(judged, k, config)
         in_map = self._transactions.read(partial(_in_map, found=found, judged=judged)).result()
         left_out = self._memory.on_other_storeys(map_record, where)
         self._complete(lease, localization_to_json(replace(found, in_map=in_map, on_other_storeys=left_out)))
@@ -497,16 +498,18 @@ def _poses_in_map(uow: UnitOfWork, submaps: Sequence[SubmapRecord]) -> list[MapP
     return [frames.submap(one) for one in submaps]
 
 
-def _localization(judged: list[JudgedPlace], config: PipelineConfig) -> Localization:
-    candidates = [_candidate(one, config) for one in judged]
-    accepted = [row for row, candidate in enumerate(candidates) if candidate.accepted]
-    if not accepted:
-        return Localization(None, None, tuple(candidates))
-    best = max(accepted, key=lambda row: (candidates[row].score, -row))
+def _localization(judged: list[JudgedPlace], k: int, config: PipelineConfig) -> Localization:
+    """The best candidate and the `k` most similar ones, itself among them, of all that were judged together."""
+    accepted = [row for row, one in enumerate(judged) if one.claim.accepted]
+    best = max(accepted, key=lambda row: (judged[row].claim.score, -row), default=None)
+    told = [row for row in range(len(judged)) if row < k or row == best]
+    candidates = {row: _candidate(judged[row], config) for row in told}
+    if best is None:
+        return Localization(None, None, tuple(candidates.values()))
     T_match_query = candidates[best].T_match_query
     T_odom_match = pose_matrix(judged[best].place.submap.T_odom_submap)
     T_odom_query = None if T_match_query is None else T_odom_match @ T_match_query
-    return Localization(candidates[best], T_odom_query, tuple(candidates))
+    return Localization(candidates[best], T_odom_query, tuple(candidates.values()))
 
 
 def _candidate(judged: JudgedPlace, config: PipelineConfig) -> LocalizedCandidate:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from revisit.core.acceptance import Doubt, LoopClaim
-from revisit.core.acceptance.alternatives import not_standing_out, outdone_contacts
+from revisit.core.acceptance import Doubt, LoopClaim, Station, StationInMap, accept_cloud
+from revisit.core.acceptance.alternatives import not_standing_out, outdone_contacts, without_twins
 from revisit.core.acceptance.consistency import inconsistent
 from revisit.core.acceptance.support import with_support
 from revisit.core.config import PipelineConfig
@@ -121,3 +121,41 @@ def test_loops_that_do_not_stand_out_contradict_others(doubt: Doubt) -> None:
     changed = inconsistent([on_both_drives(10.0), *others], CONFIG.verification, 5.0)
     assert changed.keys() == {0} and Doubt.PAIRWISE_INCONSISTENT in changed[0].doubts
     assert len(changed[0].hypotheses) == 2
+
+
+CLOUD = Station(None, 0, np.eye(4))
+
+
+def of_cloud(overlap: float, x_m: float, reason: str | None = None, *, drive: int = 1) -> LoopClaim:
+    """A claim of a cloud on the submap at `x_m` of a drive, which puts it there."""
+    return pair(CLOUD, at(x_m, drive), [along_x(0.0)], reason, overlap=overlap)
+
+
+@pytest.mark.parametrize("reason", ["AMBIGUOUS", "LOW_SCORE", "DEGENERATE_ALIGNMENT", None])
+def test_a_cloud_is_not_placed_where_another_place_of_the_drive_explains_nearly_as_much(reason: str | None) -> None:
+    claims = [of_cloud(0.50, 0.0), of_cloud(0.40, 80.0, reason), of_cloud(0.45, 2.0, "LOW_SCORE")]
+    judged = accept_cloud(claims, [None] * 3, CONFIG)
+    assert not any(one.accepted for one in judged)
+    grounds = judged[0].doubts[Doubt.BETTER_ALTERNATIVE]
+    assert grounds.figures == {"overlap": 0.50, "elsewhere": 0.40} and "elsewhere 0.40" in grounds.words
+
+
+def test_a_cloud_is_placed_where_other_places_explain_little_of_it() -> None:
+    claims = [of_cloud(0.50, 0.0), of_cloud(0.30, 80.0, "AMBIGUOUS"), of_cloud(0.45, 80.0, "SEEN_THROUGH")]
+    assert without_twins(claims, [None] * 3, CONFIG) == {}
+
+
+def test_drives_that_the_map_places_beside_each_other_say_one_spot() -> None:
+    claims = [of_cloud(0.50, 0.0), of_cloud(0.45, 40.0, "LOW_SCORE", drive=2)]
+    one_spot = [StationInMap("frame-1", along_x(7.0)), StationInMap("frame-1", along_x(8.0))]
+    elsewhere = [one_spot[0], StationInMap("frame-1", along_x(60.0))]
+    assert without_twins(claims, one_spot, CONFIG) == {}
+    assert without_twins(claims, elsewhere, CONFIG).keys() == {0}
+
+
+@pytest.mark.parametrize(("reason", "doubted_rows"), [("LOW_SCORE", set()), ("AMBIGUOUS", {0}), (None, set())])
+def test_of_drives_that_nothing_places_beside_each_other_ambiguous_claims_count(reason, doubted_rows) -> None:
+    claims = [of_cloud(0.50, 0.0), of_cloud(0.45, 40.0, reason, drive=2)]
+    frames = [StationInMap("frame-1", along_x(7.0)), StationInMap("frame-2", along_x(60.0))]
+    assert without_twins(claims, frames, CONFIG).keys() == doubted_rows
+    assert without_twins(claims, [None, None], CONFIG).keys() == doubted_rows
