@@ -8,13 +8,13 @@ export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 # Processes that the tests start share what the first of them has compiled, wherever the caller says otherwise.
-test test-all: export PYTHONDONTWRITEBYTECODE :=
+test test-unit test-all: export PYTHONDONTWRITEBYTECODE :=
 
 BIN := .venv/bin
 PYTHON := $(BIN)/python
 STAMP := .venv/.set-up
 
-.PHONY: help setup demo run test test-all lint types generated check bench proto docs site format clean
+.PHONY: help setup demo run test test-unit test-all lint types generated check bench proto docs site format clean
 
 help: ## list these commands
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "make %-10s %s\n", $$1, $$2}'
@@ -35,6 +35,10 @@ run: $(STAMP) ## run the service on this machine: HTTP, gRPC and workers
 test: $(STAMP) ## run the tests, without the slow ones
 	$(PYTHON) -c 'from revisit.service.adapters.core_recogniser import load_recogniser as load; load()' & \
 	$(PYTHON) -m pytest tests -m "not slow" -n 3 --dist loadfile --no-loadscope-reorder
+
+# Those of tests/unit that take a moment each; `pytest @file` reads the names of the others from tests/unit/long.txt.
+test-unit: $(STAMP) ## run the short unit tests of core, service and SDK, while you work: a minute on two cores
+	$(PYTHON) -m pytest $(addprefix tests/unit/,area core formats ros sdk service support) -m "not slow" -n 2 @tests/unit/long.txt
 
 test-all: $(STAMP) ## run every test, in full size, and hold promises of time: for a machine that does nothing else
 	REVISIT_TEST_TIMES=1 REVISIT_SCHEMATHESIS_EXAMPLES=60 REVISIT_GRPC_EXAMPLES=40 REVISIT_FUZZ_EXAMPLES=100 \
