@@ -166,9 +166,11 @@ def store(
     from revisit.evaluation.benchmark.store import store_table
 
     out.mkdir(parents=True, exist_ok=True)
+    stores = []
     with progress_bar(quiet=False) as bar:
-        stores = stored_drives(out, reporter(bar))
-    (out / "store.md").write_text(store_table(stores))
+        for one in stored_drives(out, reporter(bar)):
+            stores.append(one)
+            (out / "store.md").write_text(store_table(stores))
     say(f"{out / 'store.md'}")
 
 

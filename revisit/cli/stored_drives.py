@@ -26,15 +26,18 @@ Drive = tuple[str, int, Iterator[Scan]]
 """Name, number of scans, and these."""
 
 
-def stored_drives(out: Path, report: Report) -> list[WeighedStore]:
-    """The drives of the table, weighed; the data of each stay in a folder of `out`, in the place of an earlier run's.
+def stored_drives(out: Path, report: Report) -> Iterator[WeighedStore]:
+    """The drives of the table, each weighed in its turn.
+
+    The data of each stay in a folder of `out`, in the place of an earlier run's.
 
     Raises RuntimeError for a service that does not start or a submap that cannot be described.
     """
     drives = [simulated_drive()]
     if has_real_data():
         drives.append(real_drive(out))
-    return [_stored(out / f"drive-{number}", drive, report) for number, drive in enumerate(drives, 1)]
+    for number, of in enumerate(drives, 1):
+        yield _stored(out / f"drive-{number}", of, report)
 
 
 def simulated_drive() -> Drive:
