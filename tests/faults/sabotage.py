@@ -522,6 +522,16 @@ SABOTAGES = (
         f"{LIMITS}test_newcomers_of_one_address_give_way_to_one_another_and_to_nobody_else",
     ),
     Sabotage(
+        "connections of one address may begin as fast as they like",
+        {f"{USE_CASES}capacity.newcomers:Newcomers.may_begin": lambda _begins: lambda *_arguments: True},
+        f"{LIMITS}test_connections_without_a_credential_begin_at_a_pace_and_further_ones_are_sent_away_with_an_answer",
+    ),
+    Sabotage(
+        "calls without a credential do not wait for their turn",
+        {f"{USE_CASES}capacity.call_pace:CallPace.public": _comes_at_once},
+        f"{PACE}test_pages_without_a_key_come_at_a_pace_and_health_is_told_beyond_it",
+    ),
+    Sabotage(
         "strangers may keep as many connections to gRPC as they like",
         {f"{SERVICE}grpc.strangers:Strangers.end_those_beyond": nothing},
         f"{PLACES}test_connections_of_one_address_over_which_nobody_was_admitted_give_way_to_newer_ones",

@@ -145,6 +145,39 @@ def _gone(connection: Any, data: bytes) -> bool:
     return False
 
 
+def reopen(path: str, every: int, address: Address, key: str, stop: Any, counts: Counter[str]) -> None:
+    """Connections of one request each, as fast as they go; none is read, and `every` of them are closed together."""
+    host, _, number = address.url.removeprefix("http://").rpartition(":")
+    head = f"GET {path} HTTP/1.1\r\nHost: localhost\r\n"
+    request = (head + (f"Authorization: Bearer {key}\r\n\r\n" if every == 1 else "\r\n")).encode()
+    held: list[socket.socket] = []
+    while not stop.is_set():
+        with suppress(OSError):
+            connection = socket.create_connection((host, int(number)), timeout=2.0)
+            held.append(connection)
+            connection.sendall(request)
+            counts["opened"] += 1
+        if len(held) >= every:
+            for connection in held:
+                connection.close()
+            held.clear()
+
+
+def cancel(kind: str, address: Address, key: str, stop: Any, counts: Counter[str]) -> None:
+    """Calls that are cancelled after a millisecond."""
+    metadata = (("authorization", f"Bearer {key}"),)
+    with grpc.insecure_channel(address.grpc_target) as channel:
+        while not stop.is_set():
+            if kind == "health":
+                call = health_pb2_grpc.HealthStub(channel).Check.future(health_pb2.HealthCheckRequest())
+            else:
+                stub = loop_closure_pb2_grpc.LoopClosureServiceStub(channel)
+                call = stub.WatchLoopClosures(loop_closure_pb2.WatchLoopClosuresRequest(parent=TOWN), metadata=metadata)
+            time.sleep(0.001)
+            call.cancel()
+            counts["cancelled"] += 1
+
+
 def watch(kind: str, count: int, address: Address, key: str, stop: Any, counts: Counter[str]) -> None:
     """So many watches on three connections; those that are refused are tried again a second later."""
     asyncio.run(_watch(kind, count, address, key, stop, counts))
@@ -245,6 +278,10 @@ ATTACKS: dict[str, tuple[str, str, Attack]] = {
         "rest",
         partial(repeat, 6, "POST", f"{SUBMAPS}?submap_id=bomb&{PLACE}", lambda: gzip.compress(bytes(2**26), 9), _KITTI),
     ),
+    "abandoned waits": ("P11", "rest", partial(reopen, f"/v1/{TOWN}/loopClosures?min_seq=1&min_seq_timeout_s=60", 1)),
+    "reopened connections": ("P12", "rest", partial(reopen, "/v1/maps", 300)),
+    "cancelled watches": ("P11", "grpc", partial(cancel, "loops")),
+    "cancelled health": ("P12", "grpc", partial(cancel, "health")),
     "endless heads": ("P22", "rest", partial(hold, "http", 200, b"GET /livez HTTP/1.1\r\n" + b"X-A: b\r\n" * 1000)),
     "unread events": (
         "P22",

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import lru_cache
 
 from revisit.service.application.capacity.call_pace import MOST_BUCKETS, bucket_of
 from revisit.service.application.capacity.in_flight import TokenBucket
@@ -161,6 +162,7 @@ class Newcomers:
             self._by_holder.pop(holder, None)
 
 
+@lru_cache(MOST_BUCKETS)
 def holder_of(address: str) -> str:
     """Whom an address stands for: itself, or the network that an IPv6 address is in."""
     try:
@@ -174,6 +176,7 @@ def holder_of(address: str) -> str:
     return str(ipaddress.ip_network((known, NETWORK_BITS), strict=False))
 
 
+@lru_cache(MOST_BUCKETS)
 def network_of(address: str) -> str:
     """The network that an address is in: a /24, or the /64 of an IPv6 address."""
     holder = holder_of(address)
