@@ -150,12 +150,12 @@ def test_a_note_is_bounded_and_printable(client, loops):
         assert refused.value.field == "note"
 
 
-def test_near_misses_are_explained_by_the_gate_that_stopped_them(client, session, loops):
+def test_near_misses_are_explained_by_the_gate_that_stopped_them(client, session, town, loops):
     a, b, c = (f"{session.name}/submaps/{name}" for name in "abc")
     found = {miss.submap: miss for miss in client.explain(a)}
     assert found.keys() == {b}
-    assert (found[b].gate, found[b].measured, found[b].threshold) == ("TOO_NEAR", 1, 2)
-    assert found[b].remedy == "min_index_gap = 1"
+    assert (found[b].gate, found[b].threshold) == ("TOO_NEAR", town.leave_distance_m)
+    assert found[b].remedy.startswith("leave_distance_m below ")
     client.reject_loop_closure(loops["ACCEPTED"])
     assert {miss.submap: miss.gate for miss in client.explain(c)} == {a: "OVERRULED", b: "TOO_NEAR"}
 
