@@ -66,8 +66,8 @@ def search_map(
     """The `count` places of the map most like each query, best first, by their row in `mapped`.
 
     The queries are one session: each is known after it has asked. With `own_map` they are the submaps of the map
-    itself, perhaps seen otherwise, and submap n enters the map after query n has asked. allowed (queries, mapped) leaves
-    out more.
+    itself, perhaps seen otherwise, and submap n enters the map after query n has asked. allowed (queries, mapped): all
+    others are left out.
     """
     index, found = _index_of([*mapped, *queries]), list[tuple[Match, ...]]()
     if not own_map:

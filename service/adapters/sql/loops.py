@@ -26,7 +26,7 @@ class SqlLoops(SqlRepository[LoopRecord]):
     def reasons(self, tenant: TenantId, numbers: Sequence[int]) -> dict[str | None, int]:
         """See `LoopRepository`."""
         rows = self._connection.execute(_reasons(), {"numbers": numbers, "its_tenant": tenant})
-        return {reason: count for reason, count in rows}
+        return {row.reason: row.loops for row in rows}
 
 
 @cache
@@ -35,7 +35,7 @@ def _reasons() -> Select[Any]:
     loops, numbers = tables.loops.c, BindParameter[Any]("numbers", expanding=True)
     of_numbers = or_(loops.query_number.in_(numbers), loops.match_number.in_(numbers))
     where = and_(of_numbers, loops.tenant.concat("") == bindparam("its_tenant"))
-    return select(loops.reason, func.count()).where(where).group_by(loops.reason)
+    return select(loops.reason, func.count().label("loops")).where(where).group_by(loops.reason)
 
 
 @cache

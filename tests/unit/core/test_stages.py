@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from revisit.core.candidates import CandidatePolicy
-from revisit.core.config import LoopConfig, PipelineConfig
+from revisit.core.config import PipelineConfig
 from revisit.core.index import ExactIndex, IndexEntry
 from revisit.core.model_bundle import load_packaged_models
 from revisit.core.pipeline import describe, recall
