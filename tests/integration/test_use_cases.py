@@ -653,7 +653,8 @@ class NotingRecogniser(FakeRecogniser):
 
 async def test_a_map_has_its_own_rules_for_loop_closures(world):
     policy = LoopPolicy(candidates=2, min_score=0.9)
-    await world.use_cases.maps.create(TENANT, CreateMap("town", loop_policy=policy, leave_distance_m=0.0))
+    town = CreateMap("town", loop_policy=policy, leave_distance_m=0.0)
+    await world.use_cases.maps.create(TENANT, town)
     await world.use_cases.sessions.create(TENANT, CreateSession("town", "monday"))
     for number in range(6):
         await world.use_cases.posting.post(TENANT, submap(f"s{number}", 1, points=300 + number))
@@ -664,10 +665,10 @@ async def test_a_map_has_its_own_rules_for_loop_closures(world):
     assert noting.rules == [(0.9, usual.max_seen_through)] * (0 + 1 + 2 + 2 + 2 + 2)
     in_force = (await world.use_cases.maps.get(TENANT, "town")).loop_policy
     assert in_force == LoopPolicy(2, 0.9, usual.min_overlap, usual.max_seen_through)
-    assert (await world.use_cases.maps.create(TENANT, CreateMap("town", loop_policy=policy))).replay
+    assert (await world.use_cases.maps.create(TENANT, town)).replay
     for other in (LoopPolicy(), LoopPolicy(candidates=2), LoopPolicy(min_score=0.9)):
         with pytest.raises(AlreadyExists):
-            await world.use_cases.maps.create(TENANT, CreateMap("town", loop_policy=other))
+            await world.use_cases.maps.create(TENANT, replace(town, loop_policy=other))
     with pytest.raises(BadField, match=r"loop_policy\.min_score"):
         await world.use_cases.maps.create(TENANT, CreateMap("other", loop_policy=LoopPolicy(min_score=1.5)))
 
