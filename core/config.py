@@ -398,8 +398,15 @@ class LoopConfig(Section):
 
     section: ClassVar[str] = "loop"
 
-    min_index_gap: int = parameter(
-        50, "submaps", "paper IV-B", "submaps of one session nearer than this are no loop", low=0
+    leave_distance: float = parameter(
+        5.0,
+        "m",
+        "own, decision 0316; paper IV-B: 50 submaps",
+        "so far a drive must have been from a place, before it comes back, for a loop within the drive; half of tau",
+        low=0,
+    )
+    drift: float = parameter(
+        0.02, "1", "own, decision 0316", "by this share of the way between two submaps odometry may misplace them"
     )
     candidates: int = parameter(20, "submaps", "method notes", "nearest descriptors that are verified")
     enough: int = parameter(
@@ -622,12 +629,15 @@ class PipelineConfig:
 
     def of_map(self, scene_scale: float, submap: Overrides, loop: Overrides, verification: Overrides) -> PipelineConfig:
         """These parameters with what a map overrides, by name; None: as they are. Raises BadField, TypeError."""
-        windows = {"min_range": self.submap.min_range * scene_scale, **_given(submap)}
+        windows = dataclasses.replace(
+            self.submap, **{"min_range": self.submap.min_range * scene_scale, **_given(submap)}
+        )
+        left_m = self.loop.leave_distance * windows.tau / self.submap.tau
         return dataclasses.replace(
             self,
             scene_scale=scene_scale,
-            submap=dataclasses.replace(self.submap, **windows),
-            loop=dataclasses.replace(self.loop, **_given(loop)),
+            submap=windows,
+            loop=dataclasses.replace(self.loop, **{"leave_distance": left_m, **_given(loop)}),
             verification=dataclasses.replace(self.verification, **_given(verification)),
         )
 

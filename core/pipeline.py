@@ -132,7 +132,7 @@ def describe_surface(
 
 def recall(vector: NDArray[np.float32], index: PlaceIndex, policy: CandidatePolicy) -> list[Match]:
     """The places in `index` most like the descriptor `vector` (d,) that may be loop closures, best first."""
-    far_enough = SearchFilter(near=(policy.session, policy.ordinal, policy.min_gap))
+    far_enough = SearchFilter(of_session=policy.session, without=policy.too_near)
     return index.search(vector, policy.count, far_enough)  # Eq. 15
 
 

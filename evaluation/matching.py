@@ -62,13 +62,12 @@ def search_map(
     allowed: NDArray[np.bool_] | None = None,
     *,
     own_map: bool = False,
-    min_gap: int = 0,
 ) -> list[tuple[Match, ...]]:
     """The `count` places of the map most like each query, best first, by their row in `mapped`.
 
     The queries are one session: each is known after it has asked. With `own_map` they are the submaps of the map
-    itself, perhaps seen otherwise, and submap n enters the map after query n has asked; where they are the same, those
-    that came less than `min_gap` before are left out. allowed (queries, mapped) leaves out more.
+    itself, perhaps seen otherwise, and submap n enters the map after query n has asked. allowed (queries, mapped): all
+    others are left out.
     """
     index, found = _index_of([*mapped, *queries]), list[tuple[Match, ...]]()
     if not own_map:
@@ -76,7 +75,7 @@ def search_map(
     for number, query in enumerate(queries):
         same = own_map and query is mapped[number]
         ids = None if allowed is None else frozenset(np.flatnonzero(allowed[number]).tolist())
-        only = SearchFilter(only_session=0, near=(0, number, min_gap) if same else (1, number, 0), allowed=ids)
+        only = SearchFilter(only_session=0, of_session=0 if same else 1, allowed=ids)
         vector = None if query.description is None else query.description.vector
         found.append(() if index is None or vector is None else tuple(index.search(vector, count, only)))
         if own_map:

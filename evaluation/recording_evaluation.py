@@ -27,8 +27,8 @@ from revisit.evaluation.drive_acceptance import (
 )
 from revisit.evaluation.loop_closure_method import LoopClosureMethod, RevisitMethod
 from revisit.evaluation.matching import QueryMatches, RankedCandidate, VerificationWork, search_map, verify_all
-from revisit.evaluation.metrics import LoopProtocol
 from revisit.evaluation.perturbations import Perturbation
+from revisit.evaluation.protocols.ground_truth import GroundTruth
 from revisit.evaluation.scene import estimate_scene_scale
 from revisit.evaluation.summary import summarise
 
@@ -37,15 +37,16 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class EvaluationOptions:
-    """What to evaluate. tau, stride and positive_radius in metres; min_index_gap in submaps; jobs in processes.
+    """What to evaluate. tau, stride and positive_radius in metres; jobs in processes.
 
+    `leave_distance` (metres) is half of tau where it is None: a drive must have been so far from a place for a loop.
     `scene_scale` compares the scene with a street; None estimates it from the ranges (`evaluation.scene`).
     `ablation` is none, no-implicit, bev-only or normals-only (paper Table III); `profile` product or paper.
     """
 
     tau: float = SubmapConfig().tau
     stride: float = SubmapConfig().stride
-    min_index_gap: int = LoopConfig().min_index_gap
+    leave_distance: float | None = None
     positive_radius: float = 20.0
     perturbation: Perturbation = field(default_factory=Perturbation)
     ablation: str = "none"
@@ -57,15 +58,12 @@ class EvaluationOptions:
 
     def pipeline(self, scene_scale: float = 1.0) -> PipelineConfig:
         """The product's parameters under these options, for a scene of that scale unless the options name one."""
-        defaults = PipelineConfig(scene_scale=self.scene_scale or scene_scale)
-        nearest = defaults.submap.min_range * defaults.scene_scale
-        return dataclasses.replace(
-            defaults,
-            submap=dataclasses.replace(defaults.submap, tau=self.tau, stride=self.stride, min_range=nearest),
-            loop=dataclasses.replace(
-                defaults.loop, min_index_gap=self.min_index_gap, candidates=self.candidates
-            ),
-        )  # fmt: skip
+        return PipelineConfig().of_map(
+            self.scene_scale or scene_scale,
+            submap={"tau": self.tau, "stride": self.stride},
+            loop={"leave_distance": self.leave_distance, "candidates": self.candidates},
+            verification={},
+        )
 
 
 @dataclass(frozen=True)
@@ -104,12 +102,14 @@ def evaluate(
     for place in describe_submaps(work, windows, options.jobs):
         places.append(place)
         report("describe", len(places), len(windows))
-    # The paper wants indices that differ by more than the gap; a search lets through what differs by its number.
-    gap = config.loop.min_index_gap + 1
-    candidates = search_map(places, places, config.loop.candidates, own_map=True, min_gap=gap)
+    positions = np.array([place.position for place in places]).reshape(-1, 3)
+    truth = GroundTruth.of_one_drive(positions, config.loop, options.positive_radius)
+    candidates = search_map(places, places, config.loop.candidates, truth.allowed, own_map=True)
     matches, drive = _verified(places, candidates, method, options, report)
-    protocol = LoopProtocol(options.positive_radius, options.min_index_gap)
-    summary = summarise(places, matches, protocol)
+    summary = summarise(places, matches, truth.positives)
+    summary["protocol"] = {
+        "positive_radius_m": options.positive_radius, "leave_distance_m": config.loop.leave_distance
+    }  # fmt: skip
     if drive is not None:
         summary["rules"] = {name: dataclasses.asdict(price) for name, price in rule_prices(places, drive).items()}
     summary["recording"] = {"name": recording.name, "scans": len(recording)}

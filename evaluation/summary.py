@@ -14,11 +14,9 @@ from revisit.evaluation.described_submaps import DescribedSubmap
 from revisit.evaluation.matching import QueryMatches, pose_error
 from revisit.evaluation.metrics import (
     Flags,
-    LoopProtocol,
     Outcomes,
     RecognitionScores,
     loop_segments,
-    positive_pairs,
     recall_at,
     score_recognition,
 )
@@ -26,21 +24,16 @@ from revisit.evaluation.metrics import (
 _BYTES_PER_RAW_POINT = 12
 
 
-def summarise(
-    places: Sequence[DescribedSubmap], matches: Sequence[QueryMatches], protocol: LoopProtocol
-) -> dict[str, Any]:
-    """All figures, JSON-ready.
+def summarise(places: Sequence[DescribedSubmap], matches: Sequence[QueryMatches], positives: Flags) -> dict[str, Any]:
+    """All figures, JSON-ready. positives (n, n): whether the earlier submap, second, is a loop of the first.
 
     Counts, `descriptor` (cosine alone), `thresholds`, `verified`, `poses`, `seconds`, `bytes`.
     """
-    positions = np.stack([place.position for place in places]) if places else np.zeros((0, 3))
-    positives = positive_pairs(positions, protocol)
     by_similarity = [[match.id for match in query.by_similarity] for query in matches]
     by_score = [[candidate.id for candidate in query.ranked] for query in matches]
     cosine = [query.by_similarity[0].similarity if query.by_similarity else -np.inf for query in matches]
     score = [query.ranked[0].score if query.ranked else -np.inf for query in matches]
     return {
-        "protocol": dataclasses.asdict(protocol),
         "submaps": len(places),
         "failures": dict(Counter(place.failure.split(":")[0] for place in places if place.failure)),
         "bad_scans": len({scan for place in places for scan in place.bad_scans}),

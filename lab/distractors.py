@@ -69,8 +69,9 @@ def fleet_recall(
     added, positives = time.process_time(), positive_pairs(positions, loops)
     seconds, first, found = list[float](), list[bool](), list[bool]()
     for query, vector in enumerate(vectors):
-        asked, near = time.process_time(), (0, query, loops.min_index_gap + 1)
-        matches = index.search(vector, VERIFIED_CANDIDATES, SearchFilter(near=near)) if query else []
+        asked, near = time.process_time(), frozenset(range(query - loops.min_index_gap, query))
+        only = SearchFilter(of_session=0, without=near)
+        matches = index.search(vector, VERIFIED_CANDIDATES, only) if query else []
         seconds.append(time.process_time() - asked)
         if positives[query].any():
             right = _right([match.id for match in matches], positives[query])

@@ -151,11 +151,12 @@ class Settings(AccessSettings):
         le=limits.STRIDE_M.most,
         description="metres between submap starts",
     )
-    min_index_gap: int = Field(
-        default_factory=lambda: PipelineConfig().loop.min_index_gap,
-        ge=limits.MIN_INDEX_GAP.least,
-        le=limits.MIN_INDEX_GAP.most,
-        description="submaps of one session nearer than this are no loop",
+    leave_distance_m: float | None = Field(
+        default=None,
+        ge=limits.LEAVE_DISTANCE_M.least,
+        le=limits.LEAVE_DISTANCE_M.most,
+        description="metres that a drive must have been from a place, before it comes back, for a loop within it; half "
+        "of tau_m by default; a map may have its own",
     )
     loop_candidates: int = Field(
         default_factory=lambda: PipelineConfig().loop.candidates,
@@ -207,7 +208,7 @@ class Settings(AccessSettings):
         submap = replace(pipeline.submap, tau=self.tau_m, stride=self.stride_m)
         loop = replace(
             pipeline.loop,
-            min_index_gap=self.min_index_gap,
+            leave_distance=self.tau_m / 2 if self.leave_distance_m is None else self.leave_distance_m,
             candidates=self.loop_candidates,
             enough=self.loops_enough,
         )

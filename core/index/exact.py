@@ -93,5 +93,5 @@ def standardised(rows: Rows, chosen: NDArray[np.intp], site: SiteStatistics | No
 
 def asked(site: SiteStatistics | None, query: Array, only: SearchFilter) -> Array:
     """The query (d,) as it is compared: relative to the mean of the session that the filter names, else the map's."""
-    session = -1 if only.near is None else only.near[0]
+    session = -1 if only.of_session is None else only.of_session
     return query if site is None else site.adapted(query[None], np.array([session]))[0]

@@ -31,17 +31,18 @@ class IndexEntry:
 class SearchFilter:
     """Which places may be found; every condition that is given must hold.
 
-    only_sessions: places of these sessions alone. near = (session, ordinal, min_gap): not the places of that session
-    whose ordinals differ by less than min_gap. position (3,) and radius_m: only places at most that far away. allowed:
-    only these ids.
+    only_sessions: places of these sessions alone. of_session: that of the query, which decides how its descriptor is
+    standardised and leaves out no place. position (3,) and radius_m: only places at most that far away. without: none
+    of these ids. allowed: only these ids.
     """
 
     exclude_session: int | None = None
     only_session: int | None = None
     only_sessions: frozenset[int] | None = None
-    near: tuple[int, int, int] | None = None
+    of_session: int | None = None
     position: NDArray[np.float64] | None = None
     radius_m: float | None = None
+    without: frozenset[int] = frozenset()
     allowed: frozenset[int] | None = None
 
 
@@ -58,7 +59,7 @@ class PlaceIndex(Protocol):
 
     How they are standardised is in `core.descriptor.adaptation` (docs/decisions/0120): what is answered depends only on
     the places that are held and on the order in which they came. A query takes the mean of the session that
-    `SearchFilter.near` names, else the map's.
+    `SearchFilter.of_session` names, else the map's.
     """
 
     def add(self, entries: Sequence[IndexEntry], vectors: Array, *, more: bool = False) -> None:

@@ -109,10 +109,8 @@ class Rows:
             passes &= sessions == only.only_session
         if only.only_sessions is not None:
             passes &= self._are_of(only.only_sessions)
-        if only.near is not None:
-            session, ordinal, min_gap = only.near
-            own = np.flatnonzero(sessions == session) if min_gap > 0 else np.zeros(0, np.intp)
-            passes[own[np.abs(self.ordinals[own] - ordinal) < min_gap]] = False
+        left_out = [self.row_of[identifier] for identifier in only.without if identifier in self.row_of]
+        passes[np.array(left_out, dtype=np.intp)] = False
         if only.position is not None and only.radius_m is not None:
             distances = np.linalg.norm(self.positions[: self.count] - only.position, axis=1)
             passes &= distances <= only.radius_m

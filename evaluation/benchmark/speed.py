@@ -121,7 +121,7 @@ def searching(count: int, dimension: int) -> Work:
         rows = range(start, min(start + 4096, count))
         entries = [IndexEntry(row, row // 500, row % 500, np.array([10.0 * row, 0.0, 0.0])) for row in rows]
         index.add(entries, made_up(len(rows)))
-    queries, only = made_up(SEARCHES), SearchFilter(near=(0, 250, 50))
+    queries, only = made_up(SEARCHES), SearchFilter(of_session=0, without=frozenset(range(201, 300)))
 
     def work() -> None:
         for query in queries:

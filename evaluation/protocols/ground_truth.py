@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from revisit.core.candidates import are_revisits
+from revisit.core.config import LoopConfig
 from revisit.evaluation.metrics import Flags, Floats, LoopProtocol, positive_pairs
 
 
@@ -22,6 +24,17 @@ class GroundTruth:
         index = np.arange(len(positions))
         allowed = index[:, None] - index[None] > protocol.min_index_gap
         return cls(allowed, positive_pairs(positions, protocol))
+
+    @classmethod
+    def of_one_drive(cls, positions: Floats, config: LoopConfig, radius_m: float) -> GroundTruth:
+        """Each submap of a drive is matched as in the product: with the earlier ones that may be loops (decision 0316).
+
+        positions (n, 3) metres.
+        """
+        rows = [are_revisits(positions, row, config) for row in range(len(positions))]
+        allowed = np.tril(np.array(rows, dtype=bool).reshape(len(rows), len(rows)))
+        distance = np.linalg.norm(positions[:, None] - positions[None], axis=2)
+        return cls(allowed, allowed & (distance <= radius_m))
 
     @classmethod
     def between_sessions(cls, queries: Floats, known: Floats, radius_m: float) -> GroundTruth:

@@ -9,7 +9,7 @@ import typer
 
 from revisit.cli.extras import needs
 from revisit.cli.inspect import warn
-from revisit.cli.options import IndexGap, PositiveRadius, Stride, Tau
+from revisit.cli.options import LeaveDistance, PositiveRadius, Stride, Tau
 from revisit.cli.output import emit_table, progress_bar, refuse, reporter, say
 from revisit.cli.recordings import Format, Mounting, Odometry, Topic, opened
 
@@ -32,7 +32,7 @@ def evaluate(
     json: Annotated[Path | None, typer.Option("--json", help="Write rows and summary to this file.")] = None,
     tau: Tau = None,
     stride: Stride = None,
-    min_index_gap: IndexGap = None,
+    leave_distance: LeaveDistance = None,
     positive_radius: PositiveRadius = None,
     rotate_seed: Annotated[int | None, typer.Option(help="Turn every submap by a random yaw of this seed.")] = None,
     keep_beams: Annotated[int | None, typer.Option(help="Keep so many of 64 beams.")] = None,
@@ -47,7 +47,7 @@ def evaluate(
     """Score place recognition on a recording with poses, as the paper does."""
     from revisit.evaluation.recording_evaluation import EvaluationOptions
 
-    lengths = {"tau": tau, "stride": stride, "min_index_gap": min_index_gap, "positive_radius": positive_radius}
+    lengths = {"tau": tau, "stride": stride, "leave_distance": leave_distance, "positive_radius": positive_radius}
     options = EvaluationOptions(
         perturbation=_perturbation(keep_beams, keep_points, rotate_seed),
         ablation=ablation, profile=profile, scene_scale=scene_scale, **given(**lengths, jobs=jobs),

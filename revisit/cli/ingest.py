@@ -70,6 +70,7 @@ class Ingested:
     loop_closures: int
     seconds: float
     findings: tuple[str, ...]
+    no_loops: str | None
 
 
 @dataclass(frozen=True)
@@ -184,6 +185,7 @@ def _transfer(recording: Recording, target: Target, extent: Extent, as_json: boo
         loop_closures=len(found),
         seconds=time.monotonic() - started,
         findings=tuple(finding.code for finding in session.findings),
+        no_loops=None if session.no_loops is None else session.no_loops.message,
     )
     _tell(done, session, as_json)
     if session.committed_seq == 0:
@@ -198,7 +200,7 @@ def _tell(done: Ingested, session: Session, as_json: bool) -> None:
         emit_json(asdict(done))
         return
     told = asdict(done) | {"findings": ", ".join(done.findings) or "none"}
-    emit_table("Ingested", ("what", "value"), told.items())
+    emit_table("Ingested", ("what", "value"), ((what, value) for what, value in told.items() if value is not None))
     warn_of_findings(session)
 
 

@@ -14,6 +14,9 @@ Json = Annotated[bool, typer.Option("--json", help="Answer as JSON.")]
 MapName = Annotated[str, typer.Option("--map", help="Id of the map.")]
 Tau = Annotated[float | None, typer.Option(help="Metres per submap.")]
 Stride = Annotated[float | None, typer.Option(help="Metres between submap starts.")]
+LeaveDistance = Annotated[
+    float | None, typer.Option(help="So far a drive leaves a place before it may come back to it, m.")
+]
 IndexGap = Annotated[int | None, typer.Option(help="Nearer submaps are no loop.")]
 PositiveRadius = Annotated[float | None, typer.Option(help="Submaps nearer than this are the same place, m.")]
 

@@ -130,7 +130,7 @@ class Client:
         display_name: str = "",
         tau_m: float | None = None,
         stride_m: float | None = None,
-        min_index_gap: int | None = None,
+        leave_distance_m: float | None = None,
         scene_scale: float | None = None,
         loop_policy: LoopPolicy = LoopPolicy(),
     ) -> Map:
@@ -143,7 +143,7 @@ class Client:
             "display_name": display_name,
             "tau_m": tau_m,
             "stride_m": stride_m,
-            "min_index_gap": min_index_gap,
+            "leave_distance_m": leave_distance_m,
             "scene_scale": scene_scale,
             "loop_policy": {name: value for name, value in asdict(loop_policy).items() if value is not None} or None,
         }
@@ -300,7 +300,7 @@ class Client:
 
         `T_level_query` (4, 4): the pose of `points` in a frame whose z points up; its rotation turns them upright.
 
-        `criteria`: min_similarity, exclude_session, only_session (a session, its name or id), min_index_gap,
+        `criteria`: min_similarity, exclude_session, only_session (a session, its name or id), leave_distance_m,
         prior_position_m with radius_m (in the frame of only_session), storey (where a cloud or descriptor was taken:
         sessions on another one are left out). `min_seq` (of an operation, a submap or a
         stream): the answer sees every submap up to it, or `DeadlineExceeded` is raised after `min_seq_timeout_s` (10 by

@@ -16,7 +16,7 @@ _MEASURED = {
 }  # fmt: skip
 
 TOO_NEAR = "TOO_NEAR"
-"""The other submap is of the same session, and nearer in its order than `min_index_gap`."""
+"""The other submap is of the same session, which has not been `leave_distance_m` from it and come back."""
 
 NOT_VERIFIED = "NOT_VERIFIED"
 """Other submaps were more similar when the later one came: geometry was never asked."""
@@ -33,11 +33,7 @@ class Lookups(Protocol):
         """See `Client`."""
         ...
 
-    def get_submap(self, name: str) -> Submap:
-        """See `Client`."""
-        ...
-
-    def search(self, map_: Map, *, submap: Submap, k: int) -> list[SearchHit]:
+    def search(self, map_: Map, *, submap: Submap, k: int, leave_distance_m: float | None = None) -> list[SearchHit]:
         """See `Client`."""
         ...
 
@@ -72,6 +68,8 @@ class NearMiss:
     @property
     def remedy(self) -> str:
         """What would have passed the gate, in words."""
+        if self.gate == TOO_NEAR:
+            return f"{self.rule} below {self.threshold:g}, or a way that comes back to it"
         if self.rule is None or self.measured is None:
             return "no setting passes it"
         return f"{self.rule} = {self.measured:g}"
@@ -81,8 +79,10 @@ def explain(client: Lookups, submap: Submap, k: int) -> list[NearMiss]:
     """The near misses among the `k` submaps most like one that is described, most similar first."""
     map_ = client.get_map("/".join(submap.name.split("/")[:2]))
     hits = client.search(map_, submap=submap, k=k)
+    left = client.search(map_, submap=submap, k=k, leave_distance_m=map_.leave_distance_m)
+    ranks = {hit.submap: rank for rank, hit in enumerate(left, 1)}
     loops = _loops_of(client, map_, submap, hits)
-    found = (_near_miss(client, map_, submap, rank, hit, loops) for rank, hit in enumerate(hits, 1))
+    found = (_near_miss(client, map_, ranks.get(hit.submap), hit, loops) for hit in hits)
     return [miss for miss in found if miss is not None]
 
 
@@ -95,14 +95,16 @@ def _loops_of(client: Lookups, map_: Map, submap: Submap, hits: list[SearchHit])
 
 
 def _near_miss(
-    client: Lookups, map_: Map, submap: Submap, rank: int, hit: SearchHit, loops: Mapping[str, LoopClosure]
+    client: Lookups, map_: Map, rank: int | None, hit: SearchHit, loops: Mapping[str, LoopClosure]
 ) -> NearMiss | None:
-    """What stopped one hit, None where nothing did; `loops` are those of the submap with all hits."""
+    """What stopped one hit, None where nothing did; `loops` are those of the submap with all hits.
+
+    `rank`: which of those that may be loops it is, the most similar first; None where it may be none.
+    """
     loop = loops.get(hit.submap)
     if loop is None:
-        gap = _gap(client, submap, hit.submap)
-        if gap is not None and gap < map_.min_index_gap:
-            return NearMiss(hit.submap, hit.similarity, TOO_NEAR, gap, map_.min_index_gap, "min_index_gap", None)
+        if rank is None:
+            return NearMiss(hit.submap, hit.similarity, TOO_NEAR, None, map_.leave_distance_m, "leave_distance_m", None)
         candidates = map_.loop_policy.candidates
         if candidates is not None and rank <= candidates and any(one.state == "ACCEPTED" for one in loops.values()):
             return NearMiss(hit.submap, hit.similarity, KNOWN_ALREADY, None, None, None, None)
@@ -123,13 +125,6 @@ def _rejected(hit: SearchHit, loop: LoopClosure) -> NearMiss:
     asked = evidence.get("enough_share") if gate == "NO_COMMON_REGION" else None
     threshold = asked if rule is None else loop.evidence.get("thresholds", {}).get(rule)
     return NearMiss(hit.submap, hit.similarity, gate, measured, threshold, rule, loop.name)
-
-
-def _gap(client: Lookups, submap: Submap, other: str) -> int | None:
-    """How far apart two submaps of one session are in its order, None where they are of two."""
-    if submap.name.rpartition("/")[0] != other.rpartition("/")[0]:
-        return None
-    return abs(client.get_submap(other).ordinal - submap.ordinal)
 
 
 def _distance(events: list[LoopClosureEvent]) -> float | None:

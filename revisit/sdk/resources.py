@@ -68,7 +68,7 @@ class Map:
     display_name: str
     tau_m: float
     stride_m: float
-    min_index_gap: int
+    leave_distance_m: float
     scene_scale: float
     session_count: int
     submap_count: int
@@ -84,7 +84,7 @@ class Map:
             display_name=message.display_name,
             tau_m=message.tau_m,
             stride_m=message.stride_m,
-            min_index_gap=message.min_index_gap,
+            leave_distance_m=message.leave_distance_m,
             scene_scale=message.scene_scale,
             session_count=message.session_count,
             submap_count=message.submap_count,
@@ -133,11 +133,19 @@ class Finding:
 
 
 @dataclass(frozen=True)
+class NoLoops:
+    """Why a session has no accepted loop: a code, and the same in words, with figures."""
+
+    code: str
+    message: str
+
+
+@dataclass(frozen=True)
 class Session:
     """A session; `committed_seq` is the last scan that is stored durably, 0 for none, taken at `committed_stamp_ns`.
 
-    `findings` say what is unlikely to be meant about its scans so far; empty in lists of sessions. `storey` is None
-    where nobody said it.
+    `findings` say what is unlikely to be meant about its scans so far; `no_loops` why it has no accepted loop, once it
+    is finished and described. Neither is in lists of sessions. `storey` is None where nobody said it.
     """
 
     name: str
@@ -151,6 +159,7 @@ class Session:
     committed_stamp_ns: int | None
     findings: tuple[Finding, ...] = ()
     storey: str | None = None
+    no_loops: NoLoops | None = None
 
     @classmethod
     def of(cls, message: session_pb2.Session) -> Self:
@@ -167,6 +176,7 @@ class Session:
             committed_stamp_ns=_optional(message, "committed_stamp_ns"),
             findings=tuple(Finding.of(finding) for finding in message.findings),
             storey=message.storey or None,
+            no_loops=NoLoops(message.no_loops.code, message.no_loops.message) if message.HasField("no_loops") else None,
         )
 
 

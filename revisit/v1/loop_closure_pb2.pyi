@@ -78,7 +78,7 @@ class Descriptor(_message.Message):
     def __init__(self, vector: _Optional[_Iterable[float]] = ..., model_version: _Optional[str] = ...) -> None: ...
 
 class SearchSubmapsRequest(_message.Message):
-    __slots__ = ("parent", "submap", "place_descriptor", "cloud", "k", "min_similarity", "exclude_session", "only_session", "min_index_gap", "prior_position_m", "radius_m", "min_seq", "min_seq_timeout_s", "t_level_query", "storey")
+    __slots__ = ("parent", "submap", "place_descriptor", "cloud", "k", "min_similarity", "exclude_session", "only_session", "prior_position_m", "radius_m", "min_seq", "min_seq_timeout_s", "t_level_query", "storey", "leave_distance_m")
     PARENT_FIELD_NUMBER: _ClassVar[int]
     SUBMAP_FIELD_NUMBER: _ClassVar[int]
     PLACE_DESCRIPTOR_FIELD_NUMBER: _ClassVar[int]
@@ -87,13 +87,13 @@ class SearchSubmapsRequest(_message.Message):
     MIN_SIMILARITY_FIELD_NUMBER: _ClassVar[int]
     EXCLUDE_SESSION_FIELD_NUMBER: _ClassVar[int]
     ONLY_SESSION_FIELD_NUMBER: _ClassVar[int]
-    MIN_INDEX_GAP_FIELD_NUMBER: _ClassVar[int]
     PRIOR_POSITION_M_FIELD_NUMBER: _ClassVar[int]
     RADIUS_M_FIELD_NUMBER: _ClassVar[int]
     MIN_SEQ_FIELD_NUMBER: _ClassVar[int]
     MIN_SEQ_TIMEOUT_S_FIELD_NUMBER: _ClassVar[int]
     T_LEVEL_QUERY_FIELD_NUMBER: _ClassVar[int]
     STOREY_FIELD_NUMBER: _ClassVar[int]
+    LEAVE_DISTANCE_M_FIELD_NUMBER: _ClassVar[int]
     parent: str
     submap: str
     place_descriptor: Descriptor
@@ -102,14 +102,14 @@ class SearchSubmapsRequest(_message.Message):
     min_similarity: float
     exclude_session: str
     only_session: str
-    min_index_gap: int
     prior_position_m: _geometry_pb2.Vector3
     radius_m: float
     min_seq: int
     min_seq_timeout_s: float
     t_level_query: _geometry_pb2.Transform
     storey: str
-    def __init__(self, parent: _Optional[str] = ..., submap: _Optional[str] = ..., place_descriptor: _Optional[_Union[Descriptor, _Mapping]] = ..., cloud: _Optional[_Union[_cloud_pb2.Cloud, _Mapping]] = ..., k: _Optional[int] = ..., min_similarity: _Optional[float] = ..., exclude_session: _Optional[str] = ..., only_session: _Optional[str] = ..., min_index_gap: _Optional[int] = ..., prior_position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., radius_m: _Optional[float] = ..., min_seq: _Optional[int] = ..., min_seq_timeout_s: _Optional[float] = ..., t_level_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., storey: _Optional[str] = ...) -> None: ...
+    leave_distance_m: float
+    def __init__(self, parent: _Optional[str] = ..., submap: _Optional[str] = ..., place_descriptor: _Optional[_Union[Descriptor, _Mapping]] = ..., cloud: _Optional[_Union[_cloud_pb2.Cloud, _Mapping]] = ..., k: _Optional[int] = ..., min_similarity: _Optional[float] = ..., exclude_session: _Optional[str] = ..., only_session: _Optional[str] = ..., prior_position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., radius_m: _Optional[float] = ..., min_seq: _Optional[int] = ..., min_seq_timeout_s: _Optional[float] = ..., t_level_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., storey: _Optional[str] = ..., leave_distance_m: _Optional[float] = ...) -> None: ...
 
 class SearchHit(_message.Message):
     __slots__ = ("submap", "similarity", "position_m", "t_map_submap", "frame", "map_version")

@@ -7,30 +7,30 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class Map(_message.Message):
-    __slots__ = ("name", "display_name", "tau_m", "stride_m", "min_index_gap", "session_count", "submap_count", "created_at_ns", "scene_scale", "loop_policy", "map_version")
+    __slots__ = ("name", "display_name", "tau_m", "stride_m", "session_count", "submap_count", "created_at_ns", "scene_scale", "loop_policy", "map_version", "leave_distance_m")
     NAME_FIELD_NUMBER: _ClassVar[int]
     DISPLAY_NAME_FIELD_NUMBER: _ClassVar[int]
     TAU_M_FIELD_NUMBER: _ClassVar[int]
     STRIDE_M_FIELD_NUMBER: _ClassVar[int]
-    MIN_INDEX_GAP_FIELD_NUMBER: _ClassVar[int]
     SESSION_COUNT_FIELD_NUMBER: _ClassVar[int]
     SUBMAP_COUNT_FIELD_NUMBER: _ClassVar[int]
     CREATED_AT_NS_FIELD_NUMBER: _ClassVar[int]
     SCENE_SCALE_FIELD_NUMBER: _ClassVar[int]
     LOOP_POLICY_FIELD_NUMBER: _ClassVar[int]
     MAP_VERSION_FIELD_NUMBER: _ClassVar[int]
+    LEAVE_DISTANCE_M_FIELD_NUMBER: _ClassVar[int]
     name: str
     display_name: str
     tau_m: float
     stride_m: float
-    min_index_gap: int
     session_count: int
     submap_count: int
     created_at_ns: int
     scene_scale: float
     loop_policy: LoopPolicy
     map_version: int
-    def __init__(self, name: _Optional[str] = ..., display_name: _Optional[str] = ..., tau_m: _Optional[float] = ..., stride_m: _Optional[float] = ..., min_index_gap: _Optional[int] = ..., session_count: _Optional[int] = ..., submap_count: _Optional[int] = ..., created_at_ns: _Optional[int] = ..., scene_scale: _Optional[float] = ..., loop_policy: _Optional[_Union[LoopPolicy, _Mapping]] = ..., map_version: _Optional[int] = ...) -> None: ...
+    leave_distance_m: float
+    def __init__(self, name: _Optional[str] = ..., display_name: _Optional[str] = ..., tau_m: _Optional[float] = ..., stride_m: _Optional[float] = ..., session_count: _Optional[int] = ..., submap_count: _Optional[int] = ..., created_at_ns: _Optional[int] = ..., scene_scale: _Optional[float] = ..., loop_policy: _Optional[_Union[LoopPolicy, _Mapping]] = ..., map_version: _Optional[int] = ..., leave_distance_m: _Optional[float] = ...) -> None: ...
 
 class LoopPolicy(_message.Message):
     __slots__ = ("candidates", "min_score", "min_overlap", "max_seen_through")
@@ -45,22 +45,22 @@ class LoopPolicy(_message.Message):
     def __init__(self, candidates: _Optional[int] = ..., min_score: _Optional[float] = ..., min_overlap: _Optional[float] = ..., max_seen_through: _Optional[float] = ...) -> None: ...
 
 class CreateMapRequest(_message.Message):
-    __slots__ = ("map_id", "display_name", "tau_m", "stride_m", "min_index_gap", "scene_scale", "loop_policy")
+    __slots__ = ("map_id", "display_name", "tau_m", "stride_m", "scene_scale", "loop_policy", "leave_distance_m")
     MAP_ID_FIELD_NUMBER: _ClassVar[int]
     DISPLAY_NAME_FIELD_NUMBER: _ClassVar[int]
     TAU_M_FIELD_NUMBER: _ClassVar[int]
     STRIDE_M_FIELD_NUMBER: _ClassVar[int]
-    MIN_INDEX_GAP_FIELD_NUMBER: _ClassVar[int]
     SCENE_SCALE_FIELD_NUMBER: _ClassVar[int]
     LOOP_POLICY_FIELD_NUMBER: _ClassVar[int]
+    LEAVE_DISTANCE_M_FIELD_NUMBER: _ClassVar[int]
     map_id: str
     display_name: str
     tau_m: float
     stride_m: float
-    min_index_gap: int
     scene_scale: float
     loop_policy: LoopPolicy
-    def __init__(self, map_id: _Optional[str] = ..., display_name: _Optional[str] = ..., tau_m: _Optional[float] = ..., stride_m: _Optional[float] = ..., min_index_gap: _Optional[int] = ..., scene_scale: _Optional[float] = ..., loop_policy: _Optional[_Union[LoopPolicy, _Mapping]] = ...) -> None: ...
+    leave_distance_m: float
+    def __init__(self, map_id: _Optional[str] = ..., display_name: _Optional[str] = ..., tau_m: _Optional[float] = ..., stride_m: _Optional[float] = ..., scene_scale: _Optional[float] = ..., loop_policy: _Optional[_Union[LoopPolicy, _Mapping]] = ..., leave_distance_m: _Optional[float] = ...) -> None: ...
 
 class CreateMapResponse(_message.Message):
     __slots__ = ("map", "replay")

@@ -8,7 +8,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class Session(_message.Message):
-    __slots__ = ("name", "robot", "state", "committed_seq", "travelled_m", "submap_count", "created_at_ns", "finished_at_ns", "committed_stamp_ns", "findings", "storey")
+    __slots__ = ("name", "robot", "state", "committed_seq", "travelled_m", "submap_count", "created_at_ns", "finished_at_ns", "committed_stamp_ns", "findings", "storey", "no_loops")
     class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STATE_UNSPECIFIED: _ClassVar[Session.State]
@@ -28,6 +28,7 @@ class Session(_message.Message):
     COMMITTED_STAMP_NS_FIELD_NUMBER: _ClassVar[int]
     FINDINGS_FIELD_NUMBER: _ClassVar[int]
     STOREY_FIELD_NUMBER: _ClassVar[int]
+    NO_LOOPS_FIELD_NUMBER: _ClassVar[int]
     name: str
     robot: str
     state: Session.State
@@ -39,7 +40,16 @@ class Session(_message.Message):
     committed_stamp_ns: int
     findings: _containers.RepeatedCompositeFieldContainer[Finding]
     storey: str
-    def __init__(self, name: _Optional[str] = ..., robot: _Optional[str] = ..., state: _Optional[_Union[Session.State, str]] = ..., committed_seq: _Optional[int] = ..., travelled_m: _Optional[float] = ..., submap_count: _Optional[int] = ..., created_at_ns: _Optional[int] = ..., finished_at_ns: _Optional[int] = ..., committed_stamp_ns: _Optional[int] = ..., findings: _Optional[_Iterable[_Union[Finding, _Mapping]]] = ..., storey: _Optional[str] = ...) -> None: ...
+    no_loops: NoLoops
+    def __init__(self, name: _Optional[str] = ..., robot: _Optional[str] = ..., state: _Optional[_Union[Session.State, str]] = ..., committed_seq: _Optional[int] = ..., travelled_m: _Optional[float] = ..., submap_count: _Optional[int] = ..., created_at_ns: _Optional[int] = ..., finished_at_ns: _Optional[int] = ..., committed_stamp_ns: _Optional[int] = ..., findings: _Optional[_Iterable[_Union[Finding, _Mapping]]] = ..., storey: _Optional[str] = ..., no_loops: _Optional[_Union[NoLoops, _Mapping]] = ...) -> None: ...
+
+class NoLoops(_message.Message):
+    __slots__ = ("code", "message")
+    CODE_FIELD_NUMBER: _ClassVar[int]
+    MESSAGE_FIELD_NUMBER: _ClassVar[int]
+    code: str
+    message: str
+    def __init__(self, code: _Optional[str] = ..., message: _Optional[str] = ...) -> None: ...
 
 class Finding(_message.Message):
     __slots__ = ("code", "submaps", "cause", "advice")

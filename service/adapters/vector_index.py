@@ -104,12 +104,10 @@ class PlaceVectorIndex:
                 return []
             if vector.shape != (index.dimension,):
                 raise BadField(f"a descriptor of this map has {index.dimension} values", field="descriptor")
-            # The query's own submap may be among the nearest: ask for one more and leave it out.
             matches: list[Match] = []
             with self._mended(map_number, index):
-                matches = index.places.search(vector, k + 1, _search_filter(where))
-        others = (match for match in matches if match.id != where.exclude_submap)
-        return [VectorMatch(match.id, match.similarity) for match in others][:k]
+                matches = index.places.search(vector, k, _search_filter(where))
+        return [VectorMatch(match.id, match.similarity) for match in matches]
 
     def size(self, map_number: int, sessions: Collection[int] | None = None) -> int:
         """See `VectorIndex`."""
@@ -300,12 +298,12 @@ def _entries(changes: Sequence[IndexChange], dimension: int) -> tuple[list[Index
 def _search_filter(where: VectorFilter) -> SearchFilter:
     from revisit.core.index import SearchFilter
 
-    near = None if where.near_session is None else (where.near_session, where.near_ordinal, where.min_gap)
     return SearchFilter(
         exclude_session=where.exclude_session,
         only_session=where.only_session,
         only_sessions=where.only_sessions,
-        near=near,
+        of_session=where.of_session,
+        without=where.without,
         position=None if where.position_m is None else np.asarray(where.position_m, dtype=np.float64),
         radius_m=where.radius_m,
     )

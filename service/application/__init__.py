@@ -100,7 +100,7 @@ class UseCases:
         return cls(
             maps=Maps(storage, lists, admission, collector, of.index, streams, clock, policy),
             robots=Robots(storage, lists, admission, clock),
-            sessions=Sessions(storage, lists, admission, jobs, collector, streams, clock),
+            sessions=Sessions(storage, lists, admission, jobs, collector, streams, clock, policy),
             scans=Scans(storage, admission, decoder, jobs, of.in_flight, streams, clock, policy),
             posting=SubmapPosting(storage, admission, decoder, jobs, clock),
             submaps=Submaps(storage, lists, admission, collector, clock, policy, meshes),

@@ -78,7 +78,7 @@ class LoopPolicyRequest(Request):
 
 
 class CreateMapRequest(Request):
-    """A new map; `tau_m`, `stride_m`, `min_index_gap` and `loop_policy` override the service's settings where given.
+    """A new map; `tau_m`, `stride_m`, `leave_distance_m` and `loop_policy` override the service's settings where given.
 
     `scene_scale` is the size of its scene compared with a street, e.g. 0.25 for rooms; it cannot be changed later.
     """
@@ -87,7 +87,7 @@ class CreateMapRequest(Request):
     display_name: DisplayName = ""
     tau_m: Annotated[float, Field(**bounds(limits.TAU_M))] | None = None
     stride_m: Annotated[float, Field(**bounds(limits.STRIDE_M))] | None = None
-    min_index_gap: Annotated[int, Field(**bounds(limits.MIN_INDEX_GAP))] | None = None
+    leave_distance_m: Annotated[float, Field(**bounds(limits.LEAVE_DISTANCE_M))] | None = None
     scene_scale: Annotated[float, Field(**bounds(limits.SCENE_SCALE))] = 1.0
     loop_policy: LoopPolicyRequest = LoopPolicyRequest()
 
@@ -218,7 +218,7 @@ class SearchRequest(Request):
     min_similarity: Annotated[float, Field(**bounds(limits.MIN_SIMILARITY))] | None = None
     exclude_session: Id | None = None
     only_session: Id | None = None
-    min_index_gap: Annotated[int, Field(**bounds(limits.MIN_INDEX_GAP))] | None = None
+    leave_distance_m: Annotated[float, Field(**bounds(limits.LEAVE_DISTANCE_M))] | None = None
     prior_position_m: Annotated[list[Coordinate], Field(min_length=3, max_length=3)] | None = None
     radius_m: Annotated[float, Field(**bounds(limits.RADIUS_M))] | None = None
     storey: Storey | None = None
@@ -233,7 +233,7 @@ class SearchRequest(Request):
             min_similarity=self.min_similarity,
             exclude_session=self.exclude_session,
             only_session=self.only_session,
-            min_index_gap=self.min_index_gap,
+            leave_distance_m=self.leave_distance_m,
             prior_position_m=None if position is None else (position[0], position[1], position[2]),
             radius_m=self.radius_m,
             storey=self.storey,

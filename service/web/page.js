@@ -15,6 +15,7 @@ import { stateOf, verdictOf } from "/words.js";
 const STATUS_EVERY_MS = 5000;
 const LISTED_AT_ONCE = 120;
 const RELISTED_FROM = 20;
+const ASKED_WHY = 20;
 
 const model = {
   map: null,
@@ -76,7 +77,23 @@ async function readMap() {
   for (const submap of tracks.flat()) model.submaps.set(submap.name, submap);
   for (const loop of [...accepted, ...ambiguous, ...proposed]) model.loops.set(loop.name, loop);
   for (const operation of [...running, ...failed]) if (ofMap(operation)) model.operations.set(operation.name, operation);
+  await readWhyNoLoops();
   if (model.states.has("rejected")) await readRejected();
+}
+
+/** Why a session has no loop is told of the session itself, not in the list of all. */
+async function readWhyNoLoops() {
+  const without = [...model.sessions.values()].filter((session) => session.state === "FINISHED" && !hasLoop(session.name)).slice(0, ASKED_WHY);
+  for (const session of await Promise.all(without.map(({ name }) => read(`/v1/${name}`)))) model.sessions.set(session.name, session);
+}
+
+function hasLoop(name) {
+  return [...model.loops.values()].some((loop) => loop.state === "ACCEPTED" && [loop.query, loop.match].some((end) => sessionOf(end) === name));
+}
+
+/** Why none of a session's submaps has a loop, in words; empty where one has, or where that is not known yet. */
+function whyNoLoops(session) {
+  return hasLoop(session.name) ? "" : (session.no_loops?.message ?? "");
 }
 
 async function readRejected() {
@@ -250,10 +267,12 @@ function renderSessions() {
     if (session.travelled_m >= 1) detail.push(`${Math.round(session.travelled_m).toLocaleString("en")} m`);
     if (session.storey) detail.push(`storey ${session.storey}`);
     if (session.state === "ACTIVE") detail.push("open");
+    const why = whyNoLoops(session);
+    if (why) detail.push("no loop");
     return element(
       "li",
       { colour: sessionColour(index), class: shown ? null : "off" },
-      element("label", { for: `session-${index}` }, box, element("i", { class: "swatch" }), element("span", { class: "name" }, lastOf(session.name)), element("small", {}, detail.join(" \u00b7 "))),
+      element("label", { for: `session-${index}` }, box, element("i", { class: "swatch" }), element("span", { class: "name" }, lastOf(session.name)), element("small", { title: why || null }, detail.join(" \u00b7 "))),
       element("button", { type: "button", class: "link only", title: "Show this session alone", onclick: () => showAlone(session.name) }, "only"),
     );
   });
@@ -292,7 +311,8 @@ function renderLoops(loops) {
 
 function nothingListed() {
   if (model.search) return "Nothing matches the search";
-  if (!model.loops.size) return "No loop closures yet: they appear when a place is seen again";
+  const why = [...model.sessions.values()].map(whyNoLoops).find(Boolean);
+  if (!model.loops.size) return why ? `No loop closure. ${why}` : "No loop closures yet: they appear when a place is seen again";
   return "None in the chosen states and sessions";
 }
 

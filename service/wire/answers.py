@@ -47,7 +47,7 @@ def of_map(view: MapView) -> Fields:
         "display_name": view.display_name,
         "tau_m": view.tau_m,
         "stride_m": view.stride_m,
-        "min_index_gap": view.min_index_gap,
+        "leave_distance_m": view.leave_distance_m,
         "scene_scale": view.scene_scale,
         "session_count": view.session_count,
         "submap_count": view.submap_count,
@@ -79,6 +79,7 @@ def of_session(view: SessionView) -> Fields:
         "finished_at_ns": view.finished_at_ns,
         "committed_stamp_ns": view.committed_stamp_ns,
         "findings": [asdict(finding) for finding in view.findings],
+        "no_loops": None if view.no_loops is None else asdict(view.no_loops),
         "storey": view.storey,
     }
 

@@ -82,7 +82,7 @@ def _event_kinds(kinds: Iterable[int]) -> list[EventKind]:
 
 def create_map(request: map_pb2.CreateMapRequest) -> CreateMap:
     """The new map; what is absent is as the service is configured."""
-    overrides = ("tau_m", "stride_m", "min_index_gap", "scene_scale")
+    overrides = ("tau_m", "stride_m", "leave_distance_m", "scene_scale")
     given = {field: getattr(request, field) for field in overrides if request.HasField(field)}
     policy = LoopPolicy(**{field.name: _optional(request.loop_policy, field.name) for field in fields(LoopPolicy)})
     return CreateMap(request.map_id, request.display_name, **given, loop_policy=policy)
@@ -132,7 +132,7 @@ def criteria(request: loop_closure_pb2.SearchSubmapsRequest) -> SearchCriteria:
         min_similarity=_optional(request, "min_similarity"),
         exclude_session=names.session_id_in(request.parent, request.exclude_session, "exclude_session"),
         only_session=names.session_id_in(request.parent, request.only_session, "only_session"),
-        min_index_gap=_optional(request, "min_index_gap"),
+        leave_distance_m=_optional(request, "leave_distance_m"),
         prior_position_m=_position(request),
         radius_m=_optional(request, "radius_m"),
         storey=request.storey or None,

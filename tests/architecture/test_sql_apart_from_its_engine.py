@@ -59,6 +59,8 @@ CALLS = {
     "SqlSubmaps.last_number": lambda uow: uow.submaps.last_number(TENANT),
     "SqlSubmaps.flag_counts": lambda uow: uow.submaps.flag_counts(TENANT, "town", "monday"),
     "SqlSubmaps.found": lambda uow: uow.submaps.found(TENANT, [1]),
+    "SqlSubmaps.path": lambda uow: [uow.submaps.path(TENANT, "town", "monday", 0, 5, back=back) for back in (0, 1)],
+    "SqlLoops.reasons": lambda uow: uow.loops.reasons(TENANT, [1, 2]),
     "SqlSubmaps.first_waiting": lambda uow: uow.submaps.first_waiting(TENANT, "town"),
     "SqlJobs.unfinished": lambda uow: uow.jobs.unfinished(TENANT, {"op-1", "op-2"}),
     "SqlJobs.next_runnable": lambda uow: (uow.jobs.next_runnable(NOW, TENANT), uow.jobs.add(a_job())),

@@ -121,7 +121,7 @@ def test_places_that_come_in_portions_are_found_whatever_the_last_one_holds(inde
         (SearchFilter(only_sessions=frozenset({1, 9})), {3}),
         (SearchFilter(only_sessions=frozenset({0, 1}), exclude_session=1), {0, 1, 2}),
         (SearchFilter(only_sessions=frozenset()), set()),
-        (SearchFilter(near=(0, 2, 2)), {0, 3}),
+        (SearchFilter(of_session=0, without=frozenset({1, 2, 99})), {0, 3}),
         (SearchFilter(position=np.array([10.0, 0, 0]), radius_m=10.0), {0, 1, 2}),
         (SearchFilter(allowed=frozenset({1, 3, 99})), {1, 3}),
         (SearchFilter(only_session=0, allowed=frozenset({3})), set()),

@@ -234,6 +234,25 @@ def test_the_first_that_waits_in_a_map_is_one_of_this_tenant(write, read):
     assert first_waiting(TENANT, "elsewhere") is first_waiting(OTHER, "town") is None
 
 
+def test_the_path_of_a_session_is_read_from_a_submap_on_and_back(write, read):
+    def add(uow):
+        uow.maps.add(a_map())
+        uow.sessions.add(a_session())
+        for ordinal in (3, 0, 2, 5):
+            uow.submaps.add(a_submap(submap_id=f"s{ordinal}", ordinal=ordinal, position_m=(float(ordinal), 0.0, 0.0)))
+
+    write(add)
+
+    def path(ordinal, limit, tenant=TENANT, **direction):
+        found = read(lambda uow: uow.submaps.path(tenant, "town", "monday", ordinal, limit, **direction))
+        return [(one.ordinal, one.position_m[0]) for one in found]
+
+    assert path(0, 9) == [(2, 2.0), (3, 3.0), (5, 5.0)]
+    assert path(0, 2) == [(2, 2.0), (3, 3.0)]
+    assert path(5, 2, back=True) == [(3, 3.0), (2, 2.0)]
+    assert path(0, 9, back=True) == path(0, 9, tenant=OTHER) == []
+
+
 def test_flags_and_failures_of_a_session_are_counted_of_this_tenant(write, read):
     _, _, first, second, _ = write(fill)
     write(lambda uow: uow.submaps.replace(replace(first, flags=("pose_jump", "mirrored"))))

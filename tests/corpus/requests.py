@@ -13,7 +13,7 @@ def request_bodies() -> Bodies:
     return {
         "I06-id-of-1-mb.json": lambda: json.dumps({"map_id": "a" * 1_000_000}).encode(),
         "I10-10000-emoji.json": lambda: json.dumps({"map_id": "i10", "display_name": "\U0001f600" * 10_000}).encode(),
-        "J02-5000-digits.json": lambda: b'{"map_id": "x", "min_index_gap": ' + b"9" * 5000 + b"}",
+        "J02-5000-digits.json": lambda: b'{"map_id": "x", "leave_distance_m": ' + b"9" * 5000 + b"}",
         "J03-200000-brackets.json": lambda: b"[" * 200_000,
         # Every quote but the first is escaped: a matcher that tries again at each of them takes quadratic time.
         "J03-string-without-end.json": lambda: b'{"map_id": "' + b'\\"' * 400_000,

@@ -49,7 +49,7 @@ def stopped(worker: WorkerProcess, home: Path) -> Iterator[None]:
 def client(folder) -> Iterator[Client]:
     """Of a gateway that starts no workers and watches over none."""
     with closing(ServiceProcess(folder / "home", workers=0)) as service, Client(service.url) as made:
-        made.create_session(made.create_map("town", min_index_gap=2), "monday")
+        made.create_session(made.create_map("town", leave_distance_m=0), "monday")
         yield made
 
 

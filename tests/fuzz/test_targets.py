@@ -50,7 +50,7 @@ def seeds() -> dict[str, list[bytes]]:
         "gzip": [gzip.compress(values.tobytes(), mtime=0)],
         "zstd": [zstandard.compress(values.tobytes())],
         "packed cloud header": by_type["application/vnd.revisit.pointcloud2"],
-        "json map": [b'{"map_id": "town", "display_name": "Town", "tau_m": 10.5, "min_index_gap": 3}'],
+        "json map": [b'{"map_id": "town", "display_name": "Town", "tau_m": 10.5, "leave_distance_m": 3}'],
         "json search": [b'{"descriptor": [1.0, 2e3], "model_version": "m", "k": 3, "prior_position_m": [0, 1, 2]}'],
         "page token": [b"YWZ0ZXI6MTI="],
         "neural map": [neural_map],

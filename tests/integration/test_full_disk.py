@@ -60,7 +60,7 @@ def post(town: Town, number: int) -> int:
 @needs_mount
 def test_a_full_disk_refuses_data_serves_the_rest_and_heals_by_itself(tmp_path):
     (tmp_path / "home").mkdir()
-    with running_town(tmp_path / "home", OnSmallDisk, reserve_mb=RESERVE_MB, min_index_gap=2) as town:
+    with running_town(tmp_path / "home", OnSmallDisk, reserve_mb=RESERVE_MB, leave_distance_m=0) as town:
         disk = Path(f"/proc/{town.service.pid}/root") / (tmp_path / "home").relative_to("/")
         eventually((disk / "reserve").exists)
         assert [post(town, number) for number in range(5)] == [202] * 5

@@ -18,7 +18,7 @@ from tests.support.town import SESSION, running_town
 @pytest.fixture(scope="module")
 def town(tmp_path_factory):
     """Each test leaves the service running."""
-    with running_town(tmp_path_factory.mktemp("town") / "home", fake_delay_s="0.02", min_index_gap=2) as running:
+    with running_town(tmp_path_factory.mktemp("town") / "home", fake_delay_s="0.02", leave_distance_m=0) as running:
         yield running
 
 

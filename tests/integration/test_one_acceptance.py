@@ -13,6 +13,7 @@ from revisit.evaluation.described_submaps import DescribedSubmap
 from revisit.evaluation.drive_acceptance import judge_drive
 from revisit.evaluation.loop_closure_method import Description
 from revisit.evaluation.matching import search_map
+from revisit.evaluation.protocols.ground_truth import GroundTruth
 from revisit.service.application.contract.blobs import PLACE_BLOB
 from tests.integration.test_loops_beside import EqualBlocks, RowOfHouses
 from tests.support.fake_recogniser import FakeRecogniser
@@ -63,8 +64,9 @@ def described(submaps, places) -> list[DescribedSubmap]:
 async def test_evaluation_judges_a_drive_as_the_service_does(recogniser):
     submaps, blobs, loops = await driven(recogniser)
     method, places = AsMethod(recogniser), described(submaps, blobs)
-    loop = method.config.loop
-    candidates = search_map(places, places, loop.candidates, own_map=True, min_gap=loop.min_index_gap)
+    positions = np.array([one.position_m for one in submaps])
+    allowed = GroundTruth.of_one_drive(positions, method.config.loop, 20.0).allowed
+    candidates = search_map(places, places, method.config.loop.candidates, allowed, own_map=True)
     drive = judge_drive(places, method, candidates, 1, lambda _: None)
     judged = {(n, one.match.id): one.claim for n, row in enumerate(drive.candidates) for one in row}
     assert judged.keys() == loops.keys() and loops

@@ -82,9 +82,44 @@ async def test_a_posted_cloud_in_centimetres_is_flagged_before_it_is_described(w
     assert answer.submap.flags == ("scene_too_large",)
 
 
-async def test_neighbours_in_one_session_are_no_candidates(world):
-    await described(world, a=1, b=1)
-    assert not (await world.use_cases.loops.list(TENANT, "town", PageRequest())).items
+async def test_a_place_just_left_is_no_candidate_and_one_left_and_entered_again_is(world):
+    await described(world, a=1, b=1, c=2, d=1)
+    loops = (await world.use_cases.loops.list(TENANT, "town", PageRequest())).items
+    assert {(loop.query.submap_id, loop.match.submap_id) for loop in loops} == {("d", "a"), ("d", "b")}
+
+
+async def test_a_finished_session_without_a_loop_says_why(world):
+    await open_session(world)
+    assert await why(world) is None  # it may get one yet
+    assert (await world.use_cases.sessions.finish(TENANT, SESSION)).no_loops.code == "NO_SUBMAP"
+
+
+async def test_a_drive_that_comes_back_to_no_place_says_so_until_another_drive_meets_it(world):
+    await described(world, a=1, b=2, c=3)
+    await world.use_cases.sessions.finish(TENANT, SESSION)
+    told = await why(world)
+    assert told.code == "NOTHING_TO_COMPARE"
+    assert told.message == (
+        "3 submaps: the drive came back to no place that it had left by 0.5 m (leave_distance_m), and the map has no "
+        "other session to compare it with"
+    )
+    tuesday = SessionKey("town", "tuesday")
+    await open_session(world, tuesday)
+    await world.use_cases.posting.post(TENANT, submap("d", 7, tuesday))
+    assert (await why(world)).code == "NOTHING_TO_COMPARE"
+    world.work_off()
+    told = await why(world)
+    assert told.code == "NONE_ACCEPTED"
+    assert told.message.startswith(
+        "3 submaps: 3 pairs were compared and none was accepted, most often for TOO_DIFFERENT (3)"
+    )
+    await world.use_cases.posting.post(TENANT, submap("e", 2, tuesday))
+    world.work_off()
+    assert await why(world) is None
+
+
+async def why(world):
+    return (await world.use_cases.sessions.get(TENANT, SESSION)).no_loops
 
 
 async def test_a_repeated_post_gives_the_first_answer_and_another_content_is_refused(world):
@@ -207,13 +242,14 @@ async def test_search_filters_narrow_the_hits(world):
     assert await ids() == ["b", "c", "d"]
     assert await ids(exclude_session="monday") == ["d"]
     assert await ids(only_session="monday") == ["b", "c"]
-    assert await ids(min_index_gap=2) == ["c", "d"]
+    assert await ids(leave_distance_m=0.5) == ["d"]
+    assert await ids(leave_distance_m=0.0) == ["b", "c", "d"]
     for session_id, near in (("monday", ["b", "c"]), ("tuesday", ["d"])):
         assert await ids(prior_position_m=(1.0, 0.0, 0.0), radius_m=0.5, only_session=session_id) == near
     assert await ids(prior_position_m=(9.0, 0.0, 0.0), radius_m=0.5, only_session="monday") == []
     with pytest.raises(BadField, match="only_session"):
         await ids(prior_position_m=(1.0, 0.0, 0.0), radius_m=0.5)
-    for bad in ({"k": 0}, {"k": 101}, {"radius_m": 1.0}, {"min_similarity": 2.0}, {"min_index_gap": -1}):
+    for bad in ({"k": 0}, {"k": 101}, {"radius_m": 1.0}, {"min_similarity": 2.0}, {"leave_distance_m": -1.0}):
         with pytest.raises(BadField):
             await ids(**bad)
 
@@ -588,10 +624,10 @@ async def test_lists_come_in_pages_that_join_without_gap_or_repeat(world):
 
 
 async def test_a_map_overrides_the_window_of_its_submaps(world):
-    await world.use_cases.maps.create(TENANT, CreateMap("town", tau_m=2.0, stride_m=2.0, min_index_gap=0))
+    await world.use_cases.maps.create(TENANT, CreateMap("town", tau_m=2.0, stride_m=2.0, leave_distance_m=3.0))
     await world.use_cases.sessions.create(TENANT, CreateSession("town", "monday"))
     view = await world.use_cases.maps.get(TENANT, "town")
-    assert (view.tau_m, view.stride_m, view.min_index_gap) == (2.0, 2.0, 0)
+    assert (view.tau_m, view.stride_m, view.leave_distance_m) == (2.0, 2.0, 3.0)
     acks = [await world.use_cases.scans.append(TENANT, scan(seq, float(seq))) for seq in range(1, 6)]
     assert [ack.submap is not None for ack in acks] == [False, False, True, False, True]
 
@@ -609,21 +645,22 @@ class NotingRecogniser(FakeRecogniser):
 
 async def test_a_map_has_its_own_rules_for_loop_closures(world):
     policy = LoopPolicy(candidates=2, min_score=0.9)
-    await world.use_cases.maps.create(TENANT, CreateMap("town", loop_policy=policy))
+    town = CreateMap("town", loop_policy=policy, leave_distance_m=0.0)
+    await world.use_cases.maps.create(TENANT, town)
     await world.use_cases.sessions.create(TENANT, CreateSession("town", "monday"))
     for number in range(6):
         await world.use_cases.posting.post(TENANT, submap(f"s{number}", 1, points=300 + number))
     noting = NotingRecogniser()
     world.work_off(noting)
-    # With neighbours left out, the submaps have 0, 0, 1, 2, 3 and 4 others to be compared with: at most 2 are.
+    # The submaps have 0, 1, 2, 3, 4 and 5 others to be compared with: at most 2 are.
     usual = world.context.policy.pipeline.verification
-    assert noting.rules == [(0.9, usual.max_seen_through)] * (0 + 0 + 1 + 2 + 2 + 2)
+    assert noting.rules == [(0.9, usual.max_seen_through)] * (0 + 1 + 2 + 2 + 2 + 2)
     in_force = (await world.use_cases.maps.get(TENANT, "town")).loop_policy
     assert in_force == LoopPolicy(2, 0.9, usual.min_overlap, usual.max_seen_through)
-    assert (await world.use_cases.maps.create(TENANT, CreateMap("town", loop_policy=policy))).replay
+    assert (await world.use_cases.maps.create(TENANT, town)).replay
     for other in (LoopPolicy(), LoopPolicy(candidates=2), LoopPolicy(min_score=0.9)):
         with pytest.raises(AlreadyExists):
-            await world.use_cases.maps.create(TENANT, CreateMap("town", loop_policy=other))
+            await world.use_cases.maps.create(TENANT, replace(town, loop_policy=other))
     with pytest.raises(BadField, match=r"loop_policy\.min_score"):
         await world.use_cases.maps.create(TENANT, CreateMap("other", loop_policy=LoopPolicy(min_score=1.5)))
 

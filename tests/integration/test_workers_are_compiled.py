@@ -38,7 +38,7 @@ async def life(recogniser):
     T_odom_world = se3.exp(np.array([3.0, -2.0, 0.5, 0.03, -0.02, 0.6]))
     for name, seed in (("first", 1), ("second", 2)):
         drive = seen(blocks, along((-20, 0), (15, 0)), seed)
-        await driven(world, name, drive, T_odom_world, recogniser, min_index_gap=0)
+        await driven(world, name, drive, T_odom_world, recogniser, leave_distance_m=0.0)
     return (await merged(world, "first", "second", recogniser))["verdict"]
 
 

@@ -44,7 +44,7 @@ async def driven(
 
     As in the product, and unlike in other tests, neighbours within a drive are no loops.
     """
-    of_map = {"min_index_gap": LoopConfig().min_index_gap, **of_map}
+    of_map = {"leave_distance_m": LoopConfig().leave_distance, **of_map}
     key = SessionKey(map_id, "day")
     await world.use_cases.maps.create(TENANT, CreateMap(map_id, **of_map))
     await world.use_cases.sessions.create(TENANT, CreateSession(map_id, key.session_id))

@@ -98,8 +98,8 @@ async def answered(world: World, question: Awaitable[T], recogniser: PlaceRecogn
 
 
 def policy(pipeline: PipelineConfig = PipelineConfig(), **overrides) -> Policy:
-    """Submaps of 10 m every 5 m; neighbours nearer than 2 are no loop."""
-    loop = replace(pipeline.loop, min_index_gap=2)
+    """Submaps of 10 m every 5 m; places lie a metre apart, half a metre from one it is left."""
+    loop = replace(pipeline.loop, leave_distance=0.5)
     return Policy(pipeline=replace(pipeline, loop=loop), **overrides)
 
 

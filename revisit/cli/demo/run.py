@@ -100,7 +100,7 @@ def _in_a_service(
         streaming = opened.enter_context(Client.grpc(addresses.grpc))
         posting = opened.enter_context(Client(addresses.http))
         town = MAP.partition("/")[2]
-        streaming.create_map(town, tau_m=STREAMED.tau, stride_m=STREAMED.stride, min_index_gap=targets.gap)
+        streaming.create_map(town, tau_m=STREAMED.tau, stride_m=STREAMED.stride)
         truth, windows = stream_drive(streaming, MAP, robots[0], console)
         visited = post_drive(posting, MAP, robots[1], len(truth), console)
         driven = Drives(robots, truth | visited[0], windows | visited[1])

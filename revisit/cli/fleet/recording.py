@@ -42,7 +42,7 @@ def recorded(out: Path, seed: int, report: Report) -> list[PlacedSubmap]:
 
 
 def _streamed(client: Client, drives: tuple[FleetDrive, ...], report: Report) -> list[PlacedSubmap]:
-    client.create_map(MAP, tau_m=WINDOW_M, stride_m=WINDOW_M, min_index_gap=10)
+    client.create_map(MAP, tau_m=WINDOW_M, stride_m=WINDOW_M)
     return [submap for drive in drives for submap in _drive(client, drive, report)]
 
 

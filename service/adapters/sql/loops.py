@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
-from sqlalchemy import BindParameter, Select, and_, bindparam, or_, select
+from sqlalchemy import BindParameter, Select, and_, bindparam, func, or_, select
 
 from revisit.service.adapters.sql import tables
 from revisit.service.adapters.sql.repositories import SqlRepository
@@ -22,6 +22,20 @@ class SqlLoops(SqlRepository[LoopRecord]):
         """See `LoopRepository`."""
         asked = {"queries": query_numbers, "its_tenant": tenant, "its_reasons": reasons}
         return [self._of(row) for row in self._connection.execute(_telling(), asked)]
+
+    def reasons(self, tenant: TenantId, numbers: Sequence[int]) -> dict[str | None, int]:
+        """See `LoopRepository`."""
+        rows = self._connection.execute(_reasons(), {"numbers": numbers, "its_tenant": tenant})
+        return {row.reason: row.loops for row in rows}
+
+
+@cache
+def _reasons() -> Select[Any]:
+    """How many loops of the `numbers` have each reason; the tenant as in `_telling`."""
+    loops, numbers = tables.loops.c, BindParameter[Any]("numbers", expanding=True)
+    of_numbers = or_(loops.query_number.in_(numbers), loops.match_number.in_(numbers))
+    where = and_(of_numbers, loops.tenant.concat("") == bindparam("its_tenant"))
+    return select(loops.reason, func.count().label("loops")).where(where).group_by(loops.reason)
 
 
 @cache

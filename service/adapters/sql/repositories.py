@@ -38,7 +38,7 @@ from revisit.service.application.contract.errors import AlreadyExists, NotFound
 from revisit.service.application.contract.events import ChangeOf
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.records import ScanRecord, SubmapRecord
-from revisit.service.application.contract.repositories import FoundSubmap, PlacedSubmap
+from revisit.service.application.contract.repositories import FoundSubmap, PathPoint, PlacedSubmap
 from revisit.service.application.contract.states import SubmapState
 
 Scalar = str | int | None
@@ -233,12 +233,13 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
         rows = self._connection.execute(_found_submaps(), {"numbers": numbers, "its_tenant": tenant})
         return {row.number: FoundSubmap(*row) for row in rows}
 
-    def before(self, tenant: TenantId, session_number: int, ordinal: int, most: int) -> list[SubmapRecord]:
+    def path(
+        self, tenant: TenantId, map_id: str, session_id: str, ordinal: int, limit: int, *, back: bool = False
+    ) -> list[PathPoint]:
         """See `SubmapRepository`."""
-        submaps, asked = tables.submaps.c, of_tenant(tenant, {"session_number": session_number})
-        query = select(tables.submaps).where(matches(tables.submaps, asked))
-        query = query.where(submaps.ordinal >= ordinal - most, submaps.ordinal < ordinal).order_by(submaps.ordinal)
-        return [self._of(row) for row in self._connection.execute(query, asked)]
+        asked = of_tenant(tenant, {"map_id": map_id, "session_id": session_id})
+        rows = self._connection.execute(_path(back=back), {**asked, "from_ordinal": ordinal, "at_most": limit})
+        return [PathPoint(*row) for row in rows]
 
     def first_waiting(self, tenant: TenantId, map_id: str) -> int | None:
         """See `SubmapRepository`."""
@@ -319,6 +320,18 @@ def _numbered(table: Table) -> Select[Any]:
 def _found_submaps() -> Select[Any]:
     columns = (tables.submaps.c[field.name] for field in dataclasses.fields(FoundSubmap))
     return select(*columns).where(_have_numbers(tables.submaps))
+
+
+@cache
+def _path(*, back: bool) -> Select[Any]:
+    """What `SubmapRepository.path` tells of the submaps of a session from `from_ordinal` on, or back."""
+    submaps = tables.submaps.c
+    query = select(*(submaps[field.name] for field in dataclasses.fields(PathPoint)))
+    query = query.where(_matches(tables.submaps, ("tenant", "map_id", "session_id"), ()))
+    start = bindparam("from_ordinal")
+    ahead = submaps.ordinal < start if back else submaps.ordinal > start
+    order = submaps.ordinal.desc() if back else submaps.ordinal
+    return query.where(ahead).order_by(order).limit(bindparam("at_most"))
 
 
 def _have_numbers(table: Table) -> ColumnElement[bool]:

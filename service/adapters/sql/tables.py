@@ -97,7 +97,7 @@ maps = _numbered(
     _text("display_name", length=256),
     _real("tau_m", nullable=True),
     _real("stride_m", nullable=True),
-    _integer("min_index_gap", nullable=True),
+    _real("leave_distance_m", nullable=True),
     Column("scene_scale", Float, nullable=False, server_default="1.0"),
     _integer("loop_candidates", nullable=True),
     _real("min_score", nullable=True),
@@ -192,7 +192,7 @@ submaps = _numbered(
         ["tenant", "map_id", "session_id"], ["sessions.tenant", "sessions.map_id", "sessions.session_id"]
     ),
     Index(None, "state", "tenant", "map_id"),
-    Index(None, "tenant", "session_number", "ordinal"),
+    Index(None, "tenant", "map_id", "session_id", "ordinal"),
     Index(None, "tenant", "cloud_sha256"),
     Index(None, "tenant", "place_sha256"),
     Index(None, "tenant", "neural_map_sha256"),

@@ -27,7 +27,7 @@ from revisit.service.failpoints import failpoint
 
 @dataclass(frozen=True)
 class CreateMap:
-    """A new map. `tau_m`, `stride_m`, `min_index_gap` and `loop_policy` override the service's settings where given.
+    """A new map. `tau_m`, `stride_m`, `leave_distance_m` and `loop_policy` override the service's settings where given.
 
     `scene_scale` is the size of its scene compared with a street, e.g. 0.25 for rooms; it cannot be changed later.
     """
@@ -36,14 +36,14 @@ class CreateMap:
     display_name: str = ""
     tau_m: float | None = None
     stride_m: float | None = None
-    min_index_gap: int | None = None
+    leave_distance_m: float | None = None
     scene_scale: float = 1.0
     loop_policy: LoopPolicy = LoopPolicy()
 
 
 @dataclass(frozen=True)
 class MapView:
-    """A map as clients see it; `tau_m`, `stride_m`, `min_index_gap` and `loop_policy` are the values in force.
+    """A map as clients see it; `tau_m`, `stride_m`, `leave_distance_m` and `loop_policy` are the values in force.
 
     `map_version` is the version of its poses that answers rest on, 0 before the first.
     """
@@ -52,7 +52,7 @@ class MapView:
     display_name: str
     tau_m: float
     stride_m: float
-    min_index_gap: int
+    leave_distance_m: float
     scene_scale: float
     session_count: int
     submap_count: int
@@ -134,7 +134,7 @@ class Maps:
         validated_id(command.map_id, "map_id")
         validated_label(command.display_name, "display_name")
         _validate_window(command)
-        content = (command.display_name, command.tau_m, command.stride_m, command.min_index_gap)
+        content = (command.display_name, command.tau_m, command.stride_m, command.leave_distance_m)
         # Left out where they are the default, so that creates of before there were scales and policies can be repeated.
         scale = () if command.scene_scale == 1.0 else (command.scene_scale,)
         own = command.loop_policy
@@ -146,7 +146,7 @@ class Maps:
             display_name=command.display_name,
             tau_m=command.tau_m,
             stride_m=command.stride_m,
-            min_index_gap=command.min_index_gap,
+            leave_distance_m=command.leave_distance_m,
             scene_scale=command.scene_scale,
             loop_candidates=own.candidates,
             min_score=own.min_score,
@@ -163,7 +163,7 @@ class Maps:
             display_name=record.display_name,
             tau_m=config.submap.tau,
             stride_m=config.submap.stride,
-            min_index_gap=config.loop.min_index_gap,
+            leave_distance_m=config.loop.leave_distance,
             scene_scale=config.scene_scale,
             session_count=uow.sessions.count(record.tenant, map_id=record.map_id),
             submap_count=uow.submaps.count(record.tenant, map_id=record.map_id),
@@ -199,7 +199,7 @@ def _validate_window(command: CreateMap) -> None:
         limits.TAU_M.validated(command.tau_m, "tau_m")
     if command.stride_m is not None:
         limits.STRIDE_M.validated(command.stride_m, "stride_m")
-    if command.min_index_gap is not None:
-        limits.MIN_INDEX_GAP.validated(command.min_index_gap, "min_index_gap")
+    if command.leave_distance_m is not None:
+        limits.LEAVE_DISTANCE_M.validated(command.leave_distance_m, "leave_distance_m")
     limits.SCENE_SCALE.validated(command.scene_scale, "scene_scale")
     command.loop_policy.validated()

@@ -12,6 +12,7 @@ from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.capacity.backlog import JobPosting
 from revisit.service.application.catalogue.blob_references import Blob, BlobCollector
 from revisit.service.application.catalogue.deletion import delete_session
+from revisit.service.application.catalogue.no_loops import NoLoops, why_no_loops
 from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.identity import (
@@ -21,6 +22,7 @@ from revisit.service.application.contract.identity import (
     validated_id,
     validated_storey,
 )
+from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.records import SessionRecord
 from revisit.service.application.contract.states import SessionState
 from revisit.service.application.contract.storage import (
@@ -65,7 +67,8 @@ class SessionView:
 
     `committed_seq` is the last scan stored durably, 0 for none; `committed_stamp_ns` is when that one was taken.
     `storey` is None where nobody said it.
-    `findings` are those of its submaps so far, the most frequent first; empty in lists of sessions.
+    `findings` are those of its submaps so far, the most frequent first. `no_loops` says why a finished session has no
+    loop. Neither is in lists of sessions.
     """
 
     key: SessionKey
@@ -79,6 +82,7 @@ class SessionView:
     committed_stamp_ns: int | None
     storey: str | None = None
     findings: tuple[SessionFinding, ...] = ()
+    no_loops: NoLoops | None = None
 
 
 @dataclass(frozen=True)
@@ -101,6 +105,7 @@ class Sessions:
         collector: BlobCollector,
         streams: OpenStreams,
         clock: Clock,
+        policy: Policy,
     ) -> None:
         """The last submap of a finished session is queued through `jobs`; `streams` of a deleted one end."""
         self._storage = storage
@@ -110,6 +115,7 @@ class Sessions:
         self._collector = collector
         self._streams = streams
         self._clock = clock
+        self._policy = policy
 
     async def create(self, tenant: TenantId, command: CreateSession) -> CreatedSession:
         """Create a session.
@@ -122,7 +128,7 @@ class Sessions:
 
     async def get(self, tenant: TenantId, key: SessionKey) -> SessionView:
         """Raises NotFound."""
-        return await self._storage.read(lambda uow: _whole(uow, require_session(uow, tenant, key)))
+        return await self._storage.read(lambda uow: self._whole(uow, require_session(uow, tenant, key)))
 
     async def list(self, tenant: TenantId, map_id: str, page: PageRequest) -> Page[SessionView]:
         """The sessions of a map, oldest first. Raises NotFound for the map."""
@@ -141,13 +147,13 @@ class Sessions:
     def _finish(self, uow: UnitOfWork, tenant: TenantId, key: SessionKey) -> SessionView:
         session, now_ns = require_session(uow, tenant, key), self._clock.wall_ns()
         if session.state == SessionState.FINISHED:
-            return _whole(uow, session)
+            return self._whole(uow, session)
         rest = remainder(session)
         if rest is not None:
             _, session = add_window_submap(uow, self._jobs, session, rest, now_ns)
         finished = replace(session, state=SessionState.FINISHED.value, finished_at_ns=now_ns)
         uow.sessions.replace(finished)
-        return _whole(uow, finished)
+        return self._whole(uow, finished)
 
     async def delete(self, tenant: TenantId, key: SessionKey) -> None:
         """Delete a session with its scans, its submaps and their loop closures; its streams end, its jobs are dropped.
@@ -160,6 +166,16 @@ class Sessions:
         failpoint("delete.after_rows")
         self._streams.end(tenant, key.map_id, key.session_id)
         await self._collector.collect(tenant, doomed)
+
+    def _whole(self, uow: UnitOfWork, record: SessionRecord) -> SessionView:
+        """The view with its findings, for which all submaps of the session are looked at, and why it has no loop."""
+        counts = uow.submaps.flag_counts(record.tenant, record.map_id, record.session_id)
+        known = ((code.lower(), count) for code, count in counts.items() if code.lower() in LIKELY_CAUSES)
+        ordered = sorted(known, key=lambda found: (-found[1], found[0]))
+        findings = (SessionFinding(code, count, *LIKELY_CAUSES[code]) for code, count in ordered)
+        config = self._policy.for_map(require_map(uow, record.tenant, record.map_id))
+        why = why_no_loops(uow, record, config.loop)
+        return replace(_view(uow, record), findings=tuple(findings), no_loops=why)
 
     def _record(self, tenant: TenantId, command: CreateSession) -> SessionRecord:
         storey = validated_storey(command.storey)
@@ -204,15 +220,6 @@ def _delete(uow: UnitOfWork, key: SessionKey, entry: AuditEntry, at_ns: int) -> 
     session = require_session(uow, tenant, key)
     audit.append(uow, at_ns, entry)
     return delete_session(uow, require_map(uow, tenant, key.map_id), session, at_ns)
-
-
-def _whole(uow: UnitOfWork, record: SessionRecord) -> SessionView:
-    """The view with its findings, for which all submaps of the session are looked at."""
-    counts = uow.submaps.flag_counts(record.tenant, record.map_id, record.session_id)
-    known = ((code.lower(), count) for code, count in counts.items() if code.lower() in LIKELY_CAUSES)
-    ordered = sorted(known, key=lambda found: (-found[1], found[0]))
-    findings = (SessionFinding(code, count, *LIKELY_CAUSES[code]) for code, count in ordered)
-    return replace(_view(uow, record), findings=tuple(findings))
 
 
 def _view(uow: UnitOfWork, record: SessionRecord) -> SessionView:

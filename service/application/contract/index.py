@@ -48,16 +48,14 @@ class VectorFilter:
     """Which submaps may be hits. Sessions and submaps by number.
 
     `only_sessions`: submaps of other sessions are no hits, as those on other storeys (`storeys.comparable_sessions`).
-    `near_session`, `near_ordinal`, `min_gap`: submaps of that session nearer than `min_gap` ordinals are no hits.
+    `of_session`: the session of the query. `without`: these submaps are no hits.
     """
 
-    exclude_submap: int | None = None
     exclude_session: int | None = None
     only_session: int | None = None
     only_sessions: frozenset[int] | None = None
-    near_session: int | None = None
-    near_ordinal: int = 0
-    min_gap: int = 0
+    of_session: int | None = None
+    without: frozenset[int] = frozenset()
     position_m: tuple[float, float, float] | None = None
     radius_m: float | None = None
 

@@ -62,7 +62,7 @@ NOTE_CHARACTERS = 1000
 # Maps
 TAU_M = Range(0.1, 1000.0, "metres")
 STRIDE_M = Range(0.1, 1000.0, "metres")
-MIN_INDEX_GAP = Range(0, 1_000_000)
+LEAVE_DISTANCE_M = Range(0.0, 10_000.0, "metres")
 """Of a map and of a search."""
 SCENE_SCALE = Range(0.01, 10.0)
 LOOP_CANDIDATES = Range(1, 100)

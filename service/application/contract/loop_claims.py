@@ -80,15 +80,17 @@ def station(submap: SubmapRecord) -> Station:
 
 def drive_before(uow: UnitOfWork, submap: SubmapRecord, config: PipelineConfig) -> StoredDrive:
     """The drive of `submap` before it, as far as the rules ask."""
-    before = uow.submaps.before(submap.tenant, submap.session_number, submap.ordinal, submaps_asked(config))
-    queries = {one.number: one for one in before}
+    path = uow.submaps.path(
+        submap.tenant, submap.map_id, submap.session_id, submap.ordinal, submaps_asked(config), back=True
+    )
+    queries = uow.submaps.numbered(submap.tenant, [one.number for one in path])
     told = uow.loops.telling(submap.tenant, sorted(queries), [reason.value for reason in TELLING])
     loops = [loop for loop in told if _says(loop)]
     matches = uow.submaps.numbered(submap.tenant, sorted({loop.match_number for loop in loops})[-_MOST_MATCHES:])
     loops = [loop for loop in loops if loop.match_number in matches]
     pairs = [(queries[loop.query_number], matches[loop.match_number]) for loop in loops]
     claims = [claim_of_row(loop, *pair) for loop, pair in zip(loops, pairs, strict=True)]
-    stride_m = stride_of_drive(station(submap), [station(one) for one in before], config)
+    stride_m = stride_of_drive(station(submap), [station(one) for one in queries.values()], config)
     return StoredDrive(Drive(claims, stride_m), loops, pairs)
 
 

@@ -32,7 +32,7 @@ class Policy:
         return self.pipeline.of_map(
             record.scene_scale,
             submap={"tau": record.tau_m, "stride": record.stride_m},
-            loop={"min_index_gap": record.min_index_gap, "candidates": record.loop_candidates},
+            loop={"leave_distance": record.leave_distance_m, "candidates": record.loop_candidates},
             verification={
                 "min_score": record.min_score,
                 "min_overlap": record.min_overlap,

@@ -30,7 +30,7 @@ class MapRecord:
     display_name: str
     tau_m: float | None
     stride_m: float | None
-    min_index_gap: int | None
+    leave_distance_m: float | None
     model_version: str | None
     created_at_ns: int
     scene_scale: float = 1.0

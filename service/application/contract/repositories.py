@@ -109,6 +109,15 @@ class PlacedSubmap:
 
 
 @dataclass(frozen=True)
+class PathPoint:
+    """A submap of a drive: its number, its place in the order of the drive, its position in the odometry frame."""
+
+    number: int
+    ordinal: int
+    position_m: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
 class FoundSubmap:
     """What a search tells of a submap: its number and names, and its position in the odometry frame of its session."""
 
@@ -144,8 +153,10 @@ class SubmapRepository(Repository[SubmapRecord], FoundSubmaps, Protocol):
         """
         ...
 
-    def before(self, tenant: TenantId, session_number: int, ordinal: int, most: int) -> list[SubmapRecord]:
-        """Those of the `most` submaps of a session before its submap `ordinal` that are there, in their order."""
+    def path(
+        self, tenant: TenantId, map_id: str, session_id: str, ordinal: int, limit: int, *, back: bool = False
+    ) -> list[PathPoint]:
+        """The next `limit` submaps of a session behind place `ordinal`, or, with `back`, before it: nearest first."""
         ...
 
     def first_waiting(self, tenant: TenantId, map_id: str) -> int | None:
@@ -162,6 +173,10 @@ class LoopRepository(Repository[LoopRecord], Protocol):
 
     def telling(self, tenant: TenantId, query_numbers: Sequence[int], reasons: Sequence[str]) -> list[LoopRecord]:
         """Those of these queries (at most 1000) that were accepted, or have one of `reasons`: by query and number."""
+        ...
+
+    def reasons(self, tenant: TenantId, numbers: Sequence[int]) -> dict[str | None, int]:
+        """Reason -> how many loops have it that one of these submaps (at most 500) is in; None of accepted ones."""
         ...
 
 

@@ -9,11 +9,13 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.config import LoopConfig
 from revisit.core.errors import BadField
 from revisit.service.application.contract.errors import NotFound
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.index import IndexChange, VectorFilter, VectorIndex, VectorMatch
 from revisit.service.application.contract.map_frames import KeptSessions, MapFrames
+from revisit.service.application.contract.own_drive import candidates_of
 from revisit.service.application.contract.records import MapRecord, SubmapRecord
 from revisit.service.application.contract.storeys import comparable_sessions, storey_of
 from revisit.service.application.contract.transactions import Transactions, UnitOfWork
@@ -231,16 +233,21 @@ def vector_filter(
     if criteria.prior_position_m is not None and criteria.only_session is None and _has_sessions(uow, tenant, map_id):
         raise BadField("sessions have own frames: only_session says in which the prior is", field="only_session")
     return VectorFilter(
-        exclude_submap=None if query is None else query.number,
         exclude_session=_session_number(uow, tenant, map_id, criteria.exclude_session),
         only_session=_session_number(uow, tenant, map_id, criteria.only_session),
         only_sessions=comparable_sessions(uow, tenant, map_id, storey),
-        near_session=None if query is None else query.session_number,
-        near_ordinal=0 if query is None else query.ordinal,
-        min_gap=criteria.min_index_gap or 0,
+        of_session=None if query is None else query.session_number,
+        without=frozenset() if query is None else _left_out(uow, query, criteria),
         position_m=criteria.prior_position_m,
         radius_m=criteria.radius_m,
     )
+
+
+def _left_out(uow: UnitOfWork, query: SubmapRecord, criteria: SearchCriteria) -> frozenset[int]:
+    """The submap itself, and those of its drive that are no loop with it, if the client asks for that."""
+    if criteria.leave_distance_m is None:
+        return frozenset({query.number})
+    return candidates_of(uow, query, LoopConfig(leave_distance=criteria.leave_distance_m)).too_near
 
 
 def _has_sessions(uow: UnitOfWork, tenant: TenantId, map_id: str) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from revisit.core.errors import BadField
@@ -16,16 +16,17 @@ from revisit.service.application.contract.map_frames import MapPose
 class SearchCriteria:
     """What a hit must satisfy. All optional but `k` (1 to 100).
 
-    `min_index_gap` applies to submaps of the query's own session; `prior_position_m` with `radius_m` keeps hits whose
-    position (in the odometry frame of `only_session`, or of the map's one session) is near. `storey`: where a cloud or
-    descriptor was taken; submaps of sessions on another one are no hits. A stored submap has that of its session.
+    `leave_distance_m` leaves out submaps of the query's own drive that it has just left (core.candidates);
+    `prior_position_m` with `radius_m` keeps hits whose position (in the odometry frame of `only_session`, or of the
+    map's one session) is near. `storey`: where a cloud or descriptor was taken; submaps of sessions on another one are
+    no hits. A stored submap has that of its session.
     """
 
     k: int = 20
     min_similarity: float | None = None
     exclude_session: str | None = None
     only_session: str | None = None
-    min_index_gap: int | None = None
+    leave_distance_m: float | None = None
     prior_position_m: tuple[float, float, float] | None = None
     radius_m: float | None = None
     storey: str | None = None
@@ -98,8 +99,8 @@ def validated_criteria(criteria: SearchCriteria) -> SearchCriteria:
     if criteria.min_similarity is not None:
         limits.MIN_SIMILARITY.validated(criteria.min_similarity, "min_similarity")
     validated_storey(criteria.storey)
-    if criteria.min_index_gap is not None:
-        limits.MIN_INDEX_GAP.validated(criteria.min_index_gap, "min_index_gap")
+    if criteria.leave_distance_m is not None:
+        limits.LEAVE_DISTANCE_M.validated(criteria.leave_distance_m, "leave_distance_m")
     return criteria
 
 
@@ -109,9 +110,10 @@ def criteria_to_json(criteria: SearchCriteria) -> dict[str, Any]:
 
 
 def criteria_from_json(data: dict[str, Any]) -> SearchCriteria:
-    """The inverse of `criteria_to_json`."""
+    """The inverse of `criteria_to_json`; what an earlier version asked for besides is not."""
     prior = data["prior_position_m"]
-    return SearchCriteria(**{**data, "prior_position_m": None if prior is None else tuple(prior)})
+    known = {field.name: data[field.name] for field in fields(SearchCriteria) if field.name in data}
+    return SearchCriteria(**{**known, "prior_position_m": None if prior is None else tuple(prior)})
 
 
 def search_result_to_json(result: SearchResult) -> dict[str, Any]:

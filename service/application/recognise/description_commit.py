@@ -183,9 +183,6 @@ class DescriptionCommit:
 
 def _may_match(change: IndexChange, where: VectorFilter) -> bool:
     """Whether a change brought in a submap that the loop filter lets through."""
-    if change.vector is None or change.submap_number == where.exclude_submap:
+    if change.vector is None or change.submap_number in where.without:
         return False
-    if where.only_sessions is not None and change.session_number not in where.only_sessions:
-        return False
-    near = abs(change.ordinal - where.near_ordinal) < where.min_gap
-    return not (change.session_number == where.near_session and near)
+    return where.only_sessions is None or change.session_number in where.only_sessions

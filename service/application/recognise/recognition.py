@@ -25,7 +25,6 @@ from revisit.core.acceptance import (
     accept_cloud,
     verify_in_turn,
 )
-from revisit.core.candidates import candidate_policy
 from revisit.core.config import PipelineConfig
 from revisit.core.errors import DataLoss, DescriptorModelMismatch, ErrorCode, RevisitError
 from revisit.core.geometry.se3 import Matrix4, pose_matrix
@@ -44,6 +43,7 @@ from revisit.service.application.contract.index import VectorFilter
 from revisit.service.application.contract.job_queue import CANCELLED, Lease
 from revisit.service.application.contract.loop_claims import drive_before, evidence_of, station
 from revisit.service.application.contract.map_frames import MapFrames, MapPose, submap_in_map
+from revisit.service.application.contract.own_drive import candidates_of
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.recogniser import PlaceRecogniser, SubmapDescription
 from revisit.service.application.contract.records import JobRecord, LoopRecord, MapRecord, SubmapRecord
@@ -473,15 +473,13 @@ def _in_map(uow: UnitOfWork, found: Localization, judged: list[JudgedPlace]) -> 
 
 
 def _loop_filter(uow: UnitOfWork, submap: SubmapRecord, config: PipelineConfig) -> VectorFilter:
-    """Any submap of the map but itself, its neighbours in its own session (paper IV-B), and those on other storeys."""
+    """Any submap of the map but itself, those of its drive that it has just left, and those on other storeys."""
     storey = storey_of(uow, submap.tenant, submap.map_id, submap.session_id)
-    policy = candidate_policy(submap.session_number, submap.ordinal, config.loop)
+    policy = candidates_of(uow, submap, config.loop)
     return VectorFilter(
-        exclude_submap=submap.number,
         only_sessions=comparable_sessions(uow, submap.tenant, submap.map_id, storey),
-        near_session=policy.session,
-        near_ordinal=policy.ordinal,
-        min_gap=policy.min_gap,
+        of_session=policy.session,
+        without=policy.too_near,
     )
 
 

@@ -181,7 +181,7 @@ OUT_OF_BOUNDS = {
     **{f"radius {r}": ("radius_m", lambda c, m, r=r: near(c, m, r)) for r in (-1.0, 0.0, 1e30)},
     **{f"pages of {size}": ("page_size", lambda c, m, size=size: pages_of(c, size)) for size in (-1, 501)},
     "similarity 1.5": ("min_similarity", lambda c, m: by_descriptor(c, m, min_similarity=1.5)),
-    "gap 1000001": ("min_index_gap", lambda c, m: by_descriptor(c, m, min_index_gap=1_000_001)),
+    "left by 10001 m": ("leave_distance_m", lambda c, m: by_descriptor(c, m, leave_distance_m=10_001)),
     "101 candidates": ("candidates", lambda c, m: c.localize(m, GOOD, candidates=101)),
     "tau_m 0.05": ("tau_m", lambda c, m: c.create_map("short", tau_m=0.05)),
     "a name of 257 characters": ("display_name", lambda c, m: c.create_map("long", display_name="x" * 257)),
@@ -200,7 +200,10 @@ MISTYPED = {
         lambda c, m: c.localize(m, GOOD, prior_position_m=[1, 2], radius_m=1),
     ),
     "an unknown format": ("format", lambda client, town: client.download(f"{town}/sessions/monday/submaps/a", "las")),
-    "less than no gap": ("min_index_gap", lambda client, town: client.create_map("gap", min_index_gap=-1)),
+    "left by less than nothing": (
+        "leave_distance_m",
+        lambda client, town: client.create_map("gap", leave_distance_m=-1),
+    ),
 }
 
 

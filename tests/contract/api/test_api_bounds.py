@@ -13,7 +13,7 @@ from revisit.v1.comments import COMMENTS
 
 DOCUMENT = json.loads((Path(__file__).resolve().parents[3] / "docs/reference/openapi.json").read_text())
 BOUNDS = {
-    "tau_m": limits.TAU_M, "stride_m": limits.STRIDE_M, "min_index_gap": limits.MIN_INDEX_GAP,
+    "tau_m": limits.TAU_M, "stride_m": limits.STRIDE_M, "leave_distance_m": limits.LEAVE_DISTANCE_M,
     "scene_scale": limits.SCENE_SCALE, "min_score": limits.MIN_SCORE, "min_overlap": limits.MIN_OVERLAP,
     "max_seen_through": limits.MAX_SEEN_THROUGH, "candidates": limits.LOOP_CANDIDATES, "k": limits.K,
     "min_similarity": limits.MIN_SIMILARITY, "radius_m": limits.RADIUS_M, "page_size": limits.PAGE_SIZE,

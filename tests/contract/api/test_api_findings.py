@@ -67,3 +67,11 @@ def test_the_command_inspects_a_stored_session(service, client, drive):
 def test_what_is_neither_a_recording_nor_a_session_is_refused():
     answer = CliRunner().invoke(app, ["inspect", "maps/only"])
     assert answer.exit_code == 1 and "no folder, no bag, and no maps/" in answer.output
+
+
+def test_a_finished_drive_that_comes_back_to_no_place_says_why_it_has_no_loop(client, drive):
+    session = drive(0.0, "onward")
+    told = client.get_session(session.name).no_loops
+    assert told.code == "NOTHING_TO_COMPARE"
+    assert "came back to no place that it had left by 0.5 m" in told.message
+    assert [one.no_loops for one in client.list_sessions(session.name.rpartition("/sessions")[0])] == [None]

@@ -70,12 +70,12 @@ def answers():
 def fill(client):
     """The owner's resources; their ids, those that the service gave out too."""
     client.create_robot("rover")
-    session = client.create_session(client.create_map("town", min_index_gap=0), "monday")
+    session = client.create_session(client.create_map("town", leave_distance_m=0), "monday")
     for number, name in enumerate("ab"):
         operation = client.post_submap(session, name, cloud_points(1), np.eye(4), number + 1)
         client.wait(operation)
     client.wait(client.optimise_map("maps/town"))
-    annex = client.create_session(client.create_map("annex", min_index_gap=0), "tuesday")
+    annex = client.create_session(client.create_map("annex", leave_distance_m=0), "tuesday")
     for number, name in enumerate("cd"):
         client.wait(client.post_submap(annex, name, cloud_points(1), np.eye(4), number + 1))
     merge = client.wait(client.merge_map("maps/town", "maps/annex")).result["merge"].rpartition("/")[2]

@@ -157,12 +157,12 @@ def test_a_note_is_bounded_and_printable(client, loops):
         assert refused.value.field == "note"
 
 
-def test_near_misses_are_explained_by_the_gate_that_stopped_them(client, session, loops):
+def test_near_misses_are_explained_by_the_gate_that_stopped_them(client, session, town, loops):
     a, b, c = (f"{session.name}/submaps/{name}" for name in "abc")
     found = {miss.submap: miss for miss in client.explain(a)}
     assert found.keys() == {b}
-    assert (found[b].gate, found[b].measured, found[b].threshold) == ("TOO_NEAR", 1, 2)
-    assert found[b].remedy == "min_index_gap = 1"
+    assert (found[b].gate, found[b].threshold) == ("TOO_NEAR", client.get_map(town).leave_distance_m)
+    assert found[b].remedy.startswith("leave_distance_m below ")
     client.reject_loop_closure(loops["ACCEPTED"])
     assert {miss.submap: miss.gate for miss in client.explain(c)} == {a: "OVERRULED", b: "TOO_NEAR"}
 
@@ -187,12 +187,9 @@ def test_what_would_have_passed_a_gate_is_the_value_that_was_measured():
 def test_a_similar_submap_that_was_not_compared_beside_accepted_loops_was_known_already(rank, gate):
     accepted = LoopClosure("loop", 1, "query", "match", "ACCEPTED", None, 0.9, 0.9, np.eye(4), {}, created_at_ns=1)
     map_ = SimpleNamespace(loop_policy=SimpleNamespace(candidates=20))
-    asked, hit = (
-        SimpleNamespace(name="maps/m/sessions/s/submaps/a"),
-        SearchHit("maps/m/sessions/t/submaps/b", 0.9, (0, 0, 0)),
-    )
-    assert explanations._near_miss(None, map_, asked, rank, hit, {"match": accepted}).gate == gate
-    assert explanations._near_miss(None, map_, asked, rank, hit, {}).gate == "NOT_VERIFIED"
+    hit = SearchHit("maps/m/sessions/t/submaps/b", 0.9, (0, 0, 0))
+    assert explanations._near_miss(None, map_, rank, hit, {"match": accepted}).gate == gate
+    assert explanations._near_miss(None, map_, rank, hit, {}).gate == "NOT_VERIFIED"
 
 
 def test_events_go_with_their_loop(client, service, session, town, loops):

@@ -30,7 +30,7 @@ _numbers = itertools.count(1)
 @pytest.fixture
 def driven(client):
     """A map of three submaps with a version; the name of the map."""
-    session = client.create_session(client.create_map(f"filed-{next(_numbers)}", min_index_gap=0), "monday")
+    session = client.create_session(client.create_map(f"filed-{next(_numbers)}", leave_distance_m=0), "monday")
     for place in range(1, 4):
         client.wait(client.post_submap(session, f"s{place}", cloud_points(place), pose(5.0 * place), place))
     map_name = session.name.partition("/sessions/")[0]

@@ -22,9 +22,9 @@ def post(client, session, submap_id="a", place=1):
 
 
 def test_a_map_is_read_back_as_it_was_created(client):
-    made = client.create_map(f"read-back-{id(client)}", display_name="The yard", tau_m=12.5, min_index_gap=7)
+    made = client.create_map(f"read-back-{id(client)}", display_name="The yard", tau_m=12.5, leave_distance_m=7)
     assert client.get_map(made.name) == made
-    assert (made.display_name, made.tau_m, made.min_index_gap) == ("The yard", 12.5, 7)
+    assert (made.display_name, made.tau_m, made.leave_distance_m) == ("The yard", 12.5, 7)
     assert made in client.list_maps()
 
 

@@ -15,7 +15,7 @@ _numbers = itertools.count(1)
 
 @pytest.fixture
 def garage(client):
-    return client.create_map(f"garage-{next(_numbers)}", min_index_gap=0).name
+    return client.create_map(f"garage-{next(_numbers)}", leave_distance_m=0).name
 
 
 def driven(client, garage, session_id, storey=None):

@@ -21,7 +21,7 @@ _numbers = itertools.count(1)
 @pytest.fixture
 def tiled(client):
     """A map of two submaps, 60 m apart, with a version; the name of the version."""
-    session = client.create_session(client.create_map(f"tiled-{next(_numbers)}", min_index_gap=0), "monday")
+    session = client.create_session(client.create_map(f"tiled-{next(_numbers)}", leave_distance_m=0), "monday")
     for name, x_m in (("a", 5.0), ("b", 65.0)):
         client.wait(client.post_submap(session, name, cloud_points(int(x_m)), pose(x_m), int(x_m)))
     map_name = session.name.partition("/sessions/")[0]

@@ -21,7 +21,7 @@ from revisit.service.application.contract.records import (
     TurnRecord,
     WorkerRecord,
 )
-from revisit.service.application.contract.repositories import FoundSubmap, PlacedSubmap
+from revisit.service.application.contract.repositories import FoundSubmap, PathPoint, PlacedSubmap
 from revisit.service.application.contract.states import EventKind, LoopState, OperationState, SubmapState
 
 R = TypeVar("R")
@@ -179,10 +179,14 @@ class MemorySubmaps(MemoryRepository[SubmapRecord]):
         found = self.numbered(tenant, numbers)
         return {number: FoundSubmap(*(getattr(row, name) for name in fields)) for number, row in found.items()}
 
-    def before(self, tenant: TenantId, session_number: int, ordinal: int, most: int) -> list[SubmapRecord]:
+    def path(
+        self, tenant: TenantId, map_id: str, session_id: str, ordinal: int, limit: int, *, back: bool = False
+    ) -> list[PathPoint]:
         """See `SubmapRepository`."""
-        of_drive = self.find(tenant, session_number=session_number)
-        return sorted((one for one in of_drive if 0 < ordinal - one.ordinal <= most), key=lambda one: one.ordinal)
+        drive = self.find(tenant, map_id=map_id, session_id=session_id)
+        ahead = [one for one in drive if (one.ordinal < ordinal if back else one.ordinal > ordinal)]
+        ahead.sort(key=lambda one: one.ordinal, reverse=back)
+        return [PathPoint(one.number, one.ordinal, one.position_m) for one in ahead[:limit]]
 
     def first_waiting(self, tenant: TenantId, map_id: str) -> int | None:
         """See `SubmapRepository`."""
@@ -203,6 +207,12 @@ class MemoryLoops(MemoryRepository[LoopRecord]):
         """See `LoopRepository`."""
         found = [loop for number in sorted(set(query_numbers)) for loop in self.find(tenant, query_number=number)]
         return [loop for loop in found if loop.state == LoopState.ACCEPTED or loop.reason in reasons]
+
+    def reasons(self, tenant: TenantId, numbers: Sequence[int]) -> dict[str | None, int]:
+        """See `LoopRepository`."""
+        asked = set(numbers)
+        found = (row for row in self.find(tenant) if asked & {row.query_number, row.match_number})
+        return dict(Counter(row.reason for row in found))
 
 
 class MemoryJobs(MemoryRepository[JobRecord]):

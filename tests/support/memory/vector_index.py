@@ -93,13 +93,11 @@ def _same(held: tuple[IndexChange, NDArray[np.float32]] | None, place: IndexChan
 
 
 def _passes(change: IndexChange, where: VectorFilter) -> bool:
-    if change.submap_number == where.exclude_submap or change.session_number == where.exclude_session:
+    if change.submap_number in where.without or change.session_number == where.exclude_session:
         return False
     if where.only_session is not None and change.session_number != where.only_session:
         return False
     if where.only_sessions is not None and change.session_number not in where.only_sessions:
-        return False
-    if change.session_number == where.near_session and abs(change.ordinal - where.near_ordinal) < where.min_gap:
         return False
     if where.position_m is None or where.radius_m is None:
         return True

@@ -44,6 +44,11 @@ def filled(vectors: Array, session: int = 1, spacing_m: float = 10.0) -> FaissIn
     return index
 
 
+def beside(identifier: int, gap: int) -> frozenset[int]:
+    """The places that came less than `gap` before or after one, and itself."""
+    return frozenset(range(identifier - gap + 1, identifier + gap))
+
+
 def answers(index: PlaceIndex, queries: Array, only: SearchFilter = SearchFilter()) -> list[list[Match]]:
     return [index.search(query, 5, only) for query in queries]
 
@@ -65,7 +70,7 @@ def test_a_session_of_another_sensor_is_taken_relative_to_its_own_mean() -> None
     asks = SearchFilter(only_session=1)
     before = [found[0].id for found in answers(index, second, asks)]
     index.add(entries(100, 100, session=2), second)
-    told = SearchFilter(only_session=1, near=(2, 0, 0))
+    told = SearchFilter(only_session=1, of_session=2)
     after = [found[0].id for found in answers(index, second, told)]
     right = list(range(100))
     assert np.mean(np.equal(before, right)) < 0.8
@@ -95,7 +100,7 @@ def test_the_answers_do_not_depend_on_how_the_places_came() -> None:
     at_once.add(all_entries, vectors)
     for row, entry in enumerate(all_entries):
         one_by_one.add([entry], vectors[row : row + 1])
-        one_by_one.search(vectors[row], 3, SearchFilter(near=(entry.session, entry.ordinal, 2)))
+        one_by_one.search(vectors[row], 3, SearchFilter(of_session=entry.session, without=beside(entry.id, 2)))
     queries = drawn(20, seed=6)
     assert answers(one_by_one, queries) == answers(at_once, queries)
     assert one_by_one.differing(all_entries, vectors) == []
@@ -177,7 +182,7 @@ def test_what_is_learned_place_by_place_is_what_the_reference_learns_from_all() 
         if row == 90:
             for index in (step_by_step, reference):
                 index.remove([1, 4, 5, 30])
-        only = SearchFilter(near=(entry.session, entry.ordinal, 3))
+        only = SearchFilter(of_session=entry.session, without=beside(entry.id, 3))
         assert step_by_step.search(vectors[row], 4, only) == reference.search(vectors[row], 4, only)
 
 
@@ -195,7 +200,11 @@ def test_a_map_searched_by_codes_answers_as_the_reference_does() -> None:
         [match.id for match in coded.search(again[row], 5, only)]
         == [match.id for match in reference.search(again[row], 5, only)]
         for row in range(0, 1500, 15)
-        for only in (SearchFilter(), SearchFilter(only_session=2), SearchFilter(near=(listed[row].session, row, 20)))
+        for only in (
+            SearchFilter(),
+            SearchFilter(only_session=2),
+            SearchFilter(of_session=listed[row].session, without=beside(row, 20)),
+        )
     ]
     assert np.mean(alike) >= 0.99
 
@@ -209,7 +218,7 @@ def test_an_index_that_another_process_takes_up_goes_on_as_if_it_were_the_same(c
         for index in (unbroken, resumed):
             index.add(listed[start : start + 120], vectors[start : start + 120])
             index.remove([start + 3, start // 2])
-        only = SearchFilter(near=(start % 5, start, 20))
+        only = SearchFilter(of_session=start % 5, without=beside(start, 20))
         assert answers(resumed, queries, only) == answers(unbroken, queries, only)
         stored = resumed.stored()
         shared, marks = (np.concatenate(parts) for parts in zip(*stored.portions(), strict=True))

@@ -119,7 +119,7 @@ def test_after_any_changes_the_answers_are_those_of_the_places_that_are_left(see
             changed.remove(gone)
         if rng.random() < 0.3:
             index = resumed(index, 4096)
-        only = SearchFilter(near=(entries[0].session, entries[0].ordinal, 3))
+        only = SearchFilter(of_session=entries[0].session, without=frozenset({entries[0].id, entries[1].id}))
         assert index.search(vectors[0], 9, only) == reference.search(vectors[0], 9, only)
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from revisit.core.candidates import CandidatePolicy, candidate_policy
-from revisit.core.config import LoopConfig, PipelineConfig
+from revisit.core.candidates import CandidatePolicy
+from revisit.core.config import PipelineConfig
 from revisit.core.index import ExactIndex, IndexEntry
 from revisit.core.model_bundle import load_packaged_models
 from revisit.core.pipeline import describe, recall
@@ -56,8 +56,6 @@ def test_candidates_are_the_most_similar_places_but_the_neighbours_in_the_same_s
     entries = [IndexEntry(id=i, session=i // 10, ordinal=i % 10, position=np.zeros(3)) for i in range(20)]
     angles = np.linspace(0.0, 0.5, 20)
     index.add(entries, np.stack([np.cos(angles), np.sin(angles)], axis=1).astype(np.float32))
-    policy = candidate_policy(0, 4, LoopConfig(min_index_gap=3, candidates=6))
+    policy = CandidatePolicy(session=0, too_near=frozenset({2, 3, 4, 5, 6}), count=6)
     found = [match.id for match in recall(np.array([1, 0], np.float32), index, policy)]
     assert found == [0, 1, 7, 8, 9, 10]
-    assert all(policy.allows(i // 10, i % 10) == (i not in (2, 3, 4, 5, 6)) for i in range(20))
-    assert policy == CandidatePolicy(session=0, ordinal=4, min_gap=3, count=6)

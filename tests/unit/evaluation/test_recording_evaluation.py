@@ -60,7 +60,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> KittiRecording:
 
 
 def options(**changes: object) -> EvaluationOptions:
-    values: dict[str, object] = {"tau": 10.0, "stride": 5.0, "min_index_gap": 20, "jobs": 1, **changes}
+    values: dict[str, object] = {"tau": 10.0, "stride": 5.0, "jobs": 1, **changes}
     return EvaluationOptions(**values)  # type: ignore[arg-type]  # keyword arguments of several types
 
 
@@ -83,11 +83,14 @@ def test_a_perfect_method_finds_every_loop_with_exact_poses(recording: KittiReco
     assert summary["bytes"]["neural_map"] == 100 and summary["seconds"]["stages"] == {"look": 0.5}
 
 
-def test_queries_meet_only_earlier_submaps_beyond_the_index_gap(recording: KittiRecording) -> None:
+def test_queries_meet_only_earlier_submaps_of_places_that_were_left_and_entered_again(
+    recording: KittiRecording,
+) -> None:
     rows = evaluate(recording, options(), method=Compass()).queries
-    assert all(row["candidate_id"] is None for row in rows[:21])
-    assert rows[21]["candidate_id"] == 0
-    assert all(row["id"] - row["candidate_id"] > 20 for row in rows[21:])
+    # A lap has 50 submaps, and the last of them lies 5 m from the first.
+    assert all(row["candidate_id"] is None for row in rows[:49])
+    assert rows[49]["candidate_id"] == 0
+    assert all(row["id"] - row["candidate_id"] in (49, 50, 51) for row in rows[51:-1])
     assert rows[0]["verified_score"] is rows[0]["T_match_query"] is rows[0]["descriptor_candidate_id"] is None
 
 

@@ -22,7 +22,7 @@ def test_a_drive_there_and_back_closes_its_loops_at_any_heading(tmp_path: File) 
     scans = simulate(world, trajectory, sensor, seed=0)
     write_kitti(tmp_path / "drive", ((scan.points, scan.T_world_sensor, scan.stamp_ns) for scan in scans))
     options = EvaluationOptions(
-        tau=10.0, stride=10.0, min_index_gap=4, positive_radius=12.0, candidates=4, jobs=2,
+        tau=10.0, stride=10.0, positive_radius=12.0, candidates=4, jobs=2,
         perturbation=Perturbation(rotate_seed=1),
     )  # fmt: skip
     summary = evaluate(KittiRecording(tmp_path / "drive"), options).summary

@@ -41,11 +41,11 @@ def test_the_environment_sets_the_window_and_the_queue(monkeypatch, tmp_path):
     monkeypatch.setenv("REVISIT_HOME", str(tmp_path))
     monkeypatch.setenv("REVISIT_TAU_M", "20")
     monkeypatch.setenv("REVISIT_STRIDE_M", "4")
-    monkeypatch.setenv("REVISIT_MIN_INDEX_GAP", "7")
+    monkeypatch.setenv("REVISIT_LEAVE_DISTANCE_M", "7")
     monkeypatch.setenv("REVISIT_LEASE_S", "2.5")
     settings = Settings()
     pipeline = settings.policy.pipeline
-    assert (pipeline.submap.tau, pipeline.submap.stride, pipeline.loop.min_index_gap) == (20.0, 4.0, 7)
+    assert (pipeline.submap.tau, pipeline.submap.stride, pipeline.loop.leave_distance) == (20.0, 4.0, 7)
     assert (settings.policy.lease_ms, settings.database) == (2500, tmp_path / "revisit.db")
 
 
