@@ -94,9 +94,9 @@ class UseCases:
         glance, writes = Glance(storage, admission), ReadYourWrites(storage, admission)
         operations, audit = Operations(storage, lists, admission, clock), AuditLog(storage, clock)
         return cls(
-            maps=Maps(storage, lists, admission, collector, of.index, streams, clock, policy),
+            maps=Maps(storage, lists, admission, of.erasure, of.index, streams, clock, policy),
             robots=Robots(storage, lists, admission, clock),
-            sessions=Sessions(storage, lists, admission, jobs, collector, streams, clock),
+            sessions=Sessions(storage, lists, admission, jobs, collector, of.erasure, streams, clock),
             scans=Scans(storage, admission, decoder, jobs, of.in_flight, streams, clock, policy),
             posting=SubmapPosting(storage, admission, decoder, jobs, clock),
             submaps=Submaps(storage, lists, admission, collector, clock, policy),
@@ -107,7 +107,7 @@ class UseCases:
             events=Events(storage, admission, glance),
             webhooks=Webhooks(storage, lists, admission, clock, policy.webhook_private_networks),
             map_versions=MapVersions(storage, lists, admission, clock, policy),
-            map_merges=MapMerges(storage, lists, admission, jobs, collector, clock),
+            map_merges=MapMerges(storage, lists, admission, jobs, collector, of.erasure, clock),
             map_tiles=MapTiles(storage, lists, admission, jobs, operations, policy),
             map_files=MapFiles(storage, lists, admission, jobs, collector, clock),
             corrections=Corrections(storage, admission, glance),

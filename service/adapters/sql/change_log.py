@@ -14,6 +14,9 @@ from revisit.service.adapters.sql.repositories import new_row
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.index import IndexChange
 
+SESSION_REMOVED = "SESSION_REMOVED"
+"""The kind of a change of all submaps of a session, whose number stands in the place of theirs."""
+
 
 class SqlChangeLog:
     """`ChangeLog`."""
@@ -35,6 +38,12 @@ class SqlChangeLog:
         if rows:
             self._engine.number_in_commit_order(self._connection, tables.index_changes)
             self._connection.execute(insert(tables.index_changes), rows)
+
+    def record_session_removed(self, tenant: TenantId, map_number: int, session_number: int) -> None:
+        """See `ChangeLog`."""
+        self._engine.number_in_commit_order(self._connection, tables.index_changes)
+        row = _change_row(tenant, map_number, session_number, SESSION_REMOVED)
+        self._connection.execute(insert(tables.index_changes), row)
 
     def since(self, tenant: TenantId, map_number: int, seq: int, limit: int | None = None) -> list[IndexChange]:
         """See `ChangeLog`."""
@@ -64,6 +73,8 @@ def _change_row(tenant: TenantId, map_number: int, submap_number: int, kind: str
 
 def _change(row: Sequence[Any]) -> IndexChange:
     seq, kind, submap_number, session_number, ordinal, position_m, descriptor = row
+    if kind == SESSION_REMOVED:
+        return IndexChange.session_removed(seq, submap_number)
     if session_number is None:
         return IndexChange(seq, submap_number, 0, 0, (0.0, 0.0, 0.0), None)
     vector = None if kind == "REMOVED" else descriptor

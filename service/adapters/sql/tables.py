@@ -295,6 +295,14 @@ early_corrections = _numbered(
     ),
 )
 
+deletions = _numbered(
+    "deletions",
+    ("map_id", "session_id"),
+    _text("map_id"),
+    _text("session_id"),
+    _integer("created_at_ns"),
+)
+
 map_merges = _numbered(
     "map_merges",
     ("map_id", "merge_id"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from sqlalchemy import Connection
@@ -21,6 +21,7 @@ from revisit.service.adapters.sql.turns import SqlTenantTurns
 from revisit.service.adapters.sql.worker_log import SqlWorkerLog
 from revisit.service.application.contract.events import on_job_change, on_loop_change, on_version_change
 from revisit.service.application.contract.records import (
+    DeletionRecord,
     EarlyCorrectionRecord,
     JobRecord,
     LoopEventRecord,
@@ -46,6 +47,8 @@ class SqlUnitOfWork:
     connection: Connection
     engine: DatabaseEngine
     lease_ms: int
+    sees_all: bool = False
+    """Whether rows of what is being deleted are seen."""
 
     maps = stored(tables.maps, MapRecord)
     """Maps by (map_id)."""
@@ -67,6 +70,8 @@ class SqlUnitOfWork:
     """The poses of sessions in versions of maps by (map_id, version, session_id)."""
     early_corrections = stored(tables.early_corrections, EarlyCorrectionRecord)
     """Corrections ahead of the next version by (map_id, session_id)."""
+    deletions = stored(tables.deletions, DeletionRecord)
+    """What is being deleted by (map_id, session_id)."""
     map_merges = stored(tables.map_merges, MapMergeRecord)
     """Merges into maps by (map_id, merge_id)."""
     map_tiles = stored(tables.map_tiles, MapTileRecord)
@@ -79,6 +84,11 @@ class SqlUnitOfWork:
     """Webhooks by (webhook_id)."""
     webhook_deliveries = stored(tables.webhook_deliveries, DeliveryRecord)
     """Attempts to deliver by (number)."""
+
+    @cached_property
+    def everything(self) -> SqlUnitOfWork:
+        """The same transaction, which also sees the rows of what is being deleted."""
+        return replace(self, sees_all=True)
 
     @cached_property
     def queue(self) -> LeasedJobs:

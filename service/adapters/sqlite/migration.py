@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # imported where something is migrated: a worker only asks fo
 
 MIGRATIONS = Path(__file__).resolve().parents[3] / "migrations"
 
-NEWEST_REVISION = "0019"
+NEWEST_REVISION = "0020"
 """What this version brings a database to: the head of `migrations`. A start that finds it has nothing to read there."""
 
 

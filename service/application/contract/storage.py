@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from revisit.service.application.contract.blobs import BlobStore
-from revisit.service.application.contract.errors import AlreadyExists, NotFound, SessionFinished
+from revisit.service.application.contract.errors import AlreadyExists, NotFound, SessionFinished, StillDeleting
 from revisit.service.application.contract.identity import SessionKey, SubmapKey, TenantId
 from revisit.service.application.contract.records import JobRecord, MapRecord, RobotRecord, SessionRecord, SubmapRecord
 from revisit.service.application.contract.states import SessionState
@@ -76,6 +76,13 @@ def require_session(uow: UnitOfWork, tenant: TenantId, key: SessionKey) -> Sessi
     if record is None:
         raise NotFound(f"there is no session {key.name!r}"[:300])
     return record
+
+
+def require_deleted(uow: UnitOfWork, tenant: TenantId, map_id: str, session_id: str = "") -> None:
+    """Raises StillDeleting while rows are there of a map, or of a session of it, that was deleted."""
+    if uow.deletions.get(tenant, map_id, session_id) is not None:
+        name = SessionKey(map_id, session_id).name if session_id else f"maps/{map_id}"
+        raise StillDeleting(f"what was {name} is being deleted; its id is free again soon"[:300])
 
 
 def require_active(session: SessionRecord) -> None:

@@ -154,6 +154,8 @@ class IndexKeeper:
             return 0, len(window)
         # What has changed since the index was looked at differs rightly.
         newer = read_here(lambda uow: uow.changes.since(tenant, number, seq))
+        if any(change.whole_session for change in newer):
+            return 0, len(window)
         drift = suspects.difference(change.submap_number for change in newer)
         if drift:
             self._mend(record, len(drift))
