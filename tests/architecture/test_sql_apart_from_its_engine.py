@@ -50,6 +50,7 @@ CALLS = {
     "SqlRepository.add_all": lambda uow: uow.maps.add_all([a_map("city")]),
     "SqlRepository.revise": lambda uow: uow.maps.revise(uow.maps.find(TENANT), display_name=""),
     "SqlRepository.some": lambda uow: uow.everything.scans.some(TENANT, 5, map_id="town"),
+    "SqlRepository.named": lambda uow: uow.scans.named(TENANT, "cloud_sha256", {"0" * 64}),
     "SqlRepository.delete_some": lambda uow: uow.loops.delete_some(TENANT, 5, "query_number", [1, 2]),
     "SqlRepository.delete": lambda uow: uow.loops.delete(TENANT, map_id="town"),
     "SqlScans.first_seq_from": lambda uow: uow.scans.first_seq_from(TENANT, "town", "monday", 0.5),

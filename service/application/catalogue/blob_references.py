@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from functools import partial
 
 from revisit.service.application.contract.blobs import (
@@ -95,21 +95,33 @@ def collect_blobs(uow: UnitOfWork, blobs: BlobStore, tenant: TenantId, doomed: I
     reference to such a blob checks in a write transaction too that the blob is there (`Storage.keep_blob`). So either
     that transaction sees the blob missing, or this one sees the reference.
     """
-    for kind, sha256 in doomed:
-        if not is_referenced(uow, tenant, kind, sha256):
-            blobs.delete(tenant, kind, sha256)
-            failpoint("delete.after_blob")
+    for kind, sha256 in sorted(unreferenced(uow, tenant, doomed)):
+        blobs.delete(tenant, kind, sha256)
+        failpoint("delete.after_blob")
 
 
-def is_referenced(uow: UnitOfWork, tenant: TenantId, kind: str, sha256: str) -> bool:
-    """Whether a row names the blob. No row names the cloud of a query: who asked deletes it with the answer."""
+def unreferenced(uow: UnitOfWork, tenant: TenantId, blobs: Iterable[Blob]) -> set[Blob]:
+    """Those of these blobs that no row names."""
+    by_kind: dict[str, set[str]] = {}
+    for kind, sha256 in blobs:
+        by_kind.setdefault(kind, set()).add(sha256)
+    named = {kind: _named(uow, tenant, kind, hashes) for kind, hashes in by_kind.items()}
+    return {(kind, sha256) for kind, hashes in by_kind.items() for sha256 in hashes - named[kind]}
+
+
+def _named(uow: UnitOfWork, tenant: TenantId, kind: str, hashes: Collection[str]) -> set[str]:
+    """Those of these blobs of a kind that a row names.
+
+    No row names the cloud of a query: who asked deletes it with the answer.
+    """
     if kind == CLOUD_BLOB:
-        return bool(uow.submaps.count(tenant, cloud_sha256=sha256) or uow.scans.count(tenant, cloud_sha256=sha256))
+        field = FIELDS[CLOUD_BLOB]
+        return uow.submaps.named(tenant, field, hashes) | uow.scans.named(tenant, field, hashes)
     if kind == QUERY_CLOUD_BLOB:
-        return False
+        return set()
     if kind == TILE_BLOB:
-        return uow.map_tiles.count(tenant, tile_sha256=sha256) > 0
+        return uow.map_tiles.named(tenant, "tile_sha256", hashes)
     if kind == MAP_LAYOUT_BLOB:
-        return uow.map_files.count(tenant, layout_sha256=sha256) > 0
+        return uow.map_files.named(tenant, "layout_sha256", hashes)
     # A kind that this version does not know is another version's: it stays.
-    return kind not in FIELDS or uow.submaps.count(tenant, **{FIELDS[kind]: sha256}) > 0
+    return uow.submaps.named(tenant, FIELDS[kind], hashes) if kind in FIELDS else set(hashes)

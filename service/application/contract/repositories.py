@@ -73,6 +73,10 @@ class RowEraser(Protocol[R]):
         """At most `limit` of what `find` would give, in any order: however many there are, it takes no longer."""
         ...
 
+    def named(self, tenant: TenantId, field: str, values: Collection[str]) -> set[str]:
+        """Those of these values that `field` has in a record that is seen."""
+        ...
+
     def delete_some(self, tenant: TenantId, limit: int, field: str, values: Sequence[str | int]) -> int:
         """Delete at most `limit` of the records, seen or not, whose `field` has one of `values`; how many."""
         ...
