@@ -26,6 +26,7 @@ from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.capacity.backlog import JobPosting
 from revisit.service.application.capacity.byte_budget import ByteBudget
 from revisit.service.application.catalogue.blob_references import BlobCollector
+from revisit.service.application.catalogue.downloads import Rendering
 from revisit.service.application.catalogue.maps import Maps
 from revisit.service.application.catalogue.paging import Lists, PageTokens
 from revisit.service.application.catalogue.robots import Robots
@@ -91,6 +92,7 @@ class UseCases:
         backlog, lists = of.backlog, Lists(storage, of.in_flight, PageTokens(of.secret))
         admission = Admission(of.stopping, of.disk, of.in_flight, backlog, of.quota)
         jobs, collector = JobPosting(backlog, clock, policy), BlobCollector(storage)
+        rendering = Rendering(of.in_flight)
         glance, writes = Glance(storage, admission), ReadYourWrites(storage, admission)
         operations, audit = Operations(storage, lists, admission, clock), AuditLog(storage, clock)
         return cls(
@@ -99,7 +101,7 @@ class UseCases:
             sessions=Sessions(storage, lists, admission, jobs, collector, of.erasure, streams, clock),
             scans=Scans(storage, admission, decoder, jobs, of.in_flight, streams, clock, policy),
             posting=SubmapPosting(storage, admission, decoder, jobs, clock),
-            submaps=Submaps(storage, lists, admission, collector, clock, policy),
+            submaps=Submaps(storage, lists, admission, collector, rendering, clock, policy),
             searches=Searches(storage, admission, decoder, jobs, of.memory, operations, writes),
             loops=Loops(storage, lists, admission, glance, writes),
             loop_keypoints=LoopKeypointReading(storage, admission, policy),
@@ -108,7 +110,7 @@ class UseCases:
             webhooks=Webhooks(storage, lists, admission, clock, policy.webhook_private_networks),
             map_versions=MapVersions(storage, lists, admission, clock, policy),
             map_merges=MapMerges(storage, lists, admission, jobs, collector, of.erasure, clock),
-            map_tiles=MapTiles(storage, lists, admission, jobs, operations, policy),
+            map_tiles=MapTiles(storage, lists, admission, jobs, operations, rendering, policy),
             map_files=MapFiles(storage, lists, admission, jobs, collector, clock),
             corrections=Corrections(storage, admission, glance),
             loop_decisions=LoopDecisions(storage, admission, lists, jobs, clock, policy),

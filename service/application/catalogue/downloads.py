@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -13,9 +15,11 @@ from revisit.core.errors import UnsupportedEncoding
 from revisit.formats import NPY, PCD, PLY, encode_npy, encode_pcd, encode_ply, encode_ply_mesh
 from revisit.formats.glb import MEDIA_TYPE as GLB
 from revisit.formats.glb import encode_scene
+from revisit.service.application.capacity.in_flight import POINTS_PER_S, InFlight, Turns
 from revisit.service.application.catalogue.meshes import unpack_mesh
 from revisit.service.application.contract.blobs import CLOUD_BLOB, MESH_BLOB, NEURAL_MAP_BLOB, BlobStore
 from revisit.service.application.contract.errors import NotFound, NotReady
+from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.records import SubmapRecord
 from revisit.service.application.ingest.clouds import StoredCloud, unpack_cloud
 from revisit.service.application.ingest.submap_source import SubmapSource, load_submap
@@ -66,6 +70,40 @@ class Download:
         """The file in pieces of `PIECE_BYTES`."""
         for start in range(0, len(self.data), PIECE_BYTES):
             yield self.data[start : start + PIECE_BYTES]
+
+
+class Rendering:
+    """Makes files: one at a time, for the largest takes several times its size for a moment, and tenants in turns.
+
+    Each is charged what it took of a core, made or not: a scene in glb takes hundreds of milliseconds.
+    """
+
+    def __init__(self, in_flight: InFlight) -> None:
+        """Files are charged to the rate limits of `in_flight`."""
+        self._in_flight = in_flight
+        self._turns = Turns(1)
+
+    async def of(self, tenant: TenantId, make: Callable[[], Download]) -> Download:
+        """The file that `make` makes, in a thread. Raises RateLimited, and what `make` raises."""
+        async with self._turns.of(tenant):
+            self._in_flight.check_rate(tenant)
+            spent_s: list[float] = []
+            made = asyncio.create_task(asyncio.to_thread(_timed, make, spent_s))
+            try:
+                return await asyncio.shield(made)
+            finally:
+                # Of a caller that goes away, too: the thread works to its end.
+                await asyncio.wait({made})
+                self._in_flight.charge_call(tenant, int(POINTS_PER_S * sum(spent_s)))
+
+
+def _timed(make: Callable[[], Download], spent_s: list[float]) -> Download:
+    """What `make` makes; what it took of a core is added to `spent_s`, seconds."""
+    began_s = time.thread_time()
+    try:
+        return make()
+    finally:
+        spent_s.append(time.thread_time() - began_s)
 
 
 def render_download(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -13,7 +12,7 @@ from revisit.service.application.access.audit import AuditEntry
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.catalogue.blob_references import Blob, BlobCollector
 from revisit.service.application.catalogue.deletion import delete_submap
-from revisit.service.application.catalogue.downloads import Download, DownloadKind, render_download
+from revisit.service.application.catalogue.downloads import Download, DownloadKind, Rendering, render_download
 from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.identity import SessionKey, SubmapKey, TenantId
@@ -36,17 +35,18 @@ class Submaps:
         lists: Lists,
         admission: Admission,
         collector: BlobCollector,
+        rendering: Rendering,
         clock: Clock,
         policy: Policy,
     ) -> None:
-        """`collector` deletes the blobs of what was deleted."""
+        """`collector` deletes the blobs of what was deleted; files are made by `rendering`."""
         self._storage = storage
         self._lists = lists
         self._admission = admission
         self._collector = collector
         self._clock = clock
         self._policy = policy
-        self._rendering = asyncio.Lock()
+        self._rendering = rendering
 
     async def get(self, tenant: TenantId, key: SubmapKey, *, full: bool = False) -> SubmapView:
         """The submap, with its descriptor where `full`. Raises NotFound."""
@@ -73,12 +73,12 @@ class Submaps:
     ) -> Download:
         """The submap as a file. Formats: mesh ply; points pcd, ply or npy; neural and descriptor have one of their own.
 
-        Raises NotFound; NotReady where it is not described yet; UnsupportedEncoding for another format; DataLoss.
+        Raises NotFound; NotReady where it is not described yet; UnsupportedEncoding for another format; DataLoss;
+        RateLimited.
         """
         record, source = await self._storage.read(partial(self._with_source, tenant=tenant, key=key))
-        # One at a time: to make the largest takes several times its size for a moment.
-        async with self._rendering:
-            return await asyncio.to_thread(render_download, self._storage.blobs, record, source, kind, file_format)
+        make = partial(render_download, self._storage.blobs, record, source, kind, file_format)
+        return await self._rendering.of(tenant, make)
 
     def _with_source(self, uow: UnitOfWork, tenant: TenantId, key: SubmapKey) -> tuple[SubmapRecord, SubmapSource]:
         record = require_submap(uow, tenant, key)
