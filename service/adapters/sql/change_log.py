@@ -9,6 +9,7 @@ from typing import Any
 from sqlalchemy import Connection, Select, bindparam, insert, select
 
 from revisit.service.adapters.sql import tables
+from revisit.service.adapters.sql.checksums import sound_descriptor
 from revisit.service.adapters.sql.engine import DatabaseEngine
 from revisit.service.adapters.sql.repositories import new_row
 from revisit.service.application.contract.identity import TenantId
@@ -58,7 +59,7 @@ def _changes_since(*, limited: bool) -> Select[Any]:
     changes, submaps = tables.index_changes.c, tables.submaps.c
     since = (
         select(changes.seq, changes.kind, changes.submap_number, submaps.session_number, submaps.ordinal)
-        .add_columns(submaps.position_m, submaps.descriptor)
+        .add_columns(submaps.position_m, submaps.descriptor, submaps.checksum)
         .outerjoin_from(tables.index_changes, tables.submaps, submaps.number == changes.submap_number)
         .where(changes.tenant == bindparam("its_tenant"), changes.map_number == bindparam("its_map"))
         .where(changes.seq > bindparam("after"))
@@ -72,10 +73,10 @@ def _change_row(tenant: TenantId, map_number: int, submap_number: int, kind: str
 
 
 def _change(row: Sequence[Any]) -> IndexChange:
-    seq, kind, submap_number, session_number, ordinal, position_m, descriptor = row
+    seq, kind, submap_number, session_number, ordinal, position_m, descriptor, checksum = row
     if kind == SESSION_REMOVED:
         return IndexChange.session_removed(seq, submap_number)
     if session_number is None:
         return IndexChange(seq, submap_number, 0, 0, (0.0, 0.0, 0.0), None)
-    vector = None if kind == "REMOVED" else descriptor
+    vector = None if kind == "REMOVED" else sound_descriptor(submap_number, descriptor, checksum)
     return IndexChange(seq, submap_number, session_number, ordinal, position_m, vector)

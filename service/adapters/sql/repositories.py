@@ -34,6 +34,7 @@ from sqlalchemy.exc import IntegrityError
 from sqlalchemy.sql.dml import ReturningInsert
 
 from revisit.service.adapters.sql import tables
+from revisit.service.adapters.sql.checksums import sound_descriptor
 from revisit.service.adapters.sql.engine import DatabaseEngine
 from revisit.service.adapters.sql.presence import present
 from revisit.service.application.contract.errors import AlreadyExists, NotFound
@@ -278,6 +279,12 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
             first = {"tenant": added.tenant, "number": added.number}
             self._connection.execute(insert(tables.last_submaps), first)
         return added
+
+    def _of(self, row: Row[Any]) -> SubmapRecord:
+        """A submap without its descriptor where that is damaged."""
+        record = super()._of(row)
+        descriptor = sound_descriptor(record.number, record.descriptor, row.checksum)
+        return record if descriptor is record.descriptor else dataclasses.replace(record, descriptor=descriptor)
 
     def last_number(self, tenant: TenantId) -> int:
         """See `SubmapRepository`."""

@@ -183,6 +183,8 @@ submaps = _numbered(
     _text("mesh_sha256", nullable=True),
     _text("failure_code", nullable=True),
     Column("failure_message", Text, nullable=True),
+    # No field of the record: the engine keeps it, if it keeps any (see `checksums`).
+    _integer("checksum", nullable=True),
     ForeignKeyConstraint(
         ["tenant", "map_id", "session_id"], ["sessions.tenant", "sessions.map_id", "sessions.session_id"]
     ),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ from sqlalchemy import Connection
 
 from revisit.service.adapters.files.filesystem import require_local
 from revisit.service.adapters.sqlite.connections import writer_engine
+from revisit.service.adapters.sqlite.row_checksums import seal
 from revisit.service.adapters.sqlite.transactions import WriterLock
 
 if TYPE_CHECKING:  # imported where something is migrated: a worker only asks for the revision
@@ -18,7 +20,7 @@ if TYPE_CHECKING:  # imported where something is migrated: a worker only asks fo
 
 MIGRATIONS = Path(__file__).resolve().parents[3] / "migrations"
 
-NEWEST_REVISION = "0020"
+NEWEST_REVISION = "0021"
 """What this version brings a database to: the head of `migrations`. A start that finds it has nothing to read there."""
 
 
@@ -70,7 +72,7 @@ def _migrate(database: Path, revision: str) -> None:
     from alembic.util import CommandError
 
     upwards = revision == "head" or present is None
-    engine = writer_engine(database, checkpoints=True)
+    engine = writer_engine(database, checkpoints=True, checksums=False)
     try:
         with engine.connect() as connection:
             config = _configuration(connection)
@@ -79,6 +81,14 @@ def _migrate(database: Path, revision: str) -> None:
         raise ForeignSchema(str(error)) from error
     finally:
         engine.dispose()
+
+
+def _seal(connection: Connection) -> None:
+    """Give all rows their checksums, in the transaction of the migrations."""
+    driver = connection.connection.driver_connection
+    if not isinstance(driver, sqlite3.Connection):
+        raise TypeError(f"the migrations run on {type(driver).__name__}, not on SQLite's own driver")
+    seal(driver)
 
 
 def _scripts() -> ScriptDirectory:
@@ -93,6 +103,6 @@ def _configuration(connection: Connection) -> Config:
 
     # Batch mode: what SQLite's ALTER TABLE cannot change is changed in a copy of the table.
     options = {"connection": connection, "render_as_batch": True, "transactional_ddl": True}
-    config = Config(attributes={"options": options})
+    config = Config(attributes={"options": options, "afterwards": partial(_seal, connection)})
     config.set_main_option("script_location", str(MIGRATIONS))
     return config

@@ -21,6 +21,8 @@ from revisit.service.application.contract.blobs import CLOUD_BLOB, MESH_BLOB, NE
 from revisit.service.application.contract.errors import NotFound, NotReady
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.records import SubmapRecord
+from revisit.service.application.contract.states import SubmapState
+from revisit.service.application.contract.storage import require_descriptor
 from revisit.service.application.ingest.clouds import StoredCloud, unpack_cloud
 from revisit.service.application.ingest.submap_source import SubmapSource, load_submap
 
@@ -122,11 +124,11 @@ def _rendered(
 ) -> bytes:
     if kind is DownloadKind.POINTS:
         return _points_file(_points(blobs, record, source), extension)
-    if record.descriptor is None:
+    if record.state != SubmapState.DESCRIBED:
         raise NotReady
     if kind is DownloadKind.DESCRIPTOR:
         buffer = io.BytesIO()
-        np.save(buffer, np.frombuffer(record.descriptor, dtype="<f4"), allow_pickle=False)
+        np.save(buffer, np.frombuffer(require_descriptor(record), dtype="<f4"), allow_pickle=False)
         return buffer.getvalue()
     if kind is DownloadKind.MESH:
         mesh = unpack_mesh(blobs.get(record.tenant, MESH_BLOB, str(record.mesh_sha256)))

@@ -19,7 +19,14 @@ from revisit.service.application.contract.identity import SessionKey, SubmapKey,
 from revisit.service.application.contract.map_frames import MapFrames, submap_in_map
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.records import SubmapRecord
-from revisit.service.application.contract.storage import Storage, require_map, require_session, require_submap
+from revisit.service.application.contract.states import SubmapState
+from revisit.service.application.contract.storage import (
+    Storage,
+    require_descriptor,
+    require_map,
+    require_session,
+    require_submap,
+)
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.views import SubmapView, submap_view
 from revisit.service.application.ingest.submap_source import SubmapSource, submap_source
@@ -49,11 +56,11 @@ class Submaps:
         self._rendering = rendering
 
     async def get(self, tenant: TenantId, key: SubmapKey, *, full: bool = False) -> SubmapView:
-        """The submap, with its descriptor where `full`. Raises NotFound."""
+        """The submap, with its descriptor where `full`. Raises NotFound; DataLoss where that is damaged."""
         record, view = await self._storage.read(partial(_seen, tenant=tenant, key=key))
-        if not full or record.descriptor is None:
+        if not full or record.state != SubmapState.DESCRIBED:
             return view
-        return replace(view, descriptor=np.frombuffer(record.descriptor, dtype="<f4").astype(np.float32))
+        return replace(view, descriptor=np.frombuffer(require_descriptor(record), dtype="<f4").astype(np.float32))
 
     async def list(self, tenant: TenantId, session: SessionKey, page: PageRequest) -> Page[SubmapView]:
         """The submaps of a session in their order. Raises NotFound for the session."""
