@@ -47,7 +47,7 @@ def examine(home: Path, *, full: bool) -> list[Finding]:
             findings += [_schema(database), _pages(rows), _references(rows), _wal(database)]
             findings += [_rows(rows)] if full else []
             findings.append(_blobs(home, list(named_blobs(rows)), full=full))
-    except sqlite3.Error as error:
+    except (sqlite3.Error, UnicodeError) as error:  # SQLite's messages hold names, damaged or not
         findings.append(Finding("database", False, f"{database}: {error}"))
     aside = FileBlobStore(home / "blobs").quarantined() if (home / "blobs").is_dir() else 0
     detail = f"{aside} damaged blobs lie in {home / 'blobs' / QUARANTINE}" if aside else "empty"

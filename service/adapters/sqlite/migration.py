@@ -50,7 +50,7 @@ def known_revisions() -> frozenset[str]:
 
 
 def current_revision(database: Path) -> str | None:
-    """The revision a database is at, or None for an empty one."""
+    """The revision a database is at, or None for an empty one. Raises sqlite3.DatabaseError for a damaged one."""
     if not database.exists():
         return None
     connection = sqlite3.connect(f"file:{database}?mode=ro", uri=True)
@@ -58,6 +58,8 @@ def current_revision(database: Path) -> str | None:
         row = connection.execute("SELECT version_num FROM alembic_version").fetchone()
     except sqlite3.OperationalError:
         return None
+    except UnicodeError as error:  # of SQLite's message about a name that is none any more
+        raise sqlite3.DatabaseError("the schema of the database is damaged") from error
     finally:
         connection.close()
     return None if row is None else str(row[0])
